@@ -1,0 +1,38 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+/// Every limit of the server, with its unit and what happens beyond it. Reaching one is reported by this name.
+namespace tensormass::limits {
+
+/// Scenes loaded at once in one daemon; a further load is refused.
+inline constexpr std::size_t kMaxScenes = 256;
+/// Bodies of one scene; a scene with more is refused.
+inline constexpr std::size_t kMaxBodies = 64;
+/// Tools of one scene; a scene with more is refused.
+inline constexpr std::size_t kMaxTools = 16;
+/// Nodes of one scene. Rows and positions are indexed with 32 bits; larger scenes are refused.
+inline constexpr std::uint32_t kMaxNodes = 1u << 26;
+/// Elements of one scene. A gather entry packs 10 blocks an element and a flag into 32 bits (tensor/layout.h).
+inline constexpr std::uint32_t kMaxElements = 1u << 27;
+/// Characters of a scene's, body's or tool's name.
+inline constexpr std::size_t kMaxNameLength = 64;
+/// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron: ten
+/// million tetrahedra fit.
+inline constexpr std::size_t kMaxControlMessageBytes = std::size_t{512} << 20;
+/// Bytes of one message from a client on the data plane; a larger one is dropped and counted as malformed.
+inline constexpr std::size_t kMaxPoseMessageBytes = 4096;
+/// Steps that one StepScene call may ask for.
+inline constexpr std::uint32_t kMaxStepsPerCall = 1'000'000;
+/// Steps a second that a scene may ask for [Hz].
+inline constexpr double kMaxRateHz = 20'000.0;
+/// Simulated time of a step [s].
+inline constexpr double kMinTimeStepS = 1e-6;
+inline constexpr double kMaxTimeStepS = 10.0;
+/// Conjugate-gradient iterations of one step.
+inline constexpr std::uint32_t kMaxCgIterations = 100'000;
+/// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
+inline constexpr double kMaxLength = 1e6;
+
+}  // namespace tensormass::limits
