@@ -2,18 +2,18 @@
 
 #include <array>
 #include <cstdint>
-#include <string>
-#include <string_view>
 #include <vector>
 
 #include <Eigen/Core>
-
-#include "core/result.h"
+#include <Eigen/Geometry>
 
 /// Meshes as the host sees them, in double precision and in the caller's own node order.
+///
+/// A mesh from outside goes through `admit` (admission.h) once; every other function of this folder takes an admitted
+/// mesh and asserts no more than that.
 namespace tensormass::mesh {
 
-/// Element shapes. A shape's topology is one entry in `shapes.h`.
+/// Element shapes. A shape's topology is one entry in shapes.h.
 enum class Shape : std::uint8_t { kTetrahedron };
 
 /// Elements of one shape.
@@ -27,7 +27,10 @@ struct Mesh {
   std::vector<ElementBlock> blocks;
 };
 
-/// A triangulated surface. Indices are into `Mesh::nodes` for a boundary, into own vertices for a skin.
+/// Three vertices, counter-clockwise seen from outside. Indices are into the vertices of the surface that holds it.
 using Triangle = std::array<std::uint32_t, 3>;
+
+/// "None" where an index is expected.
+inline constexpr std::uint32_t kNone = 0xFFFFFFFFu;
 
 }  // namespace tensormass::mesh

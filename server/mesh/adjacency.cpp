@@ -1,0 +1,66 @@
+#include "mesh/adjacency.h"
+
+#include <algorithm>
+
+#include "mesh/shapes.h"
+
+namespace tensormass::mesh {
+namespace {
+
+/// Inverts "item -> rows". `visit_all(f)` calls f(item, its rows) in ascending order of items, the same each time.
+template <class VisitAll>
+Rows invert(std::uint32_t row_count, VisitAll&& visit_all) {
+  Rows rows;
+  rows.offsets.assign(row_count + std::size_t{1}, 0);
+  visit_all([&](std::uint32_t, std::span<const std::uint32_t> members) {
+    for (const std::uint32_t row : members) ++rows.offsets[row + 1];
+  });
+  for (std::uint32_t row = 0; row < row_count; ++row) rows.offsets[row + 1] += rows.offsets[row];
+  rows.items.resize(rows.offsets.back());
+  std::vector<std::uint32_t> next(rows.offsets.begin(), rows.offsets.end() - 1);
+  visit_all([&](std::uint32_t item, std::span<const std::uint32_t> members) {
+    for (const std::uint32_t row : members) rows.items[next[row]++] = item;
+  });
+  return rows;
+}
+
+}  // namespace
+
+Rows node_elements(const Mesh& mesh) {
+  return invert(static_cast<std::uint32_t>(mesh.nodes.size()), [&](auto&& add) {
+    for_each_element(mesh, [&](std::uint32_t element, const Topology&, std::span<const std::uint32_t> nodes) {
+      add(element, nodes);
+    });
+  });
+}
+
+Rows node_neighbours(const Mesh& mesh) { return node_neighbours(mesh, node_elements(mesh)); }
+
+Rows node_neighbours(const Mesh& mesh, const Rows& elements) {
+  const auto nodes_of = element_nodes(mesh);
+  Rows rows;
+  rows.offsets.reserve(mesh.nodes.size() + 1);
+  std::vector<std::uint32_t> seen_by(mesh.nodes.size(), kNone);
+  for (std::uint32_t node = 0; node < elements.size(); ++node) {
+    const auto first = static_cast<std::ptrdiff_t>(rows.items.size());
+    seen_by[node] = node;
+    for (const std::uint32_t element : elements[node]) {
+      for (const std::uint32_t other : nodes_of[element]) {
+        if (seen_by[other] == node) continue;
+        seen_by[other] = node;
+        rows.items.push_back(other);
+      }
+    }
+    std::sort(rows.items.begin() + first, rows.items.end());
+    rows.offsets.push_back(static_cast<std::uint32_t>(rows.items.size()));
+  }
+  return rows;
+}
+
+Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_count) {
+  return invert(vertex_count, [&](auto&& add) {
+    for (std::uint32_t i = 0; i < triangles.size(); ++i) add(i, triangles[i]);
+  });
+}
+
+}  // namespace tensormass::mesh

@@ -1,0 +1,375 @@
+#include "mesh/admission.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "core/limits.h"
+#include "mesh/shapes.h"
+
+namespace tensormass::mesh {
+namespace {
+
+using Nodes = std::span<const std::uint32_t>;
+
+/// One kind of problem: how often it was met, and the first place in words.
+struct Finding {
+  std::uint64_t count = 0;
+  std::string first;
+
+  template <class Describe>
+  void add(Describe&& describe) {
+    if (count++ == 0) first = describe();
+  }
+
+  std::string text(std::string_view what_to_do) const {
+    const std::string others = count > 1 ? fmt::format(" ({} of this kind)", count) : std::string();
+    return fmt::format("{}{}; {}", first, others, what_to_do);
+  }
+};
+
+bool acceptable(const Eigen::Vector3d& point) {
+  return (point.array().abs() <= limits::kMaxLength).all();  // false for NaN
+}
+
+/// Coordinates of a mesh's nodes or a skin's vertices.
+Result<void> check_points(std::span<const Eigen::Vector3d> points, std::string_view what, std::string_view body) {
+  Finding bad;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (acceptable(points[i])) continue;
+    bad.add([&] {
+      return fmt::format("{} {} of body '{}' is at ({}, {}, {})", what, i, body, points[i].x(), points[i].y(),
+                         points[i].z());
+    });
+  }
+  if (bad.count == 0) return {};
+  return invalid(bad.text(fmt::format("give finite coordinates within ±{} m", limits::kMaxLength)));
+}
+
+Result<void> check_sizes(const Mesh& mesh, std::string_view body) {
+  if (mesh.nodes.empty()) return invalid(fmt::format("body '{}' has no nodes; give a mesh", body));
+  if (mesh.nodes.size() > limits::kMaxNodes) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("body '{}' has {} nodes; limits::kMaxNodes is {}; use a coarser mesh", body,
+                            mesh.nodes.size(), limits::kMaxNodes));
+  }
+  std::size_t elements = 0;
+  for (const ElementBlock& block : mesh.blocks) {
+    const Topology& shape = topology(block.shape);
+    if (block.nodes.size() % shape.node_count != 0) {
+      return invalid(
+          fmt::format("body '{}' has {} node indices in {} elements, not a multiple of {}; send whole elements", body,
+                      block.nodes.size(), shape.name, shape.node_count));
+    }
+    elements += block.nodes.size() / shape.node_count;
+  }
+  if (elements == 0) return invalid(fmt::format("body '{}' has no elements; give a volume mesh", body));
+  if (elements > limits::kMaxElements) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("body '{}' has {} elements; limits::kMaxElements is {}; use a coarser mesh", body, elements,
+                            limits::kMaxElements));
+  }
+  return {};
+}
+
+Result<void> check_indices(const Mesh& mesh, std::string_view body) {
+  Finding out_of_range;
+  for_each_element(mesh, [&](std::uint32_t element, const Topology&, Nodes nodes) {
+    for (const std::uint32_t node : nodes) {
+      if (node < mesh.nodes.size()) continue;
+      out_of_range.add([&] {
+        return fmt::format("element {} of body '{}' refers to node {}, and the mesh has {} nodes", element, body, node,
+                           mesh.nodes.size());
+      });
+      break;
+    }
+  });
+  if (out_of_range.count == 0) return {};
+  return invalid(out_of_range.text("count nodes from 0 and send all of them"));
+}
+
+bool repeats_a_node(Nodes nodes) {
+  for (std::size_t i = 1; i < nodes.size(); ++i) {
+    if (std::find(nodes.begin(), nodes.begin() + i, nodes[i]) != nodes.begin() + i) return true;
+  }
+  return false;
+}
+
+struct ElementGeometry {
+  double volume_m3 = 0.0;
+  double min_simplex_volume_m3 = std::numeric_limits<double>::infinity();  ///< signed
+  double max_edge_m = 0.0;
+
+  bool flat() const {
+    return std::abs(min_simplex_volume_m3) < kMinRelativeVolume * max_edge_m * max_edge_m * max_edge_m ||
+           max_edge_m == 0.0;
+  }
+};
+
+ElementGeometry geometry_of(const Mesh& mesh, const Topology& shape, Nodes nodes) {
+  const auto x = [&](std::uint8_t local) -> const Eigen::Vector3d& { return mesh.nodes[nodes[local]]; };
+  ElementGeometry geometry;
+  for (const Simplex& s : shape.simplices) {
+    const double volume_m3 = six_volumes(x(s[0]), x(s[1]), x(s[2]), x(s[3])) / 6.0;
+    geometry.volume_m3 += volume_m3;
+    geometry.min_simplex_volume_m3 = std::min(geometry.min_simplex_volume_m3, volume_m3);
+  }
+  double max_squared = 0.0;
+  for (const Edge& edge : shape.edges) {
+    max_squared = std::max(max_squared, (x(edge.nodes[1]) - x(edge.nodes[0])).squaredNorm());
+  }
+  geometry.max_edge_m = std::sqrt(max_squared);
+  return geometry;
+}
+
+/// The cosine of the smallest angle between two faces; from -1 (180°) to 1 (0°).
+double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, Nodes nodes) {
+  constexpr std::size_t kMaxFaces = 6;
+  std::array<Eigen::Vector3d, kMaxFaces> normals;
+  for (std::size_t i = 0; i < shape.faces.size(); ++i) {
+    const Face& face = shape.faces[i];
+    // Newell's normal: exact for a triangle, the average for a face that is not plane.
+    Eigen::Vector3d normal = Eigen::Vector3d::Zero();
+    const Eigen::Vector3d& origin = mesh.nodes[nodes[face.nodes[0]]];
+    for (std::uint32_t corner = 2; corner < face.node_count; ++corner) {
+      normal +=
+          (mesh.nodes[nodes[face.nodes[corner - 1]]] - origin).cross(mesh.nodes[nodes[face.nodes[corner]]] - origin);
+    }
+    normals[i] = normal.normalized();
+  }
+  double cosine = -1.0;
+  for (const Edge& edge : shape.edges) cosine = std::max(cosine, -normals[edge.faces[0]].dot(normals[edge.faces[1]]));
+  return std::min(cosine, 1.0);
+}
+
+/// Elements with the same nodes, in whatever order: equal hashes are brought together by sorting, then compared.
+Finding find_duplicates(const Mesh& mesh, std::string_view body) {
+  using Sorted = std::vector<std::uint32_t>;
+  struct Entry {
+    std::uint64_t hash;
+    std::uint32_t element;
+    bool operator<(const Entry& other) const {
+      return hash != other.hash ? hash < other.hash : element < other.element;
+    }
+  };
+  std::vector<Entry> entries;
+  entries.reserve(element_count(mesh));
+  for_each_element(mesh, [&](std::uint32_t element, const Topology&, Nodes nodes) {
+    std::uint64_t hash = 0;
+    for (const std::uint32_t node : nodes) {  // a sum: the order of the nodes does not matter
+      std::uint64_t mixed = (node + std::uint64_t{1}) * 0x9E3779B97F4A7C15u;
+      mixed = (mixed ^ mixed >> 32) * 0xD6E8FEB86659FD93u;
+      hash += mixed ^ mixed >> 32;
+    }
+    entries.push_back({hash, element});
+  });
+  std::sort(entries.begin(), entries.end());
+
+  const auto nodes_of = element_nodes(mesh);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> pairs;  // (the later element, the earlier one)
+  std::vector<std::pair<Sorted, std::uint32_t>> same_hash;
+  for (auto entry = entries.begin(); entry != entries.end();) {
+    const auto end = std::find_if(entry, entries.end(), [&](const Entry& other) { return other.hash != entry->hash; });
+    if (end - entry > 1) {
+      same_hash.clear();
+      for (auto it = entry; it != end; ++it) {
+        Sorted sorted(nodes_of[it->element].begin(), nodes_of[it->element].end());
+        std::sort(sorted.begin(), sorted.end());
+        same_hash.emplace_back(std::move(sorted), it->element);
+      }
+      std::sort(same_hash.begin(), same_hash.end());
+      for (std::size_t i = 1; i < same_hash.size(); ++i) {
+        if (same_hash[i].first == same_hash[i - 1].first) {
+          pairs.emplace_back(same_hash[i].second, same_hash[i - 1].second);
+        }
+      }
+    }
+    entry = end;
+  }
+  std::sort(pairs.begin(), pairs.end());
+
+  Finding duplicates;
+  for (const auto& [later, earlier] : pairs) {
+    duplicates.add([&, later = later, earlier = earlier] {
+      return fmt::format("element {} of body '{}' has the same nodes as element {} ({})", later, body, earlier,
+                         fmt::join(nodes_of[later], ", "));
+    });
+  }
+  return duplicates;
+}
+
+/// Parts of a mesh, joined node by node (union-find with path halving).
+class Components {
+ public:
+  explicit Components(std::size_t node_count) : parent_(node_count) { std::iota(parent_.begin(), parent_.end(), 0u); }
+  void join(std::uint32_t a, std::uint32_t b) {
+    a = root(a);
+    b = root(b);
+    if (a != b) parent_[std::max(a, b)] = std::min(a, b);
+  }
+  bool is_root(std::uint32_t node) const { return parent_[node] == node; }
+
+ private:
+  std::uint32_t root(std::uint32_t node) {
+    while (parent_[node] != node) node = parent_[node] = parent_[parent_[node]];
+    return node;
+  }
+  std::vector<std::uint32_t> parent_;
+};
+
+}  // namespace
+
+Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
+  if (auto ok = check_sizes(mesh, body); !ok) return tl::make_unexpected(ok.error());
+  if (auto ok = check_points(mesh.nodes, "node", body); !ok) return tl::make_unexpected(ok.error());
+  if (auto ok = check_indices(mesh, body); !ok) return tl::make_unexpected(ok.error());
+
+  MeshReport report;
+  report.node_count = static_cast<std::uint32_t>(mesh.nodes.size());
+  report.element_count = element_count(mesh);
+  double worst_cosine = -2.0;
+  std::uint64_t sliver_count = 0;
+  const double sliver_cosine = std::cos(kSliverDihedralDeg * std::numbers::pi / 180.0);
+  Finding repeated, flat, inverted, isolated;
+  Components components(mesh.nodes.size());
+  std::vector<bool> used(mesh.nodes.size(), false);
+  const auto name = [&](std::uint32_t element, Nodes nodes) {
+    return fmt::format("element {} of body '{}' (nodes {})", element, body, fmt::join(nodes, ", "));
+  };
+
+  for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, Nodes nodes) {
+    for (const std::uint32_t node : nodes) {
+      used[node] = true;
+      components.join(nodes[0], node);
+    }
+    if (repeats_a_node(nodes)) {
+      repeated.add([&] { return name(element, nodes) + " repeats a node"; });
+      return;
+    }
+    const ElementGeometry geometry = geometry_of(mesh, shape, nodes);
+    if (geometry.flat()) {
+      flat.add([&] {
+        return fmt::format("{} is flat: {:.3g} m³ with a longest edge of {:.3g} m", name(element, nodes),
+                           geometry.volume_m3, geometry.max_edge_m);
+      });
+      return;
+    }
+    if (geometry.min_simplex_volume_m3 < 0.0) {
+      inverted.add([&] {
+        return fmt::format("{} is inverted: its volume is {:.3g} m³", name(element, nodes), geometry.volume_m3);
+      });
+      return;
+    }
+    report.volume_m3 += geometry.volume_m3;
+    const double cosine = max_dihedral_cosine(mesh, shape, nodes);
+    if (cosine > sliver_cosine) ++sliver_count;
+    if (cosine > worst_cosine) {
+      worst_cosine = cosine;
+      report.min_dihedral_element = element;
+    }
+  });
+  for (std::uint32_t node = 0; node < mesh.nodes.size(); ++node) {
+    if (used[node]) {
+      report.component_count += components.is_root(node) ? 1 : 0;
+    } else {
+      isolated.add([&] { return fmt::format("node {} of body '{}' belongs to no element", node, body); });
+    }
+  }
+  const Finding duplicates = find_duplicates(mesh, body);
+
+  const std::pair<const Finding&, std::string_view> errors[] = {
+      {repeated, "remove it or give it nodes of its own"},
+      {inverted, "put its nodes in VTK order (in a tetrahedron, exchange the last two)"},
+      {flat, "remove it or remesh around it"},
+      {duplicates, "remove one of them"},
+      {isolated, "remove it or connect it; it would have no stiffness and no mass"},
+  };
+  std::string message;
+  for (const auto& [finding, what_to_do] : errors) {
+    if (finding.count == 0) continue;
+    if (!message.empty()) message += '\n';
+    message += finding.text(what_to_do);
+  }
+  if (!message.empty()) return invalid(std::move(message));
+
+  report.min_dihedral_angle_deg = std::acos(worst_cosine) * 180.0 / std::numbers::pi;
+  if (sliver_count > 0) {
+    report.warnings.push_back(fmt::format(
+        "body '{}': {} elements have a dihedral angle below {}°, the smallest {:.3g}° in element {}; they "
+        "slow the solver down, remesh for better ones",
+        body, sliver_count, kSliverDihedralDeg, report.min_dihedral_angle_deg, report.min_dihedral_element));
+  }
+  if (report.component_count > 1) {
+    report.warnings.push_back(fmt::format(
+        "body '{}' consists of {} parts that share no node; they move independently, and each needs its own "
+        "fixed nodes to stay in place",
+        body, report.component_count));
+  }
+  return report;
+}
+
+Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
+                              std::string_view body) {
+  if (vertices.empty() || triangles.empty()) {
+    return invalid(fmt::format("the skin of body '{}' has {} vertices and {} triangles; give a surface or none", body,
+                               vertices.size(), triangles.size()));
+  }
+  if (vertices.size() > limits::kMaxNodes || triangles.size() > limits::kMaxElements) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("the skin of body '{}' has {} vertices and {} triangles; limits::kMaxNodes is {} and "
+                            "limits::kMaxElements {}; simplify it",
+                            body, vertices.size(), triangles.size(), limits::kMaxNodes, limits::kMaxElements));
+  }
+  if (auto ok = check_points(vertices, "skin vertex", body); !ok) return tl::make_unexpected(ok.error());
+
+  std::uint64_t flat_count = 0;
+  Finding out_of_range, repeated;
+  std::vector<bool> used(vertices.size(), false);
+  for (std::size_t i = 0; i < triangles.size(); ++i) {
+    const Triangle& triangle = triangles[i];
+    const auto highest = *std::max_element(triangle.begin(), triangle.end());
+    if (highest >= vertices.size()) {
+      out_of_range.add([&] {
+        return fmt::format("skin triangle {} of body '{}' refers to vertex {}, and the skin has {} vertices", i, body,
+                           highest, vertices.size());
+      });
+      continue;
+    }
+    if (repeats_a_node(triangle)) {
+      repeated.add([&] {
+        return fmt::format("skin triangle {} of body '{}' repeats a vertex ({})", i, body, fmt::join(triangle, ", "));
+      });
+      continue;
+    }
+    for (const std::uint32_t vertex : triangle) used[vertex] = true;
+    const Eigen::Vector3d& x0 = vertices[triangle[0]];
+    const Eigen::Vector3d a = vertices[triangle[1]] - x0;
+    const Eigen::Vector3d b = vertices[triangle[2]] - x0;
+    // As sines and not areas, so that the size of the triangle does not matter.
+    if (a.cross(b).norm() <= kMinRelativeVolume * a.norm() * b.norm()) ++flat_count;
+  }
+  std::string message;
+  if (out_of_range.count > 0) message = out_of_range.text("count vertices from 0 and send all of them");
+  if (repeated.count > 0) {
+    if (!message.empty()) message += '\n';
+    message += repeated.text("remove it");
+  }
+  if (!message.empty()) return invalid(std::move(message));
+
+  SkinReport report{static_cast<std::uint32_t>(vertices.size()), static_cast<std::uint32_t>(triangles.size()), {}};
+  if (flat_count > 0) {
+    report.warnings.push_back(fmt::format("the skin of body '{}' has {} triangles without area", body, flat_count));
+  }
+  if (const auto unused = std::count(used.begin(), used.end(), false); unused > 0) {
+    report.warnings.push_back(
+        fmt::format("the skin of body '{}' has {} vertices that belong to no triangle", body, unused));
+  }
+  return report;
+}
+
+}  // namespace tensormass::mesh

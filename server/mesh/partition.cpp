@@ -1,0 +1,86 @@
+#include "mesh/partition.h"
+
+#include <algorithm>
+#include <cassert>
+#include <numeric>
+
+#include <Eigen/Geometry>
+
+namespace tensormass::mesh {
+namespace {
+
+/// A point beside its index: the selection below then reads memory in order.
+struct Item {
+  Eigen::Vector3d position;
+  std::uint32_t index;
+};
+
+std::vector<Item> items_of(std::span<const Eigen::Vector3d> points) {
+  std::vector<Item> items(points.size());
+  for (std::uint32_t i = 0; i < points.size(); ++i) items[i] = {points[i], i};
+  return items;
+}
+
+std::vector<std::uint32_t> indices_of(const std::vector<Item>& items) {
+  std::vector<std::uint32_t> indices(items.size());
+  std::transform(items.begin(), items.end(), indices.begin(), [](const Item& item) { return item.index; });
+  return indices;
+}
+
+/// Puts the `cut` lowest items across the longest side first.
+void split(std::span<Item> items, std::uint32_t cut) {
+  Eigen::AlignedBox3d box;
+  for (const Item& item : items) box.extend(item.position);
+  Eigen::Index axis = 0;
+  box.sizes().maxCoeff(&axis);
+  std::nth_element(items.begin(), items.begin() + cut, items.end(), [axis](const Item& a, const Item& b) {
+    return a.position[axis] != b.position[axis] ? a.position[axis] < b.position[axis] : a.index < b.index;
+  });
+}
+
+void order_leaves(std::span<Item> items, std::uint32_t leaf_size) {
+  const auto count = static_cast<std::uint32_t>(items.size());
+  const std::uint32_t cut = bisection_cut(count, leaf_size);
+  if (cut == count) {
+    std::sort(items.begin(), items.end(), [](const Item& a, const Item& b) { return a.index < b.index; });
+    return;
+  }
+  split(items, cut);
+  order_leaves(items.first(cut), leaf_size);
+  order_leaves(items.subspan(cut), leaf_size);
+}
+
+/// Splits the items of the patches that `offsets` bounds, half of the patches to either side.
+void order_patches(std::span<Item> items, std::span<const std::uint32_t> offsets, std::uint32_t leaf_size) {
+  const std::size_t patch_count = offsets.size() - 1;
+  if (patch_count == 1) return order_leaves(items, leaf_size);
+  const std::size_t middle = patch_count / 2;
+  const std::uint32_t cut = offsets[middle] - offsets.front();
+  if (cut > 0 && cut < items.size()) split(items, cut);
+  order_patches(items.first(cut), offsets.first(middle + 1), leaf_size);
+  order_patches(items.subspan(cut), offsets.subspan(middle), leaf_size);
+}
+
+}  // namespace
+
+Partition partition(const Mesh& mesh, std::uint32_t patch_count, std::uint32_t leaf_size) {
+  assert(patch_count >= 1 && leaf_size >= 1);
+  std::vector<Item> items = items_of(mesh.nodes);
+  Partition result;
+  result.offsets.resize(patch_count + std::size_t{1});
+  for (std::uint64_t patch = 0; patch <= patch_count; ++patch) {
+    result.offsets[patch] = static_cast<std::uint32_t>(patch * items.size() / patch_count);
+  }
+  order_patches(items, result.offsets, leaf_size);
+  result.order = indices_of(items);
+  return result;
+}
+
+std::vector<std::uint32_t> bisection_order(std::span<const Eigen::Vector3d> points, std::uint32_t leaf_size) {
+  assert(leaf_size >= 1);
+  std::vector<Item> items = items_of(points);
+  order_leaves(items, leaf_size);
+  return indices_of(items);
+}
+
+}  // namespace tensormass::mesh
