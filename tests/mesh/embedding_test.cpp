@@ -1,0 +1,141 @@
+#include "mesh/embedding.h"
+
+#include <gtest/gtest.h>
+
+#include "random_mesh.h"
+
+namespace tensormass::mesh {
+namespace {
+
+using Eigen::Vector3d;
+
+std::vector<Vector3d> random_points(std::uint32_t seed, std::size_t count, double low, double high) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> uniform(low, high);
+  std::vector<Vector3d> points(count);
+  for (Vector3d& point : points) point = {uniform(random), uniform(random), uniform(random)};
+  return points;
+}
+
+Vector3d carried(const Embedding& embedding, std::size_t point, const std::vector<Vector3d>& nodes) {
+  Vector3d x = Vector3d::Zero();
+  for (int k = 0; k < 4; ++k) x += embedding.weights[point][k] * nodes[embedding.nodes[point][k]];
+  return x;
+}
+
+double least_weight(const Embedding& embedding, std::size_t point) {
+  return *std::min_element(embedding.weights[point].begin(), embedding.weights[point].end());
+}
+
+/// Distance from a tetrahedron by projection on the convex hull of its corners (active sets of 1 to 4 corners): slow,
+/// and nothing in common with the code under test.
+double brute_distance(const Vector3d& p, const std::array<Vector3d, 4>& corners) {
+  double best = std::numeric_limits<double>::infinity();
+  for (unsigned set = 1; set < 16; ++set) {
+    std::vector<Vector3d> x;
+    for (int k = 0; k < 4; ++k) {
+      if (set >> k & 1) x.push_back(corners[k]);
+    }
+    const auto edges = static_cast<Eigen::Index>(x.size()) - 1;
+    Eigen::MatrixXd basis(3, edges);
+    for (Eigen::Index i = 0; i < edges; ++i) basis.col(i) = x[static_cast<std::size_t>(i) + 1] - x[0];
+    const Eigen::VectorXd w =
+        edges > 0 ? Eigen::VectorXd((basis.transpose() * basis).inverse() * basis.transpose() * (p - x[0]))
+                  : Eigen::VectorXd(0);
+    if (edges > 0 && (w.minCoeff() < 0.0 || w.sum() > 1.0)) continue;
+    best = std::min(best, (x[0] + basis * w - p).norm());
+  }
+  return best;
+}
+
+class Embed : public ::testing::TestWithParam<std::uint32_t> {
+ protected:
+  const Mesh mesh_ = testing::random_mesh(GetParam(), 3, 0.5);
+
+  double brute_distance_to_mesh(const Vector3d& point) const {
+    double best = std::numeric_limits<double>::infinity();
+    for (const auto& nodes : element_nodes(mesh_)) {
+      best = std::min(best, brute_distance(point, {mesh_.nodes[nodes[0]], mesh_.nodes[nodes[1]], mesh_.nodes[nodes[2]],
+                                                   mesh_.nodes[nodes[3]]}));
+    }
+    return best;
+  }
+};
+
+TEST_P(Embed, FindsTheContainingOrNearestElement) {
+  const std::vector<Vector3d> points = random_points(GetParam(), 300, -0.2, 1.2);
+  const Embedding embedding = embed(mesh_, points, "test points").value();
+  const auto nodes_of = element_nodes(mesh_);
+  double farthest = 0.0;
+  int inside = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    EXPECT_LT((carried(embedding, i, mesh_.nodes) - points[i]).norm(), 1e-12);
+    const auto& nodes = nodes_of[embedding.elements[i]];
+    EXPECT_TRUE(std::equal(nodes.begin(), nodes.end(), embedding.nodes[i].begin()));
+    const double distance = brute_distance_to_mesh(points[i]);
+    const double found = brute_distance(
+        points[i], {mesh_.nodes[nodes[0]], mesh_.nodes[nodes[1]], mesh_.nodes[nodes[2]], mesh_.nodes[nodes[3]]});
+    EXPECT_NEAR(found, distance, 1e-12);
+    EXPECT_EQ(least_weight(embedding, i) >= 0.0, distance < 1e-12);
+    inside += distance < 1e-12;
+    farthest = std::max(farthest, distance);
+  }
+  EXPECT_GT(inside, 20);
+  EXPECT_LT(inside, 280);
+  EXPECT_NEAR(embedding.max_distance_m, farthest, 1e-12);
+}
+
+TEST_P(Embed, FollowsAnAffineMotionExactly) {
+  const std::vector<Vector3d> points = random_points(GetParam() + 100, 100, 0.0, 1.0);
+  const Embedding embedding = embed(mesh_, points, "test points").value();
+  Eigen::Matrix3d stretch;
+  stretch << 1.2, 0.3, -0.1, 0.0, 0.9, 0.2, 0.4, 0.0, 1.1;
+  std::vector<Vector3d> moved;
+  for (const Vector3d& node : mesh_.nodes) moved.push_back(stretch * node + Vector3d(1.0, 2.0, 3.0));
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    EXPECT_LT((carried(embedding, i, moved) - (stretch * points[i] + Vector3d(1.0, 2.0, 3.0))).norm(), 1e-11);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Seeds, Embed, ::testing::Range(0u, 5u));
+
+TEST(EmbedOutside, PrefersTheElementThatExtrapolatesLeast) {
+  // Above a face that two elements of a cube share a diagonal of, near that diagonal: both are nearest only on it.
+  const Mesh mesh = testing::unit_grid(1);
+  const std::vector<Vector3d> points{{0.5, 0.5, 1.1}, {1.1, 1.1, 1.1}};
+  const Embedding embedding = embed(mesh, points, "test points").value();
+  const auto nodes_of = element_nodes(mesh);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    for (const auto& nodes : nodes_of) {
+      const std::array<Vector3d, 4> x{mesh.nodes[nodes[0]], mesh.nodes[nodes[1]], mesh.nodes[nodes[2]],
+                                      mesh.nodes[nodes[3]]};
+      const double nearest = i == 0 ? 0.1 : 0.1 * std::sqrt(3.0);
+      if (brute_distance(points[i], x) > nearest + 1e-12) continue;
+      Eigen::Matrix4d system;
+      for (int k = 0; k < 4; ++k) system.col(k) << x[k], 1.0;
+      Eigen::Vector4d right;
+      right << points[i], 1.0;
+      EXPECT_GE(least_weight(embedding, i), (system.inverse() * right).minCoeff() - 1e-12);
+    }
+  }
+}
+
+TEST(EmbedOutside, RefusesAPointFarAway) {
+  const Mesh mesh = testing::unit_grid(4);
+  const double limit = kMaxEmbeddingEdges * std::sqrt(3.0) / 4.0;
+  const std::vector<Vector3d> near{{0.1, 0.1, 1.0 + 0.99 * limit}},
+      far{{0.5, 0.5, 0.5}, {0.1, 0.1, 1.0 + 1.01 * limit}};
+  EXPECT_TRUE(embed(mesh, near, "the skin of body 'liver'"));
+  const Result<Embedding> refused = embed(mesh, far, "the skin of body 'liver'");
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("point 1 of the skin of body 'liver'"), std::string::npos);
+}
+
+TEST(EmbedNothing, IsEmpty) {
+  const Embedding embedding = embed(testing::unit_grid(1), {}, "no points").value();
+  EXPECT_TRUE(embedding.nodes.empty());
+  EXPECT_EQ(embedding.max_distance_m, 0.0);
+}
+
+}  // namespace
+}  // namespace tensormass::mesh
