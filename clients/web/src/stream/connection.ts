@@ -1,0 +1,207 @@
+// The WebSocket to the gateway: opens, watches a scene, acknowledges, keeps the clock, and comes back after any loss.
+import type { StreamName, Vector } from "./decode";
+
+/** What the gateway knows of the daemon. */
+export interface DaemonState {
+  readonly connected: boolean;
+  readonly server: string;
+  readonly version: string;
+  readonly backend: string;
+  readonly device: string;
+  readonly posesAllowed: boolean;
+  readonly scenes: readonly { readonly name: string; readonly state: string }[];
+}
+
+export interface ClockReply {
+  readonly clientTimeMs: number;
+  readonly gatewayTimeMs: number;
+  /** Messages that the gateway replaced by newer ones before this browser took them. */
+  readonly replaced: number;
+}
+
+export type LinkState =
+  | { readonly kind: "connecting" }
+  | { readonly kind: "open" }
+  /** The connection was lost and is tried again. */
+  | { readonly kind: "lost"; readonly reason: string };
+
+export interface ConnectionEvents {
+  onLink(state: LinkState): void;
+  onDaemon(state: DaemonState): void;
+  onMessage(data: ArrayBuffer): void;
+  onClock(reply: ClockReply, receivedMs: number): void;
+}
+
+export interface ConnectionOptions {
+  readonly url: string;
+  readonly events: ConnectionEvents;
+  readonly WebSocket?: typeof WebSocket;
+  /** Why the gateway may have refused; asked when a connection never opened. */
+  readonly diagnose?: () => Promise<string>;
+}
+
+export const FIRST_RETRY_MS = 250;
+export const LAST_RETRY_MS = 4000;
+const CLOCK_INTERVAL_MS = 1000;
+
+export class Connection {
+  readonly #options: ConnectionOptions;
+  readonly #WebSocket: typeof WebSocket;
+  #socket: WebSocket | null = null;
+  #scene: string | null = null;
+  #retryMs = FIRST_RETRY_MS;
+  #retry: ReturnType<typeof setTimeout> | undefined;
+  #clock: ReturnType<typeof setInterval> | undefined;
+  #paused = false;
+  readonly #owed = new Set<StreamName>();
+
+  constructor(options: ConnectionOptions) {
+    this.#options = options;
+    this.#WebSocket = options.WebSocket ?? WebSocket;
+    this.#open();
+  }
+
+  /** The scene to get streams of, now and after every reconnection. */
+  watch(scene: string): void {
+    this.#scene = scene;
+    this.#send({ type: "watch", scene });
+  }
+
+  /** Lets the gateway send the next message of `stream`. */
+  acknowledge(stream: StreamName): void {
+    if (this.#paused) {
+      this.#owed.add(stream);
+    } else {
+      this.#send({ type: "ack", stream });
+    }
+  }
+
+  /** A page that nobody sees acknowledges nothing, so the gateway sends nothing. */
+  setPaused(paused: boolean): void {
+    this.#paused = paused;
+    if (!paused) {
+      for (const stream of this.#owed) {
+        this.#send({ type: "ack", stream });
+      }
+      this.#owed.clear();
+    }
+  }
+
+  moveTool(tool: string, positionM: Vector): void {
+    this.#send({ type: "pose", tool, position_m: positionM });
+  }
+
+  close(): void {
+    clearTimeout(this.#retry);
+    clearInterval(this.#clock);
+    const socket = this.#socket;
+    this.#socket = null;
+    socket?.close();
+  }
+
+  #open(): void {
+    this.#options.events.onLink({ kind: "connecting" });
+    const socket = new this.#WebSocket(this.#options.url);
+    socket.binaryType = "arraybuffer";
+    this.#socket = socket;
+    let opened = false;
+    socket.onopen = () => {
+      opened = true;
+      this.#owed.clear();
+      this.#options.events.onLink({ kind: "open" });
+      if (this.#scene !== null) {
+        this.watch(this.#scene);
+      }
+      this.#askClock();
+      this.#clock = setInterval(() => this.#askClock(), CLOCK_INTERVAL_MS);
+    };
+    socket.onmessage = (event: MessageEvent<ArrayBuffer | string>) => this.#receive(event.data);
+    socket.onclose = (event) => {
+      clearInterval(this.#clock);
+      if (this.#socket === socket) {
+        this.#socket = null;
+        void this.#lost(opened, event.reason);
+      }
+    };
+  }
+
+  async #lost(opened: boolean, reason: string): Promise<void> {
+    // Some jitter, so that the viewers of a restarted gateway do not come back in step.
+    const wait = this.#retryMs * (0.8 + 0.4 * Math.random());
+    this.#retryMs = Math.min(LAST_RETRY_MS, 2 * this.#retryMs);
+    this.#retry = setTimeout(() => this.#open(), wait);
+    const why = opened ? reason : await this.#options.diagnose?.();
+    if (this.#socket === null) {
+      this.#options.events.onLink({ kind: "lost", reason: why || "the gateway does not answer" });
+    }
+  }
+
+  #receive(data: ArrayBuffer | string): void {
+    if (typeof data !== "string") {
+      this.#options.events.onMessage(data);
+      return;
+    }
+    const message = parseText(data);
+    if (message === null) {
+      console.warn("the gateway sent a message that this viewer does not know", data.slice(0, 200));
+    } else if (message.type === "daemon") {
+      this.#retryMs = FIRST_RETRY_MS;
+      this.#options.events.onDaemon(message.state);
+    } else {
+      this.#options.events.onClock(message.reply, performance.now());
+    }
+  }
+
+  #askClock(): void {
+    this.#send({ type: "clock", client_time_ms: performance.now() });
+  }
+
+  #send(message: object): void {
+    // What is sent while there is no connection is of no use later: `watch` is repeated on opening.
+    if (this.#socket?.readyState === 1) {
+      this.#socket.send(JSON.stringify(message));
+    }
+  }
+}
+
+type TextMessage =
+  | { readonly type: "daemon"; readonly state: DaemonState }
+  | { readonly type: "clock"; readonly reply: ClockReply };
+
+/** null if the text is no message of the gateway. */
+export function parseText(text: string): TextMessage | null {
+  let message: unknown;
+  try {
+    message = JSON.parse(text);
+  } catch {
+    return null;
+  }
+  if (typeof message !== "object" || message === null) {
+    return null;
+  }
+  const { type, ...fields } = message as Record<string, unknown>;
+  if (type === "clock") {
+    const { client_time_ms, gateway_time_ms, replaced } = fields;
+    return typeof client_time_ms === "number" && typeof gateway_time_ms === "number" && typeof replaced === "number"
+      ? { type, reply: { clientTimeMs: client_time_ms, gatewayTimeMs: gateway_time_ms, replaced } }
+      : null;
+  }
+  if (type === "daemon" && Array.isArray(fields.scenes)) {
+    return {
+      type,
+      state: {
+        connected: fields.connected === true,
+        server: String(fields.server),
+        version: String(fields.version),
+        backend: String(fields.backend),
+        device: String(fields.device),
+        posesAllowed: fields.poses_allowed === true,
+        scenes: (fields.scenes as Record<string, unknown>[]).map((scene) => ({
+          name: String(scene.name),
+          state: String(scene.state),
+        })),
+      },
+    };
+  }
+  return null;
+}

@@ -1,0 +1,210 @@
+// Bytes of the bus -> plain arrays that can be drawn. Everything here comes from outside, so sizes, indices and numbers
+// are checked once, at this edge; what leaves this file is safe to hand to WebGL, which checks nothing itself.
+import { fromBinary } from "@bufbuild/protobuf";
+
+import type { Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
+import {
+  FrameSchema,
+  SceneStatusSchema,
+  SceneStatus_State,
+  TopologySchema,
+  type SceneStatus,
+  type ToolFeedback,
+} from "../generated/tensormass/v1/stream_pb";
+
+export type Vector = readonly [x: number, y: number, z: number];
+
+export type StreamName = "topology" | "frame" | "status";
+const STREAM_NAMES: readonly string[] = ["topology", "frame", "status"] satisfies StreamName[];
+
+/** One message of the bus: `key`, a zero byte, the protobuf message. */
+export interface BusMessage {
+  readonly scene: string;
+  readonly stream: StreamName;
+  readonly payload: Uint8Array;
+}
+
+export interface Surface {
+  readonly name: string;
+  readonly firstVertex: number;
+  readonly vertexCount: number;
+  /** [triangle_count, 3], relative to `firstVertex`. */
+  readonly triangles: Uint32Array;
+  /** sRGB in [0, 1]; null: the viewer chooses. */
+  readonly colorSrgb: Vector | null;
+}
+
+export interface ToolShape {
+  readonly name: string;
+  readonly radiusM: number;
+  /** The sphere's centre in the tool's own frame. */
+  readonly tipOffsetM: Vector;
+}
+
+export interface Topology {
+  readonly scene: string;
+  readonly version: bigint;
+  readonly vertexCount: number;
+  readonly bodies: readonly Surface[];
+  readonly tools: readonly ToolShape[];
+  /** Unit vector against gravity; z where there is none. */
+  readonly up: Vector;
+}
+
+export interface ToolState {
+  readonly name: string;
+  readonly positionM: Vector;
+  readonly orientationWxyz: readonly [number, number, number, number];
+  /** On the tool. */
+  readonly forceN: Vector;
+}
+
+export interface Frame {
+  readonly topologyVersion: bigint;
+  readonly sequence: bigint;
+  readonly step: bigint;
+  readonly simulatedTimeS: number;
+  readonly serverTimeNs: bigint;
+  /** [vertex_count, 3] m */
+  readonly positions: Float32Array;
+  readonly tools: readonly ToolState[];
+}
+
+export type Status = SceneStatus;
+export { SceneStatus_State as SceneState };
+
+/** What was wrong with a message, and where. */
+export class DecodeError extends Error {}
+
+const MAX_KEY_BYTES = 512;
+/** 1e6 m is the server's own limit on lengths. */
+const MAX_LENGTH_M = 1e6;
+
+/** Throws DecodeError unless `data` is `tensormass/<server>/<scene>/<stream>`, a zero byte and a payload. */
+export function splitMessage(data: ArrayBuffer): BusMessage {
+  const bytes = new Uint8Array(data);
+  const end = bytes.subarray(0, MAX_KEY_BYTES + 1).indexOf(0);
+  if (end < 0) {
+    throw new DecodeError(`a message of ${bytes.length} bytes has no key that ends in a zero byte`);
+  }
+  const key = new TextDecoder().decode(bytes.subarray(0, end));
+  const [root, , scene, stream, ...rest] = key.split("/");
+  if (root !== "tensormass" || !scene || !stream || rest.length > 0 || !STREAM_NAMES.includes(stream)) {
+    throw new DecodeError(`key "${key}" names no stream that this viewer knows`);
+  }
+  return { scene, stream: stream as StreamName, payload: bytes.subarray(end + 1) };
+}
+
+/** Throws DecodeError if a body's vertices or triangles point outside its range. */
+export function decodeTopology(payload: Uint8Array): Topology {
+  const message = parse("topology", () => fromBinary(TopologySchema, payload));
+  let vertexCount = 0;
+  const bodies = message.bodies.map((body): Surface => {
+    const where = `topology of scene "${message.scene}", body "${body.name}"`;
+    if (body.firstVertex !== vertexCount) {
+      throw new DecodeError(`${where}: first_vertex is ${body.firstVertex}, the bodies before it end at ${vertexCount}`);
+    }
+    vertexCount += body.vertexCount;
+    if (body.triangles.length % 12 !== 0) {
+      throw new DecodeError(`${where}: ${body.triangles.length} bytes of triangles are not a multiple of 12`);
+    }
+    const triangles = new Uint32Array(aligned(body.triangles));
+    const outside = triangles.findIndex((vertex) => vertex >= body.vertexCount);
+    if (outside >= 0) {
+      throw new DecodeError(
+        `${where}: triangle ${Math.floor(outside / 3)} names vertex ${triangles[outside]} of ${body.vertexCount}`,
+      );
+    }
+    return {
+      name: body.name,
+      firstVertex: body.firstVertex,
+      vertexCount: body.vertexCount,
+      triangles,
+      colorSrgb: body.colorSrgb ? vector(`${where}, color_srgb`, body.colorSrgb) : null,
+    };
+  });
+  const tools = message.tools.map((tool): ToolShape => {
+    const where = `topology of scene "${message.scene}", tool "${tool.name}"`;
+    if (!(tool.radiusM > 0 && tool.radiusM < MAX_LENGTH_M)) {
+      throw new DecodeError(`${where}: radius_m is ${tool.radiusM}`);
+    }
+    return { name: tool.name, radiusM: tool.radiusM, tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM) };
+  });
+  return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
+}
+
+/** Throws DecodeError on a length that is no whole number of vertices or a number that is not finite. */
+export function decodeFrame(payload: Uint8Array): Frame {
+  const message = parse("frame", () => fromBinary(FrameSchema, payload));
+  const where = `frame ${message.sequence}`;
+  if (message.positions.length % 12 !== 0) {
+    throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are not a multiple of 12`);
+  }
+  const positions = new Float32Array(aligned(message.positions));
+  // NaN and infinity times zero are NaN: one pass without a branch.
+  let probe = 0;
+  for (const coordinate of positions) {
+    probe += coordinate * 0;
+  }
+  if (probe !== 0) {
+    throw new DecodeError(`${where}: a position is not finite`);
+  }
+  return {
+    topologyVersion: message.topologyVersion,
+    sequence: message.sequence,
+    step: message.step,
+    simulatedTimeS: message.simulatedTimeS,
+    serverTimeNs: message.serverTimeNs,
+    positions,
+    tools: message.tools.map((tool) => toolState(where, tool)),
+  };
+}
+
+export function decodeStatus(payload: Uint8Array): Status {
+  return parse("status", () => fromBinary(SceneStatusSchema, payload));
+}
+
+function toolState(where: string, tool: ToolFeedback): ToolState {
+  const here = `${where}, tool "${tool.tool}"`;
+  const q = tool.orientation;
+  const length = q ? Math.hypot(q.w, q.x, q.y, q.z) : 0;
+  // All zero means "not given": the identity.
+  const orientationWxyz =
+    q && length > 0 && Number.isFinite(length)
+      ? ([q.w / length, q.x / length, q.y / length, q.z / length] as const)
+      : ([1, 0, 0, 0] as const);
+  return {
+    name: tool.tool,
+    positionM: vector(`${here}, position_m`, tool.positionM),
+    orientationWxyz,
+    forceN: vector(`${here}, force_n`, tool.forceN),
+  };
+}
+
+function up(gravity: ProtoVector3 | undefined): Vector {
+  const length = gravity ? Math.hypot(gravity.x, gravity.y, gravity.z) : 0;
+  return gravity && length > 0 && Number.isFinite(length)
+    ? [-gravity.x / length, -gravity.y / length, -gravity.z / length]
+    : [0, 0, 1];
+}
+
+function vector(where: string, value: ProtoVector3 | undefined): Vector {
+  const { x, y, z } = value ?? { x: 0, y: 0, z: 0 };
+  if (!(Math.abs(x) < MAX_LENGTH_M && Math.abs(y) < MAX_LENGTH_M && Math.abs(z) < MAX_LENGTH_M)) {
+    throw new DecodeError(`${where}: (${x}, ${y}, ${z}) is not finite or too large`);
+  }
+  return [x, y, z];
+}
+
+function parse<Message>(what: string, decode: () => Message): Message {
+  try {
+    return decode();
+  } catch (error) {
+    throw new DecodeError(`a ${what} message is not protobuf: ${error instanceof Error ? error.message : String(error)}`);
+  }
+}
+
+/** A copy that starts on a word boundary, as typed arrays need; protobuf's own view need not. */
+function aligned(bytes: Uint8Array): ArrayBuffer {
+  return bytes.slice().buffer;
+}

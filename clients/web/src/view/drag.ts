@@ -1,0 +1,61 @@
+// Moves tools with the pointer, where the gateway lets browsers do so: a tool's sphere follows the pointer in the plane
+// that faces the camera.
+import * as THREE from "three";
+
+import type { Vector } from "../stream/decode";
+import type { Studio } from "./studio";
+
+export interface DragTarget {
+  /** The spheres that can be taken; their `name` is the tool's. */
+  spheres(): THREE.Object3D[];
+  /** The sphere's centre was dragged to this place [m]. */
+  onMove(tool: string, centerM: Vector): void;
+}
+
+export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: DragTarget): void {
+  const caster = new THREE.Raycaster();
+  const plane = new THREE.Plane();
+  const hit = new THREE.Vector3();
+  let held: string | null = null;
+
+  const aim = (event: PointerEvent) => {
+    const box = canvas.getBoundingClientRect();
+    const x = (2 * (event.clientX - box.left)) / box.width - 1;
+    const y = 1 - (2 * (event.clientY - box.top)) / box.height;
+    caster.setFromCamera(new THREE.Vector2(x, y), studio.camera);
+  };
+
+  canvas.addEventListener(
+    "pointerdown",
+    (event) => {
+      aim(event);
+      const taken = event.button === 0 ? caster.intersectObjects(target.spheres(), false)[0] : undefined;
+      if (taken !== undefined) {
+        held = taken.object.name;
+        plane.setFromNormalAndCoplanarPoint(
+          studio.camera.getWorldDirection(new THREE.Vector3()),
+          taken.object.getWorldPosition(hit),
+        );
+        studio.controls.enabled = false;
+        canvas.setPointerCapture(event.pointerId);
+      }
+    },
+    // Before the orbit controls see it.
+    { capture: true },
+  );
+  canvas.addEventListener("pointermove", (event) => {
+    if (held !== null) {
+      aim(event);
+      if (caster.ray.intersectPlane(plane, hit) !== null) {
+        const { x, y, z } = studio.world.worldToLocal(hit.clone());
+        target.onMove(held, [x, y, z]);
+      }
+    }
+  });
+  const release = () => {
+    held = null;
+    studio.controls.enabled = true;
+  };
+  canvas.addEventListener("pointerup", release);
+  canvas.addEventListener("pointercancel", release);
+}

@@ -1,0 +1,125 @@
+// The tools and their forces. Sizes are in metres except the arrow's, which is measured in scene radii so that it can
+// be read in every scene.
+import * as THREE from "three";
+
+import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
+
+/** Length of the arrow for a very large force [scene radii]; half of it is reached at HALF_FORCE_N. */
+const ARROW_LIMIT = 0.9;
+const HALF_FORCE_N = 1.5;
+/** Below it no arrow is drawn: there is no contact, only rounding. */
+const LEAST_FORCE_N = 0.005;
+const ARROW_WIDTH = 0.016;
+const HANDLE_LENGTH = 1.1;
+
+export interface ForceLabel {
+  readonly tool: string;
+  readonly magnitudeN: number;
+  /** Tip of the arrow [m]. */
+  readonly tipM: Vector;
+}
+
+export class Instruments {
+  readonly group = new THREE.Group();
+  readonly #tools: ReadonlyMap<string, Instrument>;
+
+  constructor(topology: Topology, radiusM: number) {
+    this.#tools = new Map(topology.tools.map((shape) => [shape.name, new Instrument(shape, radiusM)]));
+    for (const tool of this.#tools.values()) {
+      this.group.add(tool.group);
+    }
+  }
+
+  /** Places the tools; returns what to write beside their arrows. */
+  update(frame: Frame): ForceLabel[] {
+    return frame.tools.flatMap((state) => this.#tools.get(state.name)?.update(state) ?? []);
+  }
+
+  /** The tools' spheres, to be picked by a pointer; their `name` is the tool's. */
+  spheres(): THREE.Object3D[] {
+    return [...this.#tools.values()].map((tool) => tool.sphere);
+  }
+
+  dispose(): void {
+    this.group.traverse((object) => {
+      if (object instanceof THREE.Mesh) {
+        (object.geometry as THREE.BufferGeometry).dispose();
+        (object.material as THREE.Material).dispose();
+      }
+    });
+  }
+}
+
+class Instrument {
+  readonly group = new THREE.Group();
+  readonly sphere: THREE.Mesh;
+  readonly #name: string;
+  readonly #tool = new THREE.Group();
+  readonly #tip: THREE.Vector3;
+  readonly #sceneRadiusM: number;
+  readonly #arrow = new THREE.Group();
+  readonly #arrowShaft: THREE.Mesh;
+  readonly #arrowHead: THREE.Mesh;
+
+  constructor(shape: ToolShape, sceneRadiusM: number) {
+    this.#name = shape.name;
+    this.#tip = new THREE.Vector3(...shape.tipOffsetM);
+    this.#sceneRadiusM = sceneRadiusM;
+
+    const steel = new THREE.MeshPhysicalMaterial({ color: "#d5dce2", metalness: 1, roughness: 0.24, clearcoat: 0.3 });
+    this.sphere = new THREE.Mesh(new THREE.SphereGeometry(shape.radiusM, 48, 32), steel);
+    this.sphere.name = shape.name;
+    this.sphere.position.copy(this.#tip);
+    // The handle is not simulated; it lies along the tool's z axis and lets the eye see how the tool is turned.
+    const length = HANDLE_LENGTH * sceneRadiusM;
+    const thickness = 0.26 * shape.radiusM;
+    const handle = new THREE.Mesh(
+      new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
+      steel.clone(),
+    );
+    handle.position.copy(this.#tip);
+    for (const mesh of [this.sphere, handle]) {
+      mesh.castShadow = true;
+      mesh.frustumCulled = false;
+      this.#tool.add(mesh);
+    }
+
+    // Always in sight: the force matters most where tissue closes around the tool.
+    const amber = () => new THREE.MeshBasicMaterial({ color: "#ffc24a", depthTest: false, transparent: true, toneMapped: false });
+    const width = ARROW_WIDTH * sceneRadiusM;
+    this.#arrowShaft = new THREE.Mesh(new THREE.CylinderGeometry(width, width, 1, 20).translate(0, 0.5, 0), amber());
+    this.#arrowHead = new THREE.Mesh(new THREE.ConeGeometry(2.9 * width, 8 * width, 28).translate(0, 4 * width, 0), amber());
+    for (const mesh of [this.#arrowShaft, this.#arrowHead]) {
+      mesh.frustumCulled = false;
+      mesh.renderOrder = 10;
+      this.#arrow.add(mesh);
+    }
+    this.group.add(this.#tool, this.#arrow);
+  }
+
+  update(state: ToolState): ForceLabel[] {
+    const [w, x, y, z] = state.orientationWxyz;
+    this.#tool.position.set(...state.positionM);
+    this.#tool.quaternion.set(x, y, z, w);
+
+    const force = new THREE.Vector3(...state.forceN);
+    const magnitudeN = force.length();
+    this.#arrow.visible = magnitudeN >= LEAST_FORCE_N;
+    if (!this.#arrow.visible) {
+      return [];
+    }
+    const length = arrowLength(magnitudeN) * this.#sceneRadiusM;
+    const direction = force.divideScalar(magnitudeN);
+    this.#arrow.position.copy(this.#tip).applyQuaternion(this.#tool.quaternion).add(this.#tool.position);
+    this.#arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+    this.#arrowShaft.scale.set(1, length, 1);
+    this.#arrowHead.position.set(0, length, 0);
+    const tip = direction.multiplyScalar(length + 8 * ARROW_WIDTH * this.#sceneRadiusM).add(this.#arrow.position);
+    return [{ tool: this.#name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
+  }
+}
+
+/** Nearly proportional for small forces, and bounded: a hard push must not leave the screen [scene radii]. */
+export function arrowLength(magnitudeN: number): number {
+  return (ARROW_LIMIT * magnitudeN) / (magnitudeN + HALF_FORCE_N);
+}

@@ -1,0 +1,191 @@
+// The room: camera, lights, floor, backdrop. Its unit is the radius of the scene and its y is up, so that nothing here
+// depends on whether a scene is a gallbladder or a beam of eight metres; `world` carries metres into it.
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+import type { Vector } from "../stream/decode";
+
+const FIELD_OF_VIEW_DEG = 32;
+const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.5, 1).normalize();
+const FLOOR_GAP = 0.12;
+
+export class Studio {
+  /** Holds what is given in metres in the scene's own frame. */
+  readonly world = new THREE.Group();
+  readonly camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.05, 60);
+  readonly controls: OrbitControls;
+  readonly #renderer: THREE.WebGLRenderer;
+  readonly #scene = new THREE.Scene();
+  readonly #floor = new THREE.Group();
+  #home: { position: THREE.Vector3; target: THREE.Vector3 } | null = null;
+
+  constructor(canvas: HTMLCanvasElement) {
+    this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.#renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    this.#renderer.toneMappingExposure = 1.0;
+    this.#renderer.shadowMap.enabled = true;
+    this.#renderer.shadowMap.type = THREE.PCFShadowMap;
+
+    this.#scene.background = backdrop();
+    this.#scene.environment = softboxes(this.#renderer);
+    this.#scene.environmentIntensity = 0.55;
+    this.#scene.add(this.world, this.#floor, ...lights());
+    this.#floor.add(...floor());
+    this.#floor.visible = false;
+
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = true;
+    this.controls.dampingFactor = 0.12;
+    this.controls.minDistance = 0.4;
+    this.controls.maxDistance = 20;
+    this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(5);
+  }
+
+  /** Software drawing (no GPU) gets fewer pixels and no shadows, or a frame would take most of a second. */
+  get isSoftware(): boolean {
+    const gl = this.#renderer.getContext();
+    const info = gl.getExtension("WEBGL_debug_renderer_info");
+    return info !== null && /swiftshader|llvmpipe|software/i.test(String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)));
+  }
+
+  resize(width: number, height: number, pixelRatio: number): void {
+    this.#renderer.setPixelRatio(pixelRatio);
+    this.#renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+  }
+
+  /** Brings a scene of these bounds [m] to the middle of the room, `up` upwards, and the camera before it. */
+  frame(bounds: THREE.Box3, up: Vector): void {
+    const radius = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
+    const rotation = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(...up), new THREE.Vector3(0, 1, 0));
+    const center = bounds.getCenter(new THREE.Vector3()).applyQuaternion(rotation);
+    this.world.quaternion.copy(rotation);
+    this.world.scale.setScalar(1 / radius);
+    this.world.position.copy(center).multiplyScalar(-1 / radius);
+    this.world.updateMatrixWorld(true);
+    this.#floor.position.y = bounds.clone().applyMatrix4(this.world.matrixWorld).min.y - FLOOR_GAP;
+    this.#floor.visible = true;
+
+    const fitting = 1.12 / Math.sin(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
+    const distance = fitting * Math.max(1, 0.85 / this.camera.aspect);
+    this.#home = { position: VIEW_DIRECTION.clone().multiplyScalar(distance), target: new THREE.Vector3() };
+    this.resetView();
+  }
+
+  resetView(): void {
+    if (this.#home !== null) {
+      this.camera.position.copy(this.#home.position);
+      this.controls.target.copy(this.#home.target);
+      this.controls.update();
+    }
+  }
+
+  /** A point of the scene [m] on the canvas [CSS pixels]; null behind the camera. */
+  project(point: Vector): { x: number; y: number } | null {
+    const clip = new THREE.Vector3(...point).applyMatrix4(this.world.matrixWorld).project(this.camera);
+    const { clientWidth, clientHeight } = this.#renderer.domElement;
+    return clip.z > 1 ? null : { x: (0.5 + 0.5 * clip.x) * clientWidth, y: (0.5 - 0.5 * clip.y) * clientHeight };
+  }
+
+  render(): void {
+    this.#renderer.render(this.#scene, this.camera);
+  }
+}
+
+/** An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor. */
+function lights(): THREE.Object3D[] {
+  const key = new THREE.DirectionalLight("#fff1e2", 2.6);
+  key.position.set(-1.6, 4.2, 2.4);
+  key.castShadow = true;
+  key.shadow.mapSize.setScalar(2048);
+  key.shadow.radius = 6;
+  key.shadow.bias = -0.0008;
+  key.shadow.normalBias = 0.012;
+  const extent = 1.9;
+  Object.assign(key.shadow.camera, { left: -extent, right: extent, top: extent, bottom: -extent, near: 1, far: 9 });
+  const rim = new THREE.DirectionalLight("#a9cdfd", 1.5);
+  rim.position.set(2.6, 1.8, -3.2);
+  const fill = new THREE.HemisphereLight("#cfe0ee", "#7a4a3e", 0.35);
+  return [key, rim, fill];
+}
+
+/** What the wet surface mirrors: three softboxes in a dim room. */
+function softboxes(renderer: THREE.WebGLRenderer): THREE.Texture {
+  const room = new THREE.Scene();
+  room.add(
+    new THREE.Mesh(
+      new THREE.SphereGeometry(12, 32, 16),
+      new THREE.MeshBasicMaterial({ color: new THREE.Color(0.16, 0.19, 0.22), side: THREE.BackSide }),
+    ),
+  );
+  const panel = (intensity: number, width: number, height: number, position: THREE.Vector3) => {
+    const mesh = new THREE.Mesh(
+      new THREE.PlaneGeometry(width, height),
+      new THREE.MeshBasicMaterial({ color: new THREE.Color().setScalar(intensity), side: THREE.DoubleSide }),
+    );
+    mesh.position.copy(position);
+    mesh.lookAt(0, 0, 0);
+    room.add(mesh);
+  };
+  panel(9, 4.5, 4.5, new THREE.Vector3(-2, 7, 2.5));
+  panel(4, 2, 6, new THREE.Vector3(7, 2.5, 1.5));
+  panel(3, 6, 2, new THREE.Vector3(-3, 2, -7));
+  const generator = new THREE.PMREMGenerator(renderer);
+  const texture = generator.fromScene(room, 0.03).texture;
+  generator.dispose();
+  return texture;
+}
+
+/** A soft vignette from slate to near black, fixed to the screen. */
+function backdrop(): THREE.Texture {
+  const canvas = document.createElement("canvas");
+  canvas.width = 256;
+  canvas.height = 256;
+  const context = canvas.getContext("2d")!;
+  const gradient = context.createRadialGradient(128, 104, 8, 128, 128, 190);
+  gradient.addColorStop(0, "#3a4a55");
+  gradient.addColorStop(0.5, "#222d36");
+  gradient.addColorStop(1, "#0f151a");
+  context.fillStyle = gradient;
+  context.fillRect(0, 0, 256, 256);
+  const texture = new THREE.CanvasTexture(canvas);
+  texture.colorSpace = THREE.SRGBColorSpace;
+  return texture;
+}
+
+/** Fine lines that fade out, and the shadow. */
+function floor(): THREE.Object3D[] {
+  const lines = new THREE.Mesh(
+    new THREE.CircleGeometry(4.5, 64).rotateX(-Math.PI / 2),
+    new THREE.ShaderMaterial({
+      transparent: true,
+      depthWrite: false,
+      vertexShader: `
+        varying vec2 place;
+        void main() {
+          place = position.xz;
+          gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+        }`,
+      fragmentShader: `
+        varying vec2 place;
+        float lines(vec2 at, float spacing) {
+          vec2 cell = at / spacing;
+          vec2 distance = abs(fract(cell - 0.5) - 0.5) / fwidth(cell);
+          return 1.0 - min(min(distance.x, distance.y), 1.0);
+        }
+        void main() {
+          float fade = smoothstep(4.3, 0.6, length(place));
+          float strength = 0.10 * lines(place, 0.25) + 0.16 * lines(place, 1.0);
+          gl_FragColor = vec4(0.62, 0.76, 0.85, strength * fade * fade);
+        }`,
+    }),
+  );
+  const shadow = new THREE.Mesh(
+    new THREE.CircleGeometry(4.5, 64).rotateX(-Math.PI / 2),
+    new THREE.ShadowMaterial({ opacity: 0.42 }),
+  );
+  shadow.position.y = -0.001;
+  shadow.receiveShadow = true;
+  return [shadow, lines];
+}
