@@ -1,0 +1,58 @@
+"""Exceptions of the SDK: one for each thing a caller can do about it, each carrying the daemon's own message."""
+
+from __future__ import annotations
+
+import grpc
+
+
+class TensormassError(Exception):
+    """Base of everything the SDK raises on purpose."""
+
+
+class InvalidArgumentError(TensormassError, ValueError):
+    """The input is wrong; the message says what, where, and what to do."""
+
+
+class NotFoundError(TensormassError, LookupError):
+    """No such scene, body, tool or file."""
+
+
+class AlreadyExistsError(TensormassError):
+    """A scene of this name is loaded."""
+
+
+class ResourceExhaustedError(TensormassError):
+    """A limit, named in the message."""
+
+
+class FailedPreconditionError(TensormassError):
+    """The scene is not in the state that the call needs."""
+
+
+class UnavailableError(TensormassError, ConnectionError):
+    """The daemon does not answer, or it is shutting down."""
+
+
+class DeadlineExceededError(TensormassError, TimeoutError):
+    """No answer, frame or feedback in the time allowed."""
+
+
+class InternalError(TensormassError):
+    """The daemon failed in a way that is not the caller's fault."""
+
+
+_BY_CODE: dict[grpc.StatusCode, type[TensormassError]] = {
+    grpc.StatusCode.INVALID_ARGUMENT: InvalidArgumentError,
+    grpc.StatusCode.NOT_FOUND: NotFoundError,
+    grpc.StatusCode.ALREADY_EXISTS: AlreadyExistsError,
+    grpc.StatusCode.RESOURCE_EXHAUSTED: ResourceExhaustedError,
+    grpc.StatusCode.FAILED_PRECONDITION: FailedPreconditionError,
+    grpc.StatusCode.UNAVAILABLE: UnavailableError,
+    grpc.StatusCode.DEADLINE_EXCEEDED: DeadlineExceededError,
+}
+
+
+def from_rpc_error(error: grpc.RpcError) -> TensormassError:
+    """The exception that a failed call stands for; `error` must come from a finished call."""
+    assert isinstance(error, grpc.Call)
+    return _BY_CODE.get(error.code(), InternalError)(error.details() or f"the daemon answered {error.code().name}")
