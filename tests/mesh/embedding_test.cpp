@@ -100,23 +100,26 @@ TEST_P(Embed, FollowsAnAffineMotionExactly) {
 INSTANTIATE_TEST_SUITE_P(Seeds, Embed, ::testing::Range(0u, 5u));
 
 TEST(EmbedOutside, PrefersTheElementThatExtrapolatesLeast) {
-  // Above a face that two elements of a cube share a diagonal of, near that diagonal: both are nearest only on it.
+  // Nearest to a corner of the cube that six elements share, and to an edge that two share.
   const Mesh mesh = testing::unit_grid(1);
-  const std::vector<Vector3d> points{{0.5, 0.5, 1.1}, {1.1, 1.1, 1.1}};
+  const std::vector<Vector3d> points{{1.1, 1.15, 1.2}, {1.3, 1.2, 1.1}, {1.1, 0.5, 1.2}, {1.2, 0.5, 1.1}};
   const Embedding embedding = embed(mesh, points, "test points").value();
-  const auto nodes_of = element_nodes(mesh);
   for (std::size_t i = 0; i < points.size(); ++i) {
-    for (const auto& nodes : nodes_of) {
+    const double distance = (points[i] - points[i].cwiseMin(1.0)).norm();
+    double greatest = -std::numeric_limits<double>::infinity(), smallest = -greatest;
+    for (const auto& nodes : element_nodes(mesh)) {
       const std::array<Vector3d, 4> x{mesh.nodes[nodes[0]], mesh.nodes[nodes[1]], mesh.nodes[nodes[2]],
                                       mesh.nodes[nodes[3]]};
-      const double nearest = i == 0 ? 0.1 : 0.1 * std::sqrt(3.0);
-      if (brute_distance(points[i], x) > nearest + 1e-12) continue;
+      if (brute_distance(points[i], x) > distance + 1e-12) continue;
       Eigen::Matrix4d system;
       for (int k = 0; k < 4; ++k) system.col(k) << x[k], 1.0;
-      Eigen::Vector4d right;
-      right << points[i], 1.0;
-      EXPECT_GE(least_weight(embedding, i), (system.inverse() * right).minCoeff() - 1e-12);
+      const double least =
+          (system.inverse() * Eigen::Vector4d(points[i].x(), points[i].y(), points[i].z(), 1.0)).minCoeff();
+      greatest = std::max(greatest, least);
+      smallest = std::min(smallest, least);
     }
+    EXPECT_LT(smallest, greatest - 0.01);
+    EXPECT_NEAR(least_weight(embedding, i), greatest, 1e-12);
   }
 }
 

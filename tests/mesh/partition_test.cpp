@@ -90,6 +90,14 @@ TEST(Partition, LeavesAreFullAndAscending) {
   EXPECT_FALSE(std::is_sorted(order.begin(), order.end()));
 }
 
+TEST(Partition, CutsInHalvesOfWholeLeaves) {
+  EXPECT_EQ(bisection_cut(100, 8), 56u);  // 13 leaves: 7 to the left
+  EXPECT_EQ(bisection_cut(16, 8), 8u);
+  EXPECT_EQ(bisection_cut(9, 8), 8u);
+  EXPECT_EQ(bisection_cut(8, 8), 8u);  // a leaf
+  EXPECT_EQ(bisection_cut(0xFFFFFFFFu, 1), 0x80000000u);
+}
+
 TEST(Partition, NoPointsIsNoOrder) { EXPECT_TRUE(bisection_order({}, 4).empty()); }
 
 }  // namespace
