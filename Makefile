@@ -1,0 +1,99 @@
+# `make run` and `make test` are all that a newcomer needs; `make help` lists the rest.
+#
+#   CUDA=OFF   build without the CUDA backend      JOBS=n   parallel compilations      SCENE=path   another scene
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+CUDA ?= ON
+BUILD ?= build
+JOBS ?= $(shell nproc)
+SCENE ?= demo
+RUN_ARGS ?=
+TEST_ARGS ?=
+# What docker/setup.sh found: CUDACXX and CUDAToolkit_ROOT.
+-include .venv/toolchain.env
+export CUDA CUDACXX CUDAToolkit_ROOT
+export PATH := $(CURDIR)/.venv/bin:$(PATH)
+
+VIEWER := clients/web/dist/index.html
+VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
+                    -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
+
+.PHONY: help setup setup-test build native python viewer run test test-only bench asan tsan lint format clean
+
+help: ## This list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: ## Install what is missing to build and run
+	@docker/setup.sh build
+
+setup-test:
+	@docker/setup.sh test
+
+# The recursive calls read the toolchain that the set-up has just written.
+build: setup ## Everything runnable, in build/bin
+	@$(MAKE) native python viewer
+
+run: build ## Daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
+	@exec $(BUILD)/bin/tensormass run $(RUN_ARGS) $(SCENE)
+
+test: setup-test ## Every test: C++, Python, web, and the real page in Chromium
+	@$(MAKE) native python viewer
+	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
+
+test-only: ## The tests without set-up and build
+	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
+
+native: $(BUILD)/configured-cuda-$(CUDA) $(BUILD)/bin/tensormass
+	@ninja -C $(BUILD) -j $(JOBS)
+
+$(BUILD)/configured-cuda-$(CUDA):
+	@echo "build: configuring $(BUILD) (CUDA $(CUDA))"
+	@cmake -S . -B $(BUILD) -G Ninja -DTENSORMASS_CUDA=$(CUDA) --log-level=NOTICE
+	@rm -f $(BUILD)/configured-cuda-*
+	@touch $@
+
+$(BUILD)/bin/tensormass: Makefile
+	@mkdir -p $(@D)
+	@printf '#!/bin/sh\n# The Python command, with the programs beside it.\nhere=$$(cd "$$(dirname "$$0")" && pwd)\nexec env PATH="$$here:$$PATH" "%s" -m tensormass "$$@"\n' '$(CURDIR)/.venv/bin/python' > $@
+	@chmod +x $@
+
+python:
+	@python clients/python/generate.py
+
+viewer: $(VIEWER)
+
+$(VIEWER): $(VIEWER_SOURCES)
+	@echo "build: web viewer"
+	@cd clients/web && npm run --silent build -- --logLevel warn
+	@touch $@
+
+bench: build ## Measure this machine; results in tests/bench/results
+	@$(BUILD)/bin/tensormass-bench
+
+asan: setup ## C++ tests under address and undefined-behaviour sanitizers
+	@$(MAKE) sanitized NAME=asan SANITIZE=address,undefined
+
+tsan: setup ## C++ tests under the thread sanitizer
+	@$(MAKE) sanitized NAME=tsan SANITIZE=thread
+
+.PHONY: sanitized
+sanitized:
+	@cmake -S . -B build-$(NAME) -G Ninja -DTENSORMASS_CUDA=OFF -DTENSORMASS_SANITIZE=$(SANITIZE) --log-level=NOTICE
+	@ninja -C build-$(NAME) -j $(JOBS)
+	@ctest --test-dir build-$(NAME) --output-on-failure
+
+lint: setup-test python ## Format and static checks of every language
+	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
+	@cd clients/python && ruff check . ../../tests && ruff format --check . ../../tests && mypy
+	@cd clients/web && npm run --silent lint
+
+format: setup-test ## Format every language
+	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
+	@cd clients/python && ruff format . ../../tests
+
+clean: ## Remove what was built (the set-up stays)
+	@rm -rf $(BUILD) build-asan build-tsan clients/web/dist clients/web/src/generated clients/python/tensormass/v1

@@ -1,0 +1,62 @@
+#!/usr/bin/env bash
+# Runs every test of every language, one runner after the other, and closes with one line for each.
+# A runner that fails does not keep the others from running. What was skipped is said again at the end.
+#
+#   tests/run.sh [ctest] [pytest] [vitest] [e2e]     default: all of them
+set -uo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+build=${BUILD:-build}
+logs=$build/test-logs
+mkdir -p "$logs"
+export PATH=$PWD/.venv/bin:$PATH
+
+run_ctest() { ctest --test-dir "$build" --output-on-failure --no-tests=error; }
+run_pytest() { python -m pytest -q -rs tests; }
+run_vitest() { (cd clients/web && npm run --silent test); }
+run_e2e() { (cd clients/web && npm run --silent e2e); }
+
+# The line with which a runner usually closes.
+closing_line() {
+  local pattern
+  case $1 in
+    ctest) pattern='tests passed, ' ;;
+    pytest) pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s' ;;
+    *) pattern='^ *Tests +' ;;
+  esac
+  sed -E 's/\x1b\[[0-9;]*m//g' "$logs/$1.log" | grep -E "$pattern" | tail -n 1 | sed -E 's/^[ =]+//; s/[ =]+$//'
+}
+
+skipped() {
+  case $1 in
+    ctest) sed -nE 's/^.*Test +#[0-9]+: (.*[^ .]) *\.+\*+Skipped.*/\1/p' "$logs/$1.log" ;;
+    pytest) sed -nE 's/^SKIPPED (.*)/\1/p' "$logs/$1.log" ;;
+    *) ;;
+  esac
+}
+
+suites=("$@")
+((${#suites[@]} > 0)) || suites=(ctest pytest vitest e2e)
+declare -A status seconds
+failed=0
+for suite in "${suites[@]}"; do
+  echo "==== $suite"
+  start=$SECONDS
+  "run_$suite" 2>&1 | tee "$logs/$suite.log"
+  status[$suite]=${PIPESTATUS[0]}
+  seconds[$suite]=$((SECONDS - start))
+done
+
+echo
+echo "==== Summary"
+for suite in "${suites[@]}"; do
+  verdict=passed
+  if ((status[$suite] != 0)); then
+    verdict=FAILED
+    failed=1
+  fi
+  printf '%-7s %-7s %4d s  %s\n' "$suite" "$verdict" "${seconds[$suite]}" "$(closing_line "$suite")"
+done
+for suite in "${suites[@]}"; do
+  skipped "$suite" | sed "s/^/skipped ($suite): /"
+done
+exit "$failed"
