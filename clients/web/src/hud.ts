@@ -1,4 +1,5 @@
 // The numbers beside the picture. Written a few times a second: digits that change faster cannot be read.
+import { find } from "./dom";
 import type { DaemonState } from "./stream/connection";
 import { SceneState, type Status } from "./stream/decode";
 import type { Counters } from "./stream/store";
@@ -16,7 +17,7 @@ export type Notice = { readonly tone: "quiet" | "warning"; readonly title: strin
 const UNKNOWN = "–";
 
 export class Hud {
-  readonly #picker = element<HTMLSelectElement>("scene");
+  readonly #picker = find("#scene", HTMLSelectElement);
   readonly #pill = element("link");
   readonly #notice = element("notice");
   readonly #device = element("device");
@@ -104,10 +105,6 @@ function paragraph(className: string, text: string): HTMLElement {
   return result;
 }
 
-function element<Type extends HTMLElement = HTMLElement>(id: string): Type {
-  const found = document.getElementById(id);
-  if (found === null) {
-    throw new Error(`index.html has no element #${id}`);
-  }
-  return found as Type;
+function element(id: string): HTMLElement {
+  return find(`#${id}`, HTMLElement);
 }

@@ -1,13 +1,16 @@
 // Wires the gateway's stream to the store, the store to the picture and the numbers.
 //
-// Address: ?token= as the gateway prints it; ?scene= chooses a scene (else the first that runs).
+// Address: ?token= as the gateway prints it; ?scene= chooses a scene (else the first that runs);
+// ?quality=high|low (else by whether there is a GPU).
 import "./style.css";
 
+import { find } from "./dom";
 import { Hud, sceneNotice } from "./hud";
 import { GatewayClock } from "./stream/clock";
 import { Connection, type DaemonState, type LinkState } from "./stream/connection";
 import { decodeFrame, decodeStatus, decodeTopology, splitMessage, type StreamName, type Vector } from "./stream/decode";
 import { SceneStore } from "./stream/store";
+import { chooseQuality } from "./view/quality";
 import { Viewer } from "./view/viewer";
 
 const READINGS_INTERVAL_MS = 250;
@@ -15,6 +18,7 @@ const RATE_WINDOW_MS = 1000;
 
 const address = new URL(window.location.href);
 const token = address.searchParams.get("token") ?? "";
+const quality = chooseQuality(address.searchParams.get("quality"));
 const store = new SceneStore();
 const clock = new GatewayClock();
 let wanted = address.searchParams.get("scene");
@@ -33,7 +37,7 @@ const hud = new Hud(
   () => viewer.resetView(),
 );
 
-const viewer = new Viewer(find<HTMLCanvasElement>("canvas"), find("#labels"), store, {
+const viewer = new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
   onDrawn(serverTimeNs) {
     const atMs = performance.now();
     drawn.push({ atMs, ageMs: clock.ageMs(serverTimeNs, atMs) });
@@ -185,12 +189,4 @@ function showReadings(): void {
 function originOf(tool: string, centerM: Vector): Vector {
   const offset = store.topology?.tools.find((shape) => shape.name === tool)?.tipOffsetM ?? [0, 0, 0];
   return [centerM[0] - offset[0], centerM[1] - offset[1], centerM[2] - offset[2]];
-}
-
-function find<Type extends HTMLElement>(selector: string): Type {
-  const found = document.querySelector<Type>(selector);
-  if (found === null) {
-    throw new Error(`index.html has no ${selector}`);
-  }
-  return found;
 }

@@ -5,11 +5,11 @@ import * as THREE from "three";
 import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
 
 /** Length of the arrow for a very large force [scene radii]; half of it is reached at HALF_FORCE_N. */
-const ARROW_LIMIT = 0.9;
+const ARROW_LIMIT = 0.75;
 const HALF_FORCE_N = 1.5;
 /** Below it no arrow is drawn: there is no contact, only rounding. */
 const LEAST_FORCE_N = 0.005;
-const ARROW_WIDTH = 0.016;
+const ARROW_WIDTH = 0.014;
 const HANDLE_LENGTH = 1.1;
 
 export interface ForceLabel {

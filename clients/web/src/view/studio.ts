@@ -4,9 +4,12 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import type { Vector } from "../stream/decode";
+import type { Quality } from "./quality";
 
 const FIELD_OF_VIEW_DEG = 32;
 const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.5, 1).normalize();
+/** The scene sits below the middle of the picture, so that tools and arrows above it are seen. */
+const HEAD_ROOM = 0.12;
 const FLOOR_GAP = 0.12;
 
 export class Studio {
@@ -19,12 +22,13 @@ export class Studio {
   readonly #floor = new THREE.Group();
   #home: { position: THREE.Vector3; target: THREE.Vector3 } | null = null;
 
-  constructor(canvas: HTMLCanvasElement) {
-    this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+  constructor(canvas: HTMLCanvasElement, quality: Quality) {
+    const high = quality.level === "high";
+    this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: high, powerPreference: "high-performance" });
     this.#renderer.toneMapping = THREE.ACESFilmicToneMapping;
     this.#renderer.toneMappingExposure = 1.0;
-    this.#renderer.shadowMap.enabled = true;
-    this.#renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.#renderer.shadowMap.enabled = high;
+    this.#renderer.shadowMap.type = THREE.VSMShadowMap;
 
     this.#scene.background = backdrop();
     this.#scene.environment = softboxes(this.#renderer);
@@ -39,13 +43,6 @@ export class Studio {
     this.controls.minDistance = 0.4;
     this.controls.maxDistance = 20;
     this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(5);
-  }
-
-  /** Software drawing (no GPU) gets fewer pixels and no shadows, or a frame would take most of a second. */
-  get isSoftware(): boolean {
-    const gl = this.#renderer.getContext();
-    const info = gl.getExtension("WEBGL_debug_renderer_info");
-    return info !== null && /swiftshader|llvmpipe|software/i.test(String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)));
   }
 
   resize(width: number, height: number, pixelRatio: number): void {
@@ -67,9 +64,10 @@ export class Studio {
     this.#floor.position.y = bounds.clone().applyMatrix4(this.world.matrixWorld).min.y - FLOOR_GAP;
     this.#floor.visible = true;
 
-    const fitting = 1.12 / Math.sin(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
+    const fitting = 1.04 / Math.sin(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
     const distance = fitting * Math.max(1, 0.85 / this.camera.aspect);
-    this.#home = { position: VIEW_DIRECTION.clone().multiplyScalar(distance), target: new THREE.Vector3() };
+    const target = new THREE.Vector3(0, HEAD_ROOM, 0);
+    this.#home = { position: VIEW_DIRECTION.clone().multiplyScalar(distance).add(target), target };
     this.resetView();
   }
 
@@ -95,11 +93,11 @@ export class Studio {
 
 /** An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor. */
 function lights(): THREE.Object3D[] {
-  const key = new THREE.DirectionalLight("#fff1e2", 2.6);
+  const key = new THREE.DirectionalLight("#fff1e2", 2.3);
   key.position.set(-1.6, 4.2, 2.4);
   key.castShadow = true;
-  key.shadow.mapSize.setScalar(2048);
-  key.shadow.radius = 6;
+  key.shadow.mapSize.setScalar(1024);
+  key.shadow.radius = 7;
   key.shadow.bias = -0.0008;
   key.shadow.normalBias = 0.012;
   const extent = 1.9;

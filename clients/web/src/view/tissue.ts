@@ -2,20 +2,21 @@
 import * as THREE from "three";
 
 import type { Surface, Topology } from "../stream/decode";
+import type { Quality } from "./quality";
 import { vertexNormals } from "./normals";
 
 /** For bodies without a colour of their own: liver, kidney, gallbladder, spleen, fat. */
-const PALETTE: readonly string[] = ["#8f3428", "#a8493f", "#6f7a3c", "#6d2f45", "#c9a25a"];
+const PALETTE: readonly string[] = ["#82291f", "#a8493f", "#6f7a3c", "#6d2f45", "#c9a25a"];
 
 export class Tissue {
   readonly group = new THREE.Group();
   readonly #bodies: readonly Body[];
 
   /** @param positions [vertex_count, 3] m of the first frame: the pattern of the surface sticks to these places. */
-  constructor(topology: Topology, positions: Float32Array, radiusM: number) {
+  constructor(topology: Topology, positions: Float32Array, radiusM: number, quality: Quality) {
     this.#bodies = topology.bodies
       .filter((surface) => surface.triangles.length > 0)
-      .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!));
+      .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!, quality));
     this.group.add(...this.#bodies.map((body) => body.mesh));
     this.update(positions);
   }
@@ -36,36 +37,26 @@ export class Tissue {
 }
 
 class Body {
-  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.MeshPhysicalMaterial>;
+  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial>;
   readonly #surface: Surface;
   readonly #positions: THREE.BufferAttribute;
   readonly #normals: THREE.BufferAttribute;
 
-  constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string) {
+  constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string, quality: Quality) {
     this.#surface = surface;
     this.#positions = dynamicAttribute(surface.vertexCount);
     this.#normals = dynamicAttribute(surface.vertexCount);
+    const places = this.#slice(positions).map((coordinate) => coordinate / radiusM);
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", this.#positions);
     geometry.setAttribute("normal", this.#normals);
-    geometry.setAttribute("color", new THREE.BufferAttribute(mottle(this.#slice(positions), radiusM), 3));
+    geometry.setAttribute("place", new THREE.BufferAttribute(places, 3));
+    geometry.setAttribute("color", new THREE.BufferAttribute(mottle(places), 3));
     geometry.setIndex(new THREE.BufferAttribute(surface.triangles, 1));
     const color = surface.colorSrgb
       ? new THREE.Color().setRGB(...surface.colorSrgb, THREE.SRGBColorSpace)
       : new THREE.Color(fallbackColor);
-    // A moist capsule over soft tissue: broad highlights below, a thin sharp coat above, light scattered at the rim.
-    const material = new THREE.MeshPhysicalMaterial({
-      color,
-      vertexColors: true,
-      roughness: 0.5,
-      clearcoat: 0.55,
-      clearcoatRoughness: 0.22,
-      sheen: 0.6,
-      sheenRoughness: 0.45,
-      sheenColor: color.clone().lerp(new THREE.Color("#ffb3a0"), 0.55),
-      specularIntensity: 0.6,
-    });
-    this.mesh = new THREE.Mesh(geometry, material);
+    this.mesh = new THREE.Mesh(geometry, quality.level === "high" ? tissueMaterial(color) : plainMaterial(color));
     this.mesh.name = surface.name;
     this.mesh.castShadow = true;
     this.mesh.receiveShadow = true;
@@ -96,23 +87,92 @@ function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {
   return attribute;
 }
 
+/** A moist capsule over soft tissue: broad highlights below, a thin sharp coat above, light scattered at the rim. */
+function tissueMaterial(color: THREE.Color): THREE.MeshPhysicalMaterial {
+  const material = new THREE.MeshPhysicalMaterial({
+    color,
+    vertexColors: true,
+    roughness: 0.55,
+    clearcoat: 0.5,
+    clearcoatRoughness: 0.24,
+    sheen: 0.4,
+    sheenRoughness: 0.5,
+    sheenColor: color.clone().lerp(new THREE.Color("#ffb3a0"), 0.5),
+    specularIntensity: 0.55,
+  });
+  material.onBeforeCompile = (shader) => {
+    shader.vertexShader = shader.vertexShader
+      .replace("#include <common>", "#include <common>\nattribute vec3 place;\nvarying vec3 vPlace;")
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvPlace = place;");
+    shader.fragmentShader = shader.fragmentShader
+      .replace("#include <common>", `#include <common>\n${GRAIN}`)
+      .replace("#include <normal_fragment_maps>", "#include <normal_fragment_maps>\nnormal = grained(normal);")
+      .replace(
+        "#include <clearcoat_normal_fragment_maps>",
+        "#include <clearcoat_normal_fragment_maps>\nclearcoatNormal = mix(clearcoatNormal, normal, 0.55);",
+      );
+  };
+  return material;
+}
+
+function plainMaterial(color: THREE.Color): THREE.MeshStandardMaterial {
+  return new THREE.MeshStandardMaterial({ color, vertexColors: true, roughness: 0.42 });
+}
+
+/** The fine relief of a capsule, as a bump that needs no texture coordinates (Mikkelsen's surface gradient). */
+const GRAIN = `
+varying vec3 vPlace;
+
+float hashed(vec3 cell) {
+  cell = fract(cell * 0.3183099 + 0.1) * 17.0;
+  return fract(cell.x * cell.y * cell.z * (cell.x + cell.y + cell.z));
+}
+
+float valueNoise(vec3 at) {
+  vec3 cell = floor(at);
+  vec3 t = fract(at);
+  t = t * t * (3.0 - 2.0 * t);
+  return mix(
+    mix(mix(hashed(cell), hashed(cell + vec3(1, 0, 0)), t.x),
+        mix(hashed(cell + vec3(0, 1, 0)), hashed(cell + vec3(1, 1, 0)), t.x), t.y),
+    mix(mix(hashed(cell + vec3(0, 0, 1)), hashed(cell + vec3(1, 0, 1)), t.x),
+        mix(hashed(cell + vec3(0, 1, 1)), hashed(cell + vec3(1, 1, 1)), t.x), t.y),
+    t.z);
+}
+
+float grain(vec3 place) {
+  return 0.0022 * valueNoise(22.0 * place) + 0.0011 * valueNoise(64.0 * place);
+}
+
+vec3 grained(vec3 normal) {
+  vec3 dx = dFdx(vPlace);
+  vec3 dy = dFdy(vPlace);
+  float height = grain(vPlace);
+  vec2 slope = vec2(grain(vPlace + dx), grain(vPlace + dy)) - height;
+  vec3 r1 = cross(dFdy(vViewPosition), normal);
+  vec3 r2 = cross(normal, dFdx(vViewPosition));
+  float area = dot(dFdx(vViewPosition), r1);
+  return normalize(abs(area) * normal + sign(area) * (slope.x * r1 + slope.y * r2));
+}`;
+
 /**
- * Faint lobules and vessels' shade as vertex colours, found once: living tissue is never of one colour, and a pattern
- * that sticks to the surface lets the eye see it slide.
+ * Faint lobules as vertex colours, found once: living tissue is never of one colour, and a pattern that sticks to the
+ * surface lets the eye see it slide.
+ *
+ * @param places [vertex_count, 3] scene radii
  */
-function mottle(positions: Float32Array, radiusM: number): Float32Array {
-  const colors = new Float32Array(positions.length);
-  const scale = 1 / radiusM;
-  for (let v = 0; v < positions.length; v += 3) {
-    const x = positions[v]! * scale;
-    const y = positions[v + 1]! * scale;
-    const z = positions[v + 2]! * scale;
+function mottle(places: Float32Array): Float32Array {
+  const colors = new Float32Array(places.length);
+  for (let v = 0; v < places.length; v += 3) {
+    const x = places[v]!;
+    const y = places[v + 1]!;
+    const z = places[v + 2]!;
     const broad = noise(3.1 * x, 3.1 * y, 3.1 * z);
     const fine = noise(11 * x + 7, 11 * y, 11 * z) * 0.6 + noise(27 * x, 27 * y + 3, 27 * z) * 0.4;
-    const light = 1 + 0.1 * broad + 0.13 * fine;
+    const light = 0.95 + 0.13 * broad + 0.17 * fine;
     colors[v] = light;
-    colors[v + 1] = light * (1 + 0.12 * broad - 0.05 * fine);
-    colors[v + 2] = light * (1 + 0.06 * fine);
+    colors[v + 1] = light * (1 + 0.16 * broad - 0.06 * fine);
+    colors[v + 2] = light * (1 + 0.08 * fine);
   }
   return colors;
 }

@@ -6,13 +6,14 @@ import type { SceneStore } from "../stream/store";
 import type { Vector } from "../stream/decode";
 import { enableDrag } from "./drag";
 import { Instruments, type ForceLabel } from "./instruments";
+import type { Quality } from "./quality";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
 
-/** Longer frames than this make the picture coarser, shorter ones finer [ms]. */
-const SLOW_FRAME_MS = 45;
-const FAST_FRAME_MS = 18;
-const LEAST_PIXEL_RATIO = 0.6;
+/** Longer times between two pictures make them coarser, shorter ones finer [ms]. */
+const SLOW_PICTURE_MS = 45;
+const FAST_PICTURE_MS = 20;
+const LEAST_PIXEL_RATIO = 0.5;
 
 export interface ViewerEvents {
   /** A new frame is on the screen. */
@@ -26,10 +27,12 @@ export class Viewer {
   readonly #labels: HTMLElement;
   readonly #store: SceneStore;
   readonly #events: ViewerEvents;
+  readonly #quality: Quality;
   readonly #studio: Studio;
   readonly #pixelRatioLimit: number;
   #pixelRatio: number;
-  #drawMs = (SLOW_FRAME_MS + FAST_FRAME_MS) / 2;
+  #pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
+  #lastPictureMs: number | null = null;
   #tissue: Tissue | null = null;
   #instruments: Instruments | null = null;
   #forces: readonly ForceLabel[] = [];
@@ -37,19 +40,26 @@ export class Viewer {
   #dirty = true;
   #dragEnabled = false;
 
-  constructor(canvas: HTMLCanvasElement, labels: HTMLElement, store: SceneStore, events: ViewerEvents) {
+  constructor(
+    canvas: HTMLCanvasElement,
+    labels: HTMLElement,
+    store: SceneStore,
+    quality: Quality,
+    events: ViewerEvents,
+  ) {
     this.#canvas = canvas;
     this.#labels = labels;
     this.#store = store;
     this.#events = events;
-    this.#studio = new Studio(canvas);
+    this.#quality = quality;
+    this.#studio = new Studio(canvas, quality);
     this.#pixelRatioLimit = Math.min(window.devicePixelRatio, 2);
     this.#pixelRatio = this.#pixelRatioLimit;
     this.#studio.controls.addEventListener("change", () => (this.#dirty = true));
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
-    const loop = () => {
-      this.#update();
+    const loop = (nowMs: number) => {
+      this.#update(nowMs);
       requestAnimationFrame(loop);
     };
     requestAnimationFrame(loop);
@@ -76,7 +86,7 @@ export class Viewer {
     }
   }
 
-  #update(): void {
+  #update(nowMs: number): void {
     this.#studio.controls.update();
     if (this.#revision !== this.#store.topologyRevision) {
       this.#revision = this.#store.topologyRevision;
@@ -92,23 +102,23 @@ export class Viewer {
       this.#dirty = true;
     }
     if (!this.#dirty) {
+      this.#lastPictureMs = null;
       return;
     }
     this.#dirty = false;
-    const begin = performance.now();
+    this.#adapt(nowMs);
     this.#studio.render();
     this.#writeLabels();
     if (frame !== null) {
       this.#events.onDrawn(frame.serverTimeNs);
     }
-    this.#adapt(performance.now() - begin);
   }
 
   #build(positions: Float32Array): void {
     const topology = this.#store.topology!;
     const bounds = new THREE.Box3().setFromArray(positions);
     const radiusM = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
-    this.#tissue = new Tissue(topology, positions, radiusM);
+    this.#tissue = new Tissue(topology, positions, radiusM, this.#quality);
     this.#instruments = new Instruments(topology, radiusM);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     this.#studio.frame(bounds, topology.up);
@@ -149,13 +159,19 @@ export class Viewer {
     }
   }
 
-  #adapt(drawMs: number): void {
-    this.#drawMs += 0.1 * (drawMs - this.#drawMs);
-    const factor = this.#drawMs > SLOW_FRAME_MS ? 0.8 : this.#drawMs < FAST_FRAME_MS ? 1.25 : 1;
+  /** Drawing goes on after `render` returns, so only the pace of pictures drawn one after the other tells its cost. */
+  #adapt(nowMs: number): void {
+    const last = this.#lastPictureMs;
+    this.#lastPictureMs = nowMs;
+    if (last === null || !this.#quality.adaptive) {
+      return;
+    }
+    this.#pictureMs += 0.1 * (nowMs - last - this.#pictureMs);
+    const factor = this.#pictureMs > SLOW_PICTURE_MS ? 0.8 : this.#pictureMs < FAST_PICTURE_MS ? 1.25 : 1;
     const ratio = Math.min(this.#pixelRatioLimit, Math.max(LEAST_PIXEL_RATIO, factor * this.#pixelRatio));
     if (ratio !== this.#pixelRatio) {
       this.#pixelRatio = ratio;
-      this.#drawMs = (SLOW_FRAME_MS + FAST_FRAME_MS) / 2;
+      this.#pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
       this.#resize();
     }
   }

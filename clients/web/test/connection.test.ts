@@ -1,0 +1,176 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+
+import { Connection, FIRST_RETRY_MS, LAST_RETRY_MS, parseText, type ConnectionEvents } from "../src/stream/connection";
+
+class FakeSocket {
+  static opened: FakeSocket[] = [];
+  static get last(): FakeSocket {
+    return FakeSocket.opened.at(-1)!;
+  }
+
+  readyState = 0;
+  binaryType = "";
+  onopen: (() => void) | null = null;
+  onmessage: ((event: { data: unknown }) => void) | null = null;
+  onclose: ((event: { reason: string }) => void) | null = null;
+  readonly sent: Record<string, unknown>[] = [];
+
+  constructor(readonly url: string) {
+    FakeSocket.opened.push(this);
+  }
+
+  send(text: string): void {
+    this.sent.push(JSON.parse(text) as Record<string, unknown>);
+  }
+
+  close(): void {
+    this.fail("");
+  }
+
+  open(): void {
+    this.readyState = 1;
+    this.onopen?.();
+  }
+
+  fail(reason: string): void {
+    this.readyState = 3;
+    this.onclose?.({ reason });
+  }
+
+  of(type: string): Record<string, unknown>[] {
+    return this.sent.filter((message) => message.type === type);
+  }
+}
+
+const DAEMON = JSON.stringify({
+  type: "daemon",
+  connected: true,
+  server: "s",
+  version: "1",
+  backend: "cpu",
+  device: "d",
+  poses_allowed: true,
+  scenes: [{ name: "liver", state: "running" }],
+});
+
+describe("Connection", () => {
+  const events = {
+    onLink: vi.fn<ConnectionEvents["onLink"]>(),
+    onDaemon: vi.fn<ConnectionEvents["onDaemon"]>(),
+    onMessage: vi.fn<ConnectionEvents["onMessage"]>(),
+    onClock: vi.fn<ConnectionEvents["onClock"]>(),
+  };
+  const diagnose = vi.fn(() => Promise.resolve("the token is wrong"));
+  let connection: Connection;
+
+  beforeEach(() => {
+    vi.useFakeTimers();
+    vi.spyOn(Math, "random").mockReturnValue(0.5);
+    FakeSocket.opened = [];
+    connection = new Connection({
+      url: "ws://host/stream",
+      events,
+      diagnose,
+      WebSocket: FakeSocket as unknown as typeof WebSocket,
+    });
+  });
+
+  afterEach(() => {
+    connection.close();
+    vi.useRealTimers();
+    vi.restoreAllMocks();
+    vi.clearAllMocks();
+  });
+
+  it("watches its scene again after every reconnection", async () => {
+    connection.watch("liver");
+    FakeSocket.last.open();
+    expect(FakeSocket.last.of("watch")).toEqual([{ type: "watch", scene: "liver" }]);
+    FakeSocket.last.fail("bye");
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    expect(FakeSocket.opened).toHaveLength(2);
+    FakeSocket.last.open();
+    expect(FakeSocket.last.of("watch")).toEqual([{ type: "watch", scene: "liver" }]);
+    expect(diagnose).not.toHaveBeenCalled();
+    expect(events.onLink).toHaveBeenCalledWith({ kind: "lost", reason: "bye" });
+  });
+
+  it("waits longer after each failure, up to a limit, and briefly again after success", async () => {
+    const waits: number[] = [];
+    for (let attempt = 0; attempt < 7; attempt += 1) {
+      const count = FakeSocket.opened.length;
+      FakeSocket.last.fail("");
+      const begin = Date.now();
+      while (FakeSocket.opened.length === count) {
+        await vi.advanceTimersToNextTimerAsync();
+      }
+      waits.push(Date.now() - begin);
+    }
+    expect(waits).toEqual([250, 500, 1000, 2000, LAST_RETRY_MS, LAST_RETRY_MS, LAST_RETRY_MS]);
+
+    FakeSocket.last.open();
+    FakeSocket.last.onmessage?.({ data: DAEMON });
+    const count = FakeSocket.opened.length;
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    expect(FakeSocket.opened).toHaveLength(count + 1);
+  });
+
+  it("asks why a connection never opened", async () => {
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(0);
+    expect(events.onLink).toHaveBeenCalledWith({ kind: "lost", reason: "the token is wrong" });
+  });
+
+  it("owes acknowledgements while nobody looks, one for each stream", () => {
+    FakeSocket.last.open();
+    connection.acknowledge("frame");
+    connection.setPaused(true);
+    connection.acknowledge("frame");
+    connection.acknowledge("status");
+    expect(FakeSocket.last.of("ack")).toEqual([{ type: "ack", stream: "frame" }]);
+    connection.setPaused(false);
+    expect(FakeSocket.last.of("ack").map((ack) => ack.stream)).toEqual(["frame", "frame", "status"]);
+  });
+
+  it("owes a new connection nothing", async () => {
+    FakeSocket.last.open();
+    connection.setPaused(true);
+    connection.acknowledge("frame");
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    FakeSocket.last.open();
+    connection.setPaused(false);
+    expect(FakeSocket.last.of("ack")).toEqual([]);
+  });
+
+  it("stays closed when closed", async () => {
+    FakeSocket.last.open();
+    connection.close();
+    await vi.advanceTimersByTimeAsync(10 * LAST_RETRY_MS);
+    expect(FakeSocket.opened).toHaveLength(1);
+  });
+
+  it("hands on what arrives", () => {
+    FakeSocket.last.open();
+    FakeSocket.last.onmessage?.({ data: DAEMON });
+    const data = new ArrayBuffer(4);
+    FakeSocket.last.onmessage?.({ data });
+    expect(events.onDaemon.mock.calls[0]?.[0]).toMatchObject({ posesAllowed: true, scenes: [{ name: "liver" }] });
+    expect(events.onMessage).toHaveBeenCalledWith(data);
+  });
+});
+
+describe("parseText", () => {
+  it("reads a clock", () => {
+    const text = JSON.stringify({ type: "clock", client_time_ms: 1, gateway_time_ms: 2, replaced: 3 });
+    expect(parseText(text)).toEqual({ type: "clock", reply: { clientTimeMs: 1, gatewayTimeMs: 2, replaced: 3 } });
+  });
+
+  it.each(["", "null", "[]", '{"type":"clock"}', '{"type":"daemon","scenes":1}', '{"type":"other"}'])(
+    "knows nothing of %s",
+    (text) => {
+      expect(parseText(text)).toBeNull();
+    },
+  );
+});

@@ -1,0 +1,103 @@
+import { describe, expect, it } from "vitest";
+
+import { decodeFrame, decodeStatus, decodeTopology, splitMessage } from "../src/stream/decode";
+import { POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
+
+describe("splitMessage", () => {
+  it("parts key and payload, which may hold zero bytes", () => {
+    const { scene, stream, payload } = splitMessage(busMessage("tensormass/host/liver/frame", Uint8Array.of(0, 1, 0)));
+    expect([scene, stream, [...payload]]).toEqual(["liver", "frame", [0, 1, 0]]);
+  });
+
+  it.each([
+    ["no zero byte", new Uint8Array(600).fill(65).buffer],
+    ["nothing", new ArrayBuffer(0)],
+    ["an unknown stream", busMessage("tensormass/host/liver/pose", new Uint8Array())],
+    ["a longer key", busMessage("tensormass/host/liver/frame/1", new Uint8Array())],
+    ["another root", busMessage("other/host/liver/frame", new Uint8Array())],
+    ["an empty scene", busMessage("tensormass/host//frame", new Uint8Array())],
+  ])("refuses %s", (_, data) => {
+    expect(() => splitMessage(data)).toThrow(/key/);
+  });
+});
+
+describe("decodeTopology", () => {
+  it("keeps bodies, tools and which way is up", () => {
+    const topology = decodeTopology(topologyBytes());
+    expect(topology.version).toBe(7n);
+    expect(topology.vertexCount).toBe(7);
+    expect(topology.up).toEqual([-0, 1, -0]);
+    expect(topology.bodies.map((body) => [body.name, body.firstVertex, body.triangles.length])).toEqual([
+      ["liver", 0, 12],
+      ["vein", 4, 3],
+    ]);
+    expect(topology.bodies.map((body) => body.colorSrgb)).toEqual([null, [0.1, 0.2, 0.9]]);
+    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1] }]);
+  });
+
+  it("takes z for up where there is no gravity", () => {
+    expect(decodeTopology(topologyBytes({ gravityMPerS2: { x: 0, y: 0, z: 0 } })).up).toEqual([0, 0, 1]);
+  });
+
+  it("names the triangle that points outside its body", () => {
+    const bodies = [{ name: "liver", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2, 0, 1, 3) }];
+    expect(() => decodeTopology(topologyBytes({ bodies }))).toThrow(/body "liver": triangle 1 names vertex 3 of 3/);
+  });
+
+  it("refuses bodies that overlap", () => {
+    const body = { name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2) };
+    expect(() => decodeTopology(topologyBytes({ bodies: [body, { ...body, name: "b", firstVertex: 2 }] }))).toThrow(
+      /body "b": first_vertex is 2, the bodies before it end at 3/,
+    );
+  });
+
+  it("refuses a torn triangle, a tool without size and a colour that is no number", () => {
+    const torn = [{ name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2).subarray(0, 11) }];
+    expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/11 bytes of triangles/);
+    expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM: 0 }] }))).toThrow(/radius_m is 0/);
+    const colored = [{ name: "a", vertexCount: 0, colorSrgb: { x: NaN, y: 0, z: 0 } }];
+    expect(() => decodeTopology(topologyBytes({ bodies: colored }))).toThrow(/color_srgb/);
+  });
+
+  it("refuses what is not protobuf", () => {
+    expect(() => decodeTopology(Uint8Array.of(255, 255, 255))).toThrow(/topology message is not protobuf/);
+  });
+});
+
+describe("decodeFrame", () => {
+  it("reads little-endian floats at any alignment", () => {
+    // The payload of a bus message starts wherever its key ends.
+    for (const server of ["a", "ab", "abc", "abcd"]) {
+      const { payload } = splitMessage(busMessage(`tensormass/${server}/liver/frame`, frameBytes()));
+      const frame = decodeFrame(payload);
+      expect(frame.positions).toEqual(new Float32Array(POSITIONS.buffer));
+      expect(frame.serverTimeNs).toBe(1_700_000_000_123_456_789n);
+    }
+  });
+
+  it("normalises orientations, and takes all zero for the identity", () => {
+    expect(decodeFrame(frameBytes()).tools[0]).toEqual({
+      name: "probe",
+      positionM: [0.1, 0.2, 0.3],
+      orientationWxyz: [1, 0, 0, 0],
+      forceN: [0, 1.5, 0],
+    });
+    const orientation = { w: 0, x: 0, y: 0, z: 0 };
+    expect(decodeFrame(frameBytes({ tools: [{ tool: "p", orientation }] })).tools[0]?.orientationWxyz).toEqual([1, 0, 0, 0]);
+  });
+
+  it.each([NaN, Infinity, -Infinity])("refuses a position of %s", (value) => {
+    expect(() => decodeFrame(frameBytes({ positions: f32(0, 0, value) }))).toThrow(/frame 1: a position is not finite/);
+  });
+
+  it("refuses a torn vertex and a force that is no number", () => {
+    expect(() => decodeFrame(frameBytes({ positions: f32(0, 0) }))).toThrow(/8 bytes of positions/);
+    expect(() => decodeFrame(frameBytes({ tools: [{ tool: "p", forceN: { x: 0, y: NaN, z: 0 } }] }))).toThrow(
+      /tool "p", force_n: \(0, NaN, 0\)/,
+    );
+  });
+});
+
+it("decodeStatus refuses what is not protobuf", () => {
+  expect(() => decodeStatus(Uint8Array.of(10, 200))).toThrow(/status message is not protobuf/);
+});
