@@ -19,6 +19,12 @@ goal=${1:-build}
 cuda=${CUDA:-ON}
 PATH=${PATH//$venv\/bin:/}  # an active .venv is not the machine's own
 
+# pip and Node trust lists of their own; where a proxy has its certificate in the system's list, they need to be told.
+system_certificates=/etc/ssl/certs/ca-certificates.crt
+if [[ -f $system_certificates ]]; then
+  export PIP_CERT=${PIP_CERT:-$system_certificates} NODE_EXTRA_CA_CERTS=${NODE_EXTRA_CA_CERTS:-$system_certificates}
+fi
+
 runtime_packages=(libgrpc++1.51 libprotobuf32 libspdlog1.10 libzmq5 python3 python3-venv)
 build_packages=(g++ libcli11-dev libeigen3-dev libexpected-dev libgrpc++-dev libgtest-dev libprotobuf-dev
   libspdlog-dev libzmq3-dev cppzmq-dev pkg-config protobuf-compiler protobuf-compiler-grpc python3 python3-venv)
