@@ -1,0 +1,114 @@
+#include "haptic/feedback.h"
+
+#include <limits>
+
+#include <Eigen/Eigenvalues>
+
+#include "core/limits.h"
+#include "haptic/checks.h"
+#include "tensormass/v1/stream.pb.h"
+
+namespace tensormass::haptic {
+namespace {
+
+// The server works in single precision by default, so an exactly symmetric stiffness cannot be asked for.
+constexpr double kStiffnessTolerance = 1e-3;
+
+Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
+
+void to_proto(const Eigen::Vector3d& v, v1::Vector3& out) {
+  out.set_x(v.x());
+  out.set_y(v.y());
+  out.set_z(v.z());
+}
+
+Result<void> read_stiffness(const v1::LocalModel& model, Feedback& feedback) {
+  if (model.stiffness_n_per_m_size() != 9) return invalid("feedback: the local model's stiffness is not 3×3");
+  Eigen::Matrix3d k;
+  for (int i = 0; i < 9; ++i) k(i / 3, i % 3) = model.stiffness_n_per_m(i);
+  if (!k.allFinite()) return invalid("feedback: the local model's stiffness is not finite");
+  const double scale = k.cwiseAbs().maxCoeff();
+  if ((k - k.transpose()).cwiseAbs().maxCoeff() > kStiffnessTolerance * scale) {
+    return invalid("feedback: the local model's stiffness is not symmetric");
+  }
+  k = 0.5 * (k + k.transpose()).eval();
+  const Eigen::Vector3d eigenvalues =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(k, Eigen::EigenvaluesOnly).eigenvalues();
+  if (eigenvalues(0) < -kStiffnessTolerance * scale) {
+    return invalid("feedback: the local model's stiffness is not positive semi-definite");
+  }
+  feedback.stiffness_n_per_m = k;
+  feedback.largest_stiffness_n_per_m = eigenvalues(2);
+  return {};
+}
+
+}  // namespace
+
+void encode_pose(const OutgoingPose& pose, std::string& out) {
+  v1::ToolPose message;
+  message.set_sequence(pose.sequence);
+  message.set_client_id(pose.client_id);
+  message.set_client_time_ns(static_cast<std::uint64_t>(pose.client_time_ns));
+  to_proto(pose.pose.position_m, *message.mutable_position_m());
+  v1::Quaternion& q = *message.mutable_orientation();
+  q.set_w(pose.pose.orientation.w());
+  q.set_x(pose.pose.orientation.x());
+  q.set_y(pose.pose.orientation.y());
+  q.set_z(pose.pose.orientation.z());
+  message.SerializeToString(&out);
+}
+
+Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_ns) {
+  v1::ToolFeedback message;
+  if (payload.size() > std::numeric_limits<int>::max() ||
+      !message.ParseFromArray(payload.data(), static_cast<int>(payload.size()))) {
+    return invalid("feedback: not a ToolFeedback message");
+  }
+  Feedback feedback;
+  feedback.step = message.step();
+  feedback.pose_sequence = message.pose_sequence();
+  feedback.client_id = message.client_id();
+  feedback.client_time_ns = static_cast<std::int64_t>(message.client_time_ns());
+  feedback.arrival_ns = arrival_ns;
+  feedback.position_m = to_eigen(message.position_m());
+  feedback.force_n = to_eigen(message.force_n());
+  if (!feedback.position_m.allFinite() || feedback.position_m.cwiseAbs().maxCoeff() > limits::kMaxLength) {
+    return invalid("feedback: the position is not finite or beyond the largest length");
+  }
+  if (!feedback.force_n.allFinite()) return invalid("feedback: the force is not finite");
+  if (message.has_local_model()) {
+    feedback.valid_for_s = message.local_model().valid_for_s();
+    if (!is_not_negative(feedback.valid_for_s)) return invalid("feedback: valid_for_s is negative or not finite");
+    if (auto read = read_stiffness(message.local_model(), feedback); !read) {
+      return tl::make_unexpected(std::move(read.error()));
+    }
+  }
+  return feedback;
+}
+
+void FeedbackInbox::offer(std::string_view payload, std::int64_t arrival_ns) {
+  const Result<Feedback> feedback = decode_feedback(payload, arrival_ns);
+  const std::scoped_lock lock(mutex_);
+  if (feedback) {
+    newest_ = *feedback;
+  } else {
+    ++malformed_;
+  }
+}
+
+void FeedbackInbox::count_malformed() {
+  const std::scoped_lock lock(mutex_);
+  ++malformed_;
+}
+
+std::optional<Feedback> FeedbackInbox::take() {
+  const std::scoped_lock lock(mutex_);
+  return std::exchange(newest_, std::nullopt);
+}
+
+std::uint64_t FeedbackInbox::malformed() const {
+  const std::scoped_lock lock(mutex_);
+  return malformed_;
+}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,68 @@
+#include "haptic/force_guard.h"
+
+#include <chrono>
+#include <condition_variable>
+
+#include "haptic/realtime.h"
+
+namespace tensormass::haptic {
+
+ForceGuard::ForceGuard(Device& device, Clock& clock, double timeout_s)
+    : device_(device), clock_(clock), timeout_ns_(static_cast<std::int64_t>(timeout_s * kNsPerS)) {}
+
+ForceGuard::~ForceGuard() { release(); }
+
+Result<DevicePose> ForceGuard::read() {
+  const std::scoped_lock lock(mutex_);
+  return device_.read();
+}
+
+Result<void> ForceGuard::write(const Eigen::Vector3d& force_n) {
+  const std::scoped_lock lock(mutex_);
+  if (released_) return fail(ErrorCode::kFailedPrecondition, "force guard: written after its release");
+  last_write_ns_ = clock_.now_ns();
+  held_force_n_ = force_n;
+  return device_.write_force(force_n);
+}
+
+void ForceGuard::release() noexcept {
+  const std::scoped_lock lock(mutex_);
+  if (released_) return;
+  released_ = true;
+  held_force_n_.setZero();
+  // A device that no longer takes writes holds nothing that could be set to zero.
+  static_cast<void>(device_.write_force(held_force_n_));
+}
+
+Eigen::Vector3d ForceGuard::held_force_n() const {
+  const std::scoped_lock lock(mutex_);
+  return held_force_n_;
+}
+
+void ForceGuard::check() {
+  const std::scoped_lock lock(mutex_);
+  if (released_ || held_force_n_.isZero(0.0) || clock_.now_ns() - last_write_ns_ <= timeout_ns_) return;
+  ++trips_;
+  held_force_n_.setZero();
+  static_cast<void>(device_.write_force(held_force_n_));
+}
+
+std::uint64_t ForceGuard::trips() const {
+  const std::scoped_lock lock(mutex_);
+  return trips_;
+}
+
+Watchdog::Watchdog(ForceGuard& guard, double interval_s)
+    : thread_([&guard, interval_s](std::stop_token stop) {
+        // Above the loop: a loop that spins must not keep its watchdog from running.
+        static_cast<void>(request_realtime(kWatchdogPriority));
+        std::mutex mutex;
+        std::condition_variable_any wake;
+        std::unique_lock lock(mutex);
+        while (!stop.stop_requested()) {
+          wake.wait_for(lock, stop, std::chrono::duration<double>(interval_s), [] { return false; });
+          guard.check();
+        }
+      }) {}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,108 @@
+#include "haptic/loop.h"
+
+#include <algorithm>
+
+namespace tensormass::haptic {
+namespace {
+
+constexpr std::int64_t kDrainPollNs = 1'000'000;
+
+}  // namespace
+
+Loop::Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& options)
+    : guard_(guard),
+      link_(link),
+      clock_(clock),
+      options_(options),
+      period_s_(1.0 / options.rate_hz),
+      renderer_(options.renderer),
+      passivity_(options.passivity) {}
+
+Result<LoopReport> Loop::run(const std::atomic<bool>& stop) {
+  const auto period_ns = static_cast<std::int64_t>(kNsPerS / options_.rate_hz);
+  const std::int64_t start_ns = clock_.now_ns();
+  std::int64_t deadline_ns = start_ns;
+  Result<void> ok;
+  while (ok && !stop) {
+    deadline_ns += period_ns;
+    while (!stop && clock_.now_ns() < deadline_ns) clock_.sleep_until_ns(deadline_ns);
+    const std::int64_t wake_ns = clock_.now_ns();
+    report_.seconds = static_cast<double>(wake_ns - start_ns) / kNsPerS;
+    if (stop || report_.seconds > options_.duration_s) break;
+    const std::int64_t missed = (wake_ns - deadline_ns) / period_ns;
+    report_.missed_ticks += static_cast<std::uint64_t>(missed);
+    report_.wake_up_lateness.add(wake_ns - deadline_ns);
+    deadline_ns += missed * period_ns;
+    ok = tick();
+    report_.tick_duration.add(clock_.now_ns() - wake_ns);
+  }
+  guard_.release();
+  if (!ok) return tl::make_unexpected(std::move(ok.error()));
+  drain(stop);
+
+  report_.poses_sent = latency_.last_sent() - report_.poses_not_taken;
+  report_.last_sequence_sent = latency_.last_sent();
+  report_.last_sequence_echoed = latency_.last_echoed();
+  report_.poses_forgotten = latency_.forgotten();
+  report_.round_trip = latency_.round_trip();
+  report_.feedback_malformed = link_.malformed();
+  report_.watchdog_trips = guard_.trips();
+  return report_;
+}
+
+Result<void> Loop::tick() {
+  const Result<DevicePose> pose = guard_.read();
+  if (!pose) return tl::make_unexpected(pose.error());
+  const std::int64_t now_ns = clock_.now_ns();
+  const std::uint64_t sequence = latency_.last_sent() + 1;
+  latency_.sent(sequence, now_ns);
+  if (!link_.send({sequence, options_.client_id, now_ns, *pose})) ++report_.poses_not_taken;
+
+  receive();
+
+  const ForceRenderer::Output rendered = renderer_.render(pose->position_m, now_ns);
+  if (report_.feedback_received > 0) {
+    const bool stale = rendered.weight < 1.0;
+    report_.stale_ticks += stale;
+    report_.stale_episodes += stale && !was_stale_;
+    was_stale_ = stale;
+  }
+  // The held force is asked of the guard: the watchdog may have zeroed it since the last tick.
+  const Eigen::Vector3d held = guard_.held_force_n();
+  const Eigen::Vector3d passive = passivity_.apply(pose->position_m, held, rendered.force_n, period_s_);
+  const Eigen::Vector3d force = limit_force(passive, held, period_s_, options_.limits);
+  report_.max_force_n = std::max(report_.max_force_n, force.norm());
+  report_.min_energy_j = std::min(report_.min_energy_j, passivity_.energy_j());
+  ++report_.ticks;
+  return guard_.write(force);
+}
+
+void Loop::receive() {
+  const std::optional<Feedback> feedback = link_.receive();
+  if (!feedback) return;
+  // Only an answer to this client's own poses may push its hand: another client's model is anchored somewhere else.
+  const bool own = feedback->client_id == options_.client_id && feedback->client_time_ns <= feedback->arrival_ns &&
+                   latency_.echoed(feedback->pose_sequence, feedback->arrival_ns);
+  if (!own) {
+    ++report_.feedback_foreign;
+    return;
+  }
+  if (report_.feedback_received > 0 && feedback->step > last_step_ + 1) {
+    report_.feedback_dropped += feedback->step - last_step_ - 1;
+  }
+  last_step_ = feedback->step;
+  ++report_.feedback_received;
+  report_.answered_pose_age.add(feedback->arrival_ns - feedback->client_time_ns);
+  renderer_.update(*feedback);
+}
+
+void Loop::drain(const std::atomic<bool>& stop) {
+  const bool stopped_before = stop;
+  const std::int64_t until_ns = clock_.now_ns() + static_cast<std::int64_t>(options_.drain_s * kNsPerS);
+  while (latency_.last_echoed() < latency_.last_sent() && clock_.now_ns() < until_ns && stop == stopped_before) {
+    clock_.sleep_until_ns(clock_.now_ns() + kDrainPollNs);
+    receive();
+  }
+}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,244 @@
+// tensormass-haptic: one haptic device on one tool of a running scene.
+//
+// SIGINT and SIGTERM take the force off the hand within one period; then the last pose's echo is awaited and the report
+// printed. Exit codes: 0 done; 1 no server, scene, tool or device; 2 wrong options; 3 no feedback ever answered.
+
+#include <pthread.h>
+#include <signal.h>
+
+#include <atomic>
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <memory>
+#include <random>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "haptic/checks.h"
+#include "haptic/discovery.h"
+#include "haptic/force_guard.h"
+#include "haptic/loop.h"
+#include "haptic/realtime.h"
+#include "haptic/report.h"
+#include "haptic/simulated_device.h"
+#include "haptic/zenoh_link.h"
+#include "haptic/zeromq_link.h"
+
+namespace tensormass::haptic {
+namespace {
+
+constexpr int kExitFailed = 1;
+constexpr int kExitNoFeedback = 3;
+
+/// Part of the surface's extent that a press goes deep, and the circles go wide, unless told otherwise.
+constexpr double kDefaultDepth = 0.05;
+constexpr double kDefaultCircleRadius = 0.04;
+
+struct Options {
+  std::string server = "127.0.0.1:50051";
+  std::string scene = "demo";
+  std::string tool = "probe";
+  std::string transport = "zeromq";
+  double connect_timeout_s = 10.0;
+  std::string json_path;
+  double watchdog_s = 0.05;
+  // Absent ones follow from the scene.
+  std::vector<double> press_at_m;
+  std::vector<double> direction;
+  double depth_m = -1.0;
+  HandScriptOptions hand;
+  SimulatedDeviceOptions device;
+  LoopOptions loop;
+};
+
+/// SIGINT and SIGTERM as a flag, received by a thread of its own: no other thread is ever interrupted, so no call in
+/// this program has to expect EINTR. Created before any other thread, which inherit the mask.
+class SignalFlag {
+ public:
+  SignalFlag() {
+    sigemptyset(&signals_);
+    sigaddset(&signals_, SIGINT);
+    sigaddset(&signals_, SIGTERM);
+    pthread_sigmask(SIG_BLOCK, &signals_, nullptr);
+    thread_ = std::jthread([this](const std::stop_token& stop) {
+      const timespec interval{0, 100'000'000};
+      while (!stop.stop_requested()) {
+        if (sigtimedwait(&signals_, nullptr, &interval) > 0) raised_ = true;
+      }
+    });
+  }
+  const std::atomic<bool>& raised() const { return raised_; }
+
+ private:
+  sigset_t signals_;
+  std::atomic<bool> raised_ = false;
+  std::jthread thread_;
+};
+
+void add_options(CLI::App& app, Options& o) {
+  app.add_option("--server", o.server, "The server's control endpoint, host:port")->capture_default_str();
+  app.add_option("--scene", o.scene, "Name of the loaded scene")->capture_default_str();
+  app.add_option("--tool", o.tool, "Name of the tool in it")->capture_default_str();
+  app.add_option("--transport", o.transport)->check(CLI::IsMember({"zeromq", "zenoh"}))->capture_default_str();
+  app.add_option("--connect-timeout", o.connect_timeout_s, "Wait so long for the server [s]")
+      ->check(CLI::Range(0.1, 600.0))
+      ->capture_default_str();
+  app.add_option("--seconds", o.loop.duration_s, "Run so long [s]; without it until SIGINT or SIGTERM")
+      ->check(CLI::PositiveNumber);
+  app.add_option("--rate", o.loop.rate_hz, "Rate of the loop [Hz]")
+      ->check(CLI::Range(10.0, 10'000.0))
+      ->capture_default_str();
+  app.add_option("--json", o.json_path, "Write the report to this file as JSON; - for standard output");
+
+  const std::string hand = "Scripted hand";
+  app.add_option("--press-at", o.press_at_m,
+                 "Where the tool's origin first touches, x,y,z [m]; default: at the surface nearest to the tool")
+      ->delimiter(',')
+      ->expected(3)
+      ->group(hand);
+  app.add_option("--direction", o.direction, "Into the tissue, x,y,z; default: from the tool to the nearest surface")
+      ->delimiter(',')
+      ->expected(3)
+      ->group(hand);
+  app.add_option("--depth", o.depth_m, "Depth of the press [m]; default: 5 % of the surface's extent")
+      ->check(CLI::NonNegativeNumber)
+      ->group(hand);
+  app.add_option("--circle-radius", o.hand.circle_radius_m, "Of the palpation [m]; default: 4 % of the extent")
+      ->check(CLI::NonNegativeNumber)
+      ->group(hand);
+  app.add_option("--circles", o.hand.circle_count, "Circles in a cycle")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str()
+      ->group(hand);
+  app.add_option("--period", o.hand.period_s, "Of a cycle: approach, press, circles, lift, rest [s]")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str()
+      ->group(hand);
+  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "[N/m]")->capture_default_str()->group(hand);
+  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "[N s/m]")->capture_default_str()->group(hand);
+  app.add_option("--mass", o.device.mass_kg, "Of device and hand [kg]")->capture_default_str()->group(hand);
+
+  const std::string force = "Force";
+  app.add_option("--max-force", o.loop.limits.max_force_n, "Clamp [N]")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str()
+      ->group(force);
+  app.add_option("--max-slew", o.loop.limits.max_slew_n_per_s, "Fastest change of the force [N/s]")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str()
+      ->group(force);
+  app.add_option("--fade", o.loop.renderer.fade_s, "A stale force falls to zero in this time [s]")
+      ->check(CLI::Range(0.001, 1.0))
+      ->capture_default_str()
+      ->group(force);
+  app.add_option("--watchdog", o.watchdog_s, "Zero force when the loop stalls for longer [s]")
+      ->check(CLI::Range(0.002, 1.0))
+      ->capture_default_str()
+      ->group(force);
+}
+
+Eigen::Vector3d to_eigen(const std::vector<double>& v) { return {v[0], v[1], v[2]}; }
+
+Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool) {
+  HandScriptOptions hand = options.hand;
+  hand.home_m = tool.tool_position_m;
+  const bool all_given = !options.press_at_m.empty() && !options.direction.empty() && options.depth_m >= 0.0 &&
+                         options.hand.circle_radius_m >= 0.0;
+  Aim aim;
+  if (!all_given) {
+    const Result<Aim> found = aim_at_nearest_surface(tool);
+    if (!found) return tl::make_unexpected(found.error());
+    aim = *found;
+  }
+  hand.contact_m = options.press_at_m.empty() ? aim.contact_m : to_eigen(options.press_at_m);
+  hand.direction = options.direction.empty() ? aim.direction : to_eigen(options.direction);
+  hand.depth_m = options.depth_m >= 0.0 ? options.depth_m : kDefaultDepth * aim.extent_m;
+  if (hand.circle_radius_m < 0.0) hand.circle_radius_m = kDefaultCircleRadius * aim.extent_m;
+  return HandScript::create(hand);
+}
+
+std::uint64_t random_client_id() {
+  std::random_device random;
+  // Never zero, which stands for "no pose yet".
+  return std::uniform_int_distribution<std::uint64_t>(1)(random);
+}
+
+Result<void> write_json(const std::string& path, const std::string& json) {
+  if (path == "-") {
+    std::cout << json;
+    return {};
+  }
+  std::ofstream file(path);
+  file << json;
+  if (!file.flush()) return invalid("cannot write the report to " + path);
+  return {};
+}
+
+Result<int> run(Options options, const std::atomic<bool>& stop) {
+  const Result<DiscoveredTool> tool =
+      discover_tool(options.server, options.scene, options.tool, options.connect_timeout_s);
+  if (!tool) return tl::make_unexpected(tool.error());
+  const Result<HandScript> script = plan_hand(options, *tool);
+  if (!script) return tl::make_unexpected(script.error());
+  const Result<std::unique_ptr<Link>> link = connect_zeromq(tool->address);
+  if (!link) return tl::make_unexpected(link.error());
+
+  MonotonicClock clock;
+  SimulatedDevice device(options.device, *script, clock);
+  if (const auto opened = device.open(); !opened) return tl::make_unexpected(opened.error());
+
+  // A device's own limits bind whatever was asked for.
+  const DeviceInfo& info = device.info();
+  options.loop.client_id = random_client_id();
+  options.loop.limits.max_force_n = std::min(options.loop.limits.max_force_n, info.max_force_n);
+  options.loop.renderer.max_stiffness_n_per_m = info.max_stiffness_n_per_m;
+  options.loop.passivity.max_damping_n_s_per_m = info.max_damping_n_s_per_m;
+
+  if (const auto realtime = request_realtime(kLoopPriority); !realtime) {
+    std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';
+  }
+  ForceGuard guard(device, clock, options.watchdog_s);
+  Result<LoopReport> report;
+  {
+    const Watchdog watchdog(guard, options.watchdog_s / 4);
+    report = Loop(guard, **link, clock, options.loop).run(stop);
+  }
+  device.close();
+  if (!report) return tl::make_unexpected(report.error());
+
+  const RunLabel label{options.server, options.scene, options.tool, options.transport, info.name};
+  std::cerr << to_text(*report, label);
+  if (!options.json_path.empty()) {
+    if (const auto written = write_json(options.json_path, to_json(*report, label)); !written) {
+      return tl::make_unexpected(written.error());
+    }
+  }
+  if (report->feedback_received > 0) return 0;
+  std::cerr << "tensormass-haptic: no feedback answered any pose; is the scene paused or in lockstep?\n";
+  return kExitNoFeedback;
+}
+
+}  // namespace
+}  // namespace tensormass::haptic
+
+int main(int argc, char** argv) {
+  using namespace tensormass::haptic;
+  CLI::App app{"A haptic device on one tool of a running scene: pose in, force out, at 1 kHz.", "tensormass-haptic"};
+  Options options;
+  options.hand.circle_radius_m = -1.0;
+  add_options(app, options);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  const SignalFlag signals;
+  const auto result = run(std::move(options), signals.raised());
+  if (result) return *result;
+  std::cerr << "tensormass-haptic: " << result.error().message << '\n';
+  return kExitFailed;
+}

@@ -1,0 +1,93 @@
+#include "haptic/simulated_device.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "haptic/checks.h"
+
+namespace tensormass::haptic {
+namespace {
+
+// The target moves between sub-steps; 0.1 ms keeps its steps far below what a 1 kHz loop can see.
+constexpr std::int64_t kStepNs = 100'000;
+constexpr double kStepS = static_cast<double>(kStepNs) / kNsPerS;
+// After a longer stall (a stopped process) the motion that was missed is skipped, not replayed in one tick.
+constexpr std::int64_t kMaxStepsAtOnce = 10'000;
+
+// exp(A h) of x'' = −stiffness x − damping x' (per mass): with s = −damping/2 and d² = s² − stiffness it is
+// e^{sh} [cosh(dh) I + sinh(dh)/d (A − s I)], and cos and sin for d² < 0.
+Eigen::Matrix2d oscillator_transition(double stiffness, double damping, double h) {
+  const Eigen::Matrix2d a{{0.0, 1.0}, {-stiffness, -damping}};
+  const double s = -0.5 * damping;
+  const double d_squared = s * s - stiffness;
+  const double d = std::sqrt(std::abs(d_squared));
+  const double even = d_squared < 0.0 ? std::cos(d * h) : std::cosh(d * h);
+  // sin(dh)/d and sinh(dh)/d both tend to h.
+  const double odd = d * h < 1e-8 ? h : (d_squared < 0.0 ? std::sin(d * h) : std::sinh(d * h)) / d;
+  return std::exp(s * h) * (even * Eigen::Matrix2d::Identity() + odd * (a - s * Eigen::Matrix2d::Identity()));
+}
+
+}  // namespace
+
+SimulatedDevice::SimulatedDevice(const SimulatedDeviceOptions& options, const HandScript& script, Clock& clock)
+    : options_(options), script_(script), clock_(clock) {}
+
+Result<void> SimulatedDevice::open() {
+  if (!is_positive(options_.mass_kg) || !is_positive(options_.hand_stiffness_n_per_m)) {
+    return invalid("simulated device: mass [kg] and the hand's stiffness [N/m] must be positive and finite");
+  }
+  if (!is_not_negative(options_.damping_n_s_per_m) || !is_not_negative(options_.hand_damping_n_s_per_m)) {
+    return invalid("simulated device: damping [N s/m] must be finite and not negative");
+  }
+  const double stiffness = options_.hand_stiffness_n_per_m / options_.mass_kg;
+  const double damping = (options_.hand_damping_n_s_per_m + options_.damping_n_s_per_m) / options_.mass_kg;
+  transition_ = oscillator_transition(stiffness, damping, kStepS);
+  // A constant force u per mass rests at x = u / stiffness: its response is (I − Φ) (1/stiffness, 0)ᵀ u.
+  input_ = (Eigen::Matrix2d::Identity() - transition_).col(0) / stiffness;
+  const HandScript::Target start = script_.at(0.0);
+  position_m_ = start.position_m;
+  velocity_m_per_s_.setZero();
+  force_n_.setZero();
+  start_ns_ = clock_.now_ns();
+  steps_done_ = 0;
+  open_ = true;
+  return {};
+}
+
+Result<DevicePose> SimulatedDevice::read() {
+  if (!open_) return fail(ErrorCode::kFailedPrecondition, "simulated device: read before open");
+  advance_to_now();
+  return DevicePose{position_m_, Eigen::Quaterniond::Identity()};
+}
+
+Result<void> SimulatedDevice::write_force(const Eigen::Vector3d& force_n) {
+  if (!open_) return fail(ErrorCode::kFailedPrecondition, "simulated device: write before open");
+  advance_to_now();
+  force_n_ = force_n;
+  return {};
+}
+
+void SimulatedDevice::close() noexcept {
+  force_n_.setZero();
+  open_ = false;
+}
+
+void SimulatedDevice::advance_to_now() {
+  const std::int64_t due = (clock_.now_ns() - start_ns_) / kStepNs;
+  steps_done_ = std::max(steps_done_, due - kMaxStepsAtOnce);
+  for (; steps_done_ < due; ++steps_done_) step(static_cast<double>(steps_done_) * kStepS);
+}
+
+void SimulatedDevice::step(double time_s) {
+  // The target of the sub-step's middle stands for all of it.
+  const HandScript::Target target = script_.at(time_s + 0.5 * kStepS);
+  const Eigen::Vector3d input = (force_n_ + options_.hand_stiffness_n_per_m * target.position_m +
+                                 options_.hand_damping_n_s_per_m * target.velocity_m_per_s) /
+                                options_.mass_kg;
+  const Eigen::Vector3d position = transition_(0, 0) * position_m_ + transition_(0, 1) * velocity_m_per_s_;
+  const Eigen::Vector3d velocity = transition_(1, 0) * position_m_ + transition_(1, 1) * velocity_m_per_s_;
+  position_m_ = position + input_(0) * input;
+  velocity_m_per_s_ = velocity + input_(1) * input;
+}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,92 @@
+#include "haptic/zeromq_link.h"
+
+#include <signal.h>
+
+#include <string>
+#include <string_view>
+#include <thread>
+
+#include <zmq.hpp>
+
+#include "haptic/clock.h"
+
+namespace tensormass::haptic {
+namespace {
+
+/// How long the receiver blocks before it looks whether it should end.
+constexpr int kReceiveTimeoutMs = 50;
+/// How long the last pose may still be under way when the link closes.
+constexpr int kLingerMs = 100;
+
+class ZeroMqLink final : public Link {
+ public:
+  explicit ZeroMqLink(const LinkAddress& address)
+      : prefix_(address.pose_key + '\0'), feedback_prefix_(address.feedback_key + '\0') {
+    push_.set(zmq::sockopt::conflate, true);
+    push_.set(zmq::sockopt::linger, kLingerMs);
+    push_.connect(address.zeromq_pose_endpoint);
+    sub_.set(zmq::sockopt::conflate, true);
+    sub_.set(zmq::sockopt::linger, 0);
+    sub_.set(zmq::sockopt::rcvtimeo, kReceiveTimeoutMs);
+    sub_.set(zmq::sockopt::subscribe, feedback_prefix_);
+    sub_.connect(address.zeromq_publish_endpoint);
+    // Last, when everything that it uses stands.
+    receiver_ = std::jthread([this](std::stop_token stop) { receive_until(stop); });
+  }
+
+  bool send(const OutgoingPose& pose) override {
+    encode_pose(pose, payload_);
+    message_ = prefix_;
+    message_ += payload_;
+    return push_.send(zmq::buffer(message_), zmq::send_flags::dontwait).has_value();
+  }
+
+  std::optional<Feedback> receive() override { return inbox_.take(); }
+  std::uint64_t malformed() const override { return inbox_.malformed(); }
+
+ private:
+  void receive_until(const std::stop_token& stop) {
+    // Signals are for the program's own threads; here one would only interrupt a receive.
+    sigset_t signals;
+    sigfillset(&signals);
+    pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+    zmq::message_t message;
+    while (!stop.stop_requested()) {
+      if (!sub_.recv(message)) continue;
+      const std::int64_t arrival_ns = clock_.now_ns();
+      const std::string_view bytes = message.to_string_view();
+      if (!bytes.starts_with(feedback_prefix_)) {
+        inbox_.count_malformed();
+        continue;
+      }
+      inbox_.offer(bytes.substr(feedback_prefix_.size()), arrival_ns);
+    }
+  }
+
+  std::string prefix_;
+  std::string feedback_prefix_;
+  std::string payload_;
+  std::string message_;
+  MonotonicClock clock_;
+  FeedbackInbox inbox_;
+  zmq::context_t context_{1};
+  zmq::socket_t push_{context_, zmq::socket_type::push};
+  zmq::socket_t sub_{context_, zmq::socket_type::sub};
+  std::jthread receiver_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<Link>> connect_zeromq(const LinkAddress& address) {
+  if (address.zeromq_pose_endpoint.empty() || address.zeromq_publish_endpoint.empty()) {
+    return fail(ErrorCode::kUnavailable, "the server has ZeroMQ off; use --transport zenoh");
+  }
+  try {
+    return std::make_unique<ZeroMqLink>(address);
+  } catch (const zmq::error_t& error) {
+    return invalid("ZeroMQ: cannot connect to " + address.zeromq_pose_endpoint + " and " +
+                   address.zeromq_publish_endpoint + ": " + error.what());
+  }
+}
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,111 @@
+#include <gtest/gtest.h>
+
+#include <limits>
+
+#include "haptic/feedback.h"
+#include "tensormass/v1/stream.pb.h"
+
+namespace tensormass::haptic {
+namespace {
+
+v1::ToolFeedback good() {
+  v1::ToolFeedback message;
+  message.set_tool("probe");
+  message.set_step(7);
+  message.set_pose_sequence(41);
+  message.set_client_time_ns(123);
+  message.set_client_id(9);
+  message.mutable_position_m()->set_x(0.1);
+  message.mutable_force_n()->set_z(2.0);
+  for (const double k : {100.0, 10.0, 0.0, 10.0, 50.0, 0.0, 0.0, 0.0, 20.0}) {
+    message.mutable_local_model()->add_stiffness_n_per_m(k);
+  }
+  message.mutable_local_model()->set_valid_for_s(0.05);
+  return message;
+}
+
+std::string refusal(const v1::ToolFeedback& message) {
+  const auto feedback = decode_feedback(message.SerializeAsString(), 0);
+  return feedback ? "accepted" : feedback.error().message;
+}
+
+TEST(Feedback, IsDecodedWholeWithItsArrival) {
+  const Feedback feedback = decode_feedback(good().SerializeAsString(), 456).value();
+  EXPECT_EQ(feedback.step, 7u);
+  EXPECT_EQ(feedback.pose_sequence, 41u);
+  EXPECT_EQ(feedback.client_time_ns, 123);
+  EXPECT_EQ(feedback.client_id, 9u);
+  EXPECT_EQ(feedback.arrival_ns, 456);
+  EXPECT_EQ(feedback.position_m, Eigen::Vector3d(0.1, 0.0, 0.0));
+  EXPECT_EQ(feedback.force_n, Eigen::Vector3d(0.0, 0.0, 2.0));
+  EXPECT_EQ(feedback.stiffness_n_per_m(0, 1), 10.0);
+  EXPECT_EQ(feedback.valid_for_s, 0.05);
+  // Of [[100, 10], [10, 50]]: 75 + sqrt(25² + 10²).
+  EXPECT_NEAR(feedback.largest_stiffness_n_per_m, 75.0 + std::sqrt(725.0), 1e-9);
+}
+
+TEST(Feedback, WithoutALocalModelIsValidForNoTime) {
+  v1::ToolFeedback message = good();
+  message.clear_local_model();
+  const Feedback feedback = decode_feedback(message.SerializeAsString(), 0).value();
+  EXPECT_EQ(feedback.valid_for_s, 0.0);
+  EXPECT_TRUE(feedback.stiffness_n_per_m.isZero(0.0));
+}
+
+TEST(Feedback, RefusesWhatCouldPushWithoutBound) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto with = [](auto change) {
+    v1::ToolFeedback message = good();
+    change(message);
+    return refusal(message);
+  };
+  EXPECT_EQ(refusal(good()), "accepted");
+  EXPECT_NE(with([&](auto& m) { m.mutable_force_n()->set_x(nan); }).find("force"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.mutable_position_m()->set_x(nan); }).find("position"), std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.mutable_position_m()->set_x(1e30); }).find("position"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(4, nan); }).find("finite"),
+            std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(1, 90.0); }).find("symmetric"),
+            std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(8, -20.0); }).find("semi-definite"),
+            std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.mutable_local_model()->add_stiffness_n_per_m(1.0); }).find("3×3"), std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_valid_for_s(-1.0); }).find("valid_for_s"),
+            std::string::npos);
+  EXPECT_FALSE(decode_feedback("\xff\xff garbage", 0));
+}
+
+TEST(Feedback, APoseArrivesAsItWasSent) {
+  OutgoingPose pose;
+  pose.sequence = 5;
+  pose.client_id = std::numeric_limits<std::uint64_t>::max();
+  pose.client_time_ns = 77;
+  pose.pose.position_m = {1.0, 2.0, 3.0};
+  pose.pose.orientation = Eigen::Quaterniond(0.0, 0.6, 0.0, 0.8);
+  std::string bytes = "what was there before";
+  encode_pose(pose, bytes);
+  v1::ToolPose message;
+  ASSERT_TRUE(message.ParseFromString(bytes));
+  EXPECT_EQ(message.sequence(), 5u);
+  EXPECT_EQ(message.client_id(), std::numeric_limits<std::uint64_t>::max());
+  EXPECT_EQ(message.client_time_ns(), 77u);
+  EXPECT_EQ(message.position_m().y(), 2.0);
+  EXPECT_EQ(message.orientation().x(), 0.6);
+  EXPECT_EQ(message.orientation().z(), 0.8);
+}
+
+TEST(FeedbackInbox, KeepsTheNewestAndCountsTheMalformed) {
+  FeedbackInbox inbox;
+  EXPECT_FALSE(inbox.take());
+  v1::ToolFeedback message = good();
+  inbox.offer(message.SerializeAsString(), 1);
+  message.set_step(8);
+  inbox.offer(message.SerializeAsString(), 2);
+  inbox.offer("\xff\xff", 3);
+  EXPECT_EQ(inbox.malformed(), 1u);
+  EXPECT_EQ(inbox.take().value().step, 8u);
+  EXPECT_FALSE(inbox.take()) << "taken once";
+}
+
+}  // namespace
+}  // namespace tensormass::haptic

@@ -1,0 +1,113 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "fakes.h"
+#include "haptic/simulated_device.h"
+
+namespace tensormass::haptic {
+namespace {
+
+// A hand that stays at the origin.
+HandScript still_hand() {
+  HandScriptOptions options;
+  options.depth_m = 0.0;
+  options.circle_radius_m = 0.0;
+  return HandScript::create(options).value();
+}
+
+SimulatedDeviceOptions oscillator(double damping) {
+  SimulatedDeviceOptions options;
+  options.mass_kg = 0.2;
+  options.damping_n_s_per_m = 0.5 * damping;
+  options.hand_stiffness_n_per_m = 300.0;
+  options.hand_damping_n_s_per_m = 0.5 * damping;
+  return options;
+}
+
+// x(t) of m x'' + c x' + k x = F from rest at 0: F/k (1 − e^{−ζωt} (cos ω_d t + ζω/ω_d sin ω_d t)), complex ω_d if
+// overdamped.
+double step_response(double m, double c, double k, double force, double t) {
+  const double decay = c / (2.0 * m);
+  const double square = k / m - decay * decay;
+  const double w = std::sqrt(std::abs(square));
+  const double even = square > 0.0 ? std::cos(w * t) : std::cosh(w * t);
+  const double odd = square > 0.0 ? std::sin(w * t) / w : std::sinh(w * t) / w;
+  return force / k * (1.0 - std::exp(-decay * t) * (even + decay * odd));
+}
+
+class StepResponse : public testing::TestWithParam<double> {};
+
+TEST_P(StepResponse, EqualsTheClosedForm) {
+  const double damping = GetParam();
+  FakeClock clock;
+  SimulatedDevice device(oscillator(damping), still_hand(), clock);
+  ASSERT_TRUE(device.open());
+  ASSERT_TRUE(device.write_force({0.0, 3.0, 0.0}));
+  for (int i = 1; i <= 500; ++i) {
+    clock.advance_s(1e-3);
+    const Eigen::Vector3d x = device.read().value().position_m;
+    ASSERT_NEAR(x.y(), step_response(0.2, damping, 300.0, 3.0, i * 1e-3), 1e-12) << "after " << i << " ms";
+    ASSERT_EQ(x.x(), 0.0);
+  }
+}
+
+// Undamped, underdamped, close to critical, overdamped.
+INSTANTIATE_TEST_SUITE_P(Damping, StepResponse, testing::Values(0.0, 4.0, 2.0 * std::sqrt(300.0 * 0.2) * 0.999, 60.0));
+
+TEST(SimulatedDevice, FollowsItsHand) {
+  HandScriptOptions hand;
+  hand.home_m = {0.0, 0.0, 0.1};
+  const HandScript script = HandScript::create(hand).value();
+  FakeClock clock;
+  SimulatedDeviceOptions options;
+  options.damping_n_s_per_m = 0.0;
+  SimulatedDevice device(options, script, clock);
+  ASSERT_TRUE(device.open());
+  for (int i = 1; i <= 4000; ++i) {
+    clock.advance_s(1e-3);
+    const Eigen::Vector3d target = script.at(i * 1e-3).position_m;
+    // Without a force the lag is m x''/k: below 1 mm for this path.
+    ASSERT_LT((device.read().value().position_m - target).norm(), 1e-3) << "after " << i << " ms";
+  }
+}
+
+TEST(SimulatedDevice, GainsNoEnergyOverTime) {
+  FakeClock clock;
+  SimulatedDevice device(oscillator(0.0), still_hand(), clock);
+  ASSERT_TRUE(device.open());
+  ASSERT_TRUE(device.write_force({1.0, 0.0, 0.0}));
+  clock.advance_s(0.5);
+  ASSERT_TRUE(device.write_force(Eigen::Vector3d::Zero()));
+  const auto energy = [&] {
+    const Eigen::Vector3d x = device.read().value().position_m;
+    return 0.5 * 300.0 * x.squaredNorm() + 0.5 * 0.2 * device.velocity_m_per_s().squaredNorm();
+  };
+  const double before = energy();
+  clock.advance_s(1.0);
+  EXPECT_NEAR(energy(), before, 1e-9 * before);
+}
+
+TEST(SimulatedDevice, SkipsTheMotionOfALongStall) {
+  FakeClock clock;
+  SimulatedDevice device(oscillator(4.0), still_hand(), clock);
+  ASSERT_TRUE(device.open());
+  ASSERT_TRUE(device.write_force({1.0, 0.0, 0.0}));
+  clock.advance_s(1e7);  // replayed, this would be 1e11 sub-steps
+  EXPECT_NEAR(device.read().value().position_m.x(), 1.0 / 300.0, 1e-6);
+}
+
+TEST(SimulatedDevice, RefusesUseBeforeOpenAndOptionsWithoutMeaning) {
+  FakeClock clock;
+  SimulatedDevice closed(oscillator(0.0), still_hand(), clock);
+  EXPECT_FALSE(closed.read());
+  EXPECT_FALSE(closed.write_force(Eigen::Vector3d::Zero()));
+  SimulatedDeviceOptions massless = oscillator(0.0);
+  massless.mass_kg = 0.0;
+  EXPECT_FALSE(SimulatedDevice(massless, still_hand(), clock).open());
+  SimulatedDeviceOptions pushing = oscillator(-1.0);
+  EXPECT_FALSE(SimulatedDevice(pushing, still_hand(), clock).open());
+}
+
+}  // namespace
+}  // namespace tensormass::haptic
