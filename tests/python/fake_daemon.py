@@ -18,6 +18,8 @@ import zmq.asyncio
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
+Call = grpc.aio.ServicerContext
+
 
 @dataclass
 class Endpoints:
@@ -115,7 +117,9 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
                 self._subscriptions[event[1:]] = event[0]
                 self._changed.notify_all()
 
-    async def GetVersion(self, request, context):  # noqa: ANN001, ANN201, N802
+    async def GetVersion(  # noqa: N802
+        self, request: control_pb2.GetVersionRequest, context: Call
+    ) -> control_pb2.GetVersionResponse:
         return control_pb2.GetVersionResponse(
             version="0.0.0",
             server=self.server,
@@ -124,7 +128,9 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
             zeromq_pose_endpoint=f"tcp://127.0.0.1:{self.endpoints.pose}",
         )
 
-    async def ListScenes(self, request, context):  # noqa: ANN001, ANN201, N802
+    async def ListScenes(  # noqa: N802
+        self, request: control_pb2.ListScenesRequest, context: Call
+    ) -> control_pb2.ListScenesResponse:
         return control_pb2.ListScenesResponse(
             scenes=[
                 stream_pb2.SceneStatus(scene=name, state=stream_pb2.SceneStatus.STATE_RUNNING)
@@ -132,13 +138,17 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
             ]
         )
 
-    async def GetTopology(self, request, context):  # noqa: ANN001, ANN201, N802
+    async def GetTopology(  # noqa: N802
+        self, request: control_pb2.GetTopologyRequest, context: Call
+    ) -> control_pb2.GetTopologyResponse:
         self.topology_calls += 1
         if request.scene not in self.topologies:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no scene {request.scene!r}")
         return control_pb2.GetTopologyResponse(topology=self.topologies[request.scene])
 
-    async def GetFrame(self, request, context):  # noqa: ANN001, ANN201, N802
+    async def GetFrame(  # noqa: N802
+        self, request: control_pb2.GetFrameRequest, context: Call
+    ) -> control_pb2.GetFrameResponse:
         if request.scene not in self.frames:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no frame of {request.scene!r}")
         return control_pb2.GetFrameResponse(frame=self.frames[request.scene])

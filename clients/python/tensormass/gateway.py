@@ -303,6 +303,7 @@ class Daemon:
             options.control,
             options=[
                 ("grpc.max_receive_message_length", MAX_BUS_MESSAGE_BYTES),
+                ("grpc.enable_http_proxy", 0),
                 # A daemon that comes back is found within a poll or two, not after gRPC's two minutes.
                 ("grpc.max_reconnect_backoff_ms", max(100, int(1000 * options.poll_interval_s))),
             ],
