@@ -1,0 +1,35 @@
+#pragma once
+
+#include <cassert>
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include <google/protobuf/message_lite.h>
+
+namespace tensormass::bus {
+
+/// One message as it goes over the wire: key, one zero byte, protobuf. Serialized once, then shared by all transports
+/// and by what is kept for late joiners; never changed.
+class Message {
+ public:
+  Message(std::string_view key, const google::protobuf::MessageLite& content) : key_size_(key.size()) {
+    const std::size_t size = content.ByteSizeLong();
+    bytes_.reserve(key.size() + 1 + size);
+    bytes_.append(key).push_back('\0');
+    [[maybe_unused]] const bool appended = content.AppendPartialToString(&bytes_);
+    assert(appended);
+  }
+
+  std::string_view bytes() const { return bytes_; }
+  std::string_view key() const { return bytes().substr(0, key_size_); }
+  std::string_view payload() const { return bytes().substr(key_size_ + 1); }
+
+ private:
+  std::size_t key_size_;
+  std::string bytes_;
+};
+
+using MessagePtr = std::shared_ptr<const Message>;
+
+}  // namespace tensormass::bus

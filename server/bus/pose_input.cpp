@@ -1,0 +1,36 @@
+#include "bus/pose_input.h"
+
+#include <utility>
+
+#include "bus/keys.h"
+#include "core/limits.h"
+
+namespace tensormass::bus {
+
+PoseInput::PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed)
+    : server_(std::move(server)), on_pose_(std::move(on_pose)), on_malformed_(std::move(on_malformed)) {}
+
+void PoseInput::receive(std::string_view key, std::string_view payload) {
+  const auto address = parse_pose_key(server_, key);
+  if (!address) return refuse({}, "the key is not one of this server's pose keys");
+  if (payload.size() > limits::kMaxPoseMessageBytes) return refuse(address->scene, "longer than kMaxPoseMessageBytes");
+  // An empty message parses as a pose without a position.
+  v1::ToolPose pose;
+  if (!pose.ParseFromArray(payload.data(), static_cast<int>(payload.size())) || !pose.has_position_m()) {
+    return refuse(address->scene, "not a ToolPose with a position");
+  }
+  on_pose_(address->scene, address->tool, pose);
+}
+
+void PoseInput::receive_framed(std::string_view bytes) {
+  const std::size_t end_of_key = bytes.find('\0');
+  if (end_of_key == std::string_view::npos) return refuse({}, "no zero byte after the key");
+  receive(bytes.substr(0, end_of_key), bytes.substr(end_of_key + 1));
+}
+
+void PoseInput::refuse(std::string_view scene, std::string_view reason) {
+  malformed_.fetch_add(1, std::memory_order_relaxed);
+  on_malformed_(scene, reason);
+}
+
+}  // namespace tensormass::bus

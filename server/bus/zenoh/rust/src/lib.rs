@@ -1,0 +1,299 @@
+//! The part of zenoh that tensormass uses, behind a plain C interface: `tensormass_zenoh.h` declares what is defined
+//! here, and says what each function promises. zenoh has no C++ package in the registries; this crate is the binding.
+//!
+//! Every put is sent with congestion control `Drop`: `Block` lets one stopped subscriber stall the publisher.
+
+mod log;
+
+use std::collections::HashMap;
+use std::ffi::{c_char, c_void, CStr};
+use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use zenoh::bytes::ZBytes;
+use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
+use zenoh::pubsub::Subscriber as ZenohSubscriber;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{Query, QueryTarget, Queryable};
+use zenoh::{Config, Session as ZenohSession, Wait};
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+type Retained = Arc<Mutex<HashMap<OwnedKeyExpr, ZBytes>>>;
+type MessageFn = extern "C" fn(*mut c_void, *const c_char, usize, *const u8, usize);
+
+pub struct Session {
+    session: ZenohSession,
+    locator: String,
+    retained: Retained,
+    _server: Option<Queryable<()>>,
+}
+
+pub struct Subscriber(ZenohSubscriber<()>);
+
+/// The caller's function and its argument; the C side promises that both may be used from any thread.
+#[derive(Clone, Copy)]
+struct Callback {
+    function: MessageFn,
+    context: *mut c_void,
+}
+unsafe impl Send for Callback {}
+unsafe impl Sync for Callback {}
+
+impl Callback {
+    fn call(&self, key: &str, payload: &ZBytes) {
+        let bytes = payload.to_bytes();
+        (self.function)(self.context, key.as_ptr().cast(), key.len(), bytes.as_ptr(), bytes.len());
+    }
+}
+
+/// Port 0 becomes a port that is free now: zenoh tells the port it chose only for addresses that are not loopback.
+fn concrete_locator(locator: &str) -> Result<String, Failure> {
+    let Some(host) = locator.strip_prefix("tcp/").and_then(|address| address.strip_suffix(":0")) else {
+        return Ok(locator.to_owned());
+    };
+    let port = TcpListener::bind(format!("{host}:0"))?.local_addr()?.port();
+    Ok(format!("tcp/{host}:{port}"))
+}
+
+fn configure(listen: &str, connect: &str, shared_memory: bool) -> Result<Config, Failure> {
+    let endpoints = |locator: &str| serde_json::json!(if locator.is_empty() { vec![] } else { vec![locator] }).to_string();
+    let mut config = Config::default();
+    // Nobody is sought and nobody is told of others: who talks to whom is what the user configured.
+    for (key, value) in [
+        ("mode", if listen.is_empty() { "\"client\"" } else { "\"peer\"" }),
+        ("listen/endpoints", &endpoints(listen)),
+        ("connect/endpoints", &endpoints(connect)),
+        ("scouting/multicast/enabled", "false"),
+        ("scouting/gossip/enabled", "false"),
+        // A peer that sends no handshake, or half of one, is let go.
+        ("transport/unicast/accept_timeout", "3000"),
+        // A frame of 20,000 vertices is four batches; the default queue of two drops it on a link slower than loopback.
+        ("transport/link/tx/queue/size/data", "16"),
+        ("transport/shared_memory/enabled", if shared_memory { "true" } else { "false" }),
+        // Replies stay off shared memory: under load zenoh 1.10 can lose them there, and a late joiner asks only once.
+        ("transport/shared_memory/transport_optimization/messages", "[\"put\"]"),
+    ] {
+        config.insert_json5(key, value).map_err(|error| format!("{key} = {value}: {error}"))?;
+    }
+    Ok(config)
+}
+
+fn answer(query: &Query, retained: &Retained) {
+    // Copied out of the lock: a reply may wait for the peer that asked.
+    let matching: Vec<(OwnedKeyExpr, ZBytes)> = retained
+        .lock()
+        .unwrap()
+        .iter()
+        .filter(|(key, _)| query.key_expr().intersects(key))
+        .map(|(key, payload)| (key.clone(), payload.clone()))
+        .collect();
+    for (key, payload) in matching {
+        if let Err(error) = query.reply(KeyExpr::from(key), payload).wait() {
+            tracing::warn!("a late joiner got no answer: {error}");
+        }
+    }
+}
+
+fn open(listen: &str, connect: &str, serve: &str, shared_memory: bool) -> Result<Session, Failure> {
+    let mut attempts = if listen.ends_with(":0") { 8 } else { 1 };
+    let (session, locator) = loop {
+        let locator = concrete_locator(listen)?;
+        match zenoh::open(configure(&locator, connect, shared_memory)?).wait() {
+            Ok(session) => break (session, locator),
+            // Somebody else may have taken the free port meanwhile.
+            Err(_) if attempts > 1 => attempts -= 1,
+            Err(error) => return Err(error),
+        }
+    };
+    let retained = Retained::default();
+    let server = match serve {
+        "" => None,
+        key => {
+            let retained = retained.clone();
+            let queryable = session.declare_queryable(key).callback(move |query| answer(&query, &retained)).wait()?;
+            Some(queryable)
+        }
+    };
+    Ok(Session { session, locator, retained, _server: server })
+}
+
+/// # Safety
+/// `text` is null or a string with a terminating zero.
+unsafe fn text<'a>(text: *const c_char) -> Result<&'a str, Failure> {
+    if text.is_null() {
+        return Ok("");
+    }
+    Ok(unsafe { CStr::from_ptr(text) }.to_str()?)
+}
+
+/// # Safety
+/// `data` points to `size` bytes, or `size` is 0.
+unsafe fn bytes<'a>(data: *const u8, size: usize) -> &'a [u8] {
+    if size == 0 {
+        return &[];
+    }
+    unsafe { std::slice::from_raw_parts(data, size) }
+}
+
+/// # Safety
+/// `data` points to `size` bytes, or `size` is 0.
+unsafe fn key_expr<'a>(data: *const c_char, size: usize) -> Result<KeyExpr<'a>, Failure> {
+    KeyExpr::try_from(std::str::from_utf8(unsafe { bytes(data.cast(), size) })?)
+}
+
+/// Writes as much of `message` as fits, and a terminating zero.
+///
+/// # Safety
+/// `target` points to `capacity` writable bytes, or `capacity` is 0.
+unsafe fn write_text(message: &str, target: *mut c_char, capacity: usize) {
+    if capacity == 0 {
+        return;
+    }
+    let size = message.len().min(capacity - 1);
+    unsafe {
+        std::ptr::copy_nonoverlapping(message.as_ptr(), target.cast(), size);
+        *target.add(size) = 0;
+    }
+}
+
+/// # Safety
+/// As declared in tensormass_zenoh.h; the same holds for every function below.
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_open(
+    listen: *const c_char,
+    connect: *const c_char,
+    serve: *const c_char,
+    shared_memory: bool,
+    error: *mut c_char,
+    error_capacity: usize,
+) -> *mut Session {
+    let result = unsafe {
+        (|| open(text(listen)?, text(connect)?, text(serve)?, shared_memory))()
+    };
+    match result {
+        Ok(session) => Box::into_raw(Box::new(session)),
+        Err(failure) => {
+            unsafe { write_text(&failure.to_string(), error, error_capacity) };
+            std::ptr::null_mut()
+        }
+    }
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_close(session: *mut Session) {
+    if session.is_null() {
+        return;
+    }
+    let session = unsafe { Box::from_raw(session) };
+    if let Err(error) = session.session.close().wait_callbacks().wait() {
+        tracing::warn!("closing the session: {error}");
+    }
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_locator(session: *const Session, locator: *mut c_char, capacity: usize) {
+    unsafe { write_text(&(*session).locator, locator, capacity) };
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_put(
+    session: *const Session,
+    key: *const c_char,
+    key_size: usize,
+    payload: *const u8,
+    size: usize,
+    urgent: bool,
+) -> bool {
+    let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
+    let Ok(key) = key else { return false };
+    session
+        .session
+        .put(key, unsafe { bytes(payload, size) })
+        .congestion_control(CongestionControl::Drop)
+        .priority(if urgent { Priority::RealTime } else { Priority::Data })
+        .wait()
+        .is_ok()
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_retain(
+    session: *const Session,
+    key: *const c_char,
+    key_size: usize,
+    payload: *const u8,
+    size: usize,
+) -> bool {
+    let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
+    let Ok(key) = key else { return false };
+    let payload = ZBytes::from(unsafe { bytes(payload, size) });
+    session.retained.lock().unwrap().insert(key.into(), payload);
+    true
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_forget(session: *const Session, key: *const c_char, key_size: usize) {
+    let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
+    if let Ok(key) = key {
+        session.retained.lock().unwrap().remove(&OwnedKeyExpr::from(key));
+    }
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_subscribe(
+    session: *const Session,
+    key: *const c_char,
+    key_size: usize,
+    function: MessageFn,
+    context: *mut c_void,
+) -> *mut Subscriber {
+    let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
+    let Ok(key) = key else { return std::ptr::null_mut() };
+    let callback = Callback { function, context };
+    let subscriber = session
+        .session
+        .declare_subscriber(key)
+        .callback(move |sample| callback.call(sample.key_expr().as_str(), sample.payload()))
+        .wait();
+    match subscriber {
+        Ok(subscriber) => Box::into_raw(Box::new(Subscriber(subscriber))),
+        Err(_) => std::ptr::null_mut(),
+    }
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_unsubscribe(subscriber: *mut Subscriber) {
+    if subscriber.is_null() {
+        return;
+    }
+    let subscriber = unsafe { Box::from_raw(subscriber) };
+    if let Err(error) = subscriber.0.undeclare().wait_callbacks().wait() {
+        tracing::warn!("ending a subscription: {error}");
+    }
+}
+
+#[no_mangle]
+pub unsafe extern "C" fn tensormass_zenoh_get(
+    session: *const Session,
+    key: *const c_char,
+    key_size: usize,
+    timeout_ms: u32,
+    function: MessageFn,
+    context: *mut c_void,
+) -> usize {
+    let (session, key) = unsafe { (&*session, key_expr(key, key_size)) };
+    let Ok(key) = key else { return 0 };
+    let callback = Callback { function, context };
+    let replies = session
+        .session
+        .get(key)
+        .target(QueryTarget::All)
+        .timeout(Duration::from_millis(timeout_ms.into()))
+        .wait();
+    let Ok(replies) = replies else { return 0 };
+    replies
+        .iter()
+        .filter_map(|reply| reply.into_result().ok())
+        .inspect(|sample| callback.call(sample.key_expr().as_str(), sample.payload()))
+        .count()
+}

@@ -1,0 +1,170 @@
+#include "bus/zeromq/zeromq_transport.h"
+
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <array>
+#include <chrono>
+#include <set>
+#include <utility>
+
+#include "core/limits.h"
+
+namespace tensormass::bus {
+namespace {
+
+/// Messages under way to one subscriber; more are dropped. Room for one step of a scene with all its tools and no more:
+/// what waits here is old when it arrives.
+constexpr int kSendQueue = static_cast<int>(limits::kMaxTools) + 4;
+/// How long the last messages (forces to zero) may take to leave when the transport closes.
+constexpr int kLingerMs = 200;
+/// A peer that connects and does not finish ZeroMQ's handshake is let go.
+constexpr int kHandshakeMs = 3000;
+/// Longer input ends its connection inside ZeroMQ; what is shorter and still too long is counted by PoseInput.
+constexpr std::int64_t kMaxInputBytes = std::int64_t{1} << 20;
+/// Poses taken in a row before the other sockets have their turn.
+constexpr int kPosesPerTurn = 256;
+
+constexpr int kFailedHandshakes = ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL;
+
+Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
+  try {
+    socket.bind(endpoint);
+    return socket.get(zmq::sockopt::last_endpoint);
+  } catch (const zmq::error_t& error) {
+    return fail(ErrorCode::kUnavailable, "ZeroMQ cannot listen on '" + endpoint + "': " + error.what() +
+                                             "; give another address, or * as the port for a free one");
+  }
+}
+
+zmq::socket_t monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name) {
+  const std::string address = "inproc://" + name;
+  if (zmq_socket_monitor(socket.handle(), address.c_str(), kFailedHandshakes) != 0) throw zmq::error_t();
+  zmq::socket_t events(context, zmq::socket_type::pair);
+  events.connect(address);
+  return events;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptions& options, PoseInput& input) {
+  std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(input));
+  auto publish = bind(transport->publisher_, options.publish_endpoint);
+  if (!publish) return tl::make_unexpected(publish.error());
+  auto pose = bind(transport->poses_, options.pose_endpoint);
+  if (!pose) return tl::make_unexpected(pose.error());
+  transport->publish_endpoint_ = std::move(*publish);
+  transport->pose_endpoint_ = std::move(*pose);
+  transport->receiver_ = std::thread([raw = transport.get()] { raw->receive_loop(); });
+  return transport;
+}
+
+ZeroMqTransport::ZeroMqTransport(PoseInput& input)
+    : input_(input),
+      publisher_(context_, zmq::socket_type::xpub),
+      poses_(context_, zmq::socket_type::pull),
+      publisher_monitor_(monitor(context_, publisher_, "publisher")),
+      poses_monitor_(monitor(context_, poses_, "poses")),
+      stop_event_(eventfd(0, EFD_CLOEXEC)) {
+  publisher_.set(zmq::sockopt::sndhwm, kSendQueue);
+  publisher_.set(zmq::sockopt::linger, kLingerMs);
+  // A second subscriber to the same key is told of too: it joined late.
+  publisher_.set(zmq::sockopt::xpub_verbose, true);
+  poses_.set(zmq::sockopt::linger, 0);
+  for (zmq::socket_t* socket : {&publisher_, &poses_}) {
+    socket->set(zmq::sockopt::maxmsgsize, kMaxInputBytes);
+    socket->set(zmq::sockopt::handshake_ivl, kHandshakeMs);
+  }
+}
+
+ZeroMqTransport::~ZeroMqTransport() {
+  if (receiver_.joinable()) {
+    eventfd_write(stop_event_, 1);
+    receiver_.join();
+  }
+  close(stop_event_);
+}
+
+void ZeroMqTransport::publish(const MessagePtr& message, PublishOptions options) {
+  const std::lock_guard lock(mutex_);
+  if (options.retain) retained_.insert_or_assign(std::string(message->key()), message);
+  send(message);
+  // Sending may have taken the wake-up that was meant for the receiver thread.
+  serve_subscriptions();
+}
+
+void ZeroMqTransport::forget(std::string_view key) {
+  const std::lock_guard lock(mutex_);
+  if (const auto found = retained_.find(key); found != retained_.end()) retained_.erase(found);
+}
+
+void ZeroMqTransport::send(const MessagePtr& message) {
+  // ZeroMQ shares our bytes instead of copying them; the hint keeps them alive until the last subscriber has them.
+  const std::string_view bytes = message->bytes();
+  zmq::message_t frame(
+      const_cast<char*>(bytes.data()), bytes.size(), [](void*, void* hint) { delete static_cast<MessagePtr*>(hint); },
+      new MessagePtr(message));
+  publisher_.send(frame, zmq::send_flags::dontwait);
+}
+
+void ZeroMqTransport::serve_subscriptions() {
+  std::set<MessagePtr> wanted;
+  zmq::message_t request;
+  while (publisher_.recv(request, zmq::recv_flags::dontwait)) {
+    const std::string_view bytes = request.to_string_view();
+    // ZeroMQ: 1 and the prefix subscribes, 0 and the prefix ends it.
+    if (bytes.empty() || bytes.front() > 1 || request.more()) {
+      input_.refuse({}, "not a subscription, on the ZeroMQ publish endpoint");
+      continue;
+    }
+    if (bytes.front() == 0) continue;
+    const std::string_view prefix = bytes.substr(1);
+    for (const auto& [key, message] : retained_) {
+      if (message->bytes().starts_with(prefix)) wanted.insert(message);
+    }
+  }
+  for (const MessagePtr& message : wanted) send(message);
+}
+
+void ZeroMqTransport::receive_loop() {
+  const int subscriptions = publisher_.get(zmq::sockopt::fd);
+  std::array<zmq::pollitem_t, 5> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
+                                        {nullptr, subscriptions, ZMQ_POLLIN, 0},
+                                        {publisher_monitor_.handle(), 0, ZMQ_POLLIN, 0},
+                                        {poses_monitor_.handle(), 0, ZMQ_POLLIN, 0},
+                                        {nullptr, stop_event_, ZMQ_POLLIN, 0}}};
+  const auto& [poses, subscribed, publisher_event, poses_event, stop] = items;
+  while (true) {
+    zmq::poll(items.data(), items.size(), std::chrono::milliseconds{-1});
+    if (stop.revents != 0) return;
+    if (poses.revents != 0) receive_poses();
+    if (subscribed.revents != 0) {
+      const std::lock_guard lock(mutex_);
+      serve_subscriptions();
+    }
+    if (publisher_event.revents != 0) receive_failed_handshakes(publisher_monitor_);
+    if (poses_event.revents != 0) receive_failed_handshakes(poses_monitor_);
+  }
+}
+
+void ZeroMqTransport::receive_poses() {
+  zmq::message_t message;
+  for (int count = 0; count < kPosesPerTurn && poses_.recv(message, zmq::recv_flags::dontwait); ++count) {
+    if (!message.more()) {
+      input_.receive_framed(message.to_string_view());
+      continue;
+    }
+    while (message.more() && poses_.recv(message, zmq::recv_flags::dontwait)) continue;
+    input_.refuse({}, "more than one frame, on the ZeroMQ pose endpoint");
+  }
+}
+
+void ZeroMqTransport::receive_failed_handshakes(zmq::socket_t& monitor) {
+  zmq::message_t part;
+  while (monitor.recv(part, zmq::recv_flags::dontwait)) {
+    // An event is two frames, what happened and where; only failed handshakes are asked for.
+    if (!part.more()) input_.refuse({}, "a peer that does not speak ZeroMQ");
+  }
+}
+
+}  // namespace tensormass::bus
