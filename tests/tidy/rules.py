@@ -1,0 +1,103 @@
+"""The house rules that a machine can check. A rule takes a file's path and text and returns what is wrong with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+
+NATIVE = {".h", ".cc", ".cpp", ".cu", ".cuh"}
+SOURCES = NATIVE | {".py", ".ts", ".js", ".mjs", ".rs", ".proto", ".css", ".html", ".sh", ".cmake"}
+MAX_SOURCE_LINES = 600
+MAX_FILE_BYTES = 500_000
+TOP_LEVEL = {
+    ".ci",
+    ".clang-format",
+    ".dockerignore",
+    ".gitignore",
+    "CMakeLists.txt",
+    "LICENSE",
+    "Makefile",
+    "README.md",
+    "clients",
+    "docker",
+    "docs",
+    "proto",
+    "server",
+    "tests",
+}
+
+_INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
+_BARE_MARK = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
+# Absolute paths of the writer's machine. (In a URL or a relative path something stands before the slash.)
+_MACHINE_PATH = re.compile(r"(?<![\w.$}\])>/-])/(?:home|root|Users|work|workspace|mnt|var/tmp)/[\w.]")
+
+
+def server_folders(cmake_lists: str) -> list[str]:
+    """The folders under server/ in the order in which server/CMakeLists.txt builds them."""
+    match = re.search(r"foreach\(folder ([^)]*)\)", cmake_lists)
+    if match is None:
+        raise ValueError("server/CMakeLists.txt has no foreach(folder ...)")
+    return match.group(1).split()
+
+
+def include_direction(path: PurePosixPath, text: str, folders: list[str]) -> list[str]:
+    """A folder under server/ includes only itself and the folders before it."""
+    if path.parts[0] != "server" or len(path.parts) < 3 or path.suffix not in NATIVE:
+        return []
+    own = path.parts[1]
+    if own not in folders:
+        return [f"{path}: server/CMakeLists.txt does not list {own}; say there where it stands"]
+    problems = []
+    for included in _INCLUDE.findall(text):
+        folder = included.split("/")[0]
+        if folder in folders and folders.index(folder) > folders.index(own):
+            problems.append(f"{path}: includes {included}, and {folder} comes after {own}")
+    return problems
+
+
+def bare_marks(path: PurePosixPath, text: str) -> list[str]:
+    """Work left over belongs in an issue."""
+    if path.suffix not in SOURCES:
+        return []
+    return [f"{path}:{line}: {mark}; do it or open an issue" for line, mark in _matches(_BARE_MARK, text)]
+
+
+def machine_paths(path: PurePosixPath, text: str) -> list[str]:
+    """What is committed must mean the same on every machine."""
+    return [f"{path}:{line}: absolute path {found}..." for line, found in _matches(_MACHINE_PATH, text)]
+
+
+def source_length(path: PurePosixPath, text: str) -> list[str]:
+    """A file that nobody can hold in mind is cut in two."""
+    lines = text.count("\n")
+    if path.suffix not in SOURCES or lines <= MAX_SOURCE_LINES:
+        return []
+    return [f"{path}: {lines} lines; the limit is {MAX_SOURCE_LINES}"]
+
+
+def top_level(paths: Iterable[PurePosixPath]) -> list[str]:
+    """The first look at the repository shows its parts and nothing else."""
+    return [f"{name}: not expected at the top level" for name in sorted({path.parts[0] for path in paths} - TOP_LEVEL)]
+
+
+def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
+    """A C++ source that no CMakeLists.txt above it names, or a header that nothing includes, is dead.
+
+    `sources`: path and text of every C++ file and CMakeLists.txt.
+    """
+    included = {name for text in sources.values() for name in _INCLUDE.findall(text)}
+    endings = {"/" + name for name in included}
+    lists = {path.parent: text for path, text in sources.items() if path.name == "CMakeLists.txt"}
+    problems = []
+    for path in sources:
+        if path.suffix in {".h", ".cuh"}:
+            if not any(f"/{path}".endswith(ending) for ending in endings):
+                problems.append(f"{path}: nothing includes it")
+        elif path.suffix in NATIVE and not any(path.name in lists.get(parent, "") for parent in path.parents):
+            problems.append(f"{path}: no CMakeLists.txt builds it")
+    return problems
+
+
+def _matches(pattern: re.Pattern[str], text: str) -> list[tuple[int, str]]:
+    return [(text.count("\n", 0, match.start()) + 1, match.group()) for match in pattern.finditer(text)]

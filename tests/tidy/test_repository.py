@@ -1,0 +1,81 @@
+"""The repository keeps the house rules (rules.py). What git tracks is what is checked."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path, PurePosixPath
+
+import pytest
+import rules
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def tracked() -> list[PurePosixPath]:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout: which files belong to the repository is not known")
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return [PurePosixPath(name) for name in names.split("\0") if name and (ROOT / name).is_file()]
+
+
+@pytest.fixture(scope="module")
+def texts(tracked: list[PurePosixPath]) -> dict[PurePosixPath, str]:
+    found = {}
+    for path in tracked:
+        content = (ROOT / path).read_bytes()
+        if b"\0" not in content:
+            found[path] = content.decode()
+    return found
+
+
+def check(texts: dict[PurePosixPath, str], rule: Callable[[PurePosixPath, str], list[str]]) -> None:
+    own = PurePosixPath("tests/tidy")  # where the forbidden words are spelt out
+    problems = [line for path, text in texts.items() if own not in path.parents for line in rule(path, text)]
+    assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("rule", [rules.bare_marks, rules.machine_paths, rules.source_length], ids=lambda r: r.__name__)
+def test_every_file_keeps(rule: Callable[[PurePosixPath, str], list[str]], texts: dict[PurePosixPath, str]) -> None:
+    check(texts, rule)
+
+
+def test_include_direction(texts: dict[PurePosixPath, str]) -> None:
+    folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
+    check(texts, partial(rules.include_direction, folders=folders))
+
+
+def test_top_level(tracked: list[PurePosixPath]) -> None:
+    assert not (problems := rules.top_level(tracked)), "\n".join(problems)
+
+
+def test_no_dead_sources(texts: dict[PurePosixPath, str]) -> None:
+    native = {
+        path: text for path, text in texts.items() if path.suffix in rules.NATIVE or path.name == "CMakeLists.txt"
+    }
+    assert not (problems := rules.orphans(native)), "\n".join(problems)
+
+
+def test_no_large_files(tracked: list[PurePosixPath]) -> None:
+    large = {str(path): size for path in tracked if (size := (ROOT / path).stat().st_size) > rules.MAX_FILE_BYTES}
+    assert not large, f"more than {rules.MAX_FILE_BYTES} bytes; make it when it is needed instead: {large}"
+
+
+def test_cpp_is_formatted(tracked: list[PurePosixPath]) -> None:
+    if shutil.which("clang-format") is None:
+        pytest.skip("no clang-format here; `docker/setup.sh test` installs it")
+    files = [str(path) for path in tracked if path.suffix in rules.NATIVE]
+    result = subprocess.run(["clang-format", "--dry-run", "--Werror", *files], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, f"run `make format`:\n{result.stderr[-4000:]}"
+
+
+@pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
+def test_python_is_tidy(arguments: list[str], tracked: list[PurePosixPath]) -> None:
+    files = [str(path) for path in tracked if path.suffix == ".py"]
+    command = [sys.executable, "-m", "ruff", *arguments, "--config", "clients/python/pyproject.toml", *files]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, f"run `make format` or `make lint`:\n{result.stdout[-4000:]}{result.stderr[-4000:]}"

@@ -1,0 +1,60 @@
+"""Each rule finds what it is there to find, and lets pass what it should."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath as Path
+
+import rules
+
+
+def test_include_direction() -> None:
+    folders = rules.server_folders("foreach(folder core mesh world)\n")
+
+    def check(path: str, text: str) -> list[str]:
+        return rules.include_direction(Path(path), text, folders)
+
+    assert check("server/mesh/a.h", '#include "mesh/b.h"\n#include "core/result.h"\n#include <vector>\n') == []
+    assert check("server/mesh/a.h", '#include "world/b.h"\n') == [
+        "server/mesh/a.h: includes world/b.h, and world comes after mesh"
+    ]
+    assert len(check("server/newcomer/a.h", "")) == 1
+    assert check("clients/haptic/a.h", '#include "daemon/b.h"\n') == []
+
+
+def test_bare_marks() -> None:
+    mark = "TO" + "DO"
+    assert rules.bare_marks(Path("a.cpp"), f"int a;\n// {mark}: more\n") == [f"a.cpp:2: {mark}; do it or open an issue"]
+    assert rules.bare_marks(Path("a.cpp"), "int todo_count;\n") == []
+    assert rules.bare_marks(Path("a.md"), f"{mark}\n") == []
+
+
+def test_machine_paths() -> None:
+    home = "/ho" + "me/someone/x"
+    assert len(rules.machine_paths(Path("a.md"), f"see {home}\n")) == 1
+    assert len(rules.machine_paths(Path("a.py"), f'open("{home}")\n')) == 1
+    assert rules.machine_paths(Path("a.md"), f"https://example.org{home} and docs{home}\n") == []
+
+
+def test_source_length() -> None:
+    assert rules.source_length(Path("a.py"), "x\n" * rules.MAX_SOURCE_LINES) == []
+    assert len(rules.source_length(Path("a.py"), "x\n" * (rules.MAX_SOURCE_LINES + 1))) == 1
+    assert rules.source_length(Path("package-lock.json"), "x\n" * 5000) == []
+
+
+def test_top_level() -> None:
+    assert rules.top_level([Path("README.md"), Path("server/core/result.h")]) == []
+    assert rules.top_level([Path("notes.txt")]) == ["notes.txt: not expected at the top level"]
+
+
+def test_orphans() -> None:
+    sources = {
+        Path("server/CMakeLists.txt"): "",
+        Path("server/mesh/CMakeLists.txt"): "add_library(m a.cpp)",
+        Path("server/mesh/a.cpp"): '#include "mesh/a.h"',
+        Path("server/mesh/a.h"): "",
+    }
+    assert rules.orphans(sources) == []
+    assert rules.orphans(sources | {Path("server/mesh/b.cpp"): ""}) == [
+        "server/mesh/b.cpp: no CMakeLists.txt builds it"
+    ]
+    assert rules.orphans(sources | {Path("server/mesh/aa.h"): ""}) == ["server/mesh/aa.h: nothing includes it"]
