@@ -184,7 +184,8 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   if (!tool) return tl::make_unexpected(tool.error());
   const Result<HandScript> script = plan_hand(options, *tool);
   if (!script) return tl::make_unexpected(script.error());
-  const Result<std::unique_ptr<Link>> link = connect_zeromq(tool->address);
+  const Result<std::unique_ptr<Link>> link =
+      options.transport == "zenoh" ? connect_zenoh(tool->address) : connect_zeromq(tool->address);
   if (!link) return tl::make_unexpected(link.error());
 
   MonotonicClock clock;
