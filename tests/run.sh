@@ -19,7 +19,7 @@ run_e2e() { (cd clients/web && npm run --silent e2e); }
 closing_line() {
   local pattern
   case $1 in
-    ctest) pattern='tests passed, ' ;;
+    ctest) pattern='tests passed.* out of' ;;
     pytest) pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s' ;;
     *) pattern='^ *Tests +' ;;
   esac
@@ -28,7 +28,9 @@ closing_line() {
 
 skipped() {
   case $1 in
-    ctest) sed -nE 's/^.*Test +#[0-9]+: (.*[^ .]) *\.+\*+Skipped.*/\1/p' "$logs/$1.log" ;;
+    # ctest names them; GoogleTest's reasons, each the line after "file:line: Skipped", are in ctest's own log.
+    ctest) awk '/: Skipped$/ { getline; count[$0]++ } END { for (reason in count) print count[reason] ": " reason }' \
+      "$build/Testing/Temporary/LastTest.log" ;;
     pytest) sed -nE 's/^SKIPPED (.*)/\1/p' "$logs/$1.log" ;;
     *) ;;
   esac
