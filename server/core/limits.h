@@ -14,8 +14,8 @@ inline constexpr std::size_t kMaxBodies = 64;
 inline constexpr std::size_t kMaxTools = 16;
 /// Nodes of one scene. Rows and positions are indexed with 32 bits; larger scenes are refused.
 inline constexpr std::uint32_t kMaxNodes = 1u << 26;
-/// Elements of one scene. A gather entry packs 10 blocks an element and a flag into 32 bits (tensor/layout.h).
-inline constexpr std::uint32_t kMaxElements = 1u << 27;
+/// Elements of one scene. Gather entries address 104 reals an element with 31 bits (tensor/layout.h).
+inline constexpr std::uint32_t kMaxElements = 20'000'000;
 /// Characters of a scene's, body's or tool's name.
 inline constexpr std::size_t kMaxNameLength = 64;
 /// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron: ten
@@ -32,6 +32,8 @@ inline constexpr double kMinTimeStepS = 1e-6;
 inline constexpr double kMaxTimeStepS = 10.0;
 /// Conjugate-gradient iterations of one step.
 inline constexpr std::uint32_t kMaxCgIterations = 100'000;
+/// CPU threads of one scene.
+inline constexpr std::uint32_t kMaxCpuThreads = 256;
 /// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
 inline constexpr double kMaxLength = 1e6;
 

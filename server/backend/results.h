@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cmath>
+
+#include "backend/backend.h"
+#include "tensor/view.h"
+
+/// From a view's reports in host memory to a StepResult: the last, short reduction over patches, in their order.
+namespace tensormass::backend {
+
+template <class Real>
+StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const tensor::PatchReport<Real>> patches) {
+  StepResult result;
+  result.cg_iterations = solve.iterations;
+  result.cg_relative_residual = static_cast<double>(solve.relative_residual);
+  result.negative_curvature = solve.negative_curvature != 0;
+  result.finite = std::isfinite(solve.relative_residual);
+  for (const auto& patch : patches) {
+    result.finite = result.finite && patch.finite == 1;
+    result.max_speed_m_per_s = std::max(result.max_speed_m_per_s, static_cast<double>(patch.max_speed_m_per_s));
+  }
+  return result;
+}
+
+/// loads: [tool_count, patch_count]
+template <class Real>
+void read_forces(std::span<const tensor::ToolLoad<Real>> loads, std::span<ToolForce> forces) {
+  const std::size_t patches = forces.empty() ? 0 : loads.size() / forces.size();
+  for (std::size_t tool = 0; tool < forces.size(); ++tool) {
+    ToolForce sum;
+    for (std::size_t patch = 0; patch < patches; ++patch) {
+      const auto& load = loads[tool * patches + patch];
+      for (int c = 0; c < 3; ++c) {
+        sum.force_n[c] += static_cast<double>(load.force_n[c]);
+        sum.torque_n_m[c] += static_cast<double>(load.torque_n_m[c]);
+      }
+    }
+    forces[tool] = sum;
+  }
+}
+
+template <class Real>
+tensor::ToolState<Real> tool_state(const model::ToolModel& tool, const Vec3<double>& center) {
+  tensor::ToolState<Real> state;
+  for (int c = 0; c < 3; ++c) state.center_m[c] = static_cast<Real>(center[c]);
+  state.radius_m = static_cast<Real>(tool.radius_m);
+  state.penalty_pa_per_m = static_cast<Real>(tool.penalty_pa_per_m);
+  return state;
+}
+
+}  // namespace tensormass::backend

@@ -1,0 +1,223 @@
+#pragma once
+
+#include <cmath>
+
+#include "physics/contact/closest_point.h"
+#include "tensor/view.h"
+
+/// A rigid sphere against the tissue's surface: penalty pressure, frictionless, implicit.
+///
+/// Every surface triangle within reach has one contact point, the point closest to the sphere's centre, and pushes with
+/// k = penalty · area for each metre of penetration along the direction n away from the centre. The force at the *end*
+/// of the step, k (depth − dt n·Σ w_a v_a), enters the same linear system as the tissue, with weights w_a of the
+/// triangle's corners: three diagonal blocks and the three edge tensors between them, which the mesh has anyway.
+///
+/// Whether the centre is inside the tissue is decided once a step, at the closest feature of the whole surface, by its
+/// angle-weighted pseudonormal (Bærentzen, Aanæs 2005); a centre that got inside pushes the tissue back over it.
+namespace tensormass::contact {
+
+using tensor::SceneView;
+
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> cross(const Vec3<Real>& a, const Vec3<Real>& b) {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+
+/// A triangle's corners where they are now.
+template <class Real>
+struct Corners {
+  Vec3<Real> x[3];
+  TM_HOST_DEVICE Vec3<Real> at(const Vec3<Real>& weights) const {
+    return x[0] * weights[0] + x[1] * weights[1] + x[2] * weights[2];
+  }
+  /// Outward, not normalized: twice the area long.
+  TM_HOST_DEVICE Vec3<Real> normal() const { return cross<Real>(x[1] - x[0], x[2] - x[0]); }
+};
+
+template <class Real>
+TM_HOST_DEVICE Corners<Real> corners_of(const SceneView<Real>& s, std::uint32_t triangle) {
+  const std::uint32_t* rows = s.triangle_rows + std::size_t{3} * triangle;
+  return {{tensor::position(s, rows[0]), tensor::position(s, rows[1]), tensor::position(s, rows[2])}};
+}
+
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> unit(const Vec3<Real>& v) {
+  using std::sqrt;
+  const Real squared = v.dot(v);
+  return squared > 0 ? Vec3<Real>(v / sqrt(squared)) : Vec3<Real>(Vec3<Real>::Zero());
+}
+
+/// The surface's direction outward at a feature of a triangle; not normalized.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> pseudonormal(const SceneView<Real>& s, std::uint32_t triangle,
+                                       physics::TriangleFeature feature) {
+  using physics::TriangleFeature;
+  using std::acos;
+  const Vec3<Real> own = unit<Real>(corners_of(s, triangle).normal());
+  if (feature == TriangleFeature::kFace) return own;
+  if (feature < TriangleFeature::kVertex0) {
+    const int edge = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kEdge01);
+    const std::uint32_t neighbour = s.triangle_neighbours[std::size_t{3} * triangle + edge];
+    if (neighbour == tensor::kNoTriangle) return own;
+    return own + unit<Real>(corners_of(s, neighbour).normal());
+  }
+  const int corner = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kVertex0);
+  const std::uint32_t vertex = s.vertex_of_corner[std::size_t{3} * triangle + corner];
+  Vec3<Real> sum = Vec3<Real>::Zero();
+  for (std::uint32_t i = s.incidence_begin[vertex]; i < s.incidence_begin[vertex + 1]; ++i) {
+    const Corners<Real> around = corners_of(s, s.incidence[4 * i]);
+    const std::uint32_t c = s.incidence[4 * i + 1];
+    const Vec3<Real> to_next = unit<Real>(around.x[(c + 1) % 3] - around.x[c]);
+    const Vec3<Real> to_previous = unit<Real>(around.x[(c + 2) % 3] - around.x[c]);
+    const Real angle = acos(minimum(maximum(to_next.dot(to_previous), Real(-1)), Real(1)));
+    sum += unit<Real>(around.normal()) * angle;
+  }
+  return sum;
+}
+
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> center_of(const tensor::ToolState<Real>& tool) {
+  return {tool.center_m[0], tool.center_m[1], tool.center_m[2]};
+}
+
+/// Stage 1: the closest triangle of each patch to each tool.
+/// Reads displacement, tools; writes closest.
+template <class Team, class Real>
+TM_HOST_DEVICE void detect(Team& team, const SceneView<Real>& s) {
+  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
+    const Vec3<Real> center = center_of(s.tools[t]);
+    Real best = Real(1e30);
+    std::uint32_t best_triangle = tensor::kNoTriangle;
+    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+      const Corners<Real> corners = corners_of(s, triangle);
+      const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
+      const Vec3<Real> offset = center - corners.at(closest.weights);
+      const Real squared = offset.dot(offset);
+      if (squared < best) {
+        best = squared;
+        best_triangle = triangle;
+      }
+    });
+    team.patch_argmin(best, best_triangle);
+    if (team.leads_patch()) {
+      Real side = 1;
+      if (best_triangle != tensor::kNoTriangle) {
+        const Corners<Real> corners = corners_of(s, best_triangle);
+        const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
+        const Vec3<Real> outward = pseudonormal(s, best_triangle, closest.feature);
+        side = outward.dot(center - corners.at(closest.weights)) < 0 ? Real(-1) : Real(1);
+      }
+      s.closest[std::size_t{t} * s.patch_count + team.patch()] = {best, side};
+    }
+  }
+}
+
+/// Stage 2: each triangle's contact with each tool.
+/// Reads displacement, tools, closest; writes contacts.
+template <class Team, class Real>
+TM_HOST_DEVICE void respond(const Team& team, const SceneView<Real>& s) {
+  using std::sqrt;
+  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
+    const tensor::ToolState<Real> tool = s.tools[t];
+    tensor::ClosestTriangle<Real> nearest = s.closest[std::size_t{t} * s.patch_count];
+    for (std::uint32_t patch = 1; patch < s.patch_count; ++patch) {
+      const auto other = s.closest[std::size_t{t} * s.patch_count + patch];
+      if (other.distance_squared < nearest.distance_squared) nearest = other;
+    }
+    const Vec3<Real> center = center_of(tool);
+    // How far the centre is inside; a continuous continuation of radius − distance from outside to inside.
+    const Real inside = nearest.side < 0 ? sqrt(nearest.distance_squared) : Real(0);
+    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+      tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
+      const Corners<Real> corners = corners_of(s, triangle);
+      const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
+      const Vec3<Real> away = corners.at(closest.weights) - center;
+      const Real distance = sqrt(away.dot(away));
+      const Real depth = tool.radius_m + 2 * inside - distance;
+      contact.depth_m = maximum(depth, Real(0));
+      if (!(depth > 0)) return;
+      const Vec3<Real> normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * (nearest.side / distance))
+                                                                      : Vec3<Real>(-unit<Real>(corners.normal()));
+      for (int c = 0; c < 3; ++c) {
+        contact.weight[c] = closest.weights[c];
+        contact.normal[c] = normal[c];
+      }
+      contact.stiffness = tool.penalty_pa_per_m * s.triangle_area[triangle];
+    });
+  }
+}
+
+/// Stage 3: contacts into the linear system, gathered by surface node.
+/// Reads contacts, velocity; adds to edges, diagonal, rhs.
+template <class Team, class Real>
+TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
+  const tensor::Patch patch = tensor::patch_of(s, team.patch());
+  const Real dt = s.dt_s;
+  team.for_each(s.patch_surface[patch.index], s.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
+    const std::uint32_t row = s.surface_rows[vertex];
+    for (std::uint32_t t = 0; t < s.tool_count; ++t) {
+      for (std::uint32_t i = s.incidence_begin[vertex]; i < s.incidence_begin[vertex + 1]; ++i) {
+        const std::uint32_t* incidence = s.incidence + std::size_t{4} * i;
+        const std::uint32_t triangle = incidence[0], corner = incidence[1];
+        const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
+        if (!(contact.depth_m > 0)) continue;
+        const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
+        Real approach = 0;  // n · Σ w v, how fast the contact point moves away
+        for (int c = 0; c < 3; ++c) {
+          approach += contact.weight[c] *
+                      n.dot(tensor::load3<Real>(s.velocity, s.triangle_rows[std::size_t{3} * triangle + c]));
+        }
+        const Real weight = contact.weight[corner];
+        const Vec3<Real> impulse = n * (dt * weight * contact.stiffness * (contact.depth_m - dt * approach));
+        tensor::store3<Real>(s.rhs, row, tensor::load3<Real>(s.rhs, row) + impulse);
+
+        const Mat3<Real> stiffness = n * n.transpose() * (dt * dt * contact.stiffness * weight);
+        Real* d = s.diagonal + std::size_t{8} * row;
+        d[0] += weight * stiffness(0, 0);
+        d[1] += weight * stiffness(0, 1);
+        d[2] += weight * stiffness(0, 2);
+        d[3] += weight * stiffness(1, 1);
+        d[4] += weight * stiffness(1, 2);
+        d[5] += weight * stiffness(2, 2);
+        for (std::uint32_t k = 1; k <= 2; ++k) {
+          const std::uint32_t slot = incidence[1 + k];
+          const Real other = contact.weight[(corner + k) % 3];
+          tensor::store_block<Real>(s.edges, slot, tensor::load_block<Real>(s.edges, slot) + stiffness * other);
+        }
+      }
+    }
+  });
+}
+
+/// Stage 4, after the solve: what the tissue does to each tool, at the end of the step.
+/// Reads contacts, velocity; writes tool_loads.
+template <class Team, class Real>
+TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
+  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
+    const tensor::ToolState<Real> tool = s.tools[t];
+    Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero();
+    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+      const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
+      if (!(contact.depth_m > 0)) return;
+      const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
+      Vec3<Real> velocity = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
+      for (int c = 0; c < 3; ++c) {
+        const std::uint32_t row = s.triangle_rows[std::size_t{3} * triangle + c];
+        velocity += tensor::load3<Real>(s.velocity, row) * contact.weight[c];
+        point += tensor::position(s, row) * contact.weight[c];
+      }
+      // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
+      const Real pressure = contact.stiffness * maximum(contact.depth_m - s.dt_s * n.dot(velocity), Real(0));
+      force -= n * pressure;
+      torque -= cross<Real>(point - center_of(tool), n) * pressure;
+    });
+    Real sums[6] = {force[0], force[1], force[2], torque[0], torque[1], torque[2]};
+    team.patch_sum(sums);
+    if (team.leads_patch()) {
+      s.tool_loads[std::size_t{t} * s.patch_count + team.patch()] = {{sums[0], sums[1], sums[2]},
+                                                                     {sums[3], sums[4], sums[5]}};
+    }
+  }
+}
+
+}  // namespace tensormass::contact

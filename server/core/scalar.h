@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+
+#include <Eigen/Core>
+
+/// Marks what is compiled for the host and for the device from one source.
+#if defined(__CUDACC__)
+#define TM_HOST_DEVICE __host__ __device__
+#else
+#define TM_HOST_DEVICE
+#endif
+
+namespace tensormass {
+
+template <class T>
+using Vec3 = Eigen::Matrix<T, 3, 1>;
+template <class T>
+using Mat3 = Eigen::Matrix<T, 3, 3>;
+
+/// Elementary functions by overload, so that formulas are written once for numbers and for packs of numbers
+/// (core/pack.h adds the overloads for packs).
+template <class Real>
+TM_HOST_DEVICE constexpr Real minimum(Real a, Real b) {
+  return b < a ? b : a;
+}
+template <class Real>
+TM_HOST_DEVICE constexpr Real maximum(Real a, Real b) {
+  return a < b ? b : a;
+}
+template <class Real>
+TM_HOST_DEVICE constexpr Real absolute(Real a) {
+  return a < Real(0) ? -a : a;
+}
+
+/// How a loop body reads and writes `kWidth` neighbouring items at once. A GPU thread handles one.
+template <class Real_>
+struct SingleLane {
+  using Real = Real_;
+  using Scalar = Real_;
+  static constexpr std::uint32_t kWidth = 1;
+
+  TM_HOST_DEVICE static Scalar load(const Real* p) { return *p; }
+  TM_HOST_DEVICE static void store(Real* p, Scalar value) { *p = value; }
+  /// vectors: [.., 4], of which three are used
+  TM_HOST_DEVICE static Vec3<Scalar> load3(const Real* vectors, std::uint32_t first) {
+    const Real* p = vectors + std::size_t{4} * first;
+    return {p[0], p[1], p[2]};
+  }
+  TM_HOST_DEVICE static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
+    Real* p = vectors + std::size_t{4} * first;
+    p[0] = value[0];
+    p[1] = value[1];
+    p[2] = value[2];
+  }
+  TM_HOST_DEVICE static Vec3<Scalar> gather3(const Real* vectors, const std::uint32_t* index) {
+    return load3(vectors, *index);
+  }
+  /// Writes one value into each lane's own record, `stride` reals apart.
+  TM_HOST_DEVICE static void scatter(Real* p, std::size_t /*stride*/, Scalar value) { *p = value; }
+  TM_HOST_DEVICE static Real sum(Scalar value) { return value; }
+};
+
+}  // namespace tensormass

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <cstdint>
+
+#include "core/result.h"
+#include "model/model.h"
+#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::model {
+
+/// How a backend wants the mesh cut. A patch is one CPU thread or one GPU thread block.
+struct PatchPolicy {
+  std::uint32_t max_patches = 1;
+  std::uint32_t min_nodes_per_patch = 1;
+  std::uint32_t count(std::uint32_t node_count) const;
+};
+
+/// Checks the whole scene and compiles it. Errors name the place in the scene, the element or node, and the remedy.
+Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy);
+
+/// Threads that the scene asks for on a CPU; `otherwise` if it does not say.
+std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise);
+
+}  // namespace tensormass::model

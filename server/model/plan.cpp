@@ -1,0 +1,182 @@
+#include "model/plan.h"
+
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "model/bind.h"
+#include "physics/lists.h"
+
+namespace tensormass::model {
+
+namespace {
+
+/// An arena that only writes down what it is asked for.
+class CountingArena {
+ public:
+  explicit CountingArena(v1::SceneReport& report) : report_(report) {}
+
+  template <class T, class U>
+  const T* constant(std::string_view name, const std::vector<U>& items) {
+    return zeros<T>(name, items.size());
+  }
+  template <class T>
+  T* zeros(std::string_view name, std::size_t count) {
+    if (count == 0) return nullptr;
+    v1::PlanBuffer& buffer = *report_.add_buffers();
+    buffer.set_name(std::string(name));
+    buffer.set_bytes(count * sizeof(T));
+    report_.set_bytes_total(report_.bytes_total() + count * sizeof(T));
+    return nullptr;
+  }
+
+ private:
+  v1::SceneReport& report_;
+};
+
+struct Cost {
+  double bytes = 0, operations = 0;
+};
+
+/// Counted from the stage's own loops: what it must move at least, and its floating-point operations.
+Cost cost(const Model& m, const Stage& stage) {
+  const double real = m.double_precision ? 8 : 4;
+  const double rows = m.layout.row_count, slots = m.layout.slot_count();
+  const double tools = static_cast<double>(m.tools.size()), triangles = m.contact.triangle_count();
+  const double incidences = static_cast<double>(m.contact.incidence.size()) / 4;
+  const double gathered_vertices = static_cast<double>(m.gather.vertex.size());
+  const double gathered_edges = static_cast<double>(m.gather.edge.size());
+  const bool constant = !m.constant_edges.empty();
+  switch (stage.kind) {
+    case StageKind::kDetectContact:
+    case StageKind::kRespondContact:
+      return {tools * triangles * (12 + 3 * 8 * real), tools * triangles * 60};
+    case StageKind::kElements: {
+      const ElementGroup& g = m.groups[stage.group];
+      const double per_element = static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
+                                 static_cast<double>(g.rest.size() + g.parameters.size()) * real / g.stride +
+                                 g.record_reals * real;
+      return {g.element_count * per_element, g.element_count * 900.0};
+    }
+    case StageKind::kAssemble:
+      return {(gathered_vertices * 12 + gathered_edges * 9) * real + (gathered_vertices + gathered_edges) * 4 +
+                  slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
+              gathered_vertices * 12 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
+    case StageKind::kExternalForces:
+      return {rows * 12 * real, rows * 6};
+    case StageKind::kAssembleContact:
+      return {tools * incidences * (16 + 9 * real), tools * incidences * 4};
+    case StageKind::kFactorize:
+      return {rows * 2 * 12 * real, rows * 60};
+    case StageKind::kScaleEdges:
+      return {slots * (2 * 9 * real + 4), slots * 90};
+    case StageKind::kSolve:
+      return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * 18 + rows * 36};
+    case StageKind::kAdvance:
+      return {rows * 6 * 4 * real, rows * 30};
+    case StageKind::kMeasureContact:
+      return {tools * triangles * real, tools * triangles};
+  }
+  return {};
+}
+
+void list_not_modelled(const Model& m, v1::SceneReport& report) {
+  if (m.tools.empty())
+    report.add_not_modelled("contact with tools: the scene has none; no contact stage, no contact buffer");
+  if (m.bodies.size() > 1) report.add_not_modelled("contact between bodies: they pass through each other");
+  report.add_not_modelled("self-contact of a body");
+  if (!m.tools.empty()) report.add_not_modelled("friction between tools and tissue");
+  if (m.external.empty()) report.add_not_modelled("gravity and loads: the scene names none");
+  if (std::all_of(m.inertia.begin(), m.inertia.end(), [i = 0](double v) mutable { return i++ % 4 == 0 || v == 0; })) {
+    report.add_not_modelled("Rayleigh damping: the scene names none; implicit Euler damps by itself");
+  }
+  report.add_not_modelled("viscosity, plasticity, cutting and tearing");
+  if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");
+}
+
+}  // namespace
+
+StageText text(StageKind kind) {
+  switch (kind) {
+    case StageKind::kDetectContact:
+      return {"detect contact", "displacement, tools", "closest triangle of each patch"};
+    case StageKind::kRespondContact:
+      return {"respond to contact", "displacement, tools, closest", "contacts"};
+    case StageKind::kElements:
+      return {"element tensors", "displacement, rest shapes", "forces and tensors of each element"};
+    case StageKind::kAssemble:
+      return {"assemble", "element and constant tensors, velocity", "matrix, right-hand side"};
+    case StageKind::kExternalForces:
+      return {"external forces", "gravity and loads", "right-hand side"};
+    case StageKind::kAssembleContact:
+      return {"assemble contact", "contacts, velocity", "matrix, right-hand side"};
+    case StageKind::kFactorize:
+      return {"factorize diagonal", "matrix diagonal", "inverse Cholesky factors, right-hand side"};
+    case StageKind::kScaleEdges:
+      return {"scale matrix", "matrix, inverse factors", "matrix"};
+    case StageKind::kSolve:
+      return {"conjugate gradients", "matrix, right-hand side", "solution"};
+    case StageKind::kAdvance:
+      return {"advance", "solution", "velocity, displacement"};
+    case StageKind::kMeasureContact:
+      return {"measure contact", "contacts, velocity", "force on each tool"};
+  }
+  return {};
+}
+
+v1::SceneReport make_report(const Model& model, const MachineRates& machine) {
+  v1::SceneReport report;
+  report.set_scene(model.name);
+  for (const BodyModel& body : model.bodies) {
+    v1::BodyReport& out = *report.add_bodies();
+    out.set_name(body.name);
+    out.set_node_count(body.node_count);
+    out.set_element_count(body.element_count);
+    out.set_fixed_node_count(body.fixed_node_count);
+    out.set_component_count(body.component_count);
+    out.set_volume_m3(body.volume_m3);
+    out.set_mass_kg(body.mass_kg);
+    out.set_min_dihedral_angle_deg(body.min_dihedral_angle_deg);
+    out.set_surface_vertex_count(body.vertex_count);
+    out.set_surface_triangle_count(static_cast<std::uint32_t>(body.triangles.size()));
+  }
+
+  double step_s = 0;
+  for (const Stage& stage : model.stages) {
+    const StageText words = text(stage.kind);
+    const Cost one = cost(model, stage);
+    v1::PlanStage& out = *report.add_stages();
+    out.set_name(std::string(words.name));
+    if (stage.kind == StageKind::kElements) {
+      const ElementGroup& group = model.groups[stage.group];
+      physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
+        out.set_name(fmt::format("{}: {}, {}", words.name, decltype(shape)::Type::kName, decltype(law)::Type::kName));
+      });
+    }
+    out.set_reads(std::string(words.reads));
+    out.set_writes(std::string(words.writes));
+    out.set_bytes(static_cast<std::uint64_t>(one.bytes));
+    out.set_operations(static_cast<std::uint64_t>(one.operations));
+    const double once_s = std::max(one.bytes / machine.bytes_per_s, one.operations / machine.operations_per_s);
+    // A tolerance ends most solves early; half of the iterations is a guess, and the report says that it is one.
+    const double iterations = model.cg_tolerance > 0 ? 0.5 * model.cg_max_iterations : model.cg_max_iterations;
+    step_s += machine.stage_latency_s +
+              (stage.kind == StageKind::kSolve ? iterations * (once_s + machine.iteration_latency_s) : once_s);
+  }
+  report.set_expected_rate_hz(1 / step_s);
+
+  CountingArena arena(report);
+  if (model.double_precision) {
+    bind<double>(model, arena);
+    for (const ElementGroup& group : model.groups) bind<double>(group, arena);
+  } else {
+    bind<float>(model, arena);
+    for (const ElementGroup& group : model.groups) bind<float>(group, arena);
+  }
+  list_not_modelled(model, report);
+  for (const std::string& warning : model.warnings) report.add_warnings(warning);
+  return report;
+}
+
+}  // namespace tensormass::model

@@ -1,0 +1,205 @@
+#include "model/scene_input.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "mesh/grid.h"
+
+namespace tensormass::model {
+
+static_assert(std::endian::native == std::endian::little, "packed arrays are little-endian and are read as they lie");
+
+namespace {
+
+/// A packed array of `Item`s with `width` of them a row.
+template <class Item>
+Result<std::vector<Item>> read_packed(const std::string& bytes, std::size_t width, std::string_view where) {
+  const std::size_t row = width * sizeof(Item);
+  if (bytes.empty() || bytes.size() % row != 0) {
+    return invalid(fmt::format("{}: {} bytes is not a positive multiple of {} ({} little-endian {}-bit values a row)",
+                               where, bytes.size(), row, width, 8 * sizeof(Item)));
+  }
+  if (bytes.size() / row > std::numeric_limits<std::uint32_t>::max() / 4) {
+    return fail(ErrorCode::kResourceExhausted, fmt::format("{}: too many rows", where));
+  }
+  std::vector<Item> items(bytes.size() / sizeof(Item));
+  std::memcpy(items.data(), bytes.data(), bytes.size());
+  return items;
+}
+
+Result<std::vector<Eigen::Vector3d>> read_points(const std::string& bytes, std::string_view where) {
+  return read_packed<double>(bytes, 3, where).map([](const std::vector<double>& values) {
+    std::vector<Eigen::Vector3d> points(values.size() / 3);
+    for (std::size_t i = 0; i < points.size(); ++i) points[i] = {values[3 * i], values[3 * i + 1], values[3 * i + 2]};
+    return points;
+  });
+}
+
+/// Scale and translation of the body's mesh, applied to mesh and skin alike.
+struct Placement {
+  double scale = 1;
+  Vec3<double> translation_m = Vec3<double>::Zero();
+
+  void apply(std::vector<Eigen::Vector3d>& points) const {
+    for (Eigen::Vector3d& point : points) point = scale * point + translation_m;
+  }
+};
+
+Result<Placement> read_placement(const v1::Mesh& mesh, std::string_view where) {
+  Placement placement;
+  if (mesh.has_scale()) {
+    TM_TRY(scale, read_number(mesh.scale(), 1e-9, 1e9, fmt::format("{}.mesh.scale", where)));
+    placement.scale = scale;
+  }
+  TM_TRY(translation, read_vector(mesh.translation_m(), fmt::format("{}.mesh.translation_m", where)));
+  placement.translation_m = translation;
+  return placement;
+}
+
+Result<mesh::Mesh> read_source(const v1::Mesh& source, std::string_view where) {
+  switch (source.source_case()) {
+    case v1::Mesh::kPacked: {
+      TM_TRY(nodes, read_points(source.packed().node_positions(), fmt::format("{}.mesh.packed.node_positions", where)));
+      TM_TRY(tetrahedra, read_packed<std::uint32_t>(source.packed().tetrahedra(), 4,
+                                                    fmt::format("{}.mesh.packed.tetrahedra", where)));
+      mesh::Mesh mesh;
+      mesh.nodes = std::move(nodes);
+      mesh.blocks.push_back({mesh::Shape::kTetrahedron, std::move(tetrahedra)});
+      return mesh;
+    }
+    case v1::Mesh::kGrid: {
+      const v1::Grid& grid = source.grid();
+      TM_TRY(origin, read_vector(grid.origin_m(), fmt::format("{}.mesh.grid.origin_m", where)));
+      TM_TRY(size, read_vector(grid.size_m(), fmt::format("{}.mesh.grid.size_m", where)));
+      return mesh::make_grid(origin, size, grid.cells_x(), grid.cells_y(), grid.cells_z()).map_error([&](Error error) {
+        error.message = fmt::format("{}.mesh.grid: {}", where, error.message);
+        return error;
+      });
+    }
+    case v1::Mesh::kFile:
+      return invalid(
+          fmt::format("{}.mesh.file: the server reads no files; load the scene with the Python SDK or the "
+                      "`tensormass` command, which send the mesh along",
+                      where));
+    case v1::Mesh::SOURCE_NOT_SET:
+      break;
+  }
+  return invalid(fmt::format("{}.mesh: no source; give packed or grid", where));
+}
+
+}  // namespace
+
+Result<void> check_name(std::string_view name, std::string_view what) {
+  const bool good =
+      !name.empty() && name.size() <= limits::kMaxNameLength && std::all_of(name.begin(), name.end(), [](char c) {
+        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
+      });
+  if (good) return {};
+  return invalid(
+      fmt::format("{}: the name must be 1 to {} characters out of [A-Za-z0-9_-]", what, limits::kMaxNameLength));
+}
+
+Result<Vec3<double>> read_vector(const v1::Vector3& vector, std::string_view where) {
+  const Vec3<double> v(vector.x(), vector.y(), vector.z());
+  if (!v.allFinite() || v.cwiseAbs().maxCoeff() > limits::kMaxLength) {
+    return invalid(fmt::format("{}: ({}, {}, {}) is not finite or beyond ±{:g}", where, vector.x(), vector.y(),
+                               vector.z(), limits::kMaxLength));
+  }
+  return v;
+}
+
+Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::string_view where) {
+  const std::array<double, 4> values{q.w(), q.x(), q.y(), q.z()};
+  double squared = 0;
+  for (const double value : values) squared += value * value;
+  if (squared == 0) return std::array<double, 4>{1, 0, 0, 0};
+  const double length = std::sqrt(squared);
+  if (!(std::abs(length - 1) < 1e-2)) {  // also refuses NaN and infinity
+    return invalid(fmt::format("{}: a quaternion of length {} is no rotation; normalize it", where, length));
+  }
+  return std::array<double, 4>{q.w() / length, q.x() / length, q.y() / length, q.z() / length};
+}
+
+Result<double> read_number(double value, double low, double high, std::string_view where) {
+  if (value >= low && value <= high) return value;
+  return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));
+}
+
+Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where) {
+  TM_TRY(placement, read_placement(body.mesh(), where));
+  return read_source(body.mesh(), where).map([&](mesh::Mesh mesh) {
+    placement.apply(mesh.nodes);
+    return mesh;
+  });
+}
+
+Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where) {
+  if (body.skin().source_case() != v1::Skin::kPacked) {
+    return invalid(fmt::format("{}.skin: give packed triangles; the server reads no files", where));
+  }
+  TM_TRY(placement, read_placement(body.mesh(), where));
+  const v1::PackedTriangles& packed = body.skin().packed();
+  TM_TRY(vertices, read_points(packed.vertex_positions(), fmt::format("{}.skin.packed.vertex_positions", where)));
+  TM_TRY(indices, read_packed<std::uint32_t>(packed.triangles(), 3, fmt::format("{}.skin.packed.triangles", where)));
+  SkinMesh skin;
+  skin.vertices = std::move(vertices);
+  placement.apply(skin.vertices);
+  skin.triangles.resize(indices.size() / 3);
+  std::memcpy(skin.triangles.data(), indices.data(), indices.size() * sizeof(std::uint32_t));
+  return skin;
+}
+
+Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const std::vector<Eigen::Vector3d>& nodes,
+                                               std::string_view where) {
+  std::vector<std::uint32_t> selected;
+  const auto select = [&](const auto& contains) {
+    for (std::uint32_t i = 0; i < nodes.size(); ++i) {
+      if (contains(nodes[i])) selected.push_back(i);
+    }
+  };
+  switch (region.kind_case()) {
+    case v1::Region::kBox: {
+      TM_TRY(low, read_vector(region.box().min_m(), fmt::format("{}.box.min_m", where)));
+      TM_TRY(high, read_vector(region.box().max_m(), fmt::format("{}.box.max_m", where)));
+      select([&](const Eigen::Vector3d& x) {
+        return (x.array() >= low.array()).all() && (x.array() <= high.array()).all();
+      });
+      break;
+    }
+    case v1::Region::kSphere: {
+      TM_TRY(center, read_vector(region.sphere().center_m(), fmt::format("{}.sphere.center_m", where)));
+      TM_TRY(radius,
+             read_number(region.sphere().radius_m(), 0, limits::kMaxLength, fmt::format("{}.sphere.radius_m", where)));
+      select([&](const Eigen::Vector3d& x) { return (x - center).norm() <= radius; });
+      break;
+    }
+    case v1::Region::kNodes: {
+      for (const std::uint32_t index : region.nodes().indices()) {
+        if (index >= nodes.size()) {
+          return invalid(fmt::format("{}.nodes: node {} does not exist; the body has {}", where, index, nodes.size()));
+        }
+        selected.push_back(index);
+      }
+      std::sort(selected.begin(), selected.end());
+      selected.erase(std::unique(selected.begin(), selected.end()), selected.end());
+      break;
+    }
+    case v1::Region::KIND_NOT_SET:
+      return invalid(fmt::format("{}: give box, sphere or nodes", where));
+  }
+  if (selected.empty()) {
+    return invalid(
+        fmt::format("{}: no node of the body lies in it; its coordinates are metres after scale and "
+                    "translation",
+                    where));
+  }
+  return selected;
+}
+
+}  // namespace tensormass::model

@@ -1,0 +1,73 @@
+#pragma once
+
+#include <cmath>
+
+#include "tensor/view.h"
+
+/// Block-Jacobi preconditioning folded into the matrix: with the Cholesky factors D_i = L_i L_iᵀ of the diagonal
+/// blocks,
+///
+///   Â_ij = L_i⁻¹ A_ij L_j⁻ᵀ,   b̂ = L⁻¹ b,   Δv = L⁻ᵀ x
+///
+/// has unit diagonal blocks: the iteration needs neither a diagonal nor a preconditioned residual. A fixed row gets
+/// L⁻¹ = 0, which takes its row, its column and its right-hand side out of the system without a branch.
+namespace tensormass::solver {
+
+/// Inverse of the lower Cholesky factor of the block whose upper triangle is `d` (xx xy xz yy yz zz), as
+/// (00, 10, 11, 20, 21, 22). A pivot that rounding made non-positive is replaced by the block's scale.
+template <class Real>
+TM_HOST_DEVICE void inverse_cholesky(const Real* d, Real* out) {
+  using std::sqrt;
+  const Real floor = (d[0] + d[3] + d[5]) * Real(1e-7);
+  const auto pivot = [&](Real value) { return 1 / sqrt(value > floor ? value : (floor > 0 ? floor : Real(1))); };
+  const Real i0 = pivot(d[0]);
+  const Real l10 = d[1] * i0, l20 = d[2] * i0;
+  const Real i1 = pivot(d[3] - l10 * l10);
+  const Real l21 = (d[4] - l20 * l10) * i1;
+  const Real i2 = pivot(d[5] - l20 * l20 - l21 * l21);
+  const Real m10 = -l10 * i0 * i1;
+  out[0] = i0;
+  out[1] = m10;
+  out[2] = i1;
+  out[3] = -(l20 * i0 + l21 * m10) * i2;
+  out[4] = -l21 * i1 * i2;
+  out[5] = i2;
+}
+
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
+  const Real* p = diagonal + 8 * row;
+  Mat3<Real> m;
+  m << p[0], 0, 0, p[1], p[2], 0, p[3], p[4], p[5];
+  return m;
+}
+
+/// Replaces diagonal by L⁻¹ and rhs by b̂.
+template <class Team, class Real>
+TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s) {
+  const tensor::Patch patch = tensor::patch_of(s, team.patch());
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    Real* d = s.diagonal + std::size_t{8} * row;
+    const Real free = s.rest[std::size_t{4} * row + 3];
+    Real inverse[6];
+    inverse_cholesky(d, inverse);
+    for (int c = 0; c < 6; ++c) d[c] = free * inverse[c];
+    tensor::store3<Real>(s.rhs, row, load_lower<Real>(s.diagonal, row) * tensor::load3<Real>(s.rhs, row));
+  });
+}
+
+/// Replaces edges by Â_ij.
+template <class Team, class Real>
+TM_HOST_DEVICE void scale_edges(const Team& team, const tensor::SceneView<Real>& s) {
+  const tensor::Patch patch = tensor::patch_of(s, team.patch());
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    const Mat3<Real> own = load_lower<Real>(s.diagonal, row);
+    tensor::for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
+      const Mat3<Real> other = load_lower<Real>(s.diagonal, tensor::global_row(s, patch, column));
+      const Mat3<Real> left = own * tensor::load_block<Real>(s.edges, slot);
+      tensor::store_block<Real>(s.edges, slot, left * other.transpose());
+    });
+  });
+}
+
+}  // namespace tensormass::solver

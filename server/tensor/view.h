@@ -1,0 +1,243 @@
+#pragma once
+
+#include <cstdint>
+
+#include "core/scalar.h"
+
+/// What a stage sees of a scene: plain pointers, to host or to device memory, in one precision.
+///
+/// Nodes are renumbered to *rows*: the mesh is cut into compact patches, each patch owns a contiguous range of rows
+/// that begins and ends at a multiple of kSliceRows, and the gap at the end of a patch is filled with rows that nothing
+/// refers to. A patch's *halo* is the rows of other patches that its own rows are coupled to. Solver vectors are kept
+/// per patch, own rows first and halo rows behind them, so that a patch reads its neighbours only through `exchange`.
+///
+/// Matrices are sliced ELLPACK (Kreutzer et al. 2014): 32 neighbouring rows form a slice that is as wide as its longest
+/// row. A GPU warp and a CPU vector register both walk it along the rows.
+namespace tensormass::tensor {
+
+inline constexpr std::uint32_t kSliceRows = 32;
+
+/// Reals of one element's record in `partials`: for each node K_kk then f_k, then K_kl of each pair; a multiple of
+/// four.
+TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
+  return (nodes * 12 + nodes * (nodes - 1) / 2 * 9 + 3) / 4 * 4;
+}
+TM_HOST_DEVICE constexpr std::uint32_t vertex_offset(std::uint32_t node) { return 12 * node; }
+TM_HOST_DEVICE constexpr std::uint32_t edge_offset(std::uint32_t nodes, std::uint32_t pair) {
+  return 12 * nodes + 9 * pair;
+}
+
+/// Elements of one (shape, law) whose tensors are refreshed in every step. Structures of arrays, padded to a multiple
+/// of kSliceRows with elements of zero weight.
+template <class Real>
+struct ElementView {
+  std::uint32_t count;          // a multiple of kSliceRows
+  std::uint32_t partial_begin;  // where its records start in SceneView::partials
+  const std::uint32_t* rows;    // [shape nodes][count]
+  const Real* rest;             // [quadrature points][shape rest reals][count]
+  const Real* parameters;       // [law parameters][count]
+};
+
+/// A spherical probe as a step sees it.
+template <class Real>
+struct ToolState {
+  Real center_m[3];
+  Real radius_m;
+  Real penalty_pa_per_m;
+};
+
+/// Where a tool touches a triangle in this step.
+template <class Real>
+struct TriangleContact {
+  Real weight[3];  // barycentric coordinates of the contact point
+  Real normal[3];  // the direction in which the tissue is pushed
+  Real depth_m;    // penetration; zero: no contact
+  Real stiffness;  // [N/m]
+};
+
+/// The closest triangle of a patch to a tool.
+template <class Real>
+struct ClosestTriangle {
+  Real distance_squared;
+  Real side;  // +1 the tool's centre is outside the tissue, −1 inside
+};
+
+/// Counted by a step; one for each patch, then reduced by the host in order.
+template <class Real>
+struct PatchReport {
+  Real max_speed_m_per_s;
+  Real finite;  // 1, or 0 if a value of the patch is not a number
+};
+
+/// What the solve says of itself.
+template <class Real>
+struct SolveReport {
+  Real relative_residual;
+  std::uint32_t iterations;
+  std::uint32_t negative_curvature;  // 1 if the iteration stopped on it
+};
+
+/// Force and torque of a patch's tissue on a tool.
+template <class Real>
+struct ToolLoad {
+  Real force_n[3];
+  Real torque_n_m[3];  // about the probe's centre
+};
+
+template <class Real>
+struct SceneView {
+  // -- sizes
+  std::uint32_t row_count;
+  std::uint32_t patch_count;
+  std::uint32_t tool_count;
+  std::uint32_t triangle_count;
+
+  // -- numbers of the step
+  Real dt_s;
+  Real cg_tolerance;
+  std::uint32_t cg_max_iterations;
+
+  // -- patches; rows and halo by offsets
+  const std::uint32_t* patch_rows;  // [patch_count + 1]
+  const std::uint32_t* patch_halo;  // [patch_count + 1] into halo
+  const std::uint32_t* halo;        // global rows
+
+  // -- matrix structure
+  const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
+  const std::uint32_t* columns;      // [slot] patch-local: own rows, then halo; padding slots name the row itself
+
+  // -- constant tensors of the linear laws
+  const Real* constant_edges;     // [slot] 3×3
+  const Real* constant_vertices;  // [row_count, 12] (9 used)
+
+  // -- elements whose tensors are refreshed, and where each row finds them
+  Real* partials;                            // records, see record_reals
+  const std::uint32_t* vertex_gather;        // offsets of K_kk, f_k in partials
+  const std::uint32_t* vertex_gather_begin;  // [row_count + 1]
+  const std::uint32_t* edge_gather;          // 2 × offset of K_kl in partials, + 1 if it is to be transposed
+  const std::uint32_t* edge_gather_begin;    // [slot + 1]
+
+  // -- state and fields of rows, [row_count, 4]
+  Real* displacement;    // u [m]
+  Real* velocity;        // [m/s]
+  const Real* rest;      // X [m], 4th: 1 for a free row, 0 for a fixed or padding row
+  const Real* inertia;   // mass [kg], Rayleigh α [1/s], Rayleigh β [s]
+  const Real* external;  // constant force [N]
+
+  // -- the linear system of the step: A Δv = b, scaled to Â x = b̂ with Â = L⁻¹ A L⁻ᵀ
+  Real* edges;      // [slot] 3×3
+  Real* diagonal;   // [row_count, 8]: upper triangle of A_ii, then (after factorize) L⁻¹; 6 used
+  Real* rhs;        // [row_count, 4]
+  Real* solution;   // [row_count, 4] x
+  Real* residual;   // [own + halo of every patch, 4]
+  Real* direction;  // [own + halo of every patch, 4]
+  Real* product;    // [2, row_count, 4] Â p, by parity of the iteration: what patches exchange
+
+  // -- tissue surface, only for scenes with tools
+  const std::uint32_t* triangle_rows;        // [triangle_count, 3]
+  const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] over the edges 01, 12, 20; kNoTriangle at a rim
+  const std::uint32_t* patch_triangles;      // [patch_count + 1]
+  const Real* triangle_area;                 // [triangle_count] m², at rest
+  const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
+  const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
+  const std::uint32_t* incidence_begin;      // [surface vertex + 1]
+  const std::uint32_t* incidence;            // [.., 4]: triangle, corner, slots of the two following corners
+  const std::uint32_t* vertex_of_corner;     // [triangle_count, 3] surface vertex
+  const ToolState<Real>* tools;              // [tool_count]
+  ClosestTriangle<Real>* closest;            // [tool_count, patch_count]
+  TriangleContact<Real>* contacts;           // [tool_count, triangle_count]
+  ToolLoad<Real>* tool_loads;                // [tool_count, patch_count]
+
+  // -- what clients see
+  std::uint32_t visible_count;
+  const std::uint32_t* visible_rows;  // [visible_count, 4] rows of the element that carries the vertex
+  const Real* visible_weights;        // [visible_count, 4]
+  float* visible_positions;           // [visible_count, 3] m
+
+  // -- reports
+  PatchReport<Real>* patch_reports;  // [patch_count]
+  SolveReport<Real>* solve_report;   // [1]
+  Real* reduction;                   // [2, patch_count, 4] partial sums of exchange, by parity
+};
+
+inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
+
+/// One patch's ranges.
+struct Patch {
+  std::uint32_t index;
+  std::uint32_t row_begin, row_end;
+  std::uint32_t halo_begin, halo_count;
+  std::size_t local_begin;  // of its own rows in residual and direction
+  TM_HOST_DEVICE std::uint32_t own() const { return row_end - row_begin; }
+};
+
+template <class Real>
+TM_HOST_DEVICE Patch patch_of(const SceneView<Real>& s, std::uint32_t index) {
+  const std::uint32_t rows = s.patch_rows[index], halo = s.patch_halo[index];
+  return {index, rows, s.patch_rows[index + 1], halo, s.patch_halo[index + 1] - halo, std::size_t{rows} + halo};
+}
+
+/// The row of the scene behind a patch-local column.
+template <class Real>
+TM_HOST_DEVICE std::uint32_t global_row(const SceneView<Real>& s, const Patch& patch, std::uint32_t column) {
+  return column < patch.own() ? patch.row_begin + column : s.halo[patch.halo_begin + column - patch.own()];
+}
+
+/// Where the 3×3 block of a slot begins; its nine components lie kSliceRows apart.
+TM_HOST_DEVICE constexpr std::size_t block_begin(std::size_t slot) {
+  return slot / kSliceRows * (9 * kSliceRows) + slot % kSliceRows;
+}
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> load_block(const Real* blocks, std::size_t slot) {
+  const Real* p = blocks + block_begin(slot);
+  Mat3<Real> m;
+  for (int c = 0; c < 9; ++c) m(c / 3, c % 3) = p[c * kSliceRows];
+  return m;
+}
+template <class Real>
+TM_HOST_DEVICE void store_block(Real* blocks, std::size_t slot, const Mat3<Real>& m) {
+  Real* p = blocks + block_begin(slot);
+  for (int c = 0; c < 9; ++c) p[c * kSliceRows] = m(c / 3, c % 3);
+}
+
+/// Calls visit(slot, column) for each slot of a row.
+template <class Real, class Visit>
+TM_HOST_DEVICE void for_each_slot(const SceneView<Real>& s, std::uint32_t row, Visit&& visit) {
+  const std::uint32_t slice = row / kSliceRows;
+  for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
+    const std::size_t slot = std::size_t{j} * kSliceRows + row % kSliceRows;
+    visit(slot, s.columns[slot]);
+  }
+}
+
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> load3(const Real* vectors, std::size_t row) {
+  const Real* p = vectors + 4 * row;
+  return {p[0], p[1], p[2]};
+}
+template <class Real>
+TM_HOST_DEVICE void store3(Real* vectors, std::size_t row, const Vec3<Real>& v) {
+  Real* p = vectors + 4 * row;
+  p[0] = v[0];
+  p[1] = v[1];
+  p[2] = v[2];
+}
+/// Upper triangle of a symmetric block, 8 reals a row: xx xy xz yy yz zz.
+template <class Real>
+TM_HOST_DEVICE void store_symmetric(Real* diagonal, std::uint32_t row, const Mat3<Real>& m) {
+  Real* p = diagonal + std::size_t{8} * row;
+  p[0] = m(0, 0);
+  p[1] = m(0, 1);
+  p[2] = m(0, 2);
+  p[3] = m(1, 1);
+  p[4] = m(1, 2);
+  p[5] = m(2, 2);
+}
+
+/// Where a row is now [m].
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> position(const SceneView<Real>& s, std::size_t row) {
+  return load3<Real>(s.rest, row) + load3<Real>(s.displacement, row);
+}
+
+}  // namespace tensormass::tensor

@@ -1,0 +1,86 @@
+#include "world/messages.h"
+
+#include <algorithm>
+#include <chrono>
+
+namespace tensormass::world {
+
+namespace {
+
+void fill(const Vec3<double>& from, v1::Vector3& to) {
+  to.set_x(from[0]);
+  to.set_y(from[1]);
+  to.set_z(from[2]);
+}
+
+template <class Item>
+std::string packed(std::span<const Item> items) {
+  return {reinterpret_cast<const char*>(items.data()), items.size_bytes()};
+}
+
+}  // namespace
+
+std::uint64_t unix_time_ns() {
+  return static_cast<std::uint64_t>(
+      std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
+          .count());
+}
+
+v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
+  v1::Topology topology;
+  topology.set_scene(model.name);
+  topology.set_version(version);
+  if (model.has_gravity) fill(model.gravity_m_per_s2, *topology.mutable_gravity_m_per_s2());
+  for (const model::BodyModel& body : model.bodies) {
+    v1::BodySurface& out = *topology.add_bodies();
+    out.set_name(body.name);
+    out.set_first_vertex(body.vertex_begin);
+    out.set_vertex_count(body.vertex_count);
+    out.set_triangles(packed(std::span<const mesh::Triangle>(body.triangles)));
+    out.set_nodes(packed(std::span<const std::uint32_t>(body.vertex_nodes)));
+    if (body.has_color) fill(body.color_srgb, *out.mutable_color_srgb());
+  }
+  for (const model::ToolModel& tool : model.tools) {
+    v1::ToolShape& out = *topology.add_tools();
+    out.set_name(tool.name);
+    out.set_radius_m(tool.radius_m);
+    fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
+  }
+  return topology;
+}
+
+double local_model_validity_s(const model::Model& model) { return std::max(3 / model.rate_hz, 0.02); }
+
+void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolSnapshot& snapshot,
+                   v1::ToolFeedback& out) {
+  out.set_tool(model.tools[tool].name);
+  out.set_step(stamp.step);
+  out.set_server_time_ns(stamp.server_time_ns);
+  out.set_pose_sequence(snapshot.pose_sequence);
+  out.set_client_time_ns(snapshot.client_time_ns);
+  out.set_client_id(snapshot.client_id);
+  fill(snapshot.reading.pose.position_m, *out.mutable_position_m());
+  const auto& q = snapshot.reading.pose.orientation;
+  out.mutable_orientation()->set_w(q[0]);
+  out.mutable_orientation()->set_x(q[1]);
+  out.mutable_orientation()->set_y(q[2]);
+  out.mutable_orientation()->set_z(q[3]);
+  fill(snapshot.reading.force_n, *out.mutable_force_n());
+  fill(snapshot.reading.torque_n_m, *out.mutable_torque_n_m());
+  v1::LocalModel& local = *out.mutable_local_model();
+  local.clear_stiffness_n_per_m();
+  for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(snapshot.reading.stiffness_n_per_m(i / 3, i % 3));
+  local.set_valid_for_s(local_model_validity_s(model));
+}
+
+void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
+                std::span<const ToolSnapshot> tools, v1::Frame& out) {
+  out.set_step(stamp.step);
+  out.set_simulated_time_s(stamp.simulated_time_s);
+  out.set_server_time_ns(stamp.server_time_ns);
+  out.set_positions(packed(positions));
+  out.clear_tools();
+  for (std::size_t i = 0; i < tools.size(); ++i) fill_feedback(model, stamp, i, tools[i], *out.add_tools());
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,49 @@
+#include "world/pose_inbox.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include "model/scene_input.h"
+
+namespace tensormass::world {
+
+bool PoseInbox::is_newer(const v1::ToolPose& message) {
+  if (message.client_id() == 0 && message.sequence() == 0) return true;
+  const auto known = std::find_if(clients_.begin(), clients_.end(), [&](const Client& client) {
+    return client.id == message.client_id() && client.last_sequence > 0;
+  });
+  if (known != clients_.end()) {
+    if (message.sequence() <= known->last_sequence) return false;
+    known->last_sequence = message.sequence();
+    return true;
+  }
+  if (message.sequence() == 0) return false;
+  clients_[next_client_++ % kClients] = {message.client_id(), message.sequence()};
+  return true;
+}
+
+Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& message) {
+  const auto refuse = [&](Error error) {
+    rejected_.fetch_add(1, std::memory_order_relaxed);
+    return tl::make_unexpected(std::move(error));
+  };
+  const std::string where = fmt::format("pose of tool '{}'", tool);
+  const auto position = model::read_vector(message.position_m(), where);
+  if (!position) return refuse(position.error());
+  const auto orientation = model::read_orientation(message.orientation(), where);
+  if (!orientation) return refuse(orientation.error());
+
+  const std::lock_guard lock(writers_);
+  if (!is_newer(message)) {
+    return refuse({ErrorCode::kInvalidArgument,
+                   fmt::format("{}: sequence {} is not newer than the client's last; count up from 1", where,
+                               message.sequence())});
+  }
+  newest_.writing() = {{*position, *orientation}, message.sequence(), message.client_time_ns(), message.client_id()};
+  if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
+  received_.fetch_add(1, std::memory_order_relaxed);
+  return {};
+}
+
+}  // namespace tensormass::world
