@@ -169,9 +169,13 @@ async def test_outbox_keeps_the_newest_of_each_stream_and_sends_one_at_a_time() 
 async def test_outbox_drops_the_frame_that_belongs_to_the_topology_before() -> None:
     outbox = Outbox()
     outbox.offer(Stream.FRAME, b"old")
-    outbox.offer(Stream.TOPOLOGY, b"new topology")
+    outbox.offer(Stream.TOPOLOGY, b"topology")
+    assert await outbox.take() == b"topology"
+    waiting = asyncio.ensure_future(outbox.take())
+    await asyncio.sleep(0)
+    assert not waiting.done()
     outbox.offer(Stream.FRAME, b"new")
-    assert [await outbox.take(), await outbox.take()] == [b"new topology", b"new"]
+    assert await waiting == b"new"
 
 
 @asynchronous
@@ -363,13 +367,15 @@ async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -
     async with contextlib.AsyncExitStack() as stack:
         async with fake_daemon() as first:
             endpoints = first.endpoints
-            gateway = await stack.enter_async_context(serve(options(viewer, first.control)))
+            gateway = await stack.enter_async_context(serve(options(viewer, first.control, allow_poses=True)))
             topology = load(first)
             page = await stack.enter_async_context(browse(gateway, "liver"))
             await page.take(Stream.TOPOLOGY)
             await first.wait_subscribed("liver", "frame")
             await publish(first, topology, 50)
             await page.take(Stream.FRAME)
+            await page.send(type="pose", tool="probe", position_m=[0, 0, 0])
+            await first.next_pose()
         await page.text(lambda message: message["type"] == "daemon" and not message["connected"])
 
         again = endpoints if same_ports else Endpoints(control=endpoints.control)
@@ -381,6 +387,22 @@ async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -
         await second.wait_subscribed("liver", "frame")
         sent = await publish(second, topology, 1)
         assert await page.take(Stream.FRAME) == sent
+        await page.send(type="pose", tool="probe", position_m=[0, 0, 0])
+        await second.next_pose()
+
+
+@asynchronous
+async def test_daemon_that_was_replaced_between_two_polls_is_noticed(viewer: Path) -> None:
+    async with fake_daemon(server="before") as daemon, serve(options(viewer, daemon.control)) as gateway:
+        topology = load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.take(Stream.TOPOLOGY)
+            await daemon.wait_subscribed("liver", "frame")
+            daemon.server = "after"
+            await daemon.wait_subscribed("liver", "frame")
+            sent = await publish(daemon, topology, 1)
+            await page.take(Stream.TOPOLOGY)
+            assert await page.take(Stream.FRAME) == sent
 
 
 @asynchronous
