@@ -1,0 +1,63 @@
+#include "bus/pose_input.h"
+
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "bus/keys.h"
+#include "core/limits.h"
+
+namespace tensormass::bus {
+namespace {
+
+class PoseInputTest : public testing::Test {
+ protected:
+  std::vector<v1::ToolPose> poses;
+  std::vector<std::string> refused_scenes;
+  PoseInput input{"host",
+                  [this](std::string_view, std::string_view, const v1::ToolPose& pose) { poses.push_back(pose); },
+                  [this](std::string_view scene, std::string_view) { refused_scenes.emplace_back(scene); }};
+  const std::string key = pose_key("host", "demo", "probe");
+};
+
+std::string serialized_pose() {
+  v1::ToolPose pose;
+  pose.set_sequence(7);
+  pose.mutable_position_m()->set_z(0.25);
+  return pose.SerializeAsString();
+}
+
+TEST_F(PoseInputTest, FramedPoseArrivesAsSent) {
+  input.receive_framed(key + '\0' + serialized_pose());
+  ASSERT_EQ(poses.size(), 1u);
+  EXPECT_EQ(poses[0].sequence(), 7u);
+  EXPECT_EQ(poses[0].position_m().z(), 0.25);
+  EXPECT_EQ(input.malformed_count(), 0u);
+}
+
+TEST_F(PoseInputTest, RefusesAndSaysOfWhichScene) {
+  input.receive_framed("");
+  input.receive_framed(key);
+  input.receive_framed(key + "\xff" + serialized_pose());
+  EXPECT_EQ(refused_scenes, (std::vector<std::string>{"", "", ""}));
+  refused_scenes.clear();
+
+  input.receive(key, "\xff\xff\xff\xff garbage");
+  input.receive(key, "");
+  input.receive(key, serialized_pose().substr(0, 5));
+  // A valid message with an unknown field that makes it too long.
+  std::string too_long = serialized_pose();
+  too_long += "\x7a";
+  too_long += "\x80\x40";
+  too_long += std::string(limits::kMaxPoseMessageBytes * 2, 'x');
+  v1::ToolPose readable;
+  ASSERT_TRUE(readable.ParseFromString(too_long.substr(0, serialized_pose().size() + 3 + 8192)));
+  input.receive(key, too_long);
+  EXPECT_EQ(refused_scenes, (std::vector<std::string>{"demo", "demo", "demo", "demo"}));
+  EXPECT_EQ(input.malformed_count(), 7u);
+  EXPECT_TRUE(poses.empty());
+}
+
+}  // namespace
+}  // namespace tensormass::bus

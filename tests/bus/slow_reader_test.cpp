@@ -1,0 +1,125 @@
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <csignal>
+
+#include "support.h"
+
+namespace tensormass::bus {
+namespace {
+
+using namespace test;
+using Clock = std::chrono::steady_clock;
+
+v1::Frame make_frame(std::uint64_t sequence) {
+  v1::Frame frame;
+  frame.set_sequence(sequence);
+  frame.set_positions(std::string(240'000, 'p'));
+  return frame;
+}
+
+std::uint64_t sequence_of(const std::string& payload) {
+  v1::Frame frame;
+  EXPECT_TRUE(frame.ParseFromString(payload));
+  return frame.sequence();
+}
+
+TEST(SlowReader, OverZeroMqFindsTheNewestFrame) {
+  BusOnFreePorts server(true, false);
+  const std::string key = frame_key(kServer, "demo");
+  ZeroMqReader slow(server.bus->endpoints().zeromq_publish, key);
+  ZeroMqReader witness(server.bus->endpoints().zeromq_publish, key);
+  std::uint64_t sequence = 0;
+  std::string payload;
+  // Both are there: each has read a first frame.
+  for (ZeroMqReader* reader : {&slow, &witness}) {
+    ASSERT_TRUE(eventually([&] {
+      server.bus->publish(key, make_frame(++sequence));
+      return reader->try_read(payload);
+    }));
+  }
+  // The slow one reads nothing while 200 frames go by, each seen by the witness before the next.
+  const std::uint64_t last = sequence + 200;
+  while (sequence < last) {
+    server.bus->publish(key, make_frame(++sequence));
+    while (sequence_of(witness.read()) != sequence) continue;
+  }
+  // It may lag the witness by what is still under way, but it is spared what is old.
+  int count = 1;
+  while (sequence_of(slow.read()) != last) ++count;
+  EXPECT_LE(count, 10);
+}
+
+/// Another process that subscribes to a key over both transports (subscriber_main.cpp), and is then stopped.
+class StoppedSubscriber {
+ public:
+  StoppedSubscriber(const Endpoints& endpoints, const std::string& key) {
+    int ready[2];
+    if (pipe(ready) != 0) throw std::runtime_error("pipe");
+    child_ = fork();
+    if (child_ == 0) {
+      dup2(ready[1], STDOUT_FILENO);
+      execl(BUS_SUBSCRIBER, BUS_SUBSCRIBER, endpoints.zeromq_publish.c_str(), endpoints.zenoh_locator.c_str(),
+            key.c_str(), nullptr);
+      _exit(127);
+    }
+    close(ready[1]);
+    ready_ = ready[0];
+  }
+  ~StoppedSubscriber() {
+    kill(child_, SIGKILL);
+    waitpid(child_, nullptr, 0);
+    close(ready_);
+  }
+  /// Waits until it has had a message over both transports.
+  bool wait_until_receiving() {
+    char byte;
+    return read(ready_, &byte, 1) == 1;
+  }
+  void stop() {
+    kill(child_, SIGSTOP);
+    waitpid(child_, nullptr, WUNTRACED);
+  }
+
+ private:
+  pid_t child_ = -1;
+  int ready_ = -1;
+};
+
+TEST(StoppedReader, DoesNotDelayThePublisherNorTheOthers) {
+  BusOnFreePorts server;
+  const std::string key = frame_key(kServer, "demo");
+  StoppedSubscriber stopped(server.bus->endpoints(), key);
+  std::atomic<bool> receiving{false};
+  std::thread watch([&] { receiving = stopped.wait_until_receiving(); });
+  std::uint64_t sequence = 0;
+  EXPECT_TRUE(eventually([&] {
+    server.bus->publish(key, make_frame(++sequence));
+    return receiving.load();
+  }));
+  watch.join();
+  ASSERT_TRUE(receiving);
+  stopped.stop();
+
+  ZeroMqReader reader(server.bus->endpoints().zeromq_publish, key);
+  std::string payload;
+  ASSERT_TRUE(eventually([&] {
+    server.bus->publish(key, make_frame(++sequence));
+    return reader.try_read(payload);
+  }));
+  Clock::duration longest{};
+  // 96 MB: far more than all queues and buffers on the way hold.
+  for (int count = 0; count < 400; ++count) {
+    const auto begin = Clock::now();
+    server.bus->publish(key, make_frame(++sequence));
+    longest = std::max(longest, Clock::now() - begin);
+  }
+  // Blocking would be seconds (zenoh) or for ever (ZeroMQ); the room is for a busy machine.
+  EXPECT_LT(longest, std::chrono::milliseconds(500));
+  RecordProperty("longest_publish_us", static_cast<int>(longest / std::chrono::microseconds(1)));
+  while (sequence_of(reader.read()) != sequence) continue;
+}
+
+}  // namespace
+}  // namespace tensormass::bus

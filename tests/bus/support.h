@@ -1,0 +1,155 @@
+#pragma once
+
+#include <chrono>
+#include <condition_variable>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <zmq.hpp>
+
+#include "bus/bus.h"
+#include "bus/keys.h"
+#include "bus/zenoh/session.h"
+
+/// What the tests of the bus share: clients as an outsider would write them, on free ports.
+namespace tensormass::bus::test {
+
+inline constexpr std::chrono::seconds kDeadline{20};
+inline constexpr const char* kServer = "test";
+
+/// Values that other threads add, for a test to wait on.
+template <class T>
+class Collected {
+ public:
+  void add(T value) {
+    const std::lock_guard lock(mutex_);
+    values_.push_back(std::move(value));
+    changed_.notify_all();
+  }
+  /// What is there once the condition holds for it, or at the deadline.
+  template <class Condition>
+  std::vector<T> wait_until(Condition condition) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, kDeadline, [&] { return condition(values_); });
+    return values_;
+  }
+  std::vector<T> wait_for(std::size_t count) {
+    return wait_until([count](const auto& values) { return values.size() >= count; });
+  }
+  std::size_t size() {
+    const std::lock_guard lock(mutex_);
+    return values_.size();
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::vector<T> values_;
+};
+
+struct ReceivedPose {
+  std::string scene;
+  std::string tool;
+  v1::ToolPose pose;
+};
+
+/// A bus on free ports whose input is collected.
+class BusOnFreePorts {
+ public:
+  explicit BusOnFreePorts(bool zeromq = true, bool zenoh = true) {
+    BusOptions options;
+    options.server = kServer;
+    if (zeromq) options.zeromq_publish_endpoint = options.zeromq_pose_endpoint = "tcp://127.0.0.1:*";
+    if (zenoh) options.zenoh_listen = "tcp/127.0.0.1:0";
+    options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
+      poses.add({std::string(scene), std::string(tool), pose});
+    };
+    options.on_malformed = [this](std::string_view scene, std::string_view) { malformed.add(std::string(scene)); };
+    auto opened = Bus::open(options);
+    if (!opened) throw std::runtime_error(opened.error().message);
+    bus = std::move(*opened);
+  }
+
+  Collected<ReceivedPose> poses;
+  /// The scene that each refused message named.
+  Collected<std::string> malformed;
+  std::unique_ptr<Bus> bus;
+};
+
+/// True once the condition holds; polls, because no event tells.
+template <class Condition>
+bool eventually(Condition condition) {
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::yield();
+  }
+  return true;
+}
+
+inline v1::ToolPose make_pose(std::uint64_t sequence) {
+  v1::ToolPose pose;
+  pose.set_sequence(sequence);
+  pose.mutable_position_m()->set_x(0.5);
+  return pose;
+}
+
+/// A client's receiving socket for one key.
+class ZeroMqReader {
+ public:
+  ZeroMqReader(const std::string& endpoint, const std::string& key, bool conflate = true) : key_(key) {
+    socket_.set(zmq::sockopt::conflate, conflate);
+    socket_.set(zmq::sockopt::linger, 0);
+    socket_.set(zmq::sockopt::rcvtimeo, static_cast<int>(std::chrono::milliseconds(kDeadline).count()));
+    socket_.set(zmq::sockopt::subscribe, key + '\0');
+    socket_.connect(endpoint);
+  }
+  /// The payload of the next message; fails the test if none comes or its frame is wrong.
+  std::string read() {
+    zmq::message_t message;
+    if (!socket_.recv(message)) {
+      ADD_FAILURE() << "nothing came under " << key_;
+      return {};
+    }
+    const std::string bytes = message.to_string();
+    EXPECT_EQ(bytes.substr(0, key_.size() + 1), key_ + '\0');
+    EXPECT_FALSE(message.more());
+    return bytes.substr(key_.size() + 1);
+  }
+  bool try_read(std::string& payload) {
+    zmq::message_t message;
+    if (!socket_.recv(message, zmq::recv_flags::dontwait)) return false;
+    payload = message.to_string().substr(key_.size() + 1);
+    return true;
+  }
+
+ private:
+  std::string key_;
+  zmq::context_t context_{1};
+  zmq::socket_t socket_{context_, zmq::socket_type::sub};
+};
+
+class ZeroMqPoseWriter {
+ public:
+  explicit ZeroMqPoseWriter(const std::string& endpoint) {
+    socket_.set(zmq::sockopt::linger, 1000);
+    socket_.set(zmq::sockopt::sndtimeo, static_cast<int>(std::chrono::milliseconds(kDeadline).count()));
+    socket_.connect(endpoint);
+  }
+  void send(std::string_view bytes, bool more = false) {
+    const auto flags = more ? zmq::send_flags::sndmore : zmq::send_flags::none;
+    EXPECT_TRUE(socket_.send(zmq::buffer(bytes), flags));
+  }
+
+ private:
+  zmq::context_t context_{1};
+  zmq::socket_t socket_{context_, zmq::socket_type::push};
+};
+
+}  // namespace tensormass::bus::test

@@ -1,0 +1,136 @@
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <random>
+
+#include "core/limits.h"
+#include "support.h"
+
+namespace tensormass::bus {
+namespace {
+
+using namespace test;
+
+/// Connects to 127.0.0.1 at the port that the endpoint ends with, writes the bytes, and closes.
+void write_raw(const std::string& endpoint, std::string_view bytes) {
+  const int descriptor = socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(endpoint.substr(endpoint.rfind(':') + 1))));
+  ASSERT_EQ(connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0) << endpoint;
+  // The server may close before it has read everything; that is its right.
+  while (!bytes.empty()) {
+    const ssize_t written = send(descriptor, bytes.data(), bytes.size(), MSG_NOSIGNAL);
+    if (written <= 0) break;
+    bytes.remove_prefix(static_cast<std::size_t>(written));
+  }
+  close(descriptor);
+}
+
+std::string random_bytes(std::size_t size, std::uint32_t seed) {
+  std::mt19937 random(seed);
+  std::string bytes(size, '\0');
+  for (char& byte : bytes) byte = static_cast<char>(random());
+  return bytes;
+}
+
+/// Poses still come in, over both transports.
+void expect_alive(BusOnFreePorts& server) {
+  const std::size_t before = server.poses.size();
+  ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);
+  writer.send(pose_key(kServer, "demo", "probe") + '\0' + make_pose(1).SerializeAsString());
+  EXPECT_EQ(server.poses.wait_for(before + 1).size(), before + 1);
+  auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});
+  ASSERT_TRUE(session) << session.error().message;
+  EXPECT_TRUE(eventually([&] {
+    session->put(pose_key(kServer, "demo", "probe"), make_pose(2).SerializeAsString());
+    return server.poses.size() > before + 1;
+  }));
+}
+
+class RawBytes : public testing::TestWithParam<std::string Endpoints::*> {};
+
+TEST_P(RawBytes, AreCountedAndSurvived) {
+  BusOnFreePorts server;
+  const std::string& endpoint = server.bus->endpoints().*GetParam();
+  write_raw(endpoint, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  for (std::uint32_t seed = 1; seed <= 20; ++seed) write_raw(endpoint, random_bytes(seed * 997, seed));
+  EXPECT_TRUE(eventually([&] { return server.bus->malformed_count() >= 21; })) << server.bus->malformed_count();
+  expect_alive(server);
+}
+
+std::string endpoint_name(const testing::TestParamInfo<std::string Endpoints::*>& test) {
+  if (test.param == &Endpoints::zeromq_publish) return "ZeroMqPublish";
+  return test.param == &Endpoints::zeromq_pose ? "ZeroMqPose" : "Zenoh";
+}
+
+INSTANTIATE_TEST_SUITE_P(Endpoint, RawBytes,
+                         testing::Values(&Endpoints::zeromq_publish, &Endpoints::zeromq_pose,
+                                         &Endpoints::zenoh_locator),
+                         endpoint_name);
+
+TEST(GarbageMessages, OverZeroMqAreCountedAndSurvived) {
+  BusOnFreePorts server;
+  const std::string key = pose_key(kServer, "demo", "probe");
+  ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);
+  writer.send("");
+  writer.send(random_bytes(100, 1));
+  writer.send(key);
+  writer.send(key + '\0');
+  writer.send(key + '\0' + random_bytes(100, 2));
+  writer.send(key + '\0' + std::string(limits::kMaxPoseMessageBytes + 1, 'x'));
+  writer.send(pose_key("other", "demo", "probe") + '\0' + make_pose(1).SerializeAsString());
+  // Two frames where one is due, and a good pose in the second of them.
+  writer.send(key, true);
+  writer.send(key + '\0' + make_pose(1).SerializeAsString());
+  EXPECT_EQ(server.malformed.wait_for(8), (std::vector<std::string>{"", "", "", "demo", "demo", "demo", "", ""}));
+  EXPECT_EQ(server.poses.size(), 0u);
+  expect_alive(server);
+  EXPECT_EQ(server.bus->malformed_count(), 8u);
+}
+
+TEST(GarbageMessages, TooLongForAnyoneEndsThatConnectionOnly) {
+  BusOnFreePorts server;
+  {
+    ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);
+    writer.send(std::string(8 << 20, 'x'));
+  }
+  expect_alive(server);
+}
+
+TEST(GarbageMessages, OverZenohAreCountedAndSurvived) {
+  BusOnFreePorts server;
+  auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});
+  ASSERT_TRUE(session) << session.error().message;
+  const std::string key = pose_key(kServer, "demo", "probe");
+  ASSERT_TRUE(eventually([&] {
+    session->put(key, random_bytes(100, 3));
+    return server.malformed.size() > 0;
+  }));
+  const std::size_t before = server.malformed.size();
+  ASSERT_TRUE(eventually([&] {
+    session->put(key, std::string(100'000, 'x'));
+    return server.malformed.size() > before;
+  }));
+  EXPECT_EQ(server.malformed.wait_for(1).front(), "demo");
+  EXPECT_EQ(server.poses.size(), 0u);
+  expect_alive(server);
+}
+
+TEST(GarbageMessages, OnThePublishEndpointAreCountedAndSurvived) {
+  BusOnFreePorts server;
+  zmq::context_t context(1);
+  zmq::socket_t client(context, zmq::socket_type::xsub);
+  client.set(zmq::sockopt::linger, 1000);
+  client.connect(server.bus->endpoints().zeromq_publish);
+  client.send(zmq::str_buffer("\x07 not a subscription"));
+  client.send(zmq::buffer(std::string(1, 1).append(random_bytes(300, 4))));
+  EXPECT_EQ(server.malformed.wait_for(1).size(), 1u);
+  expect_alive(server);
+}
+
+}  // namespace
+}  // namespace tensormass::bus
