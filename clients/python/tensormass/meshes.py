@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import subprocess
+import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,14 +157,14 @@ def read_gmsh1(path: str | Path) -> TetrahedralMesh:
     index_of: dict[int, int] = {}
     points = np.empty((len(node_rows), 3))
     for row, text in enumerate(node_rows):
-        words = text.split()
+        where = f"{path}:{first_node_line + row}"
         try:
-            node, point = int(words[0]), [float(word) for word in words[1:]]
-            points[row] = point
-        except (ValueError, IndexError) as error:
-            raise InvalidArgumentError(f"{path}:{first_node_line + row}: expected `id x y z`, found {text!r}") from error
+            number, x, y, z = text.split()
+            node, points[row] = int(number), (float(x), float(y), float(z))
+        except ValueError as error:
+            raise InvalidArgumentError(f"{where}: expected `id x y z`, found {text!r}") from error
         if node in index_of:
-            raise InvalidArgumentError(f"{path}:{first_node_line + row}: node {node} is defined a second time")
+            raise InvalidArgumentError(f"{where}: node {node} is defined a second time")
         index_of[node] = row
 
     tetrahedra: list[list[int]] = []
@@ -358,19 +361,31 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float, *, stop_energy:
         raise InvalidArgumentError(
             f"edge length {edge_length:g}: must be positive and below the surface's diagonal, {diagonal:g}"
         )
-    from pytetwild import tetrahedralize as fill  # 0.1 s to import
-
-    # One thread: with more, the mesh differs from run to run.
-    nodes, tetrahedra = fill(
-        surface.vertices,
-        surface.triangles.astype(np.int32),
-        edge_length_abs=edge_length,
-        stop_energy=stop_energy,
-        num_threads=1,
-        quiet=True,
-    )
+    # A process of its own: the mesher writes files into its working directory, prints, and may end the process.
+    with tempfile.TemporaryDirectory() as folder:
+        surface_file, volume_file = Path(folder) / "surface.npz", Path(folder) / "volume.npz"
+        np.savez(surface_file, vertices=surface.vertices, triangles=surface.triangles.astype(np.int32))
+        run = [sys.executable, "-P", "-c", _TETWILD]
+        run += [str(surface_file), str(volume_file), str(edge_length), str(stop_energy)]
+        done = subprocess.run(run, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+        if done.returncode != 0 or not volume_file.is_file():
+            reason = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
+            raise InvalidArgumentError(f"fTetWild could not mesh the surface: {reason}")
+        with np.load(volume_file) as volume:
+            nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]
     if len(tetrahedra) == 0:
         raise InvalidArgumentError("the surface encloses no volume; close its holes first")
     return repair(TetrahedralMesh.from_arrays(nodes, tetrahedra, "result of fTetWild"))
 
 
+# One thread: with more, the mesh differs from run to run.
+_TETWILD = """
+import sys
+import numpy as np
+from pytetwild import tetrahedralize
+surface = np.load(sys.argv[1])
+nodes, tetrahedra = tetrahedralize(
+    surface["vertices"], surface["triangles"], edge_length_abs=float(sys.argv[3]), stop_energy=float(sys.argv[4]),
+    num_threads=1, quiet=True)
+np.savez(sys.argv[2], nodes=nodes, tetrahedra=tetrahedra)
+"""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import meshio
 import numpy as np
@@ -18,7 +18,7 @@ import yaml
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass import meshes
+from tensormass import demo, meshes
 from tensormass.errors import InvalidArgumentError, NotFoundError
 from tensormass.v1 import scene_pb2
 
@@ -49,34 +49,41 @@ class Scene:
     def from_file(path: str | Path) -> Scene:
         """Reads a scene (.yaml, .yml) or a bare tetrahedral mesh, which becomes one body of soft tissue at rest.
 
+        The name of a built-in scene (`builtin_scenes`) stands for its file, unless a file of that name exists.
+
         Raises:
             NotFoundError: no such file, or a mesh that the scene names is not there.
             InvalidArgumentError: what is wrong, with the file and the path of the field.
         """
+        directory: Path | None = None
+        if not Path(path).exists() and (builtin := demo.builtin_scene(str(path))) is not None:
+            path, directory = builtin
         path = Path(path)
-        if path.suffix.lower() not in _YAML_ENDINGS:
+        if path.suffix and path.suffix.lower() not in _YAML_ENDINGS:
             name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in path.stem)[:64]
             return Scene._from_mesh(meshes.read_mesh(path), name=name or "scene")
         try:
             text = path.read_text("utf-8")
         except FileNotFoundError:
-            raise NotFoundError(f"{path}: no such file") from None
+            raise NotFoundError(
+                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())})"
+            ) from None
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
-        return Scene.from_yaml(text, directory=path.parent, where=str(path))
+        return Scene.from_yaml(text, directory=directory or path.parent, where=str(path))
 
     @staticmethod
     def from_yaml(text: str, *, directory: str | Path = ".", where: str = "scene") -> Scene:
         """Parses a scene file's text; mesh files are looked up relative to `directory`."""
         try:
             # A SafeLoader: nothing in the text is run.
-            content = yaml.load(text, Loader=_StrictLoader)  # noqa: S506
+            content = yaml.load(text, Loader=_StrictLoader)
         except yaml.YAMLError as error:
             raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         message = scene_pb2.Scene()
-        _check_fields(content, message.DESCRIPTOR, where, "")
+        _check_fields(content, cast(Descriptor, message.DESCRIPTOR), where, "")
         try:
             json_format.ParseDict(content, message, max_recursion_depth=20)
         except json_format.ParseError as error:
