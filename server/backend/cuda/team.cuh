@@ -36,7 +36,8 @@ class Team {
   }
   template <class Real, std::size_t Count>
   __device__ void patch_sum(Real (&values)[Count]) const {
-    for (Real& value : values) value = reduce(value, [](Real a, Real b) { return a + b; });
+    const Sums<Real, Count> total = reduce(gather(values), add<Real, Count>);
+    for (std::size_t i = 0; i < Count; ++i) values[i] = total.value[i];
   }
   /// The smallest value with its index, the lowest index among equals; in every thread.
   template <class Real>
@@ -57,15 +58,14 @@ class Team {
       for (std::size_t i = 0; i < Count; ++i) scratch[4 * blockIdx.x + i] = sums[i];
     }
     cooperative_groups::this_grid().sync();
-    for (std::size_t i = 0; i < Count; ++i) {
-      Real total = 0;
-      for (std::uint32_t patch = threadIdx.x; patch < gridDim.x; patch += blockDim.x) {
-        // Another block wrote it a moment ago: past the L1 cache.
-        total += __ldcg(scratch + 4 * patch + i);
-      }
-      sums[i] = total;
+    // Every warp adds up all patches in the same order, which costs no barrier of the block. Other blocks wrote a
+    // moment ago: past the L1 cache.
+    for (Real& sum : sums) sum = 0;
+    for (std::uint32_t patch = threadIdx.x % kWarp; patch < gridDim.x; patch += kWarp) {
+      for (std::size_t i = 0; i < Count; ++i) sums[i] += __ldcg(scratch + 4 * patch + i);
     }
-    patch_sum(sums);
+    const Sums<Real, Count> total = reduce_warp(gather(sums), add<Real, Count>);
+    for (std::size_t i = 0; i < Count; ++i) sums[i] = total.value[i];
   }
 
  private:
@@ -74,24 +74,53 @@ class Team {
     Real value;
     std::uint32_t index;
   };
+  template <class Real, std::size_t Count>
+  struct Sums {
+    Real value[Count];
+  };
+
+  template <class Real, std::size_t Count>
+  __device__ static Sums<Real, Count> gather(const Real (&values)[Count]) {
+    Sums<Real, Count> sums;
+    for (std::size_t i = 0; i < Count; ++i) sums.value[i] = values[i];
+    return sums;
+  }
+  template <class Real, std::size_t Count>
+  __device__ static Sums<Real, Count> add(const Sums<Real, Count>& a, const Sums<Real, Count>& b) {
+    Sums<Real, Count> sums;
+    for (std::size_t i = 0; i < Count; ++i) sums.value[i] = a.value[i] + b.value[i];
+    return sums;
+  }
 
   template <class T>
-  __device__ static T shuffle_down(T value, unsigned offset) {
-    return __shfl_down_sync(0xFFFFFFFFu, value, offset);
+  __device__ static T shuffle(T value, unsigned mask) {
+    return __shfl_xor_sync(0xFFFFFFFFu, value, mask);
   }
   template <class Real>
-  __device__ static Candidate<Real> shuffle_down(Candidate<Real> c, unsigned offset) {
-    return {shuffle_down(c.value, offset), shuffle_down(c.index, offset)};
+  __device__ static Candidate<Real> shuffle(const Candidate<Real>& c, unsigned mask) {
+    return {shuffle(c.value, mask), shuffle(c.index, mask)};
+  }
+  template <class Real, std::size_t Count>
+  __device__ static Sums<Real, Count> shuffle(const Sums<Real, Count>& sums, unsigned mask) {
+    Sums<Real, Count> out;
+    for (std::size_t i = 0; i < Count; ++i) out.value[i] = shuffle(sums.value[i], mask);
+    return out;
   }
 
+  /// Over a warp; the result is in every lane, the same to the last bit, since each combination is commutative.
+  template <class T, class Combine>
+  __device__ static T reduce_warp(T value, Combine combine) {
+    for (unsigned mask = kWarp / 2; mask > 0; mask /= 2) value = combine(value, shuffle(value, mask));
+    return value;
+  }
   /// Over the block by warps; blockDim.x is a multiple of kWarp. The result is in every thread.
   template <class T, class Combine>
   __device__ T reduce(T value, Combine combine) const {
     __shared__ T partial[kMaxBlockThreads / kWarp];
-    const unsigned warp = threadIdx.x / kWarp, lane = threadIdx.x % kWarp, warps = blockDim.x / kWarp;
-    for (unsigned offset = kWarp / 2; offset > 0; offset /= 2) value = combine(value, shuffle_down(value, offset));
+    const unsigned warps = blockDim.x / kWarp;
+    value = reduce_warp(value, combine);
     __syncthreads();  // the partial results of the reduction before this one have been read
-    if (lane == 0) partial[warp] = value;
+    if (threadIdx.x % kWarp == 0) partial[threadIdx.x / kWarp] = value;
     __syncthreads();
     T total = partial[0];
     for (unsigned other = 1; other < warps; ++other) total = combine(total, partial[other]);

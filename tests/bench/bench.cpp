@@ -1,0 +1,187 @@
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include "backend/backend.h"
+#include "model/compile.h"
+#include "model/plan.h"
+#include "support/scenes.h"
+#include "world/world.h"
+
+/// tensormass-bench: milliseconds a step on scenes that anyone can rebuild, with the floor beside the number.
+namespace {
+
+using namespace tensormass;
+using Clock = std::chrono::steady_clock;
+
+struct Case {
+  std::string name;
+  v1::Scene scene;
+};
+
+/// Exactly 50 CG iterations a step.
+v1::Scene beam(std::uint32_t x, std::uint32_t y, std::uint32_t z, bool linear, bool double_precision) {
+  tests::Beam beam;
+  beam.cells_x = x;
+  beam.cells_y = y;
+  beam.cells_z = z;
+  beam.linear = linear;
+  beam.double_precision = double_precision;
+  return tests::beam_scene(beam);
+}
+
+struct Measured {
+  double median_s = 0, p99_s = 0, min_s = 0;
+};
+
+Measured percentiles(std::vector<double> seconds) {
+  std::sort(seconds.begin(), seconds.end());
+  return {seconds[seconds.size() / 2], seconds[seconds.size() * 99 / 100], seconds.front()};
+}
+
+struct Row {
+  std::string name, backend, device;
+  std::uint64_t tetrahedra = 0, nodes = 0;
+  std::uint32_t patches = 0, iterations = 0, steps = 0;
+  double compile_s = 0, floor_s = 0, iteration_s = 0;
+  double bytes_per_tetrahedron = 0;
+  Measured step{};
+};
+
+/// Seconds of a copy of `bytes` on the backend's memory is what nothing can beat; here by the counted bytes of the plan
+/// and the bandwidth that the machine's own copy reaches.
+double copy_bandwidth_bytes_per_s(std::uint32_t threads) {
+  const std::size_t count = std::size_t{16} << 20;
+  double best = 0;
+  std::vector<double> a(count * threads, 1), b(count * threads, 2), c(count * threads, 3);
+  for (int repeat = 0; repeat < 5; ++repeat) {
+    const Clock::time_point begin = Clock::now();
+    std::vector<std::thread> workers;
+    for (std::uint32_t t = 0; t < threads; ++t) {
+      workers.emplace_back([&, t] {
+        for (std::size_t i = t * count; i < (t + 1) * count; ++i) a[i] = b[i] + 3 * c[i];
+      });
+    }
+    for (std::thread& worker : workers) worker.join();
+    const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
+    best = std::max(best, 3.0 * sizeof(double) * static_cast<double>(count * threads) / seconds);
+  }
+  return best;
+}
+
+Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& backend, std::uint32_t steps, Row& row) {
+  const Clock::time_point begin = Clock::now();
+  TM_TRY(model, model::compile(scene, backend.patch_policy(scene)));
+  const v1::SceneReport report = model::make_report(model, backend.rates(scene));
+  row.tetrahedra = model.bodies[0].element_count;
+  row.nodes = model.bodies[0].node_count;
+  row.patches = model.layout.patch_count;
+  row.bytes_per_tetrahedron = static_cast<double>(report.bytes_total()) / static_cast<double>(row.tetrahedra);
+  double bytes = 0;
+  for (const v1::PlanStage& stage : report.stages()) {
+    bytes += static_cast<double>(stage.bytes()) * (stage.name() == "conjugate gradients" ? model.cg_max_iterations : 1);
+  }
+  row.floor_s = bytes;
+  TM_TRY(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
+  row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
+  for (int i = 0; i < 3; ++i) world->step(false);
+  std::vector<double> seconds;
+  for (std::uint32_t i = 0; i < steps; ++i) {
+    const Clock::time_point start = Clock::now();
+    if (!world->step(false)) return invalid("the state left the numbers");
+    seconds.push_back(std::chrono::duration<double>(Clock::now() - start).count());
+  }
+  row.iterations = world->last().cg_iterations;
+  return percentiles(std::move(seconds));
+}
+
+std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
+  return fmt::format(
+      R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","tetrahedra":{},"nodes":{},"patches":{},)"
+      R"("steps":{},"cg_iterations":{},"step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_min":{:.4f},)"
+      R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},"bytes_per_tetrahedron":{:.0f}}})",
+      row.name, row.backend, row.device, commit, command, row.tetrahedra, row.nodes, row.patches, row.steps,
+      row.iterations, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.step.min_s * 1e3, row.iteration_s * 1e6,
+      row.floor_s * 1e3, bandwidth / 1e9, row.compile_s, row.bytes_per_tetrahedron);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{
+      "Milliseconds a step on beams that anyone can rebuild: 8 x 1 x 0.8 m, E 1 MPa, nu 0.4, 50 CG iterations."};
+  std::string backend_name = "cpu", output, commit = "unknown";
+  std::uint32_t steps = 100, threads = std::max(1u, std::thread::hardware_concurrency());
+  bool small = false;
+  app.add_option("--backend", backend_name, "cpu or cuda")->check(CLI::IsMember({"cpu", "cuda"}));
+  app.add_option("--steps", steps, "measured steps of each case")->check(CLI::Range(1, 100000));
+  app.add_option("--threads", threads, "CPU threads of a scene");
+  app.add_option("--commit", commit, "written into the results");
+  app.add_option("--json", output, "append one JSON line a case to this file");
+  app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
+  CLI11_PARSE(app, argc, argv);
+  std::string command = "tensormass-bench";
+  for (int i = 1; i < argc; ++i) command += std::string(" ") + argv[i];
+
+  std::unique_ptr<backend::Backend> backend;
+  double bandwidth = 0;
+  if (backend_name == "cuda") {
+    auto cuda = backend::make_cuda_backend();
+    if (!cuda) {
+      std::fprintf(stderr, "SKIPPED: %s\n", cuda.error().message.c_str());
+      return 77;
+    }
+    backend = std::move(*cuda);
+    bandwidth = 4.3e12;  // device-to-device copy of an H200, read and written
+  } else {
+    backend = backend::make_cpu_backend(threads);
+    bandwidth = copy_bandwidth_bytes_per_s(threads);
+  }
+
+  struct Size {
+    std::uint32_t x, y, z;
+  };
+  std::vector<Case> cases;
+  for (const Size size : {Size{40, 9, 9}, Size{60, 12, 10}, Size{160, 20, 16}}) {
+    if (small && size.x > 60) continue;
+    const std::uint32_t count = size.x * size.y * size.z * 6;
+    cases.push_back({fmt::format("beam {} StVK float", count), beam(size.x, size.y, size.z, false, false)});
+    cases.push_back({fmt::format("beam {} Hooke float", count), beam(size.x, size.y, size.z, true, false)});
+  }
+  cases.push_back({"beam 43200 StVK double", beam(60, 12, 10, false, true)});
+
+  std::printf("%s on %s, %.0f GB/s\n", backend->name().c_str(), backend->device().c_str(), bandwidth / 1e9);
+  std::printf("%-26s %9s %8s %10s %10s %10s %12s %8s\n", "case", "elements", "patches", "median ms", "p99 ms",
+              "floor ms", "us/iteration", "ready s");
+  for (Case& one : cases) {
+    Row row{.name = one.name, .backend = backend->name(), .device = backend->device(), .steps = steps};
+    if (backend->name() == "cpu") row.steps = std::max(10u, steps / 5);
+    const auto measured = time_steps(one.scene, *backend, row.steps, row);
+    if (!measured) {
+      std::fprintf(stderr, "%s: %s\n", one.name.c_str(), measured.error().message.c_str());
+      return 1;
+    }
+    row.step = *measured;
+    // An iteration is the difference that iterations make: the same scene with ten more against ten.
+    Row fewer = row;
+    v1::Scene short_scene = one.scene;
+    short_scene.mutable_solver()->set_cg_max_iterations(10);
+    if (const auto shorter = time_steps(short_scene, *backend, row.steps, fewer)) {
+      row.iteration_s = (row.step.median_s - shorter->median_s) / 40;
+    }
+    row.floor_s /= bandwidth;
+    std::printf("%-26s %9lu %8u %10.3f %10.3f %10.3f %12.2f %8.2f\n", row.name.c_str(), row.tetrahedra, row.patches,
+                row.step.median_s * 1e3, row.step.p99_s * 1e3, row.floor_s * 1e3, row.iteration_s * 1e6, row.compile_s);
+    std::fflush(stdout);
+    if (!output.empty()) std::ofstream(output, std::ios::app) << json(row, commit, command, bandwidth) << '\n';
+  }
+  return 0;
+}

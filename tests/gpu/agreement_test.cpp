@@ -1,0 +1,133 @@
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "model/compile.h"
+#include "support/scenes.h"
+#include "world/world.h"
+
+/// What CUDA computes is what the CPU computes. The numbers of patches differ, so sums are ordered differently and
+/// compilers contract differently: the two agree to rounding, amplified by 100 steps, and not bitwise.
+namespace tensormass {
+namespace {
+
+struct Trajectory {
+  std::vector<double> positions;
+  std::vector<Vec3<double>> forces;  // of each step
+  std::uint32_t patches = 0;
+};
+
+Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int steps, bool press) {
+  auto model = model::compile(scene, backend.patch_policy(scene));
+  EXPECT_TRUE(model) << model.error().message;
+  Trajectory out;
+  out.patches = model->layout.patch_count;
+  auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
+  EXPECT_TRUE(world) << world.error().message;
+  for (int i = 0; i < steps; ++i) {
+    if (press) (*world)->set_tool_target(0, {{0.05, 0.058 - 0.012 * std::min(i / 60.0, 1.0), 0.05}, {1, 0, 0, 0}});
+    EXPECT_TRUE((*world)->step(false));
+    if (press) out.forces.push_back((*world)->readings()[0].force_n);
+  }
+  out.positions = (*world)->positions((*world)->model().bodies[0]);
+  return out;
+}
+
+/// ‖a − b‖ / ‖a − rest‖: relative to what moved.
+double relative_difference(const std::vector<double>& a, const std::vector<double>& b,
+                           const std::vector<double>& rest) {
+  double difference = 0, moved = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    difference += (a[i] - b[i]) * (a[i] - b[i]);
+    moved += (a[i] - rest[i]) * (a[i] - rest[i]);
+  }
+  return std::sqrt(difference / moved);
+}
+
+struct Parameters {
+  bool linear;
+  bool double_precision;
+  friend void PrintTo(const Parameters& p, std::ostream* out) {
+    *out << (p.linear ? "Hooke" : "StVK") << (p.double_precision ? "Double" : "Float");
+  }
+};
+
+class CudaAgreement : public testing::TestWithParam<Parameters> {
+ protected:
+  void SetUp() override {
+    auto made = backend::make_cuda_backend();
+    if (!made) GTEST_SKIP() << "no GPU here: " << made.error().message;
+    cuda_ = std::move(*made);
+  }
+  double tolerance() const { return GetParam().double_precision ? 1e-10 : 1e-4; }
+
+  std::unique_ptr<backend::Backend> cuda_;
+  std::unique_ptr<backend::Backend> cpu_ = backend::make_cpu_backend(1);
+};
+
+TEST_P(CudaAgreement, BeamAfterAHundredSteps) {
+  tests::Beam beam;
+  beam.linear = GetParam().linear;
+  beam.double_precision = GetParam().double_precision;
+  // The solve runs to rounding, so that what is compared is arithmetic and not where an unfinished iteration stands.
+  beam.cg_max_iterations = 400;
+  beam.cg_tolerance = beam.double_precision ? 1e-14 : 1e-6;
+  const v1::Scene scene = tests::beam_scene(beam);
+  const Trajectory rest = run(*cpu_, scene, 0, false);
+  const Trajectory cpu = run(*cpu_, scene, 100, false);
+  const Trajectory cuda = run(*cuda_, scene, 100, false);
+  EXPECT_GT(cuda.patches, 1u);
+  const double difference = relative_difference(cpu.positions, cuda.positions, rest.positions);
+  RecordProperty("relative_difference", std::to_string(difference));
+  EXPECT_LT(difference, tolerance());
+}
+
+TEST_P(CudaAgreement, ProbePressedIntoABlock) {
+  v1::Scene scene = tests::block_with_probe(GetParam().double_precision);
+  if (GetParam().linear) {
+    const v1::IsotropicElastic law = scene.bodies(0).law().st_venant_kirchhoff();
+    *scene.mutable_bodies(0)->mutable_law()->mutable_hooke() = law;
+  }
+  scene.mutable_solver()->set_cg_tolerance(GetParam().double_precision ? 1e-14 : 1e-6);
+  scene.mutable_solver()->set_cg_max_iterations(400);
+  const Trajectory rest = run(*cpu_, scene, 0, true);
+  const Trajectory cpu = run(*cpu_, scene, 100, true);
+  const Trajectory cuda = run(*cuda_, scene, 100, true);
+  EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
+  ASSERT_GT(cpu.forces.back().norm(), 0.1);
+  EXPECT_LT((cpu.forces.back() - cuda.forces.back()).norm(), tolerance() * 10 * cpu.forces.back().norm());
+}
+
+TEST_P(CudaAgreement, RepeatsBitwise) {
+  v1::Scene scene = tests::block_with_probe(GetParam().double_precision);
+  const Trajectory first = run(*cuda_, scene, 50, true);
+  const Trajectory second = run(*cuda_, scene, 50, true);
+  EXPECT_EQ(first.positions, second.positions);
+  EXPECT_TRUE(std::equal(first.forces.begin(), first.forces.end(), second.forces.begin()));
+}
+
+INSTANTIATE_TEST_SUITE_P(Laws, CudaAgreement,
+                         testing::Values(Parameters{false, false}, Parameters{false, true}, Parameters{true, false},
+                                         Parameters{true, true}),
+                         [](const auto& one) { return testing::PrintToString(one.param); });
+
+/// The same properties between different numbers of CPU threads, which need no GPU.
+TEST(CpuTeams, AgreeAndRepeat) {
+  tests::Beam beam;
+  beam.double_precision = true;
+  beam.cg_max_iterations = 400;
+  beam.cg_tolerance = 1e-14;
+  const v1::Scene scene = tests::beam_scene(beam);
+  const auto one = backend::make_cpu_backend(1), three = backend::make_cpu_backend(3);
+  const Trajectory rest = run(*one, scene, 0, false);
+  // 625 nodes on three threads want a finer mesh than the policy's; two patches are what it gives.
+  const Trajectory single = run(*one, scene, 30, false), team = run(*three, scene, 30, false),
+                   again = run(*three, scene, 30, false);
+  EXPECT_EQ(team.positions, again.positions);
+  EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);
+}
+
+}  // namespace
+}  // namespace tensormass

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "tensormass/v1/scene.pb.h"
+
+/// Scenes that tests and the benchmark build in code.
+namespace tensormass::tests {
+
+inline void set(v1::Vector3& v, double x, double y, double z) {
+  v.set_x(x);
+  v.set_y(y);
+  v.set_z(z);
+}
+
+struct Beam {
+  std::uint32_t cells_x = 24, cells_y = 4, cells_z = 4;
+  double size_x_m = 8, size_y_m = 1, size_z_m = 0.8;
+  bool linear = false;  ///< Hooke, else St-Venant-Kirchhoff
+  bool double_precision = false;
+  double young_modulus_pa = 1e6;
+  double poisson_ratio = 0.4;
+  double dt_s = 0.01;
+  std::uint32_t cg_max_iterations = 50;
+  double cg_tolerance = 0;
+  double frame_rate_hz = 0;
+};
+
+/// The beam of the field's comparisons: clamped at x = 0, ρ 1000 kg/m³, falling in -y, in lockstep.
+inline v1::Scene beam_scene(const Beam& beam = {}) {
+  v1::Scene scene;
+  scene.set_name("beam");
+  v1::Body& body = *scene.add_bodies();
+  body.set_name("beam");
+  v1::Grid& grid = *body.mutable_mesh()->mutable_grid();
+  set(*grid.mutable_size_m(), beam.size_x_m, beam.size_y_m, beam.size_z_m);
+  grid.set_cells_x(beam.cells_x);
+  grid.set_cells_y(beam.cells_y);
+  grid.set_cells_z(beam.cells_z);
+  v1::IsotropicElastic& law =
+      beam.linear ? *body.mutable_law()->mutable_hooke() : *body.mutable_law()->mutable_st_venant_kirchhoff();
+  law.set_young_modulus_pa(beam.young_modulus_pa);
+  law.set_poisson_ratio(beam.poisson_ratio);
+  body.set_density_kg_per_m3(1000);
+  v1::Box& clamp = *body.add_fixed()->mutable_box();
+  set(*clamp.mutable_min_m(), -1e-6, -1, -1);
+  set(*clamp.mutable_max_m(), 1e-6, 1 + beam.size_y_m, 1 + beam.size_z_m);
+  set(*scene.mutable_gravity_m_per_s2(), 0, -9.81, 0);
+  scene.mutable_stepping()->set_dt_s(beam.dt_s);
+  scene.mutable_stepping()->set_lockstep(true);
+  scene.mutable_solver()->set_cg_max_iterations(beam.cg_max_iterations);
+  scene.mutable_solver()->set_cg_tolerance(beam.cg_tolerance);
+  scene.mutable_solver()->set_precision(beam.double_precision ? v1::Solver::PRECISION_DOUBLE
+                                                              : v1::Solver::PRECISION_FLOAT);
+  scene.mutable_streams()->set_frame_rate_hz(beam.frame_rate_hz);
+  return scene;
+}
+
+/// Adds a spherical probe called `name`, its centre at `x, y, z`.
+inline v1::Tool& add_probe(v1::Scene& scene, const std::string& name, double radius_m, double x, double y, double z) {
+  v1::Tool& tool = *scene.add_tools();
+  tool.set_name(name);
+  tool.mutable_spherical_probe()->set_radius_m(radius_m);
+  set(*tool.mutable_position_m(), x, y, z);
+  return tool;
+}
+
+/// A block of soft tissue, 0.1 × 0.05 × 0.1 m, clamped at its bottom (y = 0), with a probe of 10 mm above its top.
+inline v1::Scene block_with_probe(bool double_precision = false, std::uint32_t cells = 10) {
+  Beam block;
+  block.cells_x = block.cells_z = cells;
+  block.cells_y = cells / 2;
+  block.size_x_m = block.size_z_m = 0.1;
+  block.size_y_m = 0.05;
+  block.young_modulus_pa = 5e3;
+  block.double_precision = double_precision;
+  block.cg_max_iterations = 200;
+  block.cg_tolerance = double_precision ? 1e-12 : 1e-5;
+  block.frame_rate_hz = 60;
+  v1::Scene scene = beam_scene(block);
+  scene.set_name("block");
+  v1::Box& clamp = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
+  set(*clamp.mutable_min_m(), -1, -1, -1);
+  set(*clamp.mutable_max_m(), 1, 1e-6, 1);
+  add_probe(scene, "probe", 0.01, 0.05, 0.07, 0.05);
+  return scene;
+}
+
+}  // namespace tensormass::tests
