@@ -14,6 +14,12 @@ export interface Readings {
 
 export type Notice = { readonly tone: "quiet" | "warning"; readonly title: string; readonly detail: string } | null;
 
+export interface Actions {
+  readonly pickScene: (scene: string) => void;
+  readonly resetView: () => void;
+  readonly toggleTools: () => void;
+}
+
 const UNKNOWN = "–";
 
 export class Hud {
@@ -22,12 +28,18 @@ export class Hud {
   readonly #notice = element("notice");
   readonly #device = element("device");
 
-  constructor(onPick: (scene: string) => void, onReset: () => void) {
-    this.#picker.addEventListener("change", () => onPick(this.#picker.value));
-    element("reset").addEventListener("click", onReset);
+  constructor(actions: Actions) {
+    this.#picker.addEventListener("change", () => actions.pickScene(this.#picker.value));
+    element("reset").addEventListener("click", actions.resetView);
+    element("tools").addEventListener("click", actions.toggleTools);
     window.addEventListener("keydown", (event) => {
-      if (event.key === "r" && !event.ctrlKey && !event.metaKey) {
-        onReset();
+      if (event.ctrlKey || event.metaKey || event.altKey) {
+        return;
+      }
+      if (event.key === "r") {
+        actions.resetView();
+      } else if (event.key === "t") {
+        actions.toggleTools();
       }
     });
   }

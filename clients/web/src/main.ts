@@ -27,15 +27,16 @@ let daemon: DaemonState | null = null;
 let replaced = 0;
 let drawn: { atMs: number; ageMs: number | null }[] = [];
 
-const hud = new Hud(
-  (scene) => {
+const hud = new Hud({
+  pickScene(scene) {
     wanted = scene;
     address.searchParams.set("scene", scene);
     window.history.replaceState(null, "", address);
     chooseScene();
   },
-  () => viewer.resetView(),
-);
+  resetView: () => viewer.resetView(),
+  toggleTools: () => viewer.toggleTools(),
+});
 
 const viewer = new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
   onDrawn(serverTimeNs) {

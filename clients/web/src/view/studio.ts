@@ -7,7 +7,7 @@ import type { Vector } from "../stream/decode";
 import type { Quality } from "./quality";
 
 const FIELD_OF_VIEW_DEG = 32;
-const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.5, 1).normalize();
+const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.6, 1).normalize();
 /** The scene sits below the middle of the picture, so that tools and arrows above it are seen. */
 const HEAD_ROOM = 0.12;
 const FLOOR_GAP = 0.12;
@@ -93,7 +93,7 @@ export class Studio {
 
 /** An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor. */
 function lights(): THREE.Object3D[] {
-  const key = new THREE.DirectionalLight("#fff1e2", 2.3);
+  const key = new THREE.DirectionalLight("#fff1e2", 2.1);
   key.position.set(-1.6, 4.2, 2.4);
   key.castShadow = true;
   key.shadow.mapSize.setScalar(1024);

@@ -141,7 +141,7 @@ float valueNoise(vec3 at) {
 }
 
 float grain(vec3 place) {
-  return 0.0022 * valueNoise(22.0 * place) + 0.0011 * valueNoise(64.0 * place);
+  return 0.0012 * valueNoise(20.0 * place) + 0.0008 * valueNoise(75.0 * place);
 }
 
 vec3 grained(vec3 normal) {
@@ -169,7 +169,7 @@ function mottle(places: Float32Array): Float32Array {
     const z = places[v + 2]!;
     const broad = noise(3.1 * x, 3.1 * y, 3.1 * z);
     const fine = noise(11 * x + 7, 11 * y, 11 * z) * 0.6 + noise(27 * x, 27 * y + 3, 27 * z) * 0.4;
-    const light = 0.95 + 0.13 * broad + 0.17 * fine;
+    const light = 0.84 + 0.15 * broad + 0.19 * fine;
     colors[v] = light;
     colors[v + 1] = light * (1 + 0.16 * broad - 0.06 * fine);
     colors[v + 2] = light * (1 + 0.08 * fine);

@@ -38,6 +38,7 @@ export class Viewer {
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
   #dirty = true;
+  #toolsShown = true;
   #dragEnabled = false;
 
   constructor(
@@ -67,6 +68,12 @@ export class Viewer {
 
   resetView(): void {
     this.#studio.resetView();
+    this.#dirty = true;
+  }
+
+  /** Hides the tools and their forces, to see the tissue below them; or shows them again. */
+  toggleTools(): void {
+    this.#toolsShown = !this.#toolsShown;
     this.#dirty = true;
   }
 
@@ -107,6 +114,9 @@ export class Viewer {
     }
     this.#dirty = false;
     this.#adapt(nowMs);
+    if (this.#instruments !== null) {
+      this.#instruments.group.visible = this.#toolsShown;
+    }
     this.#studio.render();
     this.#writeLabels();
     if (frame !== null) {
@@ -136,7 +146,7 @@ export class Viewer {
 
   #writeLabels(): void {
     this.#labels.replaceChildren(
-      ...this.#forces.flatMap(({ tool, magnitudeN, tipM }) => {
+      ...(this.#toolsShown ? this.#forces : []).flatMap(({ tool, magnitudeN, tipM }) => {
         const at = this.#studio.project(tipM);
         if (at === null) {
           return [];

@@ -1,0 +1,197 @@
+// What the browser's test needs around it: the stack under test as a child process, Chromium, and pixels to compare.
+import { spawn, type ChildProcessWithoutNullStreams } from "node:child_process";
+import { existsSync, mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { createInterface } from "node:readline";
+
+import { chromium, type BrowserContext, type Page } from "playwright-core";
+import { PNG } from "pngjs";
+
+const ROOT = join(import.meta.dirname, "..", "..");
+const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
+const PYTHON = process.env.PYTHON ?? join(ROOT, ".venv", "bin", "python");
+const DAEMON = process.env.TENSORMASSD ?? join(ROOT, "build", "bin", "tensormassd");
+
+/** What is missing to run, in words; empty if nothing is. */
+export function missing(): string[] {
+  return [CHROMIUM, PYTHON, DAEMON, join(ROOT, "clients", "web", "dist", "index.html")].filter((path) => !existsSync(path));
+}
+
+/** stack.py as a child: a daemon, its scenes and the gateway. */
+export class Stack {
+  readonly #process: ChildProcessWithoutNullStreams;
+  readonly #lines: AsyncIterator<string>;
+  #errors = "";
+
+  private constructor() {
+    const viewer = join(ROOT, "clients", "web", "dist");
+    this.#process = spawn(PYTHON, [join(ROOT, "tests", "e2e", "stack.py"), viewer]);
+    this.#process.stderr.on("data", (chunk: Buffer) => (this.#errors += chunk.toString()));
+    this.#lines = createInterface(this.#process.stdout)[Symbol.asyncIterator]();
+  }
+
+  /** The stack and the address of its viewer. */
+  static async start(): Promise<{ stack: Stack; url: string }> {
+    const stack = new Stack();
+    const { url } = (await stack.#answer()) as { url: string };
+    return { stack, url };
+  }
+
+  /** Asks for a method of stack.py's Stack. */
+  async ask(what: string, args: Record<string, unknown> = {}): Promise<unknown> {
+    this.#process.stdin.write(`${JSON.stringify({ do: what, ...args })}\n`);
+    const reply = (await this.#answer()) as { result?: unknown; error?: string };
+    if (reply.error !== undefined) {
+      throw new Error(`${what}: ${reply.error}`);
+    }
+    return reply.result;
+  }
+
+  async stop(): Promise<void> {
+    if (this.#process.exitCode === null) {
+      const ended = new Promise((resolve) => this.#process.once("exit", resolve));
+      this.#process.stdin.end();
+      await ended;
+    }
+  }
+
+  async #answer(): Promise<unknown> {
+    const line = await this.#lines.next();
+    if (line.done === true) {
+      throw new Error(`stack.py ended:\n${this.#errors}`);
+    }
+    return JSON.parse(line.value);
+  }
+}
+
+/** A fresh Chromium that draws in software. */
+export class Browser {
+  readonly #profile = mkdtempSync(join(tmpdir(), "tensormass-chromium-"));
+  #context: BrowserContext | null = null;
+
+  async open(url: string): Promise<ViewerPage> {
+    this.#context ??= await chromium.launchPersistentContext(this.#profile, {
+      executablePath: CHROMIUM,
+      headless: true,
+      viewport: { width: 960, height: 640 },
+      args: [
+        "--headless=new",
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--no-first-run",
+        "--disable-quic",
+      ],
+    });
+    const page = await this.#context.newPage();
+    const viewer = new ViewerPage(page);
+    await page.goto(url);
+    return viewer;
+  }
+
+  async close(): Promise<void> {
+    await this.#context?.close();
+    rmSync(this.#profile, { recursive: true, force: true });
+  }
+}
+
+/** What main.ts offers to scripts. */
+export interface ViewerState {
+  readonly scene: string | null;
+  readonly vertexCount: number;
+  readonly drawn: number;
+  readonly refused: number;
+  readonly lastRefusal: string | null;
+}
+
+declare global {
+  interface Window {
+    tensormass: {
+      state(): ViewerState;
+      project(point: readonly number[]): { x: number; y: number } | null;
+    };
+  }
+}
+
+/** The page under test. */
+export class ViewerPage {
+  /** Errors of the page's own scripts. */
+  readonly errors: string[] = [];
+
+  constructor(readonly page: Page) {
+    page.on("pageerror", (error) => this.errors.push(error.message));
+  }
+
+  state(): Promise<ViewerState> {
+    return this.page.evaluate(() => window.tensormass.state());
+  }
+
+  project(point: readonly number[]): Promise<{ x: number; y: number } | null> {
+    return this.page.evaluate((at) => window.tensormass.project(at), point);
+  }
+
+  /** Waits until so many vertices are on show and a frame of them has been drawn. */
+  async shows(vertexCount: number): Promise<void> {
+    await this.page.waitForFunction(
+      (count) => {
+        const state = window.tensormass.state();
+        return state.vertexCount === count && state.drawn > 0;
+      },
+      vertexCount,
+    );
+  }
+
+  /** Waits until `count` more frames have been drawn. */
+  async draws(count: number): Promise<void> {
+    const { drawn } = await this.state();
+    await this.page.waitForFunction((until) => window.tensormass.state().drawn >= until, drawn + count);
+  }
+
+  async says(selector: string, text: RegExp): Promise<void> {
+    await this.page.locator(selector).filter({ hasText: text, visible: true }).waitFor();
+  }
+
+  /** The picture without the numbers around it. */
+  async picture(): Promise<PNG> {
+    await this.page.evaluate(
+      () =>
+        new Promise((resolve) => {
+          requestAnimationFrame(() => requestAnimationFrame(resolve));
+        }),
+    );
+    const style = "header, aside, footer, #labels, #notice { visibility: hidden !important; }";
+    return PNG.sync.read(await this.page.screenshot({ style }));
+  }
+
+  close(): Promise<void> {
+    return this.page.close();
+  }
+}
+
+/** Mean absolute difference of two pictures [0, 255] over the pixels that `inside` names. */
+export function difference(a: PNG, b: PNG, inside: (x: number, y: number) => boolean): number {
+  if (a.width !== b.width || a.height !== b.height) {
+    throw new Error(`pictures of ${a.width}x${a.height} and ${b.width}x${b.height} pixels cannot be compared`);
+  }
+  let sum = 0;
+  let count = 0;
+  for (let y = 0; y < a.height; y += 1) {
+    for (let x = 0; x < a.width; x += 1) {
+      if (inside(x, y)) {
+        const at = 4 * (y * a.width + x);
+        for (let channel = 0; channel < 3; channel += 1) {
+          sum += Math.abs(a.data[at + channel]! - b.data[at + channel]!);
+        }
+        count += 3;
+      }
+    }
+  }
+  if (count === 0) {
+    throw new Error("no pixel lies inside");
+  }
+  return sum / count;
+}

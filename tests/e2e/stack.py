@@ -1,0 +1,137 @@
+"""The whole path for the browser's test: a daemon, its scenes and the gateway, driven over stdin and stdout.
+
+Each line on stdin is a JSON request {"do": name, ...}; each gets one line on stdout, {"result": ...} or {"error": ...}.
+The first line on stdout is {"url": ...}. Everything ends with stdin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import tensormass as tm
+from tensormass.gateway import GatewayOptions, serve
+from tensormass.v1 import scene_pb2
+
+DEADLINE_S = 30.0
+
+
+class Stack:
+    """The daemon and what the test does to it. Every method is a request."""
+
+    def __init__(self, viewer: Path) -> None:
+        self.viewer = viewer
+        self.server = tm.launch(backend="cpu")
+        self.scenes: dict[str, tm.SceneHandle] = {}
+
+    def close(self) -> None:
+        self.server.close()
+
+    def load(self, scene: str, name: str) -> int:
+        """Loads the built-in `scene` under `name`; the number of vertices that a viewer shows."""
+        self.scenes[name] = self.server.load(scene, name=name)
+        return self._vertex_count(name)
+
+    def load_grid(self, name: str, cells: int) -> int:
+        """Loads a cube of `cells` a side under `name`; the number of vertices that a viewer shows."""
+        one = scene_pb2.Vector3(x=1, y=1, z=1)
+        body = scene_pb2.Body(
+            name="cube",
+            mesh=scene_pb2.Mesh(grid=scene_pb2.Grid(size_m=one, cells_x=cells, cells_y=cells, cells_z=cells)),
+            law=scene_pb2.Law(hooke=scene_pb2.IsotropicElastic(young_modulus_pa=1e5, poisson_ratio=0.3)),
+            density_kg_per_m3=1000,
+        )
+        self.scenes[name] = self.server.load(scene_pb2.Scene(name=name, bodies=[body]))
+        return self._vertex_count(name)
+
+    def unload(self, name: str) -> None:
+        self.scenes.pop(name).unload()
+
+    def settle(self, name: str, speed_m_per_s: float = 2e-3) -> float:
+        """Waits until nothing moves faster than `speed_m_per_s`; the speed that is left."""
+        handle = self.scenes[name]
+        deadline = time.monotonic() + DEADLINE_S
+        before = handle.frame()
+        with handle.frames() as frames:
+            for frame in frames:
+                elapsed_s = frame.simulated_time_s - before.simulated_time_s
+                # Over a quarter of a second, so that an oscillation is not caught at its turning point.
+                if elapsed_s < 0.25:
+                    continue
+                moved = np.abs(frame.positions - before.positions).max()
+                if moved / elapsed_s < speed_m_per_s:
+                    return float(moved / elapsed_s)
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"scene {name} still moves at {moved / elapsed_s:g} m/s")
+                before = frame
+        raise AssertionError("frames never end")
+
+    def press(self, name: str, depth_m: float) -> dict[str, Any]:
+        """Pushes the first tool into the top of the tissue below it; where that was, and the force."""
+        handle = self.scenes[name]
+        tool = handle.topology().tools[0]
+        position = np.array(handle.feedback(tool.name).position_m)
+        surface = handle.frame().positions
+        below = surface[np.linalg.norm(surface[:, :2] - position[:2], axis=1) < tool.radius_m]
+        contact = below[np.argmax(below[:, 2])]
+        handle.move_tool(tool.name, [position[0], position[1], contact[2] + tool.radius_m - depth_m])
+        deadline = time.monotonic() + DEADLINE_S
+        while np.linalg.norm(handle.feedback(tool.name).force_n) < 0.01:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"tool {tool.name} feels no force at {position}")
+        self.settle(name)
+        return {
+            "contact_m": [position[0], position[1], float(contact[2])],
+            "force_n": float(np.linalg.norm(handle.feedback(tool.name).force_n)),
+        }
+
+    def stop_daemon(self) -> None:
+        """Kills the daemon as a crash would."""
+        process = self.server.process
+        assert process is not None
+        process.process.kill()
+        process.process.wait()
+
+    def start_daemon(self) -> None:
+        """Starts a daemon on the control address of the one before, with other data endpoints."""
+        address = self.server.address
+        self.server.close()
+        self.server = tm.launch(backend="cpu", control=address)
+
+    def _vertex_count(self, name: str) -> int:
+        return sum(body.vertex_count for body in self.scenes[name].topology().bodies)
+
+
+async def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("viewer", type=Path, help="folder of the built viewer")
+    stack = Stack(parser.parse_args().viewer)
+    try:
+        options = GatewayOptions(control=stack.server.address, viewer=stack.viewer, poll_interval_s=0.2)
+        async with serve(options) as gateway:
+            answer({"url": gateway.url})
+            while line := await asyncio.to_thread(sys.stdin.readline):
+                request = json.loads(line)
+                work: Callable[..., Any] = getattr(stack, request.pop("do"))
+                try:
+                    answer({"result": await asyncio.to_thread(work, **request)})
+                except Exception as error:  # the test decides what a failure means
+                    answer({"error": f"{type(error).__name__}: {error}"})
+    finally:
+        stack.close()
+
+
+def answer(reply: dict[str, Any]) -> None:
+    print(json.dumps(reply), flush=True)
+
+
+if __name__ == "__main__":
+    asyncio.run(main())
