@@ -88,7 +88,7 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0.1, 600.0))
       ->capture_default_str();
   app.add_option("--seconds", o.loop.duration_s, "Run so long [s]; without it until SIGINT or SIGTERM")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(0.001, 1e9));
   app.add_option("--rate", o.loop.rate_hz, "Rate of the loop [Hz]")
       ->check(CLI::Range(10.0, 10'000.0))
       ->capture_default_str();
@@ -105,17 +105,17 @@ void add_options(CLI::App& app, Options& o) {
       ->expected(3)
       ->group(hand);
   app.add_option("--depth", o.depth_m, "Depth of the press [m]; default: 5 % of the surface's extent")
-      ->check(CLI::NonNegativeNumber)
+      ->check(CLI::Range(0.0, 1e3))
       ->group(hand);
   app.add_option("--circle-radius", o.hand.circle_radius_m, "Of the palpation [m]; default: 4 % of the extent")
-      ->check(CLI::NonNegativeNumber)
+      ->check(CLI::Range(0.0, 1e3))
       ->group(hand);
   app.add_option("--circles", o.hand.circle_count, "Circles in a cycle")
-      ->check(CLI::NonNegativeNumber)
+      ->check(CLI::Range(0.0, 1e3))
       ->capture_default_str()
       ->group(hand);
   app.add_option("--period", o.hand.period_s, "Of a cycle: approach, press, circles, lift, rest [s]")
-      ->check(CLI::PositiveNumber)
+      ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str()
       ->group(hand);
   app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "[N/m]")->capture_default_str()->group(hand);
@@ -124,11 +124,11 @@ void add_options(CLI::App& app, Options& o) {
 
   const std::string force = "Force";
   app.add_option("--max-force", o.loop.limits.max_force_n, "Clamp [N]")
-      ->check(CLI::PositiveNumber)
+      ->check(CLI::Range(0.001, 1e3))
       ->capture_default_str()
       ->group(force);
   app.add_option("--max-slew", o.loop.limits.max_slew_n_per_s, "Fastest change of the force [N/s]")
-      ->check(CLI::PositiveNumber)
+      ->check(CLI::Range(0.1, 1e6))
       ->capture_default_str()
       ->group(force);
   app.add_option("--fade", o.loop.renderer.fade_s, "A stale force falls to zero in this time [s]")
