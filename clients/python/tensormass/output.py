@@ -1,0 +1,119 @@
+"""What the command prints: protobuf messages as plain JSON values, and the same for people."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import Message
+
+from tensormass.meshes import MeshQuality
+from tensormass.v1 import control_pb2, stream_pb2
+
+
+def to_plain(message: Message) -> dict[str, Any]:
+    """Every field by its name in the schema: numbers stay numbers (protobuf's own JSON writes 64-bit ones as text),
+    enums become names; absent messages are left out."""
+    plain: dict[str, Any] = {}
+    for field in message.DESCRIPTOR.fields:
+        if field.has_presence and not message.HasField(field.name):
+            continue
+        value = getattr(message, field.name)
+        if field.enum_type is not None:
+            plain[field.name] = field.enum_type.values_by_number[value].name
+        elif field.message_type is not None:
+            plain[field.name] = [to_plain(item) for item in value] if field.is_repeated else to_plain(value)
+        else:
+            plain[field.name] = list(value) if field.is_repeated else value
+    return plain
+
+
+def print_json(value: object) -> None:
+    """One line, at once."""
+    print(json.dumps(value), flush=True)
+
+
+def state_name(status: stream_pb2.SceneStatus) -> str:
+    """`running`, `paused`, `lockstep` or `faulted`."""
+    return stream_pb2.SceneStatus.State.Name(status.state).removeprefix("STATE_").lower()
+
+
+def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:
+    """A scene on one line."""
+    missed = 100.0 * status.missed_deadlines / max(1, status.step)
+    parts = [
+        f"{status.scene}: {state_name(status)}",
+        f"{status.reached_rate_hz:.1f}/{status.target_rate_hz:g} Hz",
+        f"missed {status.missed_deadlines} ({missed:.2f} %)",
+        f"step {1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
+        f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
+    ]
+    parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
+    if client_count is not None:
+        parts.append(f"clients {client_count}")
+    if status.fault:
+        parts.append(f"FAULT: {status.fault}")
+    return " | ".join(parts)
+
+
+def force_n(feedback: stream_pb2.ToolFeedback) -> float:
+    """Magnitude of the force on a tool [N]."""
+    force = feedback.force_n
+    return float(np.linalg.norm([force.x, force.y, force.z]))
+
+
+def report_text(report: control_pb2.SceneReport) -> str:
+    """The plan of a scene: what was admitted, what a step does and costs, and what is not modelled."""
+    bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
+    for body in report.bodies:
+        surface = f"{body.surface_vertex_count} vertices, {body.surface_triangle_count} triangles"
+        bodies.append(
+            [
+                body.name,
+                str(body.node_count),
+                str(body.element_count),
+                str(body.fixed_node_count),
+                f"{1e6 * body.volume_m3:.4g} cm³",
+                f"{body.mass_kg:.4g} kg",
+                f"{body.min_dihedral_angle_deg:.1f}°",
+                surface,
+            ]
+        )
+    stages = [["stage", "bytes", "operations", "reads", "writes"]]
+    stages += [
+        [stage.name, _bytes(stage.bytes), f"{stage.operations:,}", stage.reads, stage.writes] for stage in report.stages
+    ]
+    buffers = [["buffer", "bytes"], *([buffer.name, _bytes(buffer.bytes)] for buffer in report.buffers)]
+    sections = [f"scene {report.scene}", _table(bodies), _table(stages), _table(buffers)]
+    sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
+    if report.not_modelled:
+        sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
+    if report.warnings:
+        sections.append("warnings:\n" + "\n".join(f"  {item}" for item in report.warnings))
+    return "\n\n".join(sections)
+
+
+def quality_text(quality: MeshQuality) -> str:
+    """A mesh in two lines; lengths in metres."""
+    return (
+        f"{quality.node_count} nodes, {quality.tetrahedron_count} tetrahedra, {1e6 * quality.volume:.4g} cm³\n"
+        f"mean edge {1e3 * quality.mean_edge_length:.3g} mm, smallest dihedral angle "
+        f"{quality.min_dihedral_angle_deg:.1f}°"
+    )
+
+
+def _bytes(count: int) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 10_000:
+            return f"{count} {unit}"
+        count = round(count / 1000)
+    return f"{count} GB"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )

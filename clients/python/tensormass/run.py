@@ -1,0 +1,151 @@
+"""`tensormass run`: a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway, as one thing.
+
+Everything runs until Ctrl-C (or SIGTERM, or --seconds) and then ends in the order in which it depends on each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from tensormass import gateway
+from tensormass.client import SceneHandle, Server, launch
+from tensormass.errors import UnavailableError
+from tensormass.output import print_json, report_text, status_line, to_plain
+from tensormass.processes import ChildProcess, find_program
+from tensormass.scene import Scene
+
+_STATUS_PERIOD_S = 0.5
+# Lines that nobody watches live are fewer.
+_LOG_PERIOD_S = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `tensormass run`."""
+    parser.add_argument("scene", nargs="?", default="demo", help="a scene file or a built-in scene (default: demo)")
+    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
+    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    parser.add_argument(
+        "--haptic-transport", choices=("zeromq", "zenoh"), default="zeromq", help="default: %(default)s"
+    )
+    parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
+    parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
+    parser.add_argument("--seconds", type=float, metavar="T", help="end by itself after so long")
+    parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
+    gateway.add_arguments(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object a line: where the viewer is, then statuses"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs until told to end; 0 if everything ran and ended as it should."""
+    # Read first: a mistake in the file is said before anything starts.
+    scene = Scene.from_file(args.scene)
+    return asyncio.run(_run(args, scene))
+
+
+async def _run(args: argparse.Namespace, scene: Scene) -> int:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    if args.seconds is not None:
+        asyncio.get_running_loop().call_later(args.seconds, stop.set)
+    async with contextlib.AsyncExitStack() as parts:
+        server = await asyncio.to_thread(launch, backend=args.backend, cpu_threads=args.cpu_threads)
+        parts.callback(server.close)
+        handle = await asyncio.to_thread(server.load, scene, lockstep=False)
+        version = server.version()
+        _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
+        if args.verbose and handle.report is not None:
+            _say(args, report_text(handle.report))
+        viewer = None if args.no_viewer else await parts.enter_async_context(_viewer(args, server))
+        hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
+        await _report_until(stop, args, server, handle, viewer, hands)
+        _say(args, "ending")
+    _say(args, "ended: haptic devices, viewer, daemon")
+    return 0
+
+
+@contextlib.asynccontextmanager
+async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[gateway.Gateway]:
+    try:
+        async with gateway.serve(gateway.options_from(args, server.address)) as running:
+            if args.gateway_ready_file is not None:
+                gateway.write_ready_file(args.gateway_ready_file, running)
+            if args.json:
+                print_json({"viewer": running.url, "control": server.address})
+            else:
+                print(f"\n  viewer: {running.url}\n", flush=True)
+            yield running
+    except FileNotFoundError as error:
+        raise UnavailableError(f"{error}; or run with --no-viewer") from error
+
+
+def _start_hands(
+    args: argparse.Namespace, server: Server, handle: SceneHandle, parts: contextlib.AsyncExitStack
+) -> list[tuple[ChildProcess, Path]]:
+    program = find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
+    folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-run-")))
+    hands = []
+    for tool in handle.topology().tools:
+        log_file = folder / f"{tool.name}.log"
+        command: list[str | Path] = [program, "--server", server.address, "--scene", handle.name, "--tool", tool.name]
+        with log_file.open("wb") as log:
+            hand = ChildProcess([*command, "--transport", args.haptic_transport], output=log)
+        parts.callback(hand.stop)
+        hands.append((hand, log_file))
+    return hands
+
+
+async def _report_until(
+    stop: asyncio.Event,
+    args: argparse.Namespace,
+    server: Server,
+    handle: SceneHandle,
+    viewer: gateway.Gateway | None,
+    hands: list[tuple[ChildProcess, Path]],
+) -> None:
+    """Prints the live status; ends when told to, or with an error when a part ended by itself."""
+    live = sys.stdout.isatty() and not args.json
+    period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
+    while True:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), period_s)
+        for hand, log_file in hands:
+            if not hand.running:
+                raise UnavailableError(f"a haptic device ended by itself:\n{_tail(log_file)}")
+        if server.process is not None and not server.process.running:
+            log = _tail(server.log_file) if server.log_file is not None else ""
+            raise UnavailableError(f"the daemon ended by itself; its log ends:\n{log}")
+        status = await asyncio.to_thread(handle.status)
+        clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
+        if args.json:
+            print_json({"status": to_plain(status), "clients": clients})
+        elif live:
+            width = shutil.get_terminal_size().columns - 1
+            print(f"\r{status_line(status, clients)[:width]:<{width}}", end="", flush=True)
+        else:
+            print(status_line(status, clients), flush=True)
+        if stop.is_set():
+            if live:
+                print()
+            return
+
+
+def _tail(file: Path) -> str:
+    with contextlib.suppress(OSError):
+        return "\n".join(file.read_text(errors="replace").splitlines()[-15:])
+    return ""
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    if not args.json:
+        print(text, flush=True)
