@@ -89,8 +89,8 @@ def _parser() -> argparse.ArgumentParser:
         "mesh",
         parents=[json_option],
         help="make a volume from a closed surface, or repair and convert one",
-        description="With --edge, fills a closed surface with tetrahedra (fTetWild). Without, repairs a volume: inverted "
-        "elements are rewound, flat ones and all but the largest component dropped. Writes metres.",
+        description="With --edge, fills a closed surface with tetrahedra (fTetWild). Without, repairs a volume: "
+        "inverted elements are rewound, flat ones and all but the largest component dropped. Writes metres.",
     )
     sub.add_argument("input", type=Path, help=".obj, .stl, .ply, .msh, .vtk ...")
     sub.add_argument("-o", "--output", type=Path, required=True, help=".msh, .vtk, .vtu")

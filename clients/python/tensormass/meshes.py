@@ -99,7 +99,7 @@ def from_meshio(mesh: meshio.Mesh, where: str = "meshio.Mesh") -> TetrahedralMes
         raise InvalidArgumentError(f"{where}: has elements of type {', '.join(others)}; split them into tetrahedra")
     if not blocks:
         raise InvalidArgumentError(
-            f"{where}: has no tetrahedra; if it is a closed surface, make a volume of it with `tensormass mesh --edge LENGTH`"
+            f"{where}: has no tetrahedra; if it is a closed surface, fill it with `tensormass mesh --edge LENGTH`"
         )
     return TetrahedralMesh.from_arrays(mesh.points, np.concatenate(blocks), where)
 
