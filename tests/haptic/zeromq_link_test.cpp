@@ -1,7 +1,10 @@
 #include <gtest/gtest.h>
+#include <stdlib.h>
 
 #include <chrono>
+#include <filesystem>
 #include <string>
+#include <thread>
 
 #include <zmq.hpp>
 
@@ -13,6 +16,7 @@ namespace tensormass::haptic {
 namespace {
 
 constexpr auto kPatience = std::chrono::seconds(20);
+constexpr int kPatienceMs = 20'000;
 
 // The server's two sockets, on free ports.
 struct FakeServer {
@@ -26,7 +30,7 @@ struct FakeServer {
     address.feedback_key = "tensormass/s/demo/tool/probe/feedback";
     for (zmq::socket_t* socket : {&poses, &publisher}) {
       socket->set(zmq::sockopt::linger, 0);
-      socket->set(zmq::sockopt::rcvtimeo, static_cast<int>(std::chrono::milliseconds(kPatience).count()));
+      socket->set(zmq::sockopt::rcvtimeo, kPatienceMs);
       socket->bind("tcp://127.0.0.1:*");
     }
     address.zeromq_pose_endpoint = poses.get(zmq::sockopt::last_endpoint);
@@ -38,11 +42,12 @@ struct FakeServer {
     return publisher.recv(message) ? message.to_string() : "";
   }
 
-  v1::ToolPose next_pose() {
+  v1::ToolPose next_pose() { return next_pose(poses); }
+  v1::ToolPose next_pose(zmq::socket_t& from) {
     zmq::message_t message;
     v1::ToolPose pose;
     const std::string prefix = address.pose_key + '\0';
-    if (poses.recv(message) && message.to_string_view().starts_with(prefix)) {
+    if (from.recv(message) && message.to_string_view().starts_with(prefix)) {
       EXPECT_TRUE(pose.ParseFromString(message.to_string().substr(prefix.size())));
     }
     return pose;
@@ -94,13 +99,21 @@ TEST(ZeroMqLink, CarriesPosesAndFeedback) {
 
 TEST(ZeroMqLink, TheNewestPoseWins) {
   FakeServer server;
-  std::string pose_endpoint = server.address.zeromq_pose_endpoint;
-  server.poses.unbind(pose_endpoint);  // nobody listens yet
-  const auto link = connect_zeromq(server.address).value();
-  OutgoingPose pose;
-  for (pose.sequence = 1; pose.sequence <= 1'000; ++pose.sequence) ASSERT_TRUE(link->send(pose));
-  server.poses.bind(pose_endpoint);
-  EXPECT_EQ(server.next_pose().sequence(), 1'000u);
+  std::string folder = testing::TempDir() + "tensormass-XXXXXX";
+  ASSERT_NE(mkdtemp(folder.data()), nullptr);
+  server.address.zeromq_pose_endpoint = "ipc://" + folder + "/poses";
+  {
+    const auto link = connect_zeromq(server.address).value();
+    OutgoingPose pose;
+    // Nobody listens yet.
+    for (pose.sequence = 1; pose.sequence <= 1'000; ++pose.sequence) ASSERT_TRUE(link->send(pose));
+    zmq::socket_t late(server.context, zmq::socket_type::pull);
+    late.set(zmq::sockopt::linger, 0);
+    late.set(zmq::sockopt::rcvtimeo, kPatienceMs);
+    late.bind(server.address.zeromq_pose_endpoint);
+    EXPECT_EQ(server.next_pose(late).sequence(), 1'000u);
+  }
+  std::filesystem::remove_all(folder);
 }
 
 TEST(ZeroMqLink, CountsGarbageAndGoesOn) {
