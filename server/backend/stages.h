@@ -17,34 +17,41 @@ namespace tensormass::backend {
 using tensor::ElementView;
 using tensor::SceneView;
 
-#define TM_STAGE(Name, exchanges, call)                                                              \
+/// What the patches of a stage do beyond their own loops.
+enum class Communication {
+  kNone,
+  kReduces,    ///< a patch reduces over its own items
+  kExchanges,  ///< patches talk to each other while they run
+};
+
+#define TM_STAGE(Name, communication, call)                                                          \
   struct Name {                                                                                      \
-    static constexpr bool kExchanges = exchanges;                                                    \
+    static constexpr Communication kCommunication = Communication::communication;                    \
     template <class Team, class Real>                                                                \
     TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>&) { \
       call(team, s);                                                                                 \
     }                                                                                                \
   }
 
-TM_STAGE(DetectContact, false, contact::detect);
-TM_STAGE(RespondContact, false, contact::respond);
-TM_STAGE(AssembleConstant, false, (tensor::assemble<true, false>));
-TM_STAGE(AssemblePartial, false, (tensor::assemble<false, true>));
-TM_STAGE(AssembleBoth, false, (tensor::assemble<true, true>));
-TM_STAGE(ExternalForces, false, tensor::add_external_forces);
-TM_STAGE(AssembleContact, false, contact::assemble);
-TM_STAGE(Factorize, false, solver::factorize);
-TM_STAGE(ScaleEdges, false, solver::scale_edges);
-TM_STAGE(Solve, true, solver::conjugate_gradients);
-TM_STAGE(Advance, false, solver::advance);
-TM_STAGE(MeasureContact, false, contact::measure);
-TM_STAGE(GatherVisible, false, tensor::gather_visible);
+TM_STAGE(DetectContact, kReduces, contact::detect);
+TM_STAGE(RespondContact, kNone, contact::respond);
+TM_STAGE(AssembleConstant, kNone, (tensor::assemble<true, false>));
+TM_STAGE(AssemblePartial, kNone, (tensor::assemble<false, true>));
+TM_STAGE(AssembleBoth, kNone, (tensor::assemble<true, true>));
+TM_STAGE(ExternalForces, kNone, tensor::add_external_forces);
+TM_STAGE(AssembleContact, kNone, contact::assemble);
+TM_STAGE(Factorize, kNone, solver::factorize);
+TM_STAGE(ScaleEdges, kNone, solver::scale_edges);
+TM_STAGE(Solve, kExchanges, solver::conjugate_gradients);
+TM_STAGE(Advance, kReduces, solver::advance);
+TM_STAGE(MeasureContact, kReduces, contact::measure);
+TM_STAGE(GatherVisible, kNone, tensor::gather_visible);
 
 #undef TM_STAGE
 
 template <class Shape, class Law>
 struct Elements {
-  static constexpr bool kExchanges = false;
+  static constexpr Communication kCommunication = Communication::kNone;
   template <class Team, class Real>
   TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
     tensor::element_pass<Shape, Law>(team, s, e);

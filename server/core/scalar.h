@@ -11,6 +11,14 @@
 #define TM_HOST_DEVICE
 #endif
 
+/// Several turns of the following loop in flight at once: what hides memory latency where a GPU thread walks a row.
+#if defined(__CUDA_ARCH__)
+#define TM_UNROLL(count) _Pragma(TM_STRING(unroll count))
+#define TM_STRING(text) #text
+#else
+#define TM_UNROLL(count)
+#endif
+
 namespace tensormass {
 
 template <class T>

@@ -48,6 +48,7 @@ TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real
       const std::uint32_t slice = row / tensor::kSliceRows, lane = row % tensor::kSliceRows;
       const Vec3<T> own = Lanes::load3(p, local);
       Vec3<T> q = own;
+      TM_UNROLL(4)
       for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
         const Real* block = s.edges + std::size_t{j} * (9 * tensor::kSliceRows) + lane;
         const Vec3<T> x = Lanes::gather3(p, s.columns + std::size_t{j} * tensor::kSliceRows + lane);

@@ -84,6 +84,9 @@ __global__ void __launch_bounds__(cuda::kMaxBlockThreads)
   StageType::run(team, view, elements);
 }
 
+/// Threads of a block of a stage whose patches neither reduce nor exchange.
+constexpr unsigned kStageThreads = 128;
+
 template <class Real>
 class CudaState final : public SceneState {
  public:
@@ -170,7 +173,7 @@ class CudaState final : public SceneState {
   void launch(const ElementView<Real>& elements) {
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
     const auto kernel = reinterpret_cast<const void*>(&run_stage<StageType, Real>);
-    if constexpr (StageType::kExchanges) {
+    if constexpr (StageType::kCommunication == Communication::kExchanges) {
       int resident = 0, processors = 0, device = 0;
       check(cudaGetDevice(&device), "device");
       check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "device");
@@ -179,8 +182,13 @@ class CudaState final : public SceneState {
         throw CudaFailure("the scene's patches do not fit on the device at once");
       }
       check(cudaLaunchCooperativeKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "solve");
-    } else {
+    } else if constexpr (StageType::kCommunication == Communication::kReduces) {
       check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "stage");
+    } else {
+      // A thread an item, about: elements are the most.
+      const std::uint32_t items = std::max({view_.row_count, elements.count, view_.visible_count}) / view_.patch_count;
+      const dim3 grid(view_.patch_count, items / kStageThreads + 1);
+      check(cudaLaunchKernel(kernel, grid, kStageThreads, arguments, 0, stream_), "stage");
     }
   }
 

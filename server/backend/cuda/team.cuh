@@ -9,7 +9,9 @@ namespace tensormass::backend::cuda {
 inline constexpr unsigned kMaxBlockThreads = 512;
 inline constexpr unsigned kWarp = 32;
 
-/// One thread block that runs one patch; the counterpart of backend/cpu/team.h. Reductions run in a fixed order.
+/// The thread blocks that run one patch; the counterpart of backend/cpu/team.h. A stage that reduces or exchanges has
+/// one block a patch (gridDim.y = 1); the others may share a patch's loops out among several. Reductions run in a fixed
+/// order.
 class Team {
  public:
   template <class Real>
@@ -21,7 +23,8 @@ class Team {
 
   template <class Body>
   __device__ void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
-    for (std::uint32_t i = begin + threadIdx.x; i < end; i += blockDim.x) body(i);
+    const std::uint32_t stride = blockDim.x * gridDim.y;
+    for (std::uint32_t i = begin + blockIdx.y * blockDim.x + threadIdx.x; i < end; i += stride) body(i);
   }
   template <std::uint32_t Width, class Body>
   __device__ void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
