@@ -346,6 +346,23 @@ async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
 
 
 @asynchronous
+async def test_scene_that_went_is_not_shown_to_who_comes_late(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as first:
+            await first.take(Stream.TOPOLOGY)
+            await daemon.wait_subscribed("liver", "frame")
+            del daemon.topologies["liver"]
+            await first.text(lambda message: message["type"] == "daemon" and not message["scenes"])
+            await daemon.wait_subscribed("liver", "frame", count=0)
+            async with browse(gateway, "liver") as second:
+                assert await second.nothing_pending()
+                again = load(daemon, vertex_count=4)
+                for page in (first, second):
+                    assert stream_pb2.Topology.FromString(await page.take(Stream.TOPOLOGY)) == again
+
+
+@asynchronous
 async def test_streams_that_nobody_watches_are_not_received(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         load(daemon)

@@ -243,7 +243,7 @@ class Feed:
                 if Stream.FRAME not in self._latest and reply.frame.positions:
                     self._publish(Stream.FRAME, self._message(Stream.FRAME, reply.frame))
         except grpc.aio.AioRpcError as error:
-            # The scene may not be loaded yet; its topology comes over the bus when it is.
+            # The scene went away meanwhile, or the daemon did; the next poll will tell.
             log.info("scene %s: %s", self.scene, error.details())
 
     async def _fetch_topology(self) -> None:
@@ -341,7 +341,7 @@ class Daemon:
         feed = self._feeds.get(scene)
         if feed is None:
             feed = self._feeds[scene] = Feed(scene, self)
-            if self.connected:
+            if any(status.scene == scene for status in self.scenes):
                 feed.open()
         feed.add(browser)
 
@@ -400,23 +400,32 @@ class Daemon:
 
     def _find(self, version: control_pb2.GetVersionResponse, scenes: list[stream_pb2.SceneStatus]) -> None:
         before = self.state()
-        # A daemon that came back has other endpoints, or at least was away.
         if not self.connected or _identity(version) != _identity(self.version):
+            self._forget()
             self.connected, self.version = True, version
-            self._close_pose_socket()
-            for feed in self._feeds.values():
+        known = {status.scene for status in self.scenes}
+        present = {status.scene for status in scenes}
+        for feed in self._feeds.values():
+            if feed.scene in present - known:
                 feed.open()
+            elif feed.scene in known - present:
+                feed.close()
         self.scenes = scenes
         if self.state() != before:
             self._on_change()
 
     def _lose(self) -> None:
         if self.connected:
-            self.connected = False
-            self.scenes = []
-            for feed in self._feeds.values():
-                feed.close()
+            self._forget()
             self._on_change()
+
+    def _forget(self) -> None:
+        """What comes back, under whatever name, is another daemon with other scenes and endpoints."""
+        self.connected = False
+        self.scenes = []
+        for feed in self._feeds.values():
+            feed.close()
+        self._close_pose_socket()
 
     def _close_pose_socket(self) -> None:
         if self._pose_socket is not None:

@@ -38,15 +38,7 @@ const hud = new Hud({
   toggleTools: () => viewer.toggleTools(),
 });
 
-const viewer = new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
-  onDrawn(serverTimeNs) {
-    const atMs = performance.now();
-    drawn.push({ atMs, ageMs: clock.ageMs(serverTimeNs, atMs) });
-  },
-  onToolMoved(tool, centerM) {
-    connection.moveTool(tool, originOf(tool, centerM));
-  },
-});
+const viewer = openViewer();
 
 const connection = new Connection({
   url: `${address.protocol === "https:" ? "wss:" : "ws:"}//${address.host}/stream?token=${encodeURIComponent(token)}`,
@@ -72,11 +64,30 @@ Object.assign(window, {
   },
 });
 
+function openViewer(): Viewer {
+  try {
+    return new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
+      onDrawn(serverTimeNs) {
+        const atMs = performance.now();
+        drawn.push({ atMs, ageMs: clock.ageMs(serverTimeNs, atMs) });
+      },
+      onToolMoved(tool, centerM) {
+        connection.moveTool(tool, originOf(tool, centerM));
+      },
+    });
+  } catch (error) {
+    hud.showLink("bad", "No WebGL");
+    const detail = "This browser draws no WebGL 2; enable hardware acceleration or take another browser.";
+    hud.showNotice({ tone: "warning", title: "Nothing can be drawn", detail });
+    throw error;
+  }
+}
+
 function onLink(state: LinkState): void {
   if (state.kind === "open") {
     hud.showLink("waiting", "Connected");
   } else if (state.kind === "lost") {
-    store.clear();
+    forget();
     daemon = null;
     hud.showLink("bad", "Disconnected");
     hud.showNotice({ tone: "warning", title: "Connection lost, trying again", detail: state.reason });
@@ -91,21 +102,29 @@ function onDaemon(state: DaemonState): void {
   chooseScene();
 }
 
+/** Watches the scene that is to be shown once the daemon has it. */
 function chooseScene(): void {
-  const scenes = daemon?.connected ? daemon.scenes.map((scene) => scene.name) : [];
-  const scene = wanted ?? (watched !== null && scenes.includes(watched) ? watched : (scenes[0] ?? null));
-  if (scene === null || !scenes.includes(scene)) {
-    store.clear();
+  if (daemon === null) {
+    return;
   }
-  if (scene !== null && scene !== watched) {
-    watched = scene;
-    store.clear();
-    connection.watch(scene);
+  const present = daemon.connected ? daemon.scenes.map((scene) => scene.name) : [];
+  const kept = watched !== null && present.includes(watched) ? watched : present[0];
+  const target = wanted === null ? kept : present.find((name) => name === wanted);
+  if (target === undefined) {
+    forget();
+  } else if (target !== watched) {
+    forget();
+    watched = target;
+    connection.watch(target);
   }
-  if (daemon !== null) {
-    hud.showScenes(daemon, scene);
-  }
+  hud.showScenes(daemon, watched ?? wanted);
   showState();
+}
+
+/** What comes back under the same name, after a reload or a restart, may be another scene. */
+function forget(): void {
+  watched = null;
+  store.clear();
 }
 
 function showState(): void {
@@ -115,7 +134,7 @@ function showState(): void {
   if (!daemon.connected) {
     hud.showLink("bad", "No daemon");
     hud.showNotice({ tone: "warning", title: "Waiting for the daemon", detail: "It does not answer; it is asked again." });
-  } else if (watched === null || !daemon.scenes.some((scene) => scene.name === watched)) {
+  } else if (watched === null) {
     hud.showLink("waiting", "No scene");
     const detail = wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`;
     hud.showNotice({ tone: "quiet", title: "Waiting for a scene", detail });

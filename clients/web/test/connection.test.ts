@@ -67,6 +67,7 @@ describe("Connection", () => {
     vi.useFakeTimers();
     vi.spyOn(Math, "random").mockReturnValue(0.5);
     FakeSocket.opened = [];
+    vi.clearAllMocks();
     connection = new Connection({
       url: "ws://host/stream",
       events,
@@ -79,20 +80,24 @@ describe("Connection", () => {
     connection.close();
     vi.useRealTimers();
     vi.restoreAllMocks();
-    vi.clearAllMocks();
   });
 
-  it("watches its scene again after every reconnection", async () => {
-    connection.watch("liver");
+  it("comes back after a loss, with the gateway's reason", async () => {
     FakeSocket.last.open();
+    connection.watch("liver");
     expect(FakeSocket.last.of("watch")).toEqual([{ type: "watch", scene: "liver" }]);
     FakeSocket.last.fail("bye");
     await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
     expect(FakeSocket.opened).toHaveLength(2);
     FakeSocket.last.open();
-    expect(FakeSocket.last.of("watch")).toEqual([{ type: "watch", scene: "liver" }]);
     expect(diagnose).not.toHaveBeenCalled();
-    expect(events.onLink).toHaveBeenCalledWith({ kind: "lost", reason: "bye" });
+    expect(events.onLink.mock.calls.map(([state]) => state)).toEqual([
+      { kind: "connecting" },
+      { kind: "open" },
+      { kind: "lost", reason: "bye" },
+      { kind: "connecting" },
+      { kind: "open" },
+    ]);
   });
 
   it("waits longer after each failure, up to a limit, and briefly again after success", async () => {

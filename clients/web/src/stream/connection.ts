@@ -48,7 +48,6 @@ export class Connection {
   readonly #options: ConnectionOptions;
   readonly #WebSocket: typeof WebSocket;
   #socket: WebSocket | null = null;
-  #scene: string | null = null;
   #retryMs = FIRST_RETRY_MS;
   #retry: ReturnType<typeof setTimeout> | undefined;
   #clock: ReturnType<typeof setInterval> | undefined;
@@ -61,9 +60,8 @@ export class Connection {
     this.#open();
   }
 
-  /** The scene to get streams of, now and after every reconnection. */
+  /** Asks for the streams of a scene from their beginning. Every connection begins with none. */
   watch(scene: string): void {
-    this.#scene = scene;
     this.#send({ type: "watch", scene });
   }
 
@@ -109,9 +107,6 @@ export class Connection {
       opened = true;
       this.#owed.clear();
       this.#options.events.onLink({ kind: "open" });
-      if (this.#scene !== null) {
-        this.watch(this.#scene);
-      }
       this.#askClock();
       this.#clock = setInterval(() => this.#askClock(), CLOCK_INTERVAL_MS);
     };
@@ -157,7 +152,7 @@ export class Connection {
   }
 
   #send(message: object): void {
-    // What is sent while there is no connection is of no use later: `watch` is repeated on opening.
+    // What could not be sent is of no use later: a new connection begins anew.
     if (this.#socket?.readyState === 1) {
       this.#socket.send(JSON.stringify(message));
     }

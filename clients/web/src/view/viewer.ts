@@ -57,6 +57,7 @@ export class Viewer {
     this.#pixelRatioLimit = Math.min(window.devicePixelRatio, 2);
     this.#pixelRatio = this.#pixelRatioLimit;
     this.#studio.controls.addEventListener("change", () => (this.#dirty = true));
+    canvas.addEventListener("webglcontextrestored", () => (this.#dirty = true));
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
     const loop = (nowMs: number) => {
