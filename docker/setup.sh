@@ -25,7 +25,7 @@ if [[ -f $system_certificates ]]; then
   export PIP_CERT=${PIP_CERT:-$system_certificates} NODE_EXTRA_CA_CERTS=${NODE_EXTRA_CA_CERTS:-$system_certificates}
 fi
 
-runtime_packages=(libgrpc++1.51 libprotobuf32 libspdlog1.10 libzmq5 python3 python3-venv)
+runtime_packages=(libgrpc++1.51 libprotobuf32 libspdlog1.10 libzmq5)
 build_packages=(g++ libcli11-dev libeigen3-dev libexpected-dev libgrpc++-dev libgtest-dev libprotobuf-dev
   libspdlog-dev libzmq3-dev cppzmq-dev pkg-config protobuf-compiler protobuf-compiler-grpc python3 python3-venv)
 test_packages=(chromium clang-format)
