@@ -52,6 +52,7 @@ def launch(
     *,
     backend: str = "auto",
     cpu_threads: int | None = None,
+    control: str = "127.0.0.1:0",
     zenoh: bool = True,
     options: Sequence[str] = (),
     timeout_s: float = 20.0,
@@ -61,6 +62,7 @@ def launch(
     Args:
         backend: "auto", "cpu" or "cuda".
         cpu_threads: threads of each scene that does not say; None leaves it to the daemon.
+        control: host:port to be controlled on; port 0: a free one. A named one lets clients find a daemon again.
         zenoh: whether the streams are offered over zenoh too.
         options: further flags of `tensormassd`.
 
@@ -72,7 +74,7 @@ def launch(
     with contextlib.ExitStack() as undo:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-")))
         ready_file, log_file = folder / "ready.json", folder / "tensormassd.log"
-        args: list[str | Path] = [program, "--backend", backend, "--control", "127.0.0.1:0"]
+        args: list[str | Path] = [program, "--backend", backend, "--control", control]
         args += ["--zeromq-publish", "tcp://127.0.0.1:*", "--zeromq-pose", "tcp://127.0.0.1:*"]
         args += ["--zenoh-listen", "tcp/127.0.0.1:0" if zenoh else "off", "--ready-file", ready_file]
         if cpu_threads is not None:
