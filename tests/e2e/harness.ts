@@ -103,6 +103,7 @@ export class Browser {
 export interface ViewerState {
   readonly scene: string | null;
   readonly vertexCount: number;
+  readonly tools: readonly { readonly name: string; readonly positionM: readonly [number, number, number] }[];
   readonly drawn: number;
   readonly refused: number;
   readonly lastRefusal: string | null;
@@ -149,6 +150,14 @@ export class ViewerPage {
   async draws(count: number): Promise<void> {
     const { drawn } = await this.state();
     await this.page.waitForFunction((until) => window.tensormass.state().drawn >= until, drawn + count);
+  }
+
+  /** Drags from one point of the page to another. */
+  async drag(from: { x: number; y: number }, to: { x: number; y: number }): Promise<void> {
+    await this.page.mouse.move(from.x, from.y);
+    await this.page.mouse.down();
+    await this.page.mouse.move(to.x, to.y, { steps: 4 });
+    await this.page.mouse.up();
   }
 
   async says(selector: string, text: RegExp): Promise<void> {

@@ -72,6 +72,15 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
     await page.page.keyboard.press("t");
     await page.says("#labels .force", new RegExp(`^${force_n.toFixed(1).slice(0, 3)}`));
+
+    // The gateway of this test lets browsers move tools: the pointer takes the probe away again.
+    const { tools } = await page.state();
+    const held = await page.project(tools[0]!.positionM);
+    expect(held).not.toBeNull();
+    await page.drag(held!, { x: held!.x, y: held!.y - 90 });
+    await page.page.locator("#labels .force").waitFor({ state: "detached" });
+    const lifted = (await page.state()).tools[0]!;
+    expect(lifted.positionM[2]).toBeGreaterThan(tools[0]!.positionM[2] + PRESS_DEPTH_M);
     expect((await page.state()).refused).toBe(0);
     await stack.ask("unload", { name: "pressed" });
   });
