@@ -439,7 +439,7 @@ class Compiler {
       for (int k = 0; k < Shape::kNodes; ++k) {
         const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
         double* vertex = model_.constant_vertices.data() + 12 * std::size_t{row_k};
-        for (int c = 0; c < 9; ++c) vertex[c] += tensors.vertex_stiffness[k](c / 3, c % 3);
+        for (int c = 0; c < 9; ++c) vertex[c] += tensors.vertex_stiffness[k](c % 3, c / 3);
         for (int l = k + 1; l < Shape::kNodes; ++l) {
           const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
           const Mat3<double>& edge = tensors.edge_stiffness[physics::pair_index(Shape::kNodes, k, l)];

@@ -40,23 +40,21 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
     Real* record = s.partials + e.partial_begin + std::size_t{first} * kRecord;
     const auto put = [&](std::uint32_t offset, const T& value) { Lanes::scatter(record + offset, kRecord, value); };
     for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
-      for (std::uint32_t c = 0; c < 9; ++c) put(vertex_offset(k) + c, tensors.vertex_stiffness[k](c / 3, c % 3));
+      for (std::uint32_t c = 0; c < 9; ++c) put(vertex_offset(k) + c, tensors.vertex_stiffness[k](c % 3, c / 3));
       for (std::uint32_t c = 0; c < 3; ++c) put(vertex_offset(k) + 9 + c, tensors.force[k][c]);
     }
     for (std::uint32_t pair = 0; pair < physics::kPairs<Shape::kNodes>; ++pair) {
       for (std::uint32_t c = 0; c < 9; ++c) {
-        put(edge_offset(Shape::kNodes, pair) + c, tensors.edge_stiffness[pair](c / 3, c % 3));
+        put(edge_offset(Shape::kNodes, pair) + c, tensors.edge_stiffness[pair](c % 3, c / 3));
       }
     }
   });
 }
 
-/// The 3×3 block at `p`, row-major.
+/// The 3×3 block at `p`, column-major.
 template <class Real>
-TM_HOST_DEVICE Mat3<Real> load_dense(const Real* p) {
-  Mat3<Real> m;
-  for (int c = 0; c < 9; ++c) m(c / 3, c % 3) = p[c];
-  return m;
+TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
+  return Eigen::Map<const Mat3<Real>>(p);
 }
 
 /// Gathers the tensors of each row in a fixed order and forms the row of A and b.
@@ -72,13 +70,13 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
     Mat3<Real> vertex = Mat3<Real>::Zero();
     Vec3<Real> force = Vec3<Real>::Zero();
     if constexpr (HasConstant) {
-      vertex = load_dense(s.constant_vertices + std::size_t{12} * row);
+      vertex = dense(s.constant_vertices + std::size_t{12} * row);
       force = -(vertex * load3<Real>(s.displacement, row));
     }
     if constexpr (HasPartial) {
       for (std::uint32_t i = s.vertex_gather_begin[row]; i < s.vertex_gather_begin[row + 1]; ++i) {
         const Real* p = s.partials + s.vertex_gather[i];
-        vertex += load_dense(p);
+        vertex += dense(p);
         force += Vec3<Real>(p[9], p[10], p[11]);
       }
     }
@@ -91,14 +89,11 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         force -= edge * load3<Real>(s.displacement, other);
       }
       if constexpr (HasPartial) {
-        for (std::uint32_t i = s.edge_gather_begin[slot]; i < s.edge_gather_begin[slot + 1]; ++i) {
-          const Mat3<Real> block = load_dense(s.partials + (s.edge_gather[i] >> 1));
-          if (s.edge_gather[i] & 1) {
-            edge += block.transpose();
-          } else {
-            edge += block;
-          }
-        }
+        const std::uint32_t* begin = s.edge_gather_begin + 2 * slot;
+        Mat3<Real> transposed = Mat3<Real>::Zero();
+        for (std::uint32_t i = begin[0]; i < begin[1]; ++i) edge += dense(s.partials + s.edge_gather[i]);
+        for (std::uint32_t i = begin[1]; i < begin[2]; ++i) transposed += dense(s.partials + s.edge_gather[i]);
+        edge += transposed.transpose();
       }
       stiffness_velocity += edge * load3<Real>(s.velocity, other);
       store_block<Real>(s.edges, slot, edge * (dt * (beta + dt)));

@@ -147,7 +147,7 @@ GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> gro
       }
     }
   });
-  fill_lists(layout.slot_count(), map.edge_begin, map.edge, [&](const auto& add) {
+  fill_lists(2 * std::size_t{layout.slot_count()}, map.edge_begin, map.edge, [&](const auto& add) {
     for (const ElementRows& group : groups) {
       for (std::uint32_t e = 0; e < group.element_count; ++e) {
         const std::uint32_t record = group.partial_begin + e * record_reals(group.node_count);
@@ -156,9 +156,9 @@ GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> gro
           for (std::uint32_t l = k + 1; l < group.node_count; ++l, ++pair) {
             const std::uint32_t row_k = group.rows[std::size_t{k} * group.stride + e];
             const std::uint32_t row_l = group.rows[std::size_t{l} * group.stride + e];
-            const std::uint32_t entry = 2 * (record + edge_offset(group.node_count, pair));
-            add(layout.slot(row_k, row_l), entry);
-            add(layout.slot(row_l, row_k), entry + 1);
+            const std::uint32_t block = record + edge_offset(group.node_count, pair);
+            add(2 * layout.slot(row_k, row_l), block);
+            add(2 * layout.slot(row_l, row_k) + 1, block);
           }
         }
       }

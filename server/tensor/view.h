@@ -114,8 +114,8 @@ struct SceneView {
   Real* partials;                            // records, see record_reals
   const std::uint32_t* vertex_gather;        // offsets of K_kk, f_k in partials
   const std::uint32_t* vertex_gather_begin;  // [row_count + 1]
-  const std::uint32_t* edge_gather;          // 2 × offset of K_kl in partials, + 1 if it is to be transposed
-  const std::uint32_t* edge_gather_begin;    // [slot + 1]
+  const std::uint32_t* edge_gather;          // offsets of K_kl in partials
+  const std::uint32_t* edge_gather_begin;    // [2 slots + 1] of each slot the blocks as they are, then the transposed
 
   // -- state and fields of rows, [row_count, 4]
   Real* displacement;    // u [m]
