@@ -166,14 +166,20 @@ export class ViewerPage {
 
   /** The picture without the numbers around it. */
   async picture(): Promise<PNG> {
-    await this.page.evaluate(
-      () =>
-        new Promise((resolve) => {
-          requestAnimationFrame(() => requestAnimationFrame(resolve));
-        }),
-    );
-    const style = "header, aside, footer, #labels, #notice { visibility: hidden !important; }";
-    return PNG.sync.read(await this.page.screenshot({ style }));
+    await this.#setReadings("hidden");
+    const png = await this.page.screenshot();
+    await this.#setReadings("");
+    return PNG.sync.read(png);
+  }
+
+  // Through the elements: the page's own policy forbids the style sheet that a screenshot could bring along.
+  #setReadings(visibility: string): Promise<void> {
+    return this.page.evaluate(async (value) => {
+      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #labels, #notice")) {
+        element.style.visibility = value;
+      }
+      await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
+    }, visibility);
   }
 
   close(): Promise<void> {

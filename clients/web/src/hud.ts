@@ -9,6 +9,7 @@ export interface Readings {
   readonly counters: Counters;
   readonly drawRateHz: number | null;
   readonly ageMs: number | null;
+  readonly ageUncertaintyMs: number | null;
   readonly replaced: number;
 }
 
@@ -69,11 +70,12 @@ export class Hud {
     }
   }
 
-  showReadings({ status, counters, drawRateHz, ageMs, replaced }: Readings): void {
+  showReadings({ status, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced }: Readings): void {
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", status ? `of ${trim(status.targetRateHz)} Hz` : "Hz");
     write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(0));
     write("latency", ageMs === null ? UNKNOWN : ageMs.toFixed(ageMs < 10 ? 1 : 0));
+    write("uncertainty", ageUncertaintyMs === null || ageUncertaintyMs < 1 ? "" : `± ${ageUncertaintyMs.toFixed(0)}`);
     write("dropped", String(counters.dropped));
     write("dropped-where", `${replaced} in gateway`);
     write("step-time", status ? (1e3 * status.stepTimeP99S).toFixed(1) : UNKNOWN);

@@ -200,6 +200,7 @@ function showReadings(): void {
     counters: store.counters,
     drawRateHz: store.topology === null ? null : drawn.length / (RATE_WINDOW_MS / 1000),
     ageMs: ages[Math.floor(ages.length / 2)] ?? null,
+    ageUncertaintyMs: clock.uncertaintyMs(),
     replaced,
   });
   showState();

@@ -10,7 +10,7 @@ it("finds the age through the gateway's clock", () => {
   const clock = new GatewayClock();
   clock.add(100, 104, 1_000_002); // the gateway is 999,900 ms ahead
   expect(clock.ageMs(1_000_000_000_000n, 112)).toBe(12);
-  expect(clock.roundTripMs()).toBe(4);
+  expect(clock.uncertaintyMs()).toBe(2);
 });
 
 it("believes the exchange with the shortest round trip", () => {
@@ -23,17 +23,17 @@ it("believes the exchange with the shortest round trip", () => {
 it("forgets exchanges that are long ago, as clocks drift", () => {
   const clock = new GatewayClock();
   clock.add(0, 0, 1000);
-  for (let k = 1; k <= 8; k += 1) {
+  for (let k = 1; k <= 16; k += 1) {
     clock.add(k, k + 1, 2000.5 + k);
   }
-  expect(clock.ageMs(2_000_000_000n, 10)).toBe(10);
+  expect(clock.ageMs(2_000_000_000n, 20)).toBe(20);
 });
 
 it("ignores what cannot be", () => {
   const clock = new GatewayClock();
   clock.add(10, 5, 1000);
   clock.add(1, 2, NaN);
-  expect(clock.roundTripMs()).toBeNull();
+  expect(clock.uncertaintyMs()).toBeNull();
 });
 
 it("never reports a frame from the future", () => {

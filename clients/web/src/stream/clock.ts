@@ -2,7 +2,7 @@
 // frame is only known through the gateway, which shares its clock with the server if both run on one machine (else
 // their offset adds to the age).
 
-const SAMPLES = 8;
+const SAMPLES = 16;
 
 export class GatewayClock {
   readonly #samples: { roundTripMs: number; offsetMs: number }[] = [];
@@ -25,9 +25,10 @@ export class GatewayClock {
     return best === null ? null : Math.max(0, nowMs + best.offsetMs - Number(serverTimeNs) / 1e6);
   }
 
-  /** To the gateway and back, the shortest of the last exchanges [ms]. */
-  roundTripMs(): number | null {
-    return this.#best()?.roundTripMs ?? null;
+  /** Ages are known to within this [ms]: nobody knows how the round trip was shared by its two ways. */
+  uncertaintyMs(): number | null {
+    const best = this.#best();
+    return best === null ? null : best.roundTripMs / 2;
   }
 
   // The exchange with the least delay has the least room for asymmetry.
