@@ -27,6 +27,7 @@ from tensormass.streams import (
     Subscription,
     Transport,
     find_body,
+    frame_size_bytes,
 )
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
@@ -268,8 +269,11 @@ class SceneHandle:
 
     def frame(self) -> Frame:
         """The surfaces after the last step."""
-        reply = self._server._call("GetFrame", control_pb2.GetFrameRequest(scene=self.name))
-        return self._decode(reply.frame)
+        while True:
+            reply = self._server._call("GetFrame", control_pb2.GetFrameRequest(scene=self.name))
+            frame = self._decode(reply.frame)
+            if frame is not None:
+                return frame
 
     def frames(self, transport: Transport = "zeromq", *, timeout_s: float = 5.0) -> FrameStream:
         """Subscribes to the frames: `for frame in scene.frames(): ...`.
@@ -312,11 +316,17 @@ class SceneHandle:
         stream = f"tool/{name}/feedback"
         return self._server.data_plane.subscribe(self.name, stream, stream_pb2.ToolFeedback, transport)
 
-    def _decode(self, frame: stream_pb2.Frame) -> Frame:
+    def _decode(self, frame: stream_pb2.Frame) -> Frame | None:
+        """None for a frame of a topology that has been replaced since."""
         topology = self._topology
-        if topology is None or topology.version != frame.topology_version:
+        # The size differs where a scene was unloaded and another one loaded under its name.
+        if (
+            topology is None
+            or topology.version != frame.topology_version
+            or len(frame.positions) != frame_size_bytes(topology)
+        ):
             topology = self.topology()
-        return Frame.from_message(frame, topology)
+        return Frame.from_message(frame, topology) if topology.version <= frame.topology_version else None
 
 
 class FrameStream(Closing, Iterator[Frame]):
@@ -333,15 +343,19 @@ class FrameStream(Closing, Iterator[Frame]):
     def __next__(self) -> Frame:
         last = self._last
         if last is None:
-            frame = self._scene.frame()
-        else:
+            self._last = self._scene.frame()
+            return self._last
+        while True:
             frame = self._scene._decode(self._subscription.receive(self._timeout_s))
-            while (frame.topology.version, frame.sequence) == (last.topology.version, last.sequence):
-                frame = self._scene._decode(self._subscription.receive(self._timeout_s))
-            if frame.topology.version == last.topology.version:
+            if frame is None:
+                continue
+            same_topology = frame.topology.version == last.topology.version
+            if same_topology and frame.sequence == last.sequence:
+                continue  # the one that the call at the start brought
+            if same_topology:
                 self.dropped_count += max(0, frame.sequence - last.sequence - 1)
-        self._last = frame
-        return frame
+            self._last = frame
+            return frame
 
     def close(self) -> None:
         """Ends the subscription."""

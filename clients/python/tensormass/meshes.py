@@ -137,7 +137,7 @@ def write_mesh(path: str | Path, mesh: TetrahedralMesh) -> None:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             out.write(path, **options)
-    except (meshio.WriteError, KeyError, SystemExit) as error:
+    except (meshio.ReadError, meshio.WriteError, SystemExit) as error:
         raise InvalidArgumentError(f"{path}: cannot be written; use .msh, .vtk or .vtu") from error
 
 
@@ -195,7 +195,7 @@ def _gmsh1_section(path: str | Path, lines: list[str], name: str) -> tuple[list[
         begin = lines.index(f"${name}")
         count = int(lines[begin + 1])
         rows = lines[begin + 2 : begin + 2 + count]
-        closed = count >= 0 and lines[begin + 2 + count].strip() == f"$END{name}"
+        closed = count >= 0 and [line.strip() for line in lines[begin + 2 + count :][:1]] == [f"$END{name}"]
     except (ValueError, IndexError) as error:
         raise InvalidArgumentError(f"{path}: section ${name} is missing or cut off") from error
     if not closed:
@@ -346,12 +346,12 @@ def _components(node_count: int, cells: npt.NDArray[np.integer]) -> npt.NDArray[
 # --- volumes from surfaces --------------------------------------------------------------------------------------------
 
 
-def tetrahedralize(surface: TriangleSurface, edge_length: float, *, stop_energy: float = 10.0) -> TetrahedralMesh:
-    """Fills a closed surface, dirty or not, with tetrahedra (fTetWild).
+def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralMesh:
+    """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
 
     Args:
-        edge_length: wanted length of an edge, in the surface's unit.
-        stop_energy: quality at which the optimization ends; lower is better and slower (a perfect mesh has 3).
+        edge_length: wanted length of an edge, in the surface's unit. The boundary keeps to the surface within a
+            twentieth of it.
 
     Raises:
         InvalidArgumentError: an edge that is not positive or longer than the surface, or nothing enclosed.
@@ -366,7 +366,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float, *, stop_energy:
         surface_file, volume_file = Path(folder) / "surface.npz", Path(folder) / "volume.npz"
         np.savez(surface_file, vertices=surface.vertices, triangles=surface.triangles.astype(np.int32))
         run = [sys.executable, "-P", "-c", _TETWILD]
-        run += [str(surface_file), str(volume_file), str(edge_length), str(stop_energy)]
+        run += [str(surface_file), str(volume_file), str(edge_length), str(edge_length / 20 / diagonal)]
         done = subprocess.run(run, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL)
         if done.returncode != 0 or not volume_file.is_file():
             reason = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
@@ -378,14 +378,14 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float, *, stop_energy:
     return repair(TetrahedralMesh.from_arrays(nodes, tetrahedra, "result of fTetWild"))
 
 
-# One thread: with more, the mesh differs from run to run.
+# Without `coarsen` edges get no longer than the input's. One thread: with more, the mesh differs from run to run.
 _TETWILD = """
 import sys
 import numpy as np
 from pytetwild import tetrahedralize
 surface = np.load(sys.argv[1])
 nodes, tetrahedra = tetrahedralize(
-    surface["vertices"], surface["triangles"], edge_length_abs=float(sys.argv[3]), stop_energy=float(sys.argv[4]),
-    num_threads=1, quiet=True)
+    surface["vertices"], surface["triangles"], edge_length_abs=float(sys.argv[3]), epsilon=float(sys.argv[4]),
+    coarsen=True, num_threads=1, quiet=True)
 np.savez(sys.argv[2], nodes=nodes, tetrahedra=tetrahedra)
 """

@@ -23,7 +23,7 @@ import zenoh
 import zmq
 from google.protobuf.message import DecodeError, Message
 
-from tensormass.errors import DeadlineExceededError, InvalidArgumentError, UnavailableError
+from tensormass.errors import DeadlineExceededError, InternalError, InvalidArgumentError, UnavailableError
 from tensormass.scene import Vector, quaternion, vector3
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
@@ -100,6 +100,12 @@ class Frame:
 
     @staticmethod
     def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology) -> Frame:
+        size = frame_size_bytes(topology)
+        if len(message.positions) != size:
+            raise InternalError(
+                f"frame {message.sequence} of {topology.scene!r} has {len(message.positions)} bytes of positions; "
+                f"its topology needs {size}"
+            )
         return Frame(
             topology=topology,
             sequence=message.sequence,
@@ -109,6 +115,11 @@ class Frame:
             positions=np.frombuffer(message.positions, dtype="<f4").reshape(-1, 3),
             tools={tool.tool: Feedback.from_message(tool) for tool in message.tools},
         )
+
+
+def frame_size_bytes(topology: stream_pb2.Topology) -> int:
+    """Bytes of `positions` in a frame of this topology."""
+    return 12 * sum(body.vertex_count for body in topology.bodies)
 
 
 def find_body(topology: stream_pb2.Topology, body: str) -> stream_pb2.BodySurface:

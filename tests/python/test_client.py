@@ -1,0 +1,393 @@
+"""The SDK against a control plane of its own making: errors, decoding, frames, and child processes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import stat
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Coroutine, Iterator
+from concurrent import futures
+from pathlib import Path
+from typing import Any
+
+import grpc
+import numpy as np
+import pytest
+from fake_daemon import FakeDaemon, fake_daemon, frame_of, triangle_topology
+
+import tensormass as tm
+from tensormass import processes
+from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+
+DEADLINE_S = 10.0
+
+
+class Recorder(control_pb2_grpc.ControlServicer):
+    """Answers with what a test put into `replies`, or fails with `failure`; keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.failure: tuple[grpc.StatusCode, str] | None = None
+        self.replies: dict[str, Any] = {
+            "GetVersion": control_pb2.GetVersionResponse(server="s", version="1")
+        }
+
+    def __getattribute__(self, name: str) -> Any:  # noqa: ANN401
+        if name[0].isupper():
+            return lambda request, context: self.answer(name, request, context)
+        return super().__getattribute__(name)
+
+    def answer(self, method: str, request: Any, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
+        self.asked.append(request)
+        if self.failure is not None:
+            context.abort(*self.failure)
+        return self.replies[method]
+
+
+@pytest.fixture
+def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
+    recorder = Recorder()
+    server = grpc.server(futures.ThreadPoolExecutor(2))
+    control_pb2_grpc.add_ControlServicer_to_server(recorder, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    with tm.connect(f"127.0.0.1:{port}") as client:
+        yield recorder, client
+    server.stop(grace=None)
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        (grpc.StatusCode.INVALID_ARGUMENT, tm.InvalidArgumentError),
+        (grpc.StatusCode.NOT_FOUND, tm.NotFoundError),
+        (grpc.StatusCode.ALREADY_EXISTS, tm.AlreadyExistsError),
+        (grpc.StatusCode.RESOURCE_EXHAUSTED, tm.ResourceExhaustedError),
+        (grpc.StatusCode.FAILED_PRECONDITION, tm.FailedPreconditionError),
+        (grpc.StatusCode.UNAVAILABLE, tm.UnavailableError),
+        (grpc.StatusCode.DEADLINE_EXCEEDED, tm.DeadlineExceededError),
+        (grpc.StatusCode.INTERNAL, tm.InternalError),
+        (grpc.StatusCode.UNIMPLEMENTED, tm.InternalError),
+    ],
+)
+def test_every_code_is_an_exception_with_the_daemons_message(
+    recorder: tuple[Recorder, tm.Server],
+    code: grpc.StatusCode,
+    kind: type[tm.TensormassError],
+) -> None:
+    fake, server = recorder
+    fake.failure = (code, "body 'liver': tetrahedron 7 is inverted; rewind it")
+    with pytest.raises(
+        kind, match="body 'liver': tetrahedron 7 is inverted; rewind it"
+    ) as error:
+        server.load(tm.Scene("s"))
+    assert type(error.value) is kind
+
+
+def test_load_sends_the_scene_and_leaves_the_callers_alone(
+    recorder: tuple[Recorder, tm.Server],
+) -> None:
+    fake, server = recorder
+    fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(
+        report=control_pb2.SceneReport(scene="other")
+    )
+    message = scene_pb2.Scene(name="mine", tools=[scene_pb2.Tool(name="probe")])
+    handle = server.load(message, lockstep=True, name="other")
+    sent = fake.asked[-1].scene
+    assert (sent.name, sent.stepping.lockstep, sent.tools[0].name) == (
+        "other",
+        True,
+        "probe",
+    )
+    assert (message.name, message.HasField("stepping")) == ("mine", False)
+    assert handle.name == "other"
+    assert handle.report is not None
+    server.load(tm.Scene(message=message))
+    assert fake.asked[-1].scene == message
+
+
+def test_positions_are_writable_doubles_by_node(
+    recorder: tuple[Recorder, tm.Server],
+) -> None:
+    fake, server = recorder
+    expected = np.arange(12, dtype="<f8").reshape(4, 3)
+    fake.replies["GetStatus"] = control_pb2.GetStatusResponse()
+    fake.replies["GetPositions"] = control_pb2.GetPositionsResponse(
+        positions=expected.tobytes()
+    )
+    positions = server.scene("s").positions("liver")
+    assert fake.asked[-1] == control_pb2.GetPositionsRequest(scene="s", body="liver")
+    np.testing.assert_array_equal(positions, expected)
+    assert positions.dtype == np.float64
+    positions += 1.0
+
+
+def test_feedback_and_moves_carry_units_and_order(
+    recorder: tuple[Recorder, tm.Server],
+) -> None:
+    fake, server = recorder
+    fake.replies |= {
+        "GetStatus": control_pb2.GetStatusResponse(),
+        "MoveTool": control_pb2.MoveToolResponse(),
+    }
+    fake.replies["GetFeedback"] = control_pb2.GetFeedbackResponse(
+        feedback=stream_pb2.ToolFeedback(
+            tool="probe",
+            step=4,
+            pose_sequence=2,
+            position_m=scene_pb2.Vector3(x=1),
+            force_n=scene_pb2.Vector3(z=3),
+            torque_n_m=scene_pb2.Vector3(y=5),
+            local_model=stream_pb2.LocalModel(
+                stiffness_n_per_m=range(9), valid_for_s=0.05
+            ),
+        )
+    )
+    scene = server.scene("s")
+    scene.move_tool("probe", (1, 2, 3))
+    scene.move_tool("probe", np.array([1.0, 2.0, 4.0]), (0, 3, 0, 4))
+    first, second = fake.asked[-2:]
+    assert (first.scene, first.tool, first.pose.sequence, second.pose.sequence) == (
+        "s",
+        "probe",
+        1,
+        2,
+    )
+    assert first.pose.client_id == second.pose.client_id
+    assert second.pose.orientation == scene_pb2.Quaternion(x=0.6, z=0.8)
+    feedback = scene.feedback("probe")
+    np.testing.assert_array_equal(feedback.force_n, [0, 0, 3])
+    np.testing.assert_array_equal(feedback.torque_n_m, [0, 5, 0])
+    np.testing.assert_array_equal(
+        feedback.stiffness_n_per_m, np.arange(9).reshape(3, 3)
+    )
+    assert (feedback.step, feedback.pose_sequence, feedback.valid_for_s) == (4, 2, 0.05)
+
+
+def test_nobody_there_is_said_in_time() -> None:
+    begin = time.monotonic()
+    with pytest.raises(
+        tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"
+    ):
+        tm.connect("127.0.0.1:1", timeout_s=0.2)
+    assert time.monotonic() - begin < 5
+
+
+# --- frames -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def loop() -> Iterator[Callable[[Coroutine[Any, Any, Any]], Any]]:
+    """Runs coroutines on an event loop in a thread, for the asynchronous fake beside the synchronous SDK."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    yield lambda work: asyncio.run_coroutine_threadsafe(work, loop).result(DEADLINE_S)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()
+
+
+@pytest.fixture
+def daemon(loop: Callable[[Coroutine[Any, Any, Any]], Any]) -> Iterator[FakeDaemon]:
+    context = fake_daemon()
+    yield loop(context.__aenter__())
+    loop(context.__aexit__(None, None, None))
+
+
+def test_frames_start_with_the_present_skip_to_the_newest_and_count_the_lost(
+    daemon: FakeDaemon, loop: Callable[[Coroutine[Any, Any, Any]], Any]
+) -> None:
+    topology = triangle_topology("s", vertex_count=4)
+    daemon.topologies["s"] = topology
+    daemon.frames["s"] = frame_of(topology, 1)
+
+    def publish(frame: stream_pb2.Frame) -> None:
+        loop(daemon.publish("s", "frame", frame.SerializeToString()))
+
+    with tm.connect(daemon.control) as server:
+        scene = tm.SceneHandle(server, "s", None)
+        with scene.frames(timeout_s=DEADLINE_S) as frames:
+            loop(daemon.wait_subscribed("s", "frame"))
+            first = next(frames)
+            assert first.sequence == 1
+            np.testing.assert_array_equal(
+                first.vertices("fan"), np.full((4, 3), 1, np.float32)
+            )
+            assert first.tools["probe"].force_n[2] == 1.0
+            publish(frame_of(topology, 1))  # the same again is not news
+            publish(frame_of(topology, 5))
+            assert next(frames).sequence == 5
+            assert frames.dropped_count == 3
+            # A new topology is fetched before its first frame is handed out; counting starts again.
+            changed = triangle_topology("s", version=2, vertex_count=6)
+            daemon.topologies["s"] = changed
+            publish(frame_of(changed, 9))
+            frame = next(frames)
+            assert frame.vertices("fan").shape == (6, 3)
+            assert frames.dropped_count == 3
+            # What was under way from the old one is passed over.
+            publish(frame_of(topology, 10))
+            publish(frame_of(changed, 11))
+            assert next(frames).sequence == 11
+        daemon.frames["s"] = frame_of(changed, 12)
+        vertices, triangles = scene.surface("fan")
+        assert (vertices.dtype, vertices.shape) == (np.float64, (6, 3))
+        assert triangles.shape == (4, 3)
+        with pytest.raises(
+            tm.InvalidArgumentError, match="has no body 'spleen'; it has: fan"
+        ):
+            scene.surface("spleen")
+
+
+def test_a_frame_that_does_not_fit_its_topology_is_refused(daemon: FakeDaemon) -> None:
+    daemon.topologies["s"] = triangle_topology("s", vertex_count=4)
+    daemon.frames["s"] = frame_of(daemon.topologies["s"], 1)
+    daemon.frames["s"].positions = daemon.frames["s"].positions[:-4]
+    with (
+        tm.connect(daemon.control) as server,
+        pytest.raises(
+            tm.InternalError, match="44 bytes of positions; its topology needs 48"
+        ),
+    ):
+        tm.SceneHandle(server, "s", None).frame()
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.01)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return (
+            Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        )
+    except FileNotFoundError:
+        return False
+
+
+def script(folder: Path, name: str, body: str) -> Path:
+    path = folder / name
+    path.write_text(f"#!{sys.executable}\n{textwrap.dedent(body)}")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_a_child_ends_with_its_parent_however_that_ends(
+    tmp_path: Path, how: signal.Signals
+) -> None:
+    parent = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import subprocess, threading; from tensormass.processes import ChildProcess\n"
+            "def start():\n"  # of a thread that is gone at once
+            "    child = ChildProcess(['sleep', '600'], output=subprocess.DEVNULL)\n"
+            "    print(child.process.pid, flush=True)\n"
+            "    children.append(child)\n"
+            "children = []\n"
+            "thread = threading.Thread(target=start); thread.start(); thread.join()\n"
+            "import time; time.sleep(600)",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    try:
+        assert is_running(child)
+        parent.send_signal(how)
+        parent.wait(DEADLINE_S)
+        wait_until(lambda: not is_running(child))
+    finally:
+        parent.stdout.close()
+        parent.kill()
+        if is_running(child):
+            os.kill(child, signal.SIGKILL)
+
+
+def test_stop_insists_on_a_child_that_does_not_listen(tmp_path: Path) -> None:
+    deaf = script(
+        tmp_path,
+        "deaf",
+        """
+        import pathlib, signal, sys, time
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        pathlib.Path(sys.argv[1]).touch()
+        time.sleep(600)
+        """,
+    )
+    ready = tmp_path / "ready"
+    child = processes.ChildProcess([deaf, ready], output=subprocess.DEVNULL)
+    wait_until(ready.exists)
+    assert child.stop(timeout_s=0.1) == -signal.SIGKILL
+    assert not child.running
+
+
+def test_a_stopped_child_is_ended_at_once() -> None:
+    child = processes.ChildProcess(["sleep", "600"], output=subprocess.DEVNULL)
+    os.kill(child.process.pid, signal.SIGSTOP)
+    assert child.stop(timeout_s=DEADLINE_S) == -signal.SIGTERM
+
+
+def test_launch_says_why_the_daemon_did_not_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing = script(
+        tmp_path,
+        "tensormassd",
+        "import sys; print('no CUDA device answers', file=sys.stderr); sys.exit(3)",
+    )
+    monkeypatch.setenv("TENSORMASSD", str(failing))
+    with pytest.raises(
+        tm.UnavailableError,
+        match=r"ended with status 3; its log ends:\nno CUDA device answers",
+    ):
+        tm.launch(backend="cuda")
+
+
+def test_launch_gives_up_on_a_daemon_that_is_never_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pid_file = tmp_path / "pid"
+    silent = script(
+        tmp_path,
+        "tensormassd",
+        f"""
+        import os, pathlib, time
+        pathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))
+        time.sleep(600)
+        """,
+    )
+    monkeypatch.setenv("TENSORMASSD", str(silent))
+    with pytest.raises(tm.UnavailableError, match="was not ready in 2 s"):
+        tm.launch(timeout_s=2)
+    assert not is_running(int(pid_file.read_text()))
+
+
+def test_a_named_program_that_is_not_there_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent/tensormassd")
+    with pytest.raises(
+        tm.NotFoundError, match=r"\$TENSORMASSD names /nonexistent/tensormassd"
+    ):
+        tm.launch()
+    monkeypatch.delenv("TENSORMASSD")
+    monkeypatch.setattr(processes, "BUILD_BIN", Path("/nonexistent"))
+    monkeypatch.setenv("PATH", "/nonexistent")
+    with pytest.raises(tm.NotFoundError, match="tensormassd is not built"):
+        tm.launch()

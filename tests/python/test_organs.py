@@ -1,0 +1,101 @@
+"""Isosurface stuffing and the organs made with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tensormass import isosurface, meshes, organ
+from tensormass.meshes import FloatArray
+
+BOX = np.full(3, 1.2)
+
+
+def ball(radius: float, center: FloatArray) -> isosurface.Implicit:
+    return lambda points: radius - np.linalg.norm(points - center, axis=1)
+
+
+def edge_counts(surface: meshes.TriangleSurface) -> tuple[int, set[int]]:
+    edges = np.sort(
+        surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1
+    )
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return len(counts), set(counts.tolist())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    radius, center = random.uniform(0.4, 0.9), random.uniform(-0.1, 0.1, 3)
+    inside = ball(radius, center)
+    mesh = isosurface.fill(inside, -BOX, BOX, 0.15)
+    quality = meshes.quality(mesh)
+    assert quality.inverted_count == 0
+    assert quality.min_dihedral_angle_deg > 10
+    assert meshes.dihedral_angles_deg(mesh).max() < 165
+
+    surface = meshes.boundary(mesh)
+    edge_count, uses = edge_counts(surface)
+    assert uses == {2}
+    assert len(surface.vertices) - edge_count + len(surface.triangles) == 2  # a sphere
+    np.testing.assert_allclose(inside(surface.vertices), 0, atol=1e-7)
+    # Positive elements whose boundary encloses their sum neither overlap nor leave holes.
+    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(
+        quality.volume, rel=1e-9
+    )
+    assert quality.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.06)
+
+
+def test_the_filling_is_the_same_every_time() -> None:
+    first, second = (
+        isosurface.fill(ball(0.7, np.zeros(3)), -BOX, BOX, 0.2) for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.nodes, second.nodes)
+    np.testing.assert_array_equal(first.tetrahedra, second.tetrahedra)
+
+
+def test_smoothing_widens_angles_and_stays_on_the_surface() -> None:
+    inside = ball(0.8, np.zeros(3))
+    rough = meshes.boundary(isosurface.fill(inside, -BOX, BOX, 0.2))
+    even = isosurface.smooth(rough, inside, step_m=1e-4)
+    np.testing.assert_allclose(inside(even.vertices), 0, atol=1e-6)
+
+    assert smallest_angle_deg(even) > smallest_angle_deg(rough) + 5
+
+
+def smallest_angle_deg(surface: meshes.TriangleSurface) -> float:
+    corner = surface.vertices[surface.triangles]
+    sides = np.roll(corner, -1, axis=1) - corner
+    sides /= np.linalg.norm(sides, axis=2, keepdims=True)
+    return float(
+        np.degrees(
+            np.arccos(-np.einsum("tij,tij->ti", sides, np.roll(sides, 1, axis=1)))
+        ).min()
+    )
+
+
+@pytest.mark.parametrize(("name", "count"), [("liver", 20_000), ("kidney", 5_000)])
+def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
+    shape = organ.ORGANS[name]
+    volume = shape.volume()
+    quality = meshes.quality(volume)
+    assert quality.tetrahedron_count == pytest.approx(count, rel=0.1)
+    assert quality.min_dihedral_angle_deg > 10
+    assert quality.inverted_count == 0
+    assert (
+        meshes.repair(volume).tetrahedra.shape == volume.tetrahedra.shape
+    )  # one component
+    # The box does not cut the organ.
+    assert (volume.nodes > shape.lower_m).all()
+    assert (volume.nodes < shape.upper_m).all()
+
+
+@pytest.mark.parametrize("name", sorted(organ.ORGANS))
+def test_skins_are_closed_fine_and_on_the_surface(name: str) -> None:
+    shape = organ.ORGANS[name]
+    skin = shape.skin()
+    _, uses = edge_counts(skin)
+    assert uses == {2}
+    assert np.abs(shape.inside(skin.vertices)).max() < 1e-5
+    assert len(skin.vertices) > 3 * len(meshes.boundary(shape.volume()).vertices)
