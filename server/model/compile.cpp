@@ -298,7 +298,7 @@ class Compiler {
     }
 
     for_each_body_element(
-        [&](std::size_t body, auto shape_tag, std::span<const std::uint32_t> nodes, const auto& rest) {
+        [&](std::size_t body, int /*shape*/, auto shape_tag, std::span<const std::uint32_t> nodes, const auto& rest) {
           using Shape = typename decltype(shape_tag)::Type;
           double volume = 0;
           for (int q = 0; q < Shape::kQuadraturePoints; ++q) {
@@ -323,7 +323,8 @@ class Compiler {
     return {};
   }
 
-  /// Calls visit(body, shape tag, scene nodes of the element, rest[quadrature points][rest reals]).
+  /// Calls visit(body, index into physics::Shapes, shape tag, scene nodes of the element,
+  /// rest[quadrature points][rest reals]). mesh::Shape counts as physics::Shapes does.
   template <class Visit>
   void for_each_body_element(const Visit& visit) const {
     for (std::size_t b = 0; b < merged_.blocks.size(); ++b) {
@@ -337,7 +338,7 @@ class Compiler {
           for (int k = 0; k < Shape::kNodes; ++k) x[k] = merged_.nodes[nodes[static_cast<std::size_t>(k)]];
           double rest[Shape::kQuadraturePoints][Shape::kRestReals];
           for (int q = 0; q < Shape::kQuadraturePoints; ++q) Shape::rest(x, q, rest[q]);
-          visit(block_bodies_[b], tag, nodes, rest);
+          visit(block_bodies_[b], index, tag, nodes, rest);
         }
       });
     }
@@ -360,14 +361,13 @@ class Compiler {
     };
     std::map<std::pair<int, int>, Collected> collected;
     for_each_body_element(
-        [&](std::size_t body, auto shape_tag, std::span<const std::uint32_t> nodes, const auto& rest) {
+        [&](std::size_t body, int shape, auto shape_tag, std::span<const std::uint32_t> nodes, const auto& rest) {
           using Shape = typename decltype(shape_tag)::Type;
           const Material& material = bodies_[body].material;
           if (has_constant_stiffness(material.law)) {
             add_constant_tensors<Shape>(material, nodes, rest);
             return;
           }
-          const int shape = static_cast<int>(mesh::Shape::kTetrahedron);
           Collected& group = collected[{shape, material.law}];
           for (const std::uint32_t node : nodes) group.rows.push_back(layout.row_of_node[node]);
           group.rest.insert(group.rest.end(), &rest[0][0], &rest[0][0] + Shape::kQuadraturePoints * Shape::kRestReals);
