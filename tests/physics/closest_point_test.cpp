@@ -1,0 +1,77 @@
+#include "physics/contact/closest_point.h"
+
+#include <algorithm>
+#include <random>
+
+#include <gtest/gtest.h>
+#include <Eigen/Dense>
+
+namespace tensormass::physics {
+namespace {
+
+using Point = Vec3<double>;
+
+Point at(const Point (&x)[3], const Vec3<double>& w) { return x[0] * w[0] + x[1] * w[1] + x[2] * w[2]; }
+
+double distance_to_segment(const Point& p, const Point& a, const Point& b) {
+  const double t = std::clamp((p - a).dot(b - a) / (b - a).squaredNorm(), 0.0, 1.0);
+  return (p - a - t * (b - a)).norm();
+}
+
+/// By cases that share nothing with the code under test: the plane if the foot is inside, else the nearest edge.
+double brute_force_distance(const Point& p, const Point (&x)[3]) {
+  const Point n = (x[1] - x[0]).cross(x[2] - x[0]).normalized();
+  const Point foot = p - n * n.dot(p - x[0]);
+  bool inside = true;
+  for (int i = 0; i < 3; ++i) inside = inside && n.dot((x[(i + 1) % 3] - x[i]).cross(foot - x[i])) >= 0;
+  if (inside) return std::abs(n.dot(p - x[0]));
+  double best = 1e30;
+  for (int i = 0; i < 3; ++i) best = std::min(best, distance_to_segment(p, x[i], x[(i + 1) % 3]));
+  return best;
+}
+
+/// Weights that are not zero; a face has three, an edge two, a vertex one.
+int support(const Vec3<double>& weights) { return static_cast<int>((weights.array() > 0).count()); }
+
+TEST(ClosestPoint, AgreesWithBruteForce) {
+  std::mt19937 random(7);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  const auto point = [&] { return Point(uniform(random), uniform(random), uniform(random)); };
+  int faces = 0, edges = 0, vertices = 0;
+  for (int i = 0; i < 20'000; ++i) {
+    const Point x[3] = {point(), point(), point()};
+    if ((x[1] - x[0]).cross(x[2] - x[0]).norm() < 1e-3) continue;
+    const Point p = 1.5 * point();
+    const ClosestPoint<double> closest = closest_point_on_triangle(p, x[0], x[1], x[2]);
+    ASSERT_NEAR(closest.weights.sum(), 1, 1e-12);
+    ASSERT_GE(closest.weights.minCoeff(), 0);
+    ASSERT_NEAR((p - at(x, closest.weights)).norm(), brute_force_distance(p, x), 1e-9) << "triangle " << i;
+    if (closest.feature == TriangleFeature::kFace) {
+      ++faces;
+    } else if (closest.feature < TriangleFeature::kVertex0) {
+      ++edges;
+      const int edge = static_cast<int>(closest.feature) - static_cast<int>(TriangleFeature::kEdge01);
+      EXPECT_EQ(closest.weights[(edge + 2) % 3], 0) << "an edge's point has no share of the corner across";
+      EXPECT_EQ(support(closest.weights), 2);
+    } else {
+      ++vertices;
+      EXPECT_EQ(closest.weights[static_cast<int>(closest.feature) - static_cast<int>(TriangleFeature::kVertex0)], 1);
+    }
+  }
+  EXPECT_GT(std::min({faces, edges, vertices}), 1000) << "every kind of feature was met";
+}
+
+TEST(ClosestPoint, DegenerateTriangleAnswersWithAPointOfIt) {
+  const Point a(1, 2, 3);
+  const auto same = closest_point_on_triangle<double>(Point(0, 0, 0), a, a, a);
+  EXPECT_TRUE(same.weights.allFinite());
+  EXPECT_NEAR(same.weights.sum(), 1, 1e-12);
+
+  const Point line[3] = {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}};
+  const auto flat = closest_point_on_triangle<double>(Point(1.5, 1, 0), line[0], line[1], line[2]);
+  EXPECT_TRUE(flat.weights.allFinite());
+  EXPECT_NEAR((at(line, flat.weights) - Point(1.5, 0, 0)).norm(), 0, 1e-12);
+}
+
+}  // namespace
+}  // namespace tensormass::physics

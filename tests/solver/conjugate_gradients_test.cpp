@@ -1,0 +1,195 @@
+#include "solver/conjugate_gradients.h"
+
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "support/dense_system.h"
+#include "support/staged_scene.h"
+
+/// Conjugate gradients by CPU teams against a dense factorization of the very same system.
+namespace tensormass::solver {
+namespace {
+
+using model::StageKind;
+using tests::StagedScene;
+
+constexpr tests::Beam kBeam{.cells_x = 6,
+                            .cells_y = 3,
+                            .cells_z = 3,
+                            .double_precision = true,
+                            .cg_max_iterations = 2000,
+                            .cg_tolerance = 1e-13};
+
+/// A beam in motion, ready to be solved.
+template <class Real>
+StagedScene<Real> assembled(std::uint32_t patches, tests::Beam beam = kBeam) {
+  StagedScene<Real> staged(tests::beam_scene(beam), patches);
+  Eigen::VectorXd u = tests::random_field(3 * staged.node_count(), 0.02, 1);
+  Eigen::VectorXd v = tests::random_field(3 * staged.node_count(), 0.3, 2);
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    if (!staged.is_fixed(node)) continue;
+    u.segment<3>(3 * node).setZero();
+    v.segment<3>(3 * node).setZero();
+  }
+  staged.put(staged.view.displacement, u);
+  staged.put(staged.view.velocity, v);
+  staged.run_through(StageKind::kExternalForces);
+  return staged;
+}
+
+/// Δv of free nodes from a dense factorization; zero for fixed ones.
+template <class Real>
+Eigen::VectorXd dense_solution(const StagedScene<Real>& staged) {
+  Eigen::MatrixXd a = staged.matrix();
+  Eigen::VectorXd b = staged.by_node(staged.view.rhs);
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    if (!staged.is_fixed(node)) continue;
+    a.middleRows<3>(3 * node).setZero();
+    a.middleCols<3>(3 * node).setZero();
+    a.block<3, 3>(3 * node, 3 * node).setIdentity();
+    b.segment<3>(3 * node).setZero();
+  }
+  return a.ldlt().solve(b);
+}
+
+/// Runs the rest of the step and gives Δv.
+template <class Real>
+Eigen::VectorXd solve(StagedScene<Real>& staged) {
+  const Eigen::VectorXd before = staged.by_node(staged.view.velocity);
+  for (const StageKind kind : {StageKind::kFactorize, StageKind::kScaleEdges, StageKind::kSolve, StageKind::kAdvance}) {
+    staged.run(kind);
+  }
+  return staged.by_node(staged.view.velocity) - before;
+}
+
+class Patches : public testing::TestWithParam<std::uint32_t> {};
+
+TEST_P(Patches, SolveTheSystemThatADenseFactorizationSolves) {
+  StagedScene<double> staged = assembled<double>(GetParam());
+  const Eigen::VectorXd expected = dense_solution(staged);
+  const Eigen::VectorXd change = solve(staged);
+  EXPECT_LT((change - expected).norm(), 1e-11 * expected.norm());
+  EXPECT_LE(staged.view.solve_report->relative_residual, kBeam.cg_tolerance);
+  EXPECT_GT(staged.view.solve_report->iterations, 20u);
+  EXPECT_EQ(staged.view.solve_report->negative_curvature, 0u);
+}
+
+TEST_P(Patches, SolveInFloatToFloatsOwnPrecision) {
+  tests::Beam beam = kBeam;
+  beam.cg_tolerance = 1e-6;
+  StagedScene<float> staged = assembled<float>(GetParam(), beam);
+  const Eigen::VectorXd expected = dense_solution(staged);
+  EXPECT_LT((solve(staged) - expected).norm(), 2e-4 * expected.norm());
+}
+
+TEST_P(Patches, KeepFixedNodesWhereTheyAre) {
+  StagedScene<double> staged = assembled<double>(GetParam());
+  const Eigen::VectorXd change = solve(staged), u = staged.by_node(staged.view.displacement);
+  std::uint32_t fixed = 0;
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    if (!staged.is_fixed(node)) {
+      EXPECT_GT(change.segment<3>(3 * node).norm(), 0);
+      continue;
+    }
+    ++fixed;
+    EXPECT_EQ(change.segment<3>(3 * node).norm(), 0);
+    EXPECT_EQ(u.segment<3>(3 * node).norm(), 0);
+  }
+  EXPECT_EQ(fixed, 16u);
+}
+
+TEST_P(Patches, RepeatBitwise) {
+  StagedScene<float> first = assembled<float>(GetParam());
+  const Eigen::VectorXd expected = solve(first);
+  for (int round = 0; round < 3; ++round) {
+    StagedScene<float> again = assembled<float>(GetParam());
+    EXPECT_EQ(solve(again), expected);
+    EXPECT_EQ(again.view.solve_report->iterations, first.view.solve_report->iterations);
+  }
+}
+
+TEST_P(Patches, ReportTheResidualThatIsLeft) {
+  tests::Beam beam = kBeam;
+  beam.cg_max_iterations = 12;
+  beam.cg_tolerance = 0;
+  StagedScene<double> staged = assembled<double>(GetParam(), beam);
+  staged.run(StageKind::kFactorize);
+  staged.run(StageKind::kScaleEdges);
+  staged.run(StageKind::kSolve);
+  EXPECT_EQ(staged.view.solve_report->iterations, 12u);
+
+  const Eigen::VectorXd b = staged.by_node(staged.view.rhs), x = staged.by_node(staged.view.solution);
+  Eigen::MatrixXd scaled = staged.matrix(false);
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    if (!staged.is_fixed(node)) scaled.block<3, 3>(3 * node, 3 * node).setIdentity();
+  }
+  const double left = (b - scaled * x).norm() / b.norm();
+  EXPECT_GT(left, 1e-6) << "twelve iterations do not finish";
+  EXPECT_NEAR(staged.view.solve_report->relative_residual, left, 1e-6 * left);
+}
+
+TEST_P(Patches, StopAtTheToleranceAndNotLater) {
+  std::uint32_t before = 0;
+  for (const double tolerance : {1e-2, 1e-4, 1e-8}) {
+    tests::Beam beam = kBeam;
+    beam.cg_tolerance = tolerance;
+    StagedScene<double> staged = assembled<double>(GetParam(), beam);
+    solve(staged);
+    EXPECT_LE(staged.view.solve_report->relative_residual, tolerance);
+    EXPECT_GT(staged.view.solve_report->relative_residual, 1e-3 * tolerance);
+    EXPECT_GT(staged.view.solve_report->iterations, before);
+    before = staged.view.solve_report->iterations;
+  }
+}
+
+TEST_P(Patches, SayWhenTheMatrixIsIndefinite) {
+  StagedScene<double> staged = assembled<double>(GetParam());
+  staged.run(StageKind::kFactorize);
+  staged.run(StageKind::kScaleEdges);
+  // Off-diagonal blocks that outweigh the unit diagonal: eigenvalues of both signs.
+  const std::uint32_t a = staged.row(staged.node_count() - 1), b = staged.row(staged.node_count() - 2);
+  const Mat3<double> strong = 100 * Mat3<double>::Identity();
+  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(a, b), strong);
+  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(b, a), strong);
+  staged.run(StageKind::kSolve);
+  EXPECT_EQ(staged.view.solve_report->negative_curvature, 1u);
+  EXPECT_TRUE(staged.by_node(staged.view.solution).allFinite());
+  EXPECT_LT(staged.view.solve_report->iterations, 100u);
+}
+
+TEST_P(Patches, AnswerZeroForNothingToDo) {
+  StagedScene<double> staged = assembled<double>(GetParam());
+  staged.put(staged.view.rhs, Eigen::VectorXd::Zero(3 * staged.node_count()));
+  EXPECT_EQ(solve(staged).norm(), 0);
+  EXPECT_EQ(staged.view.solve_report->iterations, 0u);
+  EXPECT_EQ(staged.view.solve_report->relative_residual, 0);
+}
+
+/// Where a value stopped being a number, the report must not look like success, whoever owns the value.
+TEST_P(Patches, SayWhenAValueIsNoNumber) {
+  for (const std::uint32_t node : {5u, 60u, 111u}) {
+    StagedScene<double> staged = assembled<double>(GetParam());
+    Eigen::VectorXd b = staged.by_node(staged.view.rhs);
+    b[3 * node + 1] = std::numeric_limits<double>::quiet_NaN();
+    staged.put(staged.view.rhs, b);
+    solve(staged);
+    EXPECT_FALSE(
+        backend::read_step<double>(*staged.view.solve_report, {staged.view.patch_reports, staged.view.patch_count})
+            .finite);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Counts, Patches, testing::Values(1u, 2u, 3u, 8u));
+
+TEST(PatchCounts, AgreeToRounding) {
+  StagedScene<double> one = assembled<double>(1);
+  const Eigen::VectorXd expected = solve(one);
+  for (const std::uint32_t patches : {2u, 4u, 9u}) {
+    StagedScene<double> several = assembled<double>(patches);
+    EXPECT_LT((solve(several) - expected).norm(), 1e-11 * expected.norm()) << patches << " patches";
+  }
+}
+
+}  // namespace
+}  // namespace tensormass::solver

@@ -1,0 +1,130 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+#include <string_view>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Dense>
+
+#include "backend/cpu/team.h"
+#include "backend/results.h"
+#include "backend/stages.h"
+#include "model/bind.h"
+#include "model/compile.h"
+
+/// A compiled scene whose stages a test runs one by one on CPU teams, with every buffer in reach.
+namespace tensormass::tests {
+
+/// Compiles or throws the refusal, which ends a test with its message. Exactly `patches` patches.
+inline model::Model compile_into(const v1::Scene& scene, std::uint32_t patches) {
+  auto model = model::compile(scene, {patches, 1});
+  if (!model) throw std::runtime_error(model.error().message);
+  return std::move(*model);
+}
+
+template <class Real>
+class StagedScene {
+ public:
+  explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1)
+      : model(compile_into(scene, patches)), view(model::bind<Real>(model, arena_)) {
+    for (const model::ElementGroup& group : model.groups) groups_.push_back(model::bind<Real>(group, arena_));
+  }
+
+  /// Runs the model's stages up to and with `last`, each by all patches.
+  void run_through(model::StageKind last) {
+    for (const model::Stage& stage : model.stages) {
+      if (stage.kind > last) return;
+      run(stage);
+    }
+  }
+  void run(model::StageKind kind) {
+    for (const model::Stage& stage : model.stages) {
+      if (stage.kind == kind) run(stage);
+    }
+  }
+  void step() { run_through(model::StageKind::kMeasureContact); }
+
+  std::uint32_t node_count() const { return static_cast<std::uint32_t>(model.layout.row_of_node.size()); }
+  std::uint32_t row(std::uint32_t node) const { return model.layout.row_of_node[node]; }
+  bool is_fixed(std::uint32_t node) const { return model.rest[4 * std::size_t{row(node)} + 3] == 0; }
+
+  /// A field of rows as one vector of the scene's nodes, [3 node_count], and back.
+  Eigen::VectorXd by_node(const Real* rows) const {
+    Eigen::VectorXd out(3 * node_count());
+    for (std::uint32_t node = 0; node < node_count(); ++node) {
+      out.segment<3>(3 * node) = tensor::load3<Real>(rows, row(node)).template cast<double>();
+    }
+    return out;
+  }
+  void put(Real* rows, const Eigen::VectorXd& by_node) const {
+    for (std::uint32_t node = 0; node < node_count(); ++node) {
+      tensor::store3<Real>(rows, row(node), Vec3<double>(by_node.segment<3>(3 * node)).template cast<Real>());
+    }
+  }
+
+  /// The matrix of the view, by node; of the assembled, unscaled system if `with_diagonal`, else its edges alone.
+  Eigen::MatrixXd matrix(bool with_diagonal = true) const {
+    Eigen::MatrixXd a = Eigen::MatrixXd::Zero(3 * node_count(), 3 * node_count());
+    for (std::uint32_t node = 0; node < node_count(); ++node) {
+      const tensor::Patch patch = tensor::patch_of(view, model.layout.patch_of_row(row(node)));
+      tensor::for_each_slot(view, row(node), [&](std::size_t slot, std::uint32_t column) {
+        const std::uint32_t other = model.layout.node_of_row[tensor::global_row(view, patch, column)];
+        a.block<3, 3>(3 * node, 3 * other) += tensor::load_block<Real>(view.edges, slot).template cast<double>();
+      });
+      if (!with_diagonal) continue;
+      const Real* d = view.diagonal + std::size_t{8} * row(node);
+      Mat3<double> block;
+      block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
+      a.block<3, 3>(3 * node, 3 * node) += block;
+    }
+    return a;
+  }
+
+ private:
+  struct Arena {
+    template <class T, class U>
+    const T* constant(std::string_view name, const std::vector<U>& items) {
+      T* copy = zeros<T>(name, items.size());
+      for (std::size_t i = 0; i < items.size(); ++i) copy[i] = static_cast<T>(items[i]);
+      return copy;
+    }
+    template <class T>
+    T* zeros(std::string_view, std::size_t count) {
+      if (count == 0) return nullptr;
+      auto block = std::make_shared<std::vector<T>>(count);
+      blocks.push_back(block);
+      return block->data();
+    }
+    std::vector<std::shared_ptr<void>> blocks;
+  };
+
+  void run(const model::Stage& stage) {
+    const tensor::ElementView<Real> elements = groups_.empty() ? tensor::ElementView<Real>{} : groups_[stage.group];
+    backend::with_stage(model, stage, [&](auto type) {
+      backend::cpu::Barrier barrier(view.patch_count);
+      std::vector<std::thread> threads;
+      for (std::uint32_t patch = 0; patch < view.patch_count; ++patch) {
+        threads.emplace_back([&, patch] {
+          backend::cpu::Team team(patch, view.patch_count, barrier);
+          decltype(type)::run(team, view, elements);
+        });
+      }
+      for (std::thread& thread : threads) thread.join();
+    });
+  }
+
+  Arena arena_;
+
+ public:
+  const model::Model model;
+  tensor::SceneView<Real> view;
+
+ private:
+  std::vector<tensor::ElementView<Real>> groups_;
+};
+
+}  // namespace tensormass::tests
