@@ -12,54 +12,20 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterator
-from concurrent import futures
 from pathlib import Path
 from typing import Any
 
 import grpc
 import numpy as np
 import pytest
+from conftest import Recorder
 from fake_daemon import FakeDaemon, fake_daemon, frame_of, triangle_topology
 
 import tensormass as tm
 from tensormass import processes
-from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 DEADLINE_S = 10.0
-
-
-class Recorder(control_pb2_grpc.ControlServicer):
-    """Answers with what a test put into `replies`, or fails with `failure`; keeps what it was asked."""
-
-    def __init__(self) -> None:
-        self.asked: list[Any] = []
-        self.failure: tuple[grpc.StatusCode, str] | None = None
-        self.replies: dict[str, Any] = {
-            "GetVersion": control_pb2.GetVersionResponse(server="s", version="1")
-        }
-
-    def __getattribute__(self, name: str) -> Any:  # noqa: ANN401
-        if name[0].isupper():
-            return lambda request, context: self.answer(name, request, context)
-        return super().__getattribute__(name)
-
-    def answer(self, method: str, request: Any, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
-        self.asked.append(request)
-        if self.failure is not None:
-            context.abort(*self.failure)
-        return self.replies[method]
-
-
-@pytest.fixture
-def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
-    recorder = Recorder()
-    server = grpc.server(futures.ThreadPoolExecutor(2))
-    control_pb2_grpc.add_ControlServicer_to_server(recorder, server)
-    port = server.add_insecure_port("127.0.0.1:0")
-    server.start()
-    with tm.connect(f"127.0.0.1:{port}") as client:
-        yield recorder, client
-    server.stop(grace=None)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +49,7 @@ def test_every_code_is_an_exception_with_the_daemons_message(
 ) -> None:
     fake, server = recorder
     fake.failure = (code, "body 'liver': tetrahedron 7 is inverted; rewind it")
-    with pytest.raises(
-        kind, match="body 'liver': tetrahedron 7 is inverted; rewind it"
-    ) as error:
+    with pytest.raises(kind, match="body 'liver': tetrahedron 7 is inverted; rewind it") as error:
         server.load(tm.Scene("s"))
     assert type(error.value) is kind
 
@@ -94,9 +58,7 @@ def test_load_sends_the_scene_and_leaves_the_callers_alone(
     recorder: tuple[Recorder, tm.Server],
 ) -> None:
     fake, server = recorder
-    fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(
-        report=control_pb2.SceneReport(scene="other")
-    )
+    fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(report=control_pb2.SceneReport(scene="other"))
     message = scene_pb2.Scene(name="mine", tools=[scene_pb2.Tool(name="probe")])
     handle = server.load(message, lockstep=True, name="other")
     sent = fake.asked[-1].scene
@@ -118,9 +80,7 @@ def test_positions_are_writable_doubles_by_node(
     fake, server = recorder
     expected = np.arange(12, dtype="<f8").reshape(4, 3)
     fake.replies["GetStatus"] = control_pb2.GetStatusResponse()
-    fake.replies["GetPositions"] = control_pb2.GetPositionsResponse(
-        positions=expected.tobytes()
-    )
+    fake.replies["GetPositions"] = control_pb2.GetPositionsResponse(positions=expected.tobytes())
     positions = server.scene("s").positions("liver")
     assert fake.asked[-1] == control_pb2.GetPositionsRequest(scene="s", body="liver")
     np.testing.assert_array_equal(positions, expected)
@@ -144,9 +104,7 @@ def test_feedback_and_moves_carry_units_and_order(
             position_m=scene_pb2.Vector3(x=1),
             force_n=scene_pb2.Vector3(z=3),
             torque_n_m=scene_pb2.Vector3(y=5),
-            local_model=stream_pb2.LocalModel(
-                stiffness_n_per_m=range(9), valid_for_s=0.05
-            ),
+            local_model=stream_pb2.LocalModel(stiffness_n_per_m=range(9), valid_for_s=0.05),
         )
     )
     scene = server.scene("s")
@@ -164,17 +122,13 @@ def test_feedback_and_moves_carry_units_and_order(
     feedback = scene.feedback("probe")
     np.testing.assert_array_equal(feedback.force_n, [0, 0, 3])
     np.testing.assert_array_equal(feedback.torque_n_m, [0, 5, 0])
-    np.testing.assert_array_equal(
-        feedback.stiffness_n_per_m, np.arange(9).reshape(3, 3)
-    )
+    np.testing.assert_array_equal(feedback.stiffness_n_per_m, np.arange(9).reshape(3, 3))
     assert (feedback.step, feedback.pose_sequence, feedback.valid_for_s) == (4, 2, 0.05)
 
 
 def test_nobody_there_is_said_in_time() -> None:
     begin = time.monotonic()
-    with pytest.raises(
-        tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"
-    ):
+    with pytest.raises(tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"):
         tm.connect("127.0.0.1:1", timeout_s=0.2)
     assert time.monotonic() - begin < 5
 
@@ -217,9 +171,7 @@ def test_frames_start_with_the_present_skip_to_the_newest_and_count_the_lost(
             loop(daemon.wait_subscribed("s", "frame"))
             first = next(frames)
             assert first.sequence == 1
-            np.testing.assert_array_equal(
-                first.vertices("fan"), np.full((4, 3), 1, np.float32)
-            )
+            np.testing.assert_array_equal(first.vertices("fan"), np.full((4, 3), 1, np.float32))
             assert first.tools["probe"].force_n[2] == 1.0
             publish(frame_of(topology, 1))  # the same again is not news
             publish(frame_of(topology, 5))
@@ -240,9 +192,7 @@ def test_frames_start_with_the_present_skip_to_the_newest_and_count_the_lost(
         vertices, triangles = scene.surface("fan")
         assert (vertices.dtype, vertices.shape) == (np.float64, (6, 3))
         assert triangles.shape == (4, 3)
-        with pytest.raises(
-            tm.InvalidArgumentError, match="has no body 'spleen'; it has: fan"
-        ):
+        with pytest.raises(tm.InvalidArgumentError, match="has no body 'spleen'; it has: fan"):
             scene.surface("spleen")
 
 
@@ -252,9 +202,7 @@ def test_a_frame_that_does_not_fit_its_topology_is_refused(daemon: FakeDaemon) -
     daemon.frames["s"].positions = daemon.frames["s"].positions[:-4]
     with (
         tm.connect(daemon.control) as server,
-        pytest.raises(
-            tm.InternalError, match="44 bytes of positions; its topology needs 48"
-        ),
+        pytest.raises(tm.InternalError, match="44 bytes of positions; its topology needs 48"),
     ):
         tm.SceneHandle(server, "s", None).frame()
 
@@ -271,9 +219,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 def is_running(pid: int) -> bool:
     try:
-        return (
-            Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-        )
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
 
@@ -286,9 +232,7 @@ def script(folder: Path, name: str, body: str) -> Path:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_a_child_ends_with_its_parent_however_that_ends(
-    tmp_path: Path, how: signal.Signals
-) -> None:
+def test_a_child_ends_with_its_parent_however_that_ends(tmp_path: Path, how: signal.Signals) -> None:
     parent = subprocess.Popen(
         [
             sys.executable,
@@ -343,9 +287,7 @@ def test_a_stopped_child_is_ended_at_once() -> None:
     assert child.stop(timeout_s=DEADLINE_S) == -signal.SIGTERM
 
 
-def test_launch_says_why_the_daemon_did_not_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_launch_says_why_the_daemon_did_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failing = script(
         tmp_path,
         "tensormassd",
@@ -359,9 +301,7 @@ def test_launch_says_why_the_daemon_did_not_start(
         tm.launch(backend="cuda")
 
 
-def test_launch_gives_up_on_a_daemon_that_is_never_ready(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_launch_gives_up_on_a_daemon_that_is_never_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pid_file = tmp_path / "pid"
     silent = script(
         tmp_path,
@@ -382,9 +322,7 @@ def test_a_named_program_that_is_not_there_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent/tensormassd")
-    with pytest.raises(
-        tm.NotFoundError, match=r"\$TENSORMASSD names /nonexistent/tensormassd"
-    ):
+    with pytest.raises(tm.NotFoundError, match=r"\$TENSORMASSD names /nonexistent/tensormassd"):
         tm.launch()
     monkeypatch.delenv("TENSORMASSD")
     monkeypatch.setattr(processes, "BUILD_BIN", Path("/nonexistent"))

@@ -28,12 +28,8 @@ $ELM
 3 4 1 1 4 20 30 40 50
 $ENDELM
 """
-CUBE = np.array(
-    [[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float
-)
-CUBE_QUADS = np.array(
-    [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-)
+CUBE = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
+CUBE_QUADS = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
 
 
 def shared_mesh(name: str) -> Path:
@@ -86,9 +82,7 @@ def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(
         ("$ELM", "$ELEMENTS", r"section \$ELM is missing"),
     ],
 )
-def test_gmsh1_names_the_line_that_is_wrong(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in GMSH1
     with pytest.raises(InvalidArgumentError, match=message):
         meshes.read_mesh(gmsh1_file(tmp_path, GMSH1.replace(old, new)))
@@ -121,16 +115,12 @@ def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> N
         meshes.read_mesh(tmp_path / "none.vtu")
     garbage = tmp_path / "garbage.msh"
     garbage.write_bytes(bytes(range(256)))
-    with pytest.raises(
-        InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"
-    ):
+    with pytest.raises(InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"):
         meshes.read_mesh(garbage)
 
 
 def test_elements_with_volume_that_are_no_tetrahedra_are_refused() -> None:
-    cube = meshio.Mesh(
-        CUBE, [("hexahedron", [[0, 1, 3, 2, 4, 5, 7, 6]]), ("tetra", [[0, 1, 2, 4]])]
-    )
+    cube = meshio.Mesh(CUBE, [("hexahedron", [[0, 1, 3, 2, 4, 5, 7, 6]]), ("tetra", [[0, 1, 2, 4]])])
     with pytest.raises(InvalidArgumentError, match="elements of type hexahedron"):
         meshes.from_meshio(cube)
     with pytest.raises(InvalidArgumentError, match="tensormass mesh --edge"):
@@ -175,9 +165,7 @@ def enclosed_volume(surface: meshes.TriangleSurface) -> float:
         ([["a", "b", "c"]] * 4, [[0, 1, 2, 3]], "not an array of numbers"),
     ],
 )
-def test_arrays_that_make_no_mesh_are_refused(
-    nodes: object, tetrahedra: object, message: str
-) -> None:
+def test_arrays_that_make_no_mesh_are_refused(nodes: object, tetrahedra: object, message: str) -> None:
     with pytest.raises(InvalidArgumentError, match=message):
         meshes.TetrahedralMesh.from_arrays(nodes, tetrahedra)  # type: ignore[arg-type]
 
@@ -186,17 +174,13 @@ def test_quality_of_the_regular_tetrahedron() -> None:
     quality = meshes.quality(regular_tetrahedron())
     assert quality.volume == pytest.approx(8 / 3)
     assert quality.mean_edge_length == pytest.approx(np.sqrt(8))
-    np.testing.assert_allclose(
-        meshes.dihedral_angles_deg(regular_tetrahedron()), np.degrees(np.arccos(1 / 3))
-    )
+    np.testing.assert_allclose(meshes.dihedral_angles_deg(regular_tetrahedron()), np.degrees(np.arccos(1 / 3)))
     assert quality.inverted_count == 0
 
 
 def test_boundary_is_closed_outward_and_compact() -> None:
     mesh = regular_tetrahedron()
-    unused = meshes.TetrahedralMesh(
-        np.vstack([[[9, 9, 9]], mesh.nodes]), mesh.tetrahedra + np.uint32(1)
-    )
+    unused = meshes.TetrahedralMesh(np.vstack([[[9, 9, 9]], mesh.nodes]), mesh.tetrahedra + np.uint32(1))
     surface = meshes.boundary(unused)
     assert len(surface.vertices) == 4
     assert enclosed_volume(surface) == pytest.approx(8 / 3)
@@ -218,34 +202,19 @@ def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
     assert len(np.unique(meshes._components(2003, shuffled))) == 1
-    assert (
-        len(
-            np.unique(
-                meshes._components(2003, np.delete(shuffled, range(999, 1002), axis=0))
-            )
-        )
-        == 2
-    )
+    assert len(np.unique(meshes._components(2003, np.delete(shuffled, range(999, 1002), axis=0)))) == 2
 
 
-def test_a_closed_surface_becomes_a_volume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     triangles = np.concatenate([CUBE_QUADS[:, [0, 1, 2]], CUBE_QUADS[:, [0, 2, 3]]])
-    volume = meshes.tetrahedralize(
-        meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.4
-    )
+    volume = meshes.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.4)
     quality = meshes.quality(volume)
     assert quality.volume == pytest.approx(1.0, rel=0.02)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 5
-    assert quality.mean_edge_length == pytest.approx(
-        0.4, rel=0.5
-    )  # the cube's own edges are 1
-    assert (
-        list(tmp_path.iterdir()) == []
-    )  # the mesher leaves files in its working directory
+    assert quality.mean_edge_length == pytest.approx(0.4, rel=0.5)  # the cube's own edges are 1
+    assert list(tmp_path.iterdir()) == []  # the mesher leaves files in its working directory
 
 
 def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:

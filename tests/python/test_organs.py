@@ -16,9 +16,7 @@ def ball(radius: float, center: FloatArray) -> isosurface.Implicit:
 
 
 def edge_counts(surface: meshes.TriangleSurface) -> tuple[int, set[int]]:
-    edges = np.sort(
-        surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1
-    )
+    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     return len(counts), set(counts.tolist())
 
@@ -41,16 +39,12 @@ def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
     np.testing.assert_allclose(inside(surface.vertices), 0, atol=1e-7)
     # Positive elements whose boundary encloses their sum neither overlap nor leave holes.
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(
-        quality.volume, rel=1e-9
-    )
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(quality.volume, rel=1e-9)
     assert quality.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.06)
 
 
 def test_the_filling_is_the_same_every_time() -> None:
-    first, second = (
-        isosurface.fill(ball(0.7, np.zeros(3)), -BOX, BOX, 0.2) for _ in range(2)
-    )
+    first, second = (isosurface.fill(ball(0.7, np.zeros(3)), -BOX, BOX, 0.2) for _ in range(2))
     np.testing.assert_array_equal(first.nodes, second.nodes)
     np.testing.assert_array_equal(first.tetrahedra, second.tetrahedra)
 
@@ -68,11 +62,7 @@ def smallest_angle_deg(surface: meshes.TriangleSurface) -> float:
     corner = surface.vertices[surface.triangles]
     sides = np.roll(corner, -1, axis=1) - corner
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)
-    return float(
-        np.degrees(
-            np.arccos(-np.einsum("tij,tij->ti", sides, np.roll(sides, 1, axis=1)))
-        ).min()
-    )
+    return float(np.degrees(np.arccos(-np.einsum("tij,tij->ti", sides, np.roll(sides, 1, axis=1)))).min())
 
 
 @pytest.mark.parametrize(("name", "count"), [("liver", 20_000), ("kidney", 5_000)])
@@ -83,9 +73,7 @@ def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
     assert quality.tetrahedron_count == pytest.approx(count, rel=0.1)
     assert quality.min_dihedral_angle_deg > 10
     assert quality.inverted_count == 0
-    assert (
-        meshes.repair(volume).tetrahedra.shape == volume.tetrahedra.shape
-    )  # one component
+    assert meshes.repair(volume).tetrahedra.shape == volume.tetrahedra.shape  # one component
     # The box does not cut the organ.
     assert (volume.nodes > shape.lower_m).all()
     assert (volume.nodes < shape.upper_m).all()

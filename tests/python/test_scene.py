@@ -48,24 +48,14 @@ def test_yaml_is_the_message_by_field_name() -> None:
                     ),
                     scale=0.5,
                 ),
-                law=scene_pb2.Law(
-                    hooke=scene_pb2.IsotropicElastic(
-                        young_modulus_pa=1e6, poisson_ratio=0.4
-                    )
-                ),
+                law=scene_pb2.Law(hooke=scene_pb2.IsotropicElastic(young_modulus_pa=1e6, poisson_ratio=0.4)),
                 density_kg_per_m3=1000,
                 fixed=[scene_pb2.Region(nodes=scene_pb2.NodeSet(indices=[1, 2, 3]))],
             )
         ],
-        tools=[
-            scene_pb2.Tool(
-                name="probe", spherical_probe=scene_pb2.SphericalProbe(radius_m=0.01)
-            )
-        ],
+        tools=[scene_pb2.Tool(name="probe", spherical_probe=scene_pb2.SphericalProbe(radius_m=0.01))],
         # Zero that was written is not the same as nothing written.
-        solver=scene_pb2.Solver(
-            precision=scene_pb2.Solver.PRECISION_DOUBLE, cg_tolerance=0
-        ),
+        solver=scene_pb2.Solver(precision=scene_pb2.Solver.PRECISION_DOUBLE, cg_tolerance=0),
         streams=scene_pb2.Streams(frame_rate_hz=0),
     )
     assert tm.Scene.from_yaml(YAML).message == expected
@@ -114,9 +104,7 @@ def test_yaml_is_the_message_by_field_name() -> None:
         ("name: block", "name: [", "not valid YAML"),
     ],
 )
-def test_a_mistake_in_yaml_is_refused_with_its_place(
-    old: str, new: str, message: str
-) -> None:
+def test_a_mistake_in_yaml_is_refused_with_its_place(old: str, new: str, message: str) -> None:
     assert old in YAML
     with pytest.raises(tm.InvalidArgumentError, match=message) as error:
         tm.Scene.from_yaml(YAML.replace(old, new), where="block.yaml")
@@ -130,13 +118,9 @@ def test_yaml_that_is_no_mapping_is_refused(text: str) -> None:
 
 
 def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
-    meshes.write_mesh(
-        tmp_path / "body.vtu", meshes.TetrahedralMesh.from_arrays(NODES, TETRAHEDRA)
-    )
+    meshes.write_mesh(tmp_path / "body.vtu", meshes.TetrahedralMesh.from_arrays(NODES, TETRAHEDRA))
     triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
-    meshio.Mesh(NODES, [("triangle", np.array(triangles, np.int32))]).write(
-        tmp_path / "skin.ply"
-    )
+    meshio.Mesh(NODES, [("triangle", np.array(triangles, np.int32))]).write(tmp_path / "skin.ply")
     scene_file = tmp_path / "scene.yaml"
     scene_file.write_text(
         "name: s\nbodies:\n- name: b\n  mesh: {file: body.vtu, scale: 0.01}\n  skin: {file: skin.ply}\n"
@@ -144,18 +128,10 @@ def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
     body = tm.Scene.from_file(scene_file).message.bodies[0]
     # The file's own coordinates: the daemon scales mesh and skin alike.
     assert body.mesh.scale == 0.01
-    np.testing.assert_array_equal(
-        np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES
-    )
-    np.testing.assert_array_equal(
-        np.frombuffer(body.mesh.packed.tetrahedra, "<u4").reshape(-1, 4), TETRAHEDRA
-    )
-    np.testing.assert_array_equal(
-        np.frombuffer(body.skin.packed.vertex_positions, "<f8").reshape(-1, 3), NODES
-    )
-    np.testing.assert_array_equal(
-        np.frombuffer(body.skin.packed.triangles, "<u4").reshape(-1, 3), triangles
-    )
+    np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES)
+    np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.tetrahedra, "<u4").reshape(-1, 4), TETRAHEDRA)
+    np.testing.assert_array_equal(np.frombuffer(body.skin.packed.vertex_positions, "<f8").reshape(-1, 3), NODES)
+    np.testing.assert_array_equal(np.frombuffer(body.skin.packed.triangles, "<u4").reshape(-1, 3), triangles)
 
 
 def test_a_missing_mesh_is_named_with_its_body(tmp_path: Path) -> None:
@@ -202,35 +178,24 @@ def test_a_scene_from_arrays_carries_everything_given() -> None:
         gravity_m_per_s2=(0, 0, -9.81),
         skin=skin,
     )
-    scene.add_spherical_probe(
-        "probe", radius_m=0.01, position_m=(1, 2, 3), max_speed_m_per_s=0.2
-    )
+    scene.add_spherical_probe("probe", radius_m=0.01, position_m=(1, 2, 3), max_speed_m_per_s=0.2)
     message = scene.message
     body = message.bodies[0]
     assert (message.name, body.name, body.density_kg_per_m3) == ("s", "b", 900)
-    assert body.law.hooke == scene_pb2.IsotropicElastic(
-        young_modulus_pa=1e4, poisson_ratio=0.3
-    )
+    assert body.law.hooke == scene_pb2.IsotropicElastic(young_modulus_pa=1e4, poisson_ratio=0.3)
     assert list(body.fixed[0].nodes.indices) == [0, 1, 2]
     assert message.gravity_m_per_s2 == scene_pb2.Vector3(z=-9.81)
     assert len(body.skin.packed.triangles) == 12
     assert message.tools[0].position_m == scene_pb2.Vector3(x=1, y=2, z=3)
     assert message.tools[0].max_speed_m_per_s == 0.2
-    np.testing.assert_array_equal(
-        np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES
-    )
-    assert not tm.Scene.from_arrays(NODES, TETRAHEDRA).message.HasField(
-        "gravity_m_per_s2"
-    )
+    np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES)
+    assert not tm.Scene.from_arrays(NODES, TETRAHEDRA).message.HasField("gravity_m_per_s2")
 
 
 def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
     mesh = meshio.Mesh(NODES, [("triangle", [[0, 1, 2]]), ("tetra", TETRAHEDRA)])
     options = {"name": "s", "fixed_nodes": [0]}
-    assert (
-        tm.Scene.from_meshio(mesh, **options).message
-        == tm.Scene.from_arrays(NODES, TETRAHEDRA, **options).message
-    )
+    assert tm.Scene.from_meshio(mesh, **options).message == tm.Scene.from_arrays(NODES, TETRAHEDRA, **options).message
 
 
 @pytest.mark.parametrize(

@@ -51,9 +51,7 @@ class Bus:
             return
         matched = threading.Event()
         publisher = self.zenoh.declare_publisher(key)
-        listener = publisher.declare_matching_listener(
-            lambda status: matched.set() if status.matching else None
-        )
+        listener = publisher.declare_matching_listener(lambda status: matched.set() if status.matching else None)
         if not publisher.matching_status.matching:
             assert matched.wait(DEADLINE_S)
         listener.undeclare()
@@ -84,18 +82,12 @@ def plane(bus: Bus) -> Iterator[DataPlane]:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_a_slow_reader_gets_the_newest(
-    bus: Bus, plane: DataPlane, transport: Transport
-) -> None:
+def test_a_slow_reader_gets_the_newest(bus: Bus, plane: DataPlane, transport: Transport) -> None:
     key = stream_key("s", "scene", "status")
-    with plane.subscribe(
-        "scene", "status", stream_pb2.SceneStatus, transport
-    ) as statuses:
+    with plane.subscribe("scene", "status", stream_pb2.SceneStatus, transport) as statuses:
         bus.wait_subscribed(key, transport)
         for step in range(1, 101):
-            bus.publish(
-                key, stream_pb2.SceneStatus(step=step).SerializeToString(), transport
-            )
+            bus.publish(key, stream_pb2.SceneStatus(step=step).SerializeToString(), transport)
         # Some come while the first is read; what counts is that the last one always does and none comes twice.
         steps = [statuses.receive(DEADLINE_S).step]
         while steps[-1] != 100:
@@ -106,9 +98,7 @@ def test_a_slow_reader_gets_the_newest(
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_garbage_is_counted_and_passed_over(
-    bus: Bus, plane: DataPlane, transport: Transport
-) -> None:
+def test_garbage_is_counted_and_passed_over(bus: Bus, plane: DataPlane, transport: Transport) -> None:
     key = stream_key("s", "scene", "frame")
     with plane.subscribe("scene", "frame", stream_pb2.Frame, transport) as frames:
         bus.wait_subscribed(key, transport)
@@ -133,17 +123,13 @@ def test_other_keys_do_not_come(bus: Bus, plane: DataPlane) -> None:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_poses_arrive_in_order_with_their_key(
-    bus: Bus, plane: DataPlane, transport: Transport
-) -> None:
+def test_poses_arrive_in_order_with_their_key(bus: Bus, plane: DataPlane, transport: Transport) -> None:
     key = stream_key("s", "scene", "tool/probe/pose")
     received = bus.zenoh.declare_subscriber(key) if transport == "zenoh" else None
     with plane.pose_sender("scene", "probe", transport) as sender:
         if transport == "zenoh":
             assert received is not None
-            while not isinstance(
-                sample := _send_and_poll(sender, received), zenoh.Sample
-            ):
+            while not isinstance(sample := _send_and_poll(sender, received), zenoh.Sample):
                 pass
             payload = sample.payload.to_bytes()
         else:
@@ -166,9 +152,7 @@ def test_poses_are_numbered_for_each_client() -> None:
     first, second = PoseSequence(), PoseSequence()
     assert [first.next((0, 0, 0), None).sequence for _ in range(3)] == [1, 2, 3]
     assert second.next((0, 0, 0), None).sequence == 1
-    assert (
-        first.next((0, 0, 0), None).client_id != second.next((0, 0, 0), None).client_id
-    )
+    assert first.next((0, 0, 0), None).client_id != second.next((0, 0, 0), None).client_id
 
 
 @pytest.mark.parametrize(
@@ -180,9 +164,7 @@ def test_poses_are_numbered_for_each_client() -> None:
         ((0, 0, 0), (1, 0, 0), "orientation"),
     ],
 )
-def test_a_pose_that_is_none_is_not_sent(
-    position: tuple[float, ...], orientation: object, message: str
-) -> None:
+def test_a_pose_that_is_none_is_not_sent(position: tuple[float, ...], orientation: object, message: str) -> None:
     sequence = PoseSequence()
     with pytest.raises(tm.InvalidArgumentError, match=message):
         sequence.next(position, orientation)  # type: ignore[arg-type]

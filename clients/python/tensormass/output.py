@@ -105,11 +105,10 @@ def quality_text(quality: MeshQuality) -> str:
 
 
 def _bytes(count: int) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 10_000:
-            return f"{count} {unit}"
-        count = round(count / 1000)
-    return f"{count} GB"
+    if count < 1000:
+        return f"{count} B"
+    power = min((len(str(count)) - 1) // 3, 4)
+    return f"{count / 1000**power:.3g} {' kMGT'[power]}B"
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

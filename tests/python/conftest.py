@@ -1,0 +1,45 @@
+"""What several tests of the SDK need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent import futures
+from typing import Any
+
+import grpc
+import pytest
+
+import tensormass as tm
+from tensormass.v1 import control_pb2, control_pb2_grpc
+
+
+class Recorder(control_pb2_grpc.ControlServicer):
+    """Answers with what a test put into `replies`, or fails with `failure`; keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.failure: tuple[grpc.StatusCode, str] | None = None
+        self.replies: dict[str, Any] = {"GetVersion": control_pb2.GetVersionResponse(server="s", version="1")}
+
+    def __getattribute__(self, name: str) -> Any:  # noqa: ANN401
+        if name[0].isupper():
+            return lambda request, context: self.answer(name, request, context)
+        return super().__getattribute__(name)
+
+    def answer(self, method: str, request: Any, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
+        self.asked.append(request)
+        if self.failure is not None:
+            context.abort(*self.failure)
+        return self.replies[method]
+
+
+@pytest.fixture
+def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
+    recorder = Recorder()
+    server = grpc.server(futures.ThreadPoolExecutor(2))
+    control_pb2_grpc.add_ControlServicer_to_server(recorder, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    with tm.connect(f"127.0.0.1:{port}") as client:
+        yield recorder, client
+    server.stop(grace=None)
