@@ -1,0 +1,159 @@
+#include "control/control_service.h"
+
+#include <algorithm>
+#include <chrono>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "control/status.h"
+#include "core/limits.h"
+
+namespace tensormass::control {
+namespace {
+
+/// How long a client that gave up, or an unload, waits for a StepScene that runs.
+constexpr std::chrono::milliseconds kStepTurn{25};
+
+/// Moves the value into its field of the response, or tells the error.
+template <class T>
+grpc::Status answer(Result<T> result, T* field) {
+  if (!result) return to_status(result.error());
+  *field = std::move(*result);
+  return grpc::Status::OK;
+}
+
+/// Steps in turns of doubling length, so that the call can end early without being slower than one turn would be.
+Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const RunnerPtr& runner, std::uint32_t count,
+                                      const grpc::ServerContext& context) {
+  std::uint32_t turn = 1;
+  while (true) {
+    const auto begin = std::chrono::steady_clock::now();
+    const std::uint32_t steps = std::min(turn, count);
+    auto status = runner->step(steps);
+    count -= steps;
+    if (!status || count == 0) return status;
+    const auto current = registry.find(runner->name());
+    if (!current || *current != runner) {
+      return fail(ErrorCode::kUnavailable,
+                  fmt::format("scene '{}' was unloaded with {} steps to go", runner->name(), count));
+    }
+    if (context.IsCancelled()) {
+      return fail(ErrorCode::kUnavailable, fmt::format("the client gave up with {} steps to go", count));
+    }
+    if (std::chrono::steady_clock::now() - begin < kStepTurn) turn *= 2;
+  }
+}
+
+}  // namespace
+
+ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
+                               std::function<std::uint64_t()> malformed_count)
+    : registry_(registry), identity_(std::move(identity)), malformed_count_(std::move(malformed_count)) {}
+
+grpc::Status ControlService::GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*,
+                                        v1::GetVersionResponse* response) {
+  *response = identity_;
+  response->set_malformed_messages(malformed_count_());
+  return grpc::Status::OK;
+}
+
+grpc::Status ControlService::LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest* request,
+                                       v1::LoadSceneResponse* response) {
+  const auto runner = registry_.load(request->scene());
+  if (!runner) return to_status(runner.error());
+  *response->mutable_report() = (*runner)->report();
+  return grpc::Status::OK;
+}
+
+grpc::Status ControlService::UnloadScene(grpc::ServerContext*, const v1::UnloadSceneRequest* request,
+                                         v1::UnloadSceneResponse*) {
+  const auto unloaded = registry_.unload(request->scene());
+  return unloaded ? grpc::Status::OK : to_status(unloaded.error());
+}
+
+grpc::Status ControlService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
+                                        v1::ListScenesResponse* response) {
+  for (const RunnerPtr& runner : registry_.list()) *response->add_scenes() = runner->status();
+  return grpc::Status::OK;
+}
+
+grpc::Status ControlService::InspectScene(grpc::ServerContext*, const v1::InspectSceneRequest* request,
+                                          v1::InspectSceneResponse* response) {
+  return answer(registry_.inspect(request->scene()), response->mutable_report());
+}
+
+grpc::Status ControlService::PauseScene(grpc::ServerContext*, const v1::PauseSceneRequest* request,
+                                        v1::PauseSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->pause(); }),
+                response->mutable_status());
+}
+
+grpc::Status ControlService::ResumeScene(grpc::ServerContext*, const v1::ResumeSceneRequest* request,
+                                         v1::ResumeSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->resume(); }),
+                response->mutable_status());
+}
+
+grpc::Status ControlService::StepScene(grpc::ServerContext* context, const v1::StepSceneRequest* request,
+                                       v1::StepSceneResponse* response) {
+  const std::uint32_t count = request->count();
+  if (count == 0 || count > limits::kMaxStepsPerCall) {
+    return to_status(
+        {ErrorCode::kInvalidArgument,
+         fmt::format("count: {} is not within [1, limits::kMaxStepsPerCall = {}]", count, limits::kMaxStepsPerCall)});
+  }
+  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return step_in_turns(registry_, runner, count, *context);
+  }),
+                response->mutable_status());
+}
+
+grpc::Status ControlService::ResetScene(grpc::ServerContext*, const v1::ResetSceneRequest* request,
+                                        v1::ResetSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->reset(); }),
+                response->mutable_status());
+}
+
+grpc::Status ControlService::GetTopology(grpc::ServerContext*, const v1::GetTopologyRequest* request,
+                                         v1::GetTopologyResponse* response) {
+  return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->topology(); }),
+                response->mutable_topology());
+}
+
+grpc::Status ControlService::GetFrame(grpc::ServerContext*, const v1::GetFrameRequest* request,
+                                      v1::GetFrameResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->frame(); }),
+                response->mutable_frame());
+}
+
+grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPositionsRequest* request,
+                                          v1::GetPositionsResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return runner->positions(request->body());
+  }),
+                response);
+}
+
+grpc::Status ControlService::GetStatus(grpc::ServerContext*, const v1::GetStatusRequest* request,
+                                       v1::GetStatusResponse* response) {
+  return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->status(); }),
+                response->mutable_status());
+}
+
+grpc::Status ControlService::MoveTool(grpc::ServerContext*, const v1::MoveToolRequest* request, v1::MoveToolResponse*) {
+  const auto moved = registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return runner->submit_pose(request->tool(), request->pose());
+  });
+  return moved ? grpc::Status::OK : to_status(moved.error());
+}
+
+grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest* request,
+                                         v1::GetFeedbackResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return runner->feedback(request->tool());
+  }),
+                response->mutable_feedback());
+}
+
+}  // namespace tensormass::control

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+
+#include "control/scene_registry.h"
+#include "tensormass/v1/control.grpc.pb.h"
+
+namespace tensormass::control {
+
+/// control.proto over the scenes of a registry.
+class ControlService final : public v1::Control::Service {
+ public:
+  /// `identity` is what GetVersion answers, but for `malformed_messages`, which `malformed_count` tells.
+  ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
+                 std::function<std::uint64_t()> malformed_count);
+
+  grpc::Status GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*, v1::GetVersionResponse*) override;
+  grpc::Status LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest*, v1::LoadSceneResponse*) override;
+  grpc::Status UnloadScene(grpc::ServerContext*, const v1::UnloadSceneRequest*, v1::UnloadSceneResponse*) override;
+  grpc::Status ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse*) override;
+  grpc::Status InspectScene(grpc::ServerContext*, const v1::InspectSceneRequest*, v1::InspectSceneResponse*) override;
+  grpc::Status PauseScene(grpc::ServerContext*, const v1::PauseSceneRequest*, v1::PauseSceneResponse*) override;
+  grpc::Status ResumeScene(grpc::ServerContext*, const v1::ResumeSceneRequest*, v1::ResumeSceneResponse*) override;
+  grpc::Status StepScene(grpc::ServerContext*, const v1::StepSceneRequest*, v1::StepSceneResponse*) override;
+  grpc::Status ResetScene(grpc::ServerContext*, const v1::ResetSceneRequest*, v1::ResetSceneResponse*) override;
+  grpc::Status GetTopology(grpc::ServerContext*, const v1::GetTopologyRequest*, v1::GetTopologyResponse*) override;
+  grpc::Status GetFrame(grpc::ServerContext*, const v1::GetFrameRequest*, v1::GetFrameResponse*) override;
+  grpc::Status GetPositions(grpc::ServerContext*, const v1::GetPositionsRequest*, v1::GetPositionsResponse*) override;
+  grpc::Status GetStatus(grpc::ServerContext*, const v1::GetStatusRequest*, v1::GetStatusResponse*) override;
+  grpc::Status MoveTool(grpc::ServerContext*, const v1::MoveToolRequest*, v1::MoveToolResponse*) override;
+  grpc::Status GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest*, v1::GetFeedbackResponse*) override;
+
+ private:
+  SceneRegistry& registry_;
+  const v1::GetVersionResponse identity_;
+  const std::function<std::uint64_t()> malformed_count_;
+};
+
+}  // namespace tensormass::control

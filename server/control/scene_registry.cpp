@@ -1,0 +1,121 @@
+#include "control/scene_registry.h"
+
+#include <mutex>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+
+namespace tensormass::control {
+
+/// Holds a name while its scene is compiled, and lets go of it unless the scene took it.
+class SceneRegistry::Reservation {
+ public:
+  static Result<Reservation> take(SceneRegistry& registry, const std::string& name) {
+    const std::lock_guard lock(registry.mutex_);
+    if (registry.closed_) return fail(ErrorCode::kUnavailable, "the server is shutting down");
+    if (registry.scenes_.contains(name)) {
+      return fail(ErrorCode::kAlreadyExists,
+                  fmt::format("a scene named '{}' is loaded; unload it first or give this one another name", name));
+    }
+    if (registry.scenes_.size() >= limits::kMaxScenes) {
+      return fail(ErrorCode::kResourceExhausted,
+                  fmt::format("limits::kMaxScenes = {} scenes are loaded; unload one", limits::kMaxScenes));
+    }
+    registry.scenes_.emplace(name, nullptr);
+    return Reservation(registry, name);
+  }
+  Reservation(Reservation&& other) noexcept
+      : registry_(std::exchange(other.registry_, nullptr)), name_(std::move(other.name_)) {}
+  ~Reservation() {
+    if (registry_ == nullptr) return;
+    const std::lock_guard lock(registry_->mutex_);
+    registry_->scenes_.erase(name_);
+  }
+
+  Result<void> fill(RunnerPtr runner) {
+    const std::lock_guard lock(registry_->mutex_);
+    if (registry_->closed_) return fail(ErrorCode::kUnavailable, "the server is shutting down");
+    registry_->scenes_[name_] = std::move(runner);
+    registry_ = nullptr;
+    return {};
+  }
+
+ private:
+  Reservation(SceneRegistry& registry, std::string name) : registry_(&registry), name_(std::move(name)) {}
+  SceneRegistry* registry_;
+  std::string name_;
+};
+
+SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal)
+    : options_(options), output_signal_(std::move(output_signal)) {}
+
+Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene) {
+  TM_TRY(reservation, Reservation::take(*this, scene.name()));
+  TM_TRY(started, world::Runner::start(scene, options_));
+  const RunnerPtr runner = std::move(started);
+  runner->set_output_signal(output_signal_);
+  TM_CHECK(reservation.fill(runner));
+  changed();
+  return runner;
+}
+
+Result<void> SceneRegistry::unload(std::string_view name) {
+  RunnerPtr ended;  // goes after the lock: it waits for the scene's loop
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = scenes_.find(name);
+    if (found == scenes_.end()) return fail(ErrorCode::kNotFound, fmt::format("no scene '{}' is loaded", name));
+    if (found->second == nullptr) {
+      return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is still being loaded", name));
+    }
+    ended = std::move(found->second);
+    scenes_.erase(found);
+  }
+  changed();
+  return {};
+}
+
+Result<RunnerPtr> SceneRegistry::find(std::string_view name) const {
+  const std::shared_lock lock(mutex_);
+  const auto found = scenes_.find(name);
+  if (found == scenes_.end() || found->second == nullptr) {
+    return fail(ErrorCode::kNotFound, fmt::format("no scene '{}' is loaded", name));
+  }
+  return found->second;
+}
+
+std::vector<RunnerPtr> SceneRegistry::list() const {
+  const std::shared_lock lock(mutex_);
+  std::vector<RunnerPtr> runners;
+  for (const auto& [name, runner] : scenes_) {
+    if (runner != nullptr) runners.push_back(runner);
+  }
+  return runners;
+}
+
+std::vector<RunnerPtr> SceneRegistry::close() {
+  std::vector<RunnerPtr> runners;
+  {
+    const std::lock_guard lock(mutex_);
+    closed_ = true;
+    for (auto scene = scenes_.begin(); scene != scenes_.end();) {
+      if (scene->second == nullptr) {
+        ++scene;
+        continue;
+      }
+      runners.push_back(std::move(scene->second));
+      scene = scenes_.erase(scene);
+    }
+  }
+  changed();
+  return runners;
+}
+
+void SceneRegistry::changed() {
+  generation_.fetch_add(1, std::memory_order_release);
+  output_signal_();
+}
+
+}  // namespace tensormass::control

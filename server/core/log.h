@@ -1,0 +1,109 @@
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <concepts>
+#include <cstdint>
+#include <cstdio>
+#include <initializer_list>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include <spdlog/spdlog.h>
+
+/// Structured log lines: an event in words and its fields, as text for people or as JSON for machines.
+namespace tensormass::log {
+
+enum class Format { kText, kJson };
+
+/// Text as a JSON string, with its quotes.
+inline std::string json_quoted(std::string_view text) {
+  std::string quoted = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') {
+      quoted.append(1, '\\').append(1, c);
+    } else if (static_cast<unsigned char>(c) < 0x20) {
+      char escape[8];
+      std::snprintf(escape, sizeof escape, "\\u%04x", static_cast<unsigned>(static_cast<unsigned char>(c)));
+      quoted.append(escape);
+    } else {
+      quoted.append(1, c);
+    }
+  }
+  return quoted.append(1, '"');
+}
+
+struct Field {
+  Field(std::string_view field_key, std::string_view text) : key(field_key), value(text), is_text(true) {}
+  template <class Number>
+  requires std::integral<Number> || std::floating_point<Number> Field(std::string_view field_key, Number number)
+      : key(field_key), value(fmt::format("{}", number)), is_text(false) {}
+
+  std::string_view key;
+  std::string value;
+  bool is_text;
+};
+
+namespace detail {
+inline std::atomic<Format> format{Format::kText};
+}
+
+/// To stderr. Before the first line and before other threads.
+inline void configure(spdlog::level::level_enum level, Format format) {
+  detail::format = format;
+  spdlog::set_level(level);
+  spdlog::set_pattern(format == Format::kJson ? R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level":"%l",%v})"
+                                              : "%Y-%m-%d %H:%M:%S.%e %^%-7l%$ %v");
+}
+
+inline void write(spdlog::level::level_enum level, std::string_view event, std::initializer_list<Field> fields = {}) {
+  if (!spdlog::should_log(level)) return;
+  const bool json = detail::format == Format::kJson;
+  std::string line = json ? "\"event\":" + json_quoted(event) : std::string(event);
+  for (const Field& field : fields) {
+    if (json) {
+      line += "," + json_quoted(field.key) + ":" + (field.is_text ? json_quoted(field.value) : field.value);
+    } else {
+      const bool plain = !field.is_text || (!field.value.empty() && field.value.find(' ') == std::string::npos);
+      line.append(" ").append(field.key).append("=").append(plain ? field.value : json_quoted(field.value));
+    }
+  }
+  // Never as a format: the text may come from outside.
+  spdlog::log(level, "{}", line);
+}
+
+inline void debug(std::string_view event, std::initializer_list<Field> fields = {}) {
+  write(spdlog::level::debug, event, fields);
+}
+inline void info(std::string_view event, std::initializer_list<Field> fields = {}) {
+  write(spdlog::level::info, event, fields);
+}
+inline void warn(std::string_view event, std::initializer_list<Field> fields = {}) {
+  write(spdlog::level::warn, event, fields);
+}
+inline void error(std::string_view event, std::initializer_list<Field> fields = {}) {
+  write(spdlog::level::err, event, fields);
+}
+
+/// For lines that a client can cause at any rate: one a second, which says how many it stands for.
+class Limiter {
+ public:
+  /// How many were left out since the last one that was let through; nothing: leave this one out. From any thread.
+  std::optional<std::uint64_t> admit() {
+    const std::int64_t now = std::chrono::steady_clock::now().time_since_epoch().count();
+    std::int64_t next = next_.load(std::memory_order_relaxed);
+    if (now < next || !next_.compare_exchange_strong(next, now + kInterval, std::memory_order_relaxed)) {
+      suppressed_.fetch_add(1, std::memory_order_relaxed);
+      return std::nullopt;
+    }
+    return suppressed_.exchange(0, std::memory_order_relaxed);
+  }
+
+ private:
+  static constexpr std::int64_t kInterval = std::chrono::steady_clock::duration(std::chrono::seconds(1)).count();
+  std::atomic<std::int64_t> next_{std::chrono::steady_clock::time_point::min().time_since_epoch().count()};
+  std::atomic<std::uint64_t> suppressed_{0};
+};
+
+}  // namespace tensormass::log
