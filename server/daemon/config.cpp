@@ -1,0 +1,166 @@
+#include "daemon/config.h"
+
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <cstdlib>
+#include <map>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include "core/limits.h"
+#include "core/names.h"
+
+namespace tensormass::daemon {
+namespace {
+
+constexpr const char* kOff = "off";
+
+std::string host_of(std::string_view endpoint) {
+  for (const std::string_view scheme : {"tcp://", "tcp/"}) {
+    if (endpoint.starts_with(scheme)) endpoint.remove_prefix(scheme.size());
+  }
+  return std::string(endpoint.substr(0, endpoint.rfind(':')));
+}
+
+/// "" if the text ends in :port, with a port from 0 (a free one) or *, and has a host before it.
+std::string check_host_and_port(const std::string& text, std::string_view scheme, bool star) {
+  std::string_view rest = text;
+  const auto wrong = [&] {
+    return fmt::format("'{0}' is not {1}HOST:PORT, as {1}127.0.0.1:{2} for a free port", text, scheme,
+                       star ? '*' : '0');
+  };
+  if (!rest.starts_with(scheme)) return wrong();
+  rest.remove_prefix(scheme.size());
+  const std::size_t colon = rest.rfind(':');
+  if (colon == 0 || colon == std::string_view::npos) return wrong();
+  const std::string_view port_text = rest.substr(colon + 1);
+  if (star && port_text == "*") return {};
+  std::uint32_t port = 0;
+  const auto [end, failure] = std::from_chars(port_text.data(), port_text.data() + port_text.size(), port);
+  const bool number = failure == std::errc{} && end == port_text.data() + port_text.size();
+  return number && port <= 65535 ? std::string() : wrong();
+}
+
+std::string check_control(const std::string& text) { return check_host_and_port(text, "", false); }
+
+std::string check_zeromq(const std::string& text) {
+  constexpr std::string_view kIpc = "ipc://";
+  if (text == kOff || (text.starts_with(kIpc) && text.size() > kIpc.size())) return {};
+  return check_host_and_port(text, "tcp://", true);
+}
+
+std::string check_zenoh(const std::string& text) {
+  return text == kOff ? std::string() : check_host_and_port(text, "tcp/", false);
+}
+
+std::string check_server_name(const std::string& name) {
+  if (is_valid_name(name)) return {};
+  return fmt::format("'{}' is not 1 to {} characters out of [A-Za-z0-9_-]", name, limits::kMaxNameLength);
+}
+
+/// --zenoh-listen is TENSORMASS_ZENOH_LISTEN.
+std::string environment_name(const std::string& option) {
+  std::string name = "TENSORMASS_" + option;
+  for (char& c : name) c = c == '-' ? '_' : static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+  return name;
+}
+
+/// CLI11 lets a config file win over the environment. So what the environment says goes in front of the command line,
+/// as flags, of which the last one counts.
+std::vector<std::string> with_environment(const CLI::App& app, int argc, const char* const* argv) {
+  std::vector<std::string> arguments;
+  for (const CLI::Option* option : app.get_options()) {
+    const char* value = option->get_envname().empty() ? nullptr : std::getenv(option->get_envname().c_str());
+    if (value != nullptr && *value != '\0') arguments.push_back("--" + option->get_lnames().front() + "=" + value);
+  }
+  arguments.insert(arguments.end(), argv + 1, argv + argc);
+  std::reverse(arguments.begin(), arguments.end());  // as CLI11 takes them
+  return arguments;
+}
+
+}  // namespace
+
+bool is_local_endpoint(std::string_view endpoint) {
+  if (endpoint.empty() || endpoint.starts_with("ipc://")) return true;
+  const std::string host = host_of(endpoint);
+  return host == "localhost" || host == "[::1]" || host.starts_with("127.");
+}
+
+ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
+  ParsedCommandLine parsed;
+  Config& config = parsed.config;
+  // The other half of the machine is for the transports, the clients and the gateway.
+  config.cpu_threads = std::max(1u, std::thread::hardware_concurrency() / 2);
+
+  CLI::App app("Steps scenes of deformable tissue and exchanges tool poses, forces and surfaces with clients.",
+               "tensormassd");
+  app.option_defaults()->multi_option_policy(CLI::MultiOptionPolicy::TakeLast)->always_capture_default();
+  app.set_version_flag("--version", "tensormassd " TENSORMASS_VERSION);
+  app.set_config("--config", "", "A TOML file of these settings, by their long names");
+  app.allow_config_extras(CLI::config_extras_mode::error);
+
+  const std::map<std::string, world::BackendChoice> backends{{"auto", world::BackendChoice::kAuto},
+                                                             {"cpu", world::BackendChoice::kCpu},
+                                                             {"cuda", world::BackendChoice::kCuda}};
+  std::string backend = "auto";
+  std::string log_level = "info";
+  std::string log_format = "text";
+  app.add_option("--backend", backend, "auto takes a GPU if one answers, else the CPU")->check(CLI::IsMember(backends));
+  app.add_option("--cpu-threads", config.cpu_threads, "Threads of a scene on the CPU that does not say")
+      ->check(CLI::Range(1u, limits::kMaxCpuThreads));
+  app.add_option("--server-name", config.server_name, "<server> in the keys of the data plane")
+      ->check(check_server_name);
+  app.add_option("--control", config.control, "gRPC: HOST:PORT; port 0 for a free one")->check(check_control);
+  app.add_option("--zeromq-publish", config.zeromq_publish, "tcp://HOST:PORT (* for a free port), ipc://PATH, or off")
+      ->check(check_zeromq);
+  app.add_option("--zeromq-pose", config.zeromq_pose, "The same, where clients push tool poses")->check(check_zeromq);
+  app.add_option("--zenoh-listen", config.zenoh_listen, "tcp/HOST:PORT (0 for a free port), or off")
+      ->check(check_zenoh);
+  app.add_option("--log-level", log_level, "Least level that is logged")
+      ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
+  app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));
+  app.add_option("--ready-file", config.ready_file, "Once serving, write all endpoints there as JSON");
+  for (CLI::Option* option : app.get_options()) {
+    const auto& names = option->get_lnames();
+    if (!names.empty() && names.front() != "help" && names.front() != "version") {
+      option->envname(environment_name(names.front()));
+    }
+  }
+  app.add_flag("--check-config", config.check_only, "Print the effective settings and end: 0 good, 2 not")
+      ->configurable(false);
+
+  const auto finish = [&parsed](int status, std::string output) {
+    parsed.exits = true;
+    parsed.exit_status = status;
+    parsed.output = std::move(output);
+    return parsed;
+  };
+  try {
+    app.parse(with_environment(app, argc, argv));
+    if ((config.zeromq_publish == kOff) != (config.zeromq_pose == kOff)) {
+      throw CLI::ValidationError("--zeromq-publish and --zeromq-pose", "turn both off, or neither");
+    }
+  } catch (const CLI::Success& success) {
+    std::ostringstream text;
+    app.exit(success, text, text);
+    return finish(0, text.str());
+  } catch (const CLI::Error& error) {
+    return finish(2, "tensormassd: " + std::string(error.what()) + "\nRun tensormassd --help for what there is.\n");
+  }
+  if (config.check_only) return finish(0, app.config_to_str(true, false));
+
+  for (std::string* endpoint : {&config.zeromq_publish, &config.zeromq_pose, &config.zenoh_listen}) {
+    if (*endpoint == kOff) endpoint->clear();
+  }
+  config.backend = backends.at(backend);
+  config.log_level = spdlog::level::from_str(log_level);
+  config.log_format = log_format == "json" ? log::Format::kJson : log::Format::kText;
+  return parsed;
+}
+
+}  // namespace tensormass::daemon

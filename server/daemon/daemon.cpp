@@ -1,0 +1,129 @@
+#include "daemon/daemon.h"
+
+#include <unistd.h>
+
+#include <cstdio>
+#include <fstream>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+namespace tensormass::daemon {
+
+Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
+  TM_TRY(backend, world::describe_backend(config.backend));
+  std::unique_ptr<Daemon> daemon(new Daemon(config, backend.backend, backend.device));
+  TM_CHECK(daemon->open(config));
+  const v1::GetVersionResponse& identity = daemon->identity();
+  if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
+    log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}});
+  }
+  for (const std::string& endpoint : {daemon->control_endpoint(), identity.zeromq_publish_endpoint(),
+                                      identity.zeromq_pose_endpoint(), identity.zenoh_locator()}) {
+    if (!is_local_endpoint(endpoint)) {
+      log::warn("other machines can reach this endpoint, and nothing on it asks who they are",
+                {{"endpoint", endpoint}});
+    }
+  }
+  log::info("serving", {{"version", identity.version()},
+                        {"server", identity.server()},
+                        {"backend", identity.backend()},
+                        {"device", identity.device()},
+                        {"control", daemon->control_endpoint()},
+                        {"zeromq_publish", identity.zeromq_publish_endpoint()},
+                        {"zeromq_pose", identity.zeromq_pose_endpoint()},
+                        {"zenoh", identity.zenoh_locator()}});
+  return daemon;
+}
+
+Daemon::Daemon(const Config& config, std::string backend, std::string device)
+    : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads}, [this] { wake_up_.signal(); }) {
+  identity_.set_version(TENSORMASS_VERSION);
+  identity_.set_server(config.server_name);
+  identity_.set_backend(std::move(backend));
+  identity_.set_device(std::move(device));
+}
+
+Result<void> Daemon::open(const Config& config) {
+  bus::BusOptions options;
+  options.server = config.server_name;
+  options.zeromq_publish_endpoint = config.zeromq_publish;
+  options.zeromq_pose_endpoint = config.zeromq_pose;
+  options.zenoh_listen = config.zenoh_listen;
+  options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
+    receive_pose(scene, tool, pose);
+  };
+  options.on_malformed = [this](std::string_view scene, std::string_view reason) { note_malformed(scene, reason); };
+  options.on_log = [](bool is_error, std::string_view message) {
+    log::write(is_error ? spdlog::level::err : spdlog::level::warn, "zenoh", {{"message", message}});
+  };
+  TM_TRY(bus, bus::Bus::open(options));
+  bus_ = std::move(bus);
+  identity_.set_zeromq_publish_endpoint(bus_->endpoints().zeromq_publish);
+  identity_.set_zeromq_pose_endpoint(bus_->endpoints().zeromq_pose);
+  identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
+
+  publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
+  service_.emplace(registry_, identity_, [this] { return bus_->malformed_count(); });
+  TM_TRY(server, control::ControlServer::start(config.control, *service_));
+  server_ = std::move(server);
+  return {};
+}
+
+Daemon::~Daemon() {
+  if (server_ != nullptr) server_->announce_shutdown();
+  std::vector<control::RunnerPtr> ending = registry_.close();
+  publisher_.reset();
+  server_.reset();
+  ending.clear();
+  bus_.reset();
+}
+
+void Daemon::receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
+  const auto submitted =
+      registry_.find(scene).and_then([&](const control::RunnerPtr& runner) { return runner->submit_pose(tool, pose); });
+  if (submitted) return;
+  if (const auto suppressed = refused_poses_.admit()) {
+    log::warn("pose refused", {{"reason", submitted.error().message}, {"more_before", *suppressed}});
+  }
+}
+
+void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
+  if (const auto runner = registry_.find(scene)) (*runner)->count_malformed_pose();
+  if (const auto suppressed = malformed_messages_.admit()) {
+    log::warn("malformed message", {{"reason", reason}, {"scene", scene}, {"more_before", *suppressed}});
+  }
+}
+
+Result<ReadyFile> ReadyFile::write(const std::string& path, const Daemon& daemon) {
+  const v1::GetVersionResponse& identity = daemon.identity();
+  std::string json = fmt::format("{{\"pid\": {}", getpid());
+  for (const auto& [key, value] : std::vector<std::pair<std::string_view, std::string_view>>{
+           {"version", identity.version()},
+           {"server", identity.server()},
+           {"backend", identity.backend()},
+           {"device", identity.device()},
+           {"control", daemon.control_endpoint()},
+           {"zeromq_publish", identity.zeromq_publish_endpoint()},
+           {"zeromq_pose", identity.zeromq_pose_endpoint()},
+           {"zenoh", identity.zenoh_locator()}}) {
+    json += fmt::format(", {}: {}", log::json_quoted(key), log::json_quoted(value));
+  }
+  json += "}\n";
+  const std::string unfinished = fmt::format("{}.{}", path, getpid());
+  std::ofstream file(unfinished);
+  file << json;
+  file.close();
+  if (!file || std::rename(unfinished.c_str(), path.c_str()) != 0) {
+    std::remove(unfinished.c_str());
+    return fail(ErrorCode::kUnavailable, fmt::format("--ready-file: cannot write '{}'; does its folder exist?", path));
+  }
+  return ReadyFile(path);
+}
+
+ReadyFile::~ReadyFile() {
+  if (!path_.empty()) std::remove(path_.c_str());
+}
+
+}  // namespace tensormass::daemon

@@ -1,0 +1,70 @@
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include "daemon/config.h"
+#include "daemon/daemon.h"
+
+namespace {
+
+/// From the signal to the exit. The forces are zero long before; a step that takes longer than this is not waited for.
+constexpr std::chrono::milliseconds kShutdownTime{1800};
+
+sigset_t stop_signals() {
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  return signals;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  using namespace tensormass;
+  const daemon::ParsedCommandLine parsed = daemon::parse_command_line(argc, argv);
+  if (parsed.exits) {
+    std::fputs(parsed.output.c_str(), parsed.exit_status == 0 ? stdout : stderr);
+    return parsed.exit_status;
+  }
+  log::configure(parsed.config.log_level, parsed.config.log_format);
+
+  // Before the first thread, so that every thread inherits it: this one alone takes them.
+  const sigset_t signals = stop_signals();
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+
+  auto started = daemon::Daemon::start(parsed.config);
+  if (!started) {
+    log::error("cannot start", {{"reason", started.error().message}});
+    return EXIT_FAILURE;
+  }
+  std::optional<daemon::ReadyFile> ready_file;
+  if (!parsed.config.ready_file.empty()) {
+    auto written = daemon::ReadyFile::write(parsed.config.ready_file, **started);
+    if (!written) {
+      log::error("cannot start", {{"reason", written.error().message}});
+      return EXIT_FAILURE;
+    }
+    ready_file.emplace(std::move(*written));
+  }
+
+  int signal = 0;
+  sigwait(&signals, &signal);
+  log::info("stopping", {{"signal", signal == SIGTERM ? "SIGTERM" : "SIGINT"}});
+  ready_file.reset();
+  std::thread([] {
+    std::this_thread::sleep_for(kShutdownTime);
+    log::warn("stopped without waiting for a step, a load or a client that takes longer");
+    std::_Exit(EXIT_SUCCESS);
+  }).detach();
+  started->reset();
+  log::info("stopped");
+  // Not through static destructors: the thread above may still sleep.
+  std::fflush(nullptr);
+  std::_Exit(EXIT_SUCCESS);
+}

@@ -1,0 +1,123 @@
+#include "daemon/publisher.h"
+
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <set>
+#include <utility>
+
+#include "bus/keys.h"
+#include "core/log.h"
+
+namespace tensormass::daemon {
+namespace {
+
+/// A scene that is paused leaves nothing in its mailboxes, but its status is still due.
+constexpr int kIdleWakeUpMs = 50;
+
+}  // namespace
+
+WakeUp::WakeUp() : event_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {}
+
+WakeUp::~WakeUp() { close(event_); }
+
+void WakeUp::signal() {
+  if (!signalled_.exchange(true, std::memory_order_acq_rel)) eventfd_write(event_, 1);
+}
+
+void WakeUp::wait(int timeout_ms) {
+  pollfd item{event_, POLLIN, 0};
+  poll(&item, 1, timeout_ms);
+  eventfd_t count;
+  eventfd_read(event_, &count);
+  // After the read: a signal that comes between them finds the flag up, and what it tells is read after this.
+  signalled_.exchange(false, std::memory_order_acq_rel);
+}
+
+Publisher::Publisher(const control::SceneRegistry& registry, bus::Bus& bus, std::string server, WakeUp& wake_up)
+    : registry_(registry), bus_(bus), server_(std::move(server)), wake_up_(wake_up) {
+  thread_ = std::thread([this] { run(); });
+}
+
+Publisher::~Publisher() {
+  stop_ = true;
+  wake_up_.signal();
+  thread_.join();
+}
+
+void Publisher::run() {
+  while (true) {
+    const bool last = stop_;
+    follow_registry();
+    if (last) return;
+    for (auto& [name, scene] : scenes_) publish_feedback(scene);
+    for (auto& [name, scene] : scenes_) {
+      const control::RunnerPtr runner = scene.runner.lock();
+      if (runner == nullptr) continue;
+      if (runner->take_frame(frame_)) bus_.publish(scene.frame_key, frame_);
+      if (runner->take_status(status_)) bus_.publish(scene.status_key, status_, {.retain = true});
+      // A large frame takes a while to send, and a haptic client does not wait for it.
+      for (auto& [other_name, other] : scenes_) publish_feedback(other);
+    }
+    wake_up_.wait(kIdleWakeUpMs);
+  }
+}
+
+void Publisher::follow_registry() {
+  const std::uint64_t generation = registry_.generation();
+  if (std::exchange(generation_, generation) == generation) return;
+  const std::vector<control::RunnerPtr> runners = registry_.list();
+  std::set<const world::Runner*> loaded;
+  for (const control::RunnerPtr& runner : runners) loaded.insert(runner.get());
+  for (auto scene = scenes_.begin(); scene != scenes_.end();) {
+    // Expired and loaded: another scene at the same address.
+    if (loaded.contains(scene->second.id) && !scene->second.runner.expired()) {
+      ++scene;
+      continue;
+    }
+    end(scene->second);
+    log::info("scene unloaded", {{"scene", scene->first}});
+    scene = scenes_.erase(scene);
+  }
+  for (const control::RunnerPtr& runner : runners) {
+    if (!scenes_.contains(runner->name())) begin(runner);
+  }
+}
+
+void Publisher::begin(const control::RunnerPtr& runner) {
+  const std::string& name = runner->name();
+  Scene scene(runner);
+  scene.frame_key = bus::frame_key(server_, name);
+  scene.status_key = bus::status_key(server_, name);
+  scene.topology_key = bus::topology_key(server_, name);
+  for (const v1::ToolShape& tool : runner->topology().tools()) {
+    scene.feedback_keys.push_back(bus::feedback_key(server_, name, tool.name()));
+  }
+  bus_.publish(scene.topology_key, runner->topology(), {.retain = true});
+  scenes_.emplace(name, std::move(scene));
+  log::info("scene loaded", {{"scene", name}, {"bytes", runner->report().bytes_total()}});
+}
+
+void Publisher::end(Scene& scene) {
+  for (std::size_t i = 0; i < scene.feedback.size(); ++i) {
+    v1::ToolFeedback& feedback = scene.feedback[i];
+    *feedback.mutable_force_n() = v1::Vector3();
+    *feedback.mutable_torque_n_m() = v1::Vector3();
+    // The same model, of no force: a client that evaluates it gets zero wherever its hand is.
+    for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
+    bus_.publish(scene.feedback_keys[i], feedback, {.urgent = true});
+  }
+  bus_.forget(scene.topology_key);
+  bus_.forget(scene.status_key);
+}
+
+void Publisher::publish_feedback(Scene& scene) {
+  const control::RunnerPtr runner = scene.runner.lock();
+  if (runner == nullptr || !runner->take_feedback(scene.feedback)) return;
+  for (std::size_t i = 0; i < scene.feedback.size(); ++i) {
+    bus_.publish(scene.feedback_keys[i], scene.feedback[i], {.urgent = true});
+  }
+}
+
+}  // namespace tensormass::daemon
