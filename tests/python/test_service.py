@@ -211,6 +211,7 @@ def test_the_shared_liver_loads_and_steps(load: Callable[..., tm.SceneHandle]) -
     scene = tm.Scene.from_arrays(
         nodes,
         mesh.tetrahedra,
+        young_modulus_pa=40_000.0,  # stiff enough to stay near its shape, hung up by a fifth of it
         fixed_nodes=nodes[:, 1] < np.quantile(nodes[:, 1], 0.2),
         gravity_m_per_s2=(0, -9.81, 0),
     )
@@ -221,7 +222,7 @@ def test_the_shared_liver_loads_and_steps(load: Callable[..., tm.SceneHandle]) -
     assert status.fault == ""
     moved = np.linalg.norm(handle.positions("body") - nodes, axis=1)
     assert np.isfinite(moved).all()
-    assert 1e-4 < moved.max() < 0.2
+    assert 1e-4 < moved.max() < 0.05
 
 
 def test_a_scene_file_of_the_shared_liver_scales_mesh_and_skin(

@@ -119,6 +119,7 @@ class Server(Closing):
         #: Its log, if `launch` started it.
         self.log_file = log_file
         self._cleanup = contextlib.ExitStack()
+        self._closed = False
         self._channel = grpc.insecure_channel(
             address,
             options=[
@@ -145,6 +146,7 @@ class Server(Closing):
 
     def close(self) -> None:
         """Closes the connection and ends the daemon if `launch` started it. May be called again."""
+        self._closed = True
         self._data_plane.close()
         self._channel.close()
         self._cleanup.close()
@@ -196,6 +198,8 @@ class Server(Closing):
 
     def _call(self, method: str, request: Any, timeout_s: float | None = _CALL_TIMEOUT_S) -> Any:  # noqa: ANN401
         """One unary call; a failed one becomes an exception of `tensormass.errors`."""
+        if self._closed:
+            raise errors.UnavailableError(f"this connection to {self.address} is closed; connect again")
         try:
             return getattr(self._stub, method)(request, timeout=timeout_s)
         except grpc.RpcError as error:
