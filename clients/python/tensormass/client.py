@@ -354,7 +354,7 @@ class FrameStream(Closing, Iterator[Frame]):
             if frame is None:
                 continue
             same_topology = frame.topology.version == last.topology.version
-            if same_topology and frame.sequence == last.sequence:
+            if same_topology and frame.step == last.step:
                 continue  # the one that the call at the start brought
             if same_topology:
                 self.dropped_count += max(0, frame.sequence - last.sequence - 1)
