@@ -67,11 +67,13 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const noise = difference(before, still, () => true);
     const pressed = { near: difference(before, under, near), far: difference(before, under, far) };
     console.info("mean difference of pixels:", { noise, ...pressed }, `under ${force_n.toFixed(2)} N`);
-    expect(pressed.near).toBeGreaterThan(5);
+    expect(pressed.near).toBeGreaterThan(2);
     expect(pressed.near).toBeGreaterThan(20 * Math.max(noise, pressed.far));
 
     await page.page.keyboard.press("t");
-    await page.says("#labels .force", new RegExp(`^${force_n.toFixed(1).slice(0, 3)}`));
+    const label = page.page.locator("#labels .force");
+    await label.waitFor();
+    expect(parseFloat((await label.textContent()) ?? "")).toBeCloseTo(force_n, 1);
 
     // The gateway of this test lets browsers move tools: the pointer takes the probe away again.
     const { tools } = await page.state();

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 
 import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
+import type { Quality } from "./quality";
 
 /** Length of the arrow for a very large force [scene radii]; half of it is reached at HALF_FORCE_N. */
 const ARROW_LIMIT = 0.75;
@@ -23,8 +24,8 @@ export class Instruments {
   readonly group = new THREE.Group();
   readonly #tools: ReadonlyMap<string, Instrument>;
 
-  constructor(topology: Topology, radiusM: number) {
-    this.#tools = new Map(topology.tools.map((shape) => [shape.name, new Instrument(shape, radiusM)]));
+  constructor(topology: Topology, radiusM: number, quality: Quality) {
+    this.#tools = new Map(topology.tools.map((shape) => [shape.name, new Instrument(shape, radiusM, quality)]));
     for (const tool of this.#tools.values()) {
       this.group.add(tool.group);
     }
@@ -61,12 +62,17 @@ class Instrument {
   readonly #arrowShaft: THREE.Mesh;
   readonly #arrowHead: THREE.Mesh;
 
-  constructor(shape: ToolShape, sceneRadiusM: number) {
+  constructor(shape: ToolShape, sceneRadiusM: number, quality: Quality) {
     this.#name = shape.name;
     this.#tip = new THREE.Vector3(...shape.tipOffsetM);
     this.#sceneRadiusM = sceneRadiusM;
 
-    const steel = new THREE.MeshPhysicalMaterial({ color: "#d5dce2", metalness: 1, roughness: 0.24, clearcoat: 0.3 });
+    const steel = new THREE.MeshStandardMaterial({
+      color: "#d5dce2",
+      // Metal is what it mirrors; where there is nothing to mirror it would be black.
+      metalness: quality.level === "high" ? 1 : 0.2,
+      roughness: 0.24,
+    });
     this.sphere = new THREE.Mesh(new THREE.SphereGeometry(shape.radiusM, 48, 32), steel);
     this.sphere.name = shape.name;
     this.sphere.position.copy(this.#tip);

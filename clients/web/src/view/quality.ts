@@ -1,4 +1,4 @@
-/** How much the picture may cost. "low" is for machines that draw without a GPU: no coat, no grain, no shadows. */
+/** How much the picture may cost. "low" is for machines that draw without a GPU: no coat, grain, shadows, mirror. */
 export interface Quality {
   readonly level: "high" | "low";
   /** Fewer pixels while drawing is slow. */

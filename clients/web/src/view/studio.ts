@@ -31,9 +31,11 @@ export class Studio {
     this.#renderer.shadowMap.type = THREE.VSMShadowMap;
 
     this.#scene.background = backdrop();
-    this.#scene.environment = softboxes(this.#renderer);
-    this.#scene.environmentIntensity = 0.55;
-    this.#scene.add(this.world, this.#floor, ...lights());
+    if (high) {
+      this.#scene.environment = softboxes(this.#renderer);
+      this.#scene.environmentIntensity = 0.55;
+    }
+    this.#scene.add(this.world, this.#floor, ...lights(high ? 0.35 : 1.1));
     this.#floor.add(...floor());
     this.#floor.visible = false;
 
@@ -92,7 +94,7 @@ export class Studio {
 }
 
 /** An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor. */
-function lights(): THREE.Object3D[] {
+function lights(fillIntensity: number): THREE.Object3D[] {
   const key = new THREE.DirectionalLight("#fff1e2", 2.1);
   key.position.set(-1.6, 4.2, 2.4);
   key.castShadow = true;
@@ -104,11 +106,11 @@ function lights(): THREE.Object3D[] {
   Object.assign(key.shadow.camera, { left: -extent, right: extent, top: extent, bottom: -extent, near: 1, far: 9 });
   const rim = new THREE.DirectionalLight("#a9cdfd", 1.5);
   rim.position.set(2.6, 1.8, -3.2);
-  const fill = new THREE.HemisphereLight("#cfe0ee", "#7a4a3e", 0.35);
+  const fill = new THREE.HemisphereLight("#cfe0ee", "#7a4a3e", fillIntensity);
   return [key, rim, fill];
 }
 
-/** What the wet surface mirrors: three softboxes in a dim room. */
+/** What the wet surface mirrors: three softboxes in a dim room. Blurring it takes seconds without a GPU. */
 function softboxes(renderer: THREE.WebGLRenderer): THREE.Texture {
   const room = new THREE.Scene();
   room.add(

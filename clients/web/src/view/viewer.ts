@@ -130,7 +130,7 @@ export class Viewer {
     const bounds = new THREE.Box3().setFromArray(positions);
     const radiusM = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
     this.#tissue = new Tissue(topology, positions, radiusM, this.#quality);
-    this.#instruments = new Instruments(topology, radiusM);
+    this.#instruments = new Instruments(topology, radiusM, this.#quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     this.#studio.frame(bounds, topology.up);
   }
