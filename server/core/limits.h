@@ -14,8 +14,8 @@ inline constexpr std::size_t kMaxBodies = 64;
 inline constexpr std::size_t kMaxTools = 16;
 /// Nodes of one scene. Rows and positions are indexed with 32 bits; larger scenes are refused.
 inline constexpr std::uint32_t kMaxNodes = 1u << 26;
-/// Elements of one scene. Gather entries address 104 reals an element with 31 bits (tensor/layout.h).
-inline constexpr std::uint32_t kMaxElements = 20'000'000;
+/// Elements of one scene. Gather entries address 72 reals an element with 32 bits (tensor/layout.h).
+inline constexpr std::uint32_t kMaxElements = 50'000'000;
 /// Characters of a scene's, body's or tool's name.
 inline constexpr std::size_t kMaxNameLength = 64;
 /// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron: ten

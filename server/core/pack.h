@@ -50,10 +50,10 @@ Pack<Real, Width> absolute(Pack<Real, Width> a) {
 }
 
 /// The interface of SingleLane for `Width` items at once.
-template <class Real_, int Width>
+template <class Real_, std::uint32_t Width>
 struct PackLanes {
   using Real = Real_;
-  using Scalar = Pack<Real, Width>;
+  using Scalar = Pack<Real, static_cast<int>(Width)>;
   static constexpr std::uint32_t kWidth = Width;
 
   static Scalar load(const Real* p) {
@@ -64,40 +64,78 @@ struct PackLanes {
   static void store(Real* p, Scalar value) { std::memcpy(p, &value.v, sizeof value.v); }
 
   static Vec3<Scalar> load3(const Real* vectors, std::uint32_t first) {
-    return transpose([&](int lane) { return vectors + std::size_t{4} * (first + static_cast<std::uint32_t>(lane)); });
+    return to_lanes([&](std::uint32_t lane) { return vectors + std::size_t{4} * (first + lane); });
   }
   static Vec3<Scalar> gather3(const Real* vectors, const std::uint32_t* index) {
-    return transpose([&](int lane) { return vectors + std::size_t{4} * index[lane]; });
+    return to_lanes([&](std::uint32_t lane) { return vectors + std::size_t{4} * index[lane]; });
   }
   static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
-    Real* p = vectors + std::size_t{4} * first;
-    for (int lane = 0; lane < Width; ++lane) {
-      p[4 * lane + 0] = value[0].v[lane];
-      p[4 * lane + 1] = value[1].v[lane];
-      p[4 * lane + 2] = value[2].v[lane];
+    Vector rows[4] = {value[0].v, value[1].v, value[2].v, Vector{}};
+    transpose<4>(rows);
+    for (std::uint32_t lane = 0; lane < Width; ++lane) {
+      std::memcpy(vectors + std::size_t{4} * (first + lane), quad(rows, lane), kQuadBytes);
     }
   }
-  static void scatter(Real* p, std::size_t stride, Scalar value) {
-    for (int lane = 0; lane < Width; ++lane) p[lane * stride] = value.v[lane];
+  template <std::uint32_t Count>
+  static void scatter(Real* records, std::size_t stride, const Scalar (&values)[Count]) {
+    static_assert(Count % Width == 0);
+    for (std::uint32_t c = 0; c < Count; c += Width) {
+      Vector rows[Width];
+      for (std::uint32_t i = 0; i < Width; ++i) rows[i] = values[c + i].v;
+      transpose<Width>(rows);
+      for (std::uint32_t lane = 0; lane < Width; ++lane) {
+        std::memcpy(records + lane * stride + c, &rows[lane], sizeof(Vector));
+      }
+    }
   }
   /// In a fixed order, so that runs repeat bitwise.
   static Real sum(Scalar value) {
     Real total = 0;
-    for (int lane = 0; lane < Width; ++lane) total += value.v[lane];
+    for (std::uint32_t lane = 0; lane < Width; ++lane) total += value.v[lane];
     return total;
   }
 
  private:
+  using Vector = typename Scalar::Vector;
+  using Index = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
+  typedef Index Mask __attribute__((vector_size(sizeof(Vector))));
+  static constexpr std::size_t kQuadBytes = 4 * sizeof(Real);
+
+  /// Where lane's four reals lie in `rows` while they are not transposed: row lane % 4, quad lane / 4.
+  static Real* quad(Vector* rows, std::uint32_t lane) {
+    return reinterpret_cast<Real*>(&rows[lane % 4]) + std::size_t{4} * (lane / 4);
+  }
+
   template <class Address>
-  static Vec3<Scalar> transpose(Address address) {
-    Vec3<Scalar> result;
-    for (int lane = 0; lane < Width; ++lane) {
-      const Real* p = address(lane);
-      result[0].v[lane] = p[0];
-      result[1].v[lane] = p[1];
-      result[2].v[lane] = p[2];
+  static Vec3<Scalar> to_lanes(Address address) {
+    Vector rows[4];
+    for (std::uint32_t lane = 0; lane < Width; ++lane) std::memcpy(quad(rows, lane), address(lane), kQuadBytes);
+    transpose<4>(rows);
+    return {Scalar::of(rows[0]), Scalar::of(rows[1]), Scalar::of(rows[2])};
+  }
+
+  /// Transposes the Size × Size blocks that lie side by side in Size registers, by log2(Size) rounds of exchanges.
+  template <std::uint32_t Size>
+  static void transpose(Vector (&rows)[Size]) {
+    exchange<Size, 1>(rows);
+    if constexpr (Size > 2) exchange<Size, 2>(rows);
+    if constexpr (Size > 4) exchange<Size, 4>(rows);
+    static_assert(Size <= 8);
+  }
+  template <std::uint32_t Size, std::uint32_t Step>
+  static void exchange(Vector (&rows)[Size]) {
+    Mask low, high;
+    for (std::uint32_t lane = 0; lane < Width; ++lane) {
+      const bool second = (lane & Step) != 0;
+      low[lane] = static_cast<Index>(second ? Width + lane - Step : lane);
+      high[lane] = static_cast<Index>(second ? Width + lane : lane + Step);
     }
-    return result;
+    for (std::uint32_t i = 0; i < Size; ++i) {
+      if ((i & Step) != 0) continue;
+      const Vector a = rows[i], b = rows[i + Step];
+      rows[i] = __builtin_shuffle(a, b, low);
+      rows[i + Step] = __builtin_shuffle(a, b, high);
+    }
   }
 };
 

@@ -50,7 +50,7 @@ struct SingleLane {
 
   TM_HOST_DEVICE static Scalar load(const Real* p) { return *p; }
   TM_HOST_DEVICE static void store(Real* p, Scalar value) { *p = value; }
-  /// vectors: [.., 4], of which three are used
+  /// vectors: [.., 4], of which three are used; the fourth is read and, by store3, may be overwritten
   TM_HOST_DEVICE static Vec3<Scalar> load3(const Real* vectors, std::uint32_t first) {
     const Real* p = vectors + std::size_t{4} * first;
     return {p[0], p[1], p[2]};
@@ -64,8 +64,11 @@ struct SingleLane {
   TM_HOST_DEVICE static Vec3<Scalar> gather3(const Real* vectors, const std::uint32_t* index) {
     return load3(vectors, *index);
   }
-  /// Writes one value into each lane's own record, `stride` reals apart.
-  TM_HOST_DEVICE static void scatter(Real* p, std::size_t /*stride*/, Scalar value) { *p = value; }
+  /// Writes `Count` values into each lane's own record; records lie `stride` reals apart.
+  template <std::uint32_t Count>
+  TM_HOST_DEVICE static void scatter(Real* records, std::size_t /*stride*/, const Scalar (&values)[Count]) {
+    for (std::uint32_t c = 0; c < Count; ++c) records[c] = values[c];
+  }
   TM_HOST_DEVICE static Real sum(Scalar value) { return value; }
 };
 

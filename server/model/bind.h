@@ -34,12 +34,11 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
 
   s.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
-  s.constant_vertices = arena.template constant<Real>("constant vertex tensors", m.constant_vertices);
 
   s.partials = arena.template zeros<Real>("element tensors", m.partial_reals());
   if (!m.groups.empty()) {
-    s.vertex_gather_begin = arena.template constant<uint32_t>("vertex gather offsets", m.gather.vertex_begin);
-    s.vertex_gather = arena.template constant<uint32_t>("vertex gather", m.gather.vertex);
+    s.force_gather_begin = arena.template constant<uint32_t>("force gather offsets", m.gather.force_begin);
+    s.force_gather = arena.template constant<uint32_t>("force gather", m.gather.force);
     s.edge_gather_begin = arena.template constant<uint32_t>("edge gather offsets", m.gather.edge_begin);
     s.edge_gather = arena.template constant<uint32_t>("edge gather", m.gather.edge);
   }

@@ -351,7 +351,6 @@ class Compiler {
         bodies_.begin(), bodies_.end(), [](const ReadBody& body) { return has_constant_stiffness(body.material.law); });
     if (any_constant) {
       model_.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
-      model_.constant_vertices.assign(12 * std::size_t{layout.row_count}, 0);
     }
 
     struct Collected {
@@ -438,8 +437,6 @@ class Compiler {
               at_rest, rest, material.parameters.data());
       for (int k = 0; k < Shape::kNodes; ++k) {
         const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
-        double* vertex = model_.constant_vertices.data() + 12 * std::size_t{row_k};
-        for (int c = 0; c < 9; ++c) vertex[c] += tensors.vertex_stiffness[k](c % 3, c / 3);
         for (int l = k + 1; l < Shape::kNodes; ++l) {
           const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
           const Mat3<double>& edge = tensors.edge_stiffness[physics::pair_index(Shape::kNodes, k, l)];

@@ -114,13 +114,12 @@ struct Model {
   tensor::Layout layout;
   tensor::GatherMap gather;  ///< of `groups`
   std::vector<ElementGroup> groups;
-  std::vector<double> constant_edges;     ///< [slot] 3×3, blocked as SceneView; empty without linear laws
-  std::vector<double> constant_vertices;  ///< [row_count, 12]
-  std::vector<double> rest;               ///< [row_count, 4]
-  std::vector<double> inertia;            ///< [row_count, 4]
-  std::vector<double> external;           ///< [row_count, 4]; empty without gravity and loads
-  ContactSurface contact;                 ///< empty without tools
-  VisibleSurface visible;                 ///< empty without frames
+  std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
+  std::vector<double> rest;            ///< [row_count, 4]
+  std::vector<double> inertia;         ///< [row_count, 4]
+  std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
+  ContactSurface contact;              ///< empty without tools
+  VisibleSurface visible;              ///< empty without frames
 
   std::vector<Stage> stages;
 

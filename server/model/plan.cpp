@@ -45,7 +45,7 @@ Cost cost(const Model& m, const Stage& stage) {
   const double rows = m.layout.row_count, slots = m.layout.slot_count();
   const double tools = static_cast<double>(m.tools.size()), triangles = m.contact.triangle_count();
   const double incidences = static_cast<double>(m.contact.incidence.size()) / 4;
-  const double gathered_vertices = static_cast<double>(m.gather.vertex.size());
+  const double gathered_forces = static_cast<double>(m.gather.force.size());
   const double gathered_edges = static_cast<double>(m.gather.edge.size());
   const bool constant = !m.constant_edges.empty();
   switch (stage.kind) {
@@ -60,9 +60,9 @@ Cost cost(const Model& m, const Stage& stage) {
       return {g.element_count * per_element, g.element_count * 900.0};
     }
     case StageKind::kAssemble:
-      return {(gathered_vertices * 12 + gathered_edges * 9) * real + (gathered_vertices + gathered_edges) * 4 +
+      return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
                   slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
-              gathered_vertices * 12 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
+              gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
     case StageKind::kExternalForces:
       return {rows * 12 * real, rows * 6};
     case StageKind::kAssembleContact:

@@ -37,17 +37,18 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
     }
     const auto tensors = physics::element_tensors<Shape, Law, physics::Stiffness::kPositive>(u, rest, parameters);
 
-    Real* record = s.partials + e.partial_begin + std::size_t{first} * kRecord;
-    const auto put = [&](std::uint32_t offset, const T& value) { Lanes::scatter(record + offset, kRecord, value); };
+    T record[kRecord];
     for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
-      for (std::uint32_t c = 0; c < 9; ++c) put(vertex_offset(k) + c, tensors.vertex_stiffness[k](c % 3, c / 3));
-      for (std::uint32_t c = 0; c < 3; ++c) put(vertex_offset(k) + 9 + c, tensors.force[k][c]);
+      for (std::uint32_t c = 0; c < 3; ++c) record[force_offset(k) + c] = tensors.force[k][c];
     }
     for (std::uint32_t pair = 0; pair < physics::kPairs<Shape::kNodes>; ++pair) {
       for (std::uint32_t c = 0; c < 9; ++c) {
-        put(edge_offset(Shape::kNodes, pair) + c, tensors.edge_stiffness[pair](c % 3, c / 3));
+        record[edge_offset(Shape::kNodes, pair) + c] = tensors.edge_stiffness[pair](c % 3, c / 3);
       }
     }
+    for (std::uint32_t c = edge_offset(Shape::kNodes, physics::kPairs<Shape::kNodes>); c < kRecord; ++c)
+      record[c] = T(0);
+    Lanes::scatter(s.partials + e.partial_begin + std::size_t{first} * kRecord, kRecord, record);
   });
 }
 
@@ -67,26 +68,22 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
     const Real mass = s.inertia[4 * row], alpha = s.inertia[4 * row + 1], beta = s.inertia[4 * row + 2];
     const Vec3<Real> velocity = load3<Real>(s.velocity, row);
 
-    Mat3<Real> vertex = Mat3<Real>::Zero();
     Vec3<Real> force = Vec3<Real>::Zero();
-    if constexpr (HasConstant) {
-      vertex = dense(s.constant_vertices + std::size_t{12} * row);
-      force = -(vertex * load3<Real>(s.displacement, row));
-    }
     if constexpr (HasPartial) {
-      for (std::uint32_t i = s.vertex_gather_begin[row]; i < s.vertex_gather_begin[row + 1]; ++i) {
-        const Real* p = s.partials + s.vertex_gather[i];
-        vertex += dense(p);
-        force += Vec3<Real>(p[9], p[10], p[11]);
+      for (std::uint32_t i = s.force_gather_begin[row]; i < s.force_gather_begin[row + 1]; ++i) {
+        force += Eigen::Map<const Vec3<Real>>(s.partials + s.force_gather[i]);
       }
     }
-    Vec3<Real> stiffness_velocity = vertex * velocity;  // (K v)_row
+    // K_kk = −Σ K_kl, so K v and K u of the row are sums over its edges of K_kl (v_l − v_k).
+    const Vec3<Real> displacement = load3<Real>(s.displacement, row);
+    Mat3<Real> vertex = Mat3<Real>::Zero();
+    Vec3<Real> stiffness_velocity = Vec3<Real>::Zero();
     for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
       const std::uint32_t other = global_row(s, patch, column);
       Mat3<Real> edge = Mat3<Real>::Zero();
       if constexpr (HasConstant) {
         edge = load_block(s.constant_edges, slot);
-        force -= edge * load3<Real>(s.displacement, other);
+        force -= edge * (load3<Real>(s.displacement, other) - displacement);
       }
       if constexpr (HasPartial) {
         const std::uint32_t* begin = s.edge_gather_begin + 2 * slot;
@@ -95,7 +92,8 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         for (std::uint32_t i = begin[1]; i < begin[2]; ++i) transposed += dense(s.partials + s.edge_gather[i]);
         edge += transposed.transpose();
       }
-      stiffness_velocity += edge * load3<Real>(s.velocity, other);
+      vertex -= edge;
+      stiffness_velocity += edge * (load3<Real>(s.velocity, other) - velocity);
       store_block<Real>(s.edges, slot, edge * (dt * (beta + dt)));
     });
 

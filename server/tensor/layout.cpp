@@ -137,12 +137,12 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count) {
 
 GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> groups) {
   GatherMap map;
-  fill_lists(layout.row_count, map.vertex_begin, map.vertex, [&](const auto& add) {
+  fill_lists(layout.row_count, map.force_begin, map.force, [&](const auto& add) {
     for (const ElementRows& group : groups) {
       for (std::uint32_t e = 0; e < group.element_count; ++e) {
         const std::uint32_t record = group.partial_begin + e * record_reals(group.node_count);
         for (std::uint32_t k = 0; k < group.node_count; ++k) {
-          add(group.rows[std::size_t{k} * group.stride + e], record + vertex_offset(k));
+          add(group.rows[std::size_t{k} * group.stride + e], record + force_offset(k));
         }
       }
     }

@@ -33,7 +33,7 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count);
 
 /// Where each row and slot finds its share of the records in `partials`.
 struct GatherMap {
-  std::vector<std::uint32_t> vertex_begin{0}, vertex;  ///< [row_count + 1] and offsets
+  std::vector<std::uint32_t> force_begin{0}, force;  ///< [row_count + 1] and offsets
   /// [2 slot_count + 1] and offsets: of each slot first the blocks as they are, then those to be transposed.
   std::vector<std::uint32_t> edge_begin{0}, edge;
 };

@@ -17,14 +17,14 @@ namespace tensormass::tensor {
 
 inline constexpr std::uint32_t kSliceRows = 32;
 
-/// Reals of one element's record in `partials`: for each node K_kk then f_k, then K_kl of each pair; a multiple of
-/// four.
-TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
-  return (nodes * 12 + nodes * (nodes - 1) / 2 * 9 + 3) / 4 * 4;
-}
-TM_HOST_DEVICE constexpr std::uint32_t vertex_offset(std::uint32_t node) { return 12 * node; }
+/// An element's record in `partials`: f_k of each node, then K_kl of each pair, column-major, filled up to whole vector
+/// registers.
+TM_HOST_DEVICE constexpr std::uint32_t force_offset(std::uint32_t node) { return 3 * node; }
 TM_HOST_DEVICE constexpr std::uint32_t edge_offset(std::uint32_t nodes, std::uint32_t pair) {
-  return 12 * nodes + 9 * pair;
+  return 3 * nodes + 9 * pair;
+}
+TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
+  return (edge_offset(nodes, nodes * (nodes - 1) / 2) + 7) / 8 * 8;
 }
 
 /// Elements of one (shape, law) whose tensors are refreshed in every step. Structures of arrays, padded to a multiple
@@ -107,15 +107,14 @@ struct SceneView {
   const std::uint32_t* columns;      // [slot] patch-local: own rows, then halo; padding slots name the row itself
 
   // -- constant tensors of the linear laws
-  const Real* constant_edges;     // [slot] 3×3
-  const Real* constant_vertices;  // [row_count, 12] (9 used)
+  const Real* constant_edges;  // [slot] 3×3
 
   // -- elements whose tensors are refreshed, and where each row finds them
-  Real* partials;                            // records, see record_reals
-  const std::uint32_t* vertex_gather;        // offsets of K_kk, f_k in partials
-  const std::uint32_t* vertex_gather_begin;  // [row_count + 1]
-  const std::uint32_t* edge_gather;          // offsets of K_kl in partials
-  const std::uint32_t* edge_gather_begin;    // [2 slots + 1] of each slot the blocks as they are, then the transposed
+  Real* partials;                           // records, see record_reals
+  const std::uint32_t* force_gather;        // offsets of f_k in partials
+  const std::uint32_t* force_gather_begin;  // [row_count + 1]
+  const std::uint32_t* edge_gather;         // offsets of K_kl in partials
+  const std::uint32_t* edge_gather_begin;   // [2 slots + 1] of each slot the blocks as they are, then the transposed
 
   // -- state and fields of rows, [row_count, 4]
   Real* displacement;    // u [m]

@@ -14,6 +14,7 @@
 #include "model/compile.h"
 #include "model/plan.h"
 #include "support/scenes.h"
+#include "world/runner.h"
 #include "world/world.h"
 
 /// tensormass-bench: milliseconds a step on scenes that anyone can rebuild, with the floor beside the number.
@@ -103,6 +104,80 @@ Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& back
   return percentiles(std::move(seconds));
 }
 
+/// A scene at its own rate against the clock, its first tool going down to `press` and back every two seconds.
+struct RealTime {
+  std::string scene_file;
+  double rate_hz = 0;  ///< 0: the scene's own
+  double seconds = 10;
+  std::vector<double> press;
+};
+
+Result<v1::Scene> read_scene(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  v1::Scene scene;
+  if (!scene.ParseFromIstream(&file)) {
+    return invalid(
+        path + ": not a serialized tensormass.v1.Scene; write one in Python with scene.message.SerializeToString()");
+  }
+  return scene;
+}
+
+/// The poses of the path, at 1 kHz like a haptic device's, until `end`.
+void press_and_lift(world::Runner& runner, const v1::Tool& tool, const RealTime& options, Clock::time_point end) {
+  const Clock::time_point begin = Clock::now();
+  v1::ToolPose pose;
+  for (std::uint64_t sequence = 1; Clock::now() < end; ++sequence) {
+    const double t = std::chrono::duration<double>(Clock::now() - begin).count();
+    const double down = 0.5 - 0.5 * std::cos(M_PI * t);
+    const auto mix = [&](double from, std::size_t c) { return from + down * (options.press[c] - from); };
+    pose.set_sequence(sequence);
+    pose.set_client_id(1);
+    tests::set(*pose.mutable_position_m(), mix(tool.position_m().x(), 0), mix(tool.position_m().y(), 1),
+               mix(tool.position_m().z(), 2));
+    (void)runner.submit_pose(tool.name(), pose);
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+}
+
+Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptions runner_options,
+                                     const std::string& commit, const std::string& command) {
+  TM_TRY(scene, read_scene(options.scene_file));
+  scene.mutable_stepping()->set_lockstep(false);
+  if (options.rate_hz > 0) {
+    scene.mutable_stepping()->set_rate_hz(options.rate_hz);
+    scene.mutable_stepping()->set_dt_s(1 / options.rate_hz);
+  }
+  const Clock::time_point begin = Clock::now();
+  TM_TRY(runner, world::Runner::start(scene, runner_options));
+  const double ready_s = std::chrono::duration<double>(Clock::now() - begin).count();
+  TM_TRY(description, world::describe_backend(runner_options.backend));
+  const Clock::time_point end =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options.seconds));
+  double largest_force_n = 0;
+  std::thread watcher([&] {
+    while (Clock::now() < end) {
+      const v1::SceneStatus status = runner->status();
+      for (const v1::ToolFeedback& tool : status.tools()) {
+        const v1::Vector3& f = tool.force_n();
+        largest_force_n = std::max(largest_force_n, std::sqrt(f.x() * f.x() + f.y() * f.y() + f.z() * f.z()));
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+  });
+  if (scene.tools_size() > 0 && options.press.size() == 3) press_and_lift(*runner, scene.tools(0), options, end);
+  watcher.join();
+  const v1::SceneStatus status = runner->status();
+  return fmt::format(
+      R"({{"case":"real time: {}","backend":"{}","device":"{}","commit":"{}","command":"{}","tetrahedra":{},"dt_ms":{:.4f},)"
+      R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"step_ms_median":{:.4f},)"
+      R"("step_ms_p99":{:.4f},"step_ms_max":{:.4f},"cg_iterations_last":{},"largest_force_n":{:.3f},"ready_s":{:.3f},"fault":"{}"}})",
+      scene.name(), description.backend, description.device, commit, command,
+      runner->report().bodies(0).element_count(), scene.stepping().dt_s() * 1e3, status.target_rate_hz(),
+      status.reached_rate_hz(), status.step(), status.missed_deadlines(), status.step_time_p50_s() * 1e3,
+      status.step_time_p99_s() * 1e3, status.step_time_max_s() * 1e3, status.cg_iterations(), largest_force_n, ready_s,
+      status.fault());
+}
+
 std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
   return fmt::format(
       R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","tetrahedra":{},"nodes":{},"patches":{},)"
@@ -127,9 +202,26 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "written into the results");
   app.add_option("--json", output, "append one JSON line a case to this file");
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
+  RealTime real_time;
+  app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+  app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
+  app.add_option("--seconds", real_time.seconds, "with --scene")->check(CLI::Range(0.1, 3600.0));
+  app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
   CLI11_PARSE(app, argc, argv);
   std::string command = "tensormass-bench";
   for (int i = 1; i < argc; ++i) command += std::string(" ") + argv[i];
+
+  if (!real_time.scene_file.empty()) {
+    const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
+    const auto line = run_in_real_time(real_time, {choice, threads}, commit, command);
+    if (!line) {
+      std::fprintf(stderr, "%s\n", line.error().message.c_str());
+      return line.error().code == ErrorCode::kUnavailable ? 77 : 1;
+    }
+    std::printf("%s\n", line->c_str());
+    if (!output.empty()) std::ofstream(output, std::ios::app) << *line << '\n';
+    return 0;
+  }
 
   std::unique_ptr<backend::Backend> backend;
   double bandwidth = 0;

@@ -110,7 +110,7 @@ template <class Shape>
 Eigen::MatrixXd stiffness(const ElementTensors<Shape, double>& tensors) {
   Eigen::MatrixXd out(3 * Shape::kNodes, 3 * Shape::kNodes);
   for (int k = 0; k < Shape::kNodes; ++k) {
-    out.block<3, 3>(3 * k, 3 * k) = tensors.vertex_stiffness[k];
+    out.block<3, 3>(3 * k, 3 * k) = vertex_stiffness(tensors, k);
     for (int l = k + 1; l < Shape::kNodes; ++l) {
       const Mat3<double>& edge = tensors.edge_stiffness[pair_index(Shape::kNodes, k, l)];
       out.block<3, 3>(3 * k, 3 * l) = edge;

@@ -72,7 +72,7 @@ inline DenseSystem dense_system(const v1::Scene& scene, const Eigen::VectorXd& u
         const Eigen::Index row = 3 * (first + nodes[k]);
         out.force.segment<3>(row) += tensors.force[k];
         out.mass.segment<3>(row).array() += body.density_kg_per_m3() * rest[0][9] / 4;
-        out.k.block<3, 3>(row, row) += tensors.vertex_stiffness[k];
+        out.k.block<3, 3>(row, row) += physics::vertex_stiffness(tensors, k);
         for (std::size_t l = k + 1; l < 4; ++l) {
           const Eigen::Index column = 3 * (first + nodes[l]);
           const Mat3<double>& edge =

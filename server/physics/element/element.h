@@ -7,7 +7,8 @@
 ///   F = I + Σ_k U_k ⊗ a_k      f_k = −Σ_q w_q P(F) a_k      K_kl = Σ_q w_q a_k : ∂P/∂F : a_l
 ///
 /// with a_k = ∇N_k at rest and U_k the displacement of node k (Faure, Zara, Jaillet, Moreau 2012; for one quadrature
-/// point and Hooke's law this is Cotin's tensor).
+/// point and Hooke's law this is Cotin's tensor). The gradients sum to zero, so K_kk = −Σ_l K_kl: only the edge tensors
+/// are computed and stored, and a node's vertex tensor is minus the sum of its edges.
 namespace tensormass::physics {
 
 /// Index of K_kl, k < l, among the pairs of an element with `nodes` nodes: rows of the upper triangle one by one.
@@ -19,9 +20,19 @@ inline constexpr int kPairs = Nodes*(Nodes - 1) / 2;
 template <class Shape, class T>
 struct ElementTensors {
   Vec3<T> force[Shape::kNodes];                   // f_k [N]
-  Mat3<T> vertex_stiffness[Shape::kNodes];        // K_kk [N/m]
   Mat3<T> edge_stiffness[kPairs<Shape::kNodes>];  // K_kl, k < l [N/m]; K_lk is its transpose
 };
+
+/// K_kk [N/m].
+template <class Shape, class T>
+TM_HOST_DEVICE Mat3<T> vertex_stiffness(const ElementTensors<Shape, T>& tensors, int k) {
+  Mat3<T> sum = Mat3<T>::Zero();
+  for (int l = 0; l < Shape::kNodes; ++l) {
+    if (l < k) sum -= tensors.edge_stiffness[pair_index(Shape::kNodes, l, k)].transpose();
+    if (l > k) sum -= tensors.edge_stiffness[pair_index(Shape::kNodes, k, l)];
+  }
+  return sum;
+}
 
 template <class T, int Nodes>
 TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[Nodes], const Vec3<T> (&a)[Nodes]) {
@@ -64,9 +75,7 @@ TM_HOST_DEVICE ElementTensors<Shape, T> element_tensors(const Vec3<T> (&displace
     const Mat3<T> stress = Law::stress(point);
     for (int k = 0; k < Shape::kNodes; ++k) {
       const Vec3<T> f = stress * a[k] * (-weight);
-      const Mat3<T> vertex = Law::stiffness(point, a[k], a[k]) * weight;
       out.force[k] = q == 0 ? f : Vec3<T>(out.force[k] + f);
-      out.vertex_stiffness[k] = q == 0 ? vertex : Mat3<T>(out.vertex_stiffness[k] + vertex);
       for (int l = k + 1; l < Shape::kNodes; ++l) {
         Mat3<T>& slot = out.edge_stiffness[pair_index(Shape::kNodes, k, l)];
         const Mat3<T> edge = Law::stiffness(point, a[k], a[l]) * weight;

@@ -1,0 +1,123 @@
+#include "tensor/assembly.h"
+
+#include <gtest/gtest.h>
+
+#include "mesh/random_mesh.h"
+#include "mesh/surface.h"
+#include "support/dense_system.h"
+#include "support/staged_scene.h"
+
+/// The system that the stages assemble is the one that the definitions say, on any mesh, for any number of patches.
+namespace tensormass::tensor {
+namespace {
+
+using model::StageKind;
+using tests::StagedScene;
+
+struct Case {
+  const char* name;
+  bool hooke, st_venant_kirchhoff;
+};
+
+class Assembly : public testing::TestWithParam<std::tuple<Case, std::uint32_t>> {
+ protected:
+  const Case& laws() const { return std::get<0>(GetParam()); }
+  std::uint32_t patches() const { return std::get<1>(GetParam()); }
+
+  /// One body for each law, with damping and gravity, of different meshes.
+  v1::Scene scene() const {
+    v1::Scene out;
+    std::uint32_t seed = 1;
+    for (const bool linear : {true, false}) {
+      if (!(linear ? laws().hooke : laws().st_venant_kirchhoff)) continue;
+      v1::Scene one = tests::packed_scene(mesh::testing::random_mesh(seed++, 3, 0.8), linear);
+      v1::Body& body = *one.mutable_bodies(0);
+      body.set_name(linear ? "linear" : "nonlinear");
+      body.set_rayleigh_mass_per_s(linear ? 0.7 : 0.2);
+      body.set_rayleigh_stiffness_s(linear ? 0.01 : 0.03);
+      body.set_density_kg_per_m3(linear ? 900 : 1100);
+      if (out.bodies().empty()) {
+        out = one;
+      } else {
+        *out.add_bodies() = body;
+      }
+    }
+    tests::set(*out.mutable_gravity_m_per_s2(), 1, -9.81, 2);
+    return out;
+  }
+};
+
+TEST_P(Assembly, EqualsTheBruteForceSystem) {
+  const v1::Scene source = scene();
+  StagedScene<double> staged(source, patches());
+  ASSERT_EQ(staged.view.patch_count, patches());
+  const Eigen::Index size = 3 * staged.node_count();
+  const Eigen::VectorXd u = tests::random_field(size, 0.03, 1), v = tests::random_field(size, 0.5, 2);
+  staged.put(staged.view.displacement, u);
+  staged.put(staged.view.velocity, v);
+  // Twice: what a step leaves behind must not reach the next.
+  for (int round = 0; round < 2; ++round) {
+    staged.run_through(StageKind::kExternalForces);
+    const tests::DenseSystem expected = tests::dense_system(source, u);
+    const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
+    const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
+    EXPECT_LT((staged.matrix() - a).norm(), 1e-13 * a.norm());
+    EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-12 * b.norm());
+  }
+}
+
+TEST_P(Assembly, PaddingRowsStayOut) {
+  StagedScene<double> staged(scene(), patches());
+  staged.put(staged.view.displacement, tests::random_field(3 * staged.node_count(), 0.03, 3));
+  staged.step();
+  for (std::uint32_t row = 0; row < staged.view.row_count; ++row) {
+    if (staged.model.layout.node_of_row[row] != mesh::kNone) continue;
+    for (const double* field :
+         {staged.view.rhs, staged.view.velocity, staged.view.displacement, staged.view.solution}) {
+      EXPECT_EQ(tensor::load3<double>(field, row), (Vec3<double>(Vec3<double>::Zero())));
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(LawsAndPatches, Assembly,
+                         testing::Combine(testing::Values(Case{"hooke", true, false}, Case{"stvk", false, true},
+                                                          Case{"both", true, true}),
+                                          testing::Values(1u, 2u, 5u)),
+                         [](const auto& one) {
+                           return std::string(std::get<0>(one.param).name) + "_" +
+                                  std::to_string(std::get<1>(one.param));
+                         });
+
+/// The patch test: an affine displacement strains every element alike, so that no force is left inside.
+class PatchTest : public testing::TestWithParam<bool> {};
+
+TEST_P(PatchTest, AffineDisplacementLeavesNoForceInside) {
+  const mesh::Mesh mesh = mesh::testing::random_mesh(4, 5, 1.0);  // all elements: a box with moved nodes
+  const v1::Scene scene = tests::packed_scene(mesh, GetParam());
+  StagedScene<double> staged(scene, 3);
+  const Mat3<double> gradient = Mat3<double>::Random() * 0.05;
+  Eigen::VectorXd u(3 * staged.node_count());
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    u.segment<3>(3 * node) = gradient * mesh.nodes[node] + Vec3<double>(0.1, 0.2, -0.3);
+  }
+  staged.put(staged.view.displacement, u);
+  staged.run_through(StageKind::kAssemble);
+
+  const mesh::Surface surface = mesh::boundary(mesh);
+  std::vector<bool> outside(mesh.nodes.size(), false);
+  for (const std::uint32_t node : surface.nodes) outside[node] = true;
+  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.dt_s;
+  double inside_largest = 0, outside_largest = 0;
+  for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+    double& largest = outside[node] ? outside_largest : inside_largest;
+    largest = std::max(largest, force.segment<3>(3 * node).norm());
+  }
+  EXPECT_GT(outside_largest, 1) << "newtons hold the boundary in place";
+  EXPECT_LT(inside_largest, 1e-11 * outside_largest);
+}
+
+INSTANTIATE_TEST_SUITE_P(Laws, PatchTest, testing::Bool(),
+                         [](const auto& one) { return std::string(one.param ? "hooke" : "stvk"); });
+
+}  // namespace
+}  // namespace tensormass::tensor

@@ -1,0 +1,209 @@
+#include "tensor/layout.h"
+
+#include <algorithm>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "mesh/random_mesh.h"
+#include "mesh/shapes.h"
+
+/// The invariants of tensor/view.h, against the mesh itself.
+namespace tensormass::tensor {
+namespace {
+
+/// Neighbours by brute force: two nodes of one element.
+std::vector<std::set<std::uint32_t>> neighbours_of(const mesh::Mesh& mesh) {
+  std::vector<std::set<std::uint32_t>> out(mesh.nodes.size());
+  mesh::for_each_element(mesh, [&](std::uint32_t, const mesh::Topology&, std::span<const std::uint32_t> nodes) {
+    for (const std::uint32_t a : nodes) {
+      for (const std::uint32_t b : nodes) {
+        if (a != b) out[a].insert(b);
+      }
+    }
+  });
+  return out;
+}
+
+std::uint32_t slice_width(const Layout& layout, std::uint32_t row) {
+  return layout.slice_begin[row / kSliceRows + 1] - layout.slice_begin[row / kSliceRows];
+}
+std::uint32_t slot_at(const Layout& layout, std::uint32_t row, std::uint32_t j) {
+  return (layout.slice_begin[row / kSliceRows] + j) * kSliceRows + row % kSliceRows;
+}
+
+void check_rows(const mesh::Mesh& mesh, const Layout& layout) {
+  ASSERT_EQ(layout.patch_rows.size(), layout.patch_count + 1);
+  ASSERT_EQ(layout.patch_rows.front(), 0u);
+  ASSERT_EQ(layout.patch_rows.back(), layout.row_count);
+  ASSERT_EQ(layout.node_of_row.size(), layout.row_count);
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    EXPECT_EQ(layout.patch_rows[patch] % kSliceRows, 0u);
+    EXPECT_LT(layout.patch_rows[patch], layout.patch_rows[patch + 1]);
+    bool padding = false;
+    for (std::uint32_t row = layout.patch_rows[patch]; row < layout.patch_rows[patch + 1]; ++row) {
+      EXPECT_EQ(layout.patch_of_row(row), patch);
+      padding = padding || layout.node_of_row[row] == mesh::kNone;
+      EXPECT_EQ(padding, layout.node_of_row[row] == mesh::kNone) << "padding comes last in its patch";
+    }
+  }
+  std::uint32_t filled = 0;
+  for (std::uint32_t node = 0; node < mesh.nodes.size(); ++node) {
+    ASSERT_LT(layout.row_of_node[node], layout.row_count);
+    ASSERT_EQ(layout.node_of_row[layout.row_of_node[node]], node);
+  }
+  for (const std::uint32_t node : layout.node_of_row) filled += node != mesh::kNone ? 1 : 0;
+  EXPECT_EQ(filled, mesh.nodes.size()) << "each node has one row";
+}
+
+void check_slots(const mesh::Mesh& mesh, const Layout& layout) {
+  const auto neighbours = neighbours_of(mesh);
+  ASSERT_EQ(layout.slice_begin.size(), layout.row_count / kSliceRows + 1);
+  ASSERT_EQ(layout.slot_count(), layout.slice_begin.back() * kSliceRows);
+  ASSERT_EQ(layout.neighbour_rows.size(), layout.columns.size());
+  for (std::uint32_t row = 0; row < layout.row_count; ++row) {
+    const std::uint32_t patch = layout.patch_of_row(row);
+    const std::uint32_t begin = layout.patch_rows[patch], own = layout.patch_rows[patch + 1] - begin;
+    const std::uint32_t node = layout.node_of_row[row];
+    std::set<std::uint32_t> found;
+    for (std::uint32_t j = 0; j < slice_width(layout, row); ++j) {
+      const std::uint32_t slot = slot_at(layout, row, j), column = layout.columns[slot];
+      const std::uint32_t halo = layout.patch_halo[patch + 1] - layout.patch_halo[patch];
+      ASSERT_LT(column, own + halo);
+      const std::uint32_t other = column < own ? begin + column : layout.halo[layout.patch_halo[patch] + column - own];
+      if (layout.neighbour_rows[slot] == mesh::kNone) {
+        EXPECT_EQ(other, row) << "a padding slot names its own row";
+        continue;
+      }
+      EXPECT_EQ(other, layout.neighbour_rows[slot]) << "the patch-local column is that row";
+      EXPECT_TRUE(found.insert(layout.node_of_row[other]).second) << "no neighbour twice";
+      EXPECT_EQ(layout.slot(row, other), slot);
+    }
+    EXPECT_EQ(found, node == mesh::kNone ? std::set<std::uint32_t>{} : neighbours[node]) << "row " << row;
+  }
+  for (std::uint32_t slice = 0; slice < layout.row_count / kSliceRows; ++slice) {
+    std::size_t longest = 0;
+    for (std::uint32_t row = slice * kSliceRows; row < (slice + 1) * kSliceRows; ++row) {
+      const std::uint32_t node = layout.node_of_row[row];
+      if (node != mesh::kNone) longest = std::max(longest, neighbours[node].size());
+    }
+    EXPECT_EQ(slice_width(layout, slice * kSliceRows), longest) << "a slice is as wide as its longest row";
+  }
+}
+
+void check_halo(const mesh::Mesh& mesh, const Layout& layout) {
+  const auto neighbours = neighbours_of(mesh);
+  ASSERT_EQ(layout.patch_halo.size(), layout.patch_count + 1);
+  ASSERT_EQ(layout.patch_halo.back(), layout.halo.size());
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    std::set<std::uint32_t> expected;
+    for (std::uint32_t row = layout.patch_rows[patch]; row < layout.patch_rows[patch + 1]; ++row) {
+      if (layout.node_of_row[row] == mesh::kNone) continue;
+      for (const std::uint32_t node : neighbours[layout.node_of_row[row]]) {
+        const std::uint32_t other = layout.row_of_node[node];
+        if (layout.patch_of_row(other) != patch) expected.insert(other);
+      }
+    }
+    const std::vector<std::uint32_t> halo(layout.halo.begin() + layout.patch_halo[patch],
+                                          layout.halo.begin() + layout.patch_halo[patch + 1]);
+    EXPECT_EQ(halo, std::vector<std::uint32_t>(expected.begin(), expected.end())) << "ascending, and nothing else";
+  }
+}
+
+void check(const mesh::Mesh& mesh, std::uint32_t patches) {
+  SCOPED_TRACE(testing::Message() << mesh.nodes.size() << " nodes, " << patches << " patches");
+  const Layout layout = make_layout(mesh, patches);
+  ASSERT_EQ(layout.patch_count, patches);
+  check_rows(mesh, layout);
+  check_slots(mesh, layout);
+  check_halo(mesh, layout);
+}
+
+TEST(Layout, HoldsItsInvariantsOnGrids) {
+  for (const std::uint32_t cells : {1u, 3u, 8u}) {
+    for (const std::uint32_t patches : {1u, 2u, 3u, 7u}) check(mesh::testing::unit_grid(cells), patches);
+  }
+}
+
+TEST(Layout, HoldsItsInvariantsOnMeshesWithoutAnyRegularity) {
+  for (std::uint32_t seed = 0; seed < 6; ++seed) {
+    for (const std::uint32_t patches : {1u, 2u, 5u, 16u}) check(mesh::testing::random_mesh(seed, 6, 0.5), patches);
+  }
+}
+
+TEST(Layout, MorePatchesThanNodesLeavesPatchesOfPaddingAlone) { check(mesh::testing::unit_grid(1), 12); }
+
+TEST(Layout, OnePatchHasNoHalo) { EXPECT_TRUE(make_layout(mesh::testing::unit_grid(4), 1).halo.empty()); }
+
+TEST(Layout, IsTheSameForTheSameMesh) {
+  const mesh::Mesh mesh = mesh::testing::random_mesh(5, 6, 0.6);
+  const Layout a = make_layout(mesh, 4), b = make_layout(mesh, 4);
+  EXPECT_EQ(a.row_of_node, b.row_of_node);
+  EXPECT_EQ(a.columns, b.columns);
+}
+
+/// Each element's record is found once a node and twice a pair, by the rows and slots that it belongs to.
+TEST(GatherMap, EveryRecordIsFoundByItsRowsAndSlotsAndByNoOther) {
+  const mesh::Mesh mesh = mesh::testing::random_mesh(2, 5, 0.6);
+  const Layout layout = make_layout(mesh, 3);
+  const auto elements = mesh::element_nodes(mesh);
+  const auto count = static_cast<std::uint32_t>(elements.size());
+  const std::uint32_t stride = (count + kSliceRows - 1) / kSliceRows * kSliceRows, first = 416;
+  std::vector<std::uint32_t> rows(4 * std::size_t{stride}, 0);
+  for (std::uint32_t e = 0; e < count; ++e) {
+    for (std::uint32_t k = 0; k < 4; ++k) rows[k * stride + e] = layout.row_of_node[elements[e][k]];
+  }
+  const ElementRows group{4, count, stride, rows, first};
+  const GatherMap map = make_gather_map(layout, {&group, 1});
+  ASSERT_EQ(map.force_begin.size(), layout.row_count + 1u);
+  ASSERT_EQ(map.edge_begin.size(), 2 * layout.slot_count() + 1u);
+
+  using List = std::multiset<std::pair<std::uint32_t, std::uint32_t>>;  // (list, offset)
+  const auto unfold = [](const std::vector<std::uint32_t>& begin, const std::vector<std::uint32_t>& items) {
+    List out;
+    for (std::uint32_t list = 0; list + 1 < begin.size(); ++list) {
+      for (std::uint32_t i = begin[list]; i < begin[list + 1]; ++i) {
+        out.emplace(list, items[i]);
+        EXPECT_TRUE(i == begin[list] || items[i - 1] < items[i]) << "summed in the order of the elements";
+      }
+    }
+    return out;
+  };
+  List forces, edges;
+  for (std::uint32_t e = 0; e < count; ++e) {
+    const std::uint32_t record = first + e * record_reals(4);
+    std::uint32_t pair = 0;
+    for (std::uint32_t k = 0; k < 4; ++k) {
+      const std::uint32_t row_k = layout.row_of_node[elements[e][k]];
+      forces.emplace(row_k, record + force_offset(k));
+      for (std::uint32_t l = k + 1; l < 4; ++l, ++pair) {
+        const std::uint32_t row_l = layout.row_of_node[elements[e][l]];
+        edges.emplace(2 * layout.slot(row_k, row_l), record + edge_offset(4, pair));
+        edges.emplace(2 * layout.slot(row_l, row_k) + 1, record + edge_offset(4, pair));  // transposed
+      }
+    }
+  }
+  EXPECT_EQ(unfold(map.force_begin, map.force), forces);
+  EXPECT_EQ(unfold(map.edge_begin, map.edge), edges);
+}
+
+TEST(Records, DoNotOverlapAndFillVectorRegisters) {
+  for (const std::uint32_t nodes : {4u, 6u, 8u, 10u}) {
+    EXPECT_EQ(record_reals(nodes) % 8, 0u);
+    EXPECT_LE(force_offset(nodes - 1) + 3, edge_offset(nodes, 0));
+    EXPECT_LE(edge_offset(nodes, nodes * (nodes - 1) / 2 - 1) + 9, record_reals(nodes));
+  }
+}
+
+TEST(Blocks, ComeBackAsTheyWereStored) {
+  std::vector<float> blocks(9 * 3 * kSliceRows, 0);
+  for (const std::size_t slot : {0u, 31u, 32u, 95u}) {
+    const Mat3<float> m = Mat3<float>::Random();
+    store_block<float>(blocks.data(), slot, m);
+    EXPECT_EQ(load_block<float>(blocks.data(), slot), m);
+  }
+  EXPECT_EQ((load_block<float>(blocks.data(), 1)), (Mat3<float>(Mat3<float>::Zero()))) << "a neighbour is untouched";
+}
+
+}  // namespace
+}  // namespace tensormass::tensor
