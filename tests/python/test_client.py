@@ -155,16 +155,12 @@ def daemon(loop: Callable[[Coroutine[Any, Any, Any]], Any]) -> Iterator[FakeDaem
     loop(context.__aexit__(None, None, None))
 
 
-def test_frames_start_with_the_present_skip_to_the_newest_and_count_the_lost(
+def test_frames_start_with_the_present_and_go_on_over_the_bus(
     daemon: FakeDaemon, loop: Callable[[Coroutine[Any, Any, Any]], Any]
 ) -> None:
     topology = triangle_topology("s", vertex_count=4)
     daemon.topologies["s"] = topology
     daemon.frames["s"] = frame_of(topology, 1)
-
-    def publish(frame: stream_pb2.Frame) -> None:
-        loop(daemon.publish("s", "frame", frame.SerializeToString()))
-
     with tm.connect(daemon.control) as server:
         scene = tm.SceneHandle(server, "s", None)
         with scene.frames(timeout_s=DEADLINE_S) as frames:
@@ -173,27 +169,41 @@ def test_frames_start_with_the_present_skip_to_the_newest_and_count_the_lost(
             assert first.sequence == 1
             np.testing.assert_array_equal(first.vertices("fan"), np.full((4, 3), 1, np.float32))
             assert first.tools["probe"].force_n[2] == 1.0
-            publish(frame_of(topology, 1))  # the same again is not news
-            publish(frame_of(topology, 5))
+            loop(daemon.publish("s", "frame", frame_of(topology, 5).SerializeToString()))
             assert next(frames).sequence == 5
-            assert frames.dropped_count == 3
-            # A new topology is fetched before its first frame is handed out; counting starts again.
-            changed = triangle_topology("s", version=2, vertex_count=6)
-            daemon.topologies["s"] = changed
-            publish(frame_of(changed, 9))
-            frame = next(frames)
-            assert frame.vertices("fan").shape == (6, 3)
-            assert frames.dropped_count == 3
-            # What was under way from the old one is passed over.
-            publish(frame_of(topology, 10))
-            publish(frame_of(changed, 11))
-            assert next(frames).sequence == 11
-        daemon.frames["s"] = frame_of(changed, 12)
+        loop(daemon.wait_subscribed("s", "frame", count=0))
         vertices, triangles = scene.surface("fan")
-        assert (vertices.dtype, vertices.shape) == (np.float64, (6, 3))
-        assert triangles.shape == (4, 3)
+        assert (vertices.dtype, vertices.shape) == (np.float64, (4, 3))
+        np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3]])
         with pytest.raises(tm.InvalidArgumentError, match="has no body 'spleen'; it has: fan"):
             scene.surface("spleen")
+
+
+class Script:
+    """A subscription that hands out what is written in it."""
+
+    def __init__(self, frames: list[stream_pb2.Frame]) -> None:
+        self.frames = frames
+
+    def receive(self, timeout_s: float) -> stream_pb2.Frame:
+        return self.frames.pop(0)
+
+
+def test_frames_that_are_no_news_are_passed_over_and_lost_ones_counted(daemon: FakeDaemon) -> None:
+    old, new = triangle_topology("s", vertex_count=4), triangle_topology("s", version=2, vertex_count=6)
+    daemon.topologies["s"] = old
+    daemon.frames["s"] = frame_of(old, 1)
+    script = Script([frame_of(old, 1), frame_of(old, 5), frame_of(new, 9), frame_of(old, 10), frame_of(new, 11)])
+    with tm.connect(daemon.control) as server:
+        frames = tm.FrameStream(tm.SceneHandle(server, "s", None), script, DEADLINE_S)  # type: ignore[arg-type]
+        assert next(frames).sequence == 1
+        assert next(frames).sequence == 5  # the same frame again is not news
+        assert frames.dropped_count == 3
+        daemon.topologies["s"] = new
+        frame = next(frames)  # counting starts again with a topology
+        assert (frame.sequence, frame.vertices("fan").shape, frames.dropped_count) == (9, (6, 3), 3)
+        assert next(frames).sequence == 11  # what was under way from the old one is passed over
+        assert frames.dropped_count == 4
 
 
 def test_a_frame_that_does_not_fit_its_topology_is_refused(daemon: FakeDaemon) -> None:

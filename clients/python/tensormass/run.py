@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tensormass import gateway
 from tensormass.client import SceneHandle, Server, launch
-from tensormass.errors import UnavailableError
+from tensormass.errors import InvalidArgumentError, UnavailableError
 from tensormass.output import print_json, report_text, status_line, to_plain
 from tensormass.processes import ChildProcess, find_program
 from tensormass.scene import Scene
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--haptic-transport", choices=("zeromq", "zenoh"), default="zeromq", help="default: %(default)s"
     )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
     parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
     parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
     parser.add_argument("--seconds", type=float, metavar="T", help="end by itself after so long")
@@ -49,6 +50,11 @@ def run(args: argparse.Namespace) -> int:
     """Runs until told to end; 0 if everything ran and ended as it should."""
     # Read first: a mistake in the file is said before anything starts.
     scene = Scene.from_file(args.scene)
+    if args.rate is not None:
+        if not args.rate > 0:
+            raise InvalidArgumentError(f"--rate {args.rate:g}: must be positive")
+        scene.message.stepping.rate_hz = args.rate
+        scene.message.stepping.dt_s = 1 / args.rate
     return asyncio.run(_run(args, scene))
 
 
