@@ -208,8 +208,14 @@ int main(int argc, char** argv) {
   app.add_option("--seconds", real_time.seconds, "with --scene")->check(CLI::Range(0.1, 3600.0));
   app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
   CLI11_PARSE(app, argc, argv);
-  std::string command = "tensormass-bench";
-  for (int i = 1; i < argc; ++i) command += std::string(" ") + argv[i];
+  std::string command = "tensormass-bench";  // without where its results go
+  for (int i = 1; i < argc; ++i) {
+    if (std::string_view(argv[i]) == "--json") {
+      ++i;
+    } else {
+      command += std::string(" ") + argv[i];
+    }
+  }
 
   if (!real_time.scene_file.empty()) {
     const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
