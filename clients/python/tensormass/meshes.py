@@ -218,8 +218,9 @@ def _meshio_read(path: Path) -> meshio.Mesh:
         raise NotFoundError(f"{path}: no such file")
     said = io.StringIO()
     try:
-        # meshio ends the process on a file that it cannot read, after printing why.
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        # meshio ends the process on a file that it cannot read, after printing why; it tells ASCII from binary STL by
+        # a product that may overflow.
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), np.errstate(over="ignore"):
             return meshio.read(path)
     except (Exception, SystemExit) as error:
         reason = " ".join((said.getvalue() or str(error)).split())
