@@ -149,7 +149,7 @@ def _status(args: argparse.Namespace) -> int:
     print(f"zeromq {version.zeromq_publish_endpoint} {version.zeromq_pose_endpoint} | zenoh {version.zenoh_locator}")
     print(f"malformed messages: {version.malformed_messages}")
     for status in statuses:
-        print(status_line(status))
+        print(f"{status.scene}: {status_line(status)}")
     return 0
 
 

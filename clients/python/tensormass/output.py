@@ -41,21 +41,22 @@ def state_name(status: stream_pb2.SceneStatus) -> str:
 
 
 def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:
-    """A scene on one line."""
+    """How a scene is doing, on one line of a terminal."""
     missed = 100.0 * status.missed_deadlines / max(1, status.step)
     parts = [
-        f"{status.scene}: {state_name(status)}",
         f"{status.reached_rate_hz:.1f}/{status.target_rate_hz:g} Hz",
-        f"missed {status.missed_deadlines} ({missed:.2f} %)",
-        f"step {1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
+        f"missed {missed:.1f} %",
+        f"{1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
         f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
     ]
+    if status.state != stream_pb2.SceneStatus.STATE_RUNNING:
+        parts.insert(0, state_name(status))
     parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
     if client_count is not None:
         parts.append(f"clients {client_count}")
     if status.fault:
         parts.append(f"FAULT: {status.fault}")
-    return " | ".join(parts)
+    return "  ".join(parts)
 
 
 def force_n(feedback: stream_pb2.ToolFeedback) -> float:
