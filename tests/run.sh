@@ -32,7 +32,7 @@ skipped() {
     ctest) awk '/: Skipped$/ { getline; count[$0]++ } END { for (reason in count) print count[reason] ": " reason }' \
       "$build/Testing/Temporary/LastTest.log" ;;
     pytest) sed -nE 's/^SKIPPED (.*)/\1/p' "$logs/$1.log" ;;
-    *) ;;
+    *) sed -nE 's/^skipped: (.*)/\1/p' "$logs/$1.log" ;;
   esac
 }
 
