@@ -32,15 +32,7 @@ STATUS = stream_pb2.SceneStatus(
 
 @pytest.mark.parametrize(
     ("text", "length_m"),
-    [
-        ("8mm", 0.008),
-        ("0.8cm", 0.008),
-        ("0.8 cm", 0.008),
-        ("1dm", 0.1),
-        ("250um", 2.5e-4),
-        ("2", 2.0),
-        ("1e-3m", 1e-3),
-    ],
+    [("8mm", 0.008), ("0.8cm", 0.008), ("0.8 cm", 0.008), ("1dm", 0.1), ("250um", 2.5e-4), ("2", 2.0), ("1e-3m", 1e-3)],
 )
 def test_lengths_have_units(text: str, length_m: float) -> None:
     assert parse_length_m(text) == pytest.approx(length_m)
@@ -71,12 +63,7 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     assert json.loads(capsys.readouterr().out) == [{"scene": "demo", "state": "running", "step": 1200}]
     assert main(["status", "--server", server.address]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
-    for part in (
-        "demo: 60.0/60 Hz",
-        "missed 0.2 %",
-        "CG 23 to 8e-04",
-        "probe 5.00 N",
-    ):
+    for part in ("demo: 60.0/60 Hz", "missed 0.2 %", "CG 23 to 8e-04", "probe 5.00 N"):
         assert part in line
     assert main(["status", "--server", server.address, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
@@ -93,28 +80,12 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
         warnings=["body 'beam' has 2 components"],
     )
     fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(report=report)
-    command = [
-        "load",
-        "beam",
-        "--server",
-        server.address,
-        "--name",
-        "mine",
-        "--lockstep",
-    ]
+    command = ["load", "beam", "--server", server.address, "--name", "mine", "--lockstep"]
     assert main(command) == 0
     sent = fake.asked[-1].scene
     assert (sent.name, sent.stepping.lockstep) == ("mine", True)
     text = capsys.readouterr().out
-    for part in (
-        "123",
-        "assemble",
-        "12.3 MB",
-        "9,000",
-        "777 B",
-        "the scene has no tools",
-        "2 components",
-    ):
+    for part in ("123", "assemble", "12.3 MB", "9,000", "777 B", "the scene has no tools", "2 components"):
         assert part in text
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == to_plain(report)
@@ -125,10 +96,7 @@ def test_errors_are_said_and_counted_in_the_status(capsys: pytest.CaptureFixture
     assert main(["mesh", missing, "-o", str(tmp_path / "out.msh")]) == 1
     assert capsys.readouterr().err == f"tensormass: {missing}: no such file\n"
     assert main(["mesh", missing, "-o", str(tmp_path / "out.msh"), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out) == {
-        "error": f"{missing}: no such file",
-        "kind": "NotFoundError",
-    }
+    assert json.loads(capsys.readouterr().out) == {"error": f"{missing}: no such file", "kind": "NotFoundError"}
     with pytest.raises(SystemExit) as usage:
         main(["mesh"])
     assert usage.value.code == 2
@@ -150,22 +118,7 @@ def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.Capture
     source = tmp_path / "surface.ply"
     meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype(np.int32))]).write(source)
     output = tmp_path / "volume.msh"
-    assert (
-        main(
-            [
-                "mesh",
-                str(source),
-                "-o",
-                str(output),
-                "--edge",
-                "4cm",
-                "--unit",
-                "1mm",
-                "--json",
-            ]
-        )
-        == 0
-    )
+    assert main(["mesh", str(source), "-o", str(output), "--edge", "4cm", "--unit", "1mm", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["volume"] == pytest.approx(8 / 3 * 0.05**3, rel=0.02)
     assert report["mean_edge_length"] == pytest.approx(0.04, rel=0.6)

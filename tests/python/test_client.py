@@ -43,9 +43,7 @@ DEADLINE_S = 10.0
     ],
 )
 def test_every_code_is_an_exception_with_the_daemons_message(
-    recorder: tuple[Recorder, tm.Server],
-    code: grpc.StatusCode,
-    kind: type[tm.TensormassError],
+    recorder: tuple[Recorder, tm.Server], code: grpc.StatusCode, kind: type[tm.TensormassError]
 ) -> None:
     fake, server = recorder
     fake.failure = (code, "body 'liver': tetrahedron 7 is inverted; rewind it")
@@ -54,19 +52,13 @@ def test_every_code_is_an_exception_with_the_daemons_message(
     assert type(error.value) is kind
 
 
-def test_load_sends_the_scene_and_leaves_the_callers_alone(
-    recorder: tuple[Recorder, tm.Server],
-) -> None:
+def test_load_sends_the_scene_and_leaves_the_callers_alone(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
     fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(report=control_pb2.SceneReport(scene="other"))
     message = scene_pb2.Scene(name="mine", tools=[scene_pb2.Tool(name="probe")])
     handle = server.load(message, lockstep=True, name="other")
     sent = fake.asked[-1].scene
-    assert (sent.name, sent.stepping.lockstep, sent.tools[0].name) == (
-        "other",
-        True,
-        "probe",
-    )
+    assert (sent.name, sent.stepping.lockstep, sent.tools[0].name) == ("other", True, "probe")
     assert (message.name, message.HasField("stepping")) == ("mine", False)
     assert handle.name == "other"
     assert handle.report is not None
@@ -74,9 +66,7 @@ def test_load_sends_the_scene_and_leaves_the_callers_alone(
     assert fake.asked[-1].scene == message
 
 
-def test_positions_are_writable_doubles_by_node(
-    recorder: tuple[Recorder, tm.Server],
-) -> None:
+def test_positions_are_writable_doubles_by_node(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
     expected = np.arange(12, dtype="<f8").reshape(4, 3)
     fake.replies["GetStatus"] = control_pb2.GetStatusResponse()
@@ -88,14 +78,9 @@ def test_positions_are_writable_doubles_by_node(
     positions += 1.0
 
 
-def test_feedback_and_moves_carry_units_and_order(
-    recorder: tuple[Recorder, tm.Server],
-) -> None:
+def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
-    fake.replies |= {
-        "GetStatus": control_pb2.GetStatusResponse(),
-        "MoveTool": control_pb2.MoveToolResponse(),
-    }
+    fake.replies |= {"GetStatus": control_pb2.GetStatusResponse(), "MoveTool": control_pb2.MoveToolResponse()}
     fake.replies["GetFeedback"] = control_pb2.GetFeedbackResponse(
         feedback=stream_pb2.ToolFeedback(
             tool="probe",
@@ -111,12 +96,7 @@ def test_feedback_and_moves_carry_units_and_order(
     scene.move_tool("probe", (1, 2, 3))
     scene.move_tool("probe", np.array([1.0, 2.0, 4.0]), (0, 3, 0, 4))
     first, second = fake.asked[-2:]
-    assert (first.scene, first.tool, first.pose.sequence, second.pose.sequence) == (
-        "s",
-        "probe",
-        1,
-        2,
-    )
+    assert (first.scene, first.tool, first.pose.sequence, second.pose.sequence) == ("s", "probe", 1, 2)
     assert first.pose.client_id == second.pose.client_id
     assert second.pose.orientation == scene_pb2.Quaternion(x=0.6, z=0.8)
     feedback = scene.feedback("probe")
@@ -299,15 +279,10 @@ def test_a_stopped_child_is_ended_at_once() -> None:
 
 def test_launch_says_why_the_daemon_did_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failing = script(
-        tmp_path,
-        "tensormassd",
-        "import sys; print('no CUDA device answers', file=sys.stderr); sys.exit(3)",
+        tmp_path, "tensormassd", "import sys; print('no CUDA device answers', file=sys.stderr); sys.exit(3)"
     )
     monkeypatch.setenv("TENSORMASSD", str(failing))
-    with pytest.raises(
-        tm.UnavailableError,
-        match=r"ended with status 3; its log ends:\nno CUDA device answers",
-    ):
+    with pytest.raises(tm.UnavailableError, match=r"ended with status 3; its log ends:\nno CUDA device answers"):
         tm.launch(backend="cuda")
 
 
@@ -328,9 +303,7 @@ def test_launch_gives_up_on_a_daemon_that_is_never_ready(tmp_path: Path, monkeyp
     assert not is_running(int(pid_file.read_text()))
 
 
-def test_a_named_program_that_is_not_there_is_said(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_named_program_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent/tensormassd")
     with pytest.raises(tm.NotFoundError, match=r"\$TENSORMASSD names /nonexistent/tensormassd"):
         tm.launch()

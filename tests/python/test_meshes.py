@@ -50,9 +50,7 @@ def gmsh1_file(folder: Path, text: str) -> Path:
     return path
 
 
-def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(
-    tmp_path: Path,
-) -> None:
+def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(tmp_path: Path) -> None:
     mesh = meshes.read_mesh(gmsh1_file(tmp_path, GMSH1))
     np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
     np.testing.assert_array_equal(mesh.tetrahedra, [[0, 1, 2, 3], [1, 2, 3, 4]])
@@ -66,16 +64,8 @@ def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(
         ("50 1 1 1", "50 1 1", r"mesh\.msh:7: expected `id x y z`"),
         ("50 1 1 1", "50 1 1 1 1", r"mesh\.msh:7: expected `id x y z`"),
         ("50 1 1 1", "50 1 1 nan", r"nodes: row 4 is not finite"),
-        (
-            "3 4 1 1 4 20 30 40 50",
-            "3 5 1 1 8 10 20 30 40 50 10 20 30",
-            r"mesh\.msh:13: element 3 has type 5",
-        ),
-        (
-            "3 4 1 1 4 20",
-            "3 4 1 1 5 20",
-            r"mesh\.msh:13: element 3 announces 5 nodes and lists 4",
-        ),
+        ("3 4 1 1 4 20 30 40 50", "3 5 1 1 8 10 20 30 40 50 10 20 30", r"mesh\.msh:13: element 3 has type 5"),
+        ("3 4 1 1 4 20", "3 4 1 1 5 20", r"mesh\.msh:13: element 3 announces 5 nodes and lists 4"),
         ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: expected integers"),
         ("$ELM\n3", "$ELM\n4", r"section \$ELM announces 4 rows"),
         ("$NOD\n5", "$NOD\n-1", r"section \$NOD announces -1 rows"),
@@ -151,11 +141,7 @@ def enclosed_volume(surface: meshes.TriangleSurface) -> float:
 @pytest.mark.parametrize(
     ("nodes", "tetrahedra", "message"),
     [
-        (
-            [[0, 0, 0]] * 3,
-            [[0, 1, 2, 3]],
-            r"tetrahedra: row 0 is \[0, 1, 2, 3\], but indices run from 0 to 2",
-        ),
+        ([[0, 0, 0]] * 3, [[0, 1, 2, 3]], r"tetrahedra: row 0 is \[0, 1, 2, 3\], but indices run from 0 to 2"),
         ([[0, 0, 0]] * 4, [[0, 1, 2, -1]], "indices run from 0 to 3"),
         ([[0, 0, 0]] * 4, [[0.0, 1, 2, 3]], "expected integers"),
         ([[0, 0, 0]] * 4, [[0, 1, 2]], r"expected shape \[n, 4\]"),

@@ -70,32 +70,16 @@ def test_yaml_is_the_message_by_field_name() -> None:
             r"bodies\[0\]: Body has no field 'densty_kg_per_m3'; did you mean 'density_k",
         ),
         ("density_kg_per_m3", "densityKgPerM3", "did you mean 'density_kg_per_m3'"),
-        (
-            "{x: 1, y: 2, z: 3}",
-            "{x: 1, y: 2, w: 3}",
-            r"bodies\[0\]\.mesh\.grid\.size_m: Vector3 has no field 'w'",
-        ),
-        (
-            "{x: 1, y: 2, z: 3}",
-            "[1, 2, 3]",
-            r"bodies\[0\]\.mesh\.grid\.size_m: expected a mapping of Vector3's fields",
-        ),
+        ("{x: 1, y: 2, z: 3}", "{x: 1, y: 2, w: 3}", r"bodies\[0\]\.mesh\.grid\.size_m: Vector3 has no field 'w'"),
+        ("{x: 1, y: 2, z: 3}", "[1, 2, 3]", r"bodies\[0\]\.mesh\.grid\.size_m: expected a mapping of Vector3's fields"),
         ("{x: 1, y: 2, z: 3}", "", r"bodies\[0\]\.mesh\.grid\.size_m: has no value"),
-        (
-            "indices: [1, 2, 3]",
-            "indices: 7",
-            r"bodies\[0\]\.fixed\[0\]\.nodes\.indices: expected a list",
-        ),
+        ("indices: [1, 2, 3]", "indices: 7", r"bodies\[0\]\.fixed\[0\]\.nodes\.indices: expected a list"),
         ("indices: [1, 2, 3]", "indices: [1, -2]", "indices"),
         ("name: block", "name: [block]", "name: expected one value"),
         ("name: block", "name: 7", "name"),
         ("name: block", "name: block\nname: other", "'name' stands twice"),
         ("PRECISION_DOUBLE", "PRECISION_HALF", "PRECISION_HALF"),
-        (
-            "hooke: {",
-            "mooney: {",
-            r"bodies\[0\]\.law: Law has no field 'mooney'; known: hooke, st_venant_kirchhoff",
-        ),
+        ("hooke: {", "mooney: {", r"bodies\[0\]\.law: Law has no field 'mooney'; known: hooke, st_venant_kirchhoff"),
         ("cells_x: 4", "cells_x: 4.5", "cells_x"),
         ("cells_x: 4", "cells_x: many", "cells_x"),
         ("poisson_ratio: .4", "poisson_ratio: .nan", "poisson_ratio|hooke"),
@@ -137,10 +121,7 @@ def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
 def test_a_missing_mesh_is_named_with_its_body(tmp_path: Path) -> None:
     scene_file = tmp_path / "scene.yaml"
     scene_file.write_text("name: s\nbodies:\n- name: b\n  mesh: {file: none.msh}\n")
-    with pytest.raises(
-        tm.NotFoundError,
-        match=r"scene\.yaml: bodies\[0\]\.mesh\.file: .*none\.msh: no such file",
-    ):
+    with pytest.raises(tm.NotFoundError, match=r"scene\.yaml: bodies\[0\]\.mesh\.file: .*none\.msh: no such file"):
         tm.Scene.from_file(scene_file)
     with pytest.raises(tm.NotFoundError, match="nor a built-in scene"):
         tm.Scene.from_file("no_such_scene")
@@ -206,14 +187,8 @@ def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
         ({"fixed_nodes": [-1]}, "index -1"),
         ({"fixed_nodes": [0.5]}, "expected node indices or a mask"),
         ({"fixed_nodes": [True, False]}, r"a mask needs shape \[4\]"),
-        (
-            {"gravity_m_per_s2": (0, 0, np.nan)},
-            "gravity_m_per_s2: expected three finite numbers",
-        ),
-        (
-            {"gravity_m_per_s2": (0, 0)},
-            "gravity_m_per_s2: expected three finite numbers",
-        ),
+        ({"gravity_m_per_s2": (0, 0, np.nan)}, "gravity_m_per_s2: expected three finite numbers"),
+        ({"gravity_m_per_s2": (0, 0)}, "gravity_m_per_s2: expected three finite numbers"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:
