@@ -82,7 +82,8 @@ tsan: setup ## C++ tests under the thread sanitizer
 
 .PHONY: sanitized
 sanitized:
-	@cmake -S . -B build-$(NAME) -G Ninja -DTENSORMASS_CUDA=OFF -DTENSORMASS_SANITIZE=$(SANITIZE) --log-level=NOTICE
+	@cmake -S . -B build-$(NAME) -G Ninja -DTENSORMASS_CUDA=OFF -DTENSORMASS_SANITIZE=$(SANITIZE) --log-level=NOTICE \
+	  -DTENSORMASS_CARGO_TARGET_DIR=$(CURDIR)/$(BUILD)/server/bus/zenoh/cargo
 	@ninja -C build-$(NAME) -j $(JOBS)
 	@ctest --test-dir build-$(NAME) --output-on-failure
 
