@@ -115,7 +115,9 @@ async def main() -> None:
     parser.add_argument("viewer", type=Path, help="folder of the built viewer")
     stack = Stack(parser.parse_args().viewer)
     try:
-        options = GatewayOptions(control=stack.server.address, viewer=stack.viewer, poll_interval_s=0.2, allow_poses=True)
+        options = GatewayOptions(
+            control=stack.server.address, viewer=stack.viewer, poll_interval_s=0.2, allow_poses=True
+        )
         async with serve(options) as gateway:
             answer({"url": gateway.url})
             while line := await asyncio.to_thread(sys.stdin.readline):

@@ -10,7 +10,7 @@ if (absent.length > 0) {
 
 const PRESS_DEPTH_M = 0.015;
 /** Around the probe, and beyond where its dent is felt [CSS pixels]. */
-const NEAR_PX = 45;
+const NEAR_PX = 35;
 const FAR_PX = 230;
 
 describe.skipIf(absent.length > 0)("viewer", () => {

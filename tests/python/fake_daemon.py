@@ -65,7 +65,7 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self.server = server
         self.topologies: dict[str, stream_pb2.Topology] = {}
         self.frames: dict[str, stream_pb2.Frame] = {}
-        self.topology_calls = 0
+        self.publishes = True
         self._subscriptions: dict[bytes, int] = {}
         self._changed = asyncio.Condition()
         self._context = zmq.asyncio.Context()
@@ -124,7 +124,7 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
             version="0.0.0",
             server=self.server,
             backend="fake",
-            zeromq_publish_endpoint=f"tcp://127.0.0.1:{self.endpoints.publish}",
+            zeromq_publish_endpoint=f"tcp://127.0.0.1:{self.endpoints.publish}" if self.publishes else "",
             zeromq_pose_endpoint=f"tcp://127.0.0.1:{self.endpoints.pose}",
         )
 
@@ -141,7 +141,6 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
     async def GetTopology(  # noqa: N802
         self, request: control_pb2.GetTopologyRequest, context: Call
     ) -> control_pb2.GetTopologyResponse:
-        self.topology_calls += 1
         if request.scene not in self.topologies:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no scene {request.scene!r}")
         return control_pb2.GetTopologyResponse(topology=self.topologies[request.scene])

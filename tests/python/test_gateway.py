@@ -20,7 +20,8 @@ import aiohttp
 import pytest
 from fake_daemon import Endpoints, FakeDaemon, fake_daemon, frame_of, triangle_topology
 
-from tensormass.gateway import Gateway, GatewayOptions, Outbox, ProtocolError, Stream, add_arguments, serve
+from tensormass.feeds import Outbox, ProtocolError, Stream
+from tensormass.gateway import Gateway, GatewayOptions, add_arguments, serve
 from tensormass.v1 import stream_pb2
 
 DEADLINE_S = 20.0
@@ -127,7 +128,7 @@ async def browse(gateway: Gateway, scene: str | None = None) -> AsyncIterator[Pa
         session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=origin(gateway)) as socket,
     ):
         page = Page(socket)
-        await page.text(lambda message: message["type"] == "daemon" and message["connected"] is True)
+        await page.text(lambda message: message["type"] == "daemon" and not message["problem"])
         if scene is not None:
             await page.send(type="watch", scene=scene)
         yield page
@@ -229,7 +230,7 @@ async def test_named_origin_is_let_in(viewer: Path) -> None:
         aiohttp.ClientSession() as session,
         session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=named) as socket,
     ):
-        assert (await socket.receive_json())["connected"] is False
+        assert "no daemon" in (await socket.receive_json())["problem"]
 
 
 @asynchronous
@@ -340,7 +341,7 @@ async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
         load(daemon)
         told = await page.text(lambda message: message["type"] == "daemon" and bool(message["scenes"]))
-        assert told["scenes"] == [{"name": "liver", "state": "running"}]
+        assert told["scenes"] == ["liver"]
         del daemon.topologies["liver"]
         await page.text(lambda message: message["type"] == "daemon" and not message["scenes"])
 
@@ -378,6 +379,14 @@ async def test_streams_that_nobody_watches_are_not_received(viewer: Path) -> Non
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 
+@asynchronous
+async def test_daemon_without_zeromq_is_told(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        daemon.publishes = False
+        told = await page.text(lambda message: message["type"] == "daemon" and bool(message["problem"]))
+        assert "--zeromq-publish" in told["problem"]
+
+
 @pytest.mark.parametrize("same_ports", [True, False])
 @asynchronous
 async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -> None:
@@ -393,13 +402,14 @@ async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -
             await page.take(Stream.FRAME)
             await page.send(type="pose", tool="probe", position_m=[0, 0, 0])
             await first.next_pose()
-        await page.text(lambda message: message["type"] == "daemon" and not message["connected"])
+        lost = await page.text(lambda message: message["type"] == "daemon" and bool(message["problem"]))
+        assert f"no daemon answers on 127.0.0.1:{endpoints.control}" in lost["problem"]
 
         again = endpoints if same_ports else Endpoints(control=endpoints.control)
         second = await stack.enter_async_context(fake_daemon(again))
         topology = load(second, vertex_count=9)
         told = await page.text(lambda message: message["type"] == "daemon" and bool(message["scenes"]))
-        assert told["connected"] is True
+        assert told["problem"] == ""
         assert stream_pb2.Topology.FromString(await page.take(Stream.TOPOLOGY)) == topology
         await second.wait_subscribed("liver", "frame")
         sent = await publish(second, topology, 1)

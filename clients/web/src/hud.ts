@@ -46,15 +46,11 @@ export class Hud {
   }
 
   showScenes(daemon: DaemonState, chosen: string | null): void {
-    const names = daemon.scenes.map((scene) => scene.name);
-    if (chosen !== null && !names.includes(chosen)) {
-      names.unshift(chosen);
-    }
+    const names = chosen === null || daemon.scenes.includes(chosen) ? daemon.scenes : [chosen, ...daemon.scenes];
     this.#picker.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
     this.#picker.disabled = names.length < 2;
-    this.#device.textContent = daemon.connected
-      ? [daemon.server, daemon.backend, daemon.device].filter(Boolean).join(" · ")
-      : "";
+    const parts = daemon.problem === "" ? [daemon.server, daemon.backend, daemon.device] : [];
+    this.#device.textContent = parts.filter(Boolean).join(" · ");
   }
 
   showLink(tone: "good" | "waiting" | "bad", text: string): void {
@@ -73,7 +69,7 @@ export class Hud {
   showReadings({ status, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced }: Readings): void {
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", status ? `of ${trim(status.targetRateHz)} Hz` : "Hz");
-    write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(0));
+    write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
     write("latency", ageMs === null ? UNKNOWN : ageMs.toFixed(ageMs < 10 ? 1 : 0));
     write("uncertainty", ageUncertaintyMs === null || ageUncertaintyMs < 1 ? "" : `± ${ageUncertaintyMs.toFixed(0)}`);
     write("dropped", String(counters.dropped));

@@ -14,7 +14,7 @@ import { chooseQuality } from "./view/quality";
 import { Viewer } from "./view/viewer";
 
 const READINGS_INTERVAL_MS = 250;
-const RATE_WINDOW_MS = 1000;
+const RATE_WINDOW_MS = 2000;
 
 const address = new URL(window.location.href);
 const token = address.searchParams.get("token") ?? "";
@@ -107,9 +107,9 @@ function chooseScene(): void {
   if (daemon === null) {
     return;
   }
-  const present = daemon.connected ? daemon.scenes.map((scene) => scene.name) : [];
+  const present = daemon.scenes;
   const kept = watched !== null && present.includes(watched) ? watched : present[0];
-  const target = wanted === null ? kept : present.find((name) => name === wanted);
+  const target = wanted === null ? kept : present.find((scene) => scene === wanted);
   if (target === undefined) {
     forget();
   } else if (target !== watched) {
@@ -131,9 +131,9 @@ function showState(): void {
   if (daemon === null) {
     return;
   }
-  if (!daemon.connected) {
+  if (daemon.problem !== "") {
     hud.showLink("bad", "No daemon");
-    hud.showNotice({ tone: "warning", title: "Waiting for the daemon", detail: "It does not answer; it is asked again." });
+    hud.showNotice({ tone: "warning", title: "Waiting for the daemon", detail: daemon.problem });
   } else if (watched === null) {
     hud.showLink("waiting", "No scene");
     const detail = wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`;

@@ -44,13 +44,13 @@ class FakeSocket {
 
 const DAEMON = JSON.stringify({
   type: "daemon",
-  connected: true,
+  problem: "",
   server: "s",
   version: "1",
   backend: "cpu",
   device: "d",
   poses_allowed: true,
-  scenes: [{ name: "liver", state: "running" }],
+  scenes: ["liver"],
 });
 
 describe("Connection", () => {
@@ -161,7 +161,7 @@ describe("Connection", () => {
     FakeSocket.last.onmessage?.({ data: DAEMON });
     const data = new ArrayBuffer(4);
     FakeSocket.last.onmessage?.({ data });
-    expect(events.onDaemon.mock.calls[0]?.[0]).toMatchObject({ posesAllowed: true, scenes: [{ name: "liver" }] });
+    expect(events.onDaemon.mock.calls[0]?.[0]).toMatchObject({ posesAllowed: true, scenes: ["liver"] });
     expect(events.onMessage).toHaveBeenCalledWith(data);
   });
 });

@@ -3,13 +3,14 @@ import type { StreamName, Vector } from "./decode";
 
 /** What the gateway knows of the daemon. */
 export interface DaemonState {
-  readonly connected: boolean;
+  /** Why there are no streams; empty while the daemon is there. */
+  readonly problem: string;
   readonly server: string;
   readonly version: string;
   readonly backend: string;
   readonly device: string;
   readonly posesAllowed: boolean;
-  readonly scenes: readonly { readonly name: string; readonly state: string }[];
+  readonly scenes: readonly string[];
 }
 
 export interface ClockReply {
@@ -185,16 +186,13 @@ export function parseText(text: string): TextMessage | null {
     return {
       type,
       state: {
-        connected: fields.connected === true,
+        problem: String(fields.problem),
         server: String(fields.server),
         version: String(fields.version),
         backend: String(fields.backend),
         device: String(fields.device),
         posesAllowed: fields.poses_allowed === true,
-        scenes: (fields.scenes as Record<string, unknown>[]).map((scene) => ({
-          name: String(scene.name),
-          state: String(scene.state),
-        })),
+        scenes: fields.scenes.map(String),
       },
     };
   }

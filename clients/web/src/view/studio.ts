@@ -20,7 +20,6 @@ export class Studio {
   readonly #renderer: THREE.WebGLRenderer;
   readonly #scene = new THREE.Scene();
   readonly #floor = new THREE.Group();
-  #home: { position: THREE.Vector3; target: THREE.Vector3 } | null = null;
 
   constructor(canvas: HTMLCanvasElement, quality: Quality) {
     const high = quality.level === "high";
@@ -35,7 +34,7 @@ export class Studio {
       this.#scene.environment = softboxes(this.#renderer);
       this.#scene.environmentIntensity = 0.55;
     }
-    this.#scene.add(this.world, this.#floor, ...lights(high ? 0.35 : 1.1));
+    this.#scene.add(this.world, this.#floor, ...lights(high ? 0.35 : 2.2));
     this.#floor.add(...floor());
     this.#floor.visible = false;
 
@@ -69,16 +68,9 @@ export class Studio {
     const fitting = 1.04 / Math.sin(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
     const distance = fitting * Math.max(1, 0.85 / this.camera.aspect);
     const target = new THREE.Vector3(0, HEAD_ROOM, 0);
-    this.#home = { position: VIEW_DIRECTION.clone().multiplyScalar(distance).add(target), target };
-    this.resetView();
-  }
-
-  resetView(): void {
-    if (this.#home !== null) {
-      this.camera.position.copy(this.#home.position);
-      this.controls.target.copy(this.#home.target);
-      this.controls.update();
-    }
+    this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(distance).add(target);
+    this.controls.target.copy(target);
+    this.controls.update();
   }
 
   /** A point of the scene [m] on the canvas [CSS pixels]; null behind the camera. */

@@ -67,9 +67,13 @@ export class Viewer {
     requestAnimationFrame(loop);
   }
 
+  /** The whole scene as it is now, seen from the front. */
   resetView(): void {
-    this.#studio.resetView();
-    this.#dirty = true;
+    const { topology, frame } = this.#store;
+    if (topology !== null && frame !== null) {
+      this.#studio.frame(new THREE.Box3().setFromArray(frame.positions), topology.up);
+      this.#dirty = true;
+    }
   }
 
   /** Hides the tools and their forces, to see the tissue below them; or shows them again. */
