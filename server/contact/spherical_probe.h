@@ -206,6 +206,7 @@ TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
         velocity += tensor::load3<Real>(s.velocity, row) * contact.weight[c];
         point += tensor::position(s, row) * contact.weight[c];
       }
+      point -= velocity * s.dt_s;  // where the step began and the normal was taken: tissue's sliding twists no sphere
       // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
       const Real pressure = contact.stiffness * maximum(contact.depth_m - s.dt_s * n.dot(velocity), Real(0));
       force -= n * pressure;
