@@ -150,6 +150,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   const Clock::time_point begin = Clock::now();
   TM_TRY(runner, world::Runner::start(scene, runner_options));
   const double ready_s = std::chrono::duration<double>(Clock::now() - begin).count();
+  const double dt_s = scene.stepping().has_dt_s() ? scene.stepping().dt_s() : 1.0 / 60;
   TM_TRY(description, world::describe_backend(runner_options.backend));
   const Clock::time_point end =
       Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(options.seconds));
@@ -172,10 +173,9 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
       R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"step_ms_median":{:.4f},)"
       R"("step_ms_p99":{:.4f},"step_ms_max":{:.4f},"cg_iterations_last":{},"largest_force_n":{:.3f},"ready_s":{:.3f},"fault":"{}"}})",
       scene.name(), description.backend, description.device, commit, command,
-      runner->report().bodies(0).element_count(), scene.stepping().dt_s() * 1e3, status.target_rate_hz(),
-      status.reached_rate_hz(), status.step(), status.missed_deadlines(), status.step_time_p50_s() * 1e3,
-      status.step_time_p99_s() * 1e3, status.step_time_max_s() * 1e3, status.cg_iterations(), largest_force_n, ready_s,
-      status.fault());
+      runner->report().bodies(0).element_count(), dt_s * 1e3, status.target_rate_hz(), status.reached_rate_hz(),
+      status.step(), status.missed_deadlines(), status.step_time_p50_s() * 1e3, status.step_time_p99_s() * 1e3,
+      status.step_time_max_s() * 1e3, status.cg_iterations(), largest_force_n, ready_s, status.fault());
 }
 
 std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
