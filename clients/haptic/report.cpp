@@ -1,42 +1,50 @@
 #include "haptic/report.h"
 
-#include <google/protobuf/struct.pb.h>
-#include <google/protobuf/util/json_util.h>
+#include <string_view>
+
 #include <spdlog/fmt/fmt.h>
+
+#include "core/log.h"
 
 namespace tensormass::haptic {
 namespace {
 
-using google::protobuf::Struct;
+/// An object that is written as its members come.
+class JsonObject {
+ public:
+  JsonObject& add(std::string_view name, std::string_view text) { return add_raw(name, log::json_quoted(text)); }
+  JsonObject& add(std::string_view name, std::uint64_t value) { return add_raw(name, fmt::format("{}", value)); }
+  /// Finite.
+  JsonObject& add(std::string_view name, double value) { return add_raw(name, fmt::format("{}", value)); }
+  JsonObject& add(std::string_view name, const Histogram& histogram);
+  std::string finish() const { return "{" + members_ + "}"; }
 
-void set(Struct& object, const std::string& name, double value) {
-  (*object.mutable_fields())[name].set_number_value(value);
-}
+ private:
+  JsonObject& add_raw(std::string_view name, std::string_view value) {
+    members_ += fmt::format("{}{}: {}", members_.empty() ? "" : ", ", log::json_quoted(name), value);
+    return *this;
+  }
 
-void set(Struct& object, const std::string& name, std::uint64_t value) {
-  set(object, name, static_cast<double>(value));
-}
-
-void set(Struct& object, const std::string& name, const std::string& value) {
-  (*object.mutable_fields())[name].set_string_value(value);
-}
+  std::string members_;
+};
 
 double seconds(std::int64_t ns) { return static_cast<double>(ns) / kNsPerS; }
 
-void set(Struct& object, const std::string& name, const Histogram& histogram) {
-  Struct& out = *(*object.mutable_fields())[name].mutable_struct_value();
-  set(out, "count", histogram.count());
-  set(out, "p50_s", seconds(histogram.percentile_ns(0.5)));
-  set(out, "p99_s", seconds(histogram.percentile_ns(0.99)));
-  set(out, "p999_s", seconds(histogram.percentile_ns(0.999)));
-  set(out, "max_s", seconds(histogram.max_ns()));
-  auto& buckets = *(*out.mutable_fields())["buckets"].mutable_list_value();
+JsonObject& JsonObject::add(std::string_view name, const Histogram& histogram) {
+  std::string buckets;
   for (std::size_t i = 0; i < Histogram::kBucketCount; ++i) {
     if (histogram.buckets()[i] == 0) continue;
-    auto& pair = *buckets.add_values()->mutable_list_value();
-    pair.add_values()->set_number_value(seconds(Histogram::upper_ns(i)));
-    pair.add_values()->set_number_value(static_cast<double>(histogram.buckets()[i]));
+    buckets +=
+        fmt::format("{}[{}, {}]", buckets.empty() ? "" : ", ", seconds(Histogram::upper_ns(i)), histogram.buckets()[i]);
   }
+  JsonObject object;
+  object.add("count", histogram.count())
+      .add("p50_s", seconds(histogram.percentile_ns(0.5)))
+      .add("p99_s", seconds(histogram.percentile_ns(0.99)))
+      .add("p999_s", seconds(histogram.percentile_ns(0.999)))
+      .add("max_s", seconds(histogram.max_ns()))
+      .add_raw("buckets", "[" + buckets + "]");
+  return add_raw(name, object.finish());
 }
 
 std::string percentiles(const Histogram& histogram) {
@@ -68,37 +76,35 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
 }
 
 std::string to_json(const LoopReport& report, const RunLabel& label) {
-  Struct out;
-  set(out, "server", label.server);
-  set(out, "scene", label.scene);
-  set(out, "tool", label.tool);
-  set(out, "transport", label.transport);
-  set(out, "device", label.device);
-  set(out, "seconds", report.seconds);
-  set(out, "ticks", report.ticks);
-  set(out, "missed_ticks", report.missed_ticks);
-  set(out, "poses_sent", report.poses_sent);
-  set(out, "poses_not_taken", report.poses_not_taken);
-  set(out, "poses_forgotten", report.poses_forgotten);
-  set(out, "last_sequence_sent", report.last_sequence_sent);
-  set(out, "last_sequence_echoed", report.last_sequence_echoed);
-  set(out, "feedback_received", report.feedback_received);
-  set(out, "feedback_dropped", report.feedback_dropped);
-  set(out, "feedback_foreign", report.feedback_foreign);
-  set(out, "feedback_malformed", report.feedback_malformed);
-  set(out, "stale_ticks", report.stale_ticks);
-  set(out, "stale_episodes", report.stale_episodes);
-  set(out, "watchdog_trips", report.watchdog_trips);
-  set(out, "max_force_n", report.max_force_n);
-  set(out, "min_energy_j", report.min_energy_j);
-  set(out, "pose_to_force", report.round_trip);
-  set(out, "answered_pose_age", report.answered_pose_age);
-  set(out, "wake_up_lateness", report.wake_up_lateness);
-  set(out, "tick_duration", report.tick_duration);
-  std::string json;
-  // Every value above is finite, so this conversion has no way to fail.
-  static_cast<void>(google::protobuf::util::MessageToJsonString(out, &json));
-  return json + '\n';
+  return JsonObject()
+             .add("server", label.server)
+             .add("scene", label.scene)
+             .add("tool", label.tool)
+             .add("transport", label.transport)
+             .add("device", label.device)
+             .add("seconds", report.seconds)
+             .add("ticks", report.ticks)
+             .add("missed_ticks", report.missed_ticks)
+             .add("poses_sent", report.poses_sent)
+             .add("poses_not_taken", report.poses_not_taken)
+             .add("poses_forgotten", report.poses_forgotten)
+             .add("last_sequence_sent", report.last_sequence_sent)
+             .add("last_sequence_echoed", report.last_sequence_echoed)
+             .add("feedback_received", report.feedback_received)
+             .add("feedback_dropped", report.feedback_dropped)
+             .add("feedback_foreign", report.feedback_foreign)
+             .add("feedback_malformed", report.feedback_malformed)
+             .add("stale_ticks", report.stale_ticks)
+             .add("stale_episodes", report.stale_episodes)
+             .add("watchdog_trips", report.watchdog_trips)
+             .add("max_force_n", report.max_force_n)
+             .add("min_energy_j", report.min_energy_j)
+             .add("pose_to_force", report.round_trip)
+             .add("answered_pose_age", report.answered_pose_age)
+             .add("wake_up_lateness", report.wake_up_lateness)
+             .add("tick_duration", report.tick_duration)
+             .finish() +
+         '\n';
 }
 
 }  // namespace tensormass::haptic
