@@ -12,36 +12,45 @@
 namespace tensormass::control {
 namespace {
 
-constexpr std::chrono::seconds kDrainTime{1};
+/// For calls that run. A step ends within a turn of it (control_service.cpp), and loads are not waited for.
+constexpr std::chrono::milliseconds kDrainTime{300};
 /// Threads of all calls together; a call beyond them is answered RESOURCE_EXHAUSTED.
 constexpr int kMaxThreads = 64;
 
 }  // namespace
 
-Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, ControlService& service) {
+Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, ControlService& service,
+                                                            std::function<void()> on_refused) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  TM_TRY(doorkeeper, Doorkeeper::listen(address));
   grpc::ServerBuilder builder;
-  int port = 0;
-  builder.AddListeningPort(address, grpc::InsecureServerCredentials(), &port);
-  // Else a second daemon would take half of the first one's calls.
-  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  Acceptor acceptor = builder.experimental().AddExternalConnectionAcceptor(
+      grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
   builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
   builder.RegisterService(&service);
   std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
-  if (server == nullptr || port == 0) {
-    return fail(ErrorCode::kUnavailable,
-                "gRPC cannot listen on '" + address + "': the address is wrong or taken; give another one, or port 0");
-  }
-  std::string endpoint = address.substr(0, address.rfind(':') + 1) + std::to_string(port);
-  return std::unique_ptr<ControlServer>(new ControlServer(std::move(server), std::move(endpoint)));
+  if (server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");
+  return std::unique_ptr<ControlServer>(
+      new ControlServer(std::move(server), std::move(acceptor), std::move(doorkeeper), std::move(on_refused)));
 }
 
-ControlServer::ControlServer(std::unique_ptr<grpc::Server> server, std::string endpoint)
-    : server_(std::move(server)), endpoint_(std::move(endpoint)) {}
+ControlServer::ControlServer(std::unique_ptr<grpc::Server> server, Acceptor acceptor,
+                             std::unique_ptr<Doorkeeper> doorkeeper, std::function<void()> on_refused)
+    : server_(std::move(server)), acceptor_(std::move(acceptor)), doorkeeper_(std::move(doorkeeper)) {
+  const auto admit = [this](int descriptor) {
+    grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
+    connection.fd = descriptor;
+    acceptor_->HandleNewConnection(&connection);
+  };
+  doorkeeper_->open(admit, std::move(on_refused));
+}
 
-ControlServer::~ControlServer() { server_->Shutdown(std::chrono::system_clock::now() + kDrainTime); }
+ControlServer::~ControlServer() {
+  doorkeeper_.reset();
+  server_->Shutdown(std::chrono::system_clock::now() + kDrainTime);
+}
 
 void ControlServer::announce_shutdown() { server_->GetHealthCheckService()->Shutdown(); }
 

@@ -65,8 +65,11 @@ Result<void> Daemon::open(const Config& config) {
   identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
-  service_.emplace(registry_, identity_, [this] { return bus_->malformed_count(); });
-  TM_TRY(server, control::ControlServer::start(config.control, *service_));
+  service_.emplace(registry_, identity_, [this] { return malformed_count(); });
+  TM_TRY(server, control::ControlServer::start(config.control, *service_, [this] {
+           ++refused_connections_;
+           note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
+         }));
   server_ = std::move(server);
   return {};
 }
@@ -95,6 +98,8 @@ void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
     log::warn("malformed message", {{"reason", reason}, {"scene", scene}, {"more_before", *suppressed}});
   }
 }
+
+std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }
 
 Result<ReadyFile> ReadyFile::write(const std::string& path, const Daemon& daemon) {
   const v1::GetVersionResponse& identity = daemon.identity();

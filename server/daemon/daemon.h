@@ -1,5 +1,7 @@
 #pragma once
 
+#include <atomic>
+#include <cstdint>
 #include <memory>
 #include <optional>
 
@@ -30,11 +32,13 @@ class Daemon {
   Result<void> open(const Config& config);
   void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);
   void note_malformed(std::string_view scene, std::string_view reason);
+  std::uint64_t malformed_count() const;
 
   v1::GetVersionResponse identity_;
   WakeUp wake_up_;
   log::Limiter refused_poses_;
   log::Limiter malformed_messages_;
+  std::atomic<std::uint64_t> refused_connections_{0};
   control::SceneRegistry registry_;
   std::unique_ptr<bus::Bus> bus_;
   std::optional<Publisher> publisher_;

@@ -12,7 +12,7 @@
 namespace {
 
 /// From the signal to the exit. The forces are zero long before; a step that takes longer than this is not waited for.
-constexpr std::chrono::milliseconds kShutdownTime{1800};
+constexpr std::chrono::milliseconds kShutdownTime{1500};
 
 sigset_t stop_signals() {
   sigset_t signals;

@@ -18,11 +18,11 @@ using MessageHandler = std::function<void(std::string_view key, std::string_view
 
 struct SessionOptions {
   /// "tcp/127.0.0.1:7447"; port 0 for a free one. Empty: the session is a client of `connect`.
-  std::string listen;
+  std::string listen = {};
   /// "tcp/127.0.0.1:7447"; empty: connects to nobody.
-  std::string connect;
+  std::string connect = {};
   /// Key expression under which retained messages are answered; empty: none are.
-  std::string serve;
+  std::string serve = {};
   /// For large messages to peers on the same machine that have it on too.
   bool shared_memory = true;
 };

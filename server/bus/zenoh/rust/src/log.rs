@@ -14,6 +14,9 @@ type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
 const ACCEPT: &str = "zenoh_transport::unicast::establishment::accept";
 const MANAGER: &str = "zenoh_transport::unicast::manager";
 
+/// A warning at every start about gateways between regions, which this configuration has none of.
+const ABOUT_GOSSIP: &str = "Gossip is disabled";
+
 static FAILED_HANDSHAKES: AtomicU64 = AtomicU64::new(0);
 
 struct Forward {
@@ -45,6 +48,9 @@ impl Subscriber for Forward {
         let mut message = Message::default();
         event.record(&mut message);
         let level = *event.metadata().level();
+        if message.0.starts_with(ABOUT_GOSSIP) {
+            return;
+        }
         if level <= Level::WARN {
             (self.function)(self.context, level == Level::ERROR, message.0.as_ptr().cast(), message.0.len());
             return;

@@ -1,0 +1,160 @@
+#include "control/doorkeeper.h"
+
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <string_view>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace tensormass::control {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// RFC 9113, 3.4.
+constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+/// For the preface to arrive.
+constexpr std::chrono::seconds kPatience{3};
+/// Connections that have not said anything yet; when more come, the one that waited longest goes.
+constexpr std::size_t kMaxVisitors = 64;
+constexpr int kBacklog = 128;
+
+Error cannot_listen(const std::string& address, const char* why) {
+  return {ErrorCode::kUnavailable,
+          fmt::format("cannot listen on '{}' for gRPC: {}; give another HOST:PORT, or port 0 for a free one", address,
+                      why)};
+}
+
+struct AddressList {
+  ~AddressList() {
+    if (first != nullptr) freeaddrinfo(first);
+  }
+  addrinfo* first = nullptr;
+};
+
+std::uint16_t port_of(int socket) {
+  sockaddr_storage bound{};
+  socklen_t size = sizeof(bound);
+  getsockname(socket, reinterpret_cast<sockaddr*>(&bound), &size);
+  return ntohs(bound.ss_family == AF_INET6 ? reinterpret_cast<const sockaddr_in6&>(bound).sin6_port
+                                           : reinterpret_cast<const sockaddr_in&>(bound).sin_port);
+}
+
+void set_option(int socket, int level, int option, int value) {
+  setsockopt(socket, level, option, &value, sizeof(value));
+}
+
+}  // namespace
+
+Descriptor& Descriptor::operator=(Descriptor&& other) noexcept {
+  std::swap(descriptor_, other.descriptor_);
+  return *this;
+}
+
+Descriptor::~Descriptor() {
+  if (descriptor_ >= 0) close(descriptor_);
+}
+
+int Descriptor::release() { return std::exchange(descriptor_, -1); }
+
+Result<std::unique_ptr<Doorkeeper>> Doorkeeper::listen(const std::string& address) {
+  const std::size_t colon = address.rfind(':');
+  if (colon == std::string::npos) return tl::make_unexpected(cannot_listen(address, "no port in it"));
+  std::string host = address.substr(0, colon);
+  if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
+
+  addrinfo hints{};
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
+  AddressList addresses;
+  const int failure = getaddrinfo(host.c_str(), address.substr(colon + 1).c_str(), &hints, &addresses.first);
+  if (failure != 0) return tl::make_unexpected(cannot_listen(address, gai_strerror(failure)));
+  int error = 0;
+  for (const addrinfo* info = addresses.first; info != nullptr; info = info->ai_next) {
+    Descriptor listener(::socket(info->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+    // A daemon that starts again does not wait for the connections of the one before to be forgotten.
+    set_option(listener.get(), SOL_SOCKET, SO_REUSEADDR, 1);
+    if (::bind(listener.get(), info->ai_addr, info->ai_addrlen) != 0 || ::listen(listener.get(), kBacklog) != 0) {
+      error = errno;
+      continue;
+    }
+    std::string endpoint = fmt::format("{}:{}", address.substr(0, colon), port_of(listener.get()));
+    return std::unique_ptr<Doorkeeper>(new Doorkeeper(std::move(listener), std::move(endpoint)));
+  }
+  return tl::make_unexpected(cannot_listen(address, std::strerror(error)));
+}
+
+Doorkeeper::Doorkeeper(Descriptor listener, std::string endpoint)
+    : listener_(std::move(listener)), stop_(eventfd(0, EFD_CLOEXEC)), endpoint_(std::move(endpoint)) {}
+
+Doorkeeper::~Doorkeeper() {
+  if (!thread_.joinable()) return;
+  eventfd_write(stop_.get(), 1);
+  thread_.join();
+}
+
+void Doorkeeper::open(Admit admit, Refuse refuse) {
+  admit_ = std::move(admit);
+  refuse_ = std::move(refuse);
+  thread_ = std::thread([this] { run(); });
+}
+
+void Doorkeeper::run() {
+  std::vector<pollfd> items;
+  while (true) {
+    items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}});
+    for (const Visitor& visitor : visitors_) items.push_back({visitor.socket.get(), POLLIN, 0});
+    const int patience_ms = static_cast<int>(std::chrono::milliseconds(kPatience).count());
+    poll(items.data(), items.size(), visitors_.empty() ? -1 : patience_ms);
+    if (items[0].revents != 0) return;
+    const Clock::time_point now = Clock::now();
+    // Backwards, so that what is erased does not move what is still to be looked at.
+    for (std::size_t i = visitors_.size(); i-- > 0;) {
+      if (look_at(visitors_[i], items[i + 2].revents != 0, now)) {
+        visitors_.erase(visitors_.begin() + static_cast<std::ptrdiff_t>(i));
+      }
+    }
+    if (items[1].revents != 0) accept_visitors();
+  }
+}
+
+void Doorkeeper::accept_visitors() {
+  while (true) {
+    Descriptor socket(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    if (socket.get() < 0) return;
+    // Wakes us when the whole preface is there, or when nothing more comes.
+    set_option(socket.get(), SOL_SOCKET, SO_RCVLOWAT, static_cast<int>(kPreface.size()));
+    if (visitors_.size() >= kMaxVisitors) {
+      visitors_.erase(visitors_.begin());
+      refuse_();
+    }
+    visitors_.push_back({std::move(socket), Clock::now() + kPatience});
+  }
+}
+
+bool Doorkeeper::look_at(Visitor& visitor, bool has_something, Clock::time_point now) {
+  if (!has_something && now < visitor.leaves) return false;
+  std::array<char, kPreface.size()> said;
+  const ssize_t size = recv(visitor.socket.get(), said.data(), said.size(), MSG_PEEK);
+  if (size == static_cast<ssize_t>(kPreface.size()) && std::string_view(said.data(), said.size()) == kPreface) {
+    set_option(visitor.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
+    set_option(visitor.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
+    admit_(visitor.socket.release());
+  } else if (size > 0) {
+    refuse_();
+  }
+  // Who said nothing at all only looked whether somebody listens.
+  return true;
+}
+
+}  // namespace tensormass::control

@@ -1,0 +1,124 @@
+#include "control/doorkeeper.h"
+
+#include <netdb.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <string_view>
+
+#include <gtest/gtest.h>
+
+namespace tensormass::control {
+namespace {
+
+constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
+
+template <class Condition>
+bool eventually(Condition condition) {
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::yield();
+  }
+  return true;
+}
+
+class DoorkeeperTest : public testing::Test {
+ protected:
+  DoorkeeperTest() {
+    auto listening = Doorkeeper::listen("127.0.0.1:0");
+    if (!listening) throw std::runtime_error(listening.error().message);
+    doorkeeper = std::move(*listening);
+    doorkeeper->open(
+        [this](int descriptor) {
+          inside = Descriptor(descriptor);
+          ++admitted;
+        },
+        [this] { ++refused; });
+  }
+
+  Descriptor visit() {
+    const std::string& endpoint = doorkeeper->endpoint();
+    addrinfo hints{};
+    hints.ai_socktype = SOCK_STREAM;
+    addrinfo* info = nullptr;
+    EXPECT_EQ(getaddrinfo("127.0.0.1", endpoint.substr(endpoint.rfind(':') + 1).c_str(), &hints, &info), 0);
+    Descriptor visitor(socket(info->ai_family, SOCK_STREAM, 0));
+    EXPECT_EQ(connect(visitor.get(), info->ai_addr, info->ai_addrlen), 0);
+    freeaddrinfo(info);
+    return visitor;
+  }
+  static void say(const Descriptor& visitor, std::string_view what) {
+    EXPECT_EQ(send(visitor.get(), what.data(), what.size(), MSG_NOSIGNAL), static_cast<ssize_t>(what.size()));
+  }
+
+  std::atomic<int> admitted{0}, refused{0};
+  Descriptor inside;
+  std::unique_ptr<Doorkeeper> doorkeeper;
+};
+
+TEST_F(DoorkeeperTest, LetsInWhoSaysThePrefaceWhole) {
+  const Descriptor visitor = visit();
+  say(visitor, kPreface.substr(0, 5));
+  say(visitor, kPreface.substr(5));
+  say(visitor, "more");
+  ASSERT_TRUE(eventually([&] { return admitted == 1; }));
+  EXPECT_EQ(refused, 0);
+  // Nothing was taken out of what it said.
+  std::string heard(kPreface.size() + 4, '\0');
+  std::size_t size = 0;
+  ASSERT_TRUE(eventually([&] {
+    const ssize_t got = recv(inside.get(), heard.data() + size, heard.size() - size, 0);
+    if (got > 0) size += static_cast<std::size_t>(got);
+    return size == heard.size();
+  }));
+  EXPECT_EQ(heard, std::string(kPreface) + "more");
+}
+
+TEST_F(DoorkeeperTest, RefusesWhatIsNotThePreface) {
+  const Descriptor visitor = visit();
+  say(visitor, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+  EXPECT_TRUE(eventually([&] { return refused == 1; }));
+  char byte;
+  EXPECT_LE(recv(visitor.get(), &byte, 1, 0), 0);  // closed
+  EXPECT_EQ(admitted, 0);
+}
+
+TEST_F(DoorkeeperTest, RefusesAShortWordAndALongSilence) {
+  { say(visit(), "x"); }
+  EXPECT_TRUE(eventually([&] { return refused == 1; }));
+  const Descriptor hesitant = visit();
+  say(hesitant, kPreface.substr(0, 10));
+  EXPECT_TRUE(eventually([&] { return refused == 2; }));
+  EXPECT_EQ(admitted, 0);
+}
+
+TEST_F(DoorkeeperTest, ManyWhoSayNothingKeepNobodyOut) {
+  std::vector<Descriptor> silent;
+  for (int i = 0; i < 200; ++i) silent.push_back(visit());
+  const Descriptor visitor = visit();
+  say(visitor, kPreface);
+  EXPECT_TRUE(eventually([&] { return admitted == 1; }));
+  EXPECT_GE(refused, 100);
+}
+
+TEST(Doorkeeper, SaysWhatItCannotListenOn) {
+  for (const char* address : {"nonsense", "no.such.host.invalid:0", "127.0.0.1:http", "192.0.2.1:1"}) {
+    const auto doorkeeper = Doorkeeper::listen(address);
+    ASSERT_FALSE(doorkeeper) << address;
+    EXPECT_EQ(doorkeeper.error().code, ErrorCode::kUnavailable);
+    EXPECT_NE(doorkeeper.error().message.find(address), std::string::npos) << doorkeeper.error().message;
+  }
+}
+
+TEST(Doorkeeper, ListensOnVersion6) {
+  const auto doorkeeper = Doorkeeper::listen("[::1]:0");
+  if (!doorkeeper) GTEST_SKIP() << "this machine has no IPv6: " << doorkeeper.error().message;
+  EXPECT_TRUE((*doorkeeper)->endpoint().starts_with("[::1]:"));
+  EXPECT_FALSE((*doorkeeper)->endpoint().ends_with(":0"));
+}
+
+}  // namespace
+}  // namespace tensormass::control

@@ -1,0 +1,109 @@
+#include "control/scene_registry.h"
+
+#include <atomic>
+#include <thread>
+
+#include <gtest/gtest.h>
+
+#include "core/limits.h"
+#include "support/scenes.h"
+
+namespace tensormass::control {
+namespace {
+
+constexpr world::RunnerOptions kCpu{.backend = world::BackendChoice::kCpu, .cpu_threads = 1};
+
+v1::Scene small_scene(const std::string& name) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 2, .cells_y = 1, .cells_z = 1});
+  scene.set_name(name);
+  return scene;
+}
+
+class SceneRegistryTest : public testing::Test {
+ protected:
+  std::atomic<int> signals{0};
+  SceneRegistry registry{kCpu, [this] { ++signals; }};
+};
+
+TEST_F(SceneRegistryTest, FindsWhatIsLoadedAndForgetsWhatIsNot) {
+  EXPECT_TRUE(registry.list().empty());
+  const auto before = registry.generation();
+  ASSERT_TRUE(registry.load(small_scene("b")));
+  ASSERT_TRUE(registry.load(small_scene("a")));
+  EXPECT_NE(registry.generation(), before);
+  EXPECT_GE(signals, 2);
+  const auto runners = registry.list();
+  ASSERT_EQ(runners.size(), 2u);
+  EXPECT_EQ(runners[0]->name(), "a");
+  EXPECT_EQ(*registry.find("b"), runners[1]);
+
+  ASSERT_TRUE(registry.unload("a"));
+  EXPECT_EQ(registry.find("a").error().code, ErrorCode::kNotFound);
+  EXPECT_EQ(registry.unload("a").error().code, ErrorCode::kNotFound);
+  EXPECT_TRUE(registry.load(small_scene("a")));
+}
+
+TEST_F(SceneRegistryTest, RefusesANameThatIsTaken) {
+  ASSERT_TRUE(registry.load(small_scene("a")));
+  const auto second = registry.load(small_scene("a"));
+  ASSERT_FALSE(second);
+  EXPECT_EQ(second.error().code, ErrorCode::kAlreadyExists);
+}
+
+TEST_F(SceneRegistryTest, ASceneThatIsRefusedFreesItsName) {
+  v1::Scene broken = small_scene("a");
+  broken.mutable_bodies(0)->clear_law();
+  const auto refused = registry.load(broken);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kInvalidArgument);
+  EXPECT_TRUE(registry.load(small_scene("a")));
+}
+
+TEST_F(SceneRegistryTest, LoadingHoldsUpNobodyAndReservesItsName) {
+  ASSERT_TRUE(registry.load(small_scene("running")));
+  v1::Scene large = tests::beam_scene({.cells_x = 80, .cells_y = 20, .cells_z = 20});
+  large.set_name("large");
+  std::atomic<bool> loaded{false};
+  std::thread loading([&] {
+    EXPECT_TRUE(registry.load(large));
+    loaded = true;
+  });
+  int steps_meanwhile = 0;
+  bool reserved = false;
+  while (!loaded) {
+    const auto again = registry.unload("large");
+    if (!again && again.error().code == ErrorCode::kFailedPrecondition) {
+      reserved = true;
+      EXPECT_EQ(registry.load(small_scene("large")).error().code, ErrorCode::kAlreadyExists);
+      EXPECT_EQ(registry.find("large").error().code, ErrorCode::kNotFound);
+      EXPECT_EQ(registry.list().size(), 1u);
+      EXPECT_TRUE((*registry.find("running"))->step(1));
+      ++steps_meanwhile;
+    } else if (again) {
+      break;  // it was loaded between two looks
+    }
+  }
+  loading.join();
+  EXPECT_TRUE(reserved);
+  EXPECT_GT(steps_meanwhile, 0);
+}
+
+TEST_F(SceneRegistryTest, KeepsToItsLimit) {
+  for (std::size_t i = 0; i < limits::kMaxScenes; ++i) ASSERT_TRUE(registry.load(small_scene(std::to_string(i))));
+  const auto one_more = registry.load(small_scene("more"));
+  ASSERT_FALSE(one_more);
+  EXPECT_EQ(one_more.error().code, ErrorCode::kResourceExhausted);
+  EXPECT_NE(one_more.error().message.find("kMaxScenes"), std::string::npos);
+}
+
+TEST_F(SceneRegistryTest, CloseTakesAllOutAndRefusesMore) {
+  ASSERT_TRUE(registry.load(small_scene("a")));
+  const auto ending = registry.close();
+  ASSERT_EQ(ending.size(), 1u);
+  EXPECT_TRUE(registry.list().empty());
+  EXPECT_TRUE(ending[0]->step(1));  // it runs until it goes
+  EXPECT_EQ(registry.load(small_scene("b")).error().code, ErrorCode::kUnavailable);
+}
+
+}  // namespace
+}  // namespace tensormass::control

@@ -1,0 +1,323 @@
+#include <atomic>
+#include <chrono>
+#include <limits>
+#include <thread>
+
+#include <grpcpp/generic/generic_stub.h>
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+
+#include "control/control_server.h"
+#include "control/control_service.h"
+#include "core/limits.h"
+#include "support/scenes.h"
+
+namespace tensormass::control {
+namespace {
+
+constexpr std::chrono::seconds kDeadline{60};
+
+/// A server on a free port and a client of it.
+class ServiceTest : public testing::Test {
+ protected:
+  ServiceTest() {
+    auto started = ControlServer::start("127.0.0.1:0", service, [this] { ++refused; });
+    if (!started) throw std::runtime_error(started.error().message);
+    server = std::move(*started);
+    grpc::ChannelArguments arguments;
+    arguments.SetMaxReceiveMessageSize(-1);
+    channel = grpc::CreateCustomChannel(server->endpoint(), grpc::InsecureChannelCredentials(), arguments);
+    stub = v1::Control::NewStub(channel);
+  }
+
+  static v1::GetVersionResponse identity() {
+    v1::GetVersionResponse response;
+    response.set_server("test");
+    response.set_zenoh_locator("tcp/127.0.0.1:1");
+    return response;
+  }
+
+  template <class Request, class Response>
+  grpc::Status call(grpc::Status (v1::Control::Stub::*method)(grpc::ClientContext*, const Request&, Response*),
+                    const Request& request, Response& response) {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+    return (stub.get()->*method)(&context, request, &response);
+  }
+
+  /// The same where the response does not matter.
+  template <class Request, class Response>
+  grpc::StatusCode code(grpc::Status (v1::Control::Stub::*method)(grpc::ClientContext*, const Request&, Response*),
+                        const Request& request) {
+    Response response;
+    const grpc::Status status = call(method, request, response);
+    EXPECT_EQ(status.ok(), status.error_message().empty()) << status.error_message();
+    return status.error_code();
+  }
+
+  v1::SceneReport load(const v1::Scene& scene) {
+    v1::LoadSceneRequest request;
+    *request.mutable_scene() = scene;
+    v1::LoadSceneResponse response;
+    const grpc::Status status = call(&v1::Control::Stub::LoadScene, request, response);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return response.report();
+  }
+
+  template <class Request>
+  static Request of_scene(const std::string& name) {
+    Request request;
+    request.set_scene(name);
+    return request;
+  }
+
+  SceneRegistry registry{{.backend = world::BackendChoice::kCpu, .cpu_threads = 1}, [] {}};
+  ControlService service{registry, identity(), [] { return std::uint64_t{7}; }};
+  std::atomic<int> refused{0};
+  std::unique_ptr<ControlServer> server;
+  std::shared_ptr<grpc::Channel> channel;
+  std::unique_ptr<v1::Control::Stub> stub;
+};
+
+using Stub = v1::Control::Stub;
+
+TEST_F(ServiceTest, SaysWhoItIs) {
+  v1::GetVersionResponse response;
+  ASSERT_TRUE(call(&Stub::GetVersion, v1::GetVersionRequest(), response).ok());
+  EXPECT_EQ(response.server(), "test");
+  EXPECT_EQ(response.zenoh_locator(), "tcp/127.0.0.1:1");
+  EXPECT_EQ(response.malformed_messages(), 7u);
+}
+
+TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
+  const v1::SceneReport report = load(tests::block_with_probe());
+  EXPECT_EQ(report.scene(), "block");
+  ASSERT_EQ(report.bodies_size(), 1);
+
+  v1::StepSceneRequest steps = of_scene<v1::StepSceneRequest>("block");
+  steps.set_count(20);
+  v1::StepSceneResponse stepped;
+  ASSERT_TRUE(call(&Stub::StepScene, steps, stepped).ok());
+  EXPECT_EQ(stepped.status().step(), 20u);
+  EXPECT_EQ(stepped.status().state(), v1::SceneStatus::STATE_LOCKSTEP);
+
+  v1::GetTopologyResponse topology;
+  ASSERT_TRUE(call(&Stub::GetTopology, of_scene<v1::GetTopologyRequest>("block"), topology).ok());
+  ASSERT_EQ(topology.topology().bodies_size(), 1);
+  v1::GetFrameResponse frame;
+  ASSERT_TRUE(call(&Stub::GetFrame, of_scene<v1::GetFrameRequest>("block"), frame).ok());
+  EXPECT_EQ(frame.frame().positions().size(), 12 * topology.topology().bodies(0).vertex_count());
+  EXPECT_EQ(frame.frame().step(), 20u);
+
+  v1::GetPositionsRequest where = of_scene<v1::GetPositionsRequest>("block");
+  where.set_body("beam");
+  v1::GetPositionsResponse positions;
+  ASSERT_TRUE(call(&Stub::GetPositions, where, positions).ok());
+  EXPECT_EQ(positions.positions().size(), 24 * std::size_t{report.bodies(0).node_count()});
+  EXPECT_EQ(positions.step(), 20u);
+
+  // The probe goes 20 mm down, deep into the tissue, and feels it.
+  v1::MoveToolRequest move = of_scene<v1::MoveToolRequest>("block");
+  move.set_tool("probe");
+  move.mutable_pose()->set_sequence(1);
+  tests::set(*move.mutable_pose()->mutable_position_m(), 0.05, 0.05, 0.05);
+  v1::MoveToolResponse moved;
+  ASSERT_TRUE(call(&Stub::MoveTool, move, moved).ok());
+  ASSERT_TRUE(call(&Stub::StepScene, steps, stepped).ok());
+  v1::GetFeedbackRequest ask = of_scene<v1::GetFeedbackRequest>("block");
+  ask.set_tool("probe");
+  v1::GetFeedbackResponse feedback;
+  ASSERT_TRUE(call(&Stub::GetFeedback, ask, feedback).ok());
+  EXPECT_EQ(feedback.feedback().pose_sequence(), 1u);
+  EXPECT_GT(feedback.feedback().force_n().y(), 0);
+
+  v1::ResetSceneResponse reset;
+  ASSERT_TRUE(call(&Stub::ResetScene, of_scene<v1::ResetSceneRequest>("block"), reset).ok());
+  EXPECT_EQ(reset.status().step(), 0u);
+
+  v1::ListScenesResponse list;
+  ASSERT_TRUE(call(&Stub::ListScenes, v1::ListScenesRequest(), list).ok());
+  ASSERT_EQ(list.scenes_size(), 1);
+  EXPECT_EQ(list.scenes(0).scene(), "block");
+  EXPECT_EQ(code(&Stub::UnloadScene, of_scene<v1::UnloadSceneRequest>("block")), grpc::StatusCode::OK);
+  ASSERT_TRUE(call(&Stub::ListScenes, v1::ListScenesRequest(), list).ok());
+  EXPECT_EQ(list.scenes_size(), 0);
+}
+
+TEST_F(ServiceTest, PausesAndResumesASceneThatRuns) {
+  v1::Scene scene = tests::block_with_probe();
+  scene.mutable_stepping()->set_lockstep(false);
+  load(scene);
+  v1::PauseSceneResponse paused;
+  ASSERT_TRUE(call(&Stub::PauseScene, of_scene<v1::PauseSceneRequest>("block"), paused).ok());
+  EXPECT_EQ(paused.status().state(), v1::SceneStatus::STATE_PAUSED);
+  v1::GetStatusResponse status;
+  ASSERT_TRUE(call(&Stub::GetStatus, of_scene<v1::GetStatusRequest>("block"), status).ok());
+  EXPECT_EQ(status.status().step(), paused.status().step());
+  v1::ResumeSceneResponse resumed;
+  ASSERT_TRUE(call(&Stub::ResumeScene, of_scene<v1::ResumeSceneRequest>("block"), resumed).ok());
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  do {
+    ASSERT_TRUE(call(&Stub::GetStatus, of_scene<v1::GetStatusRequest>("block"), status).ok());
+  } while (status.status().step() == paused.status().step() && std::chrono::steady_clock::now() < deadline);
+  EXPECT_GT(status.status().step(), paused.status().step());
+}
+
+TEST_F(ServiceTest, InspectsWithoutLoading) {
+  v1::InspectSceneRequest request;
+  *request.mutable_scene() = tests::block_with_probe();
+  v1::InspectSceneResponse response;
+  ASSERT_TRUE(call(&Stub::InspectScene, request, response).ok());
+  EXPECT_GT(response.report().stages_size(), 0);
+  EXPECT_TRUE(registry.list().empty());
+  request.mutable_scene()->mutable_bodies(0)->clear_law();
+  EXPECT_EQ(code(&Stub::InspectScene, request), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+TEST_F(ServiceTest, EveryCallSaysWhichSceneThereIsNot) {
+  using grpc::StatusCode;
+  v1::StepSceneRequest step = of_scene<v1::StepSceneRequest>("none");
+  step.set_count(1);
+  EXPECT_EQ(code(&Stub::StepScene, step), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::UnloadScene, of_scene<v1::UnloadSceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::PauseScene, of_scene<v1::PauseSceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::ResumeScene, of_scene<v1::ResumeSceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::ResetScene, of_scene<v1::ResetSceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::GetTopology, of_scene<v1::GetTopologyRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::GetFrame, of_scene<v1::GetFrameRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::GetPositions, of_scene<v1::GetPositionsRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::GetStatus, of_scene<v1::GetStatusRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::MoveTool, of_scene<v1::MoveToolRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::GetFeedback, of_scene<v1::GetFeedbackRequest>("none")), StatusCode::NOT_FOUND);
+}
+
+TEST_F(ServiceTest, RefusesWhatItCannotDo) {
+  load(tests::block_with_probe());
+  v1::LoadSceneRequest again;
+  *again.mutable_scene() = tests::block_with_probe();
+  EXPECT_EQ(code(&Stub::LoadScene, again), grpc::StatusCode::ALREADY_EXISTS);
+  EXPECT_EQ(code(&Stub::LoadScene, v1::LoadSceneRequest()), grpc::StatusCode::INVALID_ARGUMENT);
+
+  v1::StepSceneRequest step = of_scene<v1::StepSceneRequest>("block");
+  EXPECT_EQ(code(&Stub::StepScene, step), grpc::StatusCode::INVALID_ARGUMENT);
+  step.set_count(limits::kMaxStepsPerCall + 1);
+  EXPECT_EQ(code(&Stub::StepScene, step), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(code(&Stub::PauseScene, of_scene<v1::PauseSceneRequest>("block")), grpc::StatusCode::FAILED_PRECONDITION);
+
+  v1::GetPositionsRequest body = of_scene<v1::GetPositionsRequest>("block");
+  body.set_body("none");
+  EXPECT_EQ(code(&Stub::GetPositions, body), grpc::StatusCode::NOT_FOUND);
+  v1::MoveToolRequest move = of_scene<v1::MoveToolRequest>("block");
+  move.set_tool("none");
+  EXPECT_EQ(code(&Stub::MoveTool, move), grpc::StatusCode::NOT_FOUND);
+  move.set_tool("probe");
+  move.mutable_pose()->set_sequence(1);
+  tests::set(*move.mutable_pose()->mutable_position_m(), std::numeric_limits<double>::quiet_NaN(), 0, 0);
+  EXPECT_EQ(code(&Stub::MoveTool, move), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
+/// A StepScene call that would take minutes.
+class LongStep {
+ public:
+  explicit LongStep(v1::Control::Stub& stub) {
+    v1::StepSceneRequest request;
+    request.set_scene("block");
+    request.set_count(limits::kMaxStepsPerCall);
+    thread_ = std::thread([this, &stub, request] {
+      v1::StepSceneResponse response;
+      status_ = stub.StepScene(&context_, request, &response);
+    });
+  }
+  void cancel() { context_.TryCancel(); }
+  grpc::Status wait() {
+    thread_.join();
+    return status_;
+  }
+
+ private:
+  grpc::ClientContext context_;
+  grpc::Status status_;
+  std::thread thread_;
+};
+
+TEST_F(ServiceTest, ALongStepEndsWhenItsSceneIsUnloaded) {
+  load(tests::block_with_probe());
+  const std::weak_ptr<world::Runner> runner = *registry.find("block");
+  LongStep step(*stub);
+  while (runner.lock()->status().step() < 10) std::this_thread::yield();
+  EXPECT_EQ(code(&Stub::UnloadScene, of_scene<v1::UnloadSceneRequest>("block")), grpc::StatusCode::OK);
+  const grpc::Status status = step.wait();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE) << status.error_message();
+  EXPECT_NE(status.error_message().find("unloaded"), std::string::npos) << status.error_message();
+}
+
+TEST_F(ServiceTest, ALongStepEndsWhenItsClientGivesUp) {
+  load(tests::block_with_probe());
+  LongStep step(*stub);
+  while ((*registry.find("block"))->status().step() < 10) std::this_thread::yield();
+  step.cancel();
+  EXPECT_EQ(step.wait().error_code(), grpc::StatusCode::CANCELLED);
+  // The scene is free again: this step waits for what is left of the long one, which is a turn and not minutes.
+  v1::StepSceneRequest one = of_scene<v1::StepSceneRequest>("block");
+  one.set_count(1);
+  const auto begin = std::chrono::steady_clock::now();
+  EXPECT_EQ(code(&Stub::StepScene, one), grpc::StatusCode::OK);
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(5));
+}
+
+/// Calls a method that this program has no generated code for.
+std::string raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
+                     const std::string& request) {
+  grpc::GenericStub generic(channel);
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+  grpc::CompletionQueue queue;
+  const auto finished = [&queue] {
+    void* tag = nullptr;
+    bool good = false;
+    return queue.Next(&tag, &good) && good;
+  };
+  const auto stream = generic.PrepareCall(&context, method, &queue);
+  stream->StartCall(nullptr);
+  EXPECT_TRUE(finished());
+  const grpc::Slice slice(request);
+  stream->Write(grpc::ByteBuffer(&slice, 1), nullptr);
+  EXPECT_TRUE(finished());
+  stream->WritesDone(nullptr);
+  EXPECT_TRUE(finished());
+  grpc::ByteBuffer answer;
+  stream->Read(&answer, nullptr);
+  EXPECT_TRUE(finished());
+  grpc::Status status;
+  stream->Finish(&status, nullptr);
+  EXPECT_TRUE(finished());
+  EXPECT_TRUE(status.ok()) << status.error_message();
+  grpc::Slice joined;
+  if (!answer.Valid() || !answer.DumpToSingleSlice(&joined).ok()) return {};
+  return {reinterpret_cast<const char*>(joined.begin()), joined.size()};
+}
+
+TEST_F(ServiceTest, HealthIsServingUntilShutdownIsAnnounced) {
+  // HealthCheckResponse { status: SERVING }, then NOT_SERVING.
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x01");
+  server->announce_shutdown();
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x02");
+}
+
+TEST_F(ServiceTest, ReflectionListsTheService) {
+  // ServerReflectionRequest { list_services: "" }
+  const std::string request("\x3a\x00", 2);
+  const std::string answer =
+      raw_call(channel, "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", request);
+  EXPECT_NE(answer.find("tensormass.v1.Control"), std::string::npos);
+}
+
+TEST_F(ServiceTest, ASecondServerOnThePortIsRefused) {
+  const auto second = ControlServer::start(server->endpoint(), service, [] {});
+  ASSERT_FALSE(second);
+  EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
+  EXPECT_NE(second.error().message.find(server->endpoint()), std::string::npos);
+}
+
+}  // namespace
+}  // namespace tensormass::control

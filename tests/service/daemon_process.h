@@ -1,0 +1,174 @@
+#pragma once
+
+#include <fcntl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <optional>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <google/protobuf/struct.pb.h>
+#include <google/protobuf/util/json_util.h>
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+
+#include "tensormass/v1/control.grpc.pb.h"
+
+/// The real program, as its users start it.
+namespace tensormass::service_tests {
+
+inline constexpr std::chrono::seconds kDeadline{30};
+
+/// True once the condition holds; polls, because no event tells.
+template <class Condition>
+bool eventually(Condition condition) {
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::yield();
+  }
+  return true;
+}
+
+/// A folder that goes with the test.
+class TemporaryFolder {
+ public:
+  TemporaryFolder() {
+    std::string path = (std::filesystem::temp_directory_path() / "tensormass-test-XXXXXX").string();
+    if (mkdtemp(path.data()) == nullptr) throw std::runtime_error("mkdtemp");
+    path_ = path;
+  }
+  ~TemporaryFolder() { std::filesystem::remove_all(path_); }
+  std::filesystem::path operator/(const std::string& name) const { return path_ / name; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+inline std::string read_file(const std::filesystem::path& path) {
+  std::ostringstream text;
+  text << std::ifstream(path).rdbuf();
+  return text.str();
+}
+
+/// A child process whose output goes to a file. It does not outlive the object.
+class Process {
+ public:
+  Process(const std::vector<std::string>& arguments, const std::filesystem::path& output,
+          const std::vector<std::string>& environment = {}) {
+    child_ = fork();
+    if (child_ != 0) return;
+    const int file = open(output.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+    dup2(file, STDOUT_FILENO);
+    dup2(file, STDERR_FILENO);
+    for (const std::string& variable : environment) putenv(const_cast<char*>(variable.c_str()));
+    std::vector<char*> argv;
+    for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
+    argv.push_back(nullptr);
+    execv(argv[0], argv.data());
+    _exit(127);
+  }
+  ~Process() {
+    if (status_) return;
+    ::kill(child_, SIGKILL);
+    wait();
+  }
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
+
+  void kill(int signal) const { ::kill(child_, signal); }
+  bool running() {
+    if (!status_) {
+      int status = 0;
+      if (waitpid(child_, &status, WNOHANG) == child_) status_ = status;
+    }
+    return !status_;
+  }
+  /// The exit status; 128 + n if signal n ended it.
+  int wait() {
+    if (!status_) {
+      int status = 0;
+      waitpid(child_, &status, 0);
+      status_ = status;
+    }
+    return WIFEXITED(*status_) ? WEXITSTATUS(*status_) : 128 + WTERMSIG(*status_);
+  }
+
+ private:
+  pid_t child_ = -1;
+  std::optional<int> status_;
+};
+
+/// `tensormassd` on free ports, serving when the constructor returns.
+class DaemonProcess {
+ public:
+  explicit DaemonProcess(std::vector<std::string> more = {}) {
+    std::vector<std::string> arguments{TENSORMASSD,          "--backend",       "cpu",
+                                       "--control",          "127.0.0.1:0",     "--zeromq-publish",
+                                       "tcp://127.0.0.1:*",  "--zeromq-pose",   "tcp://127.0.0.1:*",
+                                       "--zenoh-listen",     "tcp/127.0.0.1:0", "--ready-file",
+                                       ready_file().string()};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    process.emplace(arguments, folder / "log");
+    if (!eventually([&] { return std::filesystem::exists(ready_file()) || !process->running(); }) ||
+        !process->running()) {
+      throw std::runtime_error("tensormassd did not start: " + log());
+    }
+    ready_text = read_file(ready_file());
+    if (!google::protobuf::util::JsonStringToMessage(ready_text, &ready_).ok()) {
+      throw std::runtime_error("not JSON: " + ready_text);
+    }
+    grpc::ChannelArguments arguments_of_channel;
+    arguments_of_channel.SetMaxReceiveMessageSize(-1);
+    stub = v1::Control::NewStub(
+        grpc::CreateCustomChannel(endpoint("control"), grpc::InsecureChannelCredentials(), arguments_of_channel));
+  }
+
+  std::filesystem::path ready_file() const { return folder / "ready.json"; }
+  std::string log() const { return read_file(folder / "log"); }
+  /// Out of the ready file: "control", "zeromq_publish", "zeromq_pose", "zenoh".
+  std::string endpoint(const std::string& name) const { return ready_.fields().at(name).string_value(); }
+
+  void load(const v1::Scene& scene) {
+    grpc::ClientContext context;
+    v1::LoadSceneRequest request;
+    *request.mutable_scene() = scene;
+    v1::LoadSceneResponse response;
+    const grpc::Status status = stub->LoadScene(&context, request, &response);
+    if (!status.ok()) throw std::runtime_error(status.error_message());
+  }
+  v1::GetVersionResponse version() {
+    grpc::ClientContext context;
+    v1::GetVersionResponse response;
+    const grpc::Status status = stub->GetVersion(&context, {}, &response);
+    EXPECT_TRUE(status.ok()) << status.error_message();
+    return response;
+  }
+  v1::SceneStatus status(const std::string& scene) {
+    grpc::ClientContext context;
+    v1::GetStatusRequest request;
+    request.set_scene(scene);
+    v1::GetStatusResponse response;
+    const grpc::Status got = stub->GetStatus(&context, request, &response);
+    EXPECT_TRUE(got.ok()) << got.error_message();
+    return response.status();
+  }
+
+  TemporaryFolder folder;
+  std::optional<Process> process;
+  std::string ready_text;
+  std::unique_ptr<v1::Control::Stub> stub;
+
+ private:
+  google::protobuf::Struct ready_;
+};
+
+}  // namespace tensormass::service_tests
