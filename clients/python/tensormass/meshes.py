@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.processes import ChildProcess
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.uint32]
@@ -370,9 +370,16 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralM
         np.savez(surface_file, vertices=surface.vertices, triangles=surface.triangles.astype(np.int32))
         run = [sys.executable, "-P", "-c", _TETWILD]
         run += [str(surface_file), str(volume_file), str(edge_length), str(edge_length / 20 / diagonal)]
-        done = subprocess.run(run, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL)
-        if done.returncode != 0 or not volume_file.is_file():
-            reason = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
+        with tempfile.TemporaryFile() as log:
+            mesher = ChildProcess(run, output=log, folder=folder)
+            try:
+                mesher.process.wait()
+            finally:
+                status = mesher.stop()
+            log.seek(0)
+            words = log.read().decode(errors="replace").strip()
+        if status != 0 or not volume_file.is_file():
+            reason = (words or f"it ended with status {status}").splitlines()[-1]
             raise InvalidArgumentError(f"fTetWild could not mesh the surface: {reason}")
         with np.load(volume_file) as volume:
             nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]

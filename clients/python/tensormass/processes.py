@@ -43,7 +43,12 @@ class ChildProcess:
     """A process in a session of its own (Ctrl-C reaches the parent only) that is stopped when the parent is gone."""
 
     def __init__(
-        self, args: Sequence[str | Path], *, output: IO[bytes] | int, environment: Mapping[str, str] | None = None
+        self,
+        args: Sequence[str | Path],
+        *,
+        output: IO[bytes] | int,
+        environment: Mapping[str, str] | None = None,
+        folder: str | Path | None = None,
     ) -> None:
         self.process = subprocess.Popen(
             [str(arg) for arg in args],
@@ -51,6 +56,7 @@ class ChildProcess:
             stdout=output,
             stderr=subprocess.STDOUT,
             env={**os.environ, **(environment or {})},
+            cwd=folder,
             start_new_session=True,
         )
         try:
