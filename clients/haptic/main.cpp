@@ -184,6 +184,10 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   if (!tool) return tl::make_unexpected(tool.error());
   const Result<HandScript> script = plan_hand(options, *tool);
   if (!script) return tl::make_unexpected(script.error());
+  // Before the link starts its threads, which inherit it: a feedback that waits for a core is as late as a lost one.
+  if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
+    std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';
+  }
   const Result<std::unique_ptr<Link>> link =
       options.transport == "zenoh" ? connect_zenoh(tool->address) : connect_zeromq(tool->address);
   if (!link) return tl::make_unexpected(link.error());
@@ -199,9 +203,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   options.loop.renderer.max_stiffness_n_per_m = info.max_stiffness_n_per_m;
   options.loop.passivity.max_damping_n_s_per_m = info.max_damping_n_s_per_m;
 
-  if (const auto realtime = request_realtime(kLoopPriority); !realtime) {
-    std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';
-  }
+  static_cast<void>(request_realtime(kLoopPriority));
   ForceGuard guard(device, clock, options.watchdog_s);
   Result<LoopReport> report;
   {

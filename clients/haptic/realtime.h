@@ -5,6 +5,7 @@
 namespace tensormass::haptic {
 
 /// SCHED_FIFO priorities: above ordinary programs, below the kernel's own threads (50 and up).
+inline constexpr int kLinkPriority = 39;
 inline constexpr int kLoopPriority = 40;
 inline constexpr int kWatchdogPriority = 41;
 
