@@ -63,7 +63,8 @@ inline void write(spdlog::level::level_enum level, std::string_view event, std::
   std::string line = json ? "\"event\":" + json_quoted(event) : std::string(event);
   for (const Field& field : fields) {
     if (json) {
-      line += "," + json_quoted(field.key) + ":" + (field.is_text ? json_quoted(field.value) : field.value);
+      line.append(",").append(json_quoted(field.key)).append(":");
+      line.append(field.is_text ? json_quoted(field.value) : field.value);
     } else {
       const bool plain = !field.is_text || (!field.value.empty() && field.value.find(' ') == std::string::npos);
       line.append(" ").append(field.key).append("=").append(plain ? field.value : json_quoted(field.value));

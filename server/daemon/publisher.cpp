@@ -55,9 +55,11 @@ void Publisher::run() {
     for (auto& [name, scene] : scenes_) {
       const control::RunnerPtr runner = scene.runner.lock();
       if (runner == nullptr) continue;
-      if (runner->take_frame(frame_)) bus_.publish(scene.frame_key, frame_);
+      const bool has_frame = runner->take_frame(frame_);
+      if (has_frame) bus_.publish(scene.frame_key, frame_);
       if (runner->take_status(status_)) bus_.publish(scene.status_key, status_, {.retain = true});
-      // A large frame takes a while to send, and a haptic client does not wait for it.
+      if (!has_frame) continue;
+      // A large frame takes a while to send, and no hand waits for it.
       for (auto& [other_name, other] : scenes_) publish_feedback(other);
     }
     wake_up_.wait(kIdleWakeUpMs);
