@@ -15,9 +15,9 @@ from tensormass.errors import NotFoundError
 # In a checkout: clients/python/tensormass/processes.py -> build/bin.
 BUILD_BIN = Path(__file__).resolve().parents[3] / "build" / "bin"
 
-# Reads until the parent's end of the pipe is gone, then stops the child. The kernel closes that end whatever happens to
-# the parent; PR_SET_PDEATHSIG would also fire when only the thread ends that started the child.
-_WATCHDOG = 'read -r _; kill -TERM "$0" 2>/dev/null'
+# Reads until the parent's end of the pipe is gone, then ends the child, woken if it was stopped. The kernel closes that
+# end whatever happens to the parent; PR_SET_PDEATHSIG would also fire when only the thread ends that started the child.
+_WATCHDOG = 'read -r _; kill -TERM "$0" 2>/dev/null; kill -CONT "$0" 2>/dev/null'
 
 
 def find_program(name: str, variable: str) -> Path:
