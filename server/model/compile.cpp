@@ -197,9 +197,12 @@ class Compiler {
     out.min_dihedral_angle_deg = report.min_dihedral_angle_deg;
     model_.warnings.insert(model_.warnings.end(), report.warnings.begin(), report.warnings.end());
     if (body.has_color_srgb()) {
-      TM_TRY(color, read_vector(body.color_srgb(), where + ".color_srgb"));
+      const v1::Vector3& color = body.color_srgb();
+      for (const double component : {color.x(), color.y(), color.z()}) {
+        TM_CHECK(read_number(component, 0, 1, where + ".color_srgb"));
+      }
       out.has_color = true;
-      out.color_srgb = color.cwiseMax(0.0).cwiseMin(1.0);
+      out.color_srgb = {color.x(), color.y(), color.z()};
     }
 
     merged_.nodes.insert(merged_.nodes.end(), mesh.nodes.begin(), mesh.nodes.end());

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "core/names.h"
 #include "mesh/grid.h"
 
 namespace tensormass::model {
@@ -96,11 +97,7 @@ Result<mesh::Mesh> read_source(const v1::Mesh& source, std::string_view where) {
 }  // namespace
 
 Result<void> check_name(std::string_view name, std::string_view what) {
-  const bool good =
-      !name.empty() && name.size() <= limits::kMaxNameLength && std::all_of(name.begin(), name.end(), [](char c) {
-        return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
-      });
-  if (good) return {};
+  if (is_valid_name(name)) return {};
   return invalid(
       fmt::format("{}: the name must be 1 to {} characters out of [A-Za-z0-9_-]", what, limits::kMaxNameLength));
 }

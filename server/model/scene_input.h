@@ -14,7 +14,7 @@
 /// From untrusted messages to checked values. Every error says where in the scene it is and what to do.
 namespace tensormass::model {
 
-/// 1 to limits::kMaxNameLength characters of [A-Za-z0-9_-]. `what` as in "scene", "body 2".
+/// is_valid_name (core/names.h). `what` as in "scene.name", "scene.bodies[2].name".
 Result<void> check_name(std::string_view name, std::string_view what);
 
 /// Finite and not beyond limits::kMaxLength.

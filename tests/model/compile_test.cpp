@@ -1,0 +1,164 @@
+#include "model/compile.h"
+
+#include <numeric>
+
+#include <gtest/gtest.h>
+
+#include "model/scene_input.h"
+#include "support/scenes.h"
+
+/// What a compiled scene holds, against what the scene says.
+namespace tensormass::model {
+namespace {
+
+Model compiled(const v1::Scene& scene, const PatchPolicy& policy = {}) {
+  auto model = compile(scene, policy);
+  if (!model) throw std::runtime_error(model.error().message);
+  return std::move(*model);
+}
+
+/// Component `c` of a row field of a node.
+double at(const Model& model, const std::vector<double>& field, std::uint32_t node, std::size_t c) {
+  return field[4 * std::size_t{model.layout.row_of_node[node]} + c];
+}
+
+TEST(Compile, TakesTheDefaultsThatTheProtocolNames) {
+  v1::Scene scene = tests::block_with_probe();
+  scene.clear_stepping();
+  scene.clear_solver();
+  scene.clear_streams();
+  const Model model = compiled(scene);
+  EXPECT_EQ(model.dt_s, 1.0 / 60);
+  EXPECT_NEAR(model.rate_hz, 60, 1e-12);
+  EXPECT_EQ(model.cg_max_iterations, 100u);
+  EXPECT_EQ(model.cg_tolerance, 1e-3);
+  EXPECT_FALSE(model.double_precision);
+  EXPECT_FALSE(model.lockstep);
+  EXPECT_EQ(model.frame_rate_hz, 60);
+  EXPECT_EQ(model.status_rate_hz, 4);
+  const ToolModel& tool = model.tools.at(0);
+  EXPECT_EQ(tool.max_speed_m_per_s, 0.5);
+  EXPECT_NEAR(tool.penalty_pa_per_m, 20 * 5e3 / 0.01, 1e-6);
+  EXPECT_EQ(tool.initial_orientation, (std::array<double, 4>{1, 0, 0, 0}));
+  EXPECT_NEAR(tool.plane_strain_modulus_pa, 5e3 / (1 - 0.4 * 0.4), 1e-9);
+}
+
+TEST(Compile, PenaltyFollowsTheStiffestLawOfTheScene) {
+  v1::Scene scene = tests::block_with_probe();
+  v1::Body& second = *scene.add_bodies();
+  second = scene.bodies(0);
+  second.set_name("bone");
+  second.mutable_law()->mutable_hooke()->set_young_modulus_pa(1e6);
+  second.mutable_law()->mutable_hooke()->set_poisson_ratio(0.2);
+  const Model model = compiled(scene);
+  EXPECT_NEAR(model.tools.at(0).penalty_pa_per_m, 20 * 1e6 / 0.01, 1e-3);
+  EXPECT_NEAR(model.tools.at(0).plane_strain_modulus_pa, 1e6 / (1 - 0.2 * 0.2), 1e-6);
+}
+
+TEST(Compile, MassIsDensityTimesVolumeAndGravityItsWeight) {
+  const Model model = compiled(tests::beam_scene(), {4, 1});
+  double mass = 0;
+  for (std::uint32_t node = 0; node < model.layout.row_of_node.size(); ++node) {
+    const double own = at(model, model.inertia, node, 0);
+    EXPECT_GT(own, 0);
+    EXPECT_NEAR(at(model, model.external, node, 1), -9.81 * own, 1e-12 * own);
+    EXPECT_EQ(at(model, model.external, node, 0), 0);
+    mass += own;
+  }
+  EXPECT_NEAR(mass, 1000 * 8 * 1 * 0.8, 1e-9 * mass);
+  EXPECT_NEAR(model.bodies[0].mass_kg, mass, 1e-9 * mass);
+}
+
+TEST(Compile, ALoadIsDividedEquallyAmongTheNodesOfItsRegion) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 2, .cells_y = 1, .cells_z = 1});
+  scene.clear_gravity_m_per_s2();
+  for (const double force : {6.0, 2.0}) {  // two loads on the same nodes add up
+    v1::Load& load = *scene.mutable_bodies(0)->add_loads();
+    tests::set(*load.mutable_region()->mutable_box()->mutable_min_m(), 7.9, -1, -1);
+    tests::set(*load.mutable_region()->mutable_box()->mutable_max_m(), 8.1, 2, 2);
+    tests::set(*load.mutable_force_n(), 0, 0, force);
+  }
+  const Model model = compiled(scene);
+  for (std::uint32_t node = 0; node < 12; ++node) {
+    EXPECT_EQ(at(model, model.external, node, 2), node % 3 == 2 ? 2 : 0) << "8 N on the four nodes of the end";
+  }
+}
+
+TEST(Compile, RegionsChooseByPositionAfterScaleAndTranslation) {
+  v1::Scene scene =
+      tests::beam_scene({.cells_x = 2, .cells_y = 2, .cells_z = 2, .size_x_m = 2, .size_y_m = 2, .size_z_m = 2});
+  v1::Body& body = *scene.mutable_bodies(0);
+  body.mutable_mesh()->set_scale(0.5);
+  tests::set(*body.mutable_mesh()->mutable_translation_m(), 10, 0, 0);
+  body.clear_fixed();
+  v1::Sphere& sphere = *body.add_fixed()->mutable_sphere();
+  tests::set(*sphere.mutable_center_m(), 10, 0, 0);
+  sphere.set_radius_m(0.5);
+  v1::NodeSet& nodes = *body.add_fixed()->mutable_nodes();
+  for (const std::uint32_t index : {26u, 26u, 0u}) nodes.add_indices(index);  // twice, and one of the sphere's
+  const Model model = compiled(scene);
+  EXPECT_EQ(model.bodies[0].fixed_node_count, 5u) << "the corner, its three neighbours half a metre away, and node 26";
+  EXPECT_EQ(at(model, model.rest, 0, 3), 0);
+  EXPECT_EQ(at(model, model.rest, 26, 3), 0);
+  EXPECT_EQ(at(model, model.rest, 13, 3), 1);
+  EXPECT_NEAR(at(model, model.rest, 26, 0), 11, 1e-12);
+  EXPECT_NEAR(model.bodies[0].volume_m3, 1, 1e-12);
+}
+
+TEST(Compile, EachBodyKeepsItsOwnDamping) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 1, .cells_y = 1, .cells_z = 1});
+  *scene.add_bodies() = scene.bodies(0);
+  scene.mutable_bodies(1)->set_name("second");
+  scene.mutable_bodies(1)->set_rayleigh_mass_per_s(0.5);
+  scene.mutable_bodies(1)->set_rayleigh_stiffness_s(0.25);
+  const Model model = compiled(scene, {2, 1});
+  for (std::uint32_t node = 0; node < 16; ++node) {
+    EXPECT_EQ(at(model, model.inertia, node, 1), node < 8 ? 0 : 0.5);
+    EXPECT_EQ(at(model, model.inertia, node, 2), node < 8 ? 0 : 0.25);
+  }
+  EXPECT_EQ(model.bodies[1].node_begin, 8u);
+}
+
+TEST(Compile, VisibleSurfaceIsTheBoundaryOfEachBody) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 3, .cells_y = 3, .cells_z = 3, .frame_rate_hz = 60});
+  *scene.add_bodies() = scene.bodies(0);
+  scene.mutable_bodies(1)->set_name("second");
+  const Model model = compiled(scene, {3, 1});
+  for (const BodyModel& body : model.bodies) {
+    EXPECT_EQ(body.vertex_count, 56u) << "64 nodes, 8 of them inside";
+    EXPECT_EQ(body.triangles.size(), 6u * 9 * 2);
+    ASSERT_EQ(body.vertex_nodes.size(), body.vertex_count);
+    for (std::uint32_t i = 0; i < body.vertex_count; ++i) {
+      EXPECT_EQ(model.visible.rows[4 * (body.vertex_begin + i)],
+                model.layout.row_of_node[body.node_begin + body.vertex_nodes[i]]);
+    }
+  }
+  EXPECT_EQ(model.visible.count(), 112u);
+}
+
+TEST(Compile, WarningsOfTheMeshReachTheModel) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 1, .cells_y = 1, .cells_z = 1});
+  scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->mutable_size_m()->set_z(0.001);
+  const Model model = compiled(scene);
+  ASSERT_FALSE(model.warnings.empty());
+  EXPECT_NE(model.warnings[0].find("'beam'"), std::string::npos) << model.warnings[0];
+}
+
+TEST(PatchPolicy, GivesEachPatchEnoughNodesAndAtLeastOnePatch) {
+  EXPECT_EQ((PatchPolicy{8, 100}).count(1000), 8u);
+  EXPECT_EQ((PatchPolicy{8, 100}).count(799), 7u);
+  EXPECT_EQ((PatchPolicy{8, 100}).count(5), 1u);
+  EXPECT_EQ((PatchPolicy{0, 0}).count(5), 1u);
+}
+
+TEST(ReadOrientation, NormalizesAlmostUnitAndTakesAllZeroAsIdentity) {
+  v1::Quaternion q;
+  EXPECT_EQ(read_orientation(q, "here").value(), (std::array<double, 4>{1, 0, 0, 0}));
+  q.set_x(0.995);
+  EXPECT_EQ(read_orientation(q, "here").value(), (std::array<double, 4>{0, 1, 0, 0}));
+  q.set_x(0.9);
+  EXPECT_FALSE(read_orientation(q, "here"));
+}
+
+}  // namespace
+}  // namespace tensormass::model

@@ -1,0 +1,310 @@
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "core/limits.h"
+#include "model/compile.h"
+#include "support/scenes.h"
+
+/// Everything that a scene can be refused for, one by one: the code, the place by name, and what is said of it.
+namespace tensormass::model {
+namespace {
+
+const double kNan = std::numeric_limits<double>::quiet_NaN();
+const double kInfinity = std::numeric_limits<double>::infinity();
+
+struct Refusal {
+  std::string name;
+  std::function<void(v1::Scene&)> spoil;
+  std::vector<std::string> says;  ///< parts of the message; the first is the place
+  ErrorCode code = ErrorCode::kInvalidArgument;
+
+  friend void PrintTo(const Refusal& refusal, std::ostream* out) { *out << refusal.name; }
+};
+
+v1::Body& body(v1::Scene& scene) { return *scene.mutable_bodies(0); }
+v1::Grid& grid(v1::Scene& scene) { return *body(scene).mutable_mesh()->mutable_grid(); }
+v1::Tool& tool(v1::Scene& scene) { return *scene.mutable_tools(0); }
+v1::SphericalProbe& probe(v1::Scene& scene) { return *tool(scene).mutable_spherical_probe(); }
+v1::IsotropicElastic& stvk(v1::Scene& scene) { return *body(scene).mutable_law()->mutable_st_venant_kirchhoff(); }
+
+template <class Item>
+std::string bytes(const std::vector<Item>& items) {
+  return {reinterpret_cast<const char*>(items.data()), items.size() * sizeof(Item)};
+}
+
+/// One tetrahedron over the corner of a 1 m cube, with these node indices.
+void pack(v1::Scene& scene, const std::vector<std::uint32_t>& tetrahedra,
+          const std::vector<double>& nodes = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}) {
+  v1::PackedTetrahedra& packed = *body(scene).mutable_mesh()->mutable_packed();
+  packed.set_node_positions(bytes(nodes));
+  packed.set_tetrahedra(bytes(tetrahedra));
+}
+
+void skin(v1::Scene& scene, const std::vector<double>& vertices, const std::vector<std::uint32_t>& triangles) {
+  v1::PackedTriangles& packed = *body(scene).mutable_skin()->mutable_packed();
+  packed.set_vertex_positions(bytes(vertices));
+  packed.set_triangles(bytes(triangles));
+}
+
+std::vector<Refusal> header_refusals() {
+  return {
+      {"EmptyName", [](auto& s) { s.set_name(""); }, {"scene.name", "1 to 64 characters"}},
+      {"LongName", [](auto& s) { s.set_name(std::string(65, 'a')); }, {"scene.name", "64"}},
+      {"NameThatBreaksKeys", [](auto& s) { s.set_name("a/b"); }, {"scene.name", "[A-Za-z0-9_-]"}},
+      {"ZeroTimeStep", [](auto& s) { s.mutable_stepping()->set_dt_s(0); }, {"scene.stepping.dt_s", "1e-06", "10"}},
+      {"NanTimeStep", [](auto& s) { s.mutable_stepping()->set_dt_s(kNan); }, {"scene.stepping.dt_s", "nan"}},
+      {"LongTimeStep", [](auto& s) { s.mutable_stepping()->set_dt_s(11); }, {"scene.stepping.dt_s", "11"}},
+      {"NoRate", [](auto& s) { s.mutable_stepping()->set_rate_hz(0); }, {"scene.stepping.rate_hz"}},
+      {"AbsurdRate", [](auto& s) { s.mutable_stepping()->set_rate_hz(1e6); }, {"scene.stepping.rate_hz", "20000"}},
+      {"UnknownPrecision",
+       [](auto& s) { s.mutable_solver()->set_precision(static_cast<v1::Solver::Precision>(9)); },
+       {"scene.solver.precision", "9", "unknown"}},
+      {"NoIterations",
+       [](auto& s) { s.mutable_solver()->set_cg_max_iterations(0); },
+       {"scene.solver.cg_max_iterations"}},
+      {"TooManyIterations",
+       [](auto& s) { s.mutable_solver()->set_cg_max_iterations(1'000'000); },
+       {"scene.solver.cg_max_iterations", "100000"}},
+      {"NegativeTolerance", [](auto& s) { s.mutable_solver()->set_cg_tolerance(-1); }, {"scene.solver.cg_tolerance"}},
+      {"NanTolerance", [](auto& s) { s.mutable_solver()->set_cg_tolerance(kNan); }, {"scene.solver.cg_tolerance"}},
+      {"NoThreads", [](auto& s) { s.mutable_solver()->set_cpu_threads(0); }, {"scene.solver.cpu_threads", "256"}},
+      {"TooManyThreads", [](auto& s) { s.mutable_solver()->set_cpu_threads(257); }, {"scene.solver.cpu_threads"}},
+      {"NegativeFrameRate",
+       [](auto& s) { s.mutable_streams()->set_frame_rate_hz(-1); },
+       {"scene.streams.frame_rate_hz"}},
+      {"NanStatusRate",
+       [](auto& s) { s.mutable_streams()->set_status_rate_hz(kNan); },
+       {"scene.streams.status_rate_hz"}},
+      {"InfiniteGravity",
+       [](auto& s) { s.mutable_gravity_m_per_s2()->set_y(-kInfinity); },
+       {"scene.gravity_m_per_s2", "not finite"}},
+  };
+}
+
+std::vector<Refusal> body_refusals() {
+  return {
+      {"NoBody", [](auto& s) { s.clear_bodies(); }, {"scene.bodies", "at least one"}},
+      {"TooManyBodies",
+       [](auto& s) {
+         while (s.bodies_size() <= static_cast<int>(limits::kMaxBodies)) *s.add_bodies() = s.bodies(0);
+       },
+       {"scene.bodies", "kMaxBodies"},
+       ErrorCode::kResourceExhausted},
+      {"BodyName", [](auto& s) { body(s).set_name("left kidney"); }, {"scene.bodies[0].name"}},
+      {"TwoBodiesOfOneName", [](auto& s) { *s.add_bodies() = s.bodies(0); }, {"scene.bodies[1]", "'beam'", "taken"}},
+      {"NoDensity", [](auto& s) { body(s).clear_density_kg_per_m3(); }, {"body 'beam'.density_kg_per_m3"}},
+      {"NanDensity", [](auto& s) { body(s).set_density_kg_per_m3(kNan); }, {"body 'beam'.density_kg_per_m3"}},
+      {"NegativeDamping", [](auto& s) { body(s).set_rayleigh_mass_per_s(-1); }, {"body 'beam'.rayleigh_mass_per_s"}},
+      {"NanDamping", [](auto& s) { body(s).set_rayleigh_stiffness_s(kNan); }, {"body 'beam'.rayleigh_stiffness_s"}},
+      {"NanColor", [](auto& s) { body(s).mutable_color_srgb()->set_y(kNan); }, {"body 'beam'.color_srgb"}},
+      {"ColorBeyondOne",
+       [](auto& s) { body(s).mutable_color_srgb()->set_y(128); },
+       {"body 'beam'.color_srgb", "128", "[0, 1]"}},
+      {"NoLaw", [](auto& s) { body(s).clear_law(); }, {"body 'beam'.law", "hooke", "st_venant_kirchhoff"}},
+      {"NoStiffness",
+       [](auto& s) { stvk(s).set_young_modulus_pa(0); },
+       {"body 'beam'.law.st_venant_kirchhoff.young_modulus_pa"}},
+      {"NanStiffness",
+       [](auto& s) { stvk(s).set_young_modulus_pa(kNan); },
+       {"body 'beam'.law.st_venant_kirchhoff.young_modulus_pa", "nan"}},
+      {"Incompressible",
+       [](auto& s) { stvk(s).set_poisson_ratio(0.5); },
+       {"body 'beam'.law.st_venant_kirchhoff.poisson_ratio", "0.5"}},
+      {"HookePoisson",
+       [](auto& s) {
+         body(s).mutable_law()->mutable_hooke()->set_young_modulus_pa(1);
+         body(s).mutable_law()->mutable_hooke()->set_poisson_ratio(-1);
+       },
+       {"body 'beam'.law.hooke.poisson_ratio"}},
+  };
+}
+
+std::vector<Refusal> mesh_refusals() {
+  return {
+      {"NoMesh", [](auto& s) { body(s).clear_mesh(); }, {"body 'beam'.mesh", "packed or grid"}},
+      {"MeshFile",
+       [](auto& s) { body(s).mutable_mesh()->set_file("liver.msh"); },
+       {"body 'beam'.mesh.file", "reads no files"}},
+      {"NoCells", [](auto& s) { grid(s).set_cells_y(0); }, {"body 'beam'.mesh.grid", "cells_y"}},
+      {"FlatGrid", [](auto& s) { grid(s).mutable_size_m()->set_z(0); }, {"body 'beam'.mesh.grid", "size_m.z"}},
+      {"NanGrid", [](auto& s) { grid(s).mutable_size_m()->set_z(kNan); }, {"body 'beam'.mesh.grid.size_m"}},
+      {"FarGrid", [](auto& s) { grid(s).mutable_origin_m()->set_z(1e9); }, {"body 'beam'.mesh.grid.origin_m"}},
+      {"HugeGrid",
+       [](auto& s) {
+         grid(s).set_cells_x(4'000'000'000u);
+         grid(s).set_cells_y(4'000'000'000u);
+       },
+       {"body 'beam'.mesh.grid", "kMaxElements"},
+       ErrorCode::kResourceExhausted},
+      {"ZeroScale", [](auto& s) { body(s).mutable_mesh()->set_scale(0); }, {"body 'beam'.mesh.scale"}},
+      {"NanTranslation",
+       [](auto& s) { body(s).mutable_mesh()->mutable_translation_m()->set_x(kNan); },
+       {"body 'beam'.mesh.translation_m"}},
+      {"NodesCutShort",
+       [](auto& s) {
+         pack(s, {0, 1, 2, 3});
+         body(s).mutable_mesh()->mutable_packed()->mutable_node_positions()->pop_back();
+       },
+       {"body 'beam'.mesh.packed.node_positions", "95 bytes", "multiple of 24"}},
+      {"ElementsCutShort",
+       [](auto& s) {
+         pack(s, {0, 1, 2});
+       },
+       {"body 'beam'.mesh.packed.tetrahedra", "12 bytes"}},
+      {"NoElements", [](auto& s) { pack(s, {}); }, {"body 'beam'.mesh.packed.tetrahedra", "0 bytes"}},
+      {"IndexOutOfRange",
+       [](auto& s) {
+         pack(s, {0, 1, 2, 4});
+       },
+       {"element 0 of body 'beam'", "node 4", "4 nodes"}},
+      {"InvertedElement",
+       [](auto& s) {
+         pack(s, {0, 2, 1, 3});
+       },
+       {"element 0 of body 'beam'", "inverted"}},
+      {"FlatElement",
+       [](auto& s) {
+         pack(s, {0, 1, 2, 3}, {0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0});
+       },
+       {"element 0 of body 'beam'", "flat"}},
+      {"NanNode",
+       [](auto& s) {
+         pack(s, {0, 1, 2, 3}, {0, 0, 0, 1, 0, 0, 0, kNan, 0, 0, 0, 1});
+       },
+       {"node 2 of body 'beam'", "nan"}},
+      {"NodeWithoutElement",
+       [](auto& s) {
+         pack(s, {0, 1, 2, 3}, {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 5, 5, 5});
+       },
+       {"node 4 of body 'beam'", "no element"}},
+      {"SkinFile",
+       [](auto& s) { body(s).mutable_skin()->set_file("liver.obj"); },
+       {"body 'beam'.skin", "packed triangles"}},
+      {"SkinOfBrokenBytes",
+       [](auto& s) {
+         skin(s, {0, 0, 0, 1, 0, 0, 0, 1, 0}, {0, 1, 2});
+         body(s).mutable_skin()->mutable_packed()->mutable_triangles()->pop_back();
+       },
+       {"body 'beam'.skin.packed.triangles", "11 bytes"}},
+      {"SkinIndexOutOfRange",
+       [](auto& s) {
+         skin(s, {0, 0, 0, 1, 0, 0, 0, 1, 0}, {0, 1, 3});
+       },
+       {"skin triangle 0 of body 'beam'", "vertex 3"}},
+      {"SkinFarAway",
+       [](auto& s) {
+         skin(s, {0, 0, 0, 1, 0, 0, 0, 90, 0}, {0, 1, 2});
+       },
+       {"the skin of body 'beam'", "outside of the mesh"}},
+  };
+}
+
+v1::Region& fixed(v1::Scene& scene) {
+  body(scene).clear_fixed();
+  return *body(scene).add_fixed();
+}
+v1::Load& load(v1::Scene& scene) {
+  v1::Load& added = *body(scene).add_loads();
+  added.mutable_region()->mutable_nodes()->add_indices(0);
+  return added;
+}
+
+std::vector<Refusal> region_refusals() {
+  return {
+      {"RegionOfNoKind", [](auto& s) { fixed(s); }, {"body 'beam'.fixed[0]", "box, sphere or nodes"}},
+      {"RegionWithoutNodes",
+       [](auto& s) {
+         tests::set(*fixed(s).mutable_box()->mutable_min_m(), 90, 90, 90);
+         tests::set(*s.mutable_bodies(0)->mutable_fixed(0)->mutable_box()->mutable_max_m(), 91, 91, 91);
+       },
+       {"body 'beam'.fixed[0]", "no node", "metres"}},
+      {"NanBox",
+       [](auto& s) { fixed(s).mutable_box()->mutable_max_m()->set_x(kNan); },
+       {"body 'beam'.fixed[0].box.max_m"}},
+      {"NegativeRadius",
+       [](auto& s) { fixed(s).mutable_sphere()->set_radius_m(-1); },
+       {"body 'beam'.fixed[0].sphere.radius_m"}},
+      {"UnknownNode",
+       [](auto& s) { fixed(s).mutable_nodes()->add_indices(1'000'000); },
+       {"body 'beam'.fixed[0].nodes", "1000000", "does not exist"}},
+      {"LoadWithoutRegion", [](auto& s) { load(s).clear_region(); }, {"body 'beam'.loads[0].region"}},
+      {"NanLoad", [](auto& s) { load(s).mutable_force_n()->set_z(kNan); }, {"body 'beam'.loads[0].force_n"}},
+      {"SecondLoad",
+       [](auto& s) {
+         load(s);
+         load(s).mutable_region()->mutable_nodes()->add_indices(1'000'000);
+       },
+       {"body 'beam'.loads[1].region.nodes"}},
+  };
+}
+
+std::vector<Refusal> tool_refusals() {
+  return {
+      {"TooManyTools",
+       [](auto& s) {
+         while (s.tools_size() <= static_cast<int>(limits::kMaxTools)) *s.add_tools() = s.tools(0);
+       },
+       {"scene.tools", "kMaxTools"},
+       ErrorCode::kResourceExhausted},
+      {"ToolName", [](auto& s) { tool(s).set_name("probe/1"); }, {"scene.tools[0].name"}},
+      {"TwoToolsOfOneName", [](auto& s) { *s.add_tools() = s.tools(0); }, {"scene.tools[1]", "'probe'", "taken"}},
+      {"ToolOfNoKind", [](auto& s) { tool(s).clear_spherical_probe(); }, {"tool 'probe'", "spherical_probe"}},
+      {"NoRadius", [](auto& s) { probe(s).set_radius_m(0); }, {"tool 'probe'.spherical_probe.radius_m"}},
+      {"NanRadius", [](auto& s) { probe(s).set_radius_m(kNan); }, {"tool 'probe'.spherical_probe.radius_m", "nan"}},
+      {"InfiniteTip",
+       [](auto& s) { probe(s).mutable_tip_offset_m()->set_x(kInfinity); },
+       {"tool 'probe'.spherical_probe.tip_offset_m"}},
+      {"NegativePenalty",
+       [](auto& s) { probe(s).set_penalty_stiffness_pa_per_m(-1); },
+       {"tool 'probe'.spherical_probe.penalty_stiffness_pa_per_m"}},
+      {"NoSpeed", [](auto& s) { tool(s).set_max_speed_m_per_s(0); }, {"tool 'probe'.max_speed_m_per_s"}},
+      {"FarTool", [](auto& s) { tool(s).mutable_position_m()->set_x(1e7); }, {"tool 'probe'.position_m", "1e+06"}},
+      {"NoRotation",
+       [](auto& s) { tool(s).mutable_orientation()->set_w(2); },
+       {"tool 'probe'.orientation", "length 2", "normalize"}},
+      {"NanRotation", [](auto& s) { tool(s).mutable_orientation()->set_w(kNan); }, {"tool 'probe'.orientation"}},
+  };
+}
+
+std::vector<Refusal> all_refusals() {
+  std::vector<Refusal> all;
+  for (auto refusals : {header_refusals(), body_refusals(), mesh_refusals(), region_refusals(), tool_refusals()}) {
+    all.insert(all.end(), refusals.begin(), refusals.end());
+  }
+  return all;
+}
+
+v1::Scene good_scene() {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  return scene;
+}
+
+class Refused : public testing::TestWithParam<Refusal> {};
+
+TEST_P(Refused, WithItsPlaceAndItsReason) {
+  v1::Scene scene = good_scene();
+  GetParam().spoil(scene);
+  const auto model = compile(scene, {});
+  ASSERT_FALSE(model) << "it was admitted";
+  EXPECT_EQ(model.error().code, GetParam().code);
+  for (const std::string& part : GetParam().says) {
+    EXPECT_NE(model.error().message.find(part), std::string::npos)
+        << "missing '" << part << "' in: " << model.error().message;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Scenes, Refused, testing::ValuesIn(all_refusals()),
+                         [](const auto& one) { return one.param.name; });
+
+TEST(Admitted, TheSceneThatTheRefusalsSpoil) {
+  const auto model = compile(good_scene(), {});
+  EXPECT_TRUE(model) << model.error().message;
+}
+
+}  // namespace
+}  // namespace tensormass::model
