@@ -111,7 +111,6 @@ struct Runner::Impl {
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, clock.finish(end));
     }
-    release_tools();
   }
 
   /// Until the next step is due or a command arrives; false to quit.
@@ -272,7 +271,6 @@ struct Runner::Impl {
       if (!step_once(frame)) TM_CHECK(require_not_faulted());
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, true);
-      if (i + 1 < count && quit_requested()) break;
     }
     return make_status();
   }
@@ -280,11 +278,6 @@ struct Runner::Impl {
   Clock::duration lockstep_frame_interval() const {
     if (!(model.frame_rate_hz > 0)) return Clock::duration::max();
     return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model.frame_rate_hz));
-  }
-
-  bool quit_requested() {
-    const std::lock_guard lock(mutex);
-    return quit;
   }
 
   Result<v1::SceneStatus> do_reset() {
@@ -354,15 +347,10 @@ struct Runner::Impl {
     auto result = task->get_future();
     {
       const std::lock_guard lock(mutex);
-      if (quit) return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded", model.name));
       commands.emplace_back([task] { (*task)(); });
     }
     wake.notify_one();
-    try {
-      return result.get();
-    } catch (const std::future_error&) {  // dropped: the loop ended first
-      return fail(ErrorCode::kUnavailable, fmt::format("scene '{}' is being unloaded", model.name));
-    }
+    return result.get();
   }
 
   Result<std::size_t> find_tool(std::string_view tool) const {
@@ -442,7 +430,7 @@ struct Runner::Impl {
   // The loop's own.
   StepClock clock;
   StepStamp stamp;
-  double frame_phase = 1;
+  double frame_phase = 0;
   Clock::time_point last_lockstep_frame{};
 
   // Written by the loop, read by anyone.
@@ -514,12 +502,10 @@ Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose
 void Runner::count_malformed_pose() { impl_->malformed_poses.fetch_add(1, std::memory_order_relaxed); }
 
 void Runner::set_output_signal(std::function<void()> signal) {
-  const auto set = impl_->on_loop([this, &signal]() -> Result<void> {
+  impl_->on_loop([this, &signal] {
     impl_->output_signal = std::move(signal);
     impl_->signal_output();
-    return {};
   });
-  (void)set;  // fails only while the scene ends, and then there is nothing to signal
 }
 
 bool Runner::take_frame(v1::Frame& frame) {

@@ -33,7 +33,7 @@ class Runner {
   /// Checks and compiles without running.
   static Result<v1::SceneReport> inspect(const v1::Scene& scene, const RunnerOptions& options);
 
-  /// Stops the loop and joins its thread; a last feedback with zero forces is left in the mailbox.
+  /// Ends the loop and joins its thread. No call may be under way: callers on several threads share the ownership.
   ~Runner();
   Runner(const Runner&) = delete;
   Runner& operator=(const Runner&) = delete;
@@ -54,8 +54,8 @@ class Runner {
   Result<v1::GetPositionsResponse> positions(std::string_view body);
   Result<v1::ToolFeedback> feedback(std::string_view tool) const;
 
-  /// Wait-free. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for an unknown
-  /// tool.
+  /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for
+  /// an unknown tool.
   Result<void> submit_pose(std::string_view tool, const v1::ToolPose& pose);
   /// Counts a pose that could not even be parsed.
   void count_malformed_pose();

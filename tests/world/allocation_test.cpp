@@ -1,0 +1,76 @@
+#include <atomic>
+#include <cstdlib>
+#include <new>
+
+#include <gtest/gtest.h>
+
+#include "support/backends.h"
+#include "support/scenes.h"
+
+/// The step loop allocates nothing. This program counts every call of operator new, in every thread.
+namespace {
+
+std::atomic<std::uint64_t> allocations{0};
+
+void* counted(std::size_t size, std::size_t alignment) {
+  allocations.fetch_add(1, std::memory_order_relaxed);
+  const std::size_t rounded = (std::max<std::size_t>(size, 1) + alignment - 1) / alignment * alignment;
+  if (void* memory = std::aligned_alloc(alignment, rounded)) return memory;
+  throw std::bad_alloc();
+}
+
+}  // namespace
+
+void* operator new(std::size_t size) { return counted(size, __STDCPP_DEFAULT_NEW_ALIGNMENT__); }
+void* operator new[](std::size_t size) { return counted(size, __STDCPP_DEFAULT_NEW_ALIGNMENT__); }
+void* operator new(std::size_t size, std::align_val_t alignment) {
+  return counted(size, static_cast<std::size_t>(alignment));
+}
+void* operator new[](std::size_t size, std::align_val_t alignment) {
+  return counted(size, static_cast<std::size_t>(alignment));
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete[](void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+void operator delete[](void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
+
+namespace tensormass::world {
+namespace {
+
+class StepLoop : public tests::OnBackend {};
+
+TEST_P(StepLoop, AllocatesNothing) {
+  for (const bool mixed : {false, true}) {
+    v1::Scene scene = tests::block_with_probe(false, 12);
+    scene.mutable_solver()->set_cpu_threads(2);
+    scene.mutable_solver()->set_cg_tolerance(1e-3);
+    if (mixed) {
+      *scene.add_bodies() = scene.bodies(0);
+      scene.mutable_bodies(1)->set_name("linear");
+      scene.mutable_bodies(1)->mutable_law()->mutable_hooke()->set_young_modulus_pa(1e4);
+    }
+    const auto world = start(scene);
+    const std::uint64_t before = allocations.load();
+    for (int i = 0; i < 20; ++i) {
+      world->set_tool_target(0, {{0.05, 0.058 - 0.0005 * i, 0.05}, {1, 0, 0, 0}});
+      ASSERT_TRUE(world->step(i % 2 == 0));
+    }
+    EXPECT_EQ(allocations.load() - before, 0u);
+    EXPECT_GT(world->readings()[0].force_n.norm(), 0) << "contact was among what ran";
+  }
+}
+
+TM_ON_EACH_BACKEND(StepLoop);
+
+TEST(Counting, SeesAnAllocation) {
+  const std::uint64_t before = allocations.load();
+  delete new int(1);
+  EXPECT_GT(allocations.load(), before);
+}
+
+}  // namespace
+}  // namespace tensormass::world

@@ -1,0 +1,97 @@
+#include "world/messages.h"
+
+#include <cstring>
+
+#include <gtest/gtest.h>
+
+#include "model/compile.h"
+#include "support/scenes.h"
+
+namespace tensormass::world {
+namespace {
+
+model::Model two_bodies_and_a_probe() {
+  v1::Scene scene = tests::block_with_probe(false, 2);
+  *scene.add_bodies() = scene.bodies(0);
+  scene.mutable_bodies(1)->set_name("second");
+  tests::set(*scene.mutable_bodies(1)->mutable_color_srgb(), 0.5, 0.25, 0);
+  auto model = model::compile(scene, {});
+  return std::move(model.value());
+}
+
+TEST(Messages, TopologyNamesEachBodysShareOfTheFrame) {
+  const model::Model model = two_bodies_and_a_probe();
+  const v1::Topology topology = make_topology(model, 42);
+  EXPECT_EQ(topology.scene(), "block");
+  EXPECT_EQ(topology.version(), 42u);
+  EXPECT_EQ(topology.gravity_m_per_s2().y(), -9.81);
+  ASSERT_EQ(topology.bodies_size(), 2);
+  std::uint32_t next = 0;
+  for (const v1::BodySurface& body : topology.bodies()) {
+    EXPECT_EQ(body.first_vertex(), next);
+    next += body.vertex_count();
+    ASSERT_EQ(body.nodes().size(), 4 * body.vertex_count());
+    ASSERT_EQ(body.triangles().size() % 12, 0u);
+    std::vector<std::uint32_t> corners(body.triangles().size() / 4);
+    std::memcpy(corners.data(), body.triangles().data(), body.triangles().size());
+    for (const std::uint32_t corner : corners) EXPECT_LT(corner, body.vertex_count());
+  }
+  EXPECT_EQ(next, model.visible.count());
+  EXPECT_FALSE(topology.bodies(0).has_color_srgb()) << "the viewer chooses";
+  EXPECT_EQ(topology.bodies(1).color_srgb().y(), 0.25);
+  ASSERT_EQ(topology.tools_size(), 1);
+  EXPECT_EQ(topology.tools(0).name(), "probe");
+  EXPECT_EQ(topology.tools(0).radius_m(), 0.01);
+}
+
+TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
+  const model::Model model = two_bodies_and_a_probe();
+  ToolSnapshot snapshot;
+  snapshot.pose_sequence = 3;
+  snapshot.client_time_ns = 4;
+  snapshot.client_id = 5;
+  snapshot.reading.pose = {{1, 2, 3}, {0.5, 0.5, 0.5, 0.5}};
+  snapshot.reading.force_n = {6, 7, 8};
+  snapshot.reading.torque_n_m = {9, 10, 11};
+  snapshot.reading.stiffness_n_per_m << 1, 2, 3, 4, 5, 6, 7, 8, 9;
+  v1::ToolFeedback feedback;
+  for (int i = 0; i < 2; ++i) fill_feedback(model, {12, 0.5, 13}, 0, snapshot, feedback);  // twice: nothing piles up
+  EXPECT_EQ(feedback.tool(), "probe");
+  EXPECT_EQ(feedback.step(), 12u);
+  EXPECT_EQ(feedback.server_time_ns(), 13u);
+  EXPECT_EQ(feedback.pose_sequence(), 3u);
+  EXPECT_EQ(feedback.client_time_ns(), 4u);
+  EXPECT_EQ(feedback.client_id(), 5u);
+  EXPECT_EQ(feedback.position_m().z(), 3);
+  EXPECT_EQ(feedback.orientation().x(), 0.5);
+  EXPECT_EQ(feedback.force_n().y(), 7);
+  EXPECT_EQ(feedback.torque_n_m().z(), 11);
+  ASSERT_EQ(feedback.local_model().stiffness_n_per_m_size(), 9);
+  for (int i = 0; i < 9; ++i) EXPECT_EQ(feedback.local_model().stiffness_n_per_m(i), i + 1) << "row-major";
+  EXPECT_EQ(feedback.local_model().valid_for_s(), local_model_validity_s(model));
+}
+
+TEST(Messages, LocalModelOutlivesAFewMissingSteps) {
+  model::Model model = two_bodies_and_a_probe();
+  model.rate_hz = 10;
+  EXPECT_NEAR(local_model_validity_s(model), 0.3, 1e-12);
+  model.rate_hz = 1000;
+  EXPECT_NEAR(local_model_validity_s(model), 0.02, 1e-12) << "a short hiccup of the network";
+}
+
+TEST(Messages, FrameHoldsThePositionsAsTheyAre) {
+  const model::Model model = two_bodies_and_a_probe();
+  const std::vector<float> positions{1, 2, 3, 4, 5, 6};
+  const std::vector<ToolSnapshot> tools(1);
+  v1::Frame frame;
+  for (int i = 0; i < 2; ++i) fill_frame(model, {7, 0.25, 9}, positions, tools, frame);
+  EXPECT_EQ(frame.step(), 7u);
+  EXPECT_EQ(frame.simulated_time_s(), 0.25);
+  EXPECT_EQ(frame.server_time_ns(), 9u);
+  EXPECT_EQ(frame.tools_size(), 1);
+  ASSERT_EQ(frame.positions().size(), sizeof(float) * positions.size());
+  EXPECT_EQ(std::memcmp(frame.positions().data(), positions.data(), frame.positions().size()), 0);
+}
+
+}  // namespace
+}  // namespace tensormass::world

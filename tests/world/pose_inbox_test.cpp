@@ -1,0 +1,81 @@
+#include "world/pose_inbox.h"
+
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "support/scenes.h"
+
+namespace tensormass::world {
+namespace {
+
+v1::ToolPose pose(std::uint64_t client, std::uint64_t sequence, double x = 0) {
+  v1::ToolPose out;
+  out.set_client_id(client);
+  out.set_sequence(sequence);
+  out.set_client_time_ns(1000 * sequence);
+  out.mutable_position_m()->set_x(x);
+  return out;
+}
+
+TEST(PoseInbox, KeepsTheNewestWithWhatItsFeedbackEchoes) {
+  PoseInbox inbox;
+  EXPECT_EQ(inbox.take(), nullptr);
+  ASSERT_TRUE(inbox.submit("probe", pose(7, 1, 0.1)));
+  ASSERT_TRUE(inbox.submit("probe", pose(7, 2, 0.2)));
+  const ReceivedPose* taken = inbox.take();
+  ASSERT_NE(taken, nullptr);
+  EXPECT_EQ(taken->pose.position_m[0], 0.2);
+  EXPECT_EQ(taken->sequence, 2u);
+  EXPECT_EQ(taken->client_time_ns, 2000u);
+  EXPECT_EQ(taken->client_id, 7u);
+  EXPECT_EQ(inbox.take(), nullptr);
+  EXPECT_EQ(inbox.received(), 2u);
+  EXPECT_EQ(inbox.superseded(), 1u);
+  EXPECT_EQ(inbox.rejected(), 0u);
+}
+
+TEST(PoseInbox, RefusesWhatIsNotNewerOfTheSameClient) {
+  PoseInbox inbox;
+  ASSERT_TRUE(inbox.submit("probe", pose(7, 5)));
+  for (const std::uint64_t sequence : {5u, 4u, 0u}) {
+    const auto refused = inbox.submit("probe", pose(7, sequence));
+    ASSERT_FALSE(refused);
+    EXPECT_NE(refused.error().message.find("tool 'probe'"), std::string::npos);
+    EXPECT_NE(refused.error().message.find("newer"), std::string::npos);
+  }
+  EXPECT_EQ(inbox.rejected(), 3u);
+  EXPECT_TRUE(inbox.submit("probe", pose(8, 1))) << "another client counts for itself";
+  EXPECT_TRUE(inbox.submit("probe", pose(7, 6))) << "and the first goes on";
+}
+
+TEST(PoseInbox, TakesScriptedPosesAlways) {
+  PoseInbox inbox;
+  EXPECT_TRUE(inbox.submit("probe", pose(0, 0, 1)));
+  EXPECT_TRUE(inbox.submit("probe", pose(0, 0, 2)));
+  EXPECT_EQ(inbox.take()->pose.position_m[0], 2);
+}
+
+TEST(PoseInbox, ForgetsTheOldestOfManyClientsOnly) {
+  PoseInbox inbox;
+  for (std::uint64_t client = 1; client <= 9; ++client) ASSERT_TRUE(inbox.submit("probe", pose(client, 10)));
+  for (std::uint64_t client = 2; client <= 9; ++client) EXPECT_FALSE(inbox.submit("probe", pose(client, 10))) << client;
+  EXPECT_TRUE(inbox.submit("probe", pose(1, 10)));
+}
+
+TEST(PoseInbox, RefusesWhatIsNoPose) {
+  PoseInbox inbox;
+  const double bad[] = {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), 1e9};
+  for (const double value : bad) {
+    EXPECT_FALSE(inbox.submit("probe", pose(7, 1, value)));
+    v1::ToolPose turned = pose(7, 1);
+    turned.mutable_orientation()->set_w(value);
+    EXPECT_FALSE(inbox.submit("probe", turned));
+  }
+  EXPECT_EQ(inbox.take(), nullptr);
+  EXPECT_EQ(inbox.rejected(), 6u);
+  EXPECT_TRUE(inbox.submit("probe", pose(7, 1))) << "a refused pose leaves its sequence unused";
+}
+
+}  // namespace
+}  // namespace tensormass::world

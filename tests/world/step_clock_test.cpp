@@ -1,0 +1,75 @@
+#include "world/step_clock.h"
+
+#include <gtest/gtest.h>
+
+/// The schedule in invented time: nothing here waits.
+namespace tensormass::world {
+namespace {
+
+using namespace std::chrono_literals;
+
+const Clock::time_point kStart{1s};
+
+TEST(StepClock, KeepsTheRateWhateverAStepTakesOfItsPeriod) {
+  StepClock clock(100);
+  clock.restart(kStart);
+  for (int i = 0; i < 1000; ++i) {
+    EXPECT_EQ(clock.begin(), kStart + i * 10ms);
+    EXPECT_TRUE(clock.finish(clock.begin() + 9ms));
+  }
+}
+
+TEST(StepClock, CatchesUpAfterALateStepAndCountsOnlyTheLateOnes) {
+  StepClock clock(100);
+  clock.restart(kStart);
+  EXPECT_FALSE(clock.finish(kStart + 25ms)) << "due at 10 ms";
+  EXPECT_EQ(clock.begin(), kStart + 10ms) << "the next is due already";
+  EXPECT_FALSE(clock.finish(kStart + 27ms)) << "due at 20 ms";
+  EXPECT_TRUE(clock.finish(kStart + 29ms)) << "caught up";
+  EXPECT_EQ(clock.begin(), kStart + 30ms);
+}
+
+TEST(StepClock, OwesNoMoreThanItsBacklog) {
+  StepClock clock(100);
+  clock.restart(kStart);
+  clock.finish(kStart + 5s);
+  EXPECT_EQ(clock.begin(), kStart + 5s - 20ms) << "simulated time slows instead of a burst of 500 steps";
+}
+
+TEST(StepStatistics, PercentilesAreOfTheLastSteps) {
+  StepStatistics statistics;
+  EXPECT_EQ(statistics.percentiles().p50_s, 0);
+  Clock::time_point end = kStart;
+  const auto add = [&](int count, Clock::duration time) {
+    for (int i = 0; i < count; ++i) statistics.add(time, end += 10ms, true);
+  };
+  add(100, 1ms);
+  EXPECT_NEAR(statistics.percentiles().p50_s, 1e-3, 1e-9);
+  add(3, 50ms);
+  EXPECT_NEAR(statistics.percentiles().p50_s, 1e-3, 1e-9);
+  EXPECT_NEAR(statistics.percentiles().p99_s, 50e-3, 1e-8);
+  EXPECT_NEAR(statistics.percentiles().max_s, 50e-3, 1e-8);
+  add(1024, 2ms);
+  EXPECT_NEAR(statistics.percentiles().max_s, 2e-3, 1e-9) << "what is older than 1024 steps is forgotten";
+}
+
+TEST(StepStatistics, ReachedRateIsMeasuredOverASecondAndAnewAfterAnInterruption) {
+  StepStatistics statistics;
+  Clock::time_point end = kStart;
+  for (int i = 0; i < 200; ++i) statistics.add(1ms, end += 10ms, true);
+  EXPECT_NEAR(statistics.reached_rate_hz(), 100, 1e-6);
+  statistics.interrupt();
+  EXPECT_EQ(statistics.reached_rate_hz(), 0);
+  end += 60s;  // paused
+  for (int i = 0; i < 200; ++i) statistics.add(1ms, end += 20ms, true);
+  EXPECT_NEAR(statistics.reached_rate_hz(), 50, 1e-6);
+}
+
+TEST(StepStatistics, CountsMissedDeadlines) {
+  StepStatistics statistics;
+  for (int i = 0; i < 5; ++i) statistics.add(1ms, kStart + i * 1ms, i % 2 == 0);
+  EXPECT_EQ(statistics.missed_deadlines(), 2u);
+}
+
+}  // namespace
+}  // namespace tensormass::world
