@@ -73,6 +73,7 @@ Result<void> SceneRegistry::unload(std::string_view name) {
     ended = std::move(found->second);
     scenes_.erase(found);
   }
+  ended->cancel();
   changed();
   return {};
 }
@@ -106,6 +107,7 @@ std::vector<RunnerPtr> SceneRegistry::close() {
         continue;
       }
       runners.push_back(std::move(scene->second));
+      runners.back()->cancel();
       scene = scenes_.erase(scene);
     }
   }

@@ -264,6 +264,10 @@ struct Runner::Impl {
           fmt::format("scene '{}' runs by the clock; load it with stepping.lockstep to step it by hand", model.name));
     }
     for (std::uint32_t i = 0; i < count; ++i) {
+      if (cancelled.load(std::memory_order_relaxed)) {
+        return fail(ErrorCode::kUnavailable,
+                    fmt::format("scene '{}' is being unloaded; {} of {} steps were done", model.name, i, count));
+      }
       const Clock::time_point begin = Clock::now();
       // The last step's frame is what the caller asks for next; those between go out at the stream's rate.
       const bool frame = i + 1 == count || begin - last_lockstep_frame >= lockstep_frame_interval();
@@ -427,6 +431,8 @@ struct Runner::Impl {
   std::deque<std::function<void()>> commands;  // guarded by mutex
   bool quit = false;                           // guarded by mutex
 
+  std::atomic<bool> cancelled{false};
+
   // The loop's own.
   StepClock clock;
   StepStamp stamp;
@@ -479,6 +485,7 @@ Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
 Result<v1::SceneStatus> Runner::reset() {
   return impl_->on_loop([this] { return impl_->do_reset(); });
 }
+void Runner::cancel() { impl_->cancelled.store(true, std::memory_order_relaxed); }
 v1::SceneStatus Runner::status() const { return impl_->make_status(); }
 Result<v1::Frame> Runner::frame() {
   return impl_->on_loop([this] { return impl_->do_frame(); });

@@ -49,6 +49,8 @@ class Runner {
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;
+  /// The scene is about to be unloaded: a `step` in progress ends after the step at hand, with kUnavailable.
+  void cancel();
   /// Surface positions after the last step.
   Result<v1::Frame> frame();
   Result<v1::GetPositionsResponse> positions(std::string_view body);

@@ -101,7 +101,9 @@ TEST_F(SceneRegistryTest, CloseTakesAllOutAndRefusesMore) {
   const auto ending = registry.close();
   ASSERT_EQ(ending.size(), 1u);
   EXPECT_TRUE(registry.list().empty());
-  EXPECT_TRUE(ending[0]->step(1));  // it runs until it goes
+  // It answers until it goes, but starts nothing that could keep it from going.
+  EXPECT_EQ(ending[0]->status().scene(), "a");
+  EXPECT_EQ(ending[0]->step(1).error().code, ErrorCode::kUnavailable);
   EXPECT_EQ(registry.load(small_scene("b")).error().code, ErrorCode::kUnavailable);
 }
 

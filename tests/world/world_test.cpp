@@ -247,21 +247,31 @@ TEST_P(Mechanics, TurningSweepsTheSphereNoFasterThanItMayMove) {
   EXPECT_LT((before - Vec3<double>(0, 1, 0.2)).norm(), 1e-12);
 }
 
-TEST_P(Mechanics, TheGuardStopsAStateThatIsNoNumberAnyMore) {
-  v1::Scene scene = tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2, .dt_s = 1});
+/// Next to no mass under a force beyond all sense, in steps of ten seconds: thrown a light hour away in a few of them.
+TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 4,
+                                       .cells_y = 2,
+                                       .cells_z = 2,
+                                       .size_x_m = 0.1,
+                                       .size_y_m = 0.05,
+                                       .size_z_m = 0.05,
+                                       .linear = true,
+                                       .dt_s = 10});
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
   body.set_density_kg_per_m3(1e-3);
   v1::Load& load = *body.add_loads();
-  load.mutable_region()->mutable_sphere()->set_radius_m(100);
+  load.mutable_region()->mutable_sphere()->set_radius_m(1);
   tests::set(*load.mutable_force_n(), 1e6, 0, 0);
-  for (int i = 0; i < 10'000; ++i) body.add_loads()->CopyFrom(body.loads(0));  // a single one is limited
   const auto world = start(scene);
-  bool good = true;
-  for (int i = 0; i < 100 && good; ++i) good = world->step(false);
-  EXPECT_FALSE(good) << "fastest node at " << world->last().max_speed_m_per_s << " m/s";
+  const Eigen::MatrixX3d rest = positions(*world);
+  int good_steps = 0;
+  while (good_steps < 10 && world->step(false)) ++good_steps;
+  EXPECT_GE(good_steps, 1);
+  EXPECT_LT(good_steps, 10) << "fastest node at " << world->last().max_speed_m_per_s << " m/s";
   world->reset();
-  EXPECT_EQ(positions(*world).rowwise().norm().maxCoeff(), Vec3<double>(8, 1, 0.8).norm()) << "nothing is left behind";
+  EXPECT_EQ(positions(*world), rest) << "nothing is left behind";
+  EXPECT_TRUE(world->step(false));
 }
 
 TM_ON_EACH_BACKEND(Mechanics);
