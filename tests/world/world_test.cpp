@@ -247,7 +247,7 @@ TEST_P(Mechanics, TurningSweepsTheSphereNoFasterThanItMayMove) {
   EXPECT_LT((before - Vec3<double>(0, 1, 0.2)).norm(), 1e-12);
 }
 
-/// Next to no mass under a force beyond all sense, in steps of ten seconds: thrown a light hour away in a few of them.
+/// Next to no mass and no stiffness under a force beyond all sense: thrown a light month away within some steps.
 TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
@@ -256,7 +256,8 @@ TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
                                        .size_y_m = 0.05,
                                        .size_z_m = 0.05,
                                        .linear = true,
-                                       .dt_s = 10});
+                                       .young_modulus_pa = 1e-3,
+                                       .dt_s = 1});
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
   body.set_density_kg_per_m3(1e-3);
@@ -266,9 +267,9 @@ TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
   const auto world = start(scene);
   const Eigen::MatrixX3d rest = positions(*world);
   int good_steps = 0;
-  while (good_steps < 10 && world->step(false)) ++good_steps;
+  while (good_steps < 200 && world->step(false)) ++good_steps;
   EXPECT_GE(good_steps, 1);
-  EXPECT_LT(good_steps, 10) << "fastest node at " << world->last().max_speed_m_per_s << " m/s";
+  EXPECT_LT(good_steps, 200) << "fastest node at " << world->last().max_speed_m_per_s << " m/s";
   world->reset();
   EXPECT_EQ(positions(*world), rest) << "nothing is left behind";
   EXPECT_TRUE(world->step(false));
