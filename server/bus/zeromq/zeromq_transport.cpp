@@ -5,6 +5,8 @@
 
 #include <array>
 #include <chrono>
+#include <cstdint>
+#include <cstring>
 #include <set>
 #include <utility>
 
@@ -25,7 +27,11 @@ constexpr std::int64_t kMaxInputBytes = std::int64_t{1} << 20;
 /// Poses taken in a row before the other sockets have their turn.
 constexpr int kPosesPerTurn = 256;
 
-constexpr int kFailedHandshakes = ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL | ZMQ_EVENT_HANDSHAKE_FAILED_PROTOCOL;
+/// How often what only time tells about handshakes is looked at, while there is any.
+constexpr std::chrono::milliseconds kHandshakeLook{200};
+constexpr std::chrono::milliseconds kHandshakePatience{kHandshakeMs + 500};
+
+constexpr int kMonitored = ZMQ_EVENT_ACCEPTED | ZMQ_EVENT_HANDSHAKE_SUCCEEDED | ZMQ_EVENT_DISCONNECTED;
 
 Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
   try {
@@ -37,15 +43,14 @@ Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
   }
 }
 
-zmq::socket_t monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name) {
-  const std::string address = "inproc://" + name;
-  if (zmq_socket_monitor(socket.handle(), address.c_str(), kFailedHandshakes) != 0) throw zmq::error_t();
-  zmq::socket_t events(context, zmq::socket_type::pair);
-  events.connect(address);
-  return events;
-}
-
 }  // namespace
+
+ZeroMqTransport::Monitor::Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name)
+    : events(context, zmq::socket_type::pair), watch(kHandshakePatience) {
+  const std::string address = "inproc://" + name;
+  if (zmq_socket_monitor(socket.handle(), address.c_str(), kMonitored) != 0) throw zmq::error_t();
+  events.connect(address);
+}
 
 Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptions& options, PoseInput& input) {
   std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(input));
@@ -63,8 +68,8 @@ ZeroMqTransport::ZeroMqTransport(PoseInput& input)
     : input_(input),
       publisher_(context_, zmq::socket_type::xpub),
       poses_(context_, zmq::socket_type::pull),
-      publisher_monitor_(monitor(context_, publisher_, "publisher")),
-      poses_monitor_(monitor(context_, poses_, "poses")),
+      publisher_monitor_(context_, publisher_, "publisher"),
+      poses_monitor_(context_, poses_, "poses"),
       stop_event_(eventfd(0, EFD_CLOEXEC)) {
   publisher_.set(zmq::sockopt::sndhwm, kSendQueue);
   publisher_.set(zmq::sockopt::linger, kLingerMs);
@@ -130,20 +135,21 @@ void ZeroMqTransport::receive_loop() {
   const int subscriptions = publisher_.get(zmq::sockopt::fd);
   std::array<zmq::pollitem_t, 5> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
                                         {nullptr, subscriptions, ZMQ_POLLIN, 0},
-                                        {publisher_monitor_.handle(), 0, ZMQ_POLLIN, 0},
-                                        {poses_monitor_.handle(), 0, ZMQ_POLLIN, 0},
+                                        {publisher_monitor_.events.handle(), 0, ZMQ_POLLIN, 0},
+                                        {poses_monitor_.events.handle(), 0, ZMQ_POLLIN, 0},
                                         {nullptr, stop_event_, ZMQ_POLLIN, 0}}};
-  const auto& [poses, subscribed, publisher_event, poses_event, stop] = items;
+  const zmq::pollitem_t &poses = items[0], &subscribed = items[1], &stop = items[4];
   while (true) {
-    zmq::poll(items.data(), items.size(), std::chrono::milliseconds{-1});
+    const bool waiting = publisher_monitor_.watch.is_waiting() || poses_monitor_.watch.is_waiting();
+    zmq::poll(items.data(), items.size(), waiting ? kHandshakeLook : std::chrono::milliseconds{-1});
     if (stop.revents != 0) return;
     if (poses.revents != 0) receive_poses();
     if (subscribed.revents != 0) {
       const std::lock_guard lock(mutex_);
       serve_subscriptions();
     }
-    if (publisher_event.revents != 0) receive_failed_handshakes(publisher_monitor_);
-    if (poses_event.revents != 0) receive_failed_handshakes(poses_monitor_);
+    watch_handshakes(publisher_monitor_);
+    watch_handshakes(poses_monitor_);
   }
 }
 
@@ -159,11 +165,22 @@ void ZeroMqTransport::receive_poses() {
   }
 }
 
-void ZeroMqTransport::receive_failed_handshakes(zmq::socket_t& monitor) {
+void ZeroMqTransport::watch_handshakes(Monitor& monitor) {
+  const auto now = std::chrono::steady_clock::now();
   zmq::message_t part;
-  while (monitor.recv(part, zmq::recv_flags::dontwait)) {
-    // An event is two frames, what happened and where; only failed handshakes are asked for.
-    if (!part.more()) input_.refuse({}, "a peer that does not speak ZeroMQ");
+  while (monitor.events.recv(part, zmq::recv_flags::dontwait)) {
+    // An event is two frames: what happened (16 bits) with a value (32 bits), and to which endpoint.
+    if (!part.more() || part.size() != 6) continue;
+    std::uint16_t event = 0;
+    std::int32_t descriptor = 0;
+    std::memcpy(&event, part.data(), sizeof(event));
+    std::memcpy(&descriptor, part.data<char>() + sizeof(event), sizeof(descriptor));
+    if (event == ZMQ_EVENT_ACCEPTED) monitor.watch.accepted(descriptor, now);
+    if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.watch.succeeded();
+    if (event == ZMQ_EVENT_DISCONNECTED) monitor.watch.disconnected(descriptor);
+  }
+  for (std::int64_t refused = monitor.watch.take_refused(now); refused > 0; --refused) {
+    input_.refuse({}, "a peer that does not speak ZeroMQ");
   }
 }
 

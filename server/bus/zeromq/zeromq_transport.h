@@ -12,6 +12,7 @@
 
 #include "bus/pose_input.h"
 #include "bus/transport.h"
+#include "bus/zeromq/handshake_watch.h"
 #include "core/result.h"
 
 namespace tensormass::bus {
@@ -41,10 +42,17 @@ class ZeroMqTransport final : public Transport {
   const std::string& pose_endpoint() const { return pose_endpoint_; }
 
  private:
+  /// What ZeroMQ tells of a socket's connections.
+  struct Monitor {
+    Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name);
+    zmq::socket_t events;
+    HandshakeWatch watch;
+  };
+
   explicit ZeroMqTransport(PoseInput& input);
   void receive_loop();
   void receive_poses();
-  void receive_failed_handshakes(zmq::socket_t& monitor);
+  void watch_handshakes(Monitor& monitor);
   /// Sends what is retained for whoever just subscribed. The caller holds the mutex.
   void serve_subscriptions();
   void send(const MessagePtr& message);
@@ -55,8 +63,8 @@ class ZeroMqTransport final : public Transport {
   zmq::socket_t publisher_;                                  // guarded by mutex_
   std::map<std::string, MessagePtr, std::less<>> retained_;  // guarded by mutex_; by key
   zmq::socket_t poses_;
-  zmq::socket_t publisher_monitor_;
-  zmq::socket_t poses_monitor_;
+  Monitor publisher_monitor_;
+  Monitor poses_monitor_;
   std::string publish_endpoint_;
   std::string pose_endpoint_;
   int stop_event_ = -1;
