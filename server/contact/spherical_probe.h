@@ -13,7 +13,8 @@
 /// triangle's corners: three diagonal blocks and the three edge tensors between them, which the mesh has anyway.
 ///
 /// Whether the centre is inside the tissue is decided once a step, at the closest feature of the whole surface, by its
-/// angle-weighted pseudonormal (Bærentzen, Aanæs 2005); a centre that got inside pushes the tissue back over it.
+/// angle-weighted pseudonormal (Bærentzen, Aanæs 2005); a centre that got inside pushes the tissue back over it. Only
+/// triangles that it is behind take part in that: another body beside the one it is in is pushed away as ever.
 namespace tensormass::contact {
 
 using tensor::SceneView;
@@ -133,11 +134,13 @@ TM_HOST_DEVICE void respond(const Team& team, const SceneView<Real>& s) {
       const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
       const Vec3<Real> away = corners.at(closest.weights) - center;
       const Real distance = sqrt(away.dot(away));
-      const Real depth = tool.radius_m + 2 * inside - distance;
+      const bool behind = nearest.side < 0 && corners.normal().dot(away) > 0;
+      const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
       contact.depth_m = maximum(depth, Real(0));
       if (!(depth > 0)) return;
-      const Vec3<Real> normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * (nearest.side / distance))
-                                                                      : Vec3<Real>(-unit<Real>(corners.normal()));
+      const Vec3<Real> normal = distance > Real(1e-6) * tool.radius_m
+                                    ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
+                                    : Vec3<Real>(-unit<Real>(corners.normal()));
       for (int c = 0; c < 3; ++c) {
         contact.weight[c] = closest.weights[c];
         contact.normal[c] = normal[c];

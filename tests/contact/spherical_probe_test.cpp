@@ -197,6 +197,27 @@ TEST(ProbeOnARigidBlock, IsPushedOutWithItsCentreInside) {
   }
 }
 
+/// A centre inside of one body is not inside of its neighbour: that one is pushed away and not drawn in.
+TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
+  v1::Scene scene = box_scene(mesh::testing::unit_grid(2));
+  v1::Body& neighbour = *scene.add_bodies();
+  neighbour = scene.bodies(0);
+  neighbour.set_name("neighbour");
+  neighbour.mutable_mesh()->mutable_translation_m()->set_x(1.02);
+  for (const std::uint32_t patches : {1u, 3u}) {
+    StagedScene<double> staged(scene, patches);
+    place(staged, {0.97, 0.4, 0.6}, 0.1);  // 3 cm inside of the first, 5 cm before the second
+    staged.step();
+    const Eigen::VectorXd v = staged.by_node(staged.view.velocity);
+    Vec3<double> momentum[2] = {Vec3<double>::Zero(), Vec3<double>::Zero()};
+    for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+      momentum[node / 27] += staged.model.inertia[4 * std::size_t{staged.row(node)}] * v.segment<3>(3 * node);
+    }
+    EXPECT_LT(momentum[0][0], -1) << "over the sphere and out of it";
+    EXPECT_GT(momentum[1][0], 1);
+  }
+}
+
 /// Inside or outside, at faces, edges and corners, sharp and blunt: by the pseudonormal as by looking for an element
 /// that holds the point.
 /// Returns how many points were inside.
