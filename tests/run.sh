@@ -11,7 +11,7 @@ mkdir -p "$logs"
 export PATH=$PWD/.venv/bin:$PATH
 
 run_ctest() { ctest --test-dir "$build" --output-on-failure --no-tests=error; }
-run_pytest() { python -m pytest -q -rs tests; }
+run_pytest() { python -m pytest -q -rfEs tests; }
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
