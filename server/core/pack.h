@@ -72,8 +72,12 @@ struct PackLanes {
   static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
     Vector rows[4] = {value[0].v, value[1].v, value[2].v, Vector{}};
     transpose<4>(rows);
-    for (std::uint32_t lane = 0; lane < Width; ++lane) {
-      std::memcpy(vectors + std::size_t{4} * (first + lane), quad(rows, lane), kQuadBytes);
+    for (std::uint32_t row = 0; row < 4; ++row) {
+      Quad quads[kQuads];
+      split(rows[row], quads);
+      for (std::uint32_t i = 0; i < kQuads; ++i) {
+        std::memcpy(vectors + std::size_t{4} * (first + row + 4 * i), &quads[i], sizeof(Quad));
+      }
     }
   }
   template <std::uint32_t Count>
@@ -99,17 +103,37 @@ struct PackLanes {
   using Vector = typename Scalar::Vector;
   using Index = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
   typedef Index Mask __attribute__((vector_size(sizeof(Vector))));
-  static constexpr std::size_t kQuadBytes = 4 * sizeof(Real);
+  /// The four reals of one lane while they are not transposed: row lane % 4 holds lanes lane % 4 and, in registers of
+  /// eight, lane % 4 + 4. Joined in registers: a wide load behind two narrow stores would wait for both to reach the
+  /// cache.
+  typedef Real Quad __attribute__((vector_size(4 * sizeof(Real))));
+  static constexpr std::uint32_t kQuads = Width / 4;
+  static_assert(kQuads == 1 || kQuads == 2);
 
-  /// Where lane's four reals lie in `rows` while they are not transposed: row lane % 4, quad lane / 4.
-  static Real* quad(Vector* rows, std::uint32_t lane) {
-    return reinterpret_cast<Real*>(&rows[lane % 4]) + std::size_t{4} * (lane / 4);
+  static Vector join(const Quad (&quads)[kQuads]) {
+    if constexpr (kQuads == 1) {
+      return quads[0];
+    } else {
+      return __builtin_shufflevector(quads[0], quads[1], 0, 1, 2, 3, 4, 5, 6, 7);
+    }
+  }
+  static void split(Vector row, Quad (&quads)[kQuads]) {
+    if constexpr (kQuads == 1) {
+      quads[0] = row;
+    } else {
+      quads[0] = __builtin_shufflevector(row, row, 0, 1, 2, 3);
+      quads[1] = __builtin_shufflevector(row, row, 4, 5, 6, 7);
+    }
   }
 
   template <class Address>
   static Vec3<Scalar> to_lanes(Address address) {
     Vector rows[4];
-    for (std::uint32_t lane = 0; lane < Width; ++lane) std::memcpy(quad(rows, lane), address(lane), kQuadBytes);
+    for (std::uint32_t row = 0; row < 4; ++row) {
+      Quad quads[kQuads];
+      for (std::uint32_t i = 0; i < kQuads; ++i) std::memcpy(&quads[i], address(row + 4 * i), sizeof(Quad));
+      rows[row] = join(quads);
+    }
     transpose<4>(rows);
     return {Scalar::of(rows[0]), Scalar::of(rows[1]), Scalar::of(rows[2])};
   }

@@ -156,7 +156,14 @@ struct Runner::Impl {
         snapshots[i].client_id = pose->client_id;
       }
     }
-    const bool good = world->step(with_frame && model.visible.count() > 0);
+    bool good = false;
+    try {
+      good = world->step(with_frame && model.visible.count() > 0);
+    } catch (const std::exception& failure) {  // the device's, and of this scene alone
+      stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
+                                  world->step_count() + 1, failure.what()));
+      return false;
+    }
     stamp = {world->step_count(), world->simulated_time_s(), unix_time_ns()};
     step_count.store(stamp.step, std::memory_order_relaxed);
     simulated_time_s.store(stamp.simulated_time_s, std::memory_order_relaxed);
