@@ -274,6 +274,10 @@ class _ZenohSource(_Source):
             self._subscriber.undeclare()
 
 
+#: The longest single wait of a subscription [s].
+_WAIT_S = 1.0
+
+
 class Subscription(Closing, Generic[MessageType]):
     """The newest message of one stream. Not to be shared between threads."""
 
@@ -290,15 +294,21 @@ class Subscription(Closing, Generic[MessageType]):
         Raises:
             DeadlineExceededError: none came in `timeout_s`.
         """
-        deadline = time.monotonic() + timeout_s
+        left_s = timeout_s
         while True:
-            payload = self._source.receive(max(0.0, deadline - time.monotonic()))
-            if payload is None:
+            # In short waits: a process that was stopped for longer than the time-out looks once more when it goes on, and
+            # its transport has had a chance to run, before it says that nothing came.
+            wait_s = min(left_s, _WAIT_S)
+            begin = time.monotonic()
+            payload = self._source.receive(wait_s)
+            if payload is not None:
+                try:
+                    return self._kind.FromString(payload)
+                except DecodeError:
+                    self.malformed_count += 1
+            elif left_s <= wait_s:
                 raise DeadlineExceededError(f"nothing came on {self._key} in {timeout_s:g} s")
-            try:
-                return self._kind.FromString(payload)
-            except DecodeError:
-                self.malformed_count += 1
+            left_s = max(0.0, left_s - min(wait_s, time.monotonic() - begin))
 
     def __iter__(self) -> Iterator[MessageType]:
         while True:
