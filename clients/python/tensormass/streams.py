@@ -296,8 +296,8 @@ class Subscription(Closing, Generic[MessageType]):
         """
         left_s = timeout_s
         while True:
-            # In short waits: a process that was stopped for longer than the time-out looks once more when it goes on, and
-            # its transport has had a chance to run, before it says that nothing came.
+            # In short waits: a process that was stopped for longer than the time-out looks once more when it goes on,
+            # after its transport had a chance to run, before it says that nothing came.
             wait_s = min(left_s, _WAIT_S)
             begin = time.monotonic()
             payload = self._source.receive(wait_s)
