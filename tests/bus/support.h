@@ -120,9 +120,12 @@ class ZeroMqReader {
     EXPECT_FALSE(message.more());
     return bytes.substr(key_.size() + 1);
   }
-  bool try_read(std::string& payload) {
+  bool try_read(std::string& payload) { return read_within(std::chrono::milliseconds(0), payload); }
+  /// False if nothing comes in that time.
+  bool read_within(std::chrono::milliseconds time, std::string& payload) {
     zmq::message_t message;
-    if (!socket_.recv(message, zmq::recv_flags::dontwait)) return false;
+    zmq::pollitem_t item{socket_.handle(), 0, ZMQ_POLLIN, 0};
+    if (zmq::poll(&item, 1, time) == 0 || !socket_.recv(message, zmq::recv_flags::dontwait)) return false;
     payload = message.to_string().substr(key_.size() + 1);
     return true;
   }
