@@ -7,6 +7,7 @@
 #include <Eigen/Dense>
 
 #include "physics/element/element.h"
+#include "physics/laws.h"
 #include "physics/lists.h"
 
 /// Every (shape, law) of physics/lists.h as a typed test, with what such a test needs: an element at rest, the law's
@@ -38,16 +39,6 @@ struct PairNames {
     return std::string(P::Shape::kName) + "_" + P::Law::kName;
   }
 };
-
-inline constexpr double kYoungModulusPa = 4e3, kPoissonRatio = 0.4;
-
-/// A law with parameters of its own needs a line here.
-template <class Law>
-std::array<double, Law::kParameterCount> parameters() {
-  static_assert(Law::kParameterCount == kIsotropicParameters);
-  const Lame lame = lame_from_young(kYoungModulusPa, kPoissonRatio);
-  return {lame.lambda_pa, lame.mu_pa};
-}
 
 /// Nodes of a well-shaped element. A shape needs a specialization here.
 template <class Shape>

@@ -7,11 +7,10 @@ namespace tensormass::physics {
 /// Linear elasticity, W = λ/2 (tr ε)² + μ ε:ε with ε = sym(F) − I (Cotin, Delingette, Ayache 2000).
 ///
 /// Valid for small strain and small rotation only: a rotated body sees spurious strain. Its stiffness does not depend
-/// on F, so its tensors are assembled once.
-struct Hooke {
+/// on F, so its tensors are assembled once. All measures of stress are one for small strain: S is P.
+struct Hooke : LameParameters {
   static constexpr const char* kName = "hooke";
   static constexpr bool kConstantStiffness = true;
-  static constexpr int kParameterCount = kIsotropicParameters;
 
   template <class T>
   struct Point {
@@ -25,22 +24,35 @@ struct Hooke {
     return {symmetric - Mat3<T>::Identity(), parameters[0], parameters[1]};
   }
 
-  /// [J/m³]
   template <class T>
   TM_HOST_DEVICE static T energy(const Point<T>& p) {
-    const T trace = p.strain.trace();
-    return T(0.5) * p.lambda * trace * trace + p.mu * p.strain.cwiseProduct(p.strain).sum();
+    return quadratic_energy(p.strain, p.lambda, p.mu);
   }
 
-  /// First Piola-Kirchhoff stress P = ∂W/∂F [Pa].
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stress(const Point<T>& p) {
-    return p.strain * (T(2) * p.mu) + Mat3<T>::Identity() * (p.lambda * p.strain.trace());
+    return quadratic_stress(p.strain, p.lambda, p.mu);
   }
 
-  /// a : ∂P/∂F : b, the 3×3 stiffness between two nodes with shape gradients a, b [Pa/m²].
   template <class T>
-  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Vec3<T>& a, const Vec3<T>& b) {
+  TM_HOST_DEVICE static Mat3<T> second_piola(const Point<T>& p) {
+    return stress(p);
+  }
+
+  template <class T>
+  struct Node {
+    Vec3<T> gradient;
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_node(const Point<T>&, const Vec3<T>& gradient) {
+    return {gradient};
+  }
+
+  /// λ a bᵀ + μ b aᵀ + μ (a·b) I.
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& at_a, const Node<T>& at_b) {
+    const Vec3<T>&a = at_a.gradient, &b = at_b.gradient;
     return (a * b.transpose()) * p.lambda + (b * a.transpose()) * p.mu + Mat3<T>::Identity() * (p.mu * a.dot(b));
   }
 

@@ -1,7 +1,10 @@
 #pragma once
 
+#include <array>
+
 #include "core/scalar.h"
 
+/// Moduli of isotropic solids, and what the laws that are given by Young's modulus and Poisson's ratio have in common.
 namespace tensormass::physics {
 
 /// Lamé parameters [Pa] of an isotropic solid.
@@ -16,7 +19,56 @@ constexpr Lame lame_from_young(double young_modulus_pa, double poisson_ratio) {
           young_modulus_pa / (2 * (1 + poisson_ratio))};
 }
 
-/// What every isotropic law stores for an element: λ, μ [Pa].
-inline constexpr int kIsotropicParameters = 2;
+/// Resistance against change of volume and of shape [Pa].
+struct Moduli {
+  double bulk_pa;
+  double shear_pa;
+};
+
+struct YoungPoisson {
+  double young_modulus_pa;
+  double poisson_ratio;
+};
+
+/// E = 9 K μ / (3 K + μ), ν = (3 K − 2 μ) / (2 (3 K + μ)).
+constexpr YoungPoisson young_poisson_from(const Moduli& m) {
+  const double sum = 3 * m.bulk_pa + m.shear_pa;
+  return {9 * m.bulk_pa * m.shear_pa / sum, (3 * m.bulk_pa - 2 * m.shear_pa) / (2 * sum)};
+}
+
+/// The parameters λ, μ [Pa], for laws to derive from.
+struct LameParameters {
+  static constexpr int kParameterCount = 2;
+
+  /// ν in (−1, 0.5).
+  static std::array<double, kParameterCount> parameters(double young_modulus_pa, double poisson_ratio) {
+    const Lame lame = lame_from_young(young_modulus_pa, poisson_ratio);
+    return {lame.lambda_pa, lame.mu_pa};
+  }
+
+  static constexpr Moduli moduli_at_rest(const double* parameters) {
+    return {parameters[0] + 2 * parameters[1] / 3, parameters[1]};
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
+    const T bulk = parameters[0] + parameters[1] * T(2.0 / 3);
+    parameters[1] *= deviatoric;
+    parameters[0] = bulk * volumetric - parameters[1] * T(2.0 / 3);
+  }
+};
+
+/// W = λ/2 (tr E)² + μ E:E of any strain E [J/m³].
+template <class T>
+TM_HOST_DEVICE T quadratic_energy(const Mat3<T>& strain, T lambda, T mu) {
+  const T trace = strain.trace();
+  return T(0.5) * lambda * trace * trace + mu * strain.cwiseProduct(strain).sum();
+}
+
+/// ∂W/∂E = λ tr(E) I + 2 μ E [Pa].
+template <class T>
+TM_HOST_DEVICE Mat3<T> quadratic_stress(const Mat3<T>& strain, T lambda, T mu) {
+  return strain * (T(2) * mu) + Mat3<T>::Identity() * (lambda * strain.trace());
+}
 
 }  // namespace tensormass::physics

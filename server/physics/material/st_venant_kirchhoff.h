@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/decomposition.h"
 #include "physics/material/isotropic.h"
 
 namespace tensormass::physics {
@@ -8,10 +9,9 @@ namespace tensormass::physics {
 ///
 /// Exact under rotation. It softens under strong compression (in uniaxial compression its stress peaks at a stretch of
 /// 1/√3) and has no resistance to inversion: states beyond that are caught, not recovered.
-struct StVenantKirchhoff {
+struct StVenantKirchhoff : LameParameters {
   static constexpr const char* kName = "st_venant_kirchhoff";
   static constexpr bool kConstantStiffness = false;
-  static constexpr int kParameterCount = kIsotropicParameters;
 
   template <class T>
   struct Point {
@@ -33,43 +33,52 @@ struct StVenantKirchhoff {
     Mat3<T> right_cauchy_green;
     right_cauchy_green.noalias() = deformation_gradient.transpose() * deformation_gradient;
     p.strain = (right_cauchy_green - Mat3<T>::Identity()) * T(0.5);
-    p.second_piola = p.strain * (T(2) * p.mu) + Mat3<T>::Identity() * (p.lambda * p.strain.trace());
+    p.second_piola = quadratic_stress(p.strain, p.lambda, p.mu);
     p.geometric_stress = p.second_piola;
     return p;
   }
 
-  /// [J/m³]
   template <class T>
   TM_HOST_DEVICE static T energy(const Point<T>& p) {
-    const T trace = p.strain.trace();
-    return T(0.5) * p.lambda * trace * trace + p.mu * p.strain.cwiseProduct(p.strain).sum();
+    return quadratic_energy(p.strain, p.lambda, p.mu);
   }
 
-  /// First Piola-Kirchhoff stress P = F S [Pa].
+  /// P = F S.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stress(const Point<T>& p) {
     return p.deformation_gradient * p.second_piola;
   }
 
-  /// a : ∂P/∂F : b = (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ [Pa/m²].
   template <class T>
-  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Vec3<T>& a, const Vec3<T>& b) {
-    const Vec3<T> fa = p.deformation_gradient * a;
-    const Vec3<T> fb = p.deformation_gradient * b;
-    const Vec3<T> sb = p.geometric_stress * b;
-    return (fa * fb.transpose()) * p.lambda + (fb * fa.transpose()) * p.mu + p.left_cauchy_green * (p.mu * a.dot(b)) +
-           Mat3<T>::Identity() * a.dot(sb);
+  TM_HOST_DEVICE static Mat3<T> second_piola(const Point<T>& p) {
+    return p.second_piola;
+  }
+
+  template <class T>
+  struct Node {
+    Vec3<T> gradient;  // a
+    Vec3<T> moved;     // F a
+    Vec3<T> stress;    // S a
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_node(const Point<T>& p, const Vec3<T>& gradient) {
+    return {gradient, p.deformation_gradient * gradient, p.geometric_stress * gradient};
+  }
+
+  /// (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ.
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
+    return (a.moved * b.moved.transpose()) * p.lambda + (b.moved * a.moved.transpose()) * p.mu +
+           p.left_cauchy_green * (p.mu * a.gradient.dot(b.gradient)) + Mat3<T>::Identity() * a.gradient.dot(b.stress);
   }
 
   /// Compression makes the geometric term (a·S b) I indefinite, which conjugate gradients cannot take. It is shifted
-  /// by Gershgorin's lower bound of S's eigenvalues where that is negative: positive semi-definite, no branch, no
-  /// eigenvectors, and unchanged in tension. The forces stay exact; the shift only damps the approach to them.
+  /// by Gershgorin's lower bound of S's eigenvalues where that is negative: no branch, no eigenvectors, and unchanged
+  /// in tension. The shift only damps the approach to equilibrium.
   template <class T>
   TM_HOST_DEVICE static void make_positive(Point<T>& p) {
-    const Mat3<T>& s = p.second_piola;
-    const T xy = absolute(s(0, 1)), yz = absolute(s(1, 2)), zx = absolute(s(2, 0));
-    const T bound = minimum(minimum(T(s(0, 0) - xy - zx), T(s(1, 1) - xy - yz)), minimum(T(s(2, 2) - yz - zx), T(0)));
-    p.geometric_stress = s - Mat3<T>::Identity() * bound;
+    p.geometric_stress -= Mat3<T>::Identity() * minimum(gershgorin_lower_bound(p.second_piola), T(0));
   }
 };
 
