@@ -1,7 +1,13 @@
 #pragma once
 
+#include <cmath>
 #include <cstring>
+#include <type_traits>
 #include <utility>
+
+#if defined(__AVX__)
+#include <immintrin.h>
+#endif
 
 #include "core/scalar.h"
 
@@ -16,6 +22,12 @@ struct Pack {
   Vector v;
 
   Pack() = default;
+  /// By the vector: what the compiler would generate copies it in narrow pieces, and a wide load behind these waits.
+  Pack(const Pack& other) : v(other.v) {}
+  Pack& operator=(const Pack& other) {
+    v = other.v;
+    return *this;
+  }
   template <class Number>
   requires std::is_arithmetic_v<Number> Pack(Number value)
       : v(Vector{} + static_cast<Real>(value)) {}  // NOLINT: numbers mix with packs in formulas
@@ -47,6 +59,38 @@ Pack<Real, Width> maximum(Pack<Real, Width> a, Pack<Real, Width> b) {
 template <class Real, int Width>
 Pack<Real, Width> absolute(Pack<Real, Width> a) {
   return maximum(a, -a);
+}
+template <class Real, int Width>
+Pack<Real, Width> select_greater(Pack<Real, Width> a, Pack<Real, Width> b, Pack<Real, Width> x, Pack<Real, Width> y) {
+  return Pack<Real, Width>::of(a.v > b.v ? x.v : y.v);
+}
+
+/// f(lane) in each lane, one after the other.
+template <class Real, int Width, class Function>
+Pack<Real, Width> in_each_lane(Pack<Real, Width> a, Function f) {
+  for (int lane = 0; lane < Width; ++lane) a.v[lane] = f(a.v[lane]);
+  return a;
+}
+template <class Real, int Width>
+Pack<Real, Width> square_root(Pack<Real, Width> a) {
+  return in_each_lane(a, [](Real x) { return std::sqrt(x); });
+}
+#if defined(__AVX__)
+// One instruction, which the compiler does not always find.
+inline Pack<float, 8> square_root(Pack<float, 8> a) { return Pack<float, 8>::of(_mm256_sqrt_ps(a.v)); }
+inline Pack<double, 4> square_root(Pack<double, 4> a) { return Pack<double, 4>::of(_mm256_sqrt_pd(a.v)); }
+#endif
+template <class Real, int Width>
+Pack<Real, Width> exponential(Pack<Real, Width> a) {
+  return in_each_lane(a, [](Real x) { return std::exp(x); });
+}
+template <class Real, int Width>
+Pack<Real, Width> logarithm(Pack<Real, Width> a) {
+  return in_each_lane(a, [](Real x) { return std::log(x); });
+}
+template <class Real, int Width>
+Pack<Real, Width> hyperbolic_sine(Pack<Real, Width> a) {
+  return in_each_lane(a, [](Real x) { return std::sinh(x); });
 }
 
 /// The interface of SingleLane for `Width` items at once.

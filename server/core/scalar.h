@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 
 #include <Eigen/Core>
@@ -39,6 +40,27 @@ TM_HOST_DEVICE constexpr Real maximum(Real a, Real b) {
 template <class Real>
 TM_HOST_DEVICE constexpr Real absolute(Real a) {
   return a < Real(0) ? -a : a;
+}
+/// a > b ? x : y
+template <class Real>
+TM_HOST_DEVICE constexpr Real select_greater(Real a, Real b, Real x, Real y) {
+  return a > b ? x : y;
+}
+template <class Real>
+TM_HOST_DEVICE Real square_root(Real a) {
+  return std::sqrt(a);
+}
+template <class Real>
+TM_HOST_DEVICE Real exponential(Real a) {
+  return std::exp(a);
+}
+template <class Real>
+TM_HOST_DEVICE Real logarithm(Real a) {
+  return std::log(a);
+}
+template <class Real>
+TM_HOST_DEVICE Real hyperbolic_sine(Real a) {
+  return std::sinh(a);
 }
 
 /// How a loop body reads and writes `kWidth` neighbouring items at once. A GPU thread handles one.

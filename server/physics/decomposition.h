@@ -3,6 +3,9 @@
 #include "core/scalar.h"
 
 /// Eigenvalues and singular values of 3×3 matrices, without a branch: for numbers and packs, host and device.
+///
+/// Both are Jacobi's method, whose rotations keep U and V orthogonal whatever the matrix is. The matrices are expected
+/// to be of the order of one, as deformation gradients are, or larger: entries up to 1e9 in float.
 namespace tensormass::physics {
 
 /// No eigenvalue of the symmetric matrix is below (Gershgorin).
@@ -10,6 +13,143 @@ template <class T>
 TM_HOST_DEVICE T gershgorin_lower_bound(const Mat3<T>& s) {
   const T xy = absolute(s(0, 1)), yz = absolute(s(1, 2)), zx = absolute(s(2, 0));
   return minimum(minimum(T(s(0, 0) - xy - zx), T(s(1, 1) - xy - yz)), T(s(2, 2) - yz - zx));
+}
+
+namespace detail {
+
+/// Cyclic sweeps until what is off the diagonal is rounding, also in double: seen over random, nearly singular, nearly
+/// equal and integer matrices (tests/physics/decomposition_test.cpp); convergence is quadratic.
+inline constexpr int kSweeps = 4;
+/// What is smaller than this is not divided by. Its square is still a float.
+inline constexpr double kTiny = 1e-18;
+
+template <class T>
+struct PlaneRotation {
+  T cosine, sine;
+};
+
+/// The rotation by 45° at most that makes the symmetric [α γ; γ β] diagonal; exactly none where γ is zero.
+template <class T>
+TM_HOST_DEVICE PlaneRotation<T> diagonalizing(T alpha, T beta, T gamma) {
+  const T difference = alpha - beta, twice = gamma + gamma;
+  const T length = square_root(T(difference * difference + twice * twice));
+  // (x, y) points along half the angle of (difference, twice), mirrored to the right half of the plane.
+  const T x = maximum(T(absolute(difference) + length), T(kTiny));
+  const T y = select_greater(T(0), difference, T(-twice), twice);
+  const T norm = square_root(T(x * x + y * y));
+  return {x / norm, y / norm};
+}
+
+/// Columns I and J become c m_I + s m_J and c m_J − s m_I. Indices known to the compiler keep matrices in registers.
+template <int I, int J, class T>
+TM_HOST_DEVICE void rotate_columns(Mat3<T>& m, const PlaneRotation<T>& r) {
+  for (int row = 0; row < 3; ++row) {
+    const T x = m(row, I), y = m(row, J);
+    m(row, I) = r.cosine * x + r.sine * y;
+    m(row, J) = r.cosine * y - r.sine * x;
+  }
+}
+
+/// Makes columns I and J of B orthogonal, by a rotation that V takes part in.
+template <int I, int J, class T>
+TM_HOST_DEVICE void orthogonalize_columns(Mat3<T>& b, Mat3<T>& v) {
+  const PlaneRotation<T> r =
+      diagonalizing(T(b.col(I).squaredNorm()), T(b.col(J).squaredNorm()), T(b.col(I).dot(b.col(J))));
+  rotate_columns<I, J>(b, r);
+  rotate_columns<I, J>(v, r);
+}
+
+/// Makes a_IJ of the symmetric A zero, by a rotation that V takes part in.
+template <int I, int J, class T>
+TM_HOST_DEVICE void diagonalize_plane(Mat3<T>& a, Mat3<T>& v) {
+  constexpr int kOther = 3 - I - J;
+  const PlaneRotation<T> r = diagonalizing(T(a(I, I)), T(a(J, J)), T(a(I, J)));
+  const T cc = r.cosine * r.cosine, ss = r.sine * r.sine, mixed = T(2) * r.cosine * r.sine * a(I, J);
+  const T i = a(I, I), j = a(J, J), x = a(I, kOther), y = a(J, kOther);
+  a(I, I) = cc * i + mixed + ss * j;
+  a(J, J) = ss * i - mixed + cc * j;
+  a(I, J) = a(J, I) = T(0);
+  a(I, kOther) = a(kOther, I) = r.cosine * x + r.sine * y;
+  a(J, kOther) = a(kOther, J) = r.cosine * y - r.sine * x;
+  rotate_columns<I, J>(v, r);
+}
+
+/// Where key_I < key_J: exchanges them and turns columns I and J of both by a right angle, which exchanges the columns
+/// and keeps the determinants.
+template <int I, int J, class T>
+TM_HOST_DEVICE void order_columns(Mat3<T>& b, Mat3<T>& v, Vec3<T>& key) {
+  const T ki = key[I], kj = key[J];
+  const T turn = select_greater(kj, ki, T(1), T(0));
+  const PlaneRotation<T> r{T(1) - turn, turn};
+  rotate_columns<I, J>(b, r);
+  rotate_columns<I, J>(v, r);
+  key[I] = maximum(ki, kj);
+  key[J] = minimum(ki, kj);
+}
+
+}  // namespace detail
+
+/// F = U diag(σ) Vᵀ.
+template <class T>
+struct SignedSingularValues {
+  Mat3<T> u, v;  // rotations
+  Vec3<T> sigma;
+};
+
+/// With rotations U and V and σ0 ≥ σ1 ≥ |σ2|: the smallest carries the sign of det F, so that an inverted element is
+/// one whose smallest stretch went through zero (Irving, Teran, Fedkiw 2004). Of a singular F any such U will do.
+template <class T>
+TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) {
+  SignedSingularValues<T> out;
+  // One-sided Jacobi (Hestenes 1958): rotates F's columns until they are orthogonal, B = F V. It never forms FᵀF, which
+  // would lose half of the digits of a small σ.
+  Mat3<T> b = f;
+  out.v = Mat3<T>::Identity();
+  for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
+    detail::orthogonalize_columns<0, 1>(b, out.v);
+    detail::orthogonalize_columns<0, 2>(b, out.v);
+    detail::orthogonalize_columns<1, 2>(b, out.v);
+  }
+  Vec3<T> key(b.col(0).squaredNorm(), b.col(1).squaredNorm(), b.col(2).squaredNorm());
+  detail::order_columns<0, 1>(b, out.v, key);
+  detail::order_columns<0, 2>(b, out.v, key);
+  detail::order_columns<1, 2>(b, out.v, key);
+
+  // U by what B's columns are, largest first, and orthogonal also where they are zero. The first, or x:
+  const T tiny = T(detail::kTiny * 1e3);
+  const T first = square_root(key[0]);
+  const Vec3<T> x = b.col(0) / maximum(first, tiny);
+  const Vec3<T> u(select_greater(first, tiny, x[0], T(1)), select_greater(first, tiny, x[1], T(0)),
+                  select_greater(first, tiny, x[2], T(0)));
+  // two that complete it (Duff et al. 2017),
+  const T sign = select_greater(T(0), u[2], T(-1), T(1));
+  const T q = T(-1) / (sign + u[2]), xy = u[0] * u[1] * q;
+  const Vec3<T> s(T(1) + sign * u[0] * u[0] * q, sign * xy, -sign * u[0]);
+  const Vec3<T> t(xy, sign + u[1] * u[1] * q, -u[1]);
+  // turned about it to the second.
+  const T along_s = s.dot(b.col(1)), along_t = t.dot(b.col(1));
+  const T second = square_root(T(along_s * along_s + along_t * along_t));
+  const T cosine = select_greater(second, tiny, T(along_s / maximum(second, tiny)), T(1));
+  const T sine = select_greater(second, tiny, T(along_t / maximum(second, tiny)), T(0));
+  out.u.col(0) = u;
+  out.u.col(1) = s * cosine + t * sine;
+  out.u.col(2) = t * cosine - s * sine;
+  out.sigma = Vec3<T>(first, second, out.u.col(2).dot(b.col(2)));
+  return out;
+}
+
+/// The symmetric matrix with its negative eigenvalues set to zero; the same to the last bit if there are none.
+template <class T>
+TM_HOST_DEVICE Mat3<T> without_negative_eigenvalues(const Mat3<T>& symmetric) {
+  Mat3<T> a = symmetric, v = Mat3<T>::Identity();
+  for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
+    detail::diagonalize_plane<0, 1>(a, v);
+    detail::diagonalize_plane<0, 2>(a, v);
+    detail::diagonalize_plane<1, 2>(a, v);
+  }
+  Mat3<T> result = symmetric;
+  for (int i = 0; i < 3; ++i) result += v.col(i) * (v.col(i) * maximum(T(-a(i, i)), T(0))).transpose();
+  return result;
 }
 
 }  // namespace tensormass::physics

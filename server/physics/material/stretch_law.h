@@ -1,0 +1,155 @@
+#pragma once
+
+#include "physics/decomposition.h"
+
+/// Isotropic laws as functions of the principal stretches.
+///
+/// With F = U diag(σ) Vᵀ, W(F) = ψ(σ), and in the axes of U and V, where F' = diag(σ),
+///
+///   P' = diag(ψ_i)      S = V diag(ψ_i / σ_i) Vᵀ
+///   ∂P'_ii / ∂F'_jj = ψ_ij
+///   ∂P'_ij / ∂F'_ij = (D + R) / 2,   ∂P'_ij / ∂F'_ji = (D − R) / 2,   i ≠ j
+///   D = (ψ_i − ψ_j) / (σ_i − σ_j),   R = (ψ_i + ψ_j) / (σ_i + σ_j)
+///
+/// with ψ_i = ∂ψ/∂σ_i (Ogden 1984, section 6.1; Stomakhin, Howes, Schroeder, Teran 2012). D and R are the stiffness
+/// against a symmetric distortion and a rotation in the plane of i and j; so the eigenvalues of ∂P/∂F are the three D,
+/// the three R and those of ψ_ij, and each of them can be clamped alone (Smith, de Goes, Kim 2019).
+namespace tensormass::physics {
+
+/// ψ and its derivatives. Planes are numbered by the axis that is not in them.
+template <class T>
+struct StretchEnergy {
+  T energy;            // ψ
+  Vec3<T> gradient;    // ψ_i
+  Mat3<T> hessian;     // ψ_ij
+  Vec3<T> distortion;  // D
+  Vec3<T> rotation;    // R
+};
+
+/// What a law derives from that says its StretchEnergy:
+///   template <class T> static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters);
+/// σ0 ≥ σ1 ≥ |σ2|. D and R are to be given in a form that does not cancel where σ_i = ±σ_j.
+template <class Derived>
+struct StretchLaw {
+  static constexpr bool kConstantStiffness = false;
+
+  template <class T>
+  struct Point {
+    SignedSingularValues<T> f;
+    StretchEnergy<T> w;
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Point<T> at(const Mat3<T>& deformation_gradient, const T* parameters) {
+    Point<T> p;
+    p.f = signed_singular_values(deformation_gradient);
+    p.w = Derived::in_stretches(p.f.sigma, parameters);
+    return p;
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static T energy(const Point<T>& p) {
+    return p.w.energy;
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> stress(const Point<T>& p) {
+    return p.f.u * p.w.gradient.asDiagonal() * p.f.v.transpose();
+  }
+
+  /// Below the least stretch it goes to zero with σ: what a history kept of a collapsed element must not outweigh all
+  /// that comes after.
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> second_piola(const Point<T>& p) {
+    const T least = T(kLeastStretch * kLeastStretch);
+    Vec3<T> s;
+    for (int i = 0; i < 3; ++i) {
+      s[i] = p.w.gradient[i] * p.f.sigma[i] / maximum(T(p.f.sigma[i] * p.f.sigma[i]), least);
+    }
+    return p.f.v * s.asDiagonal() * p.f.v.transpose();
+  }
+
+  template <class T>
+  struct Node {
+    Vec3<T> gradient;  // Vᵀ a
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_node(const Point<T>& p, const Vec3<T>& gradient) {
+    return {p.f.v.transpose() * gradient};
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
+    const Vec3<T> same = (p.w.distortion + p.w.rotation) * T(0.5), across = (p.w.distortion - p.w.rotation) * T(0.5);
+    const Mat3<T> ab = a.gradient * b.gradient.transpose();
+    Mat3<T> k;
+    for (int i = 0; i < 3; ++i) {
+      const int j = (i + 1) % 3, l = (i + 2) % 3;
+      k(i, i) = p.w.hessian(i, i) * ab(i, i) + same[l] * ab(j, j) + same[j] * ab(l, l);
+      k(j, l) = p.w.hessian(j, l) * ab(j, l) + across[i] * ab(l, j);
+      k(l, j) = p.w.hessian(l, j) * ab(l, j) + across[i] * ab(j, l);
+    }
+    return p.f.u * k * p.f.u.transpose();
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+    p.w.hessian = without_negative_eigenvalues(p.w.hessian);
+    for (int i = 0; i < 3; ++i) {
+      p.w.distortion[i] = maximum(p.w.distortion[i], T(0));
+      p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
+    }
+  }
+
+ private:
+  static constexpr double kLeastStretch = 0.05;
+};
+
+/// W as a function of I1 = Σ σ_i², I2 = Σ_{i<j} σ_i² σ_j² and J = σ0 σ1 σ2, in this order.
+template <class T>
+struct InvariantEnergy {
+  T energy;
+  Vec3<T> gradient;  // ∂W / ∂I_a
+  Mat3<T> hessian;   // ∂²W / ∂I_a ∂I_b
+};
+
+template <class T>
+struct Invariants {
+  Vec3<T> squares;  // σ_i²
+  T i1, i2, j;
+
+  TM_HOST_DEVICE explicit Invariants(const Vec3<T>& sigma)
+      : squares(sigma.cwiseProduct(sigma)),
+        i1(squares[0] + squares[1] + squares[2]),
+        i2(squares[0] * squares[1] + squares[1] * squares[2] + squares[2] * squares[0]),
+        j(sigma[0] * sigma[1] * sigma[2]) {}
+};
+
+/// By the chain rule. The quotients of the invariants are polynomials: D of I1 is 2, of I2 2(σ_k² − σ_i σ_j), of J
+/// −σ_k; R likewise with the other sign before σ_i σ_j and σ_k.
+template <class T>
+TM_HOST_DEVICE StretchEnergy<T> from_invariants(const InvariantEnergy<T>& w, const Vec3<T>& sigma,
+                                                const Invariants<T>& invariants) {
+  StretchEnergy<T> out;
+  out.energy = w.energy;
+  const T two_w1 = w.gradient[0] + w.gradient[0], two_w2 = w.gradient[1] + w.gradient[1];
+  Mat3<T> slope;  // [invariant, stretch]
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    const T others = invariants.squares[j] + invariants.squares[k], product = sigma[j] * sigma[k];
+    slope(0, i) = sigma[i] + sigma[i];
+    slope(1, i) = slope(0, i) * others;
+    slope(2, i) = product;
+    out.hessian(i, i) = two_w1 + two_w2 * others;
+    out.hessian(j, k) = out.hessian(k, j) = T(2) * two_w2 * product + w.gradient[2] * sigma[i];
+    const T shear = two_w1 + two_w2 * invariants.squares[i], mixed = two_w2 * product + w.gradient[2] * sigma[i];
+    out.distortion[i] = shear - mixed;
+    out.rotation[i] = shear + mixed;
+  }
+  out.gradient = slope.transpose() * w.gradient;
+  out.hessian += slope.transpose() * w.hessian * slope;
+  return out;
+}
+
+}  // namespace tensormass::physics
