@@ -10,28 +10,14 @@
 #include <fmt/ranges.h>
 
 #include "core/limits.h"
+#include "mesh/conformity.h"
+#include "mesh/geometry.h"
 #include "mesh/shapes.h"
 
 namespace tensormass::mesh {
 namespace {
 
 using Nodes = std::span<const std::uint32_t>;
-
-/// One kind of problem: how often it was met, and the first place in words.
-struct Finding {
-  std::uint64_t count = 0;
-  std::string first;
-
-  template <class Describe>
-  void add(Describe&& describe) {
-    if (count++ == 0) first = describe();
-  }
-
-  std::string text(std::string_view what_to_do) const {
-    const std::string others = count > 1 ? fmt::format(" ({} of this kind)", count) : std::string();
-    return fmt::format("{}{}; {}", first, others, what_to_do);
-  }
-};
 
 bool acceptable(const Eigen::Vector3d& point) {
   return (point.array().abs() <= limits::kMaxLength).all();  // false for NaN
@@ -100,51 +86,9 @@ bool repeats_a_node(Nodes nodes) {
   return false;
 }
 
-struct ElementGeometry {
-  double volume_m3 = 0.0;
-  double min_simplex_volume_m3 = std::numeric_limits<double>::infinity();  ///< signed
-  double max_edge_m = 0.0;
-
-  bool flat() const {
-    return std::abs(min_simplex_volume_m3) < kMinRelativeVolume * max_edge_m * max_edge_m * max_edge_m ||
-           max_edge_m == 0.0;
-  }
-};
-
-ElementGeometry geometry_of(const Mesh& mesh, const Topology& shape, Nodes nodes) {
-  const auto x = [&](std::uint8_t local) -> const Eigen::Vector3d& { return mesh.nodes[nodes[local]]; };
-  ElementGeometry geometry;
-  for (const Simplex& s : shape.simplices) {
-    const double volume_m3 = six_volumes(x(s[0]), x(s[1]), x(s[2]), x(s[3])) / 6.0;
-    geometry.volume_m3 += volume_m3;
-    geometry.min_simplex_volume_m3 = std::min(geometry.min_simplex_volume_m3, volume_m3);
-  }
-  double max_squared = 0.0;
-  for (const Edge& edge : shape.edges) {
-    max_squared = std::max(max_squared, (x(edge.nodes[1]) - x(edge.nodes[0])).squaredNorm());
-  }
-  geometry.max_edge_m = std::sqrt(max_squared);
-  return geometry;
-}
-
-/// The cosine of the smallest angle between two faces; from -1 (180°) to 1 (0°).
-double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, Nodes nodes) {
-  constexpr std::size_t kMaxFaces = 6;
-  std::array<Eigen::Vector3d, kMaxFaces> normals;
-  for (std::size_t i = 0; i < shape.faces.size(); ++i) {
-    const Face& face = shape.faces[i];
-    // Newell's normal: exact for a triangle, the average for a face that is not plane.
-    Eigen::Vector3d normal = Eigen::Vector3d::Zero();
-    const Eigen::Vector3d& origin = mesh.nodes[nodes[face.nodes[0]]];
-    for (std::uint32_t corner = 2; corner < face.node_count; ++corner) {
-      normal +=
-          (mesh.nodes[nodes[face.nodes[corner - 1]]] - origin).cross(mesh.nodes[nodes[face.nodes[corner]]] - origin);
-    }
-    normals[i] = normal.normalized();
-  }
-  double cosine = -1.0;
-  for (const Edge& edge : shape.edges) cosine = std::max(cosine, -normals[edge.faces[0]].dot(normals[edge.faces[1]]));
-  return std::min(cosine, 1.0);
+bool is_flat(const ElementGeometry& geometry) {
+  return std::abs(geometry.min_jacobian_m3) < kMinRelativeVolume * std::pow(geometry.max_edge_m, 3) ||
+         geometry.max_edge_m == 0.0;
 }
 
 /// Elements with the same nodes, in whatever order: equal hashes are brought together by sorting, then compared.
@@ -235,7 +179,7 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
   double worst_cosine = -2.0;
   std::uint64_t sliver_count = 0;
   const double sliver_cosine = std::cos(kSliverDihedralDeg * std::numbers::pi / 180.0);
-  Finding repeated, flat, inverted, isolated;
+  Finding repeated, flat, inverted, folded, bent, isolated;
   Components components(mesh.nodes.size());
   std::vector<bool> used(mesh.nodes.size(), false);
   const auto name = [&](std::uint32_t element, Nodes nodes) {
@@ -251,17 +195,27 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
       repeated.add([&] { return name(element, nodes) + " repeats a node"; });
       return;
     }
-    const ElementGeometry geometry = geometry_of(mesh, shape, nodes);
-    if (geometry.flat()) {
+    const ElementGeometry geometry = element_geometry(mesh, shape, nodes);
+    if (is_flat(geometry)) {
       flat.add([&] {
-        return fmt::format("{} is flat: {:.3g} m³ with a longest edge of {:.3g} m", name(element, nodes),
-                           geometry.volume_m3, geometry.max_edge_m);
+        return fmt::format("{} is flat at node {}: a Jacobian of {:.3g} m³ with a longest edge of {:.3g} m",
+                           name(element, nodes), nodes[geometry.min_jacobian_node], geometry.min_jacobian_m3,
+                           geometry.max_edge_m);
       });
       return;
     }
-    if (geometry.min_simplex_volume_m3 < 0.0) {
+    if (geometry.volume_m3 < 0.0) {
       inverted.add([&] {
         return fmt::format("{} is inverted: its volume is {:.3g} m³", name(element, nodes), geometry.volume_m3);
+      });
+      return;
+    }
+    if (geometry.min_jacobian_m3 < 0.0) {
+      Finding& finding = shape.has_mid_edge_nodes() ? bent : folded;
+      finding.add([&] {
+        return fmt::format("{} of shape {} is folded over at node {}: the Jacobian there is {:.3g} m³",
+                           name(element, nodes), shape.name, nodes[geometry.min_jacobian_node],
+                           geometry.min_jacobian_m3);
       });
       return;
     }
@@ -281,12 +235,27 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
     }
   }
   const Finding duplicates = find_duplicates(mesh, body);
+  Conformity conformity;
+  const Finding* const element_errors[] = {&repeated, &flat, &inverted, &folded, &bent, &duplicates};
+  if (std::all_of(std::begin(element_errors), std::end(element_errors),
+                  [](const Finding* f) { return f->count == 0; })) {
+    conformity = check_conformity(mesh, body);
+  }
 
   const std::pair<const Finding&, std::string_view> errors[] = {
       {repeated, "remove it or give it nodes of its own"},
-      {inverted, "put its nodes in VTK order (in a tetrahedron, exchange the last two)"},
+      {inverted,
+       "put its nodes in VTK order (in a tetrahedron, exchange the last two; in a wedge, its triangles; in a pyramid "
+       "or "
+       "hexahedron, turn its quadrilaterals about)"},
+      {folded, "put its nodes in VTK order if they are in another, else remesh around it"},
+      {bent, "move its mid-edge nodes to the middle of their edges, and away from their quarter points at least"},
       {flat, "remove it or remesh around it"},
       {duplicates, "remove one of them"},
+      {conformity.overlapping, "remove the elements that overlap others"},
+      {conformity.nonconforming,
+       "put a pyramid between a quadrilateral and triangles, and give the elements along a quadratic one the same "
+       "mid-edge nodes"},
       {isolated, "remove it or connect it; it would have no stiffness and no mass"},
   };
   std::string message;

@@ -11,8 +11,8 @@
 
 namespace tensormass::mesh {
 
-/// An element whose volume is below this fraction of its longest edge cubed is refused: its rest shape cannot be
-/// inverted in single precision. (A regular tetrahedron has 0.118.)
+/// An element is refused if its least Jacobian, as the volume of a tetrahedron (geometry.h), is below this fraction of
+/// its longest edge cubed: its rest shape cannot be inverted in single precision. (A regular tetrahedron has 0.118.)
 inline constexpr double kMinRelativeVolume = 1e-9;
 /// Elements with a smaller dihedral angle [deg] are reported: they make the system stiff and the answer poor.
 inline constexpr double kSliverDihedralDeg = 5.0;
@@ -28,8 +28,9 @@ struct MeshReport {
   std::vector<std::string> warnings;
 };
 
-/// Checks a mesh from outside: sizes, indices, finite coordinates, winding, zero volumes, nodes without element,
-/// repeated nodes and elements. O(n log n), about 0.4 s for a million tetrahedra.
+/// Checks a mesh from outside: sizes, indices, finite coordinates, winding, the Jacobian at the nodes (geometry.h),
+/// nodes without element, repeated nodes and elements, overlaps and faces that do not conform (conformity.h).
+/// O(n log n), about 0.4 s for a million tetrahedra and 0.7 s for a million hexahedra.
 ///
 /// The error has one line for each kind of problem; each names `body`, the first element or node concerned, how many
 /// there are, and what to do. Slivers and separate components are warnings.

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <Eigen/Geometry>
 
+#include "mesh/admission.h"
 #include "mesh/partition.h"
 #include "mesh/shapes.h"
 
@@ -42,7 +43,7 @@ std::vector<Cell> cells_of(const Mesh& mesh) {
   std::vector<Cell> cells;
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> nodes) {
     for (const Simplex& simplex : shape.simplices) {
-      Cell& cell = cells.emplace_back();
+      Cell cell;
       cell.element = element;
       for (int i = 0; i < 4; ++i) {
         cell.nodes[i] = nodes[simplex[i]];
@@ -52,10 +53,13 @@ std::vector<Cell> cells_of(const Mesh& mesh) {
       const Vector3d b = cell.corners[2] - cell.corners[0];
       const Vector3d c = cell.corners[3] - cell.corners[0];
       const double six_volume = a.dot(b.cross(c));
+      // What a distorted element's decomposition covers with such a cell, its other cells cover, too.
+      if (six_volume < kMinRelativeVolume * std::pow(cell.longest_edge_m(), 3)) continue;
       cell.gradients[1] = b.cross(c) / six_volume;
       cell.gradients[2] = c.cross(a) / six_volume;
       cell.gradients[3] = a.cross(b) / six_volume;
       cell.gradients[0] = -(cell.gradients[1] + cell.gradients[2] + cell.gradients[3]);
+      cells.push_back(cell);
     }
   });
   return cells;

@@ -13,8 +13,8 @@
 /// mesh and asserts no more than that.
 namespace tensormass::mesh {
 
-/// Element shapes. A shape's topology is one entry in shapes.h.
-enum class Shape : std::uint8_t { kTetrahedron };
+/// Element shapes, in the order in which physics/lists.h lists them. A shape's topology is one entry in shapes.h.
+enum class Shape : std::uint8_t { kTetrahedron, kPyramid, kWedge, kHexahedron, kQuadraticTetrahedron };
 
 /// Elements of one shape.
 struct ElementBlock {

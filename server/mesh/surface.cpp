@@ -7,53 +7,19 @@
 namespace tensormass::mesh {
 namespace {
 
-/// A face as one of its elements sees it. Two elements share a face if the keys are equal.
-struct HalfFace {
-  std::array<std::uint32_t, kMaxFaceNodes> key;  ///< its nodes, ascending, then kNone
-  std::uint32_t element;
-  std::uint32_t face;
-};
-
+/// Calls visit(three local nodes) for each triangle of a boundary face, in the order of the face.
 template <class Visitor>
-void for_each_half_face(const Mesh& mesh, Visitor&& visit) {
-  for_each_element(mesh,
-                   [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> element_nodes) {
-                     for (std::uint32_t face = 0; face < shape.faces.size(); ++face) {
-                       const Face& corners = shape.faces[face];
-                       HalfFace half{{}, element, face};
-                       half.key.fill(kNone);
-                       for (std::uint32_t i = 0; i < corners.node_count; ++i) {
-                         half.key[i] = element_nodes[corners.nodes[i]];
-                       }
-                       std::sort(half.key.begin(), half.key.end());
-                       visit(half);
-                     }
-                   });
-}
-
-/// One flag an element: bit f is set if its face f is on the boundary.
-///
-/// Faces are collected by their lowest node (a counting sort) and compared within these short lists.
-std::vector<std::uint8_t> boundary_faces(const Mesh& mesh) {
-  std::vector<std::uint32_t> offsets(mesh.nodes.size() + 1, 0);
-  for_each_half_face(mesh, [&](const HalfFace& half) { ++offsets[half.key[0] + 1]; });
-  for (std::size_t node = 0; node < mesh.nodes.size(); ++node) offsets[node + 1] += offsets[node];
-  std::vector<HalfFace> halves(offsets.back());
-  std::vector<std::uint32_t> next(offsets.begin(), offsets.end() - 1);
-  for_each_half_face(mesh, [&](const HalfFace& half) { halves[next[half.key[0]]++] = half; });
-
-  std::vector<std::uint8_t> flags(element_count(mesh), 0);
-  for (std::size_t node = 0; node < mesh.nodes.size(); ++node) {
-    const auto first = halves.begin() + offsets[node];
-    const auto last = halves.begin() + offsets[node + 1];
-    std::sort(first, last, [](const HalfFace& a, const HalfFace& b) { return a.key < b.key; });
-    for (auto half = first; half != last;) {
-      const auto end = std::find_if(half, last, [&](const HalfFace& other) { return other.key != half->key; });
-      if (end - half == 1) flags[half->element] |= static_cast<std::uint8_t>(1u << half->face);
-      half = end;
-    }
+void for_each_triangle(const BoundaryFace& face, Visitor&& visit) {
+  const FaceNodes& nodes = face.nodes;
+  if (nodes.size() == 3) visit(0, 1, 2);
+  if (nodes.size() == 4) {
+    const auto first = static_cast<std::uint32_t>(std::min_element(nodes.begin(), nodes.end()) - nodes.begin());
+    visit(first, (first + 1) % 4, (first + 2) % 4);
+    visit(first, (first + 2) % 4, (first + 3) % 4);
   }
-  return flags;
+  if (nodes.size() == 6) {
+    for (const auto& [i, j, k] : kQuadraticFaceTriangles) visit(i, j, k);
+  }
 }
 
 /// A directed edge of a triangle, found by its undirected key.
@@ -89,21 +55,31 @@ std::vector<std::array<std::uint32_t, 3>> edge_neighbours(const std::vector<Tria
 
 }  // namespace
 
+std::vector<BoundaryFace> boundary_faces(const Mesh& mesh) {
+  std::vector<std::uint8_t> flags(element_count(mesh), 0);  // bit f is set if face f is on the boundary
+  static_assert(kMaxFaces <= 8);
+  match_faces(mesh, [&](std::span<const ElementFace> same) {
+    if (same.size() == 1) flags[same[0].element] |= static_cast<std::uint8_t>(1u << same[0].face);
+  });
+  std::vector<BoundaryFace> faces;
+  for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> nodes) {
+    for (std::uint32_t f = 0; f < shape.faces.size(); ++f) {
+      if ((flags[element] >> f & 1) == 0) continue;
+      faces.push_back({element, f, face_nodes(shape.faces[f], nodes)});
+    }
+  });
+  return faces;
+}
+
 Surface boundary(const Mesh& mesh) {
-  const std::vector<std::uint8_t> flags = boundary_faces(mesh);
   Surface surface;
-  for_each_element(mesh,
-                   [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> element_nodes) {
-                     for (std::uint32_t face = 0; face < shape.faces.size(); ++face) {
-                       if ((flags[element] >> face & 1) == 0) continue;
-                       const Face& corners = shape.faces[face];
-                       const auto node = [&](std::uint32_t i) { return element_nodes[corners.nodes[i]]; };
-                       for (std::uint32_t i = 2; i < corners.node_count; ++i) {  // a fan about the first corner
-                         surface.triangles.push_back({node(0), node(i - 1), node(i)});
-                         surface.triangle_elements.push_back(element);
-                       }
-                     }
-                   });
+  for (const BoundaryFace& face : boundary_faces(mesh)) {
+    const FaceNodes& nodes = face.nodes;
+    for_each_triangle(face, [&](std::uint32_t i, std::uint32_t j, std::uint32_t k) {
+      surface.triangles.push_back({nodes[i], nodes[j], nodes[k]});
+      surface.triangle_elements.push_back(face.element);
+    });
+  }
 
   std::vector<std::uint32_t> vertex_of(mesh.nodes.size(), kNone);
   for (const Triangle& triangle : surface.triangles) {

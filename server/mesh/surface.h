@@ -5,11 +5,23 @@
 #include <vector>
 
 #include "mesh/adjacency.h"
+#include "mesh/faces.h"
 #include "mesh/mesh.h"
 
 namespace tensormass::mesh {
 
-/// The boundary of a mesh: the faces that belong to one element only, as triangles over compact vertices.
+/// A face that belongs to one element only.
+struct BoundaryFace {
+  std::uint32_t element;
+  std::uint32_t face;  ///< index into the shape's `Topology::faces`
+  FaceNodes nodes;     ///< 3 (triangle), 4 (quadrilateral) or 6 (quadratic triangle), winding outward
+};
+
+/// In the order of their element and its faces: what tractions and pressures act on.
+std::vector<BoundaryFace> boundary_faces(const Mesh& mesh);
+
+/// The boundary faces as triangles over compact vertices. A quadrilateral is split along the diagonal of its lowest
+/// node number, a quadratic triangle into four, so that everyone sees the same surface.
 struct Surface {
   std::vector<std::uint32_t> nodes;              ///< [vertex_count] the mesh node of each vertex, ascending
   std::vector<Triangle> triangles;               ///< [triangle_count] indices into `nodes`, outward winding
@@ -20,7 +32,7 @@ struct Surface {
   Rows vertex_triangles;  ///< [vertex_count] triangles of each vertex, ascending
 };
 
-/// Triangles come in the order of their element and its face: the same mesh gives the same surface.
+/// Triangles come in the order of `boundary_faces`: the same mesh gives the same surface.
 Surface boundary(const Mesh& mesh);
 
 }  // namespace tensormass::mesh

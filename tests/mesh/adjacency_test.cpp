@@ -10,9 +10,9 @@
 namespace tensormass::mesh {
 namespace {
 
-class Adjacency : public ::testing::TestWithParam<std::uint32_t> {
+class Adjacency : public testing::EveryMesh {
  protected:
-  const Mesh mesh_ = testing::random_mesh(GetParam(), 3, 0.6);
+  const Mesh mesh_ = testing::random_mesh(seed_, 3, 0.6, shape_);
 };
 
 std::vector<std::uint32_t> row(const Rows& rows, std::uint32_t i) { return {rows[i].begin(), rows[i].end()}; }
@@ -52,7 +52,7 @@ TEST_P(Adjacency, TrianglesOfVerticesAgreeWithBruteForce) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Seeds, Adjacency, ::testing::Range(0u, 5u));
+TENSORMASS_EVERY_MESH(Adjacency);
 
 }  // namespace
 }  // namespace tensormass::mesh

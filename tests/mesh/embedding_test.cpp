@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include "mesh/admission.h"
 #include "random_mesh.h"
+#include "support/meshes.h"
 
 namespace tensormass::mesh {
 namespace {
@@ -48,34 +50,35 @@ double brute_distance(const Vector3d& p, const std::array<Vector3d, 4>& corners)
   return best;
 }
 
-class Embed : public ::testing::TestWithParam<std::uint32_t> {
+class Embed : public testing::EveryMesh {
  protected:
-  const Mesh mesh_ = testing::random_mesh(GetParam(), 3, 0.5);
+  const Mesh mesh_ = testing::random_mesh(seed_, 3, 0.5, shape_);
+  const std::vector<std::span<const std::uint32_t>> nodes_of_ = element_nodes(mesh_);
 
-  double brute_distance_to_mesh(const Vector3d& point) const {
+  double distance_from(const Vector3d& point, std::uint32_t element) const {
     double best = std::numeric_limits<double>::infinity();
-    for (const auto& nodes : element_nodes(mesh_)) {
-      best = std::min(best, brute_distance(point, {mesh_.nodes[nodes[0]], mesh_.nodes[nodes[1]], mesh_.nodes[nodes[2]],
-                                                   mesh_.nodes[nodes[3]]}));
+    const auto x = [&](std::uint8_t local) { return mesh_.nodes[nodes_of_[element][local]]; };
+    for (const Simplex& s : topology(shape_).simplices) {
+      best = std::min(best, brute_distance(point, {x(s[0]), x(s[1]), x(s[2]), x(s[3])}));
     }
     return best;
   }
 };
 
 TEST_P(Embed, FindsTheContainingOrNearestElement) {
-  const std::vector<Vector3d> points = random_points(GetParam(), 300, -0.2, 1.2);
+  const std::vector<Vector3d> points = random_points(seed_, 300, -0.2, 1.2);
   const Embedding embedding = embed(mesh_, points, "test points").value();
-  const auto nodes_of = element_nodes(mesh_);
   double farthest = 0.0;
   int inside = 0;
   for (std::size_t i = 0; i < points.size(); ++i) {
     EXPECT_LT((carried(embedding, i, mesh_.nodes) - points[i]).norm(), 1e-12);
-    const auto& nodes = nodes_of[embedding.elements[i]];
-    EXPECT_TRUE(std::equal(nodes.begin(), nodes.end(), embedding.nodes[i].begin()));
-    const double distance = brute_distance_to_mesh(points[i]);
-    const double found = brute_distance(
-        points[i], {mesh_.nodes[nodes[0]], mesh_.nodes[nodes[1]], mesh_.nodes[nodes[2]], mesh_.nodes[nodes[3]]});
-    EXPECT_NEAR(found, distance, 1e-12);
+    const auto& nodes = nodes_of_[embedding.elements[i]];
+    for (const std::uint32_t node : embedding.nodes[i]) EXPECT_EQ(std::count(nodes.begin(), nodes.end(), node), 1);
+    double distance = std::numeric_limits<double>::infinity();
+    for (std::uint32_t element = 0; element < nodes_of_.size(); ++element) {
+      distance = std::min(distance, distance_from(points[i], element));
+    }
+    EXPECT_NEAR(distance_from(points[i], embedding.elements[i]), distance, 1e-12);
     EXPECT_EQ(least_weight(embedding, i) >= 0.0, distance < 1e-12);
     inside += distance < 1e-12;
     farthest = std::max(farthest, distance);
@@ -86,7 +89,7 @@ TEST_P(Embed, FindsTheContainingOrNearestElement) {
 }
 
 TEST_P(Embed, FollowsAnAffineMotionExactly) {
-  const std::vector<Vector3d> points = random_points(GetParam() + 100, 100, 0.0, 1.0);
+  const std::vector<Vector3d> points = random_points(seed_ + 100, 100, 0.0, 1.0);
   const Embedding embedding = embed(mesh_, points, "test points").value();
   Eigen::Matrix3d stretch;
   stretch << 1.2, 0.3, -0.1, 0.0, 0.9, 0.2, 0.4, 0.0, 1.1;
@@ -97,7 +100,7 @@ TEST_P(Embed, FollowsAnAffineMotionExactly) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Seeds, Embed, ::testing::Range(0u, 5u));
+TENSORMASS_EVERY_MESH(Embed);
 
 TEST(EmbedOutside, PrefersTheElementThatExtrapolatesLeast) {
   // Nearest to a corner of the cube that six elements share, and to an edge that two share.
@@ -132,6 +135,33 @@ TEST(EmbedOutside, RefusesAPointFarAway) {
   const Result<Embedding> refused = embed(mesh, far, "the skin of body 'liver'");
   ASSERT_FALSE(refused);
   EXPECT_NE(refused.error().message.find("point 1 of the skin of body 'liver'"), std::string::npos);
+}
+
+TEST(EmbedDistorted, LeavesOutTetrahedraOfTheDecompositionThatAreInverted) {
+  // A valid hexahedron, one of whose tetrahedra has a negative volume.
+  const Mesh reference = tests::reference_element(Shape::kHexahedron);
+  Mesh mesh = reference;
+  mesh.nodes[4] = {-0.6, 0.6, 0.3};
+  ASSERT_TRUE(admit(mesh, "cell"));
+  const auto volume = [&](const auto& nodes) {
+    return six_volumes(mesh.nodes[nodes[0]], mesh.nodes[nodes[1]], mesh.nodes[nodes[2]], mesh.nodes[nodes[3]]);
+  };
+  const auto simplices = topology(Shape::kHexahedron).simplices;
+  ASSERT_TRUE(std::any_of(simplices.begin(), simplices.end(), [&](const Simplex& s) { return volume(s) < -0.2; }));
+
+  std::vector<Vector3d> points;
+  for (const Vector3d& r : random_points(1, 500, 0.0, 1.0)) {  // mapped from the cube
+    Vector3d& x = points.emplace_back(Vector3d::Zero());
+    for (std::size_t corner = 0; corner < 8; ++corner) {
+      const Eigen::Array3d at = reference.nodes[corner].array();
+      x += (at * r.array() + (1.0 - at) * (1.0 - r.array())).prod() * mesh.nodes[corner];
+    }
+  }
+  const Embedding embedding = embed(mesh, points, "test points").value();
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    EXPECT_GT(volume(embedding.nodes[i]), 0.0);
+    EXPECT_LT((carried(embedding, i, mesh.nodes) - points[i]).norm(), 1e-12);
+  }
 }
 
 TEST(EmbedNothing, IsEmpty) {

@@ -3,6 +3,10 @@
 #include <algorithm>
 #include <numeric>
 #include <random>
+#include <string>
+#include <tuple>
+
+#include <gtest/gtest.h>
 
 #include "mesh/grid.h"
 #include "mesh/shapes.h"
@@ -10,17 +14,30 @@
 /// Meshes with nothing regular about them, for comparison with brute force.
 namespace tensormass::mesh::testing {
 
+inline std::vector<Shape> every_shape() {
+  std::vector<Shape> shapes;
+  for (std::size_t i = 0; i < kShapes.size(); ++i) shapes.push_back(static_cast<Shape>(i));
+  return shapes;
+}
+
+/// As GoogleTest wants it in the name of a test.
+inline std::string test_name(Shape shape) {
+  std::string name(topology(shape).name);
+  std::replace(name.begin(), name.end(), ' ', '_');
+  return name;
+}
+
 /// A grid of `cells` cells a side over [0, 1]³ m.
-inline Mesh unit_grid(std::uint32_t cells) {
-  return make_grid(Eigen::Vector3d::Zero(), Eigen::Vector3d::Ones(), cells, cells, cells).value();
+inline Mesh unit_grid(std::uint32_t cells, Shape shape = Shape::kTetrahedron) {
+  return make_grid(Eigen::Vector3d::Zero(), Eigen::Vector3d::Ones(), cells, cells, cells, shape).value();
 }
 
 /// A grid with moved nodes, about `kept` of its elements, and nodes and elements in random order. Admitted, with holes,
-/// and usually with non-manifold edges and several components.
-inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept) {
+/// and usually with non-manifold edges and several components. Quadrilaterals are not plane, edges not straight.
+inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept, Shape shape = Shape::kTetrahedron) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> uniform(0.0, 1.0);
-  const Mesh grid = unit_grid(cells);
+  const Mesh grid = unit_grid(cells, shape);
 
   std::vector<std::uint32_t> elements(element_count(grid));
   std::iota(elements.begin(), elements.end(), 0u);
@@ -38,31 +55,51 @@ inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept) {
   }
   std::shuffle(old_nodes.begin(), old_nodes.end(), random);
 
+  const double reach = topology(shape).has_mid_edge_nodes() ? 0.1 : 0.2;  // too little to invert an element
   Mesh mesh;
   std::vector<std::uint32_t> new_node(grid.nodes.size(), kNone);
   for (const std::uint32_t node : old_nodes) {
     new_node[node] = static_cast<std::uint32_t>(mesh.nodes.size());
     const Eigen::Vector3d shift(uniform(random) - 0.5, uniform(random) - 0.5, uniform(random) - 0.5);
-    mesh.nodes.push_back(grid.nodes[node] + 0.2 / cells * shift);  // too little to invert an element
+    mesh.nodes.push_back(grid.nodes[node] + reach / cells * shift);
   }
   ElementBlock& block = mesh.blocks.emplace_back();
-  block.shape = grid.blocks[0].shape;
+  block.shape = shape;
   for (const std::uint32_t element : elements) {
     for (const std::uint32_t node : nodes_of[element]) block.nodes.push_back(new_node[node]);
   }
   return mesh;
 }
 
-inline double volume_m3(const Mesh& mesh) {
-  double sum = 0.0;
-  for_each_element(mesh, [&](std::uint32_t, const Topology& shape, std::span<const std::uint32_t> nodes) {
-    for (const Simplex& s : shape.simplices) {
-      sum += six_volumes(mesh.nodes[nodes[s[0]]], mesh.nodes[nodes[s[1]]], mesh.nodes[nodes[s[2]]],
-                         mesh.nodes[nodes[s[3]]]) /
-             6.0;
-    }
-  });
-  return sum;
+/// The nodes of an element of that shape after a turn about an axis of it.
+inline std::vector<std::uint32_t> turned(Shape shape) {
+  switch (shape) {
+    case Shape::kTetrahedron:
+      return {1, 2, 0, 3};
+    case Shape::kPyramid:
+      return {1, 2, 3, 0, 4};
+    case Shape::kWedge:
+      return {1, 2, 0, 4, 5, 3};
+    case Shape::kHexahedron:
+      return {1, 2, 3, 0, 5, 6, 7, 4};
+    case Shape::kQuadraticTetrahedron:
+      return {1, 2, 0, 3, 5, 6, 4, 8, 9, 7};
+  }
+  return {};
 }
+
+/// Random meshes of every shape, three of each.
+class EveryMesh : public ::testing::TestWithParam<std::tuple<Shape, std::uint32_t>> {
+ protected:
+  const Shape shape_ = std::get<0>(GetParam());
+  const std::uint32_t seed_ = std::get<1>(GetParam());
+};
+
+#define TENSORMASS_EVERY_MESH(Suite)                                                                            \
+  INSTANTIATE_TEST_SUITE_P(                                                                                     \
+      Meshes, Suite, ::testing::Combine(::testing::ValuesIn(testing::every_shape()), ::testing::Range(0u, 3u)), \
+      [](const auto& mesh) {                                                                                    \
+        return testing::test_name(std::get<0>(mesh.param)) + "_" + std::to_string(std::get<1>(mesh.param));     \
+      })
 
 }  // namespace tensormass::mesh::testing

@@ -1,53 +1,126 @@
 #include "mesh/surface.h"
 
+#include <cmath>
 #include <map>
 #include <set>
 
 #include <gtest/gtest.h>
 
+#include "mesh/admission.h"
 #include "random_mesh.h"
+#include "support/meshes.h"
 
 namespace tensormass::mesh {
 namespace {
 
-class Boundary : public ::testing::TestWithParam<std::uint32_t> {
+using Eigen::Vector3d;
+
+class Boundary : public testing::EveryMesh {
  protected:
-  const Mesh mesh_ = testing::random_mesh(GetParam(), 3, 0.5);
+  const Mesh mesh_ = testing::random_mesh(seed_, 3, 0.5, shape_);
+  const std::vector<BoundaryFace> faces_ = boundary_faces(mesh_);
   const Surface surface_ = boundary(mesh_);
 
   Triangle mesh_triangle(std::uint32_t i) const {
     const Triangle& t = surface_.triangles[i];
     return {surface_.nodes[t[0]], surface_.nodes[t[1]], surface_.nodes[t[2]]};
   }
+  Vector3d area(const Triangle& t) const {
+    return 0.5 * (mesh_.nodes[t[1]] - mesh_.nodes[t[0]]).cross(mesh_.nodes[t[2]] - mesh_.nodes[t[0]]);
+  }
+  /// ∫ x·dA / 3 over a quadratic triangle: a polynomial of degree 4 in (r, s), by a product of Gauss rules.
+  double quadratic_cone_m3(const FaceNodes& n) const {
+    const double root = std::sqrt(0.6);
+    const double points[3][2] = {{0.5 - 0.5 * root, 5.0 / 18.0}, {0.5, 8.0 / 18.0}, {0.5 + 0.5 * root, 5.0 / 18.0}};
+    double sum = 0.0;
+    for (const auto& [u, weight_u] : points) {
+      for (const auto& [v, weight_v] : points) {
+        const double l[3] = {1.0 - u - v * (1.0 - u), u, v * (1.0 - u)};
+        Vector3d x = Vector3d::Zero(), along_r = Vector3d::Zero(), along_s = Vector3d::Zero();
+        for (std::size_t i = 0; i < 3; ++i) {
+          const Vector3d &corner = mesh_.nodes[n[i]], &middle = mesh_.nodes[n[3 + i]];
+          const std::size_t next = (i + 1) % 3;
+          const double dr[3] = {-1, 1, 0}, ds[3] = {-1, 0, 1};
+          x += l[i] * (2.0 * l[i] - 1.0) * corner + 4.0 * l[i] * l[next] * middle;
+          along_r += (4.0 * l[i] - 1.0) * dr[i] * corner + 4.0 * (dr[i] * l[next] + l[i] * dr[next]) * middle;
+          along_s += (4.0 * l[i] - 1.0) * ds[i] * corner + 4.0 * (ds[i] * l[next] + l[i] * ds[next]) * middle;
+        }
+        sum += weight_u * weight_v * (1.0 - u) * x.dot(along_r.cross(along_s)) / 3.0;
+      }
+    }
+    return sum;
+  }
+  double cone_m3(const Triangle& t) const { return mesh_.nodes[t[0]].dot(area(t)) / 3.0; }
 };
 
 TEST_P(Boundary, IsEveryFaceOfExactlyOneElement) {
-  // Brute force: faces in the order of elements, kept if no other element has the same three nodes.
-  std::vector<std::pair<Triangle, std::uint32_t>> faces;
+  // Brute force: faces in the order of elements, kept if no other element has the same nodes.
+  using Key = std::set<std::uint32_t>;
+  std::map<Key, int> uses;
+  std::vector<BoundaryFace> faces;
   for_each_element(mesh_, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> nodes) {
-    for (const Face& face : shape.faces) {
-      faces.push_back({{nodes[face.nodes[0]], nodes[face.nodes[1]], nodes[face.nodes[2]]}, element});
+    for (std::uint32_t f = 0; f < shape.faces.size(); ++f) {
+      BoundaryFace face{element, f, {shape.faces[f].node_count, {}}};
+      for (std::size_t i = 0; i < face.nodes.count; ++i) face.nodes.nodes[i] = nodes[shape.faces[f].nodes[i]];
+      ++uses[Key(face.nodes.begin(), face.nodes.end())];
+      faces.push_back(face);
     }
   });
-  const auto key = [](Triangle triangle) { return std::set<std::uint32_t>(triangle.begin(), triangle.end()); };
-  std::map<std::set<std::uint32_t>, int> uses;
-  for (const auto& [triangle, element] : faces) ++uses[key(triangle)];
-  std::erase_if(faces, [&](const auto& face) { return uses[key(face.first)] != 1; });
+  std::erase_if(faces, [&](const auto& face) { return uses[Key(face.nodes.begin(), face.nodes.end())] != 1; });
 
-  ASSERT_EQ(surface_.triangles.size(), faces.size());
-  for (std::uint32_t i = 0; i < faces.size(); ++i) {
-    EXPECT_EQ(mesh_triangle(i), faces[i].first);
-    EXPECT_EQ(surface_.triangle_elements[i], faces[i].second);
+  ASSERT_EQ(faces_.size(), faces.size());
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    EXPECT_EQ(faces_[i].element, faces[i].element);
+    EXPECT_EQ(faces_[i].face, faces[i].face);
+    EXPECT_TRUE(
+        std::equal(faces_[i].nodes.begin(), faces_[i].nodes.end(), faces[i].nodes.begin(), faces[i].nodes.end()));
   }
 }
 
-TEST_P(Boundary, EnclosesTheVolumeFromOutside) {
-  double enclosed_m3 = 0.0;  // divergence theorem; negative if the winding were inward
-  for (std::uint32_t i = 0; i < surface_.triangles.size(); ++i) {
-    const Triangle t = mesh_triangle(i);
-    enclosed_m3 += mesh_.nodes[t[0]].dot(mesh_.nodes[t[1]].cross(mesh_.nodes[t[2]])) / 6.0;
+TEST_P(Boundary, FacesEncloseTheVolumeFromOutside) {
+  // Divergence theorem; negative if the winding were inward. A bilinear face encloses the mean of its triangulations.
+  double enclosed_m3 = 0.0;
+  for (const BoundaryFace& face : faces_) {
+    const auto& n = face.nodes;
+    if (n.count == 3) enclosed_m3 += cone_m3({n[0], n[1], n[2]});
+    if (n.count == 4) {
+      enclosed_m3 += 0.5 * (cone_m3({n[0], n[1], n[2]}) + cone_m3({n[0], n[2], n[3]}) + cone_m3({n[1], n[2], n[3]}) +
+                            cone_m3({n[1], n[3], n[0]}));
+    }
+    if (n.count == 6) enclosed_m3 += quadratic_cone_m3(n);
   }
-  EXPECT_NEAR(enclosed_m3, testing::volume_m3(mesh_), 1e-13);
+  EXPECT_NEAR(enclosed_m3, admit(mesh_, "random")->volume_m3, 1e-12);
+}
+
+TEST_P(Boundary, TrianglesFollowTheFaces) {
+  std::uint32_t triangle = 0;
+  for (const BoundaryFace& face : faces_) {
+    const auto& n = face.nodes;
+    const std::uint32_t count = n.count == 6 ? 4 : n.count - 2;
+    ASSERT_LE(triangle + count, surface_.triangles.size());
+    Vector3d sum = Vector3d::Zero();
+    std::set<std::uint32_t> used;
+    for (std::uint32_t i = triangle; i < triangle + count; ++i) {
+      const Triangle t = mesh_triangle(i);
+      EXPECT_EQ(surface_.triangle_elements[i], face.element);
+      used.insert(t.begin(), t.end());
+      sum += area(t);
+      if (n.count == 4) {
+        EXPECT_EQ(t[0], *std::min_element(n.begin(), n.end()));
+      }
+    }
+    EXPECT_EQ(used, std::set<std::uint32_t>(n.begin(), n.end()));
+    // The vector area depends on the outline alone.
+    Vector3d outline = Vector3d::Zero();
+    const std::vector<std::uint32_t> loop =
+        n.count == 6 ? std::vector{n[0], n[3], n[1], n[4], n[2], n[5]} : std::vector(n.begin(), n.end());
+    for (std::size_t i = 0; i < loop.size(); ++i) {
+      outline += 0.5 * mesh_.nodes[loop[i]].cross(mesh_.nodes[loop[(i + 1) % loop.size()]]);
+    }
+    EXPECT_LT((sum - outline).norm(), 1e-15);
+    triangle += count;
+  }
+  EXPECT_EQ(triangle, surface_.triangles.size());
 }
 
 TEST_P(Boundary, VerticesAreCompactAndAscending) {
@@ -75,12 +148,36 @@ TEST_P(Boundary, NeighboursAreTheOtherTrianglesOfTheEdges) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Seeds, Boundary, ::testing::Range(0u, 5u));
+TENSORMASS_EVERY_MESH(Boundary);
 
-TEST(BoundaryOfGrid, IsAClosedBox) {
-  const Surface surface = boundary(testing::unit_grid(4));
-  EXPECT_EQ(surface.triangles.size(), 6u * 16u * 2u);
-  EXPECT_EQ(surface.nodes.size(), 125u - 27u);
+class BoundaryOfGrid : public ::testing::TestWithParam<Shape> {};
+
+TEST_P(BoundaryOfGrid, IsAClosedBox) {
+  const Surface surface = boundary(testing::unit_grid(4, GetParam()));
+  const std::uint32_t refined = topology(GetParam()).has_mid_edge_nodes() ? 2 : 1;
+  const std::uint32_t cells = 4 * refined;
+  EXPECT_EQ(surface.triangles.size(), 6 * cells * cells * 2);
+  EXPECT_EQ(surface.nodes.size(), std::pow(cells + 1, 3) - std::pow(cells - 1, 3));
+  for (const auto& sides : surface.neighbours) {
+    for (const std::uint32_t neighbour : sides) EXPECT_NE(neighbour, kNone);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Shapes, BoundaryOfGrid, ::testing::ValuesIn(testing::every_shape()),
+                         [](const auto& shape) { return testing::test_name(shape.param); });
+
+TEST(BoundaryOfMixedMesh, IsAClosedBox) {
+  const Mesh mesh = tests::mixed_mesh();
+  double area_m2 = 0.0;
+  for (const BoundaryFace& face : boundary_faces(mesh)) {
+    const auto& x = [&](std::size_t i) { return mesh.nodes[face.nodes[i]]; };
+    const Vector3d diagonals =
+        face.nodes.count == 4 ? (x(2) - x(0)).cross(x(3) - x(1)) : (x(1) - x(0)).cross(x(2) - x(0));
+    area_m2 += 0.5 * diagonals.norm();
+  }
+  EXPECT_NEAR(area_m2, 2 * (2.0 * 1.0 + 1.0 * 1.5 + 1.5 * 2.0), 1e-14);
+  const Surface surface = boundary(mesh);
+  EXPECT_EQ(surface.triangles.size(), 8 * area_m2);
   for (const auto& sides : surface.neighbours) {
     for (const std::uint32_t neighbour : sides) EXPECT_NE(neighbour, kNone);
   }

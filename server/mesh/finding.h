@@ -1,0 +1,27 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include <fmt/format.h>
+
+namespace tensormass::mesh {
+
+/// One kind of problem: how often it was met, and the first place in words.
+struct Finding {
+  std::uint64_t count = 0;
+  std::string first;
+
+  template <class Describe>
+  void add(Describe&& describe) {
+    if (count++ == 0) first = describe();
+  }
+
+  std::string text(std::string_view what_to_do) const {
+    const std::string others = count > 1 ? fmt::format(" ({} of this kind)", count) : std::string();
+    return fmt::format("{}{}; {}", first, others, what_to_do);
+  }
+};
+
+}  // namespace tensormass::mesh
