@@ -1,6 +1,7 @@
 # `make run` and `make test` are all that a newcomer needs; `make help` lists the rest.
 #
 #   CUDA=OFF   build without the CUDA backend      JOBS=n   parallel compilations      SCENE=path   another scene
+#   REFERENCES=1   `make accuracy` asks the other solvers again instead of comparing with their stored answers
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
@@ -11,6 +12,7 @@ CUDA ?= ON
 BUILD ?= build
 JOBS ?= $(shell nproc)
 SCENE ?= demo
+BACKEND ?= cpu
 RUN_ARGS ?=
 TEST_ARGS ?=
 # What docker/setup.sh found: CUDACXX and CUDAToolkit_ROOT.
@@ -22,7 +24,7 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test test-only bench asan tsan lint format clean
+.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy asan tsan lint format clean
 
 help: ## This list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -73,6 +75,11 @@ $(VIEWER): $(VIEWER_SOURCES)
 
 bench: build ## Measure this machine; results in tests/bench/results
 	@$(BUILD)/bin/tensormass-bench
+
+accuracy: setup-test ## Proof of accuracy: results in tests/accuracy, table in docs/accuracy.md (BACKEND=cuda, REFERENCES=1)
+	@$(MAKE) native python
+	@cd tests && $(if $(REFERENCES),python -m accuracy.references &&) \
+	  { python -m accuracy --backend $(BACKEND) || failed=1; python -m accuracy.report && exit $${failed:-0}; }
 
 asan: setup ## C++ tests under address and undefined-behaviour sanitizers
 	@$(MAKE) sanitized NAME=asan SANITIZE=address,undefined

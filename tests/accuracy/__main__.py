@@ -1,0 +1,89 @@
+"""Runs the cases against a daemon of its own and writes results/<backend>.json.
+
+python -m accuracy [--backend cpu|cuda] [--only TEXT] [--precision double|float]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import tensormass as tm
+
+from . import report
+from .case import Case
+from .cases import all_cases
+from .engine import PRECISIONS, Engine
+
+HERE = Path(__file__).parent
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m accuracy", description=__doc__.splitlines()[0])
+    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results")
+    parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results")
+    arguments = parser.parse_args()
+    chosen = [case for case in all_cases() if arguments.only in case.key]
+    precisions = [arguments.precision] if arguments.precision else list(PRECISIONS)
+    rows: list[report.Row] = []
+    start = time.monotonic()
+    with tm.launch(backend=arguments.backend, zenoh=False) as server:
+        device = server.version().device
+        for precision in precisions:
+            engine = Engine(server, precision)
+            rows += [run(case, engine) for case in chosen if precision in case.bounds]
+    failed = sum(not row.passed for row in rows)
+    print(f"{len(rows)} rows, {failed} failed, {time.monotonic() - start:.0f} s")
+    if not arguments.only and not arguments.precision:
+        run_info = report.Run(
+            backend=arguments.backend,
+            device=device,
+            machine=_machine(),
+            commit=_commit(),
+            command=f"python -m accuracy --backend {arguments.backend}",
+            date=time.strftime("%Y-%m-%d", time.gmtime()),
+            seconds=round(time.monotonic() - start),
+            rows=rows,
+        )
+        print(f"wrote {run_info.write()}")
+    return int(failed > 0)
+
+
+def run(case: Case, engine: Engine) -> report.Row:
+    """One row, also of a case that breaks."""
+    try:
+        outcome = case.run(engine)
+    except Exception as error:  # a broken case is a failed row, and the others still run
+        row = report.Row.broken(case, engine.precision, f"{type(error).__name__}: {error}")
+    else:
+        row = report.Row.of(case, engine.precision, outcome)
+    verdict = "ok    " if row.passed else "FAILED"
+    said = row.failure or f"{row.value:.9g}, error {row.error:.1e}, bound {row.bound:g}"
+    print(f"{verdict} {engine.precision:6} {case.key}: {said}", flush=True)
+    return row
+
+
+def _machine() -> str:
+    model = platform.processor() or platform.machine()
+    cpu_info = Path("/proc/cpuinfo")
+    if cpu_info.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpu_info.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return f"{model}, {os.cpu_count()} threads"
+
+
+def _commit() -> str:
+    """TENSORMASS_COMMIT where the tree is a copy without history."""
+    command = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return os.environ.get("TENSORMASS_COMMIT") or done.stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

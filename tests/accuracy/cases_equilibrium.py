@@ -1,0 +1,92 @@
+"""Cantilever and twisted bar: every law in every shape against other solvers on the same mesh with the same rule."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from . import calculix, references, skfem_fem
+from .case import Case, Group, Outcome
+from .engine import Engine
+from .laws import LAWS, Law
+from .meshes import MESHES, Floats, Mesh, box
+from .problem import Problem, Support, Traction
+
+GROUP = Group(
+    "equilibrium",
+    "Cantilever and twisted bar",
+    "A bar of 100 × 40 × 40 mm in 5 × 2 × 2 cells, clamped at one end. The cantilever carries a traction of (5, "
+    "0, −40) Pa on the other end; the twisted bar has that end turned by 60° and pulled by 5 mm. Same mesh, same "
+    "quadrature. Value: the largest displacement. Error: the largest difference at any node over the largest "
+    "displacement. CalculiX prints seven digits.",
+)
+CELLS = (5, 2, 2)
+SIZE_M = (0.1, 0.04, 0.04)
+TWIST_RAD = np.pi / 3
+PULL_M = 0.005
+
+FE_BOUNDS = {"double": 1e-6, "float": 2e-3}
+
+
+def _ends(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    near = 1e-6 * SIZE_M[0]
+    return mesh.where(lambda x, y, z: x < near), mesh.where(lambda x, y, z: x > SIZE_M[0] - near)
+
+
+def cantilever(mesh: Mesh, law: Law) -> Problem:
+    clamped, loaded = _ends(mesh)
+    return Problem(mesh, law, [Support(clamped, np.zeros(3))], [Traction(loaded, (5, 0, -40))])
+
+
+def twisted_bar(mesh: Mesh, law: Law) -> Problem:
+    clamped, turned = _ends(mesh)
+    middle = np.array(SIZE_M[1:]) / 2
+    cos, sin = np.cos(TWIST_RAD), np.sin(TWIST_RAD)
+    arm = mesh.nodes[turned, 1:] - middle
+    moved = np.full((len(turned), 3), PULL_M)
+    moved[:, 1:] = arm @ np.array([[cos, sin], [-sin, cos]]) - arm
+    return Problem(mesh, law, [Support(clamped, np.zeros(3)), Support(turned, moved)], increments=6)
+
+
+PROBLEMS: dict[str, Callable[[Mesh, Law], Problem]] = {"cantilever": cantilever, "twisted bar": twisted_bar}
+
+
+def pairs() -> Iterator[tuple[str, str, str, str]]:
+    """(solver, problem, shape, law) of every comparison."""
+    for shape in MESHES:
+        for law, entry in LAWS.items():
+            for name in PROBLEMS:
+                yield ("scikit-fem" if shape in skfem_fem.SHAPES else "numpy"), name, shape, law
+                if shape in calculix.ELEMENTS and entry.calculix:
+                    yield "calculix", name, shape, law
+
+
+def problem(name: str, shape: str, law: str) -> Problem:
+    return PROBLEMS[name](box(shape, CELLS, SIZE_M), LAWS[law])
+
+
+def equilibrium_cases() -> Iterator[Case]:
+    for solver, name, shape, law in pairs():
+
+        def run(engine: Engine, solver: str = solver, name: str = name, shape: str = shape, law: str = law) -> Outcome:
+            stated = problem(name, shape, law)
+            return compare(engine.equilibrium(stated).displacement_m, references.read(solver, name, shape, law, stated))
+
+        yield Case(
+            GROUP,
+            shape,
+            law,
+            name if solver != "calculix" else f"{name}, CalculiX",
+            "largest displacement [m]",
+            references.source(solver),
+            FE_BOUNDS,
+            run,
+            quick=law in ("hooke", "neo_hookean") and name == "cantilever" and solver != "calculix",
+        )
+
+
+def compare(ours: Floats, theirs: Floats) -> Outcome:
+    size = float(np.linalg.norm(theirs, axis=1).max())
+    difference = float(np.linalg.norm(ours - theirs, axis=1).max())
+    return Outcome(float(np.linalg.norm(ours, axis=1).max()), size, difference / size)

@@ -1,0 +1,206 @@
+"""What happens over time: relaxation of visco-elastic laws, and a bar in free flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tensormass.v1 import scene_pb2
+
+from . import numpy_fem
+from .case import Case, Group, Outcome, relative
+from .cases_homogeneous import nominal_stress
+from .engine import Engine, state
+from .laws import IDENTITY, LAWS, Law
+from .meshes import MESHES, Floats, box
+from .problem import DENSITY_KG_PER_M3, Problem, Support
+
+RELAXATION = Group(
+    "relaxation",
+    "Prony relaxation",
+    "A cube, suddenly stretched by 10 % along x and held, with two terms: 0.24 over 0.27 s and 0.33 over 0.03 s. "
+    "*Step by step*: against implicit Euler's own sum, S = S⁰ (1 − Σ α (1 − (τ / (Δt + τ))ⁿ)), every tenth step "
+    "up to 0.4 s. Value: P11 at 0.4 s. Error: the largest over the first stress. *Order*: against the exponential "
+    "1 − Σ α (1 − e^(−t/τ)) at 0.2 s. Value: the order at which the error falls with the last halving of Δt. "
+    "Error: its distance from 1.",
+)
+FLIGHT = Group(
+    "flight",
+    "Free flight",
+    "A free bar of 100 × 40 × 40 mm is struck off-centre by a probe that then leaves; from then on nothing acts "
+    "on it for 10,000 steps of 1 ms. *Momentum*: value is the largest drift of the linear momentum over its size. "
+    "*Angular momentum*: value is what is left of it about the centre of mass at the end; implicit schemes lose "
+    "some, and the error is how far it ever rises above the start. *Energy*: elastic and kinetic; value is what "
+    "is left at the end, the error is the largest rise between two looks (every 10 steps) over the start.",
+)
+TERMS = ((0.24, 0.27), (0.33, 0.03))
+STRETCH = 1.1
+CUBE_M = 0.1
+FLIGHT_STEPS = 10_000
+FLIGHT_DT_S = 1e-3
+LOOK_EVERY = 10
+
+
+def time_cases() -> Iterator[Case]:
+    yield from _relaxation_cases()
+    yield from _flight_cases()
+
+
+def viscous(law: Law) -> Law:
+    message = scene_pb2.Law()
+    message.CopyFrom(law.message)
+    for share, time_s in TERMS:
+        message.prony.add(share=share, relaxation_time_s=time_s)
+    return replace(law, message=message)
+
+
+def _relaxed(engine: Engine, shape: str, law: Law, dt_s: float, steps: list[int]) -> list[float]:
+    """P11 [Pa] after these numbers of steps."""
+    mesh = box(shape, (5 if shape == "mixed" else 2, 2, 2), (CUBE_M,) * 3)
+    boundary = mesh.boundary()
+    moved = mesh.nodes[boundary] * (STRETCH - 1) * IDENTITY[0]
+    stresses = []
+    with engine.loaded(engine.scene(Problem(mesh, viscous(law), [Support(boundary, moved)]), dt_s)) as handle:
+        for count in np.diff([0, *steps]).tolist():
+            handle.step(count)
+            stresses.append(float(nominal_stress(mesh, state(handle).reaction_n, CUBE_M**3)[0, 0]))
+    return stresses
+
+
+def _relaxation_cases() -> Iterator[Case]:
+    def by_step(engine: Engine, shape: str, law: Law) -> Outcome:
+        dt_s, steps = 0.01, [1, 10, 20, 30, 40]
+        first = float(law.pull(np.array([STRETCH, 1, 1]))[0])
+        ours = _relaxed(engine, shape, law, dt_s, steps)
+        exact = [
+            first * (1 - sum(share * (1 - (time_s / (dt_s + time_s)) ** n) for share, time_s in TERMS)) for n in steps
+        ]
+        return Outcome(ours[-1], exact[-1], float(np.abs(np.subtract(ours, exact)).max() / first))
+
+    def order(engine: Engine) -> Outcome:
+        law, until_s = LAWS["neo_hookean"], 0.2
+        exact = float(law.pull(np.array([STRETCH, 1, 1]))[0])
+        exact *= 1 - sum(share * (1 - np.exp(-until_s / time_s)) for share, time_s in TERMS)
+        counts = (40, 80, 160)
+        found = [_relaxed(engine, "hexahedron", law, until_s / count, [count])[0] for count in counts]
+        errors = [relative(value, exact) for value in found]
+        reached = float(np.log2(errors[-2] / errors[-1]))
+        details = tuple(
+            (f"Δt {until_s / count:g} s", value, error)
+            for count, value, error in zip(counts, found, errors, strict=True)
+        )
+        return Outcome(reached, 1.0, abs(reached - 1), details)
+
+    bounds = {"double": 1e-8, "float": 1e-3}
+    for shape in MESHES:
+        for law in LAWS:
+            yield Case(
+                RELAXATION,
+                shape,
+                law,
+                "step by step",
+                "P11 [Pa]",
+                "closed form of the scheme",
+                bounds,
+                lambda engine, shape=shape, law=law: by_step(engine, shape, LAWS[law]),
+                quick=shape == "wedge" and law == "ogden",
+            )
+    yield Case(RELAXATION, "hexahedron", "neo_hookean", "order", "order in Δt", "closed form", {"double": 0.05}, order)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """[look, 3] kg m/s, [look, 3] kg m²/s about the centre of mass, [look] J."""
+
+    momentum: Floats
+    angular_momentum: Floats
+    energy: Floats
+
+
+def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
+    mesh = box(shape, (5, 2, 2), (0.1, 0.04, 0.04))
+    scene = engine.scene(Problem(mesh, LAWS[law], []), FLIGHT_DT_S)
+    scene.solver.integrator = integrator
+    probe = scene.tools.add(name="probe", max_speed_m_per_s=1.0)
+    probe.spherical_probe.radius_m = 0.01
+    start, hit = (0.09, 0.03, 0.06), (0.09, 0.03, 0.045)
+    probe.position_m.x, probe.position_m.y, probe.position_m.z = start
+    # By row sums, as the server lumps them.
+    masses = numpy_fem.consistent_forces(mesh, lambda x: np.full((*x.shape[:-1], 1), DENSITY_KG_PER_M3))[:, 0]
+    momenta, angular, energies = [], [], []
+    with engine.loaded(scene) as handle:
+        handle.move_tool("probe", hit)
+        handle.step(40)
+        handle.move_tool("probe", (0.09, 0.03, 0.5))
+        handle.step(100)
+        for look in range(FLIGHT_STEPS // LOOK_EVERY + 1):
+            if look > 0:
+                handle.step(LOOK_EVERY)
+            now = state(handle)
+            velocity, place = now.velocity_m_per_s, mesh.nodes + now.displacement_m
+            momenta.append(masses @ velocity)
+            centre, drift = masses @ place / masses.sum(), momenta[-1] / masses.sum()
+            angular.append(masses @ np.cross(place - centre, velocity - drift))
+            energies.append(now.elastic_energy_j + now.kinetic_energy_j)
+    return Flight(np.array(momenta), np.array(angular), np.array(energies))
+
+
+def _momentum(flight: Flight) -> Outcome:
+    sizes = np.linalg.norm(flight.momentum - flight.momentum[0], axis=1) / np.linalg.norm(flight.momentum[0])
+    return Outcome(float(sizes.max()), 0.0, float(sizes.max()))
+
+
+def _angular_momentum(flight: Flight) -> Outcome:
+    sizes = np.linalg.norm(flight.angular_momentum, axis=1)
+    return Outcome(float(sizes[-1] / sizes[0]), 1.0, float(max(sizes.max() / sizes[0] - 1, 0)))
+
+
+def _energy(flight: Flight) -> Outcome:
+    rise = np.diff(flight.energy).max() / flight.energy[0]
+    return Outcome(float(flight.energy[-1] / flight.energy[0]), 1.0, float(max(rise, 0)))
+
+
+_LOOKS: dict[str, tuple[str, Callable[[Flight], Outcome], dict[str, float]]] = {
+    "momentum": ("drift", _momentum, {"double": 1e-8, "float": 1e-2}),
+    "angular momentum": ("share left", _angular_momentum, {"double": 1e-3, "float": 1e-2}),
+    "energy": ("share left", _energy, {"double": 1e-6, "float": 1e-4}),
+}
+_INTEGRATORS = {
+    "implicit Euler": scene_pb2.Solver.INTEGRATOR_IMPLICIT_EULER,
+    "BDF2": scene_pb2.Solver.INTEGRATOR_BDF2,
+}
+
+
+def _flight_cases() -> Iterator[Case]:
+    flights: dict[tuple[int, str, str], Flight] = {}
+
+    def flight(engine: Engine, shape: str, integrator: str) -> Flight:
+        key = id(engine), shape, integrator
+        if key not in flights:
+            flights[key] = _fly(engine, shape, "neo_hookean", _INTEGRATORS[integrator])
+        return flights[key]
+
+    for shape in ("tetrahedron", "hexahedron"):
+        for integrator in _INTEGRATORS:
+            for name, (quantity, look, bounds) in _LOOKS.items():
+
+                def run(
+                    engine: Engine,
+                    shape: str = shape,
+                    integrator: str = integrator,
+                    look: Callable[[Flight], Outcome] = look,
+                ) -> Outcome:
+                    return look(flight(engine, shape, integrator))
+
+                yield Case(
+                    FLIGHT,
+                    shape,
+                    "neo_hookean",
+                    f"{name}, {integrator}",
+                    quantity,
+                    "conservation",
+                    bounds,
+                    run,
+                )

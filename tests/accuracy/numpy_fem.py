@@ -1,0 +1,243 @@
+"""A small finite element solver of our own, for what no other at hand has: pyramids, and shapes in one mesh.
+
+It shares nothing with the server: slopes of the shape functions by complex step, Newton with a numerical tangent on an
+assembled sparse matrix and a direct solve. Where scikit-fem has the shape too, test_references.py compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from . import problem as problems
+from .laws import IDENTITY, Law
+from .meshes import Floats, Mesh
+
+if TYPE_CHECKING:
+    import scipy.sparse
+
+Rule = tuple[Floats, Floats]
+
+
+def available() -> bool:
+    return True
+
+
+def source() -> str:
+    return "own NumPy solver (numpy_fem.py)"
+
+
+def _tetrahedron(r: npt.NDArray) -> list:
+    return [1 - r[0] - r[1] - r[2], r[0], r[1], r[2]]
+
+
+def _quadratic_tetrahedron(r: npt.NDArray) -> list:
+    a = _tetrahedron(r)
+    edges = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+    return [x * (2 * x - 1) for x in a] + [4 * a[i] * a[j] for i, j in edges]
+
+
+def _wedge(r: npt.NDArray) -> list:
+    triangle = [1 - r[0] - r[1], r[0], r[1]]
+    return [x * (1 - r[2]) for x in triangle] + [x * r[2] for x in triangle]
+
+
+def _hexahedron(r: npt.NDArray) -> list:
+    signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return [(1 + x * r[0]) * (1 + y * r[1]) * (1 + z * r[2]) / 8 for z in (-1, 1) for x, y in signs]
+
+
+def _pyramid(r: npt.NDArray) -> list:
+    """Bedrosian 1992: N = ¼ ((1 + xξ)(1 + yη) − ζ + xyξηζ/(1 − ζ)) for a corner (x, y) of the base."""
+    signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    ratio = r[0] * r[1] * r[2] / (1 - r[2])
+    return [((1 + x * r[0]) * (1 + y * r[1]) - r[2] + x * y * ratio) / 4 for x, y in signs] + [r[2]]
+
+
+FUNCTIONS: dict[str, Callable[[npt.NDArray], list]] = {
+    "tetrahedron": _tetrahedron,
+    "pyramid": _pyramid,
+    "wedge": _wedge,
+    "hexahedron": _hexahedron,
+    "quadratic_tetrahedron": _quadratic_tetrahedron,
+}
+
+
+def _gauss(points: int) -> Rule:
+    return np.polynomial.legendre.leggauss(points)
+
+
+def _unit_gauss(points: int) -> Rule:
+    x, w = _gauss(points)
+    return (x + 1) / 2, w / 2
+
+
+def _triangle(points: int) -> Rule:
+    """Collapsed square: exact to degree 2 points − 2."""
+    x, w = _unit_gauss(points)
+    a, b = np.meshgrid(x, x, indexing="ij")
+    return np.stack([a, b * (1 - a)], axis=-1).reshape(-1, 2), (np.outer(w, w) * (1 - a)).ravel()
+
+
+def _tensor(*rules: Rule) -> Rule:
+    """Product of rules; each point is a number or a row."""
+    points, weights = np.zeros((1, 0)), np.ones(1)
+    for x, w in rules:
+        x = x.reshape(len(w), -1)
+        points = np.hstack([np.repeat(points, len(w), axis=0), np.tile(x, (len(points), 1))])
+        weights = np.outer(weights, w).ravel()
+    return points, weights
+
+
+def _conical(across: Rule, heights: Rule) -> Rule:
+    """heights: for the weight (1 − ζ)² on [0, 1]."""
+    points, weights = _tensor(across, across, heights)
+    return np.column_stack([points[:, :2] * (1 - points[:, 2:]), points[:, 2]]), weights
+
+
+@cache
+def rule(shape: str, fine: bool = False) -> Rule:
+    """The full rule of a shape (see scene.proto), or a fine one for integrals of fields."""
+    n = 4 if fine else 2
+    if shape == "hexahedron":
+        return _tensor(_gauss(n), _gauss(n), _gauss(n))
+    if shape == "wedge":
+        three = np.array([[1, 1], [4, 1], [1, 4]]) / 6, np.full(3, 1 / 6)
+        return _tensor(_triangle(5) if fine else three, _unit_gauss(n))
+    if shape == "pyramid":
+        # Gauss-Jacobi of two points: the roots of the polynomial that is orthogonal under (1 − ζ)² are 1/3 ∓ √(2/45).
+        root = np.sqrt(2 / 45)
+        heights = np.array([1 / 3 - root, 1 / 3 + root])
+        # Exact for 1 and ζ: ∫(1 − ζ)² = 1/3, ∫ζ(1 − ζ)² = 1/12.
+        weights = np.linalg.solve([[1, 1], heights], [1 / 3, 1 / 12])
+        if fine:
+            heights, weights = _unit_gauss(5)
+            weights = weights * (1 - heights) ** 2
+        return _conical(_gauss(n), (heights, weights))
+    if fine:
+        x, w = _unit_gauss(5)
+        points, weights = _tensor((x, w), (x, w), (x, w))
+        a, b, c = points.T
+        return np.stack([a, b * (1 - a), c * (1 - a) * (1 - b)], axis=1), weights * (1 - a) ** 2 * (1 - b)
+    if shape == "tetrahedron":
+        return np.full((1, 3), 1 / 4), np.array([1 / 6])
+    near, far = (5 - np.sqrt(5)) / 20, (5 + 3 * np.sqrt(5)) / 20
+    return np.full((4, 3), near) + np.vstack([np.zeros(3), np.eye(3)]) * (far - near), np.full(4, 1 / 24)
+
+
+def values(shape: str, at: Floats) -> Floats:
+    """N_k at the points, [point, k]."""
+    return np.array(FUNCTIONS[shape](at.T) if shape else []).T
+
+
+def slopes(shape: str, at: Floats) -> Floats:
+    """∂N_k/∂r_j at the points, [point, k, j]; exact to rounding (complex step)."""
+    steps = [np.array(FUNCTIONS[shape]((at + 1e-30j * IDENTITY[j]).T)).imag.T / 1e-30 for j in range(3)]
+    return np.stack(steps, axis=-1)
+
+
+def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False) -> tuple[Floats, Floats]:
+    """∇N_k [element, point, k, 3] 1/m and weights [element, point] m³."""
+    points, weights = rule(shape, fine)
+    slope = slopes(shape, points)
+    jacobian = np.einsum("eki,qkj->eqij", mesh.nodes[elements], slope)
+    determinant = np.linalg.det(jacobian)
+    if determinant.min() <= 0:
+        raise ValueError(f"a {shape} is turned inside out")
+    return np.einsum("qkj,eqji->eqki", slope, np.linalg.inv(jacobian)), determinant * weights
+
+
+def tangent(law: Law, f: Floats) -> Floats:
+    """∂P_ij/∂F_km by central differences, [..., i, j, k, m]. For Newton only: the residual decides when it ends."""
+    out = np.empty((*f.shape, 3, 3))
+    for k in range(3):
+        for m in range(3):
+            step = np.zeros((3, 3))
+            step[k, m] = 1e-6
+            out[..., k, m] = (law.stress(f + step) - law.stress(f - step)) / 2e-6
+    return out
+
+
+def solve(problem: problems.Problem) -> Floats:
+    """Displacements in equilibrium, [node_count, 3] m."""
+    import scipy.sparse  # here, so that comparing with stored answers needs no SciPy
+
+    mesh, law = problem.mesh, problem.law
+    blocks = [(elements, *gradients(mesh, shape, elements)) for shape, elements in mesh.blocks]
+
+    def system(u: Floats) -> tuple[Floats, scipy.sparse.csr_matrix]:
+        inner = np.zeros(u.size)
+        rows, columns, entries = [], [], []
+        for elements, a, w in blocks:
+            f = IDENTITY + np.einsum("eki,eqkj->eqij", u[elements], a)
+            force = np.einsum("eq,eqij,eqkj->eki", w, law.stress(f), a)
+            dofs = (3 * elements[:, :, None] + np.arange(3)).reshape(len(elements), -1)
+            np.add.at(inner, dofs, force.reshape(dofs.shape))
+            stiffness = np.einsum("eq,eqaj,eqijkl,eqbl->eaibk", w, a, tangent(law, f), a, optimize=True)
+            rows.append(np.repeat(dofs, dofs.shape[1], axis=1).ravel())
+            columns.append(np.tile(dofs, (1, dofs.shape[1])).ravel())
+            entries.append(stiffness.ravel())
+        where = np.concatenate(rows), np.concatenate(columns)
+        return inner, scipy.sparse.csr_matrix((np.concatenate(entries), where), shape=(u.size, u.size))
+
+    return newton(problem, system)
+
+
+def newton(problem: problems.Problem, system: Callable[[Floats], tuple[Floats, scipy.sparse.csr_matrix]]) -> Floats:
+    """Equilibrium of the problem's loads and supports.
+
+    system(u): inner forces [3 node_count] N and their derivative.
+    """
+    import scipy.sparse.linalg
+
+    given = problem.prescribed().ravel()
+    free = np.flatnonzero(np.isnan(given))
+    held = np.flatnonzero(~np.isnan(given))
+    outer = problem.nodal_forces().ravel()
+    u = np.zeros(given.size)
+    scale = 0.0  # the largest force on the way; a rigidly turned body ends without any
+    for increment in range(1, problem.increments + 1):
+        target = given * increment / problem.increments
+        for _ in range(60):
+            inner, stiffness = system(u.reshape(-1, 3))
+            residual = (outer - inner)[free]
+            move = target[held] - u[held]
+            scale = max(scale, np.abs(inner).max(), np.abs(outer).max())
+            if np.abs(move).max() == 0 and np.abs(residual).max() <= 1e-12 * scale:
+                break
+            right = residual - stiffness[free][:, held] @ move
+            u[free] += scipy.sparse.linalg.spsolve(stiffness[free][:, free].tocsc(), right)
+            u[held] = target[held]
+        else:
+            raise ArithmeticError(f"Newton did not converge: imbalance {np.abs(residual).max() / scale:.1e}")
+    return u.reshape(-1, 3)
+
+
+def l2_norm(mesh: Mesh, field: Callable[[Floats], Floats], nodal: Floats | None = None) -> float:
+    """√∫|field(x) − Σ N_k nodal_k|² dV."""
+    total = 0.0
+    for shape, elements in mesh.blocks:
+        n = values(shape, rule(shape, fine=True)[0])
+        _, w = gradients(mesh, shape, elements, fine=True)
+        difference = field(np.einsum("qk,eki->eqi", n, mesh.nodes[elements]))
+        if nodal is not None:
+            difference = difference - np.einsum("qk,eki->eqi", n, nodal[elements])
+        total += np.einsum("eq,eqi,eqi->", w, difference, difference)
+    return float(np.sqrt(total))
+
+
+def consistent_forces(mesh: Mesh, density: Callable[[Floats], Floats]) -> Floats:
+    """∫ N_k density(x) dV, [node_count, components]; density: per volume."""
+    out = None
+    for shape, elements in mesh.blocks:
+        n = values(shape, rule(shape, fine=True)[0])
+        _, w = gradients(mesh, shape, elements, fine=True)
+        force = np.einsum("eq,qk,eqi->eki", w, n, density(np.einsum("qk,eki->eqi", n, mesh.nodes[elements])))
+        out = np.zeros((len(mesh.nodes), force.shape[2])) if out is None else out
+        np.add.at(out, elements, force)
+    assert out is not None
+    return out

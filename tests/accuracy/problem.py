@@ -1,0 +1,111 @@
+"""A boundary value problem in words that every solver understands: the server, and each reference."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tensormass.v1 import scene_pb2
+
+from .laws import Law
+from .meshes import Floats, Integers, Mesh, boundary_faces
+
+DENSITY_KG_PER_M3 = 1000.0
+
+
+@dataclass(frozen=True)
+class Support:
+    """Displacements of nodes. displacement_m: [node, 3] or [3]; NaN: free in that direction."""
+
+    nodes: Integers
+    displacement_m: Floats
+
+
+@dataclass(frozen=True)
+class Traction:
+    """A constant force for each rest area on the boundary faces all of whose nodes are in `nodes`."""
+
+    nodes: Integers
+    traction_pa: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """Pushes against the boundary faces all of whose nodes are in `nodes`, wherever they move."""
+
+    nodes: Integers
+    pressure_pa: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An equilibrium. `increments`: equal shares in which the supports move."""
+
+    mesh: Mesh
+    law: Law
+    supports: Sequence[Support]
+    tractions: Sequence[Traction] = ()
+    # The reference solvers know none.
+    pressures: Sequence[Pressure] = ()
+    # [node_count, 3] N on the nodes, besides.
+    forces_n: Floats | None = None
+    quadrature: scene_pb2.Quadrature = scene_pb2.QUADRATURE_FULL
+    increments: int = 1
+    density_kg_per_m3: float = DENSITY_KG_PER_M3
+
+    def prescribed(self) -> Floats:
+        """[node_count, 3] m; NaN where free."""
+        out = np.full(self.mesh.nodes.shape, np.nan)
+        for support in self.supports:
+            given = np.broadcast_to(support.displacement_m, (len(support.nodes), 3))
+            out[support.nodes] = np.where(np.isnan(given), out[support.nodes], given)
+        return out
+
+    def nodal_forces(self) -> Floats:
+        """The loads as forces on the nodes, [node_count, 3] N."""
+        if self.pressures:
+            raise ValueError("a pressure follows the surface; it is no constant force")
+        out = np.zeros(self.mesh.nodes.shape) if self.forces_n is None else self.forces_n.copy()
+        for load in self.tractions:
+            out += node_areas(self.mesh, load.nodes)[:, None] * np.array(load.traction_pa)
+        return out
+
+    def digest(self) -> str:
+        """Of everything that the answer depends on; a stored answer carries it. To 9 digits, the same everywhere."""
+        text = f"{self.law.message.SerializeToString(deterministic=True).hex()} {self.quadrature}"
+        for array in (self.mesh.nodes, self.prescribed(), self.nodal_forces()):
+            scale = np.nanmax(np.abs(array)) or 1.0
+            text += " ".join(f"{value:.9f}" for value in (np.round(array / scale, 9) + 0.0).ravel()) + f"*{scale:.9g}"
+        for shape, elements in self.mesh.blocks:
+            text += shape + " ".join(map(str, elements.ravel()))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def node_areas(mesh: Mesh, nodes: npt.ArrayLike) -> Floats:
+    """∫ N_k da over the plane boundary faces whose nodes are all in `nodes`, [node_count] m²."""
+    chosen = np.zeros(len(mesh.nodes), dtype=bool)
+    chosen[np.asarray(nodes)] = True
+    out = np.zeros(len(mesh.nodes))
+    for face in boundary_faces(mesh):
+        if chosen[face].all():
+            out[face] += _face_areas(mesh.nodes[face])
+    return out
+
+
+def _face_areas(x: Floats) -> Floats:
+    if len(x) == 4:  # bilinear: 2×2 Gauss, exact for a plane face
+        out = np.zeros(4)
+        for r in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
+            for s in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
+                n = np.array([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)]) / 4
+                by_r = np.array([s - 1, 1 - s, 1 + s, -1 - s]) @ x / 4
+                by_s = np.array([r - 1, -1 - r, 1 + r, 1 - r]) @ x / 4
+                out += n * np.linalg.norm(np.cross(by_r, by_s))
+        return out
+    area = np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])) / 2
+    # Of the quadratic triangle the corners get nothing and the middles a third each.
+    return area / 3 * (np.array([0, 0, 0, 1, 1, 1]) if len(x) == 6 else np.ones(3))

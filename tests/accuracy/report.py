@@ -1,0 +1,198 @@
+"""Results as data (results/<backend>.json), and docs/accuracy.md made of them.
+
+python -m accuracy.report
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from .case import Case, Group, Outcome
+from .cases import all_cases
+
+FOLDER = Path(__file__).parent / "results"
+PAGE = Path(__file__).parents[2] / "docs" / "accuracy.md"
+BACKENDS = ("cpu", "cuda")
+PRECISIONS = ("double", "float")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case in one precision on one backend. failure: why there are no numbers."""
+
+    key: str
+    precision: str
+    value: float
+    reference: float
+    error: float
+    bound: float
+    details: list[tuple[str, float, float]] = field(default_factory=list)
+    failure: str = ""
+
+    @property
+    def passed(self) -> bool:
+        return not self.failure and self.error <= self.bound
+
+    @staticmethod
+    def of(case: Case, precision: str, outcome: Outcome) -> Row:
+        error = outcome.error if math.isfinite(outcome.error) else math.inf
+        bound = case.bounds[precision]
+        return Row(case.key, precision, outcome.value, outcome.reference, error, bound, list(outcome.details))
+
+    @staticmethod
+    def broken(case: Case, precision: str, failure: str) -> Row:
+        return Row(case.key, precision, math.nan, math.nan, math.inf, case.bounds[precision], failure=failure)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything that one command found."""
+
+    backend: str
+    device: str
+    machine: str
+    commit: str
+    command: str
+    date: str
+    seconds: int
+    rows: list[Row]
+
+    def write(self) -> Path:
+        FOLDER.mkdir(exist_ok=True)
+        path = FOLDER / f"{self.backend}.json"
+        head = {key: value for key, value in asdict(self).items() if key != "rows"}
+        lines = ",\n".join(f"    {json.dumps(_rounded(asdict(row)), ensure_ascii=False)}" for row in self.rows)
+        start = json.dumps(head, ensure_ascii=False, indent=2).rstrip("}\n")
+        path.write_text(f'{start},\n  "rows": [\n{lines}\n  ]\n}}\n')
+        return path
+
+    @staticmethod
+    def read(backend: str) -> Run | None:
+        path = FOLDER / f"{backend}.json"
+        if not path.exists():
+            return None
+        content = json.loads(path.read_text())
+        return Run(**{**content, "rows": [Row(**row) for row in content["rows"]]})
+
+
+def _rounded(row: dict) -> dict:
+    def short(value: object) -> object:
+        if isinstance(value, float):
+            return float(f"{value:.9g}")
+        return [short(item) for item in value] if isinstance(value, list | tuple) else value
+
+    return {key: short(value) for key, value in row.items() if value not in ("", [])}
+
+
+def page(runs: list[Run]) -> str:
+    """docs/accuracy.md."""
+    cases = all_cases()
+    found = {(run.backend, row.precision, row.key): row for run in runs for row in run.rows}
+    groups = list(dict.fromkeys(case.group for case in cases))
+    lines = [
+        "# Accuracy",
+        "",
+        "Made by `make accuracy` from `tests/accuracy/results`; do not edit. Every shape and law against solvers and "
+        "formulas that share no code with the server. A row whose error is above its bound fails the command.",
+        "",
+        "| backend | device | machine | date | commit | command | rows | failed |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for run in runs:
+        failed = sum(not row.passed for row in run.rows)
+        lines.append(
+            f"| {run.backend} | {run.device} | {run.machine} | {run.date} | `{run.commit}` | `{run.command}` "
+            f"| {len(run.rows)} | {failed} |"
+        )
+    lines += [
+        f"\nNo results of the {backend} backend yet."
+        for backend in BACKENDS
+        if backend not in {r.backend for r in runs}
+    ]
+    lines += ["", "The largest error of each section; in brackets the share of its bound.", ""]
+    columns = [(backend, precision) for backend in (run.backend for run in runs) for precision in PRECISIONS]
+    lines.append("| section | cases |" + "".join(f" {backend} {precision} |" for backend, precision in columns))
+    lines.append("|---|---|" + "---|" * len(columns))
+    for group in groups:
+        members = [case for case in cases if case.group is group]
+        cells = [_worst([found.get((*column, case.key)) for case in members]) for column in columns]
+        anchor = group.title.lower().replace(" ", "-").replace("'", "")
+        lines.append(f"| [{group.title}](#{anchor}) | {len(members)} | " + " | ".join(cells) + " |")
+    for group in groups:
+        lines += _section(group, [case for case in cases if case.group is group], found, columns)
+    return "\n".join(lines) + "\n"
+
+
+Found = dict[tuple[str, str, str], Row]
+
+
+def _worst(rows: list[Row | None]) -> str:
+    run = [row for row in rows if row is not None]
+    if not run:
+        return "–"
+    if any(row.failure for row in run):
+        return "FAILED"
+    worst = max(run, key=lambda row: row.error / row.bound)
+    return f"{worst.error:.1e} ({worst.error / worst.bound:.0%})" + ("" if worst.passed else " FAILED")
+
+
+def _section(group: Group, cases: list[Case], found: Found, columns: list[tuple[str, str]]) -> list[str]:
+    lines = ["", f"## {group.title}", "", group.text, ""]
+    heads = ["shape", "law", "case", "quantity", "reference", "source"]
+    backends = list(dict.fromkeys(backend for backend, _ in columns))
+    for backend in backends:
+        heads += [f"{backend} value", *(f"{precision}: error" for precision in PRECISIONS)]
+    heads.append("bounds")
+    lines += ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for case in cases:
+        any_row = next((row for column in columns if (row := found.get((*column, case.key)))), None)
+        reference = _number(any_row.reference) if any_row else "–"
+        cells = [case.shape, case.law, case.name, case.quantity, reference, case.source]
+        for backend in backends:
+            by_precision = [found.get((backend, precision, case.key)) for precision in PRECISIONS]
+            best = next((row for row in by_precision if row), None)
+            cells += [_number(best.value) if best else "–", *map(_error, by_precision)]
+        cells.append(", ".join(f"{bound:g}" for bound in case.bounds.values()))
+        lines.append("| " + " | ".join(cell.replace("_", " ") for cell in cells) + " |")
+    detailed = [
+        (case, column, row)
+        for case in cases
+        for column in columns
+        if (row := found.get((*column, case.key))) and row.details
+    ]
+    if detailed:
+        lines += ["", "Refinement: value (error).", ""]
+        lines += ["| shape | law | case | backend | | | |", "|---|---|---|---|---|---|---|"]
+    for case, column, row in detailed:
+        steps = [f"{label}: {_number(value)} ({error:.1e})" for label, value, error in row.details]
+        lines.append(
+            "| " + " | ".join([case.shape, case.law, case.name, " ".join(column), *steps]).replace("_", " ") + " |"
+        )
+    return lines
+
+
+def _number(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.6g}"
+
+
+def _error(row: Row | None) -> str:
+    if row is None:
+        return "–"
+    if row.failure:
+        return "**FAILED**"
+    return f"{row.error:.1e}" if row.passed else f"**{row.error:.1e} FAILED**"
+
+
+def main() -> int:
+    runs = [run for backend in BACKENDS if (run := Run.read(backend))]
+    PAGE.write_text(page(runs))
+    print(f"wrote {PAGE.relative_to(PAGE.parents[1])}")
+    return int(any(not row.passed for run in runs for row in run.rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
