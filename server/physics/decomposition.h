@@ -4,8 +4,8 @@
 
 /// Eigenvalues and singular values of 3×3 matrices, without a branch: for numbers and packs, host and device.
 ///
-/// Both are Jacobi's method, whose rotations keep U and V orthogonal whatever the matrix is. The matrices are expected
-/// to be of the order of one, as deformation gradients are, or larger: entries up to 1e9 in float.
+/// Both are Jacobi's method, whose rotations keep U and V orthogonal whatever the matrix is. Deformation gradients are
+/// of the order of one: what is below 1e-9 may be taken for zero, and what is above 1e9 overflows in float.
 namespace tensormass::physics {
 
 /// No eigenvalue of the symmetric matrix is below (Gershgorin).

@@ -3,8 +3,9 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <vector>
 
-#include "physics/pairs.h"
+#include <gtest/gtest.h>
 
 /// A pack must compute in each lane what a number computes.
 namespace tensormass {
@@ -76,54 +77,28 @@ TYPED_TEST(EveryWidth, ComparesAsNumbersDo) {
   }
 }
 
-template <class P>
-class EveryLawInPacks : public ::testing::Test {};
-TYPED_TEST_SUITE(EveryLawInPacks, physics::testing::AllPairs, physics::testing::PairNames);
-
-TYPED_TEST(EveryLawInPacks, EachLaneIsTheScalarResult) {
-  using Shape = typename TypeParam::Shape;
-  using Law = typename TypeParam::Law;
-  using Lanes = NativeLanes<double>;
-  using T = typename Lanes::Scalar;
-  constexpr int kWidth = Lanes::kWidth;
-
-  std::mt19937 random(23);
-  std::vector<physics::testing::Element<Shape>> elements;
-  std::vector<physics::testing::Displacement<Shape>> states;
-  T rest[Shape::kQuadraturePoints][Shape::kRestReals], parameters[Law::kParameterCount];
-  Vec3<T> u[Shape::kNodes];
-  for (int lane = 0; lane < kWidth; ++lane) {
-    elements.emplace_back(random);
-    // From mild to severe, so that some lanes are indefinite before the shift and others are not.
-    states.push_back(physics::testing::Displacement<Shape>::random(random, 2e-3 * (lane + 1)));
-    for (int q = 0; q < Shape::kQuadraturePoints; ++q) {
-      for (int c = 0; c < Shape::kRestReals; ++c) rest[q][c].v[lane] = elements[lane].rest[q][c];
-    }
-    for (int c = 0; c < Law::kParameterCount; ++c) {
-      parameters[c].v[lane] = (1 + 0.1 * lane) * physics::testing::parameters<Law>()[c];
-    }
-    for (int i = 0; i < states[lane].kSize; ++i) u[i / 3][i % 3].v[lane] = states[lane][i];
+TYPED_TEST(EveryWidth, ComputesElementaryFunctionsInEachLane) {
+  using Real = typename TypeParam::Real;
+  using T = typename TypeParam::Scalar;
+  T a, b;
+  for (std::uint32_t lane = 0; lane < TypeParam::kWidth; ++lane) {
+    a.v[lane] = Real(0.3) * static_cast<Real>(lane * lane);
+    b.v[lane] = static_cast<Real>(lane) / 2;
   }
-  const auto packed = physics::element_tensors<Shape, Law, physics::Stiffness::kPositive>(u, rest, parameters);
-
-  for (int lane = 0; lane < kWidth; ++lane) {
-    auto own = physics::testing::parameters<Law>();
-    for (double& parameter : own) parameter *= 1 + 0.1 * lane;
-    const auto expected = physics::element_tensors<Shape, Law, physics::Stiffness::kPositive>(
-        states[lane].u, elements[lane].rest, own.data());
-    physics::ElementTensors<Shape, double> actual;
-    for (int k = 0; k < Shape::kNodes; ++k) {
-      for (int c = 0; c < 3; ++c) actual.force[k][c] = packed.force[k][c].v[lane];
-    }
-    for (int pair = 0; pair < physics::kPairs<Shape::kNodes>; ++pair) {
-      for (int c = 0; c < 9; ++c) actual.edge_stiffness[pair](c) = packed.edge_stiffness[pair](c).v[lane];
-    }
-    // Equal but for where the compiler fuses a multiplication with an addition.
-    const Eigen::MatrixXd k = physics::testing::stiffness(expected);
-    EXPECT_LT((physics::testing::stiffness(actual) - k).norm(), 1e-14 * k.norm());
-    const Eigen::VectorXd f = physics::testing::force(expected);
-    EXPECT_LT((physics::testing::force(actual) - f).norm(), 1e-13 * k.norm() * 1e-2 + 1e-14 * f.norm());
+  const T root = square_root(a), power = exponential(a), log = logarithm(a), sine = hyperbolic_sine(a);
+  const T selected = select_greater(a, b, T(1), b);
+  for (std::uint32_t lane = 0; lane < TypeParam::kWidth; ++lane) {
+    const Real x = a.v[lane];
+    EXPECT_EQ(root.v[lane], std::sqrt(x));
+    EXPECT_EQ(power.v[lane], std::exp(x));
+    EXPECT_EQ(log.v[lane], std::log(x));
+    EXPECT_EQ(sine.v[lane], std::sinh(x));
+    EXPECT_EQ(selected.v[lane], select_greater(x, Real(b.v[lane]), Real(1), Real(b.v[lane])));
   }
+  EXPECT_TRUE(std::isnan(square_root(T(-1)).v[0]));
+  const T nan(std::numeric_limits<Real>::quiet_NaN());
+  EXPECT_EQ(select_greater(nan, a, T(1), T(2)).v[1], 2);
+  EXPECT_EQ(select_greater(a, nan, T(1), T(2)).v[1], 2);
 }
 
 }  // namespace

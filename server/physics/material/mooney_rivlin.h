@@ -36,14 +36,14 @@ struct MooneyRivlin : StretchLaw<MooneyRivlin> {
     const T inverse_j = T(1) / invariants.j, dilatation = invariants.j - T(1), bulk = parameters[2];
     const T root = exponential(T(logarithm(invariants.j) * T(-2.0 / 3)));  // J^−2/3
     const T c1 = parameters[0] * root, c2 = parameters[1] * root * root;
-    // J ∂/∂J of each part is −2/3, −4/3 of it.
-    const T part1 = c1 * invariants.i1, part2 = c2 * invariants.i2;
+    // A third of each part, so that at rest nothing is left of what cancels.
+    const T third1 = c1 * (invariants.i1 * T(1.0 / 3)), third2 = c2 * (invariants.i2 * T(1.0 / 3));
     InvariantEnergy<T> w;
-    w.energy =
-        (part1 - T(3) * parameters[0]) + (part2 - T(3) * parameters[1]) + T(0.5) * bulk * dilatation * dilatation;
-    w.gradient = Vec3<T>(c1, c2, bulk * dilatation - T(2) * (part1 + T(2) * part2) * inverse_j / T(3));
+    w.energy = parameters[0] * (root * invariants.i1 - T(3)) + parameters[1] * (root * root * invariants.i2 - T(3)) +
+               T(0.5) * bulk * dilatation * dilatation;
+    w.gradient = Vec3<T>(c1, c2, bulk * dilatation - T(2) * (third1 + T(2) * third2) * inverse_j);
     const T h1 = T(-2.0 / 3) * c1 * inverse_j, h2 = T(-4.0 / 3) * c2 * inverse_j;
-    const T hj = bulk + (T(10) * part1 + T(28) * part2) * inverse_j * inverse_j / T(9);
+    const T hj = bulk + (T(10) * third1 + T(28) * third2) * inverse_j * inverse_j * T(1.0 / 3);
     w.hessian << T(0), T(0), h1, T(0), T(0), h2, h1, h2, hj;
     return from_invariants(w, sigma, invariants);
   }

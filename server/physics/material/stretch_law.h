@@ -141,13 +141,14 @@ TM_HOST_DEVICE StretchEnergy<T> from_invariants(const InvariantEnergy<T>& w, con
     slope(0, i) = sigma[i] + sigma[i];
     slope(1, i) = slope(0, i) * others;
     slope(2, i) = product;
+    // In this order the terms cancel without rounding at rest.
+    out.gradient[i] = (slope(0, i) * w.gradient[0] + slope(1, i) * w.gradient[1]) + slope(2, i) * w.gradient[2];
     out.hessian(i, i) = two_w1 + two_w2 * others;
     out.hessian(j, k) = out.hessian(k, j) = T(2) * two_w2 * product + w.gradient[2] * sigma[i];
     const T shear = two_w1 + two_w2 * invariants.squares[i], mixed = two_w2 * product + w.gradient[2] * sigma[i];
     out.distortion[i] = shear - mixed;
     out.rotation[i] = shear + mixed;
   }
-  out.gradient = slope.transpose() * w.gradient;
   out.hessian += slope.transpose() * w.hessian * slope;
   return out;
 }
