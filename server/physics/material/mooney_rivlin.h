@@ -8,7 +8,7 @@
 namespace tensormass::physics {
 
 /// W = C10 (J^−2/3 I1 − 3) + C01 (J^−4/3 I2 − 3) + K/2 (J − 1)² (Mooney 1940, Rivlin 1948; shape and volume apart as in
-/// Holzapfel 2000, section 6.5). Shear modulus at rest 2 (C10 + C01).
+/// Holzapfel 2000). Shear modulus at rest 2 (C10 + C01).
 ///
 /// Made for rubber and nearly incompressible tissue: meant for K well above the shear modulus. For J > 0; at J ≤ 0 it
 /// is NaN, which stops the scene. A uniform collapse costs K/2 only.

@@ -5,7 +5,7 @@
 
 namespace tensormass::physics {
 
-/// W = μ/2 (I1 − 3) − μ ln J + λ/2 (ln J)² (Bonet, Wood 2008, section 6.4.3).
+/// W = μ/2 (I1 − 3) − μ ln J + λ/2 (ln J)² (Bonet, Wood 2008).
 ///
 /// For J > 0: resistance grows without bound towards collapse, and at J ≤ 0 the logarithm is NaN, which stops the
 /// scene. λ (ln J)² softens in strong expansion, beyond J = e. Any ν in (−1, 0.5).

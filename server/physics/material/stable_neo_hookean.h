@@ -6,7 +6,7 @@
 namespace tensormass::physics {
 
 /// W = μ'/2 (I1 − 3) − μ'/2 ln((I1 + 1) / 4) + λ'/2 (J − α)² + constant, α = 1 + μ'/λ' − μ'/(4 λ')
-/// (Smith, de Goes, Kim 2018, equation 14), with μ' = 4/3 μ and λ' = λ + 5/6 μ, so that small strain is Hooke's.
+/// (Smith, de Goes, Kim 2018), with μ' = 4/3 μ and λ' = λ + 5/6 μ, so that small strain is Hooke's.
 ///
 /// Multiplied out, λ' leaves the denominator:  W = 2/3 μ (I1 − 3 − ln((I1 + 1) / 4)) − μ (J − 1) + λ'/2 (J − 1)².
 /// Smooth in F everywhere; finite in collapse and inversion, and recovers from both. λ' is positive for any ν in

@@ -11,7 +11,7 @@
 ///   ∂P'_ij / ∂F'_ij = (D + R) / 2,   ∂P'_ij / ∂F'_ji = (D − R) / 2,   i ≠ j
 ///   D = (ψ_i − ψ_j) / (σ_i − σ_j),   R = (ψ_i + ψ_j) / (σ_i + σ_j)
 ///
-/// with ψ_i = ∂ψ/∂σ_i (Ogden 1984, section 6.1; Stomakhin, Howes, Schroeder, Teran 2012). D and R are the stiffness
+/// with ψ_i = ∂ψ/∂σ_i (Ogden 1984; Stomakhin, Howes, Schroeder, Teran 2012). D and R are the stiffness
 /// against a symmetric distortion and a rotation in the plane of i and j; so the eigenvalues of ∂P/∂F are the three D,
 /// the three R and those of ψ_ij, and each of them can be clamped alone (Smith, de Goes, Kim 2019).
 namespace tensormass::physics {
