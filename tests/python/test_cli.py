@@ -12,7 +12,7 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass import meshes
+from tensormass import mesh_files, meshes
 from tensormass.cli import main, parse_length_m
 from tensormass.output import to_plain
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
@@ -114,7 +114,7 @@ def test_run_refuses_a_wrong_scene_before_anything_starts(
 
 def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
-    surface = meshes.boundary(meshes.TetrahedralMesh.from_arrays(corners, [[0, 1, 2, 3]]))
+    surface = meshes.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
     source = tmp_path / "surface.ply"
     meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype(np.int32))]).write(source)
     output = tmp_path / "volume.msh"
@@ -123,13 +123,13 @@ def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.Capture
     assert report["volume"] == pytest.approx(8 / 3 * 0.05**3, rel=0.02)
     assert report["mean_edge_length"] == pytest.approx(0.04, rel=0.8)
     assert report["inverted_count"] == 0
-    assert meshes.quality(meshes.read_mesh(output)).volume == pytest.approx(report["volume"])
+    assert meshes.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
 
 
 def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    inverted = meshes.TetrahedralMesh.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1, 3]])
+    inverted = meshes.VolumeMesh.from_tetrahedra([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1, 3]])
     source, output = tmp_path / "in.vtu", tmp_path / "out.vtk"
-    meshes.write_mesh(source, inverted)
+    mesh_files.write_mesh(source, inverted)
     assert main(["mesh", str(source), "-o", str(output)]) == 0
-    assert "1 tetrahedra" in capsys.readouterr().out
-    np.testing.assert_allclose(meshes.signed_volumes(meshes.read_mesh(output)), [1 / 6])
+    assert "1 × tetrahedron" in capsys.readouterr().out
+    np.testing.assert_allclose(meshes.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])

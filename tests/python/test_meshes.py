@@ -1,135 +1,45 @@
-"""Mesh files in and out, checks, quality, repair, and volumes from surfaces."""
+"""Checks, geometry, quality and repair of meshes of every shape, grids, and volumes from surfaces."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
 
 from tensormass import meshes
-from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.errors import InvalidArgumentError
+from tensormass.shapes import SHAPES
 
-SHARED_MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
-
-GMSH1 = """$NOD
-5
-10 0 0 0
-20 1 0 0
-30 0 1 0
-40 0 0 1
-50 1 1 1
-$ENDNOD
-$ELM
-3
-1 2 1 1 3 10 20 30
-2 4 1 1 4 10 20 30 40
-3 4 1 1 4 20 30 40 50
-$ENDELM
-"""
 CUBE = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
 CUBE_QUADS = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
 
 
-def shared_mesh(name: str) -> Path:
-    path = SHARED_MESHES / name
-    if not path.is_file():
-        pytest.skip(f"../shared/meshes/{name} is not beside this checkout")
-    return path
-
-
-def regular_tetrahedron() -> meshes.TetrahedralMesh:
+def regular_tetrahedron() -> meshes.VolumeMesh:
     corners = [[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]
-    return meshes.TetrahedralMesh.from_arrays(corners, [[0, 1, 2, 3]])
+    return meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]])
 
 
-def gmsh1_file(folder: Path, text: str) -> Path:
-    path = folder / "mesh.msh"
-    path.write_text(text)
-    return path
-
-
-def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(tmp_path: Path) -> None:
-    mesh = meshes.read_mesh(gmsh1_file(tmp_path, GMSH1))
-    np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
-    np.testing.assert_array_equal(mesh.tetrahedra, [[0, 1, 2, 3], [1, 2, 3, 4]])
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("20 30 40 50", "20 30 40 60", r"mesh\.msh:13: element 3 uses node 60"),
-        ("50 1 1 1", "40 1 1 1", r"mesh\.msh:7: node 40 is defined a second time"),
-        ("50 1 1 1", "50 1 1", r"mesh\.msh:7: expected `id x y z`"),
-        ("50 1 1 1", "50 1 1 1 1", r"mesh\.msh:7: expected `id x y z`"),
-        ("50 1 1 1", "50 1 1 nan", r"nodes: row 4 is not finite"),
-        ("3 4 1 1 4 20 30 40 50", "3 5 1 1 8 10 20 30 40 50 10 20 30", r"mesh\.msh:13: element 3 has type 5"),
-        ("3 4 1 1 4 20", "3 4 1 1 5 20", r"mesh\.msh:13: element 3 announces 5 nodes and lists 4"),
-        ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: expected integers"),
-        ("$ELM\n3", "$ELM\n4", r"section \$ELM announces 4 rows"),
-        ("$NOD\n5", "$NOD\n-1", r"section \$NOD announces -1 rows"),
-        ("$ELM", "$ELEMENTS", r"section \$ELM is missing"),
-    ],
-)
-def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
-    assert old in GMSH1
-    with pytest.raises(InvalidArgumentError, match=message):
-        meshes.read_mesh(gmsh1_file(tmp_path, GMSH1.replace(old, new)))
-
-
-def test_reads_the_shared_liver_in_gmsh1() -> None:
-    mesh = meshes.read_mesh(shared_mesh("liver.msh"))
-    assert mesh.nodes.shape == (181, 3)
-    assert mesh.tetrahedra.shape == (596, 4)
-    assert meshes.quality(mesh).inverted_count == 0
-
-
-@pytest.mark.parametrize("ending", ["msh", "vtk", "vtu"])
-def test_what_is_written_is_read_back_exactly(tmp_path: Path, ending: str) -> None:
-    mesh = regular_tetrahedron()
-    path = tmp_path / f"mesh.{ending}"
-    meshes.write_mesh(path, mesh)
-    back = meshes.read_mesh(path)
-    np.testing.assert_array_equal(back.nodes, mesh.nodes)
-    np.testing.assert_array_equal(back.tetrahedra, mesh.tetrahedra)
-
-
-def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgumentError, match=r"use \.msh, \.vtk or \.vtu"):
-        meshes.write_mesh(tmp_path / "mesh.xyz123", regular_tetrahedron())
-
-
-def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> None:
-    with pytest.raises(NotFoundError, match=r"none\.vtu: no such file"):
-        meshes.read_mesh(tmp_path / "none.vtu")
-    garbage = tmp_path / "garbage.msh"
-    garbage.write_bytes(bytes(range(256)))
-    with pytest.raises(InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"):
-        meshes.read_mesh(garbage)
-
-
-def test_elements_with_volume_that_are_no_tetrahedra_are_refused() -> None:
-    cube = meshio.Mesh(CUBE, [("hexahedron", [[0, 1, 3, 2, 4, 5, 7, 6]]), ("tetra", [[0, 1, 2, 4]])])
-    with pytest.raises(InvalidArgumentError, match="elements of type hexahedron"):
-        meshes.from_meshio(cube)
-    with pytest.raises(InvalidArgumentError, match="tensormass mesh --edge"):
-        meshes.from_meshio(meshio.Mesh(CUBE, [("quad", CUBE_QUADS)]))
-
-
-def test_surfaces_split_quads_and_merge_repeated_vertices(tmp_path: Path) -> None:
-    quads = tmp_path / "cube.ply"
-    meshio.Mesh(CUBE, [("quad", CUBE_QUADS.astype(np.int32))]).write(quads)
-    surface = meshes.read_surface(quads)
-    assert surface.triangles.shape == (12, 3)
-    assert enclosed_volume(surface) == pytest.approx(1.0)
-
-    soup = tmp_path / "cube.stl"
-    corners = surface.vertices[surface.triangles].reshape(-1, 3)
-    meshio.Mesh(corners, [("triangle", np.arange(36).reshape(-1, 3))]).write(soup)
-    merged = meshes.read_surface(soup)
-    assert merged.vertices.shape == (8, 3)
-    assert enclosed_volume(merged) == pytest.approx(1.0)
+def mixed_mesh() -> meshes.VolumeMesh:
+    """Along x: a hexahedron, a cell of six pyramids, one of two wedges, a pyramid on its end, and a tetrahedron on one
+    of the pyramid's sides; 3.4 m³ of them."""
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)  # (y, z), counter-clockwise seen from +x
+    layers = [np.column_stack([np.full(4, x), square]) for x in (0.0, 1.0, 2.0, 3.0)]
+    nodes = np.concatenate([*layers, [[1.5, 0.5, 0.5]], [[3.8, 0.5, 0.5]], [[3.9, -0.4, 0.5]]])
+    centre, apex, corner = 16, 17, 18
+    a, b, c, d = (np.arange(4) + 4 * k for k in range(4))
+    sides = [[b[i], b[(i + 1) % 4], c[(i + 1) % 4], c[i], centre] for i in range(4)]
+    return meshes.VolumeMesh.from_arrays(
+        nodes,
+        [
+            ("hexahedron", [[*a, *b]]),
+            ("pyramid", [[*b, centre], [*c[::-1], centre], *[[s[3], s[2], s[1], s[0], s[4]] for s in sides]]),
+            ("wedge", [[c[0], c[3], d[0], c[1], c[2], d[1]], [c[3], d[3], d[0], c[2], d[2], d[1]]]),
+            ("pyramid", [[*d, apex]]),
+            ("tetrahedron", [[d[3], d[0], apex, corner]]),
+        ],
+    )
 
 
 def enclosed_volume(surface: meshes.TriangleSurface) -> float:
@@ -141,7 +51,7 @@ def enclosed_volume(surface: meshes.TriangleSurface) -> float:
 @pytest.mark.parametrize(
     ("nodes", "tetrahedra", "message"),
     [
-        ([[0, 0, 0]] * 3, [[0, 1, 2, 3]], r"tetrahedra: row 0 is \[0, 1, 2, 3\], but indices run from 0 to 2"),
+        ([[0, 0, 0]] * 3, [[0, 1, 2, 3]], r"blocks\[0\]: row 0 is \[0, 1, 2, 3\], but indices run from 0 to 2"),
         ([[0, 0, 0]] * 4, [[0, 1, 2, -1]], "indices run from 0 to 3"),
         ([[0, 0, 0]] * 4, [[0.0, 1, 2, 3]], "expected integers"),
         ([[0, 0, 0]] * 4, [[0, 1, 2]], r"expected shape \[n, 4\]"),
@@ -153,7 +63,7 @@ def enclosed_volume(surface: meshes.TriangleSurface) -> float:
 )
 def test_arrays_that_make_no_mesh_are_refused(nodes: object, tetrahedra: object, message: str) -> None:
     with pytest.raises(InvalidArgumentError, match=message):
-        meshes.TetrahedralMesh.from_arrays(nodes, tetrahedra)  # type: ignore[arg-type]
+        meshes.VolumeMesh.from_tetrahedra(nodes, tetrahedra)  # type: ignore[arg-type]
 
 
 def test_quality_of_the_regular_tetrahedron() -> None:
@@ -166,7 +76,8 @@ def test_quality_of_the_regular_tetrahedron() -> None:
 
 def test_boundary_is_closed_outward_and_compact() -> None:
     mesh = regular_tetrahedron()
-    unused = meshes.TetrahedralMesh(np.vstack([[[9, 9, 9]], mesh.nodes]), mesh.tetrahedra + np.uint32(1))
+    nodes = np.vstack([[[9, 9, 9]], mesh.nodes])
+    unused = meshes.VolumeMesh.from_tetrahedra(nodes, mesh.elements("tetrahedron") + 1)
     surface = meshes.boundary(unused)
     assert len(surface.vertices) == 4
     assert enclosed_volume(surface) == pytest.approx(8 / 3)
@@ -177,7 +88,7 @@ def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, 0]]
     far = [[9, 9, 9], [9.1, 9, 9], [9, 9.1, 9], [9, 9, 9.1]]
     tetrahedra = [[0, 1, 2, 3], [1, 3, 2, 4], [0, 1, 2, 5], [6, 7, 8, 9]]
-    mesh = meshes.TetrahedralMesh.from_arrays(corners + far + [[5, 5, 5]], tetrahedra)
+    mesh = meshes.VolumeMesh.from_tetrahedra(corners + far + [[5, 5, 5]], tetrahedra)
     assert meshes.quality(mesh).inverted_count == 2
     repaired = meshes.repair(mesh)
     assert repaired.nodes.shape == (5, 3)
@@ -187,8 +98,8 @@ def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
 def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
-    assert len(np.unique(meshes._components(2003, shuffled))) == 1
-    assert len(np.unique(meshes._components(2003, np.delete(shuffled, range(999, 1002), axis=0)))) == 2
+    assert len(np.unique(meshes._components(2003, [shuffled]))) == 1
+    assert len(np.unique(meshes._components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
 
 
 def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,3 +119,123 @@ def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:
     for edge in (0.0, -1.0, 1000.0, np.nan):
         with pytest.raises(InvalidArgumentError, match="edge length"):
             meshes.tetrahedralize(surface, edge)
+
+
+# --- every shape ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_grid_fills_its_box_and_its_boundary_is_closed(shape: str) -> None:
+    mesh = meshes.grid([2, 3, 1], [2.0, 6.0, 0.5], shape=shape, origin_m=[1.0, 0.0, -1.0])
+    np.testing.assert_allclose(mesh.nodes.min(axis=0), [1, 0, -1])
+    np.testing.assert_allclose(mesh.nodes.max(axis=0), [3, 6, -0.5])
+    assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
+    assert np.array_equal(np.unique(mesh.blocks[0].nodes), np.arange(len(mesh.nodes)))
+    quality = meshes.quality(mesh)
+    assert quality.element_counts == {shape: mesh.element_count}
+    assert quality.volume == pytest.approx(6.0)
+    assert quality.inverted_count == 0
+    surface = meshes.boundary(mesh)
+    assert enclosed_volume(surface) == pytest.approx(6.0)
+    assert len(surface.triangles) == 2 * 2 * (2 * 3 + 3 * 1 + 2 * 1)
+
+
+def test_middle_nodes_of_quadratic_tetrahedra_are_in_the_middle_of_their_edges() -> None:
+    mesh = meshes.grid([1, 2, 1], [1.0, 1.0, 1.0], shape="quadratic_tetrahedron")
+    at = mesh.nodes[mesh.elements("quadratic_tetrahedron")]
+    for middle, (a, b) in zip(range(4, 10), [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], strict=True):
+        np.testing.assert_allclose(at[:, middle], (at[:, a] + at[:, b]) / 2)
+
+
+def test_boundary_and_volume_of_a_mixed_mesh() -> None:
+    mesh = mixed_mesh()
+    surface = meshes.boundary(mesh)
+    assert (len(surface.vertices), len(surface.triangles)) == (18, 32)  # a sphere: 18 - 48 + 32 = 2
+    assert enclosed_volume(surface) == pytest.approx(3.395)
+    quality = meshes.quality(mesh)
+    assert quality.volume == pytest.approx(3.395)
+    assert quality.element_counts == {"hexahedron": 1, "pyramid": 7, "wedge": 2, "tetrahedron": 1}
+    assert quality.min_dihedral_angle_deg == pytest.approx(45)
+    assert quality.inverted_count == 0
+
+
+def mirrored(mesh: meshes.VolumeMesh) -> meshes.VolumeMesh:
+    """Of the same elements, seen in a mirror: all of them inverted."""
+    return replace(mesh, nodes=mesh.nodes * [1, 1, -1])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_repair_rewinds_every_shape(shape: str) -> None:
+    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
+    inverted = mirrored(grid)
+    assert meshes.quality(inverted).inverted_count == grid.element_count
+    repaired = meshes.repair(inverted)
+    assert meshes.quality(repaired).inverted_count == 0
+    assert meshes.quality(repaired).volume == pytest.approx(2.0)
+    np.testing.assert_array_equal(repaired.nodes, inverted.nodes)
+    if shape == "quadratic_tetrahedron":
+        at = repaired.nodes[repaired.blocks[0].nodes]
+        np.testing.assert_allclose(at[:, 6], (at[:, 0] + at[:, 2]) / 2)
+        np.testing.assert_allclose(at[:, 8], (at[:, 1] + at[:, 3]) / 2)
+
+
+def test_repair_takes_sets_and_fields_along() -> None:
+    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    far = box.nodes[:4] * 0.1 + 5
+    mesh = meshes.VolumeMesh.from_arrays(
+        np.concatenate([[[9, 9, 9]], far, box.nodes]),
+        [("tetrahedron", [[1, 2, 3, 4]]), ("tetrahedron", [[5, 6, 7, 9]]), ("hexahedron", box.blocks[0].nodes + 5)],
+        sets={"a": [0, 1, 5, 12], "far": [1, 2]},
+        element_fields={"young_modulus_pa": [1.0, 2.0, 3.0]},
+    )
+    repaired = meshes.repair(mesh)
+    assert {name: nodes.tolist() for name, nodes in repaired.sets.items()} == {"a": [0, 7]}
+    assert repaired.element_fields["young_modulus_pa"].tolist() == [2.0, 3.0]
+
+
+def test_a_corner_that_is_turned_in_is_counted() -> None:
+    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    dented = box.nodes.copy()
+    dented[7] = [0.2, 0.2, 0.2]  # beyond the middle, with most of the volume left
+    mesh = replace(box, nodes=dented)
+    assert meshes.signed_volumes(mesh)[0] > 0
+    assert meshes.quality(mesh).inverted_count == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"blocks": [("hexaeder", [[0, 1, 2, 3]])]},
+            r"blocks\[0\]: unknown shape 'hexaeder'; did you mean 'hexahedron'",
+        ),
+        ({"blocks": [("pyramid", [[0, 1, 2, 3]])]}, r"blocks\[0\]: expected shape \[n, 5\] with n > 0, got \[1, 4\]"),
+        ({"blocks": []}, "has no elements"),
+        ({"sets": {"wall": [4]}}, r"sets\['wall'\]: index 4, but nodes run from 0 to 3"),
+        (
+            {"element_fields": {"young_modulus": [1.0]}},
+            "unknown field 'young_modulus'; did you mean 'young_modulus_pa'",
+        ),
+        ({"element_fields": {"poisson_ratio": [0.1, 0.2]}}, r"expected shape \[1\], one row an element, got \[2\]"),
+        ({"element_fields": {"fibre_directions": [1.0]}}, r"expected shape \[1, 3\]"),
+        ({"element_fields": {"poisson_ratio": [np.nan]}}, "row 0 is not finite"),
+    ],
+)
+def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], message: str) -> None:
+    arguments = {"nodes": regular_tetrahedron().nodes, "blocks": [("tetrahedron", [[0, 1, 2, 3]])], **options}
+    with pytest.raises(InvalidArgumentError, match=message):
+        meshes.VolumeMesh.from_arrays(**arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("cells", "size", "shape"),
+    [
+        ([0, 1, 1], [1, 1, 1], "wedge"),
+        ([1, 1], [1, 1, 1], "wedge"),
+        ([1, 1, 1], [1, 0, 1], "wedge"),
+        ([1] * 3, [1] * 3, "x"),
+    ],
+)
+def test_a_grid_that_is_none_is_refused(cells: list[int], size: list[float], shape: str) -> None:
+    with pytest.raises(InvalidArgumentError, match="grid: "):
+        meshes.grid(cells, size, shape=shape)

@@ -46,7 +46,7 @@ def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
 def test_the_filling_is_the_same_every_time() -> None:
     first, second = (isosurface.fill(ball(0.7, np.zeros(3)), -BOX, BOX, 0.2) for _ in range(2))
     np.testing.assert_array_equal(first.nodes, second.nodes)
-    np.testing.assert_array_equal(first.tetrahedra, second.tetrahedra)
+    np.testing.assert_array_equal(first.elements("tetrahedron"), second.elements("tetrahedron"))
 
 
 def test_smoothing_widens_angles_and_stays_on_the_surface() -> None:
@@ -70,10 +70,10 @@ def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
     shape = organ.ORGANS[name]
     volume = shape.volume()
     quality = meshes.quality(volume)
-    assert quality.tetrahedron_count == pytest.approx(count, rel=0.1)
+    assert quality.element_counts["tetrahedron"] == pytest.approx(count, rel=0.1)
     assert quality.min_dihedral_angle_deg > 10
     assert quality.inverted_count == 0
-    assert meshes.repair(volume).tetrahedra.shape == volume.tetrahedra.shape  # one component
+    assert meshes.repair(volume).element_count == volume.element_count  # one component
     # The box does not cut the organ.
     assert (volume.nodes > shape.lower_m).all()
     assert (volume.nodes < shape.upper_m).all()

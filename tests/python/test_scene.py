@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
+from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import meshes
+from tensormass import mesh_files, meshes
+from tensormass.scene import pack_mesh, unpack_mesh
 from tensormass.v1 import scene_pb2
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
@@ -78,8 +81,14 @@ def test_yaml_is_the_message_by_field_name() -> None:
         ("name: block", "name: [block]", "name: expected one value"),
         ("name: block", "name: 7", "name"),
         ("name: block", "name: block\nname: other", "'name' stands twice"),
-        ("PRECISION_DOUBLE", "PRECISION_HALF", "PRECISION_HALF"),
-        ("hooke: {", "mooney: {", r"bodies\[0\]\.law: Law has no field 'mooney'; known: hooke, st_venant_kirchhoff"),
+        (
+            "PRECISION_DOUBLE",
+            "PRECISION_HALF",
+            "solver.precision: unknown value 'PRECISION_HALF'; known: float, double",
+        ),
+        ("PRECISION_DOUBLE", "doubel", "solver.precision: unknown value 'doubel'; did you mean 'double'"),
+        ("PRECISION_DOUBLE", "2", "solver.precision: unknown value 2; known"),
+        ("hooke: {", "mooney: {", r"bodies\[0\]\.law: Law has no field 'mooney'; did you mean 'mooney_rivlin'"),
         ("cells_x: 4", "cells_x: 4.5", "cells_x"),
         ("cells_x: 4", "cells_x: many", "cells_x"),
         ("poisson_ratio: .4", "poisson_ratio: .nan", "poisson_ratio|hooke"),
@@ -102,7 +111,7 @@ def test_yaml_that_is_no_mapping_is_refused(text: str) -> None:
 
 
 def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
-    meshes.write_mesh(tmp_path / "body.vtu", meshes.TetrahedralMesh.from_arrays(NODES, TETRAHEDRA))
+    mesh_files.write_mesh(tmp_path / "body.vtu", meshes.VolumeMesh.from_tetrahedra(NODES, TETRAHEDRA))
     triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
     meshio.Mesh(NODES, [("triangle", np.array(triangles, np.int32))]).write(tmp_path / "skin.ply")
     scene_file = tmp_path / "scene.yaml"
@@ -113,7 +122,7 @@ def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
     # The file's own coordinates: the daemon scales mesh and skin alike.
     assert body.mesh.scale == 0.01
     np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES)
-    np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.tetrahedra, "<u4").reshape(-1, 4), TETRAHEDRA)
+    np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.elements[0].nodes, "<u4").reshape(-1, 4), TETRAHEDRA)
     np.testing.assert_array_equal(np.frombuffer(body.skin.packed.vertex_positions, "<f8").reshape(-1, 3), NODES)
     np.testing.assert_array_equal(np.frombuffer(body.skin.packed.triangles, "<u4").reshape(-1, 3), triangles)
 
@@ -138,10 +147,10 @@ def test_builtin_scenes_are_found_by_name(name: str) -> None:
 
 def test_a_mesh_file_is_a_scene_of_one_body(tmp_path: Path) -> None:
     path = tmp_path / "my organ.v2.vtu"
-    meshes.write_mesh(path, meshes.TetrahedralMesh.from_arrays(NODES, TETRAHEDRA))
+    mesh_files.write_mesh(path, meshes.VolumeMesh.from_tetrahedra(NODES, TETRAHEDRA))
     scene = tm.Scene.from_file(path)
     assert scene.name == "my_organ_v2"
-    assert len(scene.message.bodies[0].mesh.packed.tetrahedra) == 16
+    assert len(scene.message.bodies[0].mesh.packed.elements[0].nodes) == 16
 
 
 def test_a_scene_from_arrays_carries_everything_given() -> None:
@@ -182,7 +191,19 @@ def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"law": "rubber"}, "unknown law 'rubber'; known: hooke, st_venant_kirchhoff"),
+        ({"law": "rubber"}, "body.law: unknown law 'rubber'; known: hooke, st_venant_kirchhoff"),
+        ({"law": "neohookean"}, "unknown law 'neohookean'; did you mean 'neo_hookean'"),
+        ({"law": "ogden"}, "ogden needs mu_pa, alpha, bulk_modulus_pa"),
+        ({"law": "ogden", "constants": {"mu": 1.0}}, "ogden has no constant 'mu'; did you mean 'mu_pa'"),
+        ({"law": "ogden", "constants": {"mu_pa": 1.0}}, "ogden needs alpha, bulk_modulus_pa"),
+        ({"law": "hooke", "constants": {"young_modulus_pa": "1 MPa"}}, "expected a number, got '1 MPa'"),
+        (
+            {"law": "transversely_isotropic", "constants": {"fibre_modulus_pa": 1.0, "fibre_direction": 1.0}},
+            "fibre_direction: expected three finite numbers",
+        ),
+        ({"quadrature": "gauss"}, "body.quadrature: unknown value 'gauss'; known: full, reduced, selective"),
+        ({"mass": "lump"}, "body.mass: unknown value 'lump'; did you mean 'lumped'"),
+        ({"fixed": "wall"}, "body.fixed: the mesh has no set 'wall'; known: none"),
         ({"fixed_nodes": [4]}, "index 4, but nodes run from 0 to 3"),
         ({"fixed_nodes": [-1]}, "index -1"),
         ({"fixed_nodes": [0.5]}, "expected node indices or a mask"),
@@ -194,3 +215,107 @@ def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
 def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:
     with pytest.raises(tm.InvalidArgumentError, match=message):
         tm.Scene.from_arrays(NODES, TETRAHEDRA, **options)  # type: ignore[arg-type]
+
+
+# --- shapes, laws, sets and fields ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "read"),
+    [
+        ("solver: {precision: double}", lambda scene: scene.solver.precision),
+        ("solver: {precision: PRECISION_DOUBLE}", lambda scene: scene.solver.precision),
+        ("solver: {integrator: bdf2}", lambda scene: scene.solver.integrator),
+        ("bodies: [{quadrature: reduced}]", lambda scene: scene.bodies[0].quadrature),
+        ("bodies: [{mass: CONSISTENT}]", lambda scene: scene.bodies[0].mass),
+        ("bodies: [{mesh: {packed: {elements: [{}, {shape: pyramid}]}}}]", lambda scene: second_shape(scene)),
+    ],
+)
+def test_every_enum_has_short_names_in_yaml(line: str, read: Callable[[scene_pb2.Scene], int]) -> None:
+    assert read(tm.Scene.from_yaml(f"name: s\n{line}").message) == 2
+
+
+def second_shape(scene: scene_pb2.Scene) -> int:
+    return scene.bodies[0].mesh.packed.elements[1].shape
+
+
+def carrying_mesh() -> meshes.VolumeMesh:
+    return meshes.VolumeMesh.from_arrays(
+        NODES,
+        [("tetrahedron", TETRAHEDRA)],
+        sets={"wall": [0, 2, 3], "tip": [1]},
+        element_fields={"poisson_ratio": [0.3], "fibre_directions": [[0, 0, 2.0]]},
+    )
+
+
+def test_a_body_has_the_shapes_sets_and_fields_of_its_mesh() -> None:
+    scene = tm.Scene("s")
+    scene.add_body("mixed", mixed_mesh(), density_kg_per_m3=1)
+    body = scene.add_body("b", carrying_mesh(), density_kg_per_m3=1, fixed="wall", fixed_nodes=[1])
+    packed = scene.message.bodies[0].mesh.packed
+    names = [block.shape.name for block in mixed_mesh().blocks]
+    assert [scene_pb2.Shape.Name(block.shape) for block in packed.elements] == [f"SHAPE_{n.upper()}" for n in names]
+    back = unpack_mesh(packed)
+    np.testing.assert_array_equal(back.nodes, mixed_mesh().nodes)
+    for (_, left), (_, right) in zip(back.blocks, mixed_mesh().blocks, strict=True):
+        np.testing.assert_array_equal(left, right)
+    assert {of.name: list(of.regions[0].nodes.indices) for of in body.sets} == {"wall": [0, 2, 3], "tip": [1]}
+    assert [region.WhichOneof("kind") for region in body.fixed] == ["set", "nodes"]
+    assert body.fixed[0].set == "wall"
+    np.testing.assert_array_equal(np.frombuffer(body.element_fields.poisson_ratio, "<f8"), [0.3])
+    np.testing.assert_array_equal(np.frombuffer(body.element_fields.fibre_directions, "<f8"), [0, 0, 2])
+    assert not body.element_fields.young_modulus_pa
+
+
+def test_laws_have_their_constants_by_name() -> None:
+    scene = tm.Scene("s")
+    fibres = {"fibre_modulus_pa": 3.0, "fibre_direction": (0, 1, 0)}
+    body = scene.add_body(
+        "b",
+        carrying_mesh(),
+        law="transversely_isotropic",
+        constants=fibres,
+        young_modulus_pa=1.0,
+        poisson_ratio=0.2,
+        prony=[(0.25, 0.5), (0.3, 0.03)],
+        density_kg_per_m3=1,
+        quadrature="selective",
+        mass="consistent",
+    )
+    assert body.law == scene_pb2.Law(
+        transversely_isotropic=scene_pb2.TransverselyIsotropic(
+            young_modulus_pa=1, poisson_ratio=0.2, fibre_modulus_pa=3, fibre_direction=scene_pb2.Vector3(y=1)
+        ),
+        prony=[
+            scene_pb2.PronyTerm(share=0.25, relaxation_time_s=0.5),
+            scene_pb2.PronyTerm(share=0.3, relaxation_time_s=0.03),
+        ],
+    )
+    assert body.quadrature == scene_pb2.QUADRATURE_SELECTIVE
+    assert body.mass == scene_pb2.MASS_CONSISTENT
+    rubber = tm.law_message("mooney_rivlin", {"c10_pa": 3, "c01_pa": 0, "bulk_modulus_pa": 9})
+    assert rubber == scene_pb2.Law(mooney_rivlin=scene_pb2.MooneyRivlin(c10_pa=3, bulk_modulus_pa=9))
+
+
+def test_a_scene_file_uses_the_sets_of_its_mesh_file(tmp_path: Path) -> None:
+    mesh_files.write_mesh(tmp_path / "body.vtu", carrying_mesh())
+    text = """
+        name: s
+        bodies:
+          - name: b
+            mesh: {file: body.vtu}
+            sets: [{name: both, regions: [{set: wall}, {set: tip}]}]
+            fixed: [{set: both}]
+    """
+    body = tm.Scene.from_yaml(text, directory=tmp_path).message.bodies[0]
+    assert [of.name for of in body.sets] == ["wall", "tip", "both"]  # one set is made of those before it
+    assert len(body.element_fields.fibre_directions) == 24
+    with pytest.raises(tm.InvalidArgumentError, match=r"bodies\[0\].*: the mesh has a set 'wall' already"):
+        tm.Scene.from_yaml(text.replace("name: both", "name: wall"), directory=tmp_path)
+
+
+def test_a_message_of_half_an_element_is_no_mesh() -> None:
+    packed = pack_mesh(carrying_mesh())
+    packed.elements[0].nodes = packed.elements[0].nodes[:-1]
+    with pytest.raises(tm.InvalidArgumentError, match=r"body\.elements\[0\]: an unknown shape, or not whole elements"):
+        unpack_mesh(packed, "body")

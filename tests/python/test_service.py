@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlparse
 
@@ -19,11 +20,14 @@ import grpc
 import numpy as np
 import pytest
 import zmq
-from test_meshes import shared_mesh
+from test_mesh_files import shared_mesh
 
 import tensormass as tm
-from tensormass import meshes, processes
+from tensormass import mesh_files, meshes, processes
+from tensormass.fields import FIELD_NAMES
 from tensormass.output import state_name
+from tensormass.scene import pack_mesh
+from tensormass.shapes import SHAPES
 from tensormass.streams import Transport, stream_key
 from tensormass.v1 import scene_pb2, stream_pb2
 
@@ -155,11 +159,11 @@ def test_surface_is_the_meshs_boundary_at_its_nodes(load: Callable[..., tm.Scene
 
 def test_a_skin_is_seen_instead_and_carried_along(load: Callable[..., tm.SceneHandle]) -> None:
     nodes = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
-    mesh = meshes.TetrahedralMesh.from_arrays(nodes, [[0, 1, 2, 3]])
+    mesh = meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]])
     shell = meshes.boundary(mesh)
     centre = nodes.mean(axis=0)
     skin = meshes.TriangleSurface(centre + 0.8 * (shell.vertices - centre), shell.triangles)
-    scene = tm.Scene.from_arrays(nodes, mesh.tetrahedra, gravity_m_per_s2=(0, 0, -9.81), skin=skin)
+    scene = tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -9.81), skin=skin)
     scene.message.bodies[0].mesh.scale = 2.0
     scene.message.bodies[0].mesh.translation_m.x = 1.0
     handle = load(scene, lockstep=True)
@@ -206,11 +210,10 @@ def test_several_scenes_step_side_by_side(load: Callable[..., tm.SceneHandle]) -
 
 
 def test_the_shared_liver_loads_and_steps(load: Callable[..., tm.SceneHandle]) -> None:
-    mesh = meshes.read_mesh(shared_mesh("liver.msh"))
+    mesh = mesh_files.read_mesh(shared_mesh("liver.msh"))
     nodes = 0.03 * mesh.nodes
-    scene = tm.Scene.from_arrays(
-        nodes,
-        mesh.tetrahedra,
+    scene = tm.Scene.from_mesh(
+        replace(mesh, nodes=nodes),
         young_modulus_pa=40_000.0,  # stiff enough to stay near its shape, hung up by a fifth of it
         fixed_nodes=nodes[:, 1] < np.quantile(nodes[:, 1], 0.2),
         gravity_m_per_s2=(0, -9.81, 0),
@@ -244,15 +247,15 @@ def test_a_scene_file_of_the_shared_liver_scales_mesh_and_skin(
     handle = load(str(scene_file), lockstep=True)
     handle.step(3)
     vertices, triangles = handle.surface("liver")
-    skin = meshes.read_surface(skin_file)
+    skin = mesh_files.read_surface(skin_file)
     np.testing.assert_array_equal(triangles, skin.triangles)
     np.testing.assert_allclose(vertices, 0.03 * skin.vertices, atol=1e-5)
 
 
 def test_the_shared_liver_surface_becomes_a_volume_that_steps(load: Callable[..., tm.SceneHandle]) -> None:
-    surface = meshes.read_surface(shared_mesh("liver-smooth.obj"))
+    surface = mesh_files.read_surface(shared_mesh("liver-smooth.obj"))
     volume = meshes.tetrahedralize(meshes.TriangleSurface(0.03 * surface.vertices, surface.triangles), 0.03)
-    handle = load(tm.Scene.from_arrays(volume.nodes, volume.tetrahedra, gravity_m_per_s2=(0, 0, -9.81)), lockstep=True)
+    handle = load(tm.Scene.from_mesh(volume, gravity_m_per_s2=(0, 0, -9.81)), lockstep=True)
     status = handle.step(10)
     assert (status.fault, status.step) == ("", 10)
 
@@ -261,7 +264,7 @@ def packed_scene(nodes: np.ndarray, tetrahedra: np.ndarray) -> tm.Scene:
     """Past the SDK's own checks."""
     scene = tetrahedron_scene()
     scene.message.bodies[0].mesh.packed.node_positions = nodes.astype("<f8").tobytes()
-    scene.message.bodies[0].mesh.packed.tetrahedra = tetrahedra.astype("<u4").tobytes()
+    scene.message.bodies[0].mesh.packed.elements[0].nodes = tetrahedra.astype("<u4").tobytes()
     return scene
 
 
@@ -277,7 +280,7 @@ TETRAHEDRA = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
         (NODES, TETRAHEDRA[:1], ["body", "node", "4"]),
         (NODES * [1, 1, np.nan], TETRAHEDRA, ["body", "finite"]),
         (NODES, np.array([[0, 1, 2, 2], [1, 2, 3, 4]]), ["body", "0"]),
-        (NODES, TETRAHEDRA.ravel()[:7], ["body", "tetrahedra"]),
+        (NODES, TETRAHEDRA.ravel()[:7], ["body", "elements[0].nodes"]),
         (NODES, np.empty((0, 4)), ["body"]),
     ],
     ids=["inverted", "out of range", "unused node", "nan", "repeated node", "cut off", "empty"],
@@ -329,6 +332,65 @@ def test_the_demo_organ_keeps_its_shape_and_yields_to_the_probe(load: Callable[.
     moved = np.linalg.norm(handle.positions("liver") - settled, axis=1)
     assert moved.max() > 0.004
     assert np.linalg.norm(settled[np.argmax(moved)][:2] - [x, y]) < 0.03
+
+
+# --- fields -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_grid_is_cut_here_as_in_the_daemon(load: Callable[..., tm.SceneHandle], shape: str) -> None:
+    scene = tm.Scene.from_yaml(
+        f"""
+        name: grid
+        bodies:
+          - name: body
+            mesh:
+              grid:
+                {{origin_m: {{x: 1}}, size_m: {{x: 1, y: 2, z: 3}}, cells_x: 2, cells_y: 3, cells_z: 1, shape: {shape}}}
+            law: {{hooke: {{young_modulus_pa: 1000, poisson_ratio: 0.3}}}}
+            density_kg_per_m3: 1000
+            fixed: [{{box: {{min_m: {{x: 0, y: -1, z: -1}}, max_m: {{x: 1.1, y: 9, z: 9}}}}}}]
+        gravity_m_per_s2: {{x: 1, y: 2, z: 3}}
+        solver: {{precision: double}}
+        """
+    )
+    grid = load(scene, lockstep=True)
+    mesh = tm.grid([2, 3, 1], [1.0, 2.0, 3.0], shape=shape, origin_m=[1.0, 0.0, 0.0])
+    scene.message.bodies[0].mesh.packed.CopyFrom(pack_mesh(mesh))
+    packed = load(scene, lockstep=True)
+    np.testing.assert_allclose(grid.positions("body"), mesh.nodes, atol=1e-12)
+    grid.step(3)
+    packed.step(3)
+    names: list[tm.FieldName] = ["displacement", "elastic_energy"]
+    left, right = grid.fields("body", names), packed.fields("body", names)
+    assert np.ptp(left["elastic_energy"]) > 1e-3 * left["elastic_energy"].max()  # no two elements alike
+    for name in names:
+        np.testing.assert_allclose(left[name], right[name], rtol=1e-9, atol=1e-15)
+
+
+def test_fields_of_a_body(load: Callable[..., tm.SceneHandle]) -> None:
+    handle = load(block(), lockstep=True)
+    rest = handle.positions("tissue")
+    handle.step(5)
+    fields = handle.fields("tissue", FIELD_NAMES)
+    assert set(fields.values) == set(FIELD_NAMES)
+    assert fields.step == 5
+    assert fields.simulated_time_s == pytest.approx(0.025)
+    np.testing.assert_allclose(fields["displacement"], handle.positions("tissue") - rest, atol=1e-9)
+    element_count = handle.report.bodies[0].element_count if handle.report else 0
+    assert fields["cauchy_stress"].shape == (element_count, 6)
+    assert fields["det_f"].shape == (element_count,)
+    assert fields.min_det_f == fields["det_f"].min()
+    assert fields.elastic_energy_j == pytest.approx(fields["elastic_energy"].sum())
+    assert fields.kinetic_energy_j > 0
+    free = rest[:, 2] > 0.001
+    assert not fields["reaction_force"][free].any()
+    s = fields["cauchy_stress"]
+    deviator = s[:, :3] - s[:, :3].mean(axis=1, keepdims=True)
+    expected = np.sqrt(1.5 * (deviator**2).sum(axis=1) + 3 * (s[:, 3:] ** 2).sum(axis=1))
+    np.testing.assert_allclose(fields["von_mises_stress"], expected)
+    with pytest.raises(tm.NotFoundError, match="spleen"):
+        handle.fields("spleen")
 
 
 # --- streams ----------------------------------------------------------------------------------------------------------
@@ -500,6 +562,27 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
     assert (process.returncode, err) == (0, "")
     for pid in children:
         assert not Path(f"/proc/{pid}").exists(), f"{children[pid]} is left running"
+
+
+def test_run_says_a_warning_once(tmp_path: Path) -> None:
+    scene_file = tmp_path / "scene.yaml"
+    # A linear law under a load that it is not made for, and its status looked at several times.
+    scene_file.write_text(BLOCK.replace("st_venant_kirchhoff", "hooke").replace("z: -9.81", "z: -2000"))
+    options = ["--backend", "cpu", "--no-viewer", "--no-haptic", "--seconds", "3"]
+    run_module = (
+        "import sys, tensormass.run as run, tensormass.cli as cli; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", run_module, "run", str(scene_file), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    lines = out.splitlines()
+    assert sum("Hz" in line for line in lines) >= 3
+    assert sum(line.startswith("warning: body 'tissue': hooke has left its range") for line in lines) == 1
 
 
 def children_of(parent: int) -> dict[int, str]:

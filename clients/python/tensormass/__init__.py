@@ -19,13 +19,16 @@ from tensormass.errors import (
     FailedPreconditionError,
     InternalError,
     InvalidArgumentError,
+    NotConvergedError,
     NotFoundError,
     ResourceExhaustedError,
     TensormassError,
     UnavailableError,
 )
-from tensormass.meshes import TetrahedralMesh, TriangleSurface, read_mesh, read_surface, tetrahedralize, write_mesh
-from tensormass.scene import Scene
+from tensormass.fields import FieldName, Fields
+from tensormass.mesh_files import read_mesh, read_surface, write_mesh
+from tensormass.meshes import TriangleSurface, VolumeMesh, grid, tetrahedralize
+from tensormass.scene import Scene, law_message
 from tensormass.streams import Feedback, Frame, PoseSender, Subscription
 
 __all__ = [
@@ -34,10 +37,13 @@ __all__ = [
     "DeadlineExceededError",
     "FailedPreconditionError",
     "Feedback",
+    "FieldName",
+    "Fields",
     "Frame",
     "FrameStream",
     "InternalError",
     "InvalidArgumentError",
+    "NotConvergedError",
     "NotFoundError",
     "PoseSender",
     "ResourceExhaustedError",
@@ -46,12 +52,14 @@ __all__ = [
     "Server",
     "Subscription",
     "TensormassError",
-    "TetrahedralMesh",
     "TriangleSurface",
     "UnavailableError",
+    "VolumeMesh",
     "builtin_scenes",
     "connect",
+    "grid",
     "launch",
+    "law_message",
     "read_mesh",
     "read_surface",
     "tetrahedralize",

@@ -6,17 +6,18 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from tensormass import gateway, load_test, meshes, run
+from tensormass import gateway, load_test, mesh_files, meshes, run, solve
 from tensormass.client import DEFAULT_ADDRESS, connect, launch
+from tensormass.demo import builtin_scenes
 from tensormass.errors import TensormassError
 from tensormass.output import print_json, quality_text, report_text, state_name, status_line, to_plain
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
 _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-_SCENE_HELP = "a scene file (.yaml), a mesh file, or a built-in scene (demo, beam, two_organs)"
+_SCENE_HELP = f"a scene file (.yaml), a mesh file, or a built-in scene ({', '.join(builtin_scenes())})"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,6 +62,12 @@ def _parser() -> argparse.ArgumentParser:
     sub = commands.add_parser("run", help="daemon, scene, simulated haptic device and viewer in one")
     run.add_arguments(sub)
     sub.set_defaults(command=run.run)
+
+    sub = commands.add_parser(
+        "solve", parents=[json_option], help="compute a scene in lockstep and write the result as VTU"
+    )
+    solve.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=solve.run)
 
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)
@@ -162,11 +169,11 @@ def _inspect(args: argparse.Namespace) -> int:
 
 def _mesh(args: argparse.Namespace) -> int:
     if args.edge is None:
-        mesh = meshes.repair(meshes.read_mesh(args.input))
+        mesh = meshes.repair(mesh_files.read_mesh(args.input))
     else:
-        mesh = meshes.tetrahedralize(meshes.read_surface(args.input), args.edge / args.unit)
-    mesh = meshes.TetrahedralMesh(mesh.nodes * args.unit, mesh.tetrahedra)
-    meshes.write_mesh(args.output, mesh)
+        mesh = meshes.tetrahedralize(mesh_files.read_surface(args.input), args.edge / args.unit)
+    mesh = replace(mesh, nodes=mesh.nodes * args.unit)
+    mesh_files.write_mesh(args.output, mesh)
     quality = meshes.quality(mesh)
     if args.json:
         print_json({"output": str(args.output), **asdict(quality)})

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass import errors
+from tensormass.fields import FieldName, Fields, field_numbers
 from tensormass.processes import ChildProcess, find_program
 from tensormass.scene import Scene, Vector
 from tensormass.streams import (
@@ -164,8 +165,8 @@ class Server(Closing):
         """Loads a scene and starts it.
 
         Args:
-            scene: a `Scene`, the protobuf message, the name of a scene or mesh file, or a built-in scene
-                ("demo", "beam", "two_organs").
+            scene: a `Scene`, the protobuf message, the name of a scene or mesh file, or of a built-in scene
+                (`builtin_scenes`).
             lockstep: True steps only on `SceneHandle.step`; None leaves it as the scene says.
             name: instead of the scene's own.
 
@@ -258,6 +259,16 @@ class SceneHandle:
         request = control_pb2.GetPositionsRequest(scene=self.name, body=body)
         reply = self._server._call("GetPositions", request)
         return np.frombuffer(reply.positions, dtype="<f8").reshape(-1, 3).copy()
+
+    def fields(self, body: str, names: Sequence[FieldName] = ()) -> Fields:
+        """Fields of a body after the last step, measured for this call; its energies come along without a name.
+
+        Raises:
+            NotFoundError: no such body.
+            InvalidArgumentError: an unknown name.
+        """
+        request = control_pb2.GetFieldsRequest(scene=self.name, body=body, fields=field_numbers(names))
+        return Fields.from_message(self._server._call("GetFields", request, timeout_s=_LOAD_TIMEOUT_S))
 
     def surface(self, body: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
         """What a viewer sees of a body now: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3]."""

@@ -1,7 +1,7 @@
-"""The scenes that come along: `demo`, `two_organs` and `beam`.
+"""The scenes that come along, by the names of their files in scenes/.
 
-Their YAML is in scenes/. The organs' meshes are made by organ.py on first use, which takes seconds, and again when
-their source changes; they are kept in the checkout's build/scenes or in the user's cache.
+The meshes of organs are made by organ.py when a scene first uses them, which takes seconds, and again when their source
+changes; they are kept in the checkout's build/scenes or in the user's cache.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from pathlib import Path
 
 import meshio
 
-from tensormass import meshes
+from tensormass import mesh_files
 from tensormass.organ import ORGANS
 from tensormass.processes import BUILD_BIN
 
 _PACKAGE = Path(__file__).resolve().parent
 _TEMPLATES = _PACKAGE / "scenes"
-_SOURCES = ("organ.py", "isosurface.py", "meshes.py")
+_SOURCES = ("organ.py", "isosurface.py", "meshes.py", "mesh_files.py", "shapes.py")
 
 
 def builtin_scenes() -> list[str]:
@@ -31,6 +31,9 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     """Scene file of a built-in scene and the folder of its meshes, made if need be; None if there is no such scene."""
     if name not in builtin_scenes():
         return None
+    scene_file = _TEMPLATES / f"{name}.yaml"
+    if not any(f"{organ}.msh" in scene_file.read_text() for organ in ORGANS):
+        return scene_file, _TEMPLATES
     folder = _cache_folder()
     files = [folder / file for organ in ORGANS for file in (f"{organ}.msh", f"{organ}_skin.ply")]
     stamp = folder / "made_from.txt"
@@ -43,12 +46,12 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
             (Path(made) / stamp.name).write_text(sources)
             for file in [*files, stamp]:
                 os.replace(Path(made) / file.name, file)
-    return _TEMPLATES / f"{name}.yaml", folder
+    return scene_file, folder
 
 
 def _make_organs(folder: Path) -> None:
     for name, organ in ORGANS.items():
-        meshes.write_mesh(folder / f"{name}.msh", organ.volume())
+        mesh_files.write_mesh(folder / f"{name}.msh", organ.volume())
         skin = organ.skin()
         meshio.Mesh(skin.vertices, [("triangle", skin.triangles.astype("int32"))]).write(folder / f"{name}_skin.ply")
 

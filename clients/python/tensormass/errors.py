@@ -37,6 +37,10 @@ class DeadlineExceededError(TensormassError, TimeoutError):
     """No answer, frame or feedback in the time allowed."""
 
 
+class NotConvergedError(TensormassError):
+    """A step ended above its tolerance, or a scene did not come to rest."""
+
+
 class InternalError(TensormassError):
     """The daemon failed in a way that is not the caller's fault."""
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from tensormass.meshes import FloatArray, TetrahedralMesh, TriangleSurface, compact, signed_volumes
+from tensormass.meshes import FloatArray, TriangleSurface, VolumeMesh, compact, rewind
 
 Implicit = Callable[[FloatArray], FloatArray]
 """[n, 3] m -> [n], positive inside, zero on the surface, continuous."""
@@ -29,7 +29,7 @@ _WARP_SHORT = 0.41189
 _BISECTIONS = 24
 
 
-def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> TetrahedralMesh:
+def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> VolumeMesh:
     """Meshes {x : inside(x) > 0} within the box [lower_m, upper_m], which must contain it.
 
     Args:
@@ -51,9 +51,7 @@ def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: flo
     cut_of = _PairTable(edges, len(points), first=len(points))
     nodes = np.concatenate([points, cuts])
     tetrahedra = _stencils(tetrahedra, np.sign(value), cut_of)
-    inverted = signed_volumes(TetrahedralMesh(nodes, tetrahedra.astype(np.uint32))) < 0
-    tetrahedra[inverted] = tetrahedra[inverted][:, [0, 2, 1, 3]]
-    return compact(nodes, tetrahedra)
+    return compact(rewind(VolumeMesh.from_tetrahedra(nodes, tetrahedra)))
 
 
 def project(inside: Implicit, points: FloatArray, step_m: float, iterations: int = 4) -> FloatArray:

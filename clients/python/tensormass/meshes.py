@@ -1,52 +1,105 @@
-"""Tetrahedral meshes and triangulated surfaces: reading, writing, repair and quality.
+"""Volume meshes and triangulated surfaces: checks, geometry, quality, repair, grids, and volumes from surfaces.
 
-meshio reads the formats; the Gmsh 1 format ($NOD/$ELM), which it does not know, is read here. Readers return what the
-file says, in the file's node order (regions may refer to nodes by index); only `repair` changes a mesh.
+Files are read and written in mesh_files.py. Only `repair` changes a mesh that came from outside.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import sys
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
-import meshio
 import numpy as np
 import numpy.typing as npt
 
-from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.errors import InvalidArgumentError
+from tensormass.names import suggestion
 from tensormass.processes import ChildProcess
+from tensormass.shapes import SHAPES, Shape
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.uint32]
 
-# Outward faces of a positively wound tetrahedron in VTK node order.
-_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-# Gmsh element types: those of no volume are passed over, volumes other than tetrahedra are refused.
-_GMSH_TETRAHEDRON = 4
-_GMSH_WITHOUT_VOLUME = {1, 2, 3, 15}
-_MESHIO_WITHOUT_VOLUME = {"vertex", "line", "line3", "triangle", "triangle6", "quad", "quad8", "quad9", "polygon"}
+#: Parameters of single elements that a mesh can carry, and how many components each has.
+ELEMENT_FIELDS = {"young_modulus_pa": 1, "poisson_ratio": 1, "fibre_directions": 3}
+
+
+class ElementBlock(NamedTuple):
+    """Elements of one shape: `nodes` uint32 [element_count, nodes of the shape], VTK order."""
+
+    shape: Shape
+    nodes: IndexArray
 
 
 @dataclass(frozen=True)
-class TetrahedralMesh:
-    """A volume. `nodes` float64 [node_count, 3]; `tetrahedra` uint32 [tetrahedron_count, 4], VTK node order."""
+class VolumeMesh:
+    """Elements of any shapes, conforming across their faces. An element's index counts through the blocks."""
 
+    #: float64 [node_count, 3]
     nodes: FloatArray
-    tetrahedra: IndexArray
+    blocks: tuple[ElementBlock, ...]
+    #: Named sets of nodes, uint32 [k] each; they become the body's sets.
+    sets: Mapping[str, IndexArray] = field(default_factory=dict)
+    #: Parameters of single elements by the names of `ELEMENT_FIELDS`, float64 [element_count] or [element_count, 3].
+    element_fields: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @staticmethod
-    def from_arrays(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, where: str = "mesh") -> TetrahedralMesh:
+    def from_arrays(
+        nodes: npt.ArrayLike,
+        blocks: Iterable[tuple[str, npt.ArrayLike]],
+        *,
+        sets: Mapping[str, npt.ArrayLike] | None = None,
+        element_fields: Mapping[str, npt.ArrayLike] | None = None,
+        where: str = "mesh",
+    ) -> VolumeMesh:
         """Checks shapes, finiteness and index range.
+
+        Args:
+            nodes: [node_count, 3].
+            blocks: pairs of a shape's name ("hexahedron", see `shapes.SHAPES`) and its elements [n, nodes of it].
+            sets: by name, node indices [k] or a mask [node_count].
+            element_fields: by the names of `ELEMENT_FIELDS`.
 
         Raises:
             InvalidArgumentError: naming `where`, the row and the remedy.
         """
         points = _checked_points(nodes, f"{where}.nodes")
-        return TetrahedralMesh(points, _checked_indices(tetrahedra, 4, len(points), f"{where}.tetrahedra"))
+        checked = []
+        for index, (name, elements) in enumerate(blocks):
+            at = f"{where}.blocks[{index}]"
+            if name not in SHAPES:
+                raise InvalidArgumentError(f"{at}: unknown shape {name!r}; {suggestion(name, SHAPES)}")
+            shape = SHAPES[name]
+            checked.append(ElementBlock(shape, _checked_indices(elements, shape.node_count, len(points), at)))
+        if not checked:
+            raise InvalidArgumentError(f"{where}: has no elements")
+        mesh = VolumeMesh(points, tuple(checked))
+        fields = {
+            name: _checked_field(values, name, mesh.element_count, f"{where}.element_fields")
+            for name, values in (element_fields or {}).items()
+        }
+        named = {
+            name: node_indices(values, len(points), f"{where}.sets[{name!r}]") for name, values in (sets or {}).items()
+        }
+        return VolumeMesh(points, mesh.blocks, named, fields)
+
+    @staticmethod
+    def from_tetrahedra(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, where: str = "mesh") -> VolumeMesh:
+        """As `from_arrays`, of linear tetrahedra [n, 4] alone."""
+        return VolumeMesh.from_arrays(nodes, [("tetrahedron", tetrahedra)], where=where)
+
+    @property
+    def element_count(self) -> int:
+        """Of all blocks."""
+        return sum(len(block.nodes) for block in self.blocks)
+
+    def elements(self, shape: str) -> IndexArray:
+        """The elements of one shape, [n, nodes of the shape]; n may be 0."""
+        empty = np.empty((0, SHAPES[shape].node_count), np.uint32)
+        return np.concatenate([empty, *(block.nodes for block in self.blocks if block.shape.name == shape)])
 
 
 @dataclass(frozen=True)
@@ -58,173 +111,23 @@ class TriangleSurface:
 
     @staticmethod
     def from_arrays(vertices: npt.ArrayLike, triangles: npt.ArrayLike, where: str = "surface") -> TriangleSurface:
-        """As `TetrahedralMesh.from_arrays`."""
+        """As `VolumeMesh.from_arrays`."""
         points = _checked_points(vertices, f"{where}.vertices")
         return TriangleSurface(points, _checked_indices(triangles, 3, len(points), f"{where}.triangles"))
 
 
 @dataclass(frozen=True)
 class MeshQuality:
-    """What matters to a solver. Lengths and volumes in the mesh's own unit."""
+    """What matters to a solver. Lengths and volumes in the mesh's own unit, of elements with straight edges."""
 
     node_count: int
-    tetrahedron_count: int
+    #: By the shape's name.
+    element_counts: dict[str, int]
     volume: float
     min_dihedral_angle_deg: float
     mean_edge_length: float
+    #: Elements that are turned inside out, as a whole or at a corner.
     inverted_count: int
-
-
-# --- reading and writing ----------------------------------------------------------------------------------------------
-
-
-def read_mesh(path: str | Path) -> TetrahedralMesh:
-    """Reads a tetrahedral mesh: Gmsh 1 or anything meshio knows (.msh 2.2/4.x, .vtk, .vtu, .inp, .mesh, .ele ...).
-
-    Raises:
-        NotFoundError: no such file.
-        InvalidArgumentError: not readable, or it holds no tetrahedra or other volume elements.
-    """
-    path = Path(path)
-    if _is_gmsh1(path):
-        return read_gmsh1(path)
-    return from_meshio(_meshio_read(path), str(path))
-
-
-def from_meshio(mesh: meshio.Mesh, where: str = "meshio.Mesh") -> TetrahedralMesh:
-    """The tetrahedra of a `meshio.Mesh`; other elements that have a volume are refused, not dropped."""
-    blocks = [block.data for block in mesh.cells if block.type == "tetra"]
-    others = sorted({block.type for block in mesh.cells} - {"tetra"} - _MESHIO_WITHOUT_VOLUME)
-    if others:
-        raise InvalidArgumentError(f"{where}: has elements of type {', '.join(others)}; split them into tetrahedra")
-    if not blocks:
-        raise InvalidArgumentError(
-            f"{where}: has no tetrahedra; if it is a closed surface, fill it with `tensormass mesh --edge LENGTH`"
-        )
-    return TetrahedralMesh.from_arrays(mesh.points, np.concatenate(blocks), where)
-
-
-def read_surface(path: str | Path) -> TriangleSurface:
-    """Reads a triangulated surface (.obj, .stl, .ply, .off, .vtk ...); quads are split, equal vertices merged.
-
-    Raises:
-        NotFoundError: no such file.
-        InvalidArgumentError: not readable, or it has no triangles.
-    """
-    mesh = _meshio_read(Path(path))
-    quads = [block.data for block in mesh.cells if block.type == "quad"]
-    triangles = [block.data for block in mesh.cells if block.type == "triangle"]
-    triangles += [np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]) for quad in quads]
-    if not triangles:
-        raise InvalidArgumentError(f"{path}: has no triangles; a skin and a surface to be meshed need them")
-    surface = TriangleSurface.from_arrays(mesh.points, np.concatenate(triangles), str(path))
-    # STL repeats each vertex in each triangle.
-    vertices, index = np.unique(surface.vertices, axis=0, return_inverse=True)
-    if len(vertices) == len(surface.vertices):
-        return surface
-    return TriangleSurface(vertices, index.reshape(-1)[surface.triangles].astype(np.uint32))
-
-
-def write_mesh(path: str | Path, mesh: TetrahedralMesh) -> None:
-    """Writes by the name's ending: .msh (Gmsh 2.2), .vtk, .vtu and whatever else meshio writes.
-
-    Raises:
-        InvalidArgumentError: unknown ending.
-    """
-    path = Path(path)
-    out = meshio.Mesh(mesh.nodes, [("tetra", mesh.tetrahedra.astype(np.int64))])
-    options = {"file_format": "gmsh22"} if path.suffix == ".msh" else {}
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            out.write(path, **options)
-    except (meshio.ReadError, meshio.WriteError, SystemExit) as error:
-        raise InvalidArgumentError(f"{path}: cannot be written; use .msh, .vtk or .vtu") from error
-
-
-def read_gmsh1(path: str | Path) -> TetrahedralMesh:
-    """Reads the Gmsh 1 format: `$NOD count, id x y z ... $ENDNOD $ELM count, id type physical entity n nodes ...`.
-
-    Raises:
-        InvalidArgumentError: naming the line.
-    """
-    try:
-        lines = Path(path).read_text("ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidArgumentError(f"{path}: cannot be read as Gmsh 1: {error}") from error
-    node_rows, first_node_line = _gmsh1_section(path, lines, "NOD")
-    element_rows, first_element_line = _gmsh1_section(path, lines, "ELM")
-
-    index_of: dict[int, int] = {}
-    points = np.empty((len(node_rows), 3))
-    for row, text in enumerate(node_rows):
-        where = f"{path}:{first_node_line + row}"
-        try:
-            number, x, y, z = text.split()
-            node, points[row] = int(number), (float(x), float(y), float(z))
-        except ValueError as error:
-            raise InvalidArgumentError(f"{where}: expected `id x y z`, found {text!r}") from error
-        if node in index_of:
-            raise InvalidArgumentError(f"{where}: node {node} is defined a second time")
-        index_of[node] = row
-
-    tetrahedra: list[list[int]] = []
-    for row, text in enumerate(element_rows):
-        where = f"{path}:{first_element_line + row}"
-        try:
-            element, kind, _physical, _entity, count, *nodes = (int(word) for word in text.split())
-        except ValueError as error:
-            raise InvalidArgumentError(f"{where}: expected integers `id type .. .. n nodes`, found {text!r}") from error
-        if len(nodes) != count:
-            raise InvalidArgumentError(f"{where}: element {element} announces {count} nodes and lists {len(nodes)}")
-        if kind in _GMSH_WITHOUT_VOLUME:
-            continue
-        if kind != _GMSH_TETRAHEDRON or count != 4:
-            raise InvalidArgumentError(f"{where}: element {element} has type {kind}; only tetrahedra (4) are read")
-        try:
-            tetrahedra.append([index_of[node] for node in nodes])
-        except KeyError as error:
-            raise InvalidArgumentError(f"{where}: element {element} uses node {error}, which is not defined") from None
-    if not tetrahedra:
-        raise InvalidArgumentError(f"{path}: has no tetrahedra")
-    return TetrahedralMesh.from_arrays(points, tetrahedra, str(path))
-
-
-def _gmsh1_section(path: str | Path, lines: list[str], name: str) -> tuple[list[str], int]:
-    """The rows of `$name ... $ENDname` and the line number of the first."""
-    try:
-        begin = lines.index(f"${name}")
-        count = int(lines[begin + 1])
-        rows = lines[begin + 2 : begin + 2 + count]
-        closed = count >= 0 and [line.strip() for line in lines[begin + 2 + count :][:1]] == [f"$END{name}"]
-    except (ValueError, IndexError) as error:
-        raise InvalidArgumentError(f"{path}: section ${name} is missing or cut off") from error
-    if not closed:
-        raise InvalidArgumentError(f"{path}: section ${name} announces {count} rows, but $END{name} is not after them")
-    return rows, begin + 3
-
-
-def _is_gmsh1(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(4) == b"$NOD"
-    except FileNotFoundError:
-        raise NotFoundError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InvalidArgumentError(f"{path}: cannot be read: {error.strerror}") from error
-
-
-def _meshio_read(path: Path) -> meshio.Mesh:
-    if not path.is_file():
-        raise NotFoundError(f"{path}: no such file")
-    said = io.StringIO()
-    try:
-        # meshio ends the process on a file that it cannot read, after printing why; it tells ASCII from binary STL by
-        # a product that may overflow.
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), np.errstate(over="ignore"):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        reason = " ".join((said.getvalue() or str(error)).split())
-        raise InvalidArgumentError(f"{path}: not readable as a mesh: {reason}") from error
 
 
 # --- checks -----------------------------------------------------------------------------------------------------------
@@ -257,54 +160,142 @@ def _checked_indices(values: npt.ArrayLike, width: int, limit: int, where: str) 
     return np.ascontiguousarray(indices, dtype=np.uint32)
 
 
+def _checked_field(values: npt.ArrayLike, name: str, element_count: int, where: str) -> FloatArray:
+    if name not in ELEMENT_FIELDS:
+        raise InvalidArgumentError(f"{where}: unknown field {name!r}; {suggestion(name, ELEMENT_FIELDS)}")
+    where = f"{where}[{name!r}]"
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidArgumentError(f"{where}: not an array of numbers: {error}") from error
+    expected = (element_count,) if ELEMENT_FIELDS[name] == 1 else (element_count, ELEMENT_FIELDS[name])
+    if array.shape != expected:
+        raise InvalidArgumentError(
+            f"{where}: expected shape {list(expected)}, one row an element, got {list(array.shape)}"
+        )
+    bad = np.flatnonzero(~np.isfinite(array.reshape(element_count, -1)).all(axis=1))
+    if bad.size:
+        raise InvalidArgumentError(f"{where}: row {bad[0]} is not finite: {array[bad[0]].tolist()}")
+    return array
+
+
+def node_indices(values: npt.ArrayLike, node_count: int, where: str) -> IndexArray:
+    """[k], from indices [k] or a mask [node_count].
+
+    Raises:
+        InvalidArgumentError: naming `where` and what is wrong.
+    """
+    array = np.asarray(values)
+    if array.dtype == np.bool_:
+        if array.shape != (node_count,):
+            raise InvalidArgumentError(f"{where}: a mask needs shape [{node_count}], got {list(array.shape)}")
+        array = np.flatnonzero(array)
+    if array.ndim != 1 or not (array.size == 0 or np.issubdtype(array.dtype, np.integer)):
+        raise InvalidArgumentError(f"{where}: expected node indices or a mask, got {array.dtype} {list(array.shape)}")
+    bad = array[(array < 0) | (array >= node_count)]
+    if bad.size:
+        raise InvalidArgumentError(f"{where}: index {bad[0]}, but nodes run from 0 to {node_count - 1}")
+    return array.astype(np.uint32)
+
+
 # --- geometry ---------------------------------------------------------------------------------------------------------
 
 
-def signed_volumes(mesh: TetrahedralMesh) -> FloatArray:
-    """[tetrahedron_count], negative where inverted."""
-    corner = mesh.nodes[mesh.tetrahedra]
-    a, b, c = (corner[:, k] - corner[:, 0] for k in (1, 2, 3))
-    volumes: FloatArray = np.einsum("ij,ij->i", np.cross(a, b), c) / 6.0
+def signed_volumes(mesh: VolumeMesh) -> FloatArray:
+    """[element_count], negative where inverted."""
+    return np.concatenate([_signed_volumes(mesh.nodes, block) for block in mesh.blocks])
+
+
+def _signed_volumes(nodes: FloatArray, block: ElementBlock) -> FloatArray:
+    """By the divergence theorem, exact for straight edges and bilinear faces."""
+    corner = nodes[block.nodes[:, : block.shape.corner_count]]
+    corner = corner - corner[:, :1]
+    volumes: FloatArray = np.zeros(len(corner))
+    for face in block.shape.faces:
+        for (i, j, k), weight in _cuts(face):
+            volumes += weight / 6 * np.einsum("ei,ei->e", corner[:, i], np.cross(corner[:, j], corner[:, k]))
     return volumes
 
 
-def dihedral_angles_deg(mesh: TetrahedralMesh) -> FloatArray:
-    """[tetrahedron_count, 6], in no particular order."""
-    corner = mesh.nodes[mesh.tetrahedra][:, _FACES]  # [tetrahedron, face, corner, 3]
-    normal = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
-    length = np.linalg.norm(normal, axis=2, keepdims=True)
-    normal = normal / np.where(length > 0, length, 1.0)
-    first, second = np.triu_indices(4, 1)
-    cosine = -np.einsum("eij,eij->ei", normal[:, first], normal[:, second])
-    angles: FloatArray = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return angles
+def _cuts(face: tuple[int, ...]) -> list[tuple[tuple[int, int, int], float]]:
+    """Weighted triangles of a face: a quadrilateral along both diagonals, for half each."""
+    if len(face) == 3:
+        return [(face, 1.0)]
+    a, b, c, d = face
+    return [((a, b, c), 0.5), ((a, c, d), 0.5), ((a, b, d), 0.5), ((b, c, d), 0.5)]
 
 
-def quality(mesh: TetrahedralMesh) -> MeshQuality:
+def _least_jacobians(nodes: FloatArray, block: ElementBlock) -> FloatArray:
+    """[n]: over the corners, the determinant of the edges that leave there."""
+    corner = nodes[block.nodes[:, : block.shape.corner_count]]
+    frames = np.array(block.shape.corner_frames)
+    a, b, c = (corner[:, frames[:, k]] - corner[:, frames[:, 0]] for k in (1, 2, 3))
+    least: FloatArray = np.einsum("efi,efi->ef", np.cross(a, b), c).min(axis=1)
+    return least
+
+
+def dihedral_angles_deg(mesh: VolumeMesh) -> FloatArray:
+    """Between the faces of an element in each of its edges, of all elements, in no particular order."""
+    angles = []
+    for shape, elements in mesh.blocks:
+        corner = mesh.nodes[elements]
+        normals = []
+        for face in shape.faces:
+            # The product of two sides of a triangle, of a quadrilateral's diagonals.
+            first = corner[:, face[-2]] - corner[:, face[0]]
+            second = corner[:, face[-1]] - corner[:, face[-3]]
+            normals.append(np.cross(first, second))
+        normal = np.stack(normals, axis=1)
+        length = np.linalg.norm(normal, axis=2, keepdims=True)
+        normal = normal / np.where(length > 0, length, 1.0)
+        first_face, second_face = np.array(shape.edge_faces).T
+        cosine = -np.einsum("eij,eij->ei", normal[:, first_face], normal[:, second_face])
+        angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).reshape(-1))
+    return np.concatenate(angles)
+
+
+def quality(mesh: VolumeMesh) -> MeshQuality:
     """Counts, volume, edge length and the worst dihedral angle."""
-    volumes = signed_volumes(mesh)
-    corner = mesh.nodes[mesh.tetrahedra]
-    first, second = np.triu_indices(4, 1)
+    counts: dict[str, int] = {}
+    lengths = []
+    for shape, elements in mesh.blocks:
+        counts[shape.name] = counts.get(shape.name, 0) + len(elements)
+        start, end = np.array(shape.edges).T
+        ends = mesh.nodes[elements]
+        lengths.append(np.linalg.norm(ends[:, start] - ends[:, end], axis=2).reshape(-1))
     return MeshQuality(
         node_count=len(mesh.nodes),
-        tetrahedron_count=len(mesh.tetrahedra),
-        volume=float(volumes.sum()),
+        element_counts=counts,
+        volume=float(signed_volumes(mesh).sum()),
         min_dihedral_angle_deg=float(dihedral_angles_deg(mesh).min()),
-        mean_edge_length=float(np.linalg.norm(corner[:, first] - corner[:, second], axis=2).mean()),
-        inverted_count=int((volumes <= 0).sum()),
+        mean_edge_length=float(np.concatenate(lengths).mean()),
+        inverted_count=sum(int((_least_jacobians(mesh.nodes, block) <= 0).sum()) for block in mesh.blocks),
     )
 
 
-def boundary(mesh: TetrahedralMesh) -> TriangleSurface:
-    """Outward triangles that belong to one tetrahedron only, on a compact list of vertices."""
-    faces = mesh.tetrahedra[:, _FACES].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = faces[np.sort(first[count == 1])]
-    used, index = np.unique(outer, return_inverse=True)
-    return TriangleSurface(mesh.nodes[used], index.reshape(outer.shape).astype(np.uint32))
+def boundary(mesh: VolumeMesh) -> TriangleSurface:
+    """Outward triangles of the faces that belong to one element only, on a compact list of vertices."""
+    triangles = []
+    for corner_count in (3, 4):
+        faces = np.concatenate(
+            [
+                np.empty((0, corner_count), np.uint32),
+                *(
+                    elements[:, face]
+                    for shape, elements in mesh.blocks
+                    for face in shape.faces
+                    if len(face) == corner_count
+                ),
+            ]
+        )
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        outer = faces[np.sort(first[count == 1])]
+        triangles += [outer[:, [0, k, k + 1]] for k in range(1, corner_count - 1)]
+    used, index = np.unique(np.concatenate(triangles), return_inverse=True)
+    return TriangleSurface(mesh.nodes[used], index.reshape(-1, 3).astype(np.uint32))
 
 
-def repair(mesh: TetrahedralMesh) -> TetrahedralMesh:
+def repair(mesh: VolumeMesh) -> VolumeMesh:
     """What the daemon would refuse or warn of: inverted elements are rewound, flat ones dropped, and only the largest
     component (by volume, connected over shared nodes) is kept, on a compact list of nodes."""
     volumes = signed_volumes(mesh)
@@ -312,31 +303,55 @@ def repair(mesh: TetrahedralMesh) -> TetrahedralMesh:
     solid = np.abs(volumes) > 1e-12 * extent**3
     if not solid.any():
         raise InvalidArgumentError("the mesh encloses no volume")
-    tetrahedra = mesh.tetrahedra.copy()
-    inverted = volumes < 0
-    tetrahedra[inverted] = tetrahedra[inverted][:, [0, 2, 1, 3]]
-    tetrahedra, volumes = tetrahedra[solid], np.abs(volumes[solid])
-    component = _components(len(mesh.nodes), tetrahedra)[tetrahedra[:, 0]]
-    largest = int(np.argmax(np.bincount(component, weights=volumes)))
-    return compact(mesh.nodes, tetrahedra[component == largest])
+    mesh = compact(rewind(mesh), solid)
+    component = _components(len(mesh.nodes), [elements for _, elements in mesh.blocks])
+    of_element = np.concatenate([component[elements[:, 0]] for _, elements in mesh.blocks])
+    largest = int(np.argmax(np.bincount(of_element, weights=np.abs(volumes[solid]))))
+    return compact(mesh, of_element == largest)
 
 
-def compact(nodes: FloatArray, tetrahedra: npt.NDArray[np.integer]) -> TetrahedralMesh:
-    """Drops the nodes that no tetrahedron uses; the order of the others stays."""
-    used, index = np.unique(tetrahedra, return_inverse=True)
-    return TetrahedralMesh(
-        np.ascontiguousarray(nodes[used]), np.ascontiguousarray(index.reshape(-1, 4), dtype=np.uint32)
+def rewind(mesh: VolumeMesh) -> VolumeMesh:
+    """Gives inverted elements the node order of their mirror image."""
+    blocks = []
+    for block in mesh.blocks:
+        elements = block.nodes.copy()
+        inverted = _signed_volumes(mesh.nodes, block) < 0
+        elements[inverted] = elements[inverted][:, block.shape.mirrored]
+        blocks.append(ElementBlock(block.shape, elements))
+    return replace(mesh, blocks=tuple(blocks))
+
+
+def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None) -> VolumeMesh:
+    """The elements of a mask [element_count] (None: all) and the nodes that they use; the order stays; sets and
+    fields follow, without sets that are left empty."""
+    kept = np.ones(mesh.element_count, bool) if kept is None else kept
+    ends = np.cumsum([len(elements) for _, elements in mesh.blocks])[:-1]
+    blocks = [
+        ElementBlock(shape, elements[mask])
+        for (shape, elements), mask in zip(mesh.blocks, np.split(kept, ends), strict=True)
+        if mask.any()
+    ]
+    used = np.unique(np.concatenate([elements.reshape(-1) for _, elements in blocks]))
+    index_of = np.full(len(mesh.nodes), -1, np.int64)
+    index_of[used] = np.arange(len(used))
+    sets = {name: index_of[nodes][index_of[nodes] >= 0] for name, nodes in mesh.sets.items()}
+    return VolumeMesh(
+        np.ascontiguousarray(mesh.nodes[used]),
+        tuple(ElementBlock(shape, index_of[elements].astype(np.uint32)) for shape, elements in blocks),
+        {name: nodes.astype(np.uint32) for name, nodes in sets.items() if nodes.size > 0},
+        {name: values[kept] for name, values in mesh.element_fields.items()},
     )
 
 
-def _components(node_count: int, cells: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
+def _components(node_count: int, blocks: Sequence[npt.NDArray[np.integer]]) -> npt.NDArray[np.int64]:
     """Label of each node: the smallest node index of its component. Hooks labels together, halving the chains."""
     label = np.arange(node_count, dtype=np.int64)
     while True:
-        lowest = label[cells].min(axis=1)
         new = label.copy()
-        for corner in range(cells.shape[1]):
-            np.minimum.at(new, label[cells[:, corner]], lowest)
+        for elements in blocks:
+            lowest = label[elements].min(axis=1)
+            for corner in range(elements.shape[1]):
+                np.minimum.at(new, label[elements[:, corner]], lowest)
         new = new[new]
         new = new[new]
         if np.array_equal(new, label):
@@ -344,10 +359,65 @@ def _components(node_count: int, cells: npt.NDArray[np.integer]) -> npt.NDArray[
         label = new
 
 
+# --- grids ------------------------------------------------------------------------------------------------------------
+
+# How a cell is cut, its corners counted as x + 2 y + 4 z and its centre as 8; the daemon cuts `Mesh.grid` in this way.
+_CELL_CUTS = {
+    "tetrahedron": [[0, 1, 3, 7], [0, 5, 1, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 6, 4, 7]],
+    "pyramid": [[0, 1, 3, 2, 8], [4, 6, 7, 5, 8], [0, 4, 5, 1, 8], [2, 3, 7, 6, 8], [0, 2, 6, 4, 8], [1, 5, 7, 3, 8]],
+    "wedge": [[0, 1, 3, 4, 5, 7], [0, 3, 2, 4, 7, 6]],
+    "hexahedron": [[0, 1, 3, 2, 4, 5, 7, 6]],
+}
+_CELL_CUTS["quadratic_tetrahedron"] = _CELL_CUTS["tetrahedron"]
+_MIDDLES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+
+
+def grid(
+    cells: Sequence[int],
+    size_m: npt.ArrayLike,
+    *,
+    shape: str = "tetrahedron",
+    origin_m: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> VolumeMesh:
+    """A box of cells [3], each cut into elements of one shape, with nodes and elements in the order of `Mesh.grid`."""
+    if shape not in _CELL_CUTS:
+        raise InvalidArgumentError(f"grid: unknown shape {shape!r}; {suggestion(shape, _CELL_CUTS)}")
+    counts = np.array(cells, dtype=np.int64)
+    size, origin = np.array(size_m, dtype=np.float64), np.array(origin_m, dtype=np.float64)
+    if counts.shape != (3,) or (counts < 1).any() or size.shape != (3,) or not (size > 0).all():
+        raise InvalidArgumentError(f"grid: expected three counts of cells and three lengths, got {cells!r}, {size_m!r}")
+    cuts = np.array(_CELL_CUTS[shape])
+    # Points are named by their place in half cells, so that corners, centres and middles are all whole.
+    corner_of_cell = np.array([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)]) * 2
+    local = np.concatenate([corner_of_cell, [[1, 1, 1]]])[cuts]  # [element, node, 3]
+    if shape == "quadratic_tetrahedron":
+        local = np.concatenate([local, (local[:, _MIDDLES[:, 0]] + local[:, _MIDDLES[:, 1]]) // 2], axis=1)
+    places = (2 * _lattice(counts)[:, None, None, :] + local).reshape(-1, local.shape[1], 3)
+
+    points = [2 * _lattice(counts + 1)]
+    if shape == "pyramid":
+        points.append(2 * _lattice(counts) + 1)
+    if shape == "quadratic_tetrahedron":
+        halves = _lattice(2 * counts + 1)
+        points.append(halves[(halves % 2).any(axis=1)])
+    nodes = np.concatenate(points)
+    stride = np.array([1, 2 * counts[0] + 1, (2 * counts[0] + 1) * (2 * counts[1] + 1)])
+    node_of = np.empty(int(np.prod(2 * counts + 1)), np.uint32)
+    node_of[nodes @ stride] = np.arange(len(nodes))
+    block = ElementBlock(SHAPES[shape], node_of[places @ stride])
+    return VolumeMesh(origin + size * (nodes / (2.0 * counts)), (block,))
+
+
+def _lattice(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """[n, 3]: the points of a box, x fastest."""
+    z, y, x = np.meshgrid(*(np.arange(count) for count in counts[::-1]), indexing="ij")
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
+
 # --- volumes from surfaces --------------------------------------------------------------------------------------------
 
 
-def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralMesh:
+def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
 
     fTetWild draws random numbers: the mesh differs from run to run, so keep what was made.
@@ -385,7 +455,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> TetrahedralM
             nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]
     if len(tetrahedra) == 0:
         raise InvalidArgumentError("the surface encloses no volume; close its holes first")
-    return repair(TetrahedralMesh.from_arrays(nodes, tetrahedra, "result of fTetWild"))
+    return repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"))
 
 
 # Without `coarsen` edges get no longer than the input's.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tensormass import isosurface
-from tensormass.meshes import FloatArray, TetrahedralMesh, TriangleSurface, boundary
+from tensormass.meshes import FloatArray, TriangleSurface, VolumeMesh, boundary
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Organ:
     cell_m: float
     skin_cell_m: float
 
-    def volume(self) -> TetrahedralMesh:
+    def volume(self) -> VolumeMesh:
         """The tetrahedra that are simulated."""
         return isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
 

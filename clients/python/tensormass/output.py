@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,8 @@ from google.protobuf.message import Message
 
 from tensormass.meshes import MeshQuality
 from tensormass.v1 import control_pb2, stream_pb2
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
 
 
 def to_plain(message: Message) -> dict[str, Any]:
@@ -49,6 +52,8 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
         f"{1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
         f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
     ]
+    if status.newton_iterations > 0:
+        parts.append(f"Newton {status.newton_iterations} to {status.newton_residual:.0e}")
     if status.state != stream_pb2.SceneStatus.STATE_RUNNING:
         parts.insert(0, state_name(status))
     parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
@@ -57,6 +62,29 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
     if status.fault:
         parts.append(f"FAULT: {status.fault}")
     return "  ".join(parts)
+
+
+class Warnings:
+    """The warnings of a scene's statuses, each once: the numbers in one change from step to step."""
+
+    def __init__(self) -> None:
+        self._by_kind: dict[str, str] = {}
+
+    def take(self, status: stream_pb2.SceneStatus) -> list[str]:
+        """Those of `status` that are new."""
+        new = [text for text in status.warnings if self._kind(text) not in self._by_kind]
+        self._by_kind.update({self._kind(text): text for text in status.warnings})
+        return new
+
+    @property
+    def latest(self) -> list[str]:
+        """Every warning so far, in its latest wording."""
+        return list(self._by_kind.values())
+
+    @staticmethod
+    def _kind(text: str) -> str:
+        # A digit within a quoted name belongs to the name.
+        return "'".join(part if index % 2 else _NUMBER.sub("#", part) for index, part in enumerate(text.split("'")))
 
 
 def force_n(feedback: stream_pb2.ToolFeedback) -> float:
@@ -87,7 +115,7 @@ def report_text(report: control_pb2.SceneReport) -> str:
         [stage.name, _bytes(stage.bytes), f"{stage.operations:,}", stage.reads, stage.writes] for stage in report.stages
     ]
     buffers = [["buffer", "bytes"], *([buffer.name, _bytes(buffer.bytes)] for buffer in report.buffers)]
-    sections = [f"scene {report.scene}", _table(bodies), _table(stages), _table(buffers)]
+    sections = [f"scene {report.scene}", table(bodies), table(stages), table(buffers)]
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
@@ -98,8 +126,9 @@ def report_text(report: control_pb2.SceneReport) -> str:
 
 def quality_text(quality: MeshQuality) -> str:
     """A mesh in two lines; lengths in metres."""
+    elements = ", ".join(f"{count} × {name.replace('_', ' ')}" for name, count in quality.element_counts.items())
     return (
-        f"{quality.node_count} nodes, {quality.tetrahedron_count} tetrahedra, {1e6 * quality.volume:.4g} cm³\n"
+        f"{quality.node_count} nodes, {elements}, {1e6 * quality.volume:.4g} cm³\n"
         f"mean edge {1e3 * quality.mean_edge_length:.3g} mm, smallest dihedral angle "
         f"{quality.min_dihedral_angle_deg:.1f}°"
     )
@@ -112,7 +141,8 @@ def _bytes(count: int) -> str:
     return f"{count / 1000**power:.3g} {' kMGT'[power]}B"
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Columns as wide as they need to be; the first row is the heading."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

@@ -18,7 +18,7 @@ from pathlib import Path
 from tensormass import gateway
 from tensormass.client import SceneHandle, Server, launch
 from tensormass.errors import InvalidArgumentError, UnavailableError
-from tensormass.output import print_json, report_text, status_line, to_plain
+from tensormass.output import Warnings, print_json, report_text, status_line, to_plain
 from tensormass.processes import ChildProcess, find_program
 from tensormass.scene import Scene
 
@@ -122,6 +122,7 @@ async def _report_until(
     """Prints the live status; ends when told to, or with an error when a part ended by itself."""
     live = sys.stdout.isatty() and not args.json
     period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
+    warnings = Warnings()
     while True:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(stop.wait(), period_s)
@@ -133,10 +134,13 @@ async def _report_until(
             raise UnavailableError(f"the daemon ended by itself; its log ends:\n{log}")
         status = await asyncio.to_thread(handle.status)
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
+        width = shutil.get_terminal_size().columns - 1
+        for warning in warnings.take(status):
+            # On a terminal, in place of the status line.
+            _say(args, f"\r{f'warning: {warning}':<{width}}" if live else f"warning: {warning}")
         if args.json:
             print_json({"status": to_plain(status), "clients": clients})
         elif live:
-            width = shutil.get_terminal_size().columns - 1
             print(f"\r{status_line(status, clients)[:width]:<{width}}", end="", flush=True)
         else:
             print(status_line(status, clients), flush=True)

@@ -6,8 +6,7 @@ positions are sent as the file has them; `Mesh.scale` and `Mesh.translation_m` t
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,15 +15,18 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from google.protobuf import json_format
-from google.protobuf.descriptor import Descriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor
 
-from tensormass import demo, meshes
+from tensormass import demo, mesh_files, meshes
 from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.names import as_name, suggestion
+from tensormass.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2
 
 Vector = Sequence[float] | npt.NDArray[np.floating]
 
 LAWS = tuple(field.name for field in scene_pb2.Law.DESCRIPTOR.oneofs_by_name["kind"].fields)
+_LIVER = {"young_modulus_pa": 4000.0, "poisson_ratio": 0.45}
 _YAML_ENDINGS = (".yaml", ".yml")
 
 
@@ -47,7 +49,7 @@ class Scene:
 
     @staticmethod
     def from_file(path: str | Path) -> Scene:
-        """Reads a scene (.yaml, .yml) or a bare tetrahedral mesh, which becomes one body of soft tissue at rest.
+        """Reads a scene (.yaml, .yml) or a bare volume mesh, which becomes one body of soft tissue at rest.
 
         The name of a built-in scene (`builtin_scenes`) stands for its file, unless a file of that name exists.
 
@@ -60,8 +62,7 @@ class Scene:
             path, directory = builtin
         path = Path(path)
         if path.suffix and path.suffix.lower() not in _YAML_ENDINGS:
-            name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in path.stem)[:64]
-            return Scene._from_mesh(meshes.read_mesh(path), name=name or "scene")
+            return Scene.from_mesh(mesh_files.read_mesh(path), name=as_name(path.stem) or "scene")
         try:
             text = path.read_text("utf-8")
         except FileNotFoundError:
@@ -83,87 +84,112 @@ class Scene:
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         message = scene_pb2.Scene()
-        _check_fields(content, cast(Descriptor, message.DESCRIPTOR), where, "")
+        fields = _checked_fields(content, cast(Descriptor, message.DESCRIPTOR), where, "")
         try:
-            json_format.ParseDict(content, message, max_recursion_depth=20)
+            json_format.ParseDict(fields, message, max_recursion_depth=20)
         except json_format.ParseError as error:
             raise InvalidArgumentError(f"{where}: {error}") from error
         _resolve_files(message, Path(directory), where)
         return Scene(message=message)
 
     @staticmethod
-    def from_arrays(
-        nodes: npt.ArrayLike,
-        tetrahedra: npt.ArrayLike,
+    def from_arrays(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, **options: Any) -> Scene:  # noqa: ANN401
+        """As `from_mesh`, of tetrahedra [n, 4] in VTK node order and their nodes [node_count, 3] m."""
+        return Scene.from_mesh(meshes.VolumeMesh.from_tetrahedra(nodes, tetrahedra), **options)
+
+    @staticmethod
+    def from_meshio(mesh: meshio.Mesh, **options: Any) -> Scene:  # noqa: ANN401
+        """As `from_mesh`, from a `meshio.Mesh` in metres."""
+        return Scene.from_mesh(mesh_files.from_meshio(mesh), **options)
+
+    @staticmethod
+    def from_mesh(
+        mesh: meshes.VolumeMesh,
         *,
         name: str = "scene",
         body: str = "body",
-        law: str = "st_venant_kirchhoff",
-        young_modulus_pa: float = 4000.0,
-        poisson_ratio: float = 0.45,
-        density_kg_per_m3: float = 1060.0,
-        fixed_nodes: npt.ArrayLike | None = None,
         gravity_m_per_s2: Vector | None = None,
-        skin: meshes.TriangleSurface | None = None,
+        density_kg_per_m3: float = 1060.0,
+        **options: Any,  # noqa: ANN401
     ) -> Scene:
-        """A scene of one body; the defaults are those of liver tissue (add tools with `add_spherical_probe`).
+        """A scene of one body, by default of liver tissue (add tools with `add_spherical_probe`).
 
         Args:
-            nodes: [node_count, 3] m.
-            tetrahedra: [tetrahedron_count, 4], indices into the nodes, positively wound, VTK node order.
-            law: one of `LAWS`.
-            fixed_nodes: indices [k] or mask [node_count] of the nodes that do not move.
-            skin: a finer surface that the body carries along; what clients see.
+            options: those of `add_body`.
 
         Raises:
             InvalidArgumentError: naming the array, the row and the remedy.
         """
         scene = Scene(name)
-        scene.add_body(
-            body,
-            meshes.TetrahedralMesh.from_arrays(nodes, tetrahedra, body),
-            law=law,
-            young_modulus_pa=young_modulus_pa,
-            poisson_ratio=poisson_ratio,
-            density_kg_per_m3=density_kg_per_m3,
-            fixed_nodes=fixed_nodes,
-            skin=skin,
-        )
+        scene.add_body(body, mesh, density_kg_per_m3=density_kg_per_m3, **options)
         if gravity_m_per_s2 is not None:
             scene.message.gravity_m_per_s2.CopyFrom(vector3(gravity_m_per_s2, "gravity_m_per_s2"))
         return scene
 
-    @staticmethod
-    def from_meshio(mesh: meshio.Mesh, **options: Any) -> Scene:  # noqa: ANN401  (the options of from_arrays)
-        """As `from_arrays`, from the tetrahedra of a `meshio.Mesh`, in metres."""
-        return Scene._from_mesh(meshes.from_meshio(mesh), **options)
-
-    @staticmethod
-    def _from_mesh(mesh: meshes.TetrahedralMesh, **options: Any) -> Scene:  # noqa: ANN401
-        return Scene.from_arrays(mesh.nodes, mesh.tetrahedra, **options)
-
     def add_body(
         self,
         name: str,
-        mesh: meshes.TetrahedralMesh,
+        mesh: meshes.VolumeMesh,
         *,
         law: str = "st_venant_kirchhoff",
-        young_modulus_pa: float,
-        poisson_ratio: float,
+        constants: Mapping[str, float | Vector] | None = None,
+        young_modulus_pa: float | None = None,
+        poisson_ratio: float | None = None,
+        prony: Sequence[tuple[float, float]] = (),
         density_kg_per_m3: float,
+        quadrature: str | None = None,
+        mass: str | None = None,
+        fixed: str | Sequence[str] = (),
         fixed_nodes: npt.ArrayLike | None = None,
         skin: meshes.TriangleSurface | None = None,
     ) -> scene_pb2.Body:
-        """Adds a body and returns its message, for what the arguments (see `from_arrays`) do not cover."""
-        if law not in LAWS:
-            raise InvalidArgumentError(f"{name}: unknown law {law!r}; known: {', '.join(LAWS)}")
-        body = scene_pb2.Body(name=name, mesh=scene_pb2.Mesh(packed=pack_tetrahedra(mesh)))
-        elastic = scene_pb2.IsotropicElastic(young_modulus_pa=young_modulus_pa, poisson_ratio=poisson_ratio)
-        getattr(body.law, law).CopyFrom(elastic)
+        """Adds a body and returns its message, for what the arguments do not cover: loads, prescribed displacements,
+        laws of regions.
+
+        Args:
+            mesh: elements in m, with the named sets and element fields that it carries.
+            law: one of `LAWS`.
+            constants: the law's by name, as `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
+            young_modulus_pa: a constant that many laws have; without `constants` 4 kPa.
+            poisson_ratio: as `young_modulus_pa`; without `constants` 0.45.
+            prony: (share, relaxation time [s]) of each term.
+            quadrature: "full" (default), "reduced" or "selective".
+            mass: "lumped" (default) or "consistent".
+            fixed: names of sets whose nodes do not move.
+            fixed_nodes: indices [k] or mask [node_count] of further nodes that do not move.
+            skin: a finer surface that the body carries along; what clients see.
+
+        Raises:
+            InvalidArgumentError: naming the argument, what is wrong and what is known.
+        """
+        given = dict(constants or {})
+        if constants is None and law in LAWS:
+            fields = getattr(scene_pb2.Law(), law).DESCRIPTOR.fields_by_name
+            given = {name: value for name, value in _LIVER.items() if name in fields}
+        if young_modulus_pa is not None:
+            given["young_modulus_pa"] = young_modulus_pa
+        if poisson_ratio is not None:
+            given["poisson_ratio"] = poisson_ratio
+        body = scene_pb2.Body(name=name, mesh=scene_pb2.Mesh(packed=pack_mesh(mesh)))
+        body.law.CopyFrom(law_message(law, given, prony, where=f"{name}.law"))
         body.density_kg_per_m3 = density_kg_per_m3
+        if quadrature is not None:
+            body.quadrature = cast(
+                scene_pb2.Quadrature,
+                _enum_number(scene_pb2.Quadrature.DESCRIPTOR, quadrature, f"{name}.quadrature"),
+            )
+        if mass is not None:
+            body.mass = cast(scene_pb2.Mass, _enum_number(scene_pb2.Mass.DESCRIPTOR, mass, f"{name}.mass"))
+        _add_what_the_mesh_carries(body, mesh, name)
+        for set_name in [fixed] if isinstance(fixed, str) else fixed:
+            if set_name not in mesh.sets:
+                raise InvalidArgumentError(
+                    f"{name}.fixed: the mesh has no set {set_name!r}; {suggestion(set_name, mesh.sets)}"
+                )
+            body.fixed.add().set = set_name
         if fixed_nodes is not None:
-            indices = _node_indices(fixed_nodes, len(mesh.nodes), f"{name}.fixed_nodes")
-            body.fixed.add().nodes.indices.extend(indices)
+            indices = meshes.node_indices(fixed_nodes, len(mesh.nodes), f"{name}.fixed_nodes")
+            body.fixed.add().nodes.indices.extend(indices.tolist())
         if skin is not None:
             body.skin.packed.CopyFrom(pack_triangles(skin))
         self.message.bodies.append(body)
@@ -202,34 +228,104 @@ def quaternion(values: Vector | None, where: str) -> scene_pb2.Quaternion | None
     return scene_pb2.Quaternion(w=w, x=x, y=y, z=z)
 
 
-def pack_tetrahedra(mesh: meshes.TetrahedralMesh) -> scene_pb2.PackedTetrahedra:
+def law_message(
+    name: str,
+    constants: Mapping[str, float | Vector],
+    prony: Sequence[tuple[float, float]] = (),
+    where: str = "law",
+) -> scene_pb2.Law:
+    """A law by its name, with its constants by theirs and Prony terms (share, relaxation time [s]).
+
+    Raises:
+        InvalidArgumentError: an unknown law, an unknown or missing constant, a value that is not a number.
+    """
+    if name not in LAWS:
+        raise InvalidArgumentError(f"{where}: unknown law {name!r}; {suggestion(name, LAWS)}")
+    law = scene_pb2.Law(prony=[scene_pb2.PronyTerm(share=share, relaxation_time_s=time) for share, time in prony])
+    message = getattr(law, name)
+    message.SetInParent()
+    fields = message.DESCRIPTOR.fields_by_name
+    for constant, value in constants.items():
+        if constant not in fields:
+            raise InvalidArgumentError(f"{where}: {name} has no constant {constant!r}; {suggestion(constant, fields)}")
+        if fields[constant].message_type is not None:
+            getattr(message, constant).CopyFrom(vector3(cast(Vector, value), f"{where}.{name}.{constant}"))
+            continue
+        try:
+            setattr(message, constant, value)
+        except TypeError as error:
+            raise InvalidArgumentError(f"{where}.{name}.{constant}: expected a number, got {value!r}") from error
+    # A direction may come with each element instead.
+    missing = [field for field, of in fields.items() if of.message_type is None and field not in constants]
+    if missing:
+        raise InvalidArgumentError(f"{where}: {name} needs {', '.join(missing)}")
+    return law
+
+
+def pack_mesh(mesh: meshes.VolumeMesh) -> scene_pb2.PackedMesh:
     """Little-endian float64 and uint32 arrays, as the protocol has them."""
-    return scene_pb2.PackedTetrahedra(
+    return scene_pb2.PackedMesh(
         node_positions=mesh.nodes.astype("<f8", copy=False).tobytes(),
-        tetrahedra=mesh.tetrahedra.astype("<u4", copy=False).tobytes(),
+        elements=[
+            scene_pb2.PackedElements(shape=shape.number, nodes=elements.astype("<u4", copy=False).tobytes())
+            for shape, elements in mesh.blocks
+        ],
+    )
+
+
+def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.VolumeMesh:
+    """The mesh of a message.
+
+    Raises:
+        InvalidArgumentError: arrays that are cut off or do not fit together.
+    """
+    blocks = []
+    for index, block in enumerate(packed.elements):
+        shape = BY_NUMBER.get(block.shape or scene_pb2.SHAPE_TETRAHEDRON)
+        if shape is None or len(block.nodes) % (4 * shape.node_count) != 0:
+            raise InvalidArgumentError(f"{where}.elements[{index}]: an unknown shape, or not whole elements")
+        blocks.append((shape.name, np.frombuffer(block.nodes, "<u4").reshape(-1, shape.node_count)))
+    if len(packed.node_positions) % 24 != 0:
+        raise InvalidArgumentError(f"{where}.node_positions: not a whole number of nodes")
+    return meshes.VolumeMesh.from_arrays(
+        np.frombuffer(packed.node_positions, "<f8").reshape(-1, 3), blocks, where=where
     )
 
 
 def pack_triangles(surface: meshes.TriangleSurface) -> scene_pb2.PackedTriangles:
-    """As `pack_tetrahedra`."""
+    """As `pack_mesh`."""
     return scene_pb2.PackedTriangles(
         vertex_positions=surface.vertices.astype("<f8", copy=False).tobytes(),
         triangles=surface.triangles.astype("<u4", copy=False).tobytes(),
     )
 
 
-def _check_fields(content: object, descriptor: Descriptor, where: str, path: str) -> None:
-    """Refuses what the parser would pass over or explain poorly: unknown, empty and wrongly nested fields."""
+def _add_what_the_mesh_carries(body: scene_pb2.Body, mesh: meshes.VolumeMesh, where: str) -> None:
+    """Named sets and element fields. The mesh's sets come first: the scene's own may be made of them."""
+    own = list(body.sets)
+    for named in own:
+        if named.name in mesh.sets:
+            raise InvalidArgumentError(f"{where}: the mesh has a set {named.name!r} already; name this one otherwise")
+    del body.sets[:]
+    for name, nodes in mesh.sets.items():
+        body.sets.add(name=name).regions.add().nodes.indices.extend(nodes.tolist())
+    body.sets.extend(own)
+    for name, values in mesh.element_fields.items():
+        setattr(body.element_fields, name, values.astype("<f8", copy=False).tobytes())
+
+
+def _checked_fields(content: object, descriptor: Descriptor, where: str, path: str) -> dict[str, Any]:
+    """The fields with the full names of enums. Refuses what the parser would pass over or explain poorly: unknown,
+    empty and wrongly nested fields."""
     at = f"{where}: {path or 'scene'}"
     if not isinstance(content, dict):
         raise InvalidArgumentError(f"{at}: expected a mapping of {descriptor.name}'s fields, found {content!r}")
     fields = descriptor.fields_by_name
+    checked: dict[str, Any] = {}
     for key, value in content.items():
         field = fields.get(key) if isinstance(key, str) else None
         if field is None:
-            close = difflib.get_close_matches(str(key), fields, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(fields)}"
-            raise InvalidArgumentError(f"{at}: {descriptor.name} has no field {key!r}; {hint}")
+            raise InvalidArgumentError(f"{at}: {descriptor.name} has no field {key!r}; {suggestion(str(key), fields)}")
         inner = f"{path}.{key}" if path else key
         if value is None:
             raise InvalidArgumentError(f"{where}: {inner}: has no value; give one or leave the field out")
@@ -239,11 +335,28 @@ def _check_fields(content: object, descriptor: Descriptor, where: str, path: str
             values = {f"{inner}[{index}]": item for index, item in enumerate(value)}
         else:
             raise InvalidArgumentError(f"{where}: {inner}: expected a list, found {value!r}")
+        items: list[Any] = []
         for place, item in values.items():
             if field.message_type is not None:
-                _check_fields(item, field.message_type, where, place)
+                items.append(_checked_fields(item, field.message_type, where, place))
             elif isinstance(item, dict | list | None):
                 raise InvalidArgumentError(f"{where}: {place}: expected one value, found {item!r}")
+            else:
+                items.append(
+                    _enum_number(field.enum_type, item, f"{where}: {place}") if field.enum_type is not None else item
+                )
+        checked[key] = items if field.is_repeated else items[0]
+    return checked
+
+
+def _enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
+    """A value by its full name or without the enum's name: SHAPE_HEXAHEDRON, hexahedron."""
+    prefix = "".join(f"_{c}" if c.isupper() else c.upper() for c in enum.name).removeprefix("_") + "_"
+    known = {of.name.removeprefix(prefix).lower(): of.number for of in enum.values if of.number != 0}
+    short = str(value).removeprefix(prefix).lower()
+    if short not in known:
+        raise InvalidArgumentError(f"{where}: unknown value {value!r}; {suggestion(short, known)}")
+    return known[short]
 
 
 def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
@@ -251,10 +364,12 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
         at = f"{where}: bodies[{index}]"
         with _naming(f"{at}.mesh.file"):
             if body.mesh.WhichOneof("source") == "file":
-                body.mesh.packed.CopyFrom(pack_tetrahedra(meshes.read_mesh(directory / body.mesh.file)))
+                mesh = mesh_files.read_mesh(directory / body.mesh.file)
+                body.mesh.packed.CopyFrom(pack_mesh(mesh))
+                _add_what_the_mesh_carries(body, mesh, f"{at}.sets")
         with _naming(f"{at}.skin.file"):
             if body.skin.WhichOneof("source") == "file":
-                body.skin.packed.CopyFrom(pack_triangles(meshes.read_surface(directory / body.skin.file)))
+                body.skin.packed.CopyFrom(pack_triangles(mesh_files.read_surface(directory / body.skin.file)))
 
 
 class _naming:  # noqa: N801  (reads as a statement)
@@ -269,20 +384,6 @@ class _naming:  # noqa: N801  (reads as a statement)
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _trace: object) -> None:
         if isinstance(error, NotFoundError | InvalidArgumentError):
             raise type(error)(f"{self._where}: {error}") from error
-
-
-def _node_indices(values: npt.ArrayLike, node_count: int, where: str) -> Iterable[int]:
-    array = np.asarray(values)
-    if array.dtype == np.bool_:
-        if array.shape != (node_count,):
-            raise InvalidArgumentError(f"{where}: a mask needs shape [{node_count}], got {list(array.shape)}")
-        array = np.flatnonzero(array)
-    if array.ndim != 1 or not (array.size == 0 or np.issubdtype(array.dtype, np.integer)):
-        raise InvalidArgumentError(f"{where}: expected node indices or a mask, got {array.dtype} {list(array.shape)}")
-    bad = array[(array < 0) | (array >= node_count)]
-    if bad.size:
-        raise InvalidArgumentError(f"{where}: index {bad[0]}, but nodes run from 0 to {node_count - 1}")
-    return (int(index) for index in array)
 
 
 class _StrictLoader(yaml.SafeLoader):

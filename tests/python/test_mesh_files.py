@@ -1,0 +1,288 @@
+"""Mesh files in and out: every shape, named sets and element fields, and surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from test_meshes import CUBE, CUBE_QUADS, enclosed_volume, mixed_mesh, regular_tetrahedron
+
+from tensormass import mesh_files, meshes
+from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.shapes import SHAPES
+
+SHARED_MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
+
+GMSH1 = """$NOD
+5
+10 0 0 0
+20 1 0 0
+30 0 1 0
+40 0 0 1
+50 1 1 1
+$ENDNOD
+$ELM
+3
+1 2 1 1 3 10 20 30
+2 4 1 1 4 10 20 30 40
+3 4 1 1 4 20 30 40 50
+$ENDELM
+"""
+
+
+def shared_mesh(name: str) -> Path:
+    path = SHARED_MESHES / name
+    if not path.is_file():
+        pytest.skip(f"../shared/meshes/{name} is not beside this checkout")
+    return path
+
+
+def gmsh1_file(folder: Path, text: str) -> Path:
+    path = folder / "mesh.msh"
+    path.write_text(text)
+    return path
+
+
+def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(tmp_path: Path) -> None:
+    mesh = mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1))
+    np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
+    np.testing.assert_array_equal(mesh.elements("tetrahedron"), [[0, 1, 2, 3], [1, 2, 3, 4]])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("20 30 40 50", "20 30 40 60", r"mesh\.msh:13: element 3 uses node 60"),
+        ("50 1 1 1", "40 1 1 1", r"mesh\.msh:7: node 40 is defined a second time"),
+        ("50 1 1 1", "50 1 1", r"mesh\.msh:7: expected `id x y z`"),
+        ("50 1 1 1", "50 1 1 1 1", r"mesh\.msh:7: expected `id x y z`"),
+        ("50 1 1 1", "50 1 1 nan", r"nodes: row 4 is not finite"),
+        ("3 4 1 1 4 20 30 40 50", "3 5 1 1 8 10 20 30 40 50 10 20 30", r"mesh\.msh:13: element 3 has type 5"),
+        ("3 4 1 1 4 20", "3 4 1 1 5 20", r"mesh\.msh:13: element 3 announces 5 nodes and lists 4"),
+        ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: expected integers"),
+        ("$ELM\n3", "$ELM\n4", r"section \$ELM announces 4 rows"),
+        ("$NOD\n5", "$NOD\n-1", r"section \$NOD announces -1 rows"),
+        ("$ELM", "$ELEMENTS", r"section \$ELM is missing"),
+    ],
+)
+def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in GMSH1
+    with pytest.raises(InvalidArgumentError, match=message):
+        mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1.replace(old, new)))
+
+
+def test_reads_the_shared_liver_in_gmsh1() -> None:
+    mesh = mesh_files.read_mesh(shared_mesh("liver.msh"))
+    assert mesh.nodes.shape == (181, 3)
+    assert mesh.elements("tetrahedron").shape == (596, 4)
+    assert meshes.quality(mesh).inverted_count == 0
+
+
+@pytest.mark.parametrize("ending", ["msh", "vtk", "vtu"])
+def test_what_is_written_is_read_back_exactly(tmp_path: Path, ending: str) -> None:
+    mesh = regular_tetrahedron()
+    path = tmp_path / f"mesh.{ending}"
+    mesh_files.write_mesh(path, mesh)
+    back = mesh_files.read_mesh(path)
+    np.testing.assert_array_equal(back.nodes, mesh.nodes)
+    np.testing.assert_array_equal(back.elements("tetrahedron"), mesh.elements("tetrahedron"))
+
+
+def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgumentError, match=r"use \.msh, \.vtk or \.vtu"):
+        mesh_files.write_mesh(tmp_path / "mesh.xyz123", regular_tetrahedron())
+
+
+def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match=r"none\.vtu: no such file"):
+        mesh_files.read_mesh(tmp_path / "none.vtu")
+    garbage = tmp_path / "garbage.msh"
+    garbage.write_bytes(bytes(range(256)))
+    with pytest.raises(InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"):
+        mesh_files.read_mesh(garbage)
+
+
+def test_elements_of_shapes_that_are_not_simulated_are_refused() -> None:
+    cube = meshio.Mesh(np.zeros((20, 3)), [("hexahedron20", [np.arange(20)]), ("tetra", [[0, 1, 2, 4]])])
+    with pytest.raises(InvalidArgumentError, match="elements of type hexahedron20; known are tetra, pyramid, wedge"):
+        mesh_files.from_meshio(cube)
+    with pytest.raises(InvalidArgumentError, match="tensormass mesh --edge"):
+        mesh_files.from_meshio(meshio.Mesh(CUBE, [("quad", CUBE_QUADS)]))
+
+
+# --- shapes, sets, fields ---------------------------------------------------------------------------------------------
+
+
+def assert_same(back: meshes.VolumeMesh, mesh: meshes.VolumeMesh) -> None:
+    np.testing.assert_array_equal(back.nodes, mesh.nodes)
+    assert [block.shape.name for block in back.blocks] == [block.shape.name for block in mesh.blocks]
+    for (_, left), (_, right) in zip(back.blocks, mesh.blocks, strict=True):
+        np.testing.assert_array_equal(left, right)
+    for left, right in ((back.sets, mesh.sets), (back.element_fields, mesh.element_fields)):
+        assert set(left) == set(right)
+        for name in left:
+            np.testing.assert_array_equal(left[name], right[name])
+
+
+@pytest.mark.parametrize("ending", ["vtu", "vtk", "msh"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_shape_is_read_back_with_sets_and_fields(tmp_path: Path, shape: str, ending: str) -> None:
+    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
+    count = grid.element_count
+    mesh = replace(
+        grid,
+        sets={"wall": np.flatnonzero(grid.nodes[:, 0] == 0).astype(np.uint32), "tip": np.array([1], np.uint32)},
+        element_fields={
+            "young_modulus_pa": np.linspace(1e3, 2e3, count),
+            "fibre_directions": np.arange(3.0 * count).reshape(-1, 3),
+        },
+    )
+    mesh_files.write_mesh(tmp_path / f"mesh.{ending}", mesh)
+    assert_same(mesh_files.read_mesh(tmp_path / f"mesh.{ending}"), mesh)
+
+
+def test_a_mixed_mesh_keeps_its_blocks_in_their_order(tmp_path: Path) -> None:
+    mesh_files.write_mesh(tmp_path / "mixed.vtu", mixed_mesh())
+    assert_same(mesh_files.read_mesh(tmp_path / "mixed.vtu"), mixed_mesh())
+
+
+MSH_22 = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+3
+2 1 "left wall"
+2 2 "unused"
+3 1 "tissue"
+$EndPhysicalNames
+$Nodes
+5
+1 0 0 0
+2 1 0 0
+3 0 1 0
+4 0 0 1
+5 1 1 1
+$EndNodes
+$Elements
+3
+1 2 2 1 1 1 3 4
+2 4 2 1 1 1 2 3 4
+3 4 2 7 2 2 3 4 5
+$EndElements
+"""
+MSH_41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+2 1 "left wall"
+3 1 "tissue"
+$EndPhysicalNames
+$Entities
+0 0 1 2
+1 0 0 0 0 1 1 1 1 0
+1 0 0 0 1 1 1 1 1 0
+2 0 0 0 1 1 1 1 7 0
+$EndEntities
+$Nodes
+1 5 1 5
+3 1 0 5
+1
+2
+3
+4
+5
+0 0 0
+1 0 0
+0 1 0
+0 0 1
+1 1 1
+$EndNodes
+$Elements
+3 3 1 3
+2 1 2 1
+1 1 3 4
+3 1 4 1
+2 1 2 3 4
+3 2 4 1
+3 2 3 4 5
+$EndElements
+"""
+
+
+@pytest.mark.parametrize("text", [MSH_22, MSH_41], ids=["2.2", "4.1"])
+def test_physical_groups_of_gmsh_are_sets_of_their_nodes(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "mesh.msh"
+    path.write_text(text)
+    mesh = mesh_files.read_mesh(path)
+    np.testing.assert_array_equal(mesh.elements("tetrahedron"), [[0, 1, 2, 3], [1, 2, 3, 4]])
+    assert {name: nodes.tolist() for name, nodes in mesh.sets.items()} == {
+        "left_wall": [0, 2, 3],
+        "tissue": [0, 1, 2, 3],  # the second tetrahedron has the tag 7
+    }
+
+
+ABAQUS = """*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 0., 1., 0.
+4, 0., 0., 1.
+5, 1., 0., 1.
+6, 0., 1., 1.
+*ELEMENT, TYPE=C3D6, ELSET=all
+1, 1, 2, 3, 4, 5, 6
+*NSET, NSET=base
+1, 2, 3
+*ELSET, ELSET=prism
+1
+"""
+
+
+def test_sets_of_an_abaqus_file_are_sets_of_nodes(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.inp"
+    path.write_text(ABAQUS)
+    mesh = mesh_files.read_mesh(path)
+    np.testing.assert_array_equal(mesh.elements("wedge"), [[0, 1, 2, 3, 4, 5]])
+    np.testing.assert_allclose(meshes.signed_volumes(mesh), [0.5])
+    assert mesh.sets["base"].tolist() == [0, 1, 2]
+    assert mesh.sets["prism"].tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_fields_are_those_of_the_volume_elements() -> None:
+    mesh = meshio.Mesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        [("triangle", [[0, 1, 2]]), ("tetra", [[0, 1, 2, 3]])],
+        cell_data={"poisson_ratio": [[np.nan], [0.3]], "fibre_direction": [[[0, 0, 0]], [[0, 0, 1]]], "x": [[1], [2]]},
+    )
+    read = mesh_files.from_meshio(mesh)
+    assert {name: values.tolist() for name, values in read.element_fields.items()} == {
+        "poisson_ratio": [0.3],
+        "fibre_directions": [[0, 0, 1]],
+    }
+
+
+def test_two_sets_of_one_name_are_refused() -> None:
+    mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], point_sets={"the wall": [0], "the_wall": [1]})
+    with pytest.raises(InvalidArgumentError, match="two of its sets are called 'the_wall'; rename one"):
+        mesh_files.from_meshio(mesh, "mesh.inp")
+
+
+# --- surfaces ---------------------------------------------------------------------------------------------------------
+
+
+def test_surfaces_split_quads_and_merge_repeated_vertices(tmp_path: Path) -> None:
+    quads = tmp_path / "cube.ply"
+    meshio.Mesh(CUBE, [("quad", CUBE_QUADS.astype(np.int32))]).write(quads)
+    surface = mesh_files.read_surface(quads)
+    assert surface.triangles.shape == (12, 3)
+    assert enclosed_volume(surface) == pytest.approx(1.0)
+
+    soup = tmp_path / "cube.stl"
+    corners = surface.vertices[surface.triangles].reshape(-1, 3)
+    meshio.Mesh(corners, [("triangle", np.arange(36).reshape(-1, 3))]).write(soup)
+    merged = mesh_files.read_surface(soup)
+    assert merged.vertices.shape == (8, 3)
+    assert enclosed_volume(merged) == pytest.approx(1.0)
