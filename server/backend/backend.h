@@ -24,29 +24,55 @@ struct ToolForce {
   Vec3<double> torque_n_m = Vec3<double>::Zero();
 };
 
+/// What a step is told.
+struct StepInput {
+  ToolCenters centers;    ///< [tool_count]
+  double end_time_s = 0;  ///< for displacements that are prescribed over time
+  bool gather_visible = false;
+};
+
 struct StepResult {
-  std::uint32_t cg_iterations = 0;
-  double cg_relative_residual = 0;
+  std::uint32_t cg_iterations = 0;  ///< of all solves of the step
+  double cg_relative_residual = 0;  ///< of the last one
   bool negative_curvature = false;
   bool finite = true;
   double max_speed_m_per_s = 0;
+  std::uint32_t newton_iterations = 1;
+  double newton_residual = 0;  ///< imbalance relative to the forces at work; 0 in a step that is linearized once
+  bool converged = true;       ///< false: the outer iteration ended before its tolerance
 };
 
-/// The state of one scene on one device. Not thread-safe. Nothing allocates after construction.
+/// What elements of a group look like (tensor::PatchWatch).
+struct GroupWatch {
+  double min_det_f = 1;
+  double max_strain = 0;
+  double max_rotation_rad = 0;
+};
+
+/// Everything that moves, of all rows. `histories` are the groups' Γ_i one after the other.
+struct RowState {
+  std::vector<double> displacement;  ///< [row_count, 4] m
+  std::vector<double> velocity;      ///< [row_count, 4] m/s
+  std::vector<double> histories;     ///< Pa
+};
+
+/// The state of one scene on one device. Not thread-safe. A step allocates nothing.
 class SceneState {
  public:
   virtual ~SceneState() = default;
 
   /// One step of the model's stages. forces: [tool_count], written. With `gather_visible` the frame's positions are
   /// ready when it returns.
-  virtual StepResult step(ToolCenters centers, std::span<ToolForce> forces, bool gather_visible) = 0;
+  virtual StepResult step(const StepInput& input, std::span<ToolForce> forces) = 0;
   /// [visible_count, 3] m, as of the last step that gathered them; valid until the next one.
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers them without a step.
   virtual void gather_visible() = 0;
-  /// Of all rows [row_count, 4]; for requests, not for the loop.
-  virtual void read_rows(std::span<double> displacement, std::span<double> velocity) = 0;
-  virtual void write_rows(std::span<const double> displacement, std::span<const double> velocity) = 0;
+  /// Looks at the elements as they are now. groups: [group_count], written.
+  virtual void watch(std::span<GroupWatch> groups) = 0;
+  /// For requests, not for the loop.
+  virtual RowState read() = 0;
+  virtual void write(const RowState& state) = 0;
 };
 
 /// A kind of device.

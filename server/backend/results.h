@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 
 #include "backend/backend.h"
 #include "tensor/view.h"
@@ -22,6 +23,21 @@ StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const ten
   return result;
 }
 
+/// watch: [group_count, patch_count]
+template <class Real>
+void read_watch(std::span<const tensor::PatchWatch<Real>> watch, std::span<GroupWatch> groups) {
+  const std::size_t patches = groups.empty() ? 0 : watch.size() / groups.size();
+  for (std::size_t group = 0; group < groups.size(); ++group) {
+    GroupWatch all{std::numeric_limits<double>::infinity(), 0, 0};
+    for (const auto& patch : watch.subspan(group * patches, patches)) {
+      all.min_det_f = std::min(all.min_det_f, static_cast<double>(patch.min_det_f));
+      all.max_strain = std::max(all.max_strain, static_cast<double>(patch.max_strain));
+      all.max_rotation_rad = std::max(all.max_rotation_rad, static_cast<double>(patch.max_rotation));
+    }
+    groups[group] = all;
+  }
+}
+
 /// loads: [tool_count, patch_count]
 template <class Real>
 void read_forces(std::span<const tensor::ToolLoad<Real>> loads, std::span<ToolForce> forces) {
@@ -37,6 +53,22 @@ void read_forces(std::span<const tensor::ToolLoad<Real>> loads, std::span<ToolFo
     }
     forces[tool] = sum;
   }
+}
+
+/// prescribed: [Model::prescribed, 4]
+template <class Real>
+void write_prescribed(const model::Model& m, double time_s, Real* prescribed) {
+  for (std::size_t i = 0; i < m.prescribed.size(); ++i) {
+    const Vec3<double> now = m.prescribed[i].at(time_s);
+    for (std::size_t c = 0; c < 3; ++c) prescribed[4 * i + c] = static_cast<Real>(now[static_cast<Eigen::Index>(c)]);
+  }
+}
+
+/// Where a scheme of two steps starts from after a state was written: one step back at constant velocity.
+inline std::vector<double> displacement_before(const model::Model& m, const RowState& state) {
+  std::vector<double> before = state.displacement;
+  for (std::size_t i = 0; i < before.size(); ++i) before[i] -= m.dt_s * state.velocity[i];
+  return before;
 }
 
 template <class Real>

@@ -33,17 +33,22 @@ enum class Communication {
     }                                                                                                \
   }
 
+TM_STAGE(Predict, kNone, solver::predict);
+TM_STAGE(Drive, kNone, solver::drive);
 TM_STAGE(DetectContact, kReduces, contact::detect);
 TM_STAGE(RespondContact, kNone, contact::respond);
 TM_STAGE(AssembleConstant, kNone, (tensor::assemble<true, false>));
 TM_STAGE(AssemblePartial, kNone, (tensor::assemble<false, true>));
 TM_STAGE(AssembleBoth, kNone, (tensor::assemble<true, true>));
 TM_STAGE(ExternalForces, kNone, tensor::add_external_forces);
+TM_STAGE(Pressure, kNone, tensor::add_pressure);
 TM_STAGE(AssembleContact, kNone, contact::assemble);
+TM_STAGE(MeasureResidual, kReduces, solver::measure_residual);
 TM_STAGE(Factorize, kNone, solver::factorize);
 TM_STAGE(ScaleEdges, kNone, solver::scale_edges);
 TM_STAGE(Solve, kExchanges, solver::conjugate_gradients);
 TM_STAGE(Advance, kReduces, solver::advance);
+TM_STAGE(Backtrack, kNone, solver::backtrack);
 TM_STAGE(MeasureContact, kReduces, contact::measure);
 TM_STAGE(GatherVisible, kNone, tensor::gather_visible);
 
@@ -58,30 +63,43 @@ struct Elements {
   }
 };
 
-/// Calls visit(stage type) for a stage of a model.
+template <class Shape>
+struct Watch {
+  static constexpr Communication kCommunication = Communication::kReduces;
+  template <class Team, class Real>
+  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+    tensor::watch_elements<Shape>(team, s, e);
+  }
+};
+
+/// Calls visit(stage type) for a stage of a model. Not for kElements, which are many: each backend compiles them law by
+/// law (elements.h of its folder).
 template <class Visit>
 void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit) {
   using model::StageKind;
   switch (stage.kind) {
+    case StageKind::kPredict:
+      return visit(Predict{});
+    case StageKind::kDrive:
+      return visit(Drive{});
     case StageKind::kDetectContact:
       return visit(DetectContact{});
     case StageKind::kRespondContact:
       return visit(RespondContact{});
     case StageKind::kElements:
-      return physics::with_shape_and_law(m.groups[stage.group].shape, m.groups[stage.group].law,
-                                         [&](auto shape, auto law) {
-                                           using Law = typename decltype(law)::Type;
-                                           if constexpr (!Law::kConstantStiffness)
-                                             visit(Elements<typename decltype(shape)::Type, Law>{});
-                                         });
+      return;
     case StageKind::kAssemble:
-      if (m.groups.empty()) return visit(AssembleConstant{});
+      if (!m.has_refreshed_tensors()) return visit(AssembleConstant{});
       if (m.constant_edges.empty()) return visit(AssemblePartial{});
       return visit(AssembleBoth{});
     case StageKind::kExternalForces:
       return visit(ExternalForces{});
+    case StageKind::kPressure:
+      return visit(Pressure{});
     case StageKind::kAssembleContact:
       return visit(AssembleContact{});
+    case StageKind::kMeasureResidual:
+      return visit(MeasureResidual{});
     case StageKind::kFactorize:
       return visit(Factorize{});
     case StageKind::kScaleEdges:
@@ -90,8 +108,14 @@ void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit)
       return visit(Solve{});
     case StageKind::kAdvance:
       return visit(Advance{});
+    case StageKind::kBacktrack:
+      return visit(Backtrack{});
     case StageKind::kMeasureContact:
       return visit(MeasureContact{});
+    case StageKind::kWatch:
+      return physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+        if (index == m.groups[stage.group].shape) visit(Watch<typename decltype(shape)::Type>{});
+      });
   }
 }
 

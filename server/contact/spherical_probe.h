@@ -155,7 +155,7 @@ TM_HOST_DEVICE void respond(const Team& team, const SceneView<Real>& s) {
 template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  const Real dt = s.dt_s;
+  const Real h = s.step_s;
   team.for_each(s.patch_surface[patch.index], s.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
     const std::uint32_t row = s.surface_rows[vertex];
     for (std::uint32_t t = 0; t < s.tool_count; ++t) {
@@ -165,16 +165,15 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
         if (!(contact.depth_m > 0)) continue;
         const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
-        Real approach = 0;  // n · Σ w v, how fast the contact point moves away
+        Real retreat = 0;  // n · Σ w d, how far the contact point moves away
         for (int c = 0; c < 3; ++c) {
-          approach += contact.weight[c] *
-                      n.dot(tensor::load3<Real>(s.velocity, s.triangle_rows[std::size_t{3} * triangle + c]));
+          retreat += contact.weight[c] * n.dot(tensor::change_ahead(s, s.triangle_rows[std::size_t{3} * triangle + c]));
         }
         const Real weight = contact.weight[corner];
-        const Vec3<Real> impulse = n * (dt * weight * contact.stiffness * (contact.depth_m - dt * approach));
+        const Vec3<Real> impulse = n * (h * weight * contact.stiffness * (contact.depth_m - retreat));
         tensor::store3<Real>(s.rhs, row, tensor::load3<Real>(s.rhs, row) + impulse);
 
-        const Mat3<Real> stiffness = n * n.transpose() * (dt * dt * contact.stiffness * weight);
+        const Mat3<Real> stiffness = n * n.transpose() * (h * h * contact.stiffness * weight);
         Real* d = s.diagonal + std::size_t{8} * row;
         d[0] += weight * stiffness(0, 0);
         d[1] += weight * stiffness(0, 1);
@@ -203,15 +202,18 @@ TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
       const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
       if (!(contact.depth_m > 0)) return;
       const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
-      Vec3<Real> velocity = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
+      Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
       for (int c = 0; c < 3; ++c) {
         const std::uint32_t row = s.triangle_rows[std::size_t{3} * triangle + c];
-        velocity += tensor::load3<Real>(s.velocity, row) * contact.weight[c];
+        // Where a step is solved more than once, contacts are those of its end.
+        if (s.base_displacement == nullptr) {
+          change += tensor::load3<Real>(s.velocity, row) * (s.step_s * contact.weight[c]);
+        }
         point += tensor::position(s, row) * contact.weight[c];
       }
-      point -= velocity * s.dt_s;  // where the step began and the normal was taken: tissue's sliding twists no sphere
+      point -= change;  // where the step began and the normal was taken: tissue's sliding twists no sphere
       // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
-      const Real pressure = contact.stiffness * maximum(contact.depth_m - s.dt_s * n.dot(velocity), Real(0));
+      const Real pressure = contact.stiffness * maximum(contact.depth_m - n.dot(change), Real(0));
       force -= n * pressure;
       torque -= cross<Real>(point - center_of(tool), n) * pressure;
     });

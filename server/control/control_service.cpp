@@ -135,6 +135,13 @@ grpc::Status ControlService::GetPositions(grpc::ServerContext*, const v1::GetPos
                 response);
 }
 
+grpc::Status ControlService::GetFields(grpc::ServerContext*, const v1::GetFieldsRequest* request,
+                                       v1::GetFieldsResponse* response) {
+  return answer(
+      registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->fields(*request); }),
+      response);
+}
+
 grpc::Status ControlService::GetStatus(grpc::ServerContext*, const v1::GetStatusRequest* request,
                                        v1::GetStatusResponse* response) {
   return answer(registry_.find(request->scene()).map([](const RunnerPtr& runner) { return runner->status(); }),

@@ -27,6 +27,7 @@ class ControlService final : public v1::Control::Service {
   grpc::Status GetTopology(grpc::ServerContext*, const v1::GetTopologyRequest*, v1::GetTopologyResponse*) override;
   grpc::Status GetFrame(grpc::ServerContext*, const v1::GetFrameRequest*, v1::GetFrameResponse*) override;
   grpc::Status GetPositions(grpc::ServerContext*, const v1::GetPositionsRequest*, v1::GetPositionsResponse*) override;
+  grpc::Status GetFields(grpc::ServerContext*, const v1::GetFieldsRequest*, v1::GetFieldsResponse*) override;
   grpc::Status GetStatus(grpc::ServerContext*, const v1::GetStatusRequest*, v1::GetStatusResponse*) override;
   grpc::Status MoveTool(grpc::ServerContext*, const v1::MoveToolRequest*, v1::MoveToolResponse*) override;
   grpc::Status GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest*, v1::GetFeedbackResponse*) override;

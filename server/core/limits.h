@@ -37,4 +37,10 @@ inline constexpr std::uint32_t kMaxCpuThreads = 256;
 /// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
 inline constexpr double kMaxLength = 1e6;
 
+/// Largest force of a load and largest pressure that is accepted [N, Pa].
+inline constexpr double kMaxForceN = 1e12;
+inline constexpr double kMaxPressurePa = 1e12;
+/// Outer iterations of one step.
+inline constexpr std::uint32_t kMaxNewtonIterations = 10'000;
+
 }  // namespace tensormass::limits

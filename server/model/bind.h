@@ -9,7 +9,7 @@
 namespace tensormass::model {
 
 /// An Arena has
-///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted; nullptr for an empty vector
+///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted by static_cast; nullptr for an empty vector
 ///   T* zeros<T>(name, count)                           zeroed memory; nullptr for no items
 template <class Real, class Arena>
 tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
@@ -18,12 +18,18 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   const std::size_t rows = layout.row_count, patches = layout.patch_count, tools = m.tools.size();
   const std::size_t local = rows + layout.halo.size();
   const std::size_t triangles = m.contact.triangle_count();
+  const auto only_if = [](bool needed, std::size_t count) { return needed ? count : 0; };
   tensor::SceneView<Real> s{};
   s.row_count = layout.row_count;
   s.patch_count = layout.patch_count;
   s.tool_count = static_cast<uint32_t>(tools);
   s.triangle_count = m.contact.triangle_count();
-  s.dt_s = static_cast<Real>(m.dt_s);
+  const TimeScheme scheme = time_scheme(m.integrator, m.dt_s);
+  s.step_s = static_cast<Real>(scheme.step_s);
+  for (int i = 0; i < 2; ++i) {
+    s.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
+    s.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
+  }
   s.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.cg_max_iterations = m.cg_max_iterations;
 
@@ -36,7 +42,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
 
   s.partials = arena.template zeros<Real>("element tensors", m.partial_reals());
-  if (!m.groups.empty()) {
+  if (m.has_refreshed_tensors()) {
     s.force_gather_begin = arena.template constant<uint32_t>("force gather offsets", m.gather.force_begin);
     s.force_gather = arena.template constant<uint32_t>("force gather", m.gather.force);
     s.edge_gather_begin = arena.template constant<uint32_t>("edge gather offsets", m.gather.edge_begin);
@@ -48,6 +54,27 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.rest = arena.template constant<Real>("rest positions", m.rest);
   s.inertia = arena.template constant<Real>("inertia", m.inertia);
   s.external = arena.template constant<Real>("external forces", m.external);
+  s.mass_edges = arena.template constant<Real>("consistent mass", m.mass_edges);
+
+  const bool two_steps = m.integrator == Integrator::kBdf2;
+  s.base_displacement = arena.template zeros<Real>("base displacement", only_if(!m.is_plain(), 4 * rows));
+  s.base_velocity = arena.template zeros<Real>("base velocity", only_if(!m.is_plain(), 4 * rows));
+  s.previous_displacement = arena.template zeros<Real>("previous displacement", only_if(two_steps, 4 * rows));
+  s.previous_velocity = arena.template zeros<Real>("previous velocity", only_if(two_steps, 4 * rows));
+  s.increment = arena.template zeros<Real>("increment", only_if(m.iterates(), 4 * rows));
+  s.internal_force = arena.template zeros<Real>("internal forces", only_if(m.iterates(), 4 * rows));
+  s.newton = arena.template zeros<tensor::NewtonControl>("outer iteration", only_if(m.iterates(), 1));
+  s.residuals = arena.template zeros<tensor::PatchResidual<Real>>("residuals", only_if(m.iterates(), patches));
+
+  s.patch_driven = arena.template constant<uint32_t>("driven rows of patches", m.driven.patch_driven);
+  s.driven = arena.template constant<uint32_t>("driven rows", m.driven.driven);
+  s.prescribed = arena.template zeros<Real>("prescribed displacements", 4 * m.prescribed.size());
+
+  s.pressure_faces = arena.template constant<tensor::PressureFace<Real>>("pressure faces", m.pressure.faces);
+  s.patch_pressed = arena.template constant<uint32_t>("pressed rows of patches", m.pressure.patch_pressed);
+  s.pressed_rows = arena.template constant<uint32_t>("pressed rows", m.pressure.pressed_rows);
+  s.pressed_begin = arena.template constant<uint32_t>("pressed corner offsets", m.pressure.pressed_begin);
+  s.pressed_corners = arena.template constant<uint32_t>("pressed corners", m.pressure.pressed_corners);
 
   s.edges = arena.template zeros<Real>("matrix", 9 * std::size_t{layout.slot_count()});
   s.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
@@ -78,18 +105,28 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
 
   s.patch_reports = arena.template zeros<tensor::PatchReport<Real>>("patch reports", patches);
   s.solve_report = arena.template zeros<tensor::SolveReport<Real>>("solve report", 1);
+  s.watch = arena.template zeros<tensor::PatchWatch<Real>>("watch", m.groups.size() * patches);
   s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * 4);
   return s;
 }
 
 template <class Real, class Arena>
-tensor::ElementView<Real> bind(const ElementGroup& group, Arena& arena) {
+tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena) {
+  const ElementGroup& group = m.groups[group_index];
   tensor::ElementView<Real> e{};
   e.count = group.stride;
-  e.partial_begin = group.partial_begin;
+  e.partial_begin = static_cast<std::uint32_t>(group.partial_begin);
+  e.point_count = group.point_count;
+  e.watch_begin = static_cast<std::uint32_t>(group_index) * m.layout.patch_count;
   e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
   e.rest = arena.template constant<Real>("element rest shapes", group.rest);
-  e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+  if (!group.is_constant()) e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+  e.shares = arena.template constant<tensor::PointShares<Real>>("selective integration", group.shares);
+  e.prony_count = static_cast<std::uint32_t>(group.prony.size());
+  for (std::size_t i = 0; i < group.prony.size(); ++i) {
+    e.prony[i] = {static_cast<Real>(group.prony[i].gain), static_cast<Real>(group.prony[i].decay)};
+  }
+  e.history = arena.template zeros<Real>("stress histories", group.history_reals());
   return e;
 }
 

@@ -6,6 +6,8 @@
 #include <vector>
 
 #include "mesh/mesh.h"
+#include "physics/element/prony.h"
+#include "physics/element/rest.h"
 #include "tensor/layout.h"
 
 /// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
@@ -14,35 +16,86 @@ namespace tensormass::model {
 
 /// What a step can consist of, in the order in which the stages run.
 enum class StageKind : std::uint8_t {
+  kPredict,
+  kDrive,
   kDetectContact,
   kRespondContact,
-  kElements,  ///< once for each element group
+  kElements,  ///< once for each element group whose tensors change
   kAssemble,
   kExternalForces,
+  kPressure,
   kAssembleContact,
+  kMeasureResidual,
   kFactorize,
   kScaleEdges,
   kSolve,
   kAdvance,
+  kBacktrack,
   kMeasureContact,
+  kWatch,  ///< once for each element group
 };
+
+/// Where a step's stages stand when it solves more than once (world's Newton iteration); a step that is linearized once
+/// runs them all in a row.
+enum class Phase : std::uint8_t {
+  kBegin,      ///< once
+  kEvaluate,   ///< forces and matrix where the step stands now
+  kSolve,      ///< the linear solve and a full step of it
+  kBacktrack,  ///< instead of the full step, a part
+  kEnd,        ///< once
+  kWatch,      ///< not part of a step: now and then
+};
+inline constexpr int kPhases = 6;
 
 struct Stage {
   StageKind kind;
-  std::uint32_t group = 0;  ///< of kElements
+  Phase phase;
+  std::uint32_t group = 0;  ///< of kElements and kWatch
 };
 
-/// Elements of one (shape, law) whose tensors change with the deformation.
+/// Elements of one (shape, law); of one body if the law is linear or has a memory.
 struct ElementGroup {
   int shape = 0;  ///< index into physics::Shapes
   int law = 0;    ///< index into physics::Laws
   std::uint32_t element_count = 0;
-  std::uint32_t stride = 0;         ///< element_count rounded up to a multiple of kSliceRows
-  std::uint32_t partial_begin = 0;  ///< in reals
-  std::uint32_t record_reals = 0;
-  std::vector<std::uint32_t> rows;  ///< [shape nodes][stride]
-  std::vector<double> rest;         ///< [quadrature points][rest reals][stride]
-  std::vector<double> parameters;   ///< [law parameters][stride]
+  std::uint32_t stride = 0;                  ///< element_count rounded up to a multiple of kSliceRows
+  std::uint64_t partial_begin = 0;           ///< in reals
+  std::uint32_t record_reals = 0;            ///< 0: the tensors are constant, in Model::constant_edges
+  std::uint32_t point_count = 0;             ///< quadrature points of an element
+  std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
+  std::vector<physics::PronyStep> prony;     ///< empty: no memory
+  std::vector<std::uint32_t> elements;       ///< [element_count] index in the scene's mesh
+  std::vector<std::uint32_t> rows;           ///< [shape nodes][stride]
+  std::vector<double> rest;                  ///< [point_count][rest reals][stride]
+  std::vector<double> parameters;            ///< [law parameters][stride]
+
+  bool is_constant() const { return record_reals == 0; }
+  /// Of Γ_i, [point_count][prony][6][stride].
+  std::size_t history_reals() const {
+    return std::size_t{point_count} * prony.size() * physics::kSymmetricReals * stride;
+  }
+};
+
+/// Nodes that are driven, in rows; grouped by the patch that owns them.
+struct DrivenRows {
+  std::vector<std::uint32_t> patch_driven;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> driven;        ///< [.., 3] row, index into Model::prescribed, bits of the directions
+};
+
+/// A displacement over time, the same for all of its nodes.
+struct Prescribed {
+  Vec3<double> displacement_m = Vec3<double>::Zero();
+  std::vector<double> time_s, factor;  ///< empty: always 1
+  Vec3<double> at(double time_s) const;
+};
+
+/// Boundary faces under pressure, in rows, and the corners of each row in them; grouped by patch.
+struct PressureSurface {
+  std::vector<tensor::PressureFace<double>> faces;
+  std::vector<std::uint32_t> patch_pressed;    ///< [patch_count + 1]
+  std::vector<std::uint32_t> pressed_rows;     ///< [pressed row]
+  std::vector<std::uint32_t> pressed_begin;    ///< [pressed row + 1]
+  std::vector<std::uint32_t> pressed_corners;  ///< [.., 2] face, corner
 };
 
 /// Tissue boundary for contact, in rows; grouped by the patch that owns it.
@@ -69,9 +122,9 @@ struct VisibleSurface {
 
 struct BodyModel {
   std::string name;
-  std::uint32_t node_begin = 0, node_count = 0;  ///< in the scene's nodes
-  std::uint32_t element_count = 0;
-  std::uint32_t fixed_node_count = 0;
+  std::uint32_t node_begin = 0, node_count = 0;        ///< in the scene's nodes
+  std::uint32_t element_begin = 0, element_count = 0;  ///< in the scene's elements
+  std::uint32_t fixed_node_count = 0;                  ///< held or driven in at least one direction
   std::uint32_t component_count = 0;
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
   std::uint32_t vertex_begin = 0, vertex_count = 0;  ///< in the visible surface
@@ -94,6 +147,16 @@ struct ToolModel {
   std::array<double, 4> initial_orientation{1, 0, 0, 0};  ///< w x y z
 };
 
+enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
+
+/// u' = û + step_s v' and M (v' − v̂) / step_s = forces, û and v̂ from the last two steps (tensor/view.h).
+struct TimeScheme {
+  double step_s;
+  double displacement_weights[2];
+  double velocity_weights[2];
+};
+TimeScheme time_scheme(Integrator integrator, double dt_s);
+
 struct Model {
   std::string name;
   bool double_precision = false;
@@ -102,6 +165,9 @@ struct Model {
   double rate_hz = 0;
   double frame_rate_hz = 0;
   double status_rate_hz = 0;
+  Integrator integrator = Integrator::kImplicitEuler;
+  std::uint32_t newton_max_iterations = 1;
+  double newton_tolerance = 0;
   double cg_tolerance = 0;
   std::uint32_t cg_max_iterations = 0;
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
@@ -112,21 +178,31 @@ struct Model {
   std::vector<std::string> warnings;
 
   tensor::Layout layout;
-  tensor::GatherMap gather;  ///< of `groups`
-  std::vector<ElementGroup> groups;
+  tensor::GatherMap gather;            ///< of `groups`
+  std::vector<ElementGroup> groups;    ///< those with refreshed tensors first
   std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
+  std::vector<double> mass_edges;      ///< [slot] kg; empty for lumped mass
   std::vector<double> rest;            ///< [row_count, 4]
   std::vector<double> inertia;         ///< [row_count, 4]
+  std::vector<double> row_mass;        ///< [row_count] kg, also where inertia leaves it out (quasi-static)
   std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
-  ContactSurface contact;              ///< empty without tools
-  VisibleSurface visible;              ///< empty without frames
+  DrivenRows driven;
+  std::vector<Prescribed> prescribed;
+  PressureSurface pressure;
+  ContactSurface contact;  ///< empty without tools
+  VisibleSurface visible;  ///< empty without frames
 
   std::vector<Stage> stages;
 
+  /// More than one linearized solve a step.
+  bool iterates() const { return newton_max_iterations > 1; }
+  /// Implicit Euler linearized once: needs no û, no v̂.
+  bool is_plain() const { return integrator == Integrator::kImplicitEuler && !iterates(); }
+  bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
   std::uint64_t partial_reals() const {
-    return groups.empty()
-               ? 0
-               : groups.back().partial_begin + std::uint64_t{groups.back().stride} * groups.back().record_reals;
+    std::uint64_t reals = 0;
+    for (const ElementGroup& group : groups) reals += std::uint64_t{group.stride} * group.record_reals;
+    return reals;
   }
 };
 

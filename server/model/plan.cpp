@@ -49,15 +49,25 @@ Cost cost(const Model& m, const Stage& stage) {
   const double gathered_edges = static_cast<double>(m.gather.edge.size());
   const bool constant = !m.constant_edges.empty();
   switch (stage.kind) {
+    case StageKind::kPredict:
+      return {rows * 7 * 4 * real, rows * 12};
+    case StageKind::kDrive: {
+      const double driven = static_cast<double>(m.driven.driven.size()) / 3;
+      return {driven * (12 + 9 * real), driven * 6};
+    }
     case StageKind::kDetectContact:
     case StageKind::kRespondContact:
       return {tools * triangles * (12 + 3 * 8 * real), tools * triangles * 60};
     case StageKind::kElements: {
       const ElementGroup& g = m.groups[stage.group];
-      const double per_element = static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
-                                 static_cast<double>(g.rest.size() + g.parameters.size()) * real / g.stride +
-                                 g.record_reals * real;
-      return {g.element_count * per_element, g.element_count * 900.0};
+      const double history = static_cast<double>(g.history_reals());
+      const double per_element =
+          static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
+          (static_cast<double>(g.rest.size() + g.parameters.size()) + 2 * history) * real / g.stride +
+          g.record_reals * real;
+      // Of StVK: about 70 for the stress of a point, 60 for each pair of nodes.
+      const double nodes = static_cast<double>(g.rows.size()) / g.stride;
+      return {g.element_count * per_element, g.element_count * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
     }
     case StageKind::kAssemble:
       return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
@@ -65,8 +75,14 @@ Cost cost(const Model& m, const Stage& stage) {
               gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
     case StageKind::kExternalForces:
       return {rows * 12 * real, rows * 6};
+    case StageKind::kPressure: {
+      const double corners = static_cast<double>(m.pressure.pressed_corners.size()) / 2;
+      return {corners * (36 + 4 * 8 * real), corners * 300};
+    }
     case StageKind::kAssembleContact:
       return {tools * incidences * (16 + 9 * real), tools * incidences * 4};
+    case StageKind::kMeasureResidual:
+      return {rows * 4 * 4 * real, rows * 24};
     case StageKind::kFactorize:
       return {rows * 2 * 12 * real, rows * 60};
     case StageKind::kScaleEdges:
@@ -75,10 +91,23 @@ Cost cost(const Model& m, const Stage& stage) {
       return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * 18 + rows * 36};
     case StageKind::kAdvance:
       return {rows * 6 * 4 * real, rows * 30};
+    case StageKind::kBacktrack:
+      return {rows * 5 * 4 * real, rows * 12};
     case StageKind::kMeasureContact:
       return {tools * triangles * real, tools * triangles};
+    case StageKind::kWatch: {
+      const ElementGroup& g = m.groups[stage.group];
+      return {static_cast<double>(g.rows.size()) * (4 + 4 * real) + static_cast<double>(g.rest.size()) * real,
+              g.element_count * g.point_count * 120.0};
+    }
   }
   return {};
+}
+
+template <class Real>
+void bind_all(const Model& model, CountingArena& arena) {
+  bind<Real>(model, arena);
+  for (std::size_t group = 0; group < model.groups.size(); ++group) bind<Real>(model, group, arena);
 }
 
 void list_not_modelled(const Model& m, v1::SceneReport& report) {
@@ -88,10 +117,22 @@ void list_not_modelled(const Model& m, v1::SceneReport& report) {
   report.add_not_modelled("self-contact of a body");
   if (!m.tools.empty()) report.add_not_modelled("friction between tools and tissue");
   if (m.external.empty()) report.add_not_modelled("gravity and loads: the scene names none");
-  if (std::all_of(m.inertia.begin(), m.inertia.end(), [i = 0](double v) mutable { return i++ % 4 == 0 || v == 0; })) {
+  bool damped = false;
+  for (std::size_t row = 0; row < m.layout.row_count; ++row) {
+    damped = damped || m.inertia[4 * row + 1] != 0 || m.inertia[4 * row + 2] != 0;
+  }
+  if (m.integrator == Integrator::kQuasiStatic) {
+    report.add_not_modelled("inertia and damping: each step is an equilibrium");
+  } else if (!damped) {
     report.add_not_modelled("Rayleigh damping: the scene names none; implicit Euler damps by itself");
   }
-  report.add_not_modelled("viscosity, plasticity, cutting and tearing");
+  if (std::all_of(m.groups.begin(), m.groups.end(), [](const ElementGroup& g) { return g.prony.empty(); })) {
+    report.add_not_modelled("viscosity: no law has prony terms");
+  }
+  if (!m.pressure.faces.empty()) {
+    report.add_not_modelled("the stiffness of pressure: its forces follow the surface, its derivative is left out");
+  }
+  report.add_not_modelled("plasticity, cutting and tearing");
   if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");
 }
 
@@ -99,6 +140,10 @@ void list_not_modelled(const Model& m, v1::SceneReport& report) {
 
 StageText text(StageKind kind) {
   switch (kind) {
+    case StageKind::kPredict:
+      return {"predict", "displacement, velocity", "base displacement and velocity"};
+    case StageKind::kDrive:
+      return {"drive", "prescribed displacements", "velocity of driven nodes"};
     case StageKind::kDetectContact:
       return {"detect contact", "displacement, tools", "closest triangle of each patch"};
     case StageKind::kRespondContact:
@@ -109,8 +154,12 @@ StageText text(StageKind kind) {
       return {"assemble", "element and constant tensors, velocity", "matrix, right-hand side"};
     case StageKind::kExternalForces:
       return {"external forces", "gravity and loads", "right-hand side"};
+    case StageKind::kPressure:
+      return {"pressure", "displacement, pressure faces", "right-hand side"};
     case StageKind::kAssembleContact:
       return {"assemble contact", "contacts, velocity", "matrix, right-hand side"};
+    case StageKind::kMeasureResidual:
+      return {"measure imbalance", "right-hand side, forces", "imbalance of each patch"};
     case StageKind::kFactorize:
       return {"factorize diagonal", "matrix diagonal", "inverse Cholesky factors, right-hand side"};
     case StageKind::kScaleEdges:
@@ -119,8 +168,12 @@ StageText text(StageKind kind) {
       return {"conjugate gradients", "matrix, right-hand side", "solution"};
     case StageKind::kAdvance:
       return {"advance", "solution", "velocity, displacement"};
+    case StageKind::kBacktrack:
+      return {"backtrack", "increment", "velocity, displacement"};
     case StageKind::kMeasureContact:
       return {"measure contact", "contacts, velocity", "force on each tool"};
+    case StageKind::kWatch:
+      return {"watch elements", "displacement, rest shapes", "smallest det F, largest strain and rotation"};
   }
   return {};
 }
@@ -148,7 +201,7 @@ v1::SceneReport make_report(const Model& model, const MachineRates& machine) {
     const Cost one = cost(model, stage);
     v1::PlanStage& out = *report.add_stages();
     out.set_name(std::string(words.name));
-    if (stage.kind == StageKind::kElements) {
+    if (stage.kind == StageKind::kElements || stage.kind == StageKind::kWatch) {
       const ElementGroup& group = model.groups[stage.group];
       physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
         out.set_name(fmt::format("{}: {}, {}", words.name, decltype(shape)::Type::kName, decltype(law)::Type::kName));
@@ -161,18 +214,21 @@ v1::SceneReport make_report(const Model& model, const MachineRates& machine) {
     const double once_s = std::max(one.bytes / machine.bytes_per_s, one.operations / machine.operations_per_s);
     // A tolerance ends most solves early; half of the iterations is a guess, and the report says that it is one.
     const double iterations = model.cg_tolerance > 0 ? 0.5 * model.cg_max_iterations : model.cg_max_iterations;
-    step_s += machine.stage_latency_s +
-              (stage.kind == StageKind::kSolve ? iterations * (once_s + machine.iteration_latency_s) : once_s);
+    if (stage.phase == Phase::kWatch || stage.phase == Phase::kBacktrack) continue;  // now and then
+    const bool repeats = stage.phase == Phase::kEvaluate || stage.phase == Phase::kSolve;
+    // Newton converges quadratically: a handful of iterations, whatever the limit.
+    const double solves = repeats ? std::min(model.newton_max_iterations, 5u) : 1;
+    step_s +=
+        solves * (machine.stage_latency_s +
+                  (stage.kind == StageKind::kSolve ? iterations * (once_s + machine.iteration_latency_s) : once_s));
   }
   report.set_expected_rate_hz(1 / step_s);
 
   CountingArena arena(report);
   if (model.double_precision) {
-    bind<double>(model, arena);
-    for (const ElementGroup& group : model.groups) bind<double>(group, arena);
+    bind_all<double>(model, arena);
   } else {
-    bind<float>(model, arena);
-    for (const ElementGroup& group : model.groups) bind<float>(group, arena);
+    bind_all<float>(model, arena);
   }
   list_not_modelled(model, report);
   for (const std::string& warning : model.warnings) report.add_warnings(warning);

@@ -11,6 +11,7 @@
 #include "core/limits.h"
 #include "core/names.h"
 #include "mesh/grid.h"
+#include "mesh/shapes.h"
 
 namespace tensormass::model {
 
@@ -63,25 +64,50 @@ Result<Placement> read_placement(const v1::Mesh& mesh, std::string_view where) {
   return placement;
 }
 
+Result<mesh::Shape> read_shape(v1::Shape shape, std::string_view where) {
+  switch (shape) {
+    case v1::SHAPE_UNSPECIFIED:
+    case v1::SHAPE_TETRAHEDRON:
+      return mesh::Shape::kTetrahedron;
+    case v1::SHAPE_PYRAMID:
+      return mesh::Shape::kPyramid;
+    case v1::SHAPE_WEDGE:
+      return mesh::Shape::kWedge;
+    case v1::SHAPE_HEXAHEDRON:
+      return mesh::Shape::kHexahedron;
+    case v1::SHAPE_QUADRATIC_TETRAHEDRON:
+      return mesh::Shape::kQuadraticTetrahedron;
+    default:
+      return invalid(fmt::format("{}.shape: {} is unknown", where, static_cast<int>(shape)));
+  }
+}
+
 Result<mesh::Mesh> read_source(const v1::Mesh& source, std::string_view where) {
   switch (source.source_case()) {
     case v1::Mesh::kPacked: {
       TM_TRY(nodes, read_points(source.packed().node_positions(), fmt::format("{}.mesh.packed.node_positions", where)));
-      TM_TRY(tetrahedra, read_packed<std::uint32_t>(source.packed().tetrahedra(), 4,
-                                                    fmt::format("{}.mesh.packed.tetrahedra", where)));
       mesh::Mesh mesh;
       mesh.nodes = std::move(nodes);
-      mesh.blocks.push_back({mesh::Shape::kTetrahedron, std::move(tetrahedra)});
+      if (source.packed().elements().empty()) return invalid(fmt::format("{}.mesh.packed.elements: none", where));
+      for (int i = 0; i < source.packed().elements_size(); ++i) {
+        const v1::PackedElements& block = source.packed().elements(i);
+        const std::string at = fmt::format("{}.mesh.packed.elements[{}]", where, i);
+        TM_TRY(shape, read_shape(block.shape(), at));
+        TM_TRY(indices, read_packed<std::uint32_t>(block.nodes(), mesh::topology(shape).node_count, at + ".nodes"));
+        mesh.blocks.push_back({shape, std::move(indices)});
+      }
       return mesh;
     }
     case v1::Mesh::kGrid: {
       const v1::Grid& grid = source.grid();
       TM_TRY(origin, read_vector(grid.origin_m(), fmt::format("{}.mesh.grid.origin_m", where)));
       TM_TRY(size, read_vector(grid.size_m(), fmt::format("{}.mesh.grid.size_m", where)));
-      return mesh::make_grid(origin, size, grid.cells_x(), grid.cells_y(), grid.cells_z()).map_error([&](Error error) {
-        error.message = fmt::format("{}.mesh.grid: {}", where, error.message);
-        return error;
-      });
+      TM_TRY(shape, read_shape(grid.shape(), fmt::format("{}.mesh.grid", where)));
+      return mesh::make_grid(origin, size, grid.cells_x(), grid.cells_y(), grid.cells_z(), shape)
+          .map_error([&](Error error) {
+            error.message = fmt::format("{}.mesh.grid: {}", where, error.message);
+            return error;
+          });
     }
     case v1::Mesh::kFile:
       return invalid(
@@ -102,11 +128,11 @@ Result<void> check_name(std::string_view name, std::string_view what) {
       fmt::format("{}: the name must be 1 to {} characters out of [A-Za-z0-9_-]", what, limits::kMaxNameLength));
 }
 
-Result<Vec3<double>> read_vector(const v1::Vector3& vector, std::string_view where) {
+Result<Vec3<double>> read_vector(const v1::Vector3& vector, std::string_view where, double largest) {
   const Vec3<double> v(vector.x(), vector.y(), vector.z());
-  if (!v.allFinite() || v.cwiseAbs().maxCoeff() > limits::kMaxLength) {
+  if (!v.allFinite() || v.cwiseAbs().maxCoeff() > largest) {
     return invalid(fmt::format("{}: ({}, {}, {}) is not finite or beyond ±{:g}", where, vector.x(), vector.y(),
-                               vector.z(), limits::kMaxLength));
+                               vector.z(), largest));
   }
   return v;
 }
@@ -152,8 +178,33 @@ Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where) {
   return skin;
 }
 
+Result<std::vector<double>> read_reals(const std::string& bytes, std::size_t width, std::string_view where) {
+  return read_packed<double>(bytes, width, where);
+}
+
+Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector3d>& nodes, std::string_view where) {
+  NodeSets sets;
+  for (int i = 0; i < body.sets_size(); ++i) {
+    const std::string at = fmt::format("{}.sets[{}]", where, i);
+    TM_CHECK(check_name(body.sets(i).name(), at + ".name"));
+    std::vector<std::uint32_t> all;
+    if (body.sets(i).regions().empty()) return invalid(fmt::format("{}: no region; give the nodes of the set", at));
+    for (int r = 0; r < body.sets(i).regions_size(); ++r) {
+      // The sets before this one may be parts of it.
+      TM_TRY(some, read_region(body.sets(i).regions(r), nodes, sets, fmt::format("{}.regions[{}]", at, r)));
+      all.insert(all.end(), some.begin(), some.end());
+    }
+    std::sort(all.begin(), all.end());
+    all.erase(std::unique(all.begin(), all.end()), all.end());
+    if (!sets.emplace(body.sets(i).name(), std::move(all)).second) {
+      return invalid(fmt::format("{}: the name '{}' is taken by another set", at, body.sets(i).name()));
+    }
+  }
+  return sets;
+}
+
 Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const std::vector<Eigen::Vector3d>& nodes,
-                                               std::string_view where) {
+                                               const NodeSets& sets, std::string_view where) {
   std::vector<std::uint32_t> selected;
   const auto select = [&](const auto& contains) {
     for (std::uint32_t i = 0; i < nodes.size(); ++i) {
@@ -187,8 +238,15 @@ Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const s
       selected.erase(std::unique(selected.begin(), selected.end()), selected.end());
       break;
     }
+    case v1::Region::kSet: {
+      const auto found = sets.find(region.set());
+      if (found == sets.end()) {
+        return invalid(fmt::format("{}.set: the body has no set '{}' (or it comes later)", where, region.set()));
+      }
+      return found->second;
+    }
     case v1::Region::KIND_NOT_SET:
-      return invalid(fmt::format("{}: give box, sphere or nodes", where));
+      return invalid(fmt::format("{}: give box, sphere, nodes or set", where));
   }
   if (selected.empty()) {
     return invalid(

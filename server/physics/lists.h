@@ -1,8 +1,21 @@
 #pragma once
 
+#include <tuple>
+#include <type_traits>
+
+#include "physics/element/hexahedron.h"
 #include "physics/element/linear_tetrahedron.h"
+#include "physics/element/pyramid.h"
+#include "physics/element/quadratic_tetrahedron.h"
+#include "physics/element/wedge.h"
+#include "physics/material/corotational.h"
 #include "physics/material/hooke.h"
+#include "physics/material/mooney_rivlin.h"
+#include "physics/material/neo_hookean.h"
+#include "physics/material/ogden.h"
 #include "physics/material/st_venant_kirchhoff.h"
+#include "physics/material/stable_neo_hookean.h"
+#include "physics/material/transversely_isotropic.h"
 
 /// The shapes and the laws that exist. One line here generates dispatch, instantiation on every backend and the tests
 /// that every shape and law must pass; the protocol's `Law.kind` names the law.
@@ -13,8 +26,19 @@ struct TypeList {
   static constexpr int kCount = sizeof...(Types);
 };
 
-using Shapes = TypeList<LinearTetrahedron>;
-using Laws = TypeList<Hooke, StVenantKirchhoff>;
+/// In the order of mesh::Shape.
+using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, QuadraticTetrahedron>;
+using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
+                      TransverselyIsotropic>;
+
+namespace detail {
+template <class... Types>
+std::tuple<Types...> as_tuple(TypeList<Types...>);
+}  // namespace detail
+
+/// The law at an index of the list.
+template <int Index>
+using LawAt = std::tuple_element_t<Index, decltype(detail::as_tuple(Laws{}))>;
 
 /// Calls visit(type<T>, index) for each type in order.
 template <class T>
@@ -25,6 +49,14 @@ template <class... Types, class Visit>
 constexpr void for_each_type(TypeList<Types...>, Visit&& visit) {
   int index = 0;
   (visit(TypeTag<Types>{}, index++), ...);
+}
+
+/// Where a type stands in a list.
+template <class T, class... Types>
+constexpr int index_of(TypeList<Types...>) {
+  int index = 0;
+  const bool found = ((std::is_same_v<T, Types> || (++index, false)) || ...);
+  return found ? index : -1;
 }
 
 /// Calls visit(shape tag, law tag) for the pair at these indices of the lists. The indices are checked when a scene

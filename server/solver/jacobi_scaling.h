@@ -9,8 +9,8 @@
 ///
 ///   Â_ij = L_i⁻¹ A_ij L_j⁻ᵀ,   b̂ = L⁻¹ b,   Δv = L⁻ᵀ x
 ///
-/// has unit diagonal blocks: the iteration needs neither a diagonal nor a preconditioned residual. A fixed row gets
-/// L⁻¹ = 0, which takes its row, its column and its right-hand side out of the system without a branch.
+/// has unit diagonal blocks: the iteration needs neither a diagonal nor a preconditioned residual. A fixed direction of
+/// a row gets zeros in L⁻¹, which takes its row, its column and its right-hand side out of the system without a branch.
 namespace tensormass::solver {
 
 /// Inverse of the lower Cholesky factor of the block whose upper triangle is `d` (xx xy xz yy yz zz), as
@@ -48,10 +48,17 @@ TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     Real* d = s.diagonal + std::size_t{8} * row;
-    const Real free = s.rest[std::size_t{4} * row + 3];
+    const std::uint32_t bits = tensor::free_bits(s, row);
+    const Real x = bits & 1, y = bits >> 1 & 1, z = bits >> 2 & 1;                      // 1 in the free directions
+    const Real free[6] = {d[0], x * y * d[1], x * z * d[2], d[3], y * z * d[4], d[5]};  // the others stand alone
     Real inverse[6];
-    inverse_cholesky(d, inverse);
-    for (int c = 0; c < 6; ++c) d[c] = free * inverse[c];
+    inverse_cholesky(free, inverse);
+    d[0] = x * inverse[0];
+    d[1] = x * y * inverse[1];
+    d[2] = y * inverse[2];
+    d[3] = x * z * inverse[3];
+    d[4] = y * z * inverse[4];
+    d[5] = z * inverse[5];
     tensor::store3<Real>(s.rhs, row, load_lower<Real>(s.diagonal, row) * tensor::load3<Real>(s.rhs, row));
   });
 }

@@ -1,41 +1,110 @@
 #pragma once
 
+#include <cmath>
+
 #include "physics/element/element.h"
 #include "tensor/view.h"
 
 /// Elements to tensors to the linear system of one implicit step. Each function does one patch's share; the elements of
 /// a group are shared out among the patches evenly, without regard to who owns their nodes.
 ///
-///   A = (1 + α dt) M + dt (β + dt) K        b = dt (f + f_ext − α M v − (β + dt) K v)
+/// The step ends at u' = û + h v', M (v' − v̂) / h = f(u') + f_ext − α M v' − β K v' (view.h says what û, v̂ and h are).
+/// Linearized about u, where the elements are evaluated, and about any velocity v with d = û + h v − u:
 ///
-/// (Baraff, Witkin 1998, with Rayleigh damping C = α M + β K.)
+///   A (v' − v) = b,   A = (1 + α h) M + h (β + h) K
+///                     b = h (f + f_ext − α M v − K (β v + d)) + M (v̂ − v)
+///
+/// For implicit Euler, u = û, v = v̂, this is Baraff, Witkin 1998 with Rayleigh damping C = α M + β K; for a later outer
+/// iteration d = 0 and b is the imbalance.
 namespace tensormass::tensor {
 
-/// Reads displacement, writes partials.
+/// The part of an element group that a patch works on: whole slices.
+struct ElementRange {
+  std::uint32_t begin, end;
+};
+template <class Real>
+TM_HOST_DEVICE ElementRange element_range(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t patch) {
+  const std::uint32_t slices = e.count / kSliceRows;
+  return {static_cast<std::uint32_t>(std::uint64_t{slices} * patch / s.patch_count) * kSliceRows,
+          static_cast<std::uint32_t>(std::uint64_t{slices} * (patch + 1) / s.patch_count) * kSliceRows};
+}
+
+template <class Lanes, class Shape, class Real>
+TM_HOST_DEVICE void load_displacement(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
+                                      Vec3<typename Lanes::Scalar> (&u)[Shape::kNodes]) {
+  for (int k = 0; k < Shape::kNodes; ++k) {
+    u[k] = Lanes::gather3(s.displacement, e.rows + std::size_t{static_cast<std::uint32_t>(k)} * e.count + first);
+  }
+}
+
+template <class Lanes, class Shape, class Real>
+TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, std::uint32_t first) {
+  constexpr std::uint32_t kReals = physics::kRestReals<Shape>;
+  const Real* rest = e.rest + std::size_t{point} * kReals * e.count + first;
+  return physics::PointGradients<Shape, typename Lanes::Scalar>::read(
+      [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
+}
+
+/// The history of a point and, at the begin of a step, its move to the stress that the last step ended with.
+template <class Lanes, class Law, class Point, class Real>
+TM_HOST_DEVICE auto remember(const ElementView<Real>& e, std::uint32_t q, std::uint32_t first, const Point& point,
+                             bool begins_step) {
+  using T = typename Lanes::Scalar;
+  T stress[physics::kSymmetricReals], memory[physics::kSymmetricReals];
+  physics::to_symmetric<T>(Law::second_piola(point), stress);
+  for (T& value : memory) value = T(0);
+  T instant = T(1);
+  for (std::uint32_t term = 0; term < e.prony_count; ++term) {
+    const T gain = T(e.prony[term].gain), decay = T(e.prony[term].decay);
+    instant -= gain;
+    for (std::uint32_t c = 0; c < physics::kSymmetricReals; ++c) {
+      Real* place =
+          e.history + ((std::size_t{q} * e.prony_count + term) * physics::kSymmetricReals + c) * e.count + first;
+      T gamma = Lanes::load(place);
+      if (begins_step) {
+        gamma = gain * stress[c] + decay * gamma;
+        Lanes::store(place, gamma);
+      }
+      memory[c] += decay * gamma;
+    }
+  }
+  return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
+}
+
+/// Reads displacement, history; writes partials, history.
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   constexpr std::uint32_t kRecord = record_reals(Shape::kNodes);
-  const std::uint32_t slices = e.count / kSliceRows;
-  const std::uint32_t begin = static_cast<std::uint32_t>(std::uint64_t{slices} * team.patch() / s.patch_count);
-  const std::uint32_t end = static_cast<std::uint32_t>(std::uint64_t{slices} * (team.patch() + 1) / s.patch_count);
-  team.template for_lanes<Lanes::kWidth>(begin * kSliceRows, end * kSliceRows, [&](std::uint32_t first) {
+  const bool begins_step = s.newton == nullptr || s.newton->begins_step != 0;
+  const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
+                                                                             : physics::Stiffness::kConsistent;
+  const ElementRange range = element_range(s, e, team.patch());
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     Vec3<T> u[Shape::kNodes];
-    for (int k = 0; k < Shape::kNodes; ++k) {
-      u[k] = Lanes::gather3(s.displacement, e.rows + std::size_t{static_cast<std::uint32_t>(k)} * e.count + first);
-    }
-    T rest[Shape::kQuadraturePoints][Shape::kRestReals];
-    for (int q = 0; q < Shape::kQuadraturePoints; ++q) {
-      for (int c = 0; c < Shape::kRestReals; ++c) {
-        rest[q][c] = Lanes::load(e.rest + static_cast<std::size_t>(q * Shape::kRestReals + c) * e.count + first);
+    load_displacement<Lanes, Shape>(s, e, first, u);
+    physics::ElementTensors<Shape, T> tensors;
+    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    TM_UNROLL(1)
+    for (std::uint32_t q = 0; q < points; ++q) {
+      T parameters[Law::kParameterCount];
+      for (int c = 0; c < Law::kParameterCount; ++c) {
+        parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
+      }
+      if (!Shape::kSinglePoint && e.shares != nullptr) {
+        Law::take_shares(parameters, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
+      }
+      const auto gradients = load_point<Lanes, Shape>(e, q, first);
+      const Mat3<T> f = gradients.deformation_gradient(u);
+      auto point = Law::at(f, parameters);
+      if (e.prony_count == 0) {
+        physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, tensors);
+      } else {
+        const auto viscous = remember<Lanes, Law>(e, q, first, point, begins_step);
+        physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, tensors);
       }
     }
-    T parameters[Law::kParameterCount];
-    for (int c = 0; c < Law::kParameterCount; ++c) {
-      parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
-    }
-    const auto tensors = physics::element_tensors<Shape, Law, physics::Stiffness::kPositive>(u, rest, parameters);
 
     T record[kRecord];
     for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
@@ -52,6 +121,36 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
   });
 }
 
+/// How far the elements of a group are from rest; only now and then.
+/// Reads displacement; writes watch.
+template <class Shape, class Team, class Real>
+TM_HOST_DEVICE void watch_elements(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  using std::sqrt;
+  const ElementRange range = element_range(s, e, team.patch());
+  Real compression = -1, strain = 0, rotation = 0;  // −min det F, squares
+  team.for_each(range.begin, range.end, [&](std::uint32_t element) {
+    using Lanes = SingleLane<Real>;
+    if (!(load_point<Lanes, Shape>(e, 0, element).weight > 0)) return;  // padding
+    Vec3<Real> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, element, u);
+    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    for (std::uint32_t q = 0; q < points; ++q) {
+      const Mat3<Real> f = load_point<Lanes, Shape>(e, q, element).deformation_gradient(u);
+      compression = maximum(compression, -f.determinant());
+      const Mat3<Real> sum = f + f.transpose(), difference = f - f.transpose();
+      for (int c = 0; c < 9; ++c) {
+        const Real component = sum(c % 3, c / 3) / 2 - (c % 3 == c / 3 ? Real(1) : Real(0));
+        strain = maximum(strain, component * component);
+      }
+      rotation = maximum(rotation, difference.squaredNorm() / 8);
+    }
+  });
+  compression = team.patch_max(compression);
+  strain = team.patch_max(strain);
+  rotation = team.patch_max(rotation);
+  if (team.leads_patch()) s.watch[e.watch_begin + team.patch()] = {-compression, sqrt(strain), sqrt(rotation)};
+}
+
 /// The 3×3 block at `p`, column-major.
 template <class Real>
 TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
@@ -59,14 +158,24 @@ TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
 }
 
 /// Gathers the tensors of each row in a fixed order and forms the row of A and b.
-/// Reads partials and constant tensors, displacement, velocity; writes edges, diagonal, rhs.
+/// Reads partials and constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs,
+/// internal_force.
 template <bool HasConstant, bool HasPartial, class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
-  const Real dt = s.dt_s;
+  const Real h = s.step_s;
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Real mass = s.inertia[4 * row], alpha = s.inertia[4 * row + 1], beta = s.inertia[4 * row + 2];
-    const Vec3<Real> velocity = load3<Real>(s.velocity, row);
+    // What M and K are applied to; neighbours of a row belong to the same body and have its damping.
+    const auto momentum_gap = [&](std::size_t r) -> Vec3<Real> {
+      const Vec3<Real> velocity = load3<Real>(s.velocity, r);
+      const Vec3<Real> lost = velocity * (-alpha * h);
+      if (s.base_velocity == nullptr) return lost;
+      return lost + load3<Real>(s.base_velocity, r) - velocity;
+    };
+    const auto stretch_ahead = [&](std::size_t r) -> Vec3<Real> {
+      return change_ahead(s, r) + load3<Real>(s.velocity, r) * beta;
+    };
 
     Vec3<Real> force = Vec3<Real>::Zero();
     if constexpr (HasPartial) {
@@ -74,10 +183,12 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         force += Eigen::Map<const Vec3<Real>>(s.partials + s.force_gather[i]);
       }
     }
-    // K_kk = −Σ K_kl, so K v and K u of the row are sums over its edges of K_kl (v_l − v_k).
+    // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
     const Vec3<Real> displacement = load3<Real>(s.displacement, row);
+    const Vec3<Real> own_ahead = stretch_ahead(row);
     Mat3<Real> vertex = Mat3<Real>::Zero();
-    Vec3<Real> stiffness_velocity = Vec3<Real>::Zero();
+    Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();
+    Vec3<Real> momentum = momentum_gap(row) * mass;
     for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
       const std::uint32_t other = global_row(s, patch, column);
       Mat3<Real> edge = Mat3<Real>::Zero();
@@ -93,13 +204,20 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         edge += transposed.transpose();
       }
       vertex -= edge;
-      stiffness_velocity += edge * (load3<Real>(s.velocity, other) - velocity);
-      store_block<Real>(s.edges, slot, edge * (dt * (beta + dt)));
+      stiffness_ahead += edge * (stretch_ahead(other) - own_ahead);
+      edge *= h * (beta + h);
+      if (s.mass_edges != nullptr) {
+        const Real shared = s.mass_edges[slot];
+        edge += Mat3<Real>::Identity() * (shared * (1 + alpha * h));
+        momentum += momentum_gap(other) * shared;
+      }
+      store_block<Real>(s.edges, slot, edge);
     });
 
-    const Mat3<Real> diagonal = vertex * (dt * (beta + dt)) + Mat3<Real>::Identity() * (mass * (1 + alpha * dt));
+    const Mat3<Real> diagonal = vertex * (h * (beta + h)) + Mat3<Real>::Identity() * (mass * (1 + alpha * h));
     store_symmetric(s.diagonal, row, diagonal);
-    store3<Real>(s.rhs, row, (force - velocity * (alpha * mass) - stiffness_velocity * (beta + dt)) * dt);
+    store3<Real>(s.rhs, row, (force - stiffness_ahead) * h + momentum);
+    if (s.internal_force != nullptr) store3<Real>(s.internal_force, row, force);
   });
 }
 
@@ -108,7 +226,26 @@ template <class Team, class Real>
 TM_HOST_DEVICE void add_external_forces(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * s.dt_s);
+    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * s.step_s);
+  });
+}
+
+/// Pressure follows the surface; its change with the deformation stays out of the matrix, which it would make
+/// unsymmetric. Reads displacement; adds to rhs.
+template <class Team, class Real>
+TM_HOST_DEVICE void add_pressure(const Team& team, const SceneView<Real>& s) {
+  team.for_each(s.patch_pressed[team.patch()], s.patch_pressed[team.patch() + 1], [&](std::uint32_t i) {
+    const std::uint32_t row = s.pressed_rows[i];
+    Vec3<Real> force = Vec3<Real>::Zero();
+    for (std::uint32_t c = s.pressed_begin[i]; c < s.pressed_begin[i + 1]; ++c) {
+      const PressureFace<Real>& face = s.pressure_faces[s.pressed_corners[2 * c]];
+      Vec3<Real> x[physics::kMaxFaceNodes];
+      for (std::uint32_t k = 0; k < face.node_count; ++k) x[k] = position(s, face.rows[k]);
+      force -= physics::face_area_vector(x, static_cast<int>(face.node_count),
+                                         static_cast<int>(s.pressed_corners[2 * c + 1])) *
+               face.pressure_pa;
+    }
+    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + force * s.step_s);
   });
 }
 

@@ -3,6 +3,9 @@
 #include <cstdint>
 
 #include "core/scalar.h"
+#include "physics/element/face.h"
+#include "physics/element/prony.h"
+#include "physics/element/rest.h"
 
 /// What a stage sees of a scene: plain pointers, to host or to device memory, in one precision.
 ///
@@ -27,15 +30,38 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
   return (edge_offset(nodes, nodes * (nodes - 1) / 2) + 7) / 8 * 8;
 }
 
-/// Elements of one (shape, law) whose tensors are refreshed in every step. Structures of arrays, padded to a multiple
-/// of kSliceRows with elements of zero weight.
+/// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
+template <class Real>
+struct PointShares {
+  Real deviatoric;
+  Real volumetric;
+
+  PointShares() = default;
+  explicit PointShares(const physics::PointShares& s)
+      : deviatoric(static_cast<Real>(s.deviatoric)), volumetric(static_cast<Real>(s.volumetric)) {}
+};
+
+/// A_i, B_i of physics/element/prony.h.
+template <class Real>
+struct PronyStep {
+  Real gain;
+  Real decay;
+};
+
+/// Elements of one (shape, law). Structures of arrays, padded to a multiple of kSliceRows with elements of zero weight.
 template <class Real>
 struct ElementView {
-  std::uint32_t count;          // a multiple of kSliceRows
-  std::uint32_t partial_begin;  // where its records start in SceneView::partials
-  const std::uint32_t* rows;    // [shape nodes][count]
-  const Real* rest;             // [quadrature points][shape rest reals][count]
-  const Real* parameters;       // [law parameters][count]
+  std::uint32_t count;              // a multiple of kSliceRows
+  std::uint32_t partial_begin;      // where its records start in SceneView::partials
+  std::uint32_t point_count;        // quadrature points of an element
+  std::uint32_t watch_begin;        // of its patches in SceneView::watch
+  const std::uint32_t* rows;        // [shape nodes][count]
+  const Real* rest;                 // [quadrature points][physics::kRestReals][count]
+  const Real* parameters;           // [law parameters][count]
+  const PointShares<Real>* shares;  // [quadrature points]; nullptr: each integrates all moduli
+  std::uint32_t prony_count;
+  PronyStep<Real> prony[physics::kMaxPronyTerms];
+  Real* history;  // Γ_i [Pa] [quadrature points][prony_count][6][count]
 };
 
 /// A spherical probe as a step sees it.
@@ -77,6 +103,44 @@ struct SolveReport {
   std::uint32_t negative_curvature;  // 1 if the iteration stopped on it
 };
 
+/// What the outer iteration asks of the stages; only in scenes that solve more than once a step.
+struct NewtonControl {
+  std::uint32_t positive_stiffness;  // 0: the consistent one
+  std::uint32_t begins_step;         // displacement is that of the last step's end: histories move on
+  float line_change;                 // added to the share of the last increment that velocity holds
+};
+
+/// Squares and products of a patch's free components, for the outer iteration.
+template <class Real>
+struct PatchResidual {
+  Real imbalance_squared;  // of rhs [N² s²]
+  Real force_squared;      // of internal and external forces, held components included [N² s²]
+  Real slope;              // rhs · increment
+};
+
+/// What elements look like now; one for each group and patch.
+template <class Real>
+struct PatchWatch {
+  Real min_det_f;
+  Real max_strain;    // largest component of |sym F − I|
+  Real max_rotation;  // |axial vector of skew F|, about the angle in radians
+};
+
+/// A face under pressure and the rows of its nodes; physics/element/face.h.
+template <class Real>
+struct PressureFace {
+  std::uint32_t node_count;
+  std::uint32_t rows[physics::kMaxFaceNodes];
+  Real pressure_pa;
+
+  PressureFace() = default;
+  template <class Other>
+  explicit PressureFace(const PressureFace<Other>& f)
+      : node_count(f.node_count), pressure_pa(static_cast<Real>(f.pressure_pa)) {
+    for (int k = 0; k < physics::kMaxFaceNodes; ++k) rows[k] = f.rows[k];
+  }
+};
+
 /// Force and torque of a patch's tissue on a tool.
 template <class Real>
 struct ToolLoad {
@@ -92,8 +156,12 @@ struct SceneView {
   std::uint32_t tool_count;
   std::uint32_t triangle_count;
 
-  // -- numbers of the step
-  Real dt_s;
+  // -- numbers of the step: u = û + step_s v with û = Σ weights u of the last two steps (base_displacement), and
+  // M (v − v̂) / step_s = forces with v̂ = Σ weights v of the last two steps (base_velocity). Implicit Euler, linearized
+  // once, has step_s = dt, û = u and v̂ = v, and needs none of the base and previous fields.
+  Real step_s;
+  Real displacement_weights[2];
+  Real velocity_weights[2];
   Real cg_tolerance;
   std::uint32_t cg_max_iterations;
 
@@ -117,11 +185,34 @@ struct SceneView {
   const std::uint32_t* edge_gather_begin;   // [2 slots + 1] of each slot the blocks as they are, then the transposed
 
   // -- state and fields of rows, [row_count, 4]
-  Real* displacement;    // u [m]
-  Real* velocity;        // [m/s]
-  const Real* rest;      // X [m], 4th: 1 for a free row, 0 for a fixed or padding row
-  const Real* inertia;   // mass [kg], Rayleigh α [1/s], Rayleigh β [s]
-  const Real* external;  // constant force [N]
+  Real* displacement;       // u [m]
+  Real* velocity;           // [m/s]
+  const Real* rest;         // X [m], 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
+  const Real* inertia;      // mass [kg], Rayleigh α [1/s], Rayleigh β [s]
+  const Real* external;     // constant force [N]
+  Real* base_displacement;  // û; nullptr: displacement itself
+  Real* base_velocity;      // v̂; nullptr: velocity itself
+  Real* previous_displacement;  // of the step before the last; nullptr: its weight is zero
+  Real* previous_velocity;
+  Real* increment;                 // L⁻ᵀ x of the last solve; only for outer iterations, as are:
+  Real* internal_force;            // of elements [N]
+  const NewtonControl* newton;     // [1]
+  PatchResidual<Real>* residuals;  // [patch_count]
+
+  // -- consistent mass, off the diagonal; nullptr: lumped
+  const Real* mass_edges;  // [slot] kg
+
+  // -- displacements that are given
+  const std::uint32_t* patch_driven;  // [patch_count + 1] into driven
+  const std::uint32_t* driven;        // [.., 3] row, index into prescribed, bits of the directions
+  const Real* prescribed;             // [.., 4] m, at the end of the step
+
+  // -- faces under pressure
+  const PressureFace<Real>* pressure_faces;
+  const std::uint32_t* patch_pressed;    // [patch_count + 1] into pressed_rows
+  const std::uint32_t* pressed_rows;     // rows of pressure faces, grouped by patch
+  const std::uint32_t* pressed_begin;    // [pressed row + 1] into pressed_corners
+  const std::uint32_t* pressed_corners;  // [.., 2] face, corner
 
   // -- the linear system of the step: A Δv = b, scaled to Â x = b̂ with Â = L⁻¹ A L⁻ᵀ
   Real* edges;      // [slot] 3×3
@@ -156,6 +247,7 @@ struct SceneView {
   // -- reports
   PatchReport<Real>* patch_reports;  // [patch_count]
   SolveReport<Real>* solve_report;   // [1]
+  PatchWatch<Real>* watch;           // [group, patch_count]
   Real* reduction;                   // [2, patch_count, 4] partial sums of exchange, by parity
 };
 
@@ -231,6 +323,20 @@ TM_HOST_DEVICE void store_symmetric(Real* diagonal, std::uint32_t row, const Mat
   p[3] = m(1, 1);
   p[4] = m(1, 2);
   p[5] = m(2, 2);
+}
+
+/// How far a row moves from `displacement`, where forces are evaluated, to the step's end as `velocity` has it [m].
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> change_ahead(const SceneView<Real>& s, std::size_t row) {
+  const Vec3<Real> ahead = load3<Real>(s.velocity, row) * s.step_s;
+  if (s.base_displacement == nullptr) return ahead;
+  return load3<Real>(s.base_displacement, row) + ahead - load3<Real>(s.displacement, row);
+}
+
+/// Bits of the directions in which a row is free.
+template <class Real>
+TM_HOST_DEVICE std::uint32_t free_bits(const SceneView<Real>& s, std::size_t row) {
+  return static_cast<std::uint32_t>(s.rest[4 * row + 3]);
 }
 
 /// Where a row is now [m].

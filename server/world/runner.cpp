@@ -14,6 +14,9 @@
 #include "core/limits.h"
 #include "model/compile.h"
 #include "model/plan.h"
+#include "world/compiled_scene.h"
+#include "world/fields.h"
+#include "world/findings.h"
 #include "world/messages.h"
 #include "world/pose_inbox.h"
 #include "world/step_clock.h"
@@ -27,27 +30,6 @@ namespace tensormass::world {
 
 namespace {
 
-Result<std::unique_ptr<backend::Backend>> make_backend(BackendChoice choice, std::uint32_t cpu_threads) {
-  if (choice != BackendChoice::kCpu) {
-    auto cuda = backend::make_cuda_backend();
-    if (cuda || choice == BackendChoice::kCuda) return cuda;
-  }
-  return backend::make_cpu_backend(cpu_threads);
-}
-
-struct Compiled {
-  std::unique_ptr<backend::Backend> backend;
-  std::unique_ptr<const model::Model> model;
-  v1::SceneReport report;
-};
-
-Result<Compiled> compile(const v1::Scene& scene, const RunnerOptions& options) {
-  TM_TRY(backend, make_backend(options.backend, options.cpu_threads));
-  TM_TRY(model, model::compile(scene, backend->patch_policy(scene)));
-  v1::SceneReport report = model::make_report(model, backend->rates(scene));
-  return Compiled{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
-}
-
 /// A step's visible positions and tools, as the loop leaves them for the publisher.
 struct FrameSlot {
   StepStamp stamp;
@@ -60,12 +42,15 @@ struct FeedbackSlot {
   std::vector<ToolSnapshot> tools;
 };
 
+/// How often the elements of a running scene are looked at.
+constexpr double kWatchRateHz = 4;
+
 }  // namespace
 
 struct Runner::Impl {
   using State = v1::SceneStatus::State;
 
-  Impl(Compiled compiled, std::unique_ptr<World> started)
+  Impl(CompiledScene compiled, std::unique_ptr<World> started)
       : backend(compiled.backend->name()),
         report(std::move(compiled.report)),
         world(std::move(started)),
@@ -77,7 +62,8 @@ struct Runner::Impl {
         feedback_out(FeedbackSlot{{}, snapshots}),
         feedback_for_status(FeedbackSlot{{}, snapshots}),
         clock(model.rate_hz),
-        state(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING) {
+        state(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
+        findings(model) {
     for (std::size_t i = 0; i < model.tools.size(); ++i) {
       tool_index.emplace(model.tools[i].name, i);
       snapshots[i].reading = world->readings()[i];
@@ -176,11 +162,20 @@ struct Runner::Impl {
           stamp.step));
       return false;
     }
+    findings.take_step(world->last());
+    if (stamp.step >= next_watch) watch();
     for (std::size_t i = 0; i < snapshots.size(); ++i) snapshots[i].reading = world->readings()[i];
     leave_feedback();
     if (with_frame && model.visible.count() > 0) leave_frame();
     signal_output();
     return true;
+  }
+
+  /// Looks at the elements, a few times in a second.
+  void watch() {
+    world->watch();
+    next_watch = world->step_count() + 1 + static_cast<std::uint64_t>(model.rate_hz / kWatchRateHz);
+    findings.take_watch(*world);
   }
 
   void leave_feedback() {
@@ -283,6 +278,7 @@ struct Runner::Impl {
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, true);
     }
+    watch();  // the caller of a lockstep scene looks at the state that it asked for
     return make_status();
   }
 
@@ -305,6 +301,8 @@ struct Runner::Impl {
     simulated_time_s = 0;
     cg_iterations = 0;
     cg_residual = 0;
+    findings.clear();
+    next_watch = 0;
     for (std::size_t i = 0; i < snapshots.size(); ++i) {
       inboxes[i].take();  // a pose from before the reset is not one for after it
       snapshots[i] = {};
@@ -340,6 +338,21 @@ struct Runner::Impl {
       response.set_positions(positions.data(), positions.size() * sizeof(double));
       return response;
     }
+    return no_body(name);
+  }
+
+  /// What fields are measured from, by whoever asked and not by the loop.
+  struct FieldSource {
+    backend::RowState state;
+    std::uint64_t step;
+    double simulated_time_s;
+  };
+  Result<FieldSource> do_copy_state() {
+    TM_CHECK(require_not_faulted());
+    return FieldSource{world->state(), world->step_count(), world->simulated_time_s()};
+  }
+
+  tl::unexpected<Error> no_body(std::string_view name) const {
     return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no body '{}'", model.name, name));
   }
 
@@ -400,6 +413,7 @@ struct Runner::Impl {
     status.set_frames_published(frame_sequence.load(std::memory_order_relaxed));
     status.set_frames_replaced(frames_replaced.load(std::memory_order_relaxed));
     status.set_backend(backend);
+    findings.add_to(status);
     {
       const std::lock_guard lock(fault_mutex);
       status.set_fault(fault);
@@ -445,6 +459,7 @@ struct Runner::Impl {
   StepStamp stamp;
   double frame_phase = 0;
   Clock::time_point last_lockstep_frame{};
+  std::uint64_t next_watch = 0;  // step
 
   // Written by the loop, read by anyone.
   std::atomic<State> state;
@@ -452,6 +467,7 @@ struct Runner::Impl {
   std::atomic<std::uint64_t> step_count{0}, frame_sequence{0}, frames_replaced{0}, malformed_poses{0};
   std::atomic<double> simulated_time_s{0}, cg_residual{0};
   std::atomic<std::uint32_t> cg_iterations{0};
+  Findings findings;
   mutable std::mutex fault_mutex;
   std::string fault;
 
@@ -459,13 +475,13 @@ struct Runner::Impl {
 };
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options) {
-  TM_TRY(compiled, compile(scene, options));
+  TM_TRY(compiled, compile_scene(scene, options));
   TM_TRY(world, World::create(std::move(compiled.model), *compiled.backend));
   return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world))));
 }
 
 Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options) {
-  TM_TRY(compiled, compile(scene, options));
+  TM_TRY(compiled, compile_scene(scene, options));
   return std::move(compiled.report);
 }
 
@@ -499,6 +515,17 @@ Result<v1::Frame> Runner::frame() {
 }
 Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
   return impl_->on_loop([this, body] { return impl_->do_positions(body); });
+}
+Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
+  for (const model::BodyModel& body : impl_->model.bodies) {
+    if (body.name != request.body()) continue;
+    TM_TRY(source, impl_->on_loop([this] { return impl_->do_copy_state(); }));
+    TM_TRY(response, measure_fields(impl_->model, source.state, body, request));
+    response.set_step(source.step);
+    response.set_simulated_time_s(source.simulated_time_s);
+    return std::move(response);
+  }
+  return impl_->no_body(request.body());
 }
 Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
   TM_TRY(index, impl_->find_tool(tool));
@@ -551,11 +578,6 @@ bool Runner::take_status(v1::SceneStatus& status) {
   }
   status = impl_->make_status();
   return true;
-}
-
-Result<BackendDescription> describe_backend(BackendChoice choice) {
-  TM_TRY(backend, make_backend(choice, 1));
-  return BackendDescription{backend->name(), backend->device()};
 }
 
 }  // namespace tensormass::world

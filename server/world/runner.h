@@ -54,6 +54,7 @@ class Runner {
   /// Surface positions after the last step.
   Result<v1::Frame> frame();
   Result<v1::GetPositionsResponse> positions(std::string_view body);
+  Result<v1::GetFieldsResponse> fields(const v1::GetFieldsRequest& request);
   Result<v1::ToolFeedback> feedback(std::string_view tool) const;
 
   /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for

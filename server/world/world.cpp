@@ -1,5 +1,7 @@
 #include "world/world.h"
 
+#include <algorithm>
+
 #include <Eigen/Geometry>
 
 #include "physics/contact/hertz.h"
@@ -29,7 +31,8 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       tools_(model_->tools.size()),
       centers_(model_->tools.size()),
       forces_(model_->tools.size()),
-      readings_(model_->tools.size()) {
+      readings_(model_->tools.size()),
+      watched_(model_->groups.size()) {
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
 }
@@ -84,16 +87,21 @@ void World::read_tools() {
 
 bool World::step(bool gather_visible) {
   move_tools();
-  last_ = state_->step(centers_, forces_, gather_visible);
+  last_ = state_->step({centers_, simulated_time_s() + model_->dt_s, gather_visible}, forces_);
   ++step_count_;
   if (!last_.finite) return false;
   read_tools();
   return true;
 }
 
+void World::watch() { state_->watch(watched_); }
+
 void World::reset() {
   const std::vector<double> rest(4 * std::size_t{model_->layout.row_count}, 0.0);
-  state_->write_rows(rest, rest);
+  std::size_t histories = 0;
+  for (const model::ElementGroup& group : model_->groups) histories += group.history_reals();
+  state_->write({rest, rest, std::vector<double>(histories, 0.0)});
+  std::fill(watched_.begin(), watched_.end(), backend::GroupWatch{});
   step_count_ = 0;
   last_ = {};
   place_tools();
@@ -101,12 +109,11 @@ void World::reset() {
 }
 
 std::vector<double> World::positions(const model::BodyModel& body) {
-  const std::size_t reals = 4 * std::size_t{model_->layout.row_count};
-  std::vector<double> displacement(reals), velocity(reals), out(3 * std::size_t{body.node_count});
-  state_->read_rows(displacement, velocity);
+  const backend::RowState state = state_->read();
+  std::vector<double> out(3 * std::size_t{body.node_count});
   for (std::uint32_t node = 0; node < body.node_count; ++node) {
     const std::size_t row = model_->layout.row_of_node[body.node_begin + node];
-    for (std::size_t c = 0; c < 3; ++c) out[3 * node + c] = model_->rest[4 * row + c] + displacement[4 * row + c];
+    for (std::size_t c = 0; c < 3; ++c) out[3 * node + c] = model_->rest[4 * row + c] + state.displacement[4 * row + c];
   }
   return out;
 }

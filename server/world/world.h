@@ -47,6 +47,8 @@ class World {
 
   /// False if the guard stopped the scene: the state is no number any more and nothing of this step may be published.
   bool step(bool gather_visible);
+  /// Looks at every element; now and then, not every step.
+  void watch();
   /// Back to rest: displacement, velocity, time, tools.
   void reset();
 
@@ -54,12 +56,16 @@ class World {
   double simulated_time_s() const { return static_cast<double>(step_count_) * model_->dt_s; }
   const backend::StepResult& last() const { return last_; }
   std::span<const ToolReading> readings() const { return readings_; }
+  /// Of the last watch; [group_count].
+  std::span<const backend::GroupWatch> watched() const { return watched_; }
 
   /// [visible_count, 3] m, of the last step that gathered.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
   void gather_visible() { state_->gather_visible(); }
   /// All nodes of a body in the order of its mesh, [node_count, 3] m. Allocates; for requests.
   std::vector<double> positions(const model::BodyModel& body);
+  /// Everything that moves, for requests.
+  backend::RowState state() { return state_->read(); }
 
  private:
   World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
@@ -73,6 +79,7 @@ class World {
   std::vector<Vec3<double>> centers_;
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
+  std::vector<backend::GroupWatch> watched_;
   backend::StepResult last_;
   std::uint64_t step_count_ = 0;
 };

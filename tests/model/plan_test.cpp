@@ -45,7 +45,8 @@ TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
             (std::vector<std::string>{"detect contact", "respond to contact",
                                       "element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
                                       "external forces", "assemble contact", "factorize diagonal", "scale matrix",
-                                      "conjugate gradients", "advance", "measure contact"}));
+                                      "conjugate gradients", "advance", "measure contact",
+                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_TRUE(has_buffer(report, part)) << part;
   EXPECT_TRUE(has_buffer(report, "visible"));
   EXPECT_TRUE(has_buffer(report, "external"));
@@ -58,7 +59,8 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   const v1::SceneReport report = plan(scene);
   EXPECT_EQ(stages(report), (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
                                                       "external forces", "factorize diagonal", "scale matrix",
-                                                      "conjugate gradients", "advance"}));
+                                                      "conjugate gradients", "advance",
+                                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_FALSE(has_buffer(report, part)) << part;
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
 }
@@ -90,7 +92,8 @@ TEST(Plan, WithoutFramesGathersNothing) {
 TEST(Plan, OfALinearSceneRefreshesNoElement) {
   const v1::SceneReport report = plan(tests::beam_scene({.linear = true}));
   EXPECT_EQ(stages(report).front(), "assemble");
-  EXPECT_FALSE(has_buffer(report, "element"));
+  EXPECT_FALSE(has_buffer(report, "element tensors"));
+  EXPECT_FALSE(has_buffer(report, "element parameters"));
   EXPECT_FALSE(has_buffer(report, "gather"));
   EXPECT_TRUE(has_buffer(report, "constant edge tensors"));
 }

@@ -40,9 +40,9 @@ std::string bytes(const std::vector<Item>& items) {
 /// One tetrahedron over the corner of a 1 m cube, with these node indices.
 void pack(v1::Scene& scene, const std::vector<std::uint32_t>& tetrahedra,
           const std::vector<double>& nodes = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1}) {
-  v1::PackedTetrahedra& packed = *body(scene).mutable_mesh()->mutable_packed();
+  v1::PackedMesh& packed = *body(scene).mutable_mesh()->mutable_packed();
   packed.set_node_positions(bytes(nodes));
-  packed.set_tetrahedra(bytes(tetrahedra));
+  packed.add_elements()->set_nodes(bytes(tetrahedra));
 }
 
 void skin(v1::Scene& scene, const std::vector<double>& vertices, const std::vector<std::uint32_t>& triangles) {
@@ -155,8 +155,8 @@ std::vector<Refusal> mesh_refusals() {
        [](auto& s) {
          pack(s, {0, 1, 2});
        },
-       {"body 'beam'.mesh.packed.tetrahedra", "12 bytes"}},
-      {"NoElements", [](auto& s) { pack(s, {}); }, {"body 'beam'.mesh.packed.tetrahedra", "0 bytes"}},
+       {"body 'beam'.mesh.packed.elements[0].nodes", "12 bytes"}},
+      {"NoElements", [](auto& s) { pack(s, {}); }, {"body 'beam'.mesh.packed.elements[0].nodes", "0 bytes"}},
       {"IndexOutOfRange",
        [](auto& s) {
          pack(s, {0, 1, 2, 4});
@@ -216,7 +216,7 @@ v1::Load& load(v1::Scene& scene) {
 
 std::vector<Refusal> region_refusals() {
   return {
-      {"RegionOfNoKind", [](auto& s) { fixed(s); }, {"body 'beam'.fixed[0]", "box, sphere or nodes"}},
+      {"RegionOfNoKind", [](auto& s) { fixed(s); }, {"body 'beam'.fixed[0]", "box, sphere, nodes or set"}},
       {"RegionWithoutNodes",
        [](auto& s) {
          tests::set(*fixed(s).mutable_box()->mutable_min_m(), 90, 90, 90);
@@ -236,7 +236,7 @@ std::vector<Refusal> region_refusals() {
       {"NanLoad", [](auto& s) { load(s).mutable_force_n()->set_z(kNan); }, {"body 'beam'.loads[0].force_n"}},
       {"SecondLoad",
        [](auto& s) {
-         load(s);
+         tests::set(*load(s).mutable_force_n(), 1, 0, 0);
          load(s).mutable_region()->mutable_nodes()->add_indices(1'000'000);
        },
        {"body 'beam'.loads[1].region.nodes"}},

@@ -10,7 +10,6 @@
 #include "mesh/shapes.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
-#include "physics/lists.h"
 #include "support/scenes.h"
 
 /// The system of one step straight from its definitions, densely and node by node: the oracle for layouts, gather maps,
@@ -38,56 +37,9 @@ struct DenseSystem {
   }
 };
 
-/// For tetrahedra of a scene without loads, at displacement u [3 node_count].
-inline DenseSystem dense_system(const v1::Scene& scene, const Eigen::VectorXd& u) {
-  using Shape = physics::LinearTetrahedron;
-  const Eigen::Index size = u.size();
-  DenseSystem out{Eigen::VectorXd::Zero(size), Eigen::MatrixXd::Zero(size, size), Eigen::VectorXd::Zero(size),
-                  Eigen::VectorXd::Zero(size), Eigen::VectorXd::Zero(size),       Eigen::VectorXd::Zero(size)};
-  std::uint32_t first = 0;
-  for (const v1::Body& body : scene.bodies()) {
-    const mesh::Mesh mesh = model::read_mesh(body, body.name()).value();
-    const bool linear = body.law().has_hooke();
-    const v1::IsotropicElastic& elastic = linear ? body.law().hooke() : body.law().st_venant_kirchhoff();
-    const physics::Lame lame = physics::lame_from_young(elastic.young_modulus_pa(), elastic.poisson_ratio());
-    const double parameters[] = {lame.lambda_pa, lame.mu_pa};
-    out.alpha.segment(3 * first, 3 * static_cast<Eigen::Index>(mesh.nodes.size()))
-        .setConstant(body.rayleigh_mass_per_s());
-    out.beta.segment(3 * first, 3 * static_cast<Eigen::Index>(mesh.nodes.size()))
-        .setConstant(body.rayleigh_stiffness_s());
-    mesh::for_each_element(mesh, [&](std::uint32_t, const mesh::Topology&, std::span<const std::uint32_t> nodes) {
-      Vec3<double> x[4], displacement[4];
-      for (std::size_t k = 0; k < 4; ++k) {
-        x[k] = mesh.nodes[nodes[k]];
-        displacement[k] = u.segment<3>(3 * (first + nodes[k]));
-      }
-      double rest[1][Shape::kRestReals];
-      Shape::rest(x, 0, rest[0]);
-      const auto tensors =
-          linear ? physics::element_tensors<Shape, physics::Hooke, physics::Stiffness::kPositive>(displacement, rest,
-                                                                                                  parameters)
-                 : physics::element_tensors<Shape, physics::StVenantKirchhoff, physics::Stiffness::kPositive>(
-                       displacement, rest, parameters);
-      for (std::size_t k = 0; k < 4; ++k) {
-        const Eigen::Index row = 3 * (first + nodes[k]);
-        out.force.segment<3>(row) += tensors.force[k];
-        out.mass.segment<3>(row).array() += body.density_kg_per_m3() * rest[0][9] / 4;
-        out.k.block<3, 3>(row, row) += physics::vertex_stiffness(tensors, k);
-        for (std::size_t l = k + 1; l < 4; ++l) {
-          const Eigen::Index column = 3 * (first + nodes[l]);
-          const Mat3<double>& edge =
-              tensors.edge_stiffness[physics::pair_index(4, static_cast<int>(k), static_cast<int>(l))];
-          out.k.block<3, 3>(row, column) += edge;
-          out.k.block<3, 3>(column, row) += edge.transpose();
-        }
-      }
-    });
-    first += static_cast<std::uint32_t>(mesh.nodes.size());
-  }
-  const v1::Vector3& g = scene.gravity_m_per_s2();
-  out.gravity = out.mass.cwiseProduct(Eigen::Vector3d(g.x(), g.y(), g.z()).replicate(size / 3, 1));
-  return out;
-}
+/// Of a scene without loads, at displacement u [3 node_count]; full quadrature, lumped mass, one law a body.
+DenseSystem dense_system(const v1::Scene& scene, const Eigen::VectorXd& u,
+                         physics::Stiffness kind = physics::Stiffness::kPositive);
 
 /// Uniform in [-scale, scale], the same for the same seed.
 inline Eigen::VectorXd random_field(Eigen::Index size, double scale, std::uint32_t seed) {
@@ -105,12 +57,15 @@ inline v1::Scene packed_scene(const mesh::Mesh& mesh, bool linear) {
   scene.clear_gravity_m_per_s2();
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
-  v1::PackedTetrahedra& packed = *body.mutable_mesh()->mutable_packed();
+  v1::PackedMesh& packed = *body.mutable_mesh()->mutable_packed();
   for (const Eigen::Vector3d& x : mesh.nodes) {
     packed.mutable_node_positions()->append(reinterpret_cast<const char*>(x.data()), 3 * sizeof(double));
   }
-  const auto& nodes = mesh.blocks.at(0).nodes;
-  packed.set_tetrahedra(nodes.data(), nodes.size() * sizeof(std::uint32_t));
+  for (const mesh::ElementBlock& block : mesh.blocks) {
+    v1::PackedElements& elements = *packed.add_elements();
+    elements.set_shape(static_cast<v1::Shape>(static_cast<int>(block.shape) + 1));  // the enums list the same shapes
+    elements.set_nodes(block.nodes.data(), block.nodes.size() * sizeof(std::uint32_t));
+  }
   return scene;
 }
 

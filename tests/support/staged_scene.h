@@ -10,6 +10,7 @@
 
 #include <Eigen/Dense>
 
+#include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
 #include "backend/results.h"
 #include "backend/stages.h"
@@ -31,13 +32,13 @@ class StagedScene {
  public:
   explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1)
       : model(compile_into(scene, patches)), view(model::bind<Real>(model, arena_)) {
-    for (const model::ElementGroup& group : model.groups) groups_.push_back(model::bind<Real>(group, arena_));
+    for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
   }
 
   /// Runs the model's stages up to and with `last`, each by all patches.
   void run_through(model::StageKind last) {
     for (const model::Stage& stage : model.stages) {
-      if (stage.kind > last) return;
+      if (stage.kind > last) return;  // stages of one linearized step stand in the order of their kinds
       run(stage);
     }
   }
@@ -103,17 +104,25 @@ class StagedScene {
   };
 
   void run(const model::Stage& stage) {
-    const tensor::ElementView<Real> elements = groups_.empty() ? tensor::ElementView<Real>{} : groups_[stage.group];
-    backend::with_stage(model, stage, [&](auto type) {
+    const tensor::ElementView<Real>& elements = groups_[stage.group];
+    const auto on_each_patch = [&](const auto& run_stage) {
       backend::cpu::Barrier barrier(view.patch_count);
       std::vector<std::thread> threads;
       for (std::uint32_t patch = 0; patch < view.patch_count; ++patch) {
         threads.emplace_back([&, patch] {
           backend::cpu::Team team(patch, view.patch_count, barrier);
-          decltype(type)::run(team, view, elements);
+          run_stage(team);
         });
       }
       for (std::thread& thread : threads) thread.join();
+    };
+    if (stage.kind == model::StageKind::kElements) {
+      const model::ElementGroup& group = model.groups[stage.group];
+      const auto pass = backend::cpu::element_pass<Real>(group.shape, group.law);
+      on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
+    }
+    backend::with_stage(model, stage, [&](auto type) {
+      on_each_patch([&](backend::cpu::Team& team) { decltype(type)::run(team, view, elements); });
     });
   }
 

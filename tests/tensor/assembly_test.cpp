@@ -59,8 +59,8 @@ TEST_P(Assembly, EqualsTheBruteForceSystem) {
   for (int round = 0; round < 2; ++round) {
     staged.run_through(StageKind::kExternalForces);
     const tests::DenseSystem expected = tests::dense_system(source, u);
-    const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
-    const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
+    const Eigen::MatrixXd a = expected.a(staged.view.step_s);
+    const Eigen::VectorXd b = expected.b(staged.view.step_s, v);
     EXPECT_LT((staged.matrix() - a).norm(), 1e-13 * a.norm());
     EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-12 * b.norm());
   }
@@ -106,7 +106,7 @@ TEST_P(PatchTest, AffineDisplacementLeavesNoForceInside) {
   const mesh::Surface surface = mesh::boundary(mesh);
   std::vector<bool> outside(mesh.nodes.size(), false);
   for (const std::uint32_t node : surface.nodes) outside[node] = true;
-  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.dt_s;
+  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.step_s;
   double inside_largest = 0, outside_largest = 0;
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     double& largest = outside[node] ? outside_largest : inside_largest;

@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "backend/backend.h"
+#include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
+#include "backend/newton.h"
 #include "backend/results.h"
 #include "backend/stages.h"
 #include "model/bind.h"
@@ -50,77 +52,122 @@ class CpuState final : public SceneState {
       : model_(model),
         view_(model::bind<Real>(model, arena_)),
         tools_(const_cast<tensor::ToolState<Real>*>(view_.tools)),
+        newton_(const_cast<tensor::NewtonControl*>(view_.newton)),
+        prescribed_(const_cast<Real*>(view_.prescribed)),
         barrier_(view_.patch_count) {
-    for (const model::ElementGroup& group : model.groups) groups_.push_back(model::bind<Real>(group, arena_));
+    for (std::size_t g = 0; g < model.groups.size(); ++g) {
+      groups_.push_back(model::bind<Real>(model, g, arena_));
+      passes_.push_back(cpu::element_pass<Real>(model.groups[g].shape, model.groups[g].law));
+    }
     for (std::uint32_t patch = 1; patch < view_.patch_count; ++patch) {
       workers_.emplace_back([this, patch] { work(patch); });
     }
   }
 
   ~CpuState() override {
-    command_ = Command::kQuit;
+    command_ = kQuit;
     barrier_.arrive_and_wait();
     for (std::thread& worker : workers_) worker.join();
   }
 
-  StepResult step(ToolCenters centers, std::span<ToolForce> forces, bool gather) override {
-    for (std::size_t tool = 0; tool < centers.size(); ++tool) {
-      tools_[tool] = tool_state<Real>(model_.tools[tool], centers[tool]);
+  StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
+    for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
+      tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
-    command_ = gather ? Command::kStepAndGather : Command::kStep;
-    run_team();
+    write_prescribed(model_, input.end_time_s, prescribed_);
+    StepResult result;
+    if (model_.iterates()) {
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
+      if (input.gather_visible) gather_visible();
+    } else {
+      run_team(kWholeStep | (input.gather_visible ? kGather : 0));
+      result = this->result();
+    }
     read_forces<Real>({view_.tool_loads, std::size_t{view_.tool_count} * view_.patch_count}, forces);
-    return read_step<Real>(*view_.solve_report, {view_.patch_reports, view_.patch_count});
+    return result;
   }
 
   std::span<const float> visible_positions() override {
     return {view_.visible_positions, 3 * std::size_t{view_.visible_count}};
   }
+  void gather_visible() override { run_team(kGather); }
 
-  void gather_visible() override {
-    command_ = Command::kGather;
-    run_team();
+  void watch(std::span<GroupWatch> groups) override {
+    run_team(command(model::Phase::kWatch));
+    read_watch<Real>({view_.watch, groups.size() * view_.patch_count}, groups);
   }
 
-  void read_rows(std::span<double> displacement, std::span<double> velocity) override {
-    std::copy_n(view_.displacement, displacement.size(), displacement.begin());
-    std::copy_n(view_.velocity, velocity.size(), velocity.begin());
+  RowState read() override {
+    const std::size_t reals = 4 * std::size_t{view_.row_count};
+    RowState state{{view_.displacement, view_.displacement + reals}, {view_.velocity, view_.velocity + reals}, {}};
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      const Real* history = groups_[g].history;
+      state.histories.insert(state.histories.end(), history, history + model_.groups[g].history_reals());
+    }
+    return state;
   }
-  void write_rows(std::span<const double> displacement, std::span<const double> velocity) override {
-    const auto to_real = [](double value) { return static_cast<Real>(value); };
-    std::transform(displacement.begin(), displacement.end(), view_.displacement, to_real);
-    std::transform(velocity.begin(), velocity.end(), view_.velocity, to_real);
+  void write(const RowState& state) override {
+    const auto copy = [](std::span<const double> from, Real* to) {
+      std::transform(from.begin(), from.end(), to, [](double value) { return static_cast<Real>(value); });
+    };
+    copy(state.displacement, view_.displacement);
+    copy(state.velocity, view_.velocity);
+    if (view_.previous_displacement != nullptr) {
+      copy(displacement_before(model_, state), view_.previous_displacement);
+      copy(state.velocity, view_.previous_velocity);
+    }
+    std::span<const double> histories = state.histories;
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      const std::size_t count = model_.groups[g].history_reals();
+      copy(histories.first(count), groups_[g].history);
+      histories = histories.subspan(count);
+    }
   }
+
+  // What newton_step needs of a device.
+  void run(model::Phase phase) { run_team(command(phase)); }
+  tensor::NewtonControl& control() { return *newton_; }
+  Imbalance imbalance() const { return read_imbalance<Real>({view_.residuals, view_.patch_count}); }
+  StepResult result() const { return read_step<Real>(*view_.solve_report, {view_.patch_reports, view_.patch_count}); }
 
  private:
-  enum class Command { kStep, kStepAndGather, kGather, kQuit };
+  /// What the team is to run: a bit for each phase, and two more.
+  using Command = unsigned;
+  static constexpr Command command(model::Phase phase) { return 1u << static_cast<unsigned>(phase); }
+  static constexpr Command kGather = 1u << model::kPhases, kQuit = kGather << 1;
+  static constexpr Command kWholeStep = command(model::Phase::kBegin) | command(model::Phase::kEvaluate) |
+                                        command(model::Phase::kSolve) | command(model::Phase::kEnd);
 
   /// The calling thread is patch 0. A barrier starts the team and one ends it.
-  void run_team() {
+  void run_team(Command what) {
+    command_ = what;
     barrier_.arrive_and_wait();
-    run_patch(0, command_);
+    run_patch(0, what);
   }
 
   void work(std::uint32_t patch) {
     for (;;) {
       barrier_.arrive_and_wait();
-      const Command command = command_;  // the caller may write the next one as soon as the last barrier is passed
-      if (command == Command::kQuit) return;
-      run_patch(patch, command);
+      const Command what = command_;  // the caller may write the next one as soon as the last barrier is passed
+      if (what == kQuit) return;
+      run_patch(patch, what);
     }
   }
 
-  void run_patch(std::uint32_t patch, Command command) {
+  void run_patch(std::uint32_t patch, Command what) {
     cpu::Team team(patch, view_.patch_count, barrier_);
-    if (command != Command::kGather) {
-      for (const model::Stage& stage : model_.stages) {
+    for (const model::Stage& stage : model_.stages) {
+      if ((what & command(stage.phase)) == 0) continue;
+      if (stage.kind == model::StageKind::kElements) {
+        passes_[stage.group](team, view_, groups_[stage.group]);
+      } else {
         with_stage(model_, stage, [&](auto type) {
           decltype(type)::run(team, view_, groups_.empty() ? tensor::ElementView<Real>{} : groups_[stage.group]);
         });
-        barrier_.arrive_and_wait();
       }
+      barrier_.arrive_and_wait();
     }
-    if (command != Command::kStep) {
+    if ((what & kGather) != 0) {
       GatherVisible::run(team, view_, {});
       barrier_.arrive_and_wait();
     }
@@ -130,9 +177,12 @@ class CpuState final : public SceneState {
   HostArena arena_;
   const tensor::SceneView<Real> view_;
   tensor::ToolState<Real>* const tools_;
+  tensor::NewtonControl* const newton_;
+  Real* const prescribed_;
   std::vector<tensor::ElementView<Real>> groups_;
+  std::vector<cpu::ElementPass<Real>> passes_;
   cpu::Barrier barrier_;
-  Command command_ = Command::kStep;
+  Command command_ = 0;
   std::vector<std::thread> workers_;
 };
 

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -6,13 +7,16 @@
 #include <cuda_runtime.h>
 
 #include "backend/backend.h"
-#include "backend/cuda/team.cuh"
+#include "backend/cuda/elements.h"
+#include "backend/cuda/launch.cuh"
+#include "backend/newton.h"
 #include "backend/results.h"
 #include "backend/stages.h"
 #include "model/bind.h"
 
 /// A step is one CUDA graph: the tools' positions go up, each stage is a kernel with one block a patch, the solve is
-/// one cooperative kernel, and the reports come back. The host waits once.
+/// one cooperative kernel, and the reports come back. The host waits once. A step that solves more than once is a graph
+/// for each of its phases.
 namespace tensormass::backend {
 
 namespace {
@@ -77,15 +81,7 @@ class Pinned {
   T* data_ = nullptr;
 };
 
-template <class StageType, class Real>
-__global__ void __launch_bounds__(cuda::kMaxBlockThreads)
-    run_stage(const __grid_constant__ SceneView<Real> view, const __grid_constant__ ElementView<Real> elements) {
-  cuda::Team team;
-  StageType::run(team, view, elements);
-}
-
-/// Threads of a block of a stage whose patches neither reduce nor exchange.
-constexpr unsigned kStageThreads = 128;
+using cuda::run_stage;
 
 template <class Real>
 class CudaState final : public SceneState {
@@ -94,63 +90,129 @@ class CudaState final : public SceneState {
       : model_(model),
         view_(model::bind<Real>(model, arena_)),
         tools_(model.tools.size()),
+        prescribed_(4 * model.prescribed.size()),
+        newton_(model.iterates() ? 1 : 0),
         solve_(1),
         patches_(view_.patch_count),
+        residuals_(model.iterates() ? view_.patch_count : 0),
+        watch_(model.groups.size() * view_.patch_count),
         loads_(std::size_t{view_.tool_count} * view_.patch_count),
         visible_(3 * std::size_t{view_.visible_count}) {
-    for (const model::ElementGroup& group : model.groups) groups_.push_back(model::bind<Real>(group, arena_));
+    for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     std::uint32_t largest = 0;
     for (std::uint32_t p = 0; p < view_.patch_count; ++p) {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
     check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "stream");
-    step_ = record([&] { enqueue_step(); });
+    if (model.iterates()) {
+      for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
+                                       model::Phase::kBacktrack, model::Phase::kEnd}) {
+        graph(phase) = record([&] { enqueue_phase(phase); });
+      }
+    } else {
+      step_ = record([&] {
+        for (const model::Phase phase :
+             {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve, model::Phase::kEnd}) {
+          enqueue_phase(phase);
+        }
+      });
+    }
+    graph(model::Phase::kWatch) = record([&] { enqueue_phase(model::Phase::kWatch); });
     if (view_.visible_count > 0) gather_ = record([&] { enqueue_gather(); });
     check(cudaDeviceSynchronize(), "start of the scene");
   }
 
   ~CudaState() override {
     cudaStreamSynchronize(stream_);
+    for (cudaGraphExec_t graph : phases_) {
+      if (graph) cudaGraphExecDestroy(graph);
+    }
     if (step_) cudaGraphExecDestroy(step_);
     if (gather_) cudaGraphExecDestroy(gather_);
     cudaStreamDestroy(stream_);
   }
 
-  StepResult step(ToolCenters centers, std::span<ToolForce> forces, bool gather) override {
-    for (std::size_t tool = 0; tool < centers.size(); ++tool) {
-      tools_.data()[tool] = tool_state<Real>(model_.tools[tool], centers[tool]);
+  StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
+    for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
+      tools_.data()[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
-    check(cudaGraphLaunch(step_, stream_), "step");
-    if (gather && gather_) check(cudaGraphLaunch(gather_, stream_), "frame");
-    check(cudaStreamSynchronize(stream_), "step");
+    write_prescribed(model_, input.end_time_s, prescribed_.data());
+    StepResult result;
+    if (model_.iterates()) {
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
+    } else {
+      launch_graph(step_, "step");
+    }
+    if (input.gather_visible && gather_) launch_graph(gather_, "frame");
+    wait("step");
     read_forces<Real>(loads_.span(), forces);
-    return read_step<Real>(*solve_.data(), patches_.span());
+    return model_.iterates() ? result : this->result();
   }
 
   std::span<const float> visible_positions() override { return visible_.span(); }
 
   void gather_visible() override {
-    if (gather_) check(cudaGraphLaunch(gather_, stream_), "frame");
-    check(cudaStreamSynchronize(stream_), "frame");
+    if (gather_) launch_graph(gather_, "frame");
+    wait("frame");
   }
 
-  void read_rows(std::span<double> displacement, std::span<double> velocity) override {
-    read(view_.displacement, displacement);
-    read(view_.velocity, velocity);
+  void watch(std::span<GroupWatch> groups) override {
+    run(model::Phase::kWatch);
+    wait("watch");
+    read_watch<Real>(watch_.span(), groups);
   }
-  void write_rows(std::span<const double> displacement, std::span<const double> velocity) override {
-    write(view_.displacement, displacement);
-    write(view_.velocity, velocity);
+
+  RowState read() override {
+    const std::size_t reals = 4 * std::size_t{view_.row_count};
+    RowState state{download(view_.displacement, reals), download(view_.velocity, reals), {}};
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      const std::vector<double> history = download(groups_[g].history, model_.groups[g].history_reals());
+      state.histories.insert(state.histories.end(), history.begin(), history.end());
+    }
+    return state;
+  }
+  void write(const RowState& state) override {
+    upload(view_.displacement, state.displacement);
+    upload(view_.velocity, state.velocity);
+    if (view_.previous_displacement != nullptr) {
+      upload(view_.previous_displacement, displacement_before(model_, state));
+      upload(view_.previous_velocity, state.velocity);
+    }
+    std::span<const double> histories = state.histories;
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      const std::size_t count = model_.groups[g].history_reals();
+      upload(groups_[g].history, histories.first(count));
+      histories = histories.subspan(count);
+    }
+  }
+
+  // What newton_step needs of a device.
+  void run(model::Phase phase) { launch_graph(graph(phase), "step"); }
+  tensor::NewtonControl& control() {
+    wait("step");  // the last launch has read it
+    return *newton_.data();
+  }
+  Imbalance imbalance() {
+    wait("step");
+    return read_imbalance<Real>(residuals_.span());
+  }
+  StepResult result() {
+    wait("step");
+    return read_step<Real>(*solve_.data(), patches_.span());
   }
 
  private:
-  void read(const Real* from, std::span<double> to) {
-    std::vector<Real> copy(to.size());
+  void launch_graph(cudaGraphExec_t graph, const char* what) { check(cudaGraphLaunch(graph, stream_), what); }
+  void wait(const char* what) { check(cudaStreamSynchronize(stream_), what); }
+  cudaGraphExec_t& graph(model::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
+
+  std::vector<double> download(const Real* from, std::size_t count) {
+    std::vector<Real> copy(count);
     check(cudaMemcpy(copy.data(), from, copy.size() * sizeof(Real), cudaMemcpyDeviceToHost), "read back");
-    std::copy(copy.begin(), copy.end(), to.begin());
+    return {copy.begin(), copy.end()};
   }
-  void write(Real* to, std::span<const double> from) {
+  void upload(Real* to, std::span<const double> from) {
     const std::vector<Real> copy(from.begin(), from.end());
     check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
   }
@@ -171,9 +233,11 @@ class CudaState final : public SceneState {
 
   template <class StageType>
   void launch(const ElementView<Real>& elements) {
+    launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements);
+  }
+  void launch(Communication communication, const void* kernel, const ElementView<Real>& elements) {
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
-    const auto kernel = reinterpret_cast<const void*>(&run_stage<StageType, Real>);
-    if constexpr (StageType::kCommunication == Communication::kExchanges) {
+    if (communication == Communication::kExchanges) {
       int resident = 0, processors = 0, device = 0;
       check(cudaGetDevice(&device), "device");
       check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "device");
@@ -182,39 +246,56 @@ class CudaState final : public SceneState {
         throw CudaFailure("the scene's patches do not fit on the device at once");
       }
       check(cudaLaunchCooperativeKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "solve");
-    } else if constexpr (StageType::kCommunication == Communication::kReduces) {
+    } else if (communication == Communication::kReduces) {
       check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "stage");
     } else {
       // A thread an item, about: elements are the most.
       const std::uint32_t items = std::max({view_.row_count, elements.count, view_.visible_count}) / view_.patch_count;
-      const dim3 grid(view_.patch_count, items / kStageThreads + 1);
-      check(cudaLaunchKernel(kernel, grid, kStageThreads, arguments, 0, stream_), "stage");
+      const dim3 grid(view_.patch_count, items / cuda::kStageThreads + 1);
+      check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream_), "stage");
     }
   }
 
-  void enqueue_step() {
-    if (tools_.size() > 0) {
-      check(cudaMemcpyAsync(const_cast<tensor::ToolState<Real>*>(view_.tools), tools_.data(), tools_.bytes(),
-                            cudaMemcpyHostToDevice, stream_),
-            "tools");
+  void enqueue_phase(model::Phase phase) {
+    using model::Phase;
+    if (phase == Phase::kBegin) {
+      upload_pinned(view_.tools, tools_, "tools");
+      upload_pinned(view_.prescribed, prescribed_, "prescribed displacements");
     }
+    if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
+      upload_pinned(view_.newton, newton_, "outer iteration");
     for (const model::Stage& stage : model_.stages) {
+      if (stage.phase != phase) continue;
+      if (stage.kind == model::StageKind::kElements) {
+        const model::ElementGroup& group = model_.groups[stage.group];
+        launch(Communication::kNone, cuda::element_kernel<Real>(group.shape, group.law), groups_[stage.group]);
+        continue;
+      }
       with_stage(model_, stage, [&](auto type) {
         launch<decltype(type)>(groups_.empty() ? ElementView<Real>{} : groups_[stage.group]);
       });
     }
-    download(solve_, view_.solve_report);
-    download(patches_, view_.patch_reports);
-    download(loads_, view_.tool_loads);
+    if (phase == Phase::kEvaluate) download_pinned(residuals_, view_.residuals);
+    if (phase == Phase::kSolve) {
+      download_pinned(solve_, view_.solve_report);
+      download_pinned(patches_, view_.patch_reports);
+    }
+    if (phase == Phase::kEnd) download_pinned(loads_, view_.tool_loads);
+    if (phase == Phase::kWatch) download_pinned(watch_, view_.watch);
   }
 
   void enqueue_gather() {
     launch<GatherVisible>({});
-    download(visible_, view_.visible_positions);
+    download_pinned(visible_, view_.visible_positions);
   }
 
   template <class T>
-  void download(const Pinned<T>& to, const T* from) {
+  void upload_pinned(const T* to, const Pinned<T>& from, const char* what) {
+    if (from.size() == 0) return;
+    check(cudaMemcpyAsync(const_cast<T*>(to), from.data(), from.bytes(), cudaMemcpyHostToDevice, stream_), what);
+  }
+  template <class T>
+  void download_pinned(const Pinned<T>& to, const T* from) {
     if (to.size() == 0) return;
     check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream_), "results");
   }
@@ -224,14 +305,19 @@ class CudaState final : public SceneState {
   const SceneView<Real> view_;
   std::vector<ElementView<Real>> groups_;
   Pinned<tensor::ToolState<Real>> tools_;
+  Pinned<Real> prescribed_;
+  Pinned<tensor::NewtonControl> newton_;
   Pinned<tensor::SolveReport<Real>> solve_;
   Pinned<tensor::PatchReport<Real>> patches_;
+  Pinned<tensor::PatchResidual<Real>> residuals_;
+  Pinned<tensor::PatchWatch<Real>> watch_;
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
   unsigned threads_ = 0;
   cudaStream_t stream_ = nullptr;
   cudaGraphExec_t step_ = nullptr;
   cudaGraphExec_t gather_ = nullptr;
+  std::array<cudaGraphExec_t, model::kPhases> phases_{};
 };
 
 class CudaBackend final : public Backend {

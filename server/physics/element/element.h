@@ -1,6 +1,13 @@
 #pragma once
 
+#include <algorithm>
+#include <array>
+#include <type_traits>
+#include <vector>
+
 #include "core/scalar.h"
+#include "physics/element/prony.h"
+#include "physics/element/rest.h"
 
 /// Any law in any shape: displacements to forces and stiffness tensors.
 ///
@@ -9,6 +16,8 @@
 /// with a_k = ∇N_k at rest and U_k the displacement of node k (Faure, Zara, Jaillet, Moreau 2012; for one quadrature
 /// point and Hooke's law this is Cotin's tensor). The gradients sum to zero, so K_kk = −Σ_l K_kl: only the edge tensors
 /// are computed and stored, and a node's vertex tensor is minus the sum of its edges.
+///
+/// A shape enters by its number of nodes only; what else it is, rest.h has put into gradients and weights.
 namespace tensormass::physics {
 
 /// Index of K_kl, k < l, among the pairs of an element with `nodes` nodes: rows of the upper triangle one by one.
@@ -34,56 +43,115 @@ TM_HOST_DEVICE Mat3<T> vertex_stiffness(const ElementTensors<Shape, T>& tensors,
   return sum;
 }
 
-template <class T, int Nodes>
-TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[Nodes], const Vec3<T> (&a)[Nodes]) {
-  Mat3<T> f = Mat3<T>::Identity();
-  for (int k = 0; k < Nodes; ++k) f += displacement[k] * a[k].transpose();
-  return f;
-}
+/// A quadrature point as the element pass has it.
+template <class Shape, class T>
+struct PointGradients {
+  Vec3<T> a[Shape::kNodes];  // ∇N_k [1/m]
+  T weight;                  // [m³]
 
-/// Elastic energy of the element [J].
-/// rest: [kQuadraturePoints][kRestReals]
-template <class Shape, class Law, class T>
-TM_HOST_DEVICE T element_energy(const Vec3<T> (&displacement)[Shape::kNodes],
-                                const T (&rest)[Shape::kQuadraturePoints][Shape::kRestReals], const T* parameters) {
-  T energy = T(0);
-  for (int q = 0; q < Shape::kQuadraturePoints; ++q) {
-    Vec3<T> a[Shape::kNodes];
-    T weight;
-    Shape::gradients(rest[q], a, weight);
-    energy += weight * Law::energy(Law::at(deformation_gradient(displacement, a), parameters));
+  /// reals(c): the c-th of the point's kRestReals.
+  template <class Reals>
+  TM_HOST_DEVICE static PointGradients read(Reals&& reals) {
+    PointGradients point;
+    point.a[0] = Vec3<T>::Zero();
+    for (int k = 1; k < Shape::kNodes; ++k) {
+      point.a[k] = Vec3<T>(reals(3 * k - 3), reals(3 * k - 2), reals(3 * k - 1));
+      point.a[0] -= point.a[k];
+    }
+    point.weight = reals(kRestReals<Shape> - 1);
+    return point;
   }
-  return energy;
-}
+  TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[Shape::kNodes]) const {
+    Mat3<T> f = Mat3<T>::Identity();
+    for (int k = 0; k < Shape::kNodes; ++k) f += displacement[k] * a[k].transpose();
+    return f;
+  }
+};
 
 enum class Stiffness {
   kConsistent,  ///< the derivative of the forces
   kPositive,    ///< positive semi-definite, for the solver
 };
 
-template <class Shape, class Law, Stiffness Kind, class T>
-TM_HOST_DEVICE ElementTensors<Shape, T> element_tensors(const Vec3<T> (&displacement)[Shape::kNodes],
-                                                        const T (&rest)[Shape::kQuadraturePoints][Shape::kRestReals],
-                                                        const T* parameters) {
-  ElementTensors<Shape, T> out;
-  for (int q = 0; q < Shape::kQuadraturePoints; ++q) {
-    Vec3<T> a[Shape::kNodes];
-    T weight;
-    Shape::gradients(rest[q], a, weight);
-    auto point = Law::at(deformation_gradient(displacement, a), parameters);
-    if constexpr (Kind == Stiffness::kPositive) Law::make_positive(point);
-    const Mat3<T> stress = Law::stress(point);
-    for (int k = 0; k < Shape::kNodes; ++k) {
-      const Vec3<T> f = stress * a[k] * (-weight);
-      out.force[k] = q == 0 ? f : Vec3<T>(out.force[k] + f);
-      for (int l = k + 1; l < Shape::kNodes; ++l) {
-        Mat3<T>& slot = out.edge_stiffness[pair_index(Shape::kNodes, k, l)];
-        const Mat3<T> edge = Law::stiffness(point, a[k], a[l]) * weight;
-        slot = q == 0 ? edge : Mat3<T>(slot + edge);
-      }
+/// Adds what one quadrature point contributes; the first is assigned, so that `out` needs no zeros.
+/// point: Law::at(f); viscous: nullptr for a law without memory.
+template <class Shape, class Law, class T>
+TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
+                              typename Law::template Point<T>& point, std::type_identity_t<const Viscous<T>*> viscous,
+                              Stiffness kind, bool first, ElementTensors<Shape, T>& out) {
+  if (kind == Stiffness::kPositive) Law::make_positive(point);
+  Mat3<T> stress = Law::stress(point);
+  T instant = gradients.weight;
+  Mat3<T> memory;
+  if (viscous != nullptr) {
+    stress = viscous->template stress<Law>(f, stress);
+    instant *= viscous->instant;
+    memory = viscous->template geometric<Law>(kind == Stiffness::kPositive) * gradients.weight;
+  }
+  typename Law::template Node<T> nodes[Shape::kNodes];
+  for (int k = 0; k < Shape::kNodes; ++k) nodes[k] = Law::at_node(point, gradients.a[k]);
+  for (int k = 0; k < Shape::kNodes; ++k) {
+    const Vec3<T> force = stress * gradients.a[k] * (-gradients.weight);
+    out.force[k] = first ? force : Vec3<T>(out.force[k] + force);
+    for (int l = k + 1; l < Shape::kNodes; ++l) {
+      Mat3<T>& slot = out.edge_stiffness[pair_index(Shape::kNodes, k, l)];
+      Mat3<T> edge = Law::stiffness(point, nodes[k], nodes[l]) * instant;
+      if (viscous != nullptr) edge += Mat3<T>::Identity() * gradients.a[k].dot(memory * gradients.a[l]);
+      slot = first ? edge : Mat3<T>(slot + edge);
     }
   }
+}
+
+/// The rest points and shares of an element, as rest.h makes them.
+template <class Shape>
+struct ElementAtRest {
+  std::vector<std::array<double, kRestReals<Shape>>> points;
+  std::vector<PointShares> shares;
+
+  ElementAtRest(const Vec3<double> (&x)[Shape::kNodes], Quadrature quadrature)
+      : points(rest_points<Shape>(x, quadrature)), shares(point_shares<Shape>(quadrature)) {}
+
+  /// Calls visit(gradients, F, parameters of the point) for each quadrature point.
+  template <class Law, class Visit>
+  void for_each_point(const Vec3<double> (&u)[Shape::kNodes], const double* parameters, const Visit& visit) const {
+    for (std::size_t q = 0; q < points.size(); ++q) {
+      const auto gradients =
+          PointGradients<Shape, double>::read([&](int c) { return points[q][static_cast<std::size_t>(c)]; });
+      std::array<double, Law::kParameterCount> own;
+      std::copy_n(parameters, own.size(), own.begin());
+      if (shares[q].deviatoric != 1 || shares[q].volumetric != 1) {
+        Law::take_shares(own.data(), shares[q].deviatoric, shares[q].volumetric);
+      }
+      visit(gradients, gradients.deformation_gradient(u), own.data());
+    }
+  }
+};
+
+/// One element on the host: what the element pass does for many. [N], [N/m]
+template <class Law, class Shape>
+ElementTensors<Shape, double> element_tensors(const ElementAtRest<Shape>& rest, const Vec3<double> (&u)[Shape::kNodes],
+                                              const double* parameters, Stiffness kind) {
+  ElementTensors<Shape, double> out;
+  bool first = true;
+  rest.template for_each_point<Law>(u, parameters,
+                                    [&](const auto& gradients, const Mat3<double>& f, const double* own) {
+                                      auto point = Law::at(f, own);
+                                      add_point<Shape, Law>(gradients, f, point, nullptr, kind, first, out);
+                                      first = false;
+                                    });
   return out;
+}
+
+/// Elastic energy of one element on the host [J].
+template <class Law, class Shape>
+double element_energy(const ElementAtRest<Shape>& rest, const Vec3<double> (&u)[Shape::kNodes],
+                      const double* parameters) {
+  double energy = 0;
+  rest.template for_each_point<Law>(u, parameters,
+                                    [&](const auto& gradients, const Mat3<double>& f, const double* own) {
+                                      energy += gradients.weight * Law::energy(Law::at(f, own));
+                                    });
+  return energy;
 }
 
 }  // namespace tensormass::physics

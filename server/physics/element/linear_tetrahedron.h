@@ -1,42 +1,32 @@
 #pragma once
 
-#include "core/scalar.h"
+#include "physics/element/quadrature.h"
 
 namespace tensormass::physics {
 
-/// Four nodes, one quadrature point: F is constant in the element.
+/// Four nodes, F constant: one quadrature point is full. It locks when ν approaches 0.5; QuadraticTetrahedron does not.
 struct LinearTetrahedron {
   static constexpr const char* kName = "tetrahedron";
   static constexpr int kNodes = 4;
-  static constexpr int kQuadraturePoints = 1;
-  /// Of one quadrature point at rest: gradients of nodes 1 to 3 (node 0 has minus their sum) and the weight.
-  static constexpr int kRestReals = 10;
+  /// One point whatever the quadrature: the element pass needs no loop.
+  static constexpr bool kSinglePoint = true;
 
-  /// The shape gradients a_k = ∇N_k [1/m] and the weight [m³] from what was stored.
-  template <class T>
-  TM_HOST_DEVICE static void gradients(const T (&rest)[kRestReals], Vec3<T> (&a)[kNodes], T& weight) {
-    for (int k = 0; k < 3; ++k) a[k + 1] = Vec3<T>(rest[3 * k], rest[3 * k + 1], rest[3 * k + 2]);
-    a[0] = -(a[1] + a[2] + a[3]);
-    weight = rest[9];
+  /// On the tetrahedron 0, e_x, e_y, e_z.
+  static void values(const Vec3<double>& r, double (&n)[kNodes]) {
+    n[0] = 1 - r[0] - r[1] - r[2];
+    for (int k = 0; k < 3; ++k) n[k + 1] = r[k];
+  }
+  static void gradients(const Vec3<double>& /*r*/, Vec3<double> (&dn)[kNodes]) {
+    dn[0] = Vec3<double>::Constant(-1);
+    for (int k = 0; k < 3; ++k) dn[k + 1] = Vec3<double>::Unit(k);
   }
 
-  /// Host: from the nodes at rest [m]. Positive volume is the caller's to check.
-  static void rest(const Vec3<double> (&x)[kNodes], int /*point*/, double (&out)[kRestReals]) {
-    const Vec3<double> e1 = x[1] - x[0], e2 = x[2] - x[0], e3 = x[3] - x[0];
-    const double six_volumes = e1.dot(cross(e2, e3));
-    const Vec3<double> a[3] = {cross(e2, e3) / six_volumes, cross(e3, e1) / six_volumes, cross(e1, e2) / six_volumes};
-    for (int k = 0; k < 3; ++k) {
-      for (int c = 0; c < 3; ++c) out[3 * k + c] = a[k][c];
-    }
-    out[9] = six_volumes / 6;
-  }
-
-  /// Share of each node in the element's mass, by row sums.
-  static constexpr double mass_share(int /*node*/) { return 0.25; }
-
- private:
-  static Vec3<double> cross(const Vec3<double>& a, const Vec3<double>& b) {
-    return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+  static QuadratureRule full_rule() { return {{Vec3<double>::Constant(0.25), 1.0 / 6}}; }
+  /// Exact for the products of two shape functions on a straight-sided element of up to second order.
+  static QuadratureRule mass_rule() {
+    return detail::product_rule(detail::kGauss4, [](double a, double b, double c) -> QuadraturePoint {
+      return {{a, b * (1 - a), c * (1 - a) * (1 - b)}, (1 - a) * (1 - a) * (1 - b)};
+    });
   }
 };
 

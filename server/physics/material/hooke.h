@@ -12,6 +12,11 @@ struct Hooke : LameParameters {
   static constexpr const char* kName = "hooke";
   static constexpr bool kConstantStiffness = true;
 
+  /// Where its range ends: beyond, what it leaves out (squares of the strain, the strain θ²/2 that a rotation of θ
+  /// radians seems to have) passes half a percent or a tenth of what it computes.
+  static constexpr double kMaxStrain = 0.05;
+  static constexpr double kMaxRotation = 0.1;
+
   template <class T>
   struct Point {
     Mat3<T> strain;

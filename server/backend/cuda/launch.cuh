@@ -1,0 +1,19 @@
+#pragma once
+
+#include "backend/cuda/team.cuh"
+#include "tensor/view.h"
+
+namespace tensormass::backend::cuda {
+
+/// Threads of a block of a stage whose patches neither reduce nor exchange.
+inline constexpr unsigned kStageThreads = 128;
+
+/// Every stage is a kernel of this form. Fewer threads leave more registers to each.
+template <class StageType, class Real, unsigned MaxThreads = kMaxBlockThreads>
+__global__ void __launch_bounds__(MaxThreads) run_stage(const __grid_constant__ tensor::SceneView<Real> view,
+                                                        const __grid_constant__ tensor::ElementView<Real> elements) {
+  Team team;
+  StageType::run(team, view, elements);
+}
+
+}  // namespace tensormass::backend::cuda

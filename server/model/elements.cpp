@@ -1,0 +1,235 @@
+#include <algorithm>
+#include <limits>
+#include <map>
+#include <numeric>
+#include <tuple>
+
+#include <fmt/format.h>
+
+#include "mesh/shapes.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+#include "physics/element/element.h"
+
+namespace tensormass::model {
+
+namespace {
+
+using physics::Quadrature;
+using tensor::kSliceRows;
+
+/// What must be equal for elements to be in one group. Groups with refreshed tensors come first; a linear law's range
+/// and a memory are watched and kept body by body.
+struct GroupKey {
+  bool constant;
+  int shape, law;
+  Quadrature quadrature;
+  std::size_t body;
+  std::size_t memory;  // index into the Prony series met so far; 0: none
+  auto order() const { return std::tie(constant, shape, law, quadrature, body, memory); }
+  bool operator<(const GroupKey& other) const { return order() < other.order(); }
+};
+
+struct Collected {
+  std::vector<std::uint32_t> elements;
+  std::vector<std::uint32_t> rows;  // [element][node]
+  std::vector<double> rest;         // [element][..]
+  std::vector<double> parameters;   // [element][..]
+  std::vector<physics::PointShares> shares;
+  std::size_t nodes = 0;
+};
+
+/// Elements in the order of their lowest row: neighbours in space are neighbours in memory.
+std::vector<std::uint32_t> order_by_first_row(const std::vector<std::uint32_t>& rows, std::size_t width) {
+  std::vector<std::uint32_t> order(rows.size() / width), lowest(rows.size() / width);
+  std::iota(order.begin(), order.end(), 0);
+  for (std::size_t e = 0; e < lowest.size(); ++e) {
+    lowest[e] = *std::min_element(rows.begin() + static_cast<std::ptrdiff_t>(e * width),
+                                  rows.begin() + static_cast<std::ptrdiff_t>((e + 1) * width));
+  }
+  std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return lowest[a] < lowest[b]; });
+  return order;
+}
+
+/// [element][component] to [component][stride] in the given order; the padding is zero.
+template <class T>
+std::vector<T> transpose(const std::vector<T>& items, const std::vector<std::uint32_t>& order, std::uint32_t stride) {
+  const std::size_t components = items.size() / order.size();
+  std::vector<T> out(components * stride, T{});
+  for (std::size_t e = 0; e < order.size(); ++e) {
+    for (std::size_t c = 0; c < components; ++c) out[c * stride + e] = items[order[e] * components + c];
+  }
+  return out;
+}
+
+/// Adds the element's tensors, which for a linear law are those at rest, to the constant edges.
+template <class Shape>
+void add_constant_tensors(Compilation& c, const Material& material, std::span<const std::uint32_t> nodes,
+                          const physics::ElementAtRest<Shape>& rest) {
+  const tensor::Layout& layout = c.model.layout;
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
+    using Law = typename decltype(tag)::Type;
+    if constexpr (Law::kConstantStiffness) {
+      if (index != material.law) return;
+      Vec3<double> at_rest[Shape::kNodes];
+      for (Vec3<double>& u : at_rest) u.setZero();
+      const auto tensors =
+          physics::element_tensors<Law>(rest, at_rest, material.parameters.data(), physics::Stiffness::kConsistent);
+      const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
+        double* edges = c.model.constant_edges.data();
+        tensor::store_block<double>(edges, slot, tensor::load_block<double>(edges, slot) + block);
+      };
+      for (int k = 0; k < Shape::kNodes; ++k) {
+        const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
+        for (int l = k + 1; l < Shape::kNodes; ++l) {
+          const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
+          const Mat3<double>& edge = tensors.edge_stiffness[physics::pair_index(Shape::kNodes, k, l)];
+          add(layout.slot(row_k, row_l), edge);
+          add(layout.slot(row_l, row_k), edge.transpose());
+        }
+      }
+    }
+  });
+}
+
+}  // namespace
+
+Result<void> fill_row_fields(Compilation& c) {
+  const tensor::Layout& layout = c.model.layout;
+  const std::size_t rows = layout.row_count;
+  const bool inertia = c.model.integrator != Integrator::kQuasiStatic;
+  c.model.rest.assign(4 * rows, 0);
+  c.model.inertia.assign(4 * rows, 0);
+  c.model.row_mass.assign(rows, 0);
+  bool consistent = false;
+  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
+    const v1::Body& body = c.scene.bodies(static_cast<int>(b));
+    const BodyModel& out = c.model.bodies[b];
+    TM_TRY(alpha, read_number(body.rayleigh_mass_per_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_mass_per_s"));
+    TM_TRY(beta, read_number(body.rayleigh_stiffness_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_stiffness_s"));
+    consistent = consistent || (c.bodies[b].consistent_mass && inertia);
+    for (std::uint32_t node = 0; node < out.node_count; ++node) {
+      const std::size_t row = layout.row_of_node[out.node_begin + node];
+      for (std::size_t i = 0; i < 3; ++i)
+        c.model.rest[4 * row + i] = c.merged.nodes[out.node_begin + node][static_cast<Eigen::Index>(i)];
+      c.model.rest[4 * row + 3] = 7;
+      if (!inertia) continue;
+      c.model.inertia[4 * row + 1] = alpha;
+      c.model.inertia[4 * row + 2] = beta;
+    }
+  }
+  if (consistent) c.model.mass_edges.assign(layout.slot_count(), 0);
+
+  for_each_element(c, [&](auto tag, std::size_t b, std::uint32_t, std::span<const std::uint32_t> nodes, const auto& x) {
+    using Shape = typename decltype(tag)::Type;
+    const double density = c.bodies[b].density_kg_per_m3;
+    const auto row = [&](int k) { return std::size_t{layout.row_of_node[nodes[static_cast<std::size_t>(k)]]}; };
+    if (!c.bodies[b].consistent_mass) {
+      const auto volumes = physics::lumped_volumes<Shape>(x);
+      for (int k = 0; k < Shape::kNodes; ++k) {
+        const double mass = density * volumes[static_cast<std::size_t>(k)];
+        c.model.row_mass[row(k)] += mass;
+        if (inertia) c.model.inertia[4 * row(k)] += mass;
+      }
+      return;
+    }
+    const auto integrals = physics::mass_integrals<Shape>(x);
+    for (int k = 0; k < Shape::kNodes; ++k) {
+      c.model.row_mass[row(k)] += density * integrals.row(k).sum();
+      if (!inertia) continue;
+      c.model.inertia[4 * row(k)] += density * integrals(k, k);
+      for (int l = 0; l < Shape::kNodes; ++l) {
+        if (l == k) continue;
+        c.model.mass_edges[layout.slot(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)))] +=
+            density * integrals(k, l);
+      }
+    }
+  });
+  return {};
+}
+
+Result<void> group_elements(Compilation& c) {
+  const tensor::Layout& layout = c.model.layout;
+  std::vector<std::vector<PronyTerm>> memories{{}};
+  const auto memory_of = [&](const std::vector<PronyTerm>& terms) {
+    const auto found = std::find(memories.begin(), memories.end(), terms);
+    if (found == memories.end()) memories.push_back(terms);
+    return static_cast<std::size_t>(std::find(memories.begin(), memories.end(), terms) - memories.begin());
+  };
+
+  std::uint32_t folded = mesh::kNone;
+  std::map<GroupKey, Collected> collected;
+  for_each_element(
+      c, [&](auto tag, std::size_t b, std::uint32_t element, std::span<const std::uint32_t> nodes, const auto& x) {
+        using Shape = typename decltype(tag)::Type;
+        const ReadBody& body = c.bodies[b];
+        const Material& material = body.material(element);
+        const bool alone = material.constant_stiffness || !material.prony.empty();
+        const physics::ElementAtRest<Shape> rest(x, body.quadrature);
+        for (const auto& point : rest.points) {
+          if (!(point.back() > 0)) folded = std::min(folded, c.model.bodies[b].element_begin + element);
+        }
+        Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
+                                      material.law, body.quadrature, alone ? b : 0, memory_of(material.prony)}];
+        if (material.constant_stiffness) {
+          if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
+          add_constant_tensors(c, material, nodes, rest);
+        }
+        group.nodes = Shape::kNodes;
+        group.shares = rest.shares;
+        group.elements.push_back(c.model.bodies[b].element_begin + element);
+        for (const std::uint32_t node : nodes) group.rows.push_back(layout.row_of_node[node]);
+        for (const auto& point : rest.points) group.rest.insert(group.rest.end(), point.begin(), point.end());
+        group.parameters.insert(group.parameters.end(), material.parameters.begin(), material.parameters.end());
+      });
+
+  if (folded != mesh::kNone) {
+    const auto body = std::find_if(c.model.bodies.begin(), c.model.bodies.end(), [&](const BodyModel& one) {
+      return folded - one.element_begin < one.element_count;
+    });
+    return invalid(
+        fmt::format("body '{}': element {} is folded between its nodes (a quadrature point has no positive "
+                    "volume); move its nodes towards a regular shape",
+                    body->name, folded - body->element_begin));
+  }
+
+  std::uint64_t partial_begin = 0;
+  for (const auto& [key, elements] : collected) {
+    ElementGroup group;
+    group.shape = key.shape;
+    group.law = key.law;
+    group.element_count = static_cast<std::uint32_t>(elements.elements.size());
+    group.stride = (group.element_count + kSliceRows - 1) / kSliceRows * kSliceRows;
+    group.partial_begin = partial_begin;
+    group.record_reals = key.constant ? 0 : tensor::record_reals(static_cast<std::uint32_t>(elements.nodes));
+    group.point_count = static_cast<std::uint32_t>(elements.shares.size());
+    if (key.quadrature == Quadrature::kSelective && group.point_count > 1) group.shares = elements.shares;
+    for (const PronyTerm& term : memories[key.memory]) {
+      group.prony.push_back(physics::prony_step(term.share, term.relaxation_time_s, c.model.dt_s));
+    }
+    const std::vector<std::uint32_t> order = order_by_first_row(elements.rows, elements.nodes);
+    group.elements = transpose(elements.elements, order, group.element_count);
+    group.rows = transpose(elements.rows, order, group.stride);
+    group.rest = transpose(elements.rest, order, group.stride);
+    group.parameters = transpose(elements.parameters, order, group.stride);
+    partial_begin += std::uint64_t{group.stride} * group.record_reals;
+    c.model.groups.push_back(std::move(group));
+  }
+  if (partial_begin > std::numeric_limits<std::uint32_t>::max()) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("the tensors of all elements are {} numbers, and gather maps address 2^32; use fewer "
+                            "elements, or shapes with fewer nodes",
+                            partial_begin));
+  }
+
+  std::vector<tensor::ElementRows> rows;
+  for (const ElementGroup& group : c.model.groups) {
+    if (group.is_constant()) continue;
+    rows.push_back({static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride,
+                    group.rows, static_cast<std::uint32_t>(group.partial_begin)});
+  }
+  if (!rows.empty()) c.model.gather = tensor::make_gather_map(layout, rows);
+  return {};
+}
+
+}  // namespace tensormass::model

@@ -1,0 +1,164 @@
+#include "model/material_input.h"
+
+#include <fmt/format.h>
+
+#include "model/scene_input.h"
+#include "physics/element/prony.h"
+#include "physics/lists.h"
+
+namespace tensormass::model {
+
+namespace {
+
+constexpr double kMinModulusPa = 1e-3, kMaxModulusPa = 1e13;
+/// Beyond, single precision cannot tell the change of volume from rounding.
+constexpr double kMinPoissonRatio = -0.999, kMaxPoissonRatio = 0.4999;
+
+Result<double> read_modulus(double value, std::string_view where, std::string_view field) {
+  return read_number(value, kMinModulusPa, kMaxModulusPa, fmt::format("{}.{}", where, field));
+}
+
+/// What a law stores, from its message. A law with constants of its own needs an overload here.
+template <class Law>
+Result<std::vector<double>> read_parameters(physics::TypeTag<Law>, const v1::IsotropicElastic& p,
+                                            std::string_view where) {
+  TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+  TM_TRY(poisson,
+         read_number(p.poisson_ratio(), kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where)));
+  const auto parameters = Law::parameters(young, poisson);
+  return std::vector<double>(parameters.begin(), parameters.end());
+}
+
+Result<std::vector<double>> read_parameters(physics::TypeTag<physics::MooneyRivlin>, const v1::MooneyRivlin& p,
+                                            std::string_view where) {
+  TM_TRY(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
+  TM_TRY(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
+  TM_CHECK(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
+  TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+  const auto parameters = physics::MooneyRivlin::parameters(c10, c01, bulk);
+  return std::vector<double>(parameters.begin(), parameters.end());
+}
+
+Result<std::vector<double>> read_parameters(physics::TypeTag<physics::Ogden>, const v1::Ogden& p,
+                                            std::string_view where) {
+  TM_TRY(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
+  TM_TRY(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
+  TM_CHECK(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
+  TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+  const auto parameters = physics::Ogden::parameters(mu, alpha, bulk);
+  return std::vector<double>(parameters.begin(), parameters.end());
+}
+
+Result<std::vector<double>> read_parameters(physics::TypeTag<physics::TransverselyIsotropic>,
+                                            const v1::TransverselyIsotropic& p, std::string_view where) {
+  TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+  TM_TRY(poisson,
+         read_number(p.poisson_ratio(), kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where)));
+  TM_TRY(fibre, read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
+  TM_TRY(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
+  if (!(direction.norm() > 1e-12)) {
+    return invalid(fmt::format("{}.fibre_direction: has no length; give the direction of the fibres", where));
+  }
+  const auto parameters = physics::TransverselyIsotropic::parameters(young, poisson, fibre, direction.normalized());
+  return std::vector<double>(parameters.begin(), parameters.end());
+}
+
+/// The message that gives a law's constants.
+template <class Law>
+struct MessageOf {
+  using Type = v1::IsotropicElastic;
+};
+template <>
+struct MessageOf<physics::MooneyRivlin> {
+  using Type = v1::MooneyRivlin;
+};
+template <>
+struct MessageOf<physics::Ogden> {
+  using Type = v1::Ogden;
+};
+template <>
+struct MessageOf<physics::TransverselyIsotropic> {
+  using Type = v1::TransverselyIsotropic;
+};
+
+/// Writes an element's own values over the law's message.
+Result<void> override_values(google::protobuf::Message& constants, const ElementValues& values,
+                             std::string_view where) {
+  const auto* descriptor = constants.GetDescriptor();
+  const auto* reflection = constants.GetReflection();
+  const auto field = [&](const char* name) -> Result<const google::protobuf::FieldDescriptor*> {
+    if (const auto* found = descriptor->FindFieldByName(name)) return found;
+    return invalid(fmt::format("{}: the law has no {}; leave element_fields.{} out", where, name, name));
+  };
+  if (values.young_modulus_pa) {
+    TM_TRY(young, field("young_modulus_pa"));
+    reflection->SetDouble(&constants, young, *values.young_modulus_pa);
+  }
+  if (values.poisson_ratio) {
+    TM_TRY(poisson, field("poisson_ratio"));
+    reflection->SetDouble(&constants, poisson, *values.poisson_ratio);
+  }
+  if (values.fibre_direction) {
+    TM_TRY(direction, field("fibre_direction"));
+    auto& vector = static_cast<v1::Vector3&>(*reflection->MutableMessage(&constants, direction));
+    vector.set_x((*values.fibre_direction)[0]);
+    vector.set_y((*values.fibre_direction)[1]);
+    vector.set_z((*values.fibre_direction)[2]);
+  }
+  return {};
+}
+
+Result<std::vector<PronyTerm>> read_prony(const v1::Law& law, std::string_view where) {
+  std::vector<PronyTerm> terms;
+  if (law.prony_size() > physics::kMaxPronyTerms) {
+    return invalid(fmt::format("{}.prony: {} terms; physics::kMaxPronyTerms is {}", where, law.prony_size(),
+                               physics::kMaxPronyTerms));
+  }
+  double sum = 0;
+  for (int i = 0; i < law.prony_size(); ++i) {
+    const std::string term = fmt::format("{}.prony[{}]", where, i);
+    TM_TRY(share, read_number(law.prony(i).share(), 1e-9, 1 - 1e-9, term + ".share"));
+    TM_TRY(time, read_number(law.prony(i).relaxation_time_s(), 1e-9, 1e9, term + ".relaxation_time_s"));
+    terms.push_back({share, time});
+    sum += share;
+  }
+  if (!(sum < 1 - 1e-9)) {
+    return invalid(
+        fmt::format("{}.prony: the shares add up to {}; below 1, or nothing of the stress remains", where, sum));
+  }
+  return terms;
+}
+
+}  // namespace
+
+Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where) {
+  const auto* kind = law.GetReflection()->GetOneofFieldDescriptor(law, law.GetDescriptor()->FindOneofByName("kind"));
+  std::string known;
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int) {
+    known += (known.empty() ? "" : ", ") + std::string(decltype(tag)::Type::kName);
+  });
+  Result<Material> result = invalid(fmt::format("{}: no law that this server knows; give one of {}", where, known));
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
+    using Law = typename decltype(tag)::Type;
+    if (kind == nullptr || kind->name() != Law::kName) return;
+    result = [&]() -> Result<Material> {
+      v1::Law own = law;
+      auto* constants = own.GetReflection()->MutableMessage(&own, kind);
+      const std::string at = fmt::format("{}.{}", where, Law::kName);
+      TM_CHECK(override_values(*constants, values, at));
+      using Constants = typename MessageOf<Law>::Type;
+      TM_TRY(parameters, read_parameters(tag, static_cast<const Constants&>(*constants), at));
+      TM_TRY(prony, read_prony(law, where));
+      const physics::YoungPoisson elastic = physics::young_poisson_from(Law::moduli_at_rest(parameters.data()));
+      return Material{index,
+                      std::move(parameters),
+                      std::move(prony),
+                      elastic.young_modulus_pa,
+                      elastic.poisson_ratio,
+                      Law::kConstantStiffness && law.prony().empty()};
+    }();
+  });
+  return result;
+}
+
+}  // namespace tensormass::model

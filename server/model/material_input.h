@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string_view>
+#include <vector>
+
+#include "core/result.h"
+#include "core/scalar.h"
+#include "tensormass/v1/scene.pb.h"
+
+/// Laws from untrusted messages.
+namespace tensormass::model {
+
+/// A term of a visco-elastic law (physics/element/prony.h).
+struct PronyTerm {
+  double share = 0;
+  double relaxation_time_s = 0;
+  bool operator==(const PronyTerm&) const = default;
+};
+
+/// What the scene says of a material, checked.
+struct Material {
+  int law = 0;                      ///< index into physics::Laws
+  std::vector<double> parameters;   ///< as the law stores them
+  std::vector<PronyTerm> prony;     ///< empty: no memory
+  double young_modulus_pa = 0;      ///< at rest, under a sudden load
+  double poisson_ratio = 0;         ///< at rest
+  bool constant_stiffness = false;  ///< its tensors do not change while it deforms
+};
+
+/// In place of what a law says, for one element.
+struct ElementValues {
+  std::optional<double> young_modulus_pa, poisson_ratio;
+  std::optional<Vec3<double>> fibre_direction;
+};
+
+/// The law whose field is set, by its name in physics/lists.h. A law that is given by Young's modulus and Poisson's
+/// ratio needs no code here. Errors: no law, a modulus or ratio outside its range, a value that the law does not have.
+Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where);
+
+}  // namespace tensormass::model

@@ -1,0 +1,91 @@
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "mesh/shapes.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+
+namespace tensormass::model {
+
+namespace {
+
+/// Elements all of whose nodes are in the region.
+std::vector<std::uint32_t> elements_in(const mesh::Mesh& mesh, const std::vector<std::uint32_t>& nodes) {
+  std::vector<bool> chosen(mesh.nodes.size(), false);
+  for (const std::uint32_t node : nodes) chosen[node] = true;
+  std::vector<std::uint32_t> elements;
+  mesh::for_each_element(mesh, [&](std::uint32_t element, const mesh::Topology&, std::span<const std::uint32_t> of) {
+    if (std::all_of(of.begin(), of.end(), [&](std::uint32_t node) { return chosen[node]; }))
+      elements.push_back(element);
+  });
+  return elements;
+}
+
+/// [element_count, components] of element_fields; empty if it is not given.
+Result<std::vector<double>> read_field(const std::string& bytes, std::size_t components, std::size_t element_count,
+                                       std::string_view where) {
+  if (bytes.empty()) return std::vector<double>{};
+  TM_TRY(values, read_reals(bytes, components, where));
+  if (values.size() != components * element_count) {
+    return invalid(
+        fmt::format("{}: {} values for {} elements; give {} each", where, values.size(), element_count, components));
+  }
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (!std::isfinite(values[i])) {
+      return invalid(fmt::format("{}: value {} of element {} is not finite", where, values[i], i / components));
+    }
+  }
+  return values;
+}
+
+}  // namespace
+
+Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where) {
+  const std::size_t element_count = mesh::element_count(out.mesh);
+  std::vector<const v1::Law*> laws{&body.law()};
+  std::vector<std::string> law_where{fmt::format("{}.law", where)};
+  std::vector<std::uint32_t> law_of;
+  TM_TRY(sets, read_sets(body, out.mesh.nodes, where));
+  for (int i = 0; i < body.law_regions_size(); ++i) {
+    const std::string at = fmt::format("{}.law_regions[{}]", where, i);
+    TM_TRY(nodes, read_region(body.law_regions(i).region(), out.mesh.nodes, sets, at + ".region"));
+    const std::vector<std::uint32_t> elements = elements_in(out.mesh, nodes);
+    if (elements.empty()) {
+      return invalid(fmt::format("{}.region: no element has all of its nodes in it; make it larger", at));
+    }
+    law_of.resize(element_count, 0);
+    for (const std::uint32_t element : elements) law_of[element] = static_cast<std::uint32_t>(laws.size());
+    laws.push_back(&body.law_regions(i).law());
+    law_where.push_back(at + ".law");
+  }
+  for (std::size_t i = 0; i < laws.size(); ++i) {
+    TM_TRY(material, read_law(*laws[i], {}, law_where[i]));
+    out.materials.push_back(std::move(material));
+  }
+  out.element_materials = law_of;
+
+  const v1::ElementFields& fields = body.element_fields();
+  const std::string at = fmt::format("{}.element_fields", where);
+  TM_TRY(young, read_field(fields.young_modulus_pa(), 1, element_count, at + ".young_modulus_pa"));
+  TM_TRY(poisson, read_field(fields.poisson_ratio(), 1, element_count, at + ".poisson_ratio"));
+  TM_TRY(fibres, read_field(fields.fibre_directions(), 3, element_count, at + ".fibre_directions"));
+  if (young.empty() && poisson.empty() && fibres.empty()) return {};
+  out.materials.clear();
+  out.element_materials.resize(element_count);
+  for (std::uint32_t e = 0; e < element_count; ++e) {
+    ElementValues values;
+    if (!young.empty()) values.young_modulus_pa = young[e];
+    if (!poisson.empty()) values.poisson_ratio = poisson[e];
+    if (!fibres.empty()) values.fibre_direction = Vec3<double>(fibres[3 * e], fibres[3 * e + 1], fibres[3 * e + 2]);
+    const std::size_t law = law_of.empty() ? 0 : law_of[e];
+    auto material = read_law(*laws[law], values, law_where[law]);
+    if (!material) return invalid(fmt::format("{}, element {}: {}", at, e, material.error().message));
+    out.materials.push_back(std::move(*material));
+    out.element_materials[e] = e;
+  }
+  return {};
+}
+
+}  // namespace tensormass::model

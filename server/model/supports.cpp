@@ -1,0 +1,243 @@
+#include <algorithm>
+#include <map>
+#include <numeric>
+#include <set>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "mesh/surface.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+#include "physics/element/face.h"
+
+/// What holds a body and what acts on it: fixed and prescribed nodes, forces, tractions, pressures, gravity.
+namespace tensormass::model {
+
+namespace {
+
+constexpr std::uint32_t kAllDirections = 7;
+
+/// A row's prescribed displacement in some directions.
+struct Driven {
+  std::uint32_t row, prescribed, bits;
+};
+
+class Supports {
+ public:
+  explicit Supports(Compilation& c) : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0) {}
+
+  Result<void> run() {
+    for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
+      const v1::Body& body = c_.scene.bodies(static_cast<int>(b));
+      const std::string where = fmt::format("body '{}'", body.name());
+      TM_TRY(sets, read_sets(body, c_.bodies[b].mesh.nodes, where));
+      TM_CHECK(fix(body, b, sets, where));
+      TM_CHECK(prescribe(body, b, sets, where));
+      TM_CHECK(load(body, b, sets, where));
+      BodyModel& out = c_.model.bodies[b];
+      for (std::uint32_t node = 0; node < out.node_count; ++node) {
+        if (c_.model.rest[4 * row(b, node) + 3] != kAllDirections) ++out.fixed_node_count;
+      }
+    }
+    add_gravity();
+    if (any_external_) c_.model.external = std::move(external_);
+    group_driven();
+    group_pressure();
+    return {};
+  }
+
+ private:
+  std::size_t row(std::size_t body, std::uint32_t node) const {
+    return c_.model.layout.row_of_node[c_.model.bodies[body].node_begin + node];
+  }
+  void hold(std::size_t row, std::uint32_t bits) {
+    double& free = c_.model.rest[4 * row + 3];
+    free = static_cast<std::uint32_t>(free) & ~bits;
+  }
+
+  Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    for (int i = 0; i < body.fixed_size(); ++i) {
+      TM_TRY(nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
+      for (const std::uint32_t node : nodes) hold(row(b, node), kAllDirections);
+    }
+    return {};
+  }
+
+  Result<void> prescribe(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    for (int i = 0; i < body.prescribed_size(); ++i) {
+      const std::string at = fmt::format("{}.prescribed[{}]", where, i);
+      const v1::PrescribedDisplacement& p = body.prescribed(i);
+      TM_TRY(nodes, read_region(p.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      v1::Vector3 vector;
+      vector.set_x(p.x_m());
+      vector.set_y(p.y_m());
+      vector.set_z(p.z_m());
+      TM_TRY(displacement, read_vector(vector, at));
+      const std::uint32_t bits = (p.has_x_m() ? 1u : 0) | (p.has_y_m() ? 2u : 0) | (p.has_z_m() ? 4u : 0);
+      if (bits == 0) return invalid(fmt::format("{}: no direction; give x_m, y_m or z_m", at));
+      Prescribed out{displacement, {}, {}};
+      TM_CHECK(read_schedule(p.schedule(), out, at + ".schedule"));
+      c_.model.prescribed.push_back(std::move(out));
+      const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
+      for (const std::uint32_t node : nodes) {
+        TM_CHECK(drive(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
+      }
+    }
+    return {};
+  }
+
+  static Result<void> read_schedule(const v1::Schedule& schedule, Prescribed& out, std::string_view where) {
+    if (schedule.time_s_size() != schedule.factor_size()) {
+      return invalid(fmt::format("{}: {} times and {} factors; give one factor a time", where, schedule.time_s_size(),
+                                 schedule.factor_size()));
+    }
+    for (int i = 0; i < schedule.time_s_size(); ++i) {
+      TM_TRY(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
+      TM_TRY(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
+      if (!out.time_s.empty() && !(time > out.time_s.back())) {
+        return invalid(fmt::format("{}.time_s[{}]: {} does not come after {}", where, i, time, out.time_s.back()));
+      }
+      out.time_s.push_back(time);
+      out.factor.push_back(factor);
+    }
+    return {};
+  }
+
+  /// Edges and corners belong to several regions: the same displacement given twice is one.
+  template <class Where>
+  Result<void> drive(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
+    const Prescribed& mine = c_.model.prescribed[index];
+    std::vector<Driven>& of_row = driven_[static_cast<std::uint32_t>(row)];
+    for (const Driven& other : of_row) {
+      for (std::uint32_t c = 0; c < 3; ++c) {
+        const auto axis = static_cast<Eigen::Index>(c);
+        if ((other.bits & bits & 1u << c) == 0) continue;
+        const Prescribed& theirs = c_.model.prescribed[other.prescribed];
+        const bool same =
+            mine.displacement_m[axis] == theirs.displacement_m[axis] &&
+            (mine.displacement_m[axis] == 0 || (mine.time_s == theirs.time_s && mine.factor == theirs.factor));
+        if (!same) return invalid(fmt::format("{} is driven to two places in {}; choose one", where(), "xyz"[c]));
+      }
+    }
+    of_row.push_back({static_cast<std::uint32_t>(row), index, bits});
+    hold(row, bits);
+    return {};
+  }
+
+  Result<void> load(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    std::vector<mesh::BoundaryFace> faces;
+    for (int i = 0; i < body.loads_size(); ++i) {
+      const std::string at = fmt::format("{}.loads[{}]", where, i);
+      const v1::Load& load = body.loads(i);
+      TM_TRY(nodes, read_region(load.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      if (load.kind_case() == v1::Load::kForceN) {
+        TM_TRY(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
+        for (const std::uint32_t node : nodes) {
+          add_external(row(b, node), force / static_cast<double>(nodes.size()));
+        }
+        continue;
+      }
+      if (load.kind_case() == v1::Load::KIND_NOT_SET) {
+        return invalid(fmt::format("{}: no load; give force_n, traction_pa or pressure_pa", at));
+      }
+      if (faces.empty()) faces = mesh::boundary_faces(c_.bodies[b].mesh);
+      const std::set<std::uint32_t> chosen(nodes.begin(), nodes.end());
+      std::vector<mesh::FaceNodes> loaded;
+      for (const mesh::BoundaryFace& face : faces) {
+        if (std::all_of(face.nodes.begin(), face.nodes.end(), [&](std::uint32_t n) { return chosen.contains(n); })) {
+          loaded.push_back(face.nodes);
+        }
+      }
+      if (loaded.empty()) {
+        return invalid(fmt::format("{}.region: {} nodes lie in it, but no whole face of the boundary; make it larger",
+                                   at, nodes.size()));
+      }
+      if (load.kind_case() == v1::Load::kTractionPa) {
+        TM_TRY(traction, read_vector(load.traction_pa(), at + ".traction_pa", limits::kMaxPressurePa));
+        for (const mesh::FaceNodes& face : loaded) add_traction(b, face, traction);
+      } else {
+        TM_TRY(pressure,
+               read_number(load.pressure_pa(), -limits::kMaxPressurePa, limits::kMaxPressurePa, at + ".pressure_pa"));
+        for (const mesh::FaceNodes& face : loaded) add_pressure(b, face, pressure);
+      }
+    }
+    return {};
+  }
+
+  void add_external(std::size_t row, const Vec3<double>& force) {
+    any_external_ = any_external_ || force.squaredNorm() > 0;
+    for (std::size_t c = 0; c < 3; ++c) external_[4 * row + c] += force[static_cast<Eigen::Index>(c)];
+  }
+
+  void add_traction(std::size_t b, const mesh::FaceNodes& face, const Vec3<double>& traction) {
+    Vec3<double> x[physics::kMaxFaceNodes];
+    for (std::uint32_t k = 0; k < face.count; ++k) x[k] = c_.bodies[b].mesh.nodes[face[k]];
+    for (std::uint32_t k = 0; k < face.count; ++k) {
+      add_external(row(b, face[k]),
+                   traction * physics::face_area(x, static_cast<int>(face.count), static_cast<int>(k)));
+    }
+  }
+
+  void add_pressure(std::size_t b, const mesh::FaceNodes& face, double pressure) {
+    tensor::PressureFace<double> out;
+    out.node_count = face.count;
+    out.pressure_pa = pressure;
+    for (std::uint32_t k = 0; k < physics::kMaxFaceNodes; ++k) {
+      out.rows[k] = k < face.count ? static_cast<std::uint32_t>(row(b, face[k])) : 0;
+    }
+    c_.model.pressure.faces.push_back(out);
+  }
+
+  void add_gravity() {
+    if (!c_.model.has_gravity) return;
+    for (std::size_t i = 0; i < c_.model.layout.row_count; ++i) {
+      add_external(i, c_.model.row_mass[i] * c_.model.gravity_m_per_s2);
+    }
+  }
+
+  void group_driven() {
+    if (driven_.empty()) return;
+    DrivenRows& out = c_.model.driven;
+    out.patch_driven.assign(c_.model.layout.patch_count + 1, 0);
+    for (const auto& [row, all] : driven_) {  // rows ascend, and with them the patches
+      for (const Driven& one : all) {
+        out.driven.insert(out.driven.end(), {one.row, one.prescribed, one.bits});
+        ++out.patch_driven[c_.model.layout.patch_of_row(row) + 1];
+      }
+    }
+    std::partial_sum(out.patch_driven.begin(), out.patch_driven.end(), out.patch_driven.begin());
+  }
+
+  void group_pressure() {
+    PressureSurface& out = c_.model.pressure;
+    if (out.faces.empty()) return;
+    std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // of each row: face, corner
+    for (std::uint32_t f = 0; f < out.faces.size(); ++f) {
+      for (std::uint32_t k = 0; k < out.faces[f].node_count; ++k) {
+        auto& list = corners[out.faces[f].rows[k]];
+        list.insert(list.end(), {f, k});
+      }
+    }
+    out.patch_pressed.assign(c_.model.layout.patch_count + 1, 0);
+    out.pressed_begin.assign(1, 0);
+    for (const auto& [row, list] : corners) {
+      out.pressed_rows.push_back(row);
+      out.pressed_corners.insert(out.pressed_corners.end(), list.begin(), list.end());
+      out.pressed_begin.push_back(static_cast<std::uint32_t>(out.pressed_corners.size() / 2));
+      ++out.patch_pressed[c_.model.layout.patch_of_row(row) + 1];
+    }
+    std::partial_sum(out.patch_pressed.begin(), out.patch_pressed.end(), out.patch_pressed.begin());
+  }
+
+  Compilation& c_;
+  std::vector<double> external_;
+  bool any_external_ = false;
+  std::map<std::uint32_t, std::vector<Driven>> driven_;
+};
+
+}  // namespace
+
+Result<void> fill_supports_and_loads(Compilation& c) { return Supports(c).run(); }
+
+}  // namespace tensormass::model

@@ -1,0 +1,100 @@
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "mesh/admission.h"
+#include "mesh/embedding.h"
+#include "mesh/surface.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+
+namespace tensormass::model {
+
+void make_contact_surface(Compilation& c) {
+  const tensor::Layout& layout = c.model.layout;
+  const mesh::Surface surface = mesh::boundary(c.merged);
+  ContactSurface& out = c.model.contact;
+  const auto row_of = [&](std::uint32_t vertex) { return layout.row_of_node[surface.nodes[vertex]]; };
+
+  // Surface vertices in the order of their rows, which groups them by patch.
+  std::vector<std::uint32_t> vertices(surface.nodes.size()), place(surface.nodes.size());
+  std::iota(vertices.begin(), vertices.end(), 0);
+  std::sort(vertices.begin(), vertices.end(), [&](std::uint32_t a, std::uint32_t b) { return row_of(a) < row_of(b); });
+  for (std::uint32_t i = 0; i < vertices.size(); ++i) place[vertices[i]] = i;
+  // Triangles belong to the patch of their first corner.
+  std::vector<std::uint32_t> triangles(surface.triangles.size()), triangle_place(surface.triangles.size());
+  std::iota(triangles.begin(), triangles.end(), 0);
+  std::stable_sort(triangles.begin(), triangles.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return row_of(surface.triangles[a][0]) < row_of(surface.triangles[b][0]);
+  });
+  for (std::uint32_t i = 0; i < triangles.size(); ++i) triangle_place[triangles[i]] = i;
+
+  out.patch_triangles.assign(layout.patch_count + 1, 0);
+  for (const std::uint32_t triangle : triangles) {
+    const mesh::Triangle& corners = surface.triangles[triangle];
+    Vec3<double> x[3];
+    for (std::size_t i = 0; i < 3; ++i) {
+      out.triangle_rows.push_back(row_of(corners[i]));
+      out.vertex_of_corner.push_back(place[corners[i]]);
+      const std::uint32_t neighbour = surface.neighbours[triangle][i];
+      out.triangle_neighbours.push_back(neighbour == mesh::kNone ? tensor::kNoTriangle : triangle_place[neighbour]);
+      x[i] = c.merged.nodes[surface.nodes[corners[i]]];
+    }
+    out.triangle_area.push_back(0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm());
+    ++out.patch_triangles[layout.patch_of_row(row_of(corners[0])) + 1];
+  }
+  std::partial_sum(out.patch_triangles.begin(), out.patch_triangles.end(), out.patch_triangles.begin());
+
+  out.patch_surface.assign(layout.patch_count + 1, 0);
+  out.incidence_begin.assign(1, 0);
+  for (const std::uint32_t vertex : vertices) {
+    const std::uint32_t row = row_of(vertex);
+    out.surface_rows.push_back(row);
+    ++out.patch_surface[layout.patch_of_row(row) + 1];
+    for (const std::uint32_t triangle : surface.vertex_triangles[vertex]) {
+      const mesh::Triangle& corners = surface.triangles[triangle];
+      const auto corner =
+          static_cast<std::uint32_t>(std::find(corners.begin(), corners.end(), vertex) - corners.begin());
+      out.incidence.push_back(triangle_place[triangle]);
+      out.incidence.push_back(corner);
+      out.incidence.push_back(layout.slot(row, row_of(corners[(corner + 1) % 3])));
+      out.incidence.push_back(layout.slot(row, row_of(corners[(corner + 2) % 3])));
+    }
+    out.incidence_begin.push_back(static_cast<std::uint32_t>(out.incidence.size() / 4));
+  }
+  std::partial_sum(out.patch_surface.begin(), out.patch_surface.end(), out.patch_surface.begin());
+}
+
+Result<void> make_visible_surface(Compilation& c) {
+  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
+    BodyModel& body = c.model.bodies[b];
+    const v1::Body& source = c.scene.bodies(static_cast<int>(b));
+    body.vertex_begin = c.model.visible.count();
+    const auto add = [&](const std::array<std::uint32_t, 4>& nodes, const std::array<double, 4>& weights) {
+      for (std::size_t i = 0; i < 4; ++i) {
+        c.model.visible.rows.push_back(c.model.layout.row_of_node[body.node_begin + nodes[i]]);
+        c.model.visible.weights.push_back(weights[i]);
+      }
+    };
+    if (source.has_skin()) {
+      const std::string where = fmt::format("body '{}'", body.name);
+      TM_TRY(skin, read_skin(source, where));
+      TM_TRY(report, mesh::admit_skin(skin.vertices, skin.triangles, body.name));
+      c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+      TM_TRY(embedding, mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
+      for (std::size_t i = 0; i < skin.vertices.size(); ++i) add(embedding.nodes[i], embedding.weights[i]);
+      body.triangles = std::move(skin.triangles);
+      body.has_skin = true;
+    } else {
+      mesh::Surface surface = mesh::boundary(c.bodies[b].mesh);
+      for (const std::uint32_t node : surface.nodes) add({node, node, node, node}, {1, 0, 0, 0});
+      body.triangles = std::move(surface.triangles);
+      body.vertex_nodes = std::move(surface.nodes);
+    }
+    body.vertex_count = c.model.visible.count() - body.vertex_begin;
+  }
+  return {};
+}
+
+}  // namespace tensormass::model

@@ -1,0 +1,99 @@
+#pragma once
+
+#include "core/scalar.h"
+
+/// Loads on a face: of three nodes (linear), four (bilinear) or six (quadratic: corners, then the middles of the edges
+/// 01 12 20), counter-clockwise seen from outside.
+namespace tensormass::physics {
+
+inline constexpr int kMaxFaceNodes = 6;
+
+/// A point of a face's rule with everything that an integral over the face needs.
+template <class T>
+struct FacePoint {
+  T weight;
+  T n[kMaxFaceNodes];      // shape functions
+  T dn[kMaxFaceNodes][2];  // and their slopes
+};
+
+namespace detail {
+
+template <class T>
+TM_HOST_DEVICE FacePoint<T> quadrilateral_point(int q) {
+  // 2×2 Gauss on [0, 1]²: exact for N_k (x_r × x_s), whose degree is three in each direction.
+  const T near = T(0.21132486540518713), far = T(0.78867513459481287);
+  const T r = q % 2 == 0 ? near : far, s = q / 2 == 0 ? near : far;
+  return {T(0.25),
+          {(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s, 0, 0},
+          {{s - 1, r - 1}, {1 - s, -r}, {s, r}, {-s, 1 - r}, {0, 0}, {0, 0}}};
+}
+
+template <class T>
+TM_HOST_DEVICE FacePoint<T> triangle_point(int nodes, int q) {
+  FacePoint<T> p{};
+  T l[3];
+  if (nodes == 3) {
+    p.weight = T(0.5);
+    l[0] = l[1] = l[2] = T(1) / 3;
+  } else {  // six points, exact to degree four (Cowper 1973)
+    const bool inner = q < 3;
+    p.weight = (inner ? T(0.22338158967801147) : T(0.10995174365532187)) / 2;
+    const T other = inner ? T(0.44594849091596489) : T(0.091576213509770743);
+    for (int k = 0; k < 3; ++k) l[k] = k == q % 3 ? 1 - 2 * other : other;
+  }
+  const T slope[3][2] = {{-1, -1}, {1, 0}, {0, 1}};
+  for (int k = 0; k < 3; ++k) {
+    p.n[k] = nodes == 3 ? l[k] : l[k] * (2 * l[k] - 1);
+    for (int c = 0; c < 2; ++c) p.dn[k][c] = nodes == 3 ? slope[k][c] : (4 * l[k] - 1) * slope[k][c];
+  }
+  for (int k = 3; k < nodes; ++k) {
+    const int i = k - 3, j = (k - 2) % 3;
+    p.n[k] = 4 * l[i] * l[j];
+    for (int c = 0; c < 2; ++c) p.dn[k][c] = 4 * (l[i] * slope[j][c] + l[j] * slope[i][c]);
+  }
+  return p;
+}
+
+}  // namespace detail
+
+TM_HOST_DEVICE constexpr int face_points(int nodes) { return nodes == 3 ? 1 : nodes == 4 ? 4 : 6; }
+
+template <class T>
+TM_HOST_DEVICE FacePoint<T> face_point(int nodes, int q) {
+  return nodes == 4 ? detail::quadrilateral_point<T>(q) : detail::triangle_point<T>(nodes, q);
+}
+
+/// x_r × x_s at a point of the face: normal times density of area.
+template <class T>
+TM_HOST_DEVICE Vec3<T> face_normal(const FacePoint<T>& p, const Vec3<T>* x, int nodes) {
+  Vec3<T> r = Vec3<T>::Zero(), s = Vec3<T>::Zero();
+  for (int k = 0; k < nodes; ++k) {
+    r += x[k] * p.dn[k][0];
+    s += x[k] * p.dn[k][1];
+  }
+  return {r[1] * s[2] - r[2] * s[1], r[2] * s[0] - r[0] * s[2], r[0] * s[1] - r[1] * s[0]};
+}
+
+/// ∫ N_corner n da [m²] over the face at positions x: a pressure p puts −p times it on the node.
+template <class T>
+TM_HOST_DEVICE Vec3<T> face_area_vector(const Vec3<T>* x, int nodes, int corner) {
+  Vec3<T> sum = Vec3<T>::Zero();
+  for (int q = 0; q < face_points(nodes); ++q) {
+    const FacePoint<T> p = face_point<T>(nodes, q);
+    sum += face_normal(p, x, nodes) * (p.weight * p.n[corner]);
+  }
+  return sum;
+}
+
+/// ∫ N_corner da [m²]: a traction puts that times itself on the node. Exact for plane faces.
+template <class T>
+TM_HOST_DEVICE T face_area(const Vec3<T>* x, int nodes, int corner) {
+  T sum = 0;
+  for (int q = 0; q < face_points(nodes); ++q) {
+    const FacePoint<T> p = face_point<T>(nodes, q);
+    sum += face_normal(p, x, nodes).norm() * p.weight * p.n[corner];
+  }
+  return sum;
+}
+
+}  // namespace tensormass::physics

@@ -1,0 +1,19 @@
+#pragma once
+
+#include <memory>
+
+#include "backend/backend.h"
+#include "world/runner.h"
+
+namespace tensormass::world {
+
+/// A scene's model with the backend it was compiled for.
+struct CompiledScene {
+  std::unique_ptr<backend::Backend> backend;
+  std::unique_ptr<const model::Model> model;
+  v1::SceneReport report;
+};
+
+Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options);
+
+}  // namespace tensormass::world

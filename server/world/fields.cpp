@@ -1,0 +1,207 @@
+#include "world/fields.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "physics/element/element.h"
+#include "physics/element/face.h"
+#include "physics/lists.h"
+
+namespace tensormass::world {
+
+namespace {
+
+/// What is known of a body's nodes and elements after one pass over its elements.
+struct Measured {
+  std::vector<Vec3<double>> force;            // internal and pressure, by row [N]
+  std::vector<std::array<double, 6>> cauchy;  // [element] Pa, xx yy zz yz xz xy
+  std::vector<double> det_f, energy;          // [element]
+};
+
+/// Deformation gradient, stress and all that of one element, its quadrature points summed up.
+template <class Shape, class Law>
+void measure_element(const model::ElementGroup& group, std::span<const double> history, std::uint32_t e,
+                     const std::vector<double>& displacement, std::uint32_t out, Measured& measured) {
+  const auto at = [&](const std::vector<double>& items, std::size_t component) {
+    return items[component * group.stride + e];
+  };
+  Vec3<double> u[Shape::kNodes];
+  std::uint32_t rows[Shape::kNodes];
+  for (std::size_t k = 0; k < Shape::kNodes; ++k) {
+    rows[k] = group.rows[k * group.stride + e];
+    u[k] = tensor::load3<double>(displacement.data(), rows[k]);
+  }
+  double volume = 0;
+  Mat3<double> cauchy = Mat3<double>::Zero();
+  double& det_f = measured.det_f[out] = std::numeric_limits<double>::infinity();
+  for (std::uint32_t q = 0; q < group.point_count; ++q) {
+    const auto gradients = physics::PointGradients<Shape, double>::read([&](int c) {
+      return at(group.rest, std::size_t{q} * physics::kRestReals<Shape> + static_cast<std::size_t>(c));
+    });
+    std::array<double, Law::kParameterCount> parameters;
+    for (std::size_t c = 0; c < parameters.size(); ++c) parameters[c] = at(group.parameters, c);
+    double deviatoric = 1;
+    if (!group.shares.empty()) {
+      deviatoric = group.shares[q].deviatoric;
+      Law::take_shares(parameters.data(), deviatoric, group.shares[q].volumetric);
+    }
+    const Mat3<double> f = gradients.deformation_gradient(u);
+    const auto point = Law::at(f, parameters.data());
+    Mat3<double> stress = Law::stress(point);
+    if (!group.prony.empty()) {
+      physics::Viscous<double> viscous{1, Mat3<double>::Zero()};
+      for (std::size_t i = 0; i < group.prony.size(); ++i) {
+        double gamma[physics::kSymmetricReals];
+        for (std::size_t c = 0; c < physics::kSymmetricReals; ++c) {
+          gamma[c] =
+              history[((std::size_t{q} * group.prony.size() + i) * physics::kSymmetricReals + c) * group.stride + e];
+        }
+        viscous.instant -= group.prony[i].gain;
+        viscous.memory += physics::symmetric(gamma) * group.prony[i].decay;
+      }
+      stress = viscous.template stress<Law>(f, stress);
+    }
+    for (int k = 0; k < Shape::kNodes; ++k) {
+      measured.force[rows[k]] -= stress * gradients.a[k] * gradients.weight;
+    }
+    const double j = f.determinant();
+    det_f = std::min(det_f, j);
+    // A linear law does not tell one measure of stress from another.
+    const Mat3<double> true_stress = Law::kConstantStiffness ? stress : Mat3<double>(stress * f.transpose() / j);
+    cauchy += true_stress * gradients.weight;
+    // The points of selective integration measure the volume twice, once for each kind of moduli.
+    volume += deviatoric * gradients.weight;
+    measured.energy[out] += Law::energy(point) * gradients.weight;
+  }
+  cauchy /= volume;
+  measured.cauchy[out] = {cauchy(0, 0), cauchy(1, 1), cauchy(2, 2), cauchy(1, 2), cauchy(0, 2), cauchy(0, 1)};
+}
+
+Measured measure(const model::Model& m, const backend::RowState& state, const model::BodyModel& body) {
+  Measured measured;
+  measured.force.assign(m.layout.row_count, Vec3<double>::Zero());
+  measured.cauchy.resize(body.element_count);
+  measured.det_f.resize(body.element_count);
+  measured.energy.assign(body.element_count, 0);
+  std::span<const double> histories = state.histories;
+  for (const model::ElementGroup& group : m.groups) {
+    const std::span<const double> history = histories.first(group.history_reals());
+    histories = histories.subspan(group.history_reals());
+    physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
+      for (std::uint32_t e = 0; e < group.element_count; ++e) {
+        const std::uint32_t out = group.elements[e] - body.element_begin;  // wraps around for the bodies before
+        if (out >= body.element_count) continue;
+        measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
+            group, history, e, state.displacement, out, measured);
+      }
+    });
+  }
+  for (const auto& face : m.pressure.faces) {
+    Vec3<double> x[physics::kMaxFaceNodes];
+    for (std::uint32_t k = 0; k < face.node_count; ++k) {
+      x[k] = tensor::load3<double>(m.rest.data(), face.rows[k]) +
+             tensor::load3<double>(state.displacement.data(), face.rows[k]);
+    }
+    for (std::uint32_t k = 0; k < face.node_count; ++k) {
+      measured.force[face.rows[k]] -=
+          physics::face_area_vector(x, static_cast<int>(face.node_count), static_cast<int>(k)) * face.pressure_pa;
+    }
+  }
+  return measured;
+}
+
+double von_mises(const std::array<double, 6>& s) {
+  const double xy = s[0] - s[1], yz = s[1] - s[2], zx = s[2] - s[0];
+  return std::sqrt(0.5 * (xy * xy + yz * yz + zx * zx) + 3 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5]));
+}
+
+/// ½ vᵀ M v.
+double kinetic_energy(const model::Model& m, const std::vector<double>& velocity, const model::BodyModel& body) {
+  double twice = 0;
+  for (std::uint32_t node = 0; node < body.node_count; ++node) {
+    const std::uint32_t row = m.layout.row_of_node[body.node_begin + node];
+    const Vec3<double> v = tensor::load3<double>(velocity.data(), row);
+    twice += m.inertia[4 * std::size_t{row}] * v.squaredNorm();
+    if (m.mass_edges.empty()) continue;
+    const std::uint32_t slice = row / tensor::kSliceRows;
+    for (std::uint32_t j = m.layout.slice_begin[slice]; j < m.layout.slice_begin[slice + 1]; ++j) {
+      const std::size_t slot = std::size_t{j} * tensor::kSliceRows + row % tensor::kSliceRows;
+      const std::uint32_t other = m.layout.neighbour_rows[slot];
+      if (other != mesh::kNone) twice += m.mass_edges[slot] * v.dot(tensor::load3<double>(velocity.data(), other));
+    }
+  }
+  return twice / 2;
+}
+
+}  // namespace
+
+Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backend::RowState& state,
+                                             const model::BodyModel& body, const v1::GetFieldsRequest& request) {
+  const Measured measured = measure(m, state, body);
+  // A quasi-static scene keeps the change of a step where others keep a velocity.
+  const std::vector<double> still(m.integrator == model::Integrator::kQuasiStatic ? state.velocity.size() : 0, 0.0);
+  const std::vector<double>& velocity = still.empty() ? state.velocity : still;
+
+  v1::GetFieldsResponse response;
+  for (const int field : request.fields()) {
+    std::vector<double> values;
+    const auto by_node = [&](const auto& of_row) {
+      for (std::uint32_t node = 0; node < body.node_count; ++node) {
+        const Vec3<double> v = of_row(std::size_t{m.layout.row_of_node[body.node_begin + node]});
+        values.insert(values.end(), v.data(), v.data() + 3);
+      }
+    };
+    std::uint32_t components = 1;
+    switch (field) {
+      case v1::FIELD_DISPLACEMENT:
+        components = 3;
+        by_node([&](std::size_t row) { return tensor::load3<double>(state.displacement.data(), row); });
+        break;
+      case v1::FIELD_VELOCITY:
+        components = 3;
+        by_node([&](std::size_t row) { return tensor::load3<double>(velocity.data(), row); });
+        break;
+      case v1::FIELD_REACTION_FORCE:
+        components = 3;
+        by_node([&](std::size_t row) {
+          const auto free = static_cast<std::uint32_t>(m.rest[4 * row + 3]);
+          Vec3<double> force = -measured.force[row];
+          if (!m.external.empty()) force -= tensor::load3<double>(m.external.data(), row);
+          for (int c = 0; c < 3; ++c) {
+            if ((free >> c & 1) != 0) force[c] = 0;
+          }
+          return force;
+        });
+        break;
+      case v1::FIELD_CAUCHY_STRESS:
+        components = 6;
+        for (const auto& stress : measured.cauchy) values.insert(values.end(), stress.begin(), stress.end());
+        break;
+      case v1::FIELD_VON_MISES_STRESS:
+        for (const auto& stress : measured.cauchy) values.push_back(von_mises(stress));
+        break;
+      case v1::FIELD_DET_F:
+        values = measured.det_f;
+        break;
+      case v1::FIELD_ELASTIC_ENERGY:
+        values = measured.energy;
+        break;
+      default:
+        return invalid(fmt::format("fields: {} is unknown", field));
+    }
+    v1::FieldValues& out = *response.add_fields();
+    out.set_field(static_cast<v1::Field>(field));
+    out.set_components(components);
+    out.set_values(values.data(), values.size() * sizeof(double));
+  }
+  response.set_elastic_energy_j(std::accumulate(measured.energy.begin(), measured.energy.end(), 0.0));
+  response.set_kinetic_energy_j(kinetic_energy(m, velocity, body));
+  response.set_min_det_f(*std::min_element(measured.det_f.begin(), measured.det_f.end()));
+  return response;
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,15 @@
+#pragma once
+
+#include "backend/backend.h"
+#include "model/model.h"
+#include "tensormass/v1/control.pb.h"
+
+/// What an analysis wants to know and a step does not compute: stresses, reactions, energies.
+namespace tensormass::world {
+
+/// Fills fields and energies of `body` from a scene's state, in double precision on the host, whatever the scene's
+/// precision. Errors: an unknown field.
+Result<v1::GetFieldsResponse> measure_fields(const model::Model& model, const backend::RowState& state,
+                                             const model::BodyModel& body, const v1::GetFieldsRequest& request);
+
+}  // namespace tensormass::world

@@ -1,0 +1,64 @@
+#include <gtest/gtest.h>
+#include <Eigen/Geometry>
+
+#include "physics/element/face.h"
+
+namespace tensormass::physics {
+namespace {
+
+/// Faces on the unit square or triangle, bent by `bend`.
+std::vector<Vec3<double>> face(int nodes, double bend = 0) {
+  if (nodes == 4) return {{0, 0, 0}, {1, 0, bend}, {1, 1, 0}, {0, 1, bend}};
+  std::vector<Vec3<double>> x{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+  if (nodes == 6) {
+    for (int k = 0; k < 3; ++k) x.push_back((x[k] + x[(k + 1) % 3]) / 2 + Vec3<double>(0, 0, bend));
+  }
+  return x;
+}
+
+class EveryFace : public testing::TestWithParam<int> {};
+
+TEST_P(EveryFace, PlaneFacesGiveTheirArea) {
+  const auto x = face(GetParam());
+  double area = 0;
+  Vec3<double> vector = Vec3<double>::Zero();
+  for (int k = 0; k < GetParam(); ++k) {
+    area += face_area(x.data(), GetParam(), k);
+    vector += face_area_vector(x.data(), GetParam(), k);
+  }
+  const double exact = GetParam() == 4 ? 1 : 0.5;
+  EXPECT_NEAR(area, exact, 1e-14);
+  EXPECT_LT((vector - Vec3<double>(0, 0, exact)).norm(), 1e-14);
+  // A linear pressure field's moment about the origin: exact for the shape functions' own order.
+  double first = 0;
+  for (int k = 0; k < GetParam(); ++k) first += face_area(x.data(), GetParam(), k) * x[static_cast<std::size_t>(k)][0];
+  EXPECT_NEAR(first, GetParam() == 4 ? 0.5 : 1.0 / 6, 1e-14);
+}
+
+/// The vector area of a surface depends on its rim alone.
+TEST_P(EveryFace, BentFacesHaveTheVectorAreaOfTheirRim) {
+  const auto x = face(GetParam(), 0.3);
+  Vec3<double> vector = Vec3<double>::Zero();
+  for (int k = 0; k < GetParam(); ++k) vector += face_area_vector(x.data(), GetParam(), k);
+  Vec3<double> rim = Vec3<double>::Zero();
+  if (GetParam() == 6) {
+    // ½ ∮ x × dx over three parabolas, by Gauss points of each.
+    for (int e = 0; e < 3; ++e) {
+      const Vec3<double>&a = x[static_cast<std::size_t>(e)], &b = x[static_cast<std::size_t>((e + 1) % 3)],
+            &m = x[static_cast<std::size_t>(e + 3)];
+      for (const double t : {0.21132486540518713, 0.78867513459481287}) {
+        const Vec3<double> at = (1 - t) * (1 - 2 * t) * a + 4 * t * (1 - t) * m + t * (2 * t - 1) * b;
+        const Vec3<double> slope = (4 * t - 3) * a + (4 - 8 * t) * m + (4 * t - 1) * b;
+        rim += 0.25 * at.cross(slope);
+      }
+    }
+  } else {
+    for (std::size_t k = 0; k < x.size(); ++k) rim += 0.5 * x[k].cross(x[(k + 1) % x.size()]);
+  }
+  EXPECT_LT((vector - rim).norm(), 1e-13);
+}
+
+INSTANTIATE_TEST_SUITE_P(Nodes, EveryFace, testing::Values(3, 4, 6));
+
+}  // namespace
+}  // namespace tensormass::physics
