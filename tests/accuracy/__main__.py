@@ -64,7 +64,7 @@ def run(case: Case, engine: Engine) -> report.Row:
     else:
         row = report.Row.of(case, engine.precision, outcome)
     verdict = "ok    " if row.passed else "FAILED"
-    said = row.failure or f"{row.value:.9g}, error {row.error:.1e}, bound {row.bound:g}"
+    said = row.failure or f"{row.value:.9g}, error {row.error:.1e}, bound {row.bound}"
     print(f"{verdict} {engine.precision:6} {case.key}: {said}", flush=True)
     return row
 

@@ -31,7 +31,8 @@ class Group:
 
 @dataclass(frozen=True)
 class Case:
-    """bounds: the largest error that passes, by precision; a precision that is not named is not run.
+    """bounds: the largest error that passes, by precision; None: any, no claim is made. A precision that is not
+    named is not run.
 
     quick: also a test of `make test`.
     """
@@ -42,7 +43,7 @@ class Case:
     name: str
     quantity: str
     source: str
-    bounds: Mapping[str, float]
+    bounds: Mapping[str, float | None]
     run: Callable[[Engine], Outcome] = field(repr=False)
     quick: bool = False
 

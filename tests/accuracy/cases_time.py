@@ -33,7 +33,8 @@ FLIGHT = Group(
     "on it for 10,000 steps of 1 ms. *Momentum*: value is the largest drift of the linear momentum over its size. "
     "*Angular momentum*: value is what is left of it about the centre of mass at the end; implicit schemes lose "
     "some, and the error is how far it ever rises above the start. *Energy*: elastic and kinetic; value is what "
-    "is left at the end, the error is the largest rise between two looks (every 10 steps) over the start.",
+    "is left at the end (BDF2 carries more vibration of the blow into the flight, and loses it there), the error "
+    "is the largest rise between two looks (every 10 steps) over the start.",
 )
 TERMS = ((0.24, 0.27), (0.33, 0.03))
 STRETCH = 1.1
@@ -93,7 +94,7 @@ def _relaxation_cases() -> Iterator[Case]:
         )
         return Outcome(reached, 1.0, abs(reached - 1), details)
 
-    bounds = {"double": 1e-8, "float": 1e-3}
+    bounds = {"double": 1e-10, "float": 1e-5}
     for shape in MESHES:
         for law in LAWS:
             yield Case(
@@ -163,7 +164,7 @@ def _energy(flight: Flight) -> Outcome:
 
 
 _LOOKS: dict[str, tuple[str, Callable[[Flight], Outcome], dict[str, float]]] = {
-    "momentum": ("drift", _momentum, {"double": 1e-8, "float": 1e-2}),
+    "momentum": ("drift", _momentum, {"double": 1e-10, "float": 5e-3}),
     "angular momentum": ("share left", _angular_momentum, {"double": 1e-3, "float": 1e-2}),
     "energy": ("share left", _energy, {"double": 1e-6, "float": 1e-4}),
 }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import tensormass as tm
-from tensormass.v1 import control_pb2, scene_pb2
+from tensormass.v1 import scene_pb2
 
 from .meshes import Floats
 from .problem import Problem
@@ -37,12 +37,16 @@ NEWTON_ITERATIONS = 50
 
 @dataclass(frozen=True)
 class State:
-    """displacement_m, velocity_m_per_s, reaction_n: [node_count, 3]; cauchy_pa: [element_count, 6]."""
+    """displacement_m, velocity_m_per_s, reaction_n: [node_count, 3]; cauchy_pa: [element_count, 6], xx yy zz yz xz xy;
+    von_mises_pa, det_f: [element_count].
+    """
 
     displacement_m: Floats
     velocity_m_per_s: Floats
     reaction_n: Floats
     cauchy_pa: Floats
+    von_mises_pa: Floats
+    det_f: Floats
     elastic_energy_j: float
     kinetic_energy_j: float
 
@@ -128,13 +132,6 @@ def _add_supports(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None:
 
 def state(handle: tm.SceneHandle) -> State:
     """Everything that the cases look at."""
-    asked = [
-        control_pb2.FIELD_DISPLACEMENT,
-        control_pb2.FIELD_VELOCITY,
-        control_pb2.FIELD_REACTION_FORCE,
-        control_pb2.FIELD_CAUCHY_STRESS,
-    ]
-    request = control_pb2.GetFieldsRequest(scene=handle.name, body=BODY, fields=asked)
-    reply = handle._server._call("GetFields", request)
-    arrays = [np.frombuffer(field.values, dtype="<f8").reshape(-1, field.components).copy() for field in reply.fields]
-    return State(*arrays, reply.elastic_energy_j, reply.kinetic_energy_j)
+    names = ("displacement", "velocity", "reaction_force", "cauchy_stress", "von_mises_stress", "det_f")
+    fields = handle.fields(BODY, names)
+    return State(*(fields[name] for name in names), fields.elastic_energy_j, fields.kinetic_energy_j)

@@ -23,6 +23,7 @@ class Law:
 
     message: as the protocol has it.
     stress: first Piola-Kirchhoff stress of deformation gradients [..., 3, 3], Pa.
+    volumetric: the part of it that the bulk modulus makes, for selective quadrature.
     pull: nominal stresses of the principal stretches (x, y, z), Pa.
     shear: P11, P12, P21, P22, P33 of F = I + γ e_x ⊗ e_y, Pa.
     directed: its answer depends on directions; `pull` then holds for stretches along the axes and fibres along x.
@@ -30,6 +31,7 @@ class Law:
 
     message: scene_pb2.Law
     stress: Callable[[Floats], Floats]
+    volumetric: Callable[[Floats], Floats]
     pull: Callable[[Floats], Floats]
     shear: Callable[[float], Floats]
     directed: bool = False
@@ -41,6 +43,10 @@ def lame(young_modulus_pa: float, poisson_ratio: float) -> tuple[float, float]:
     """λ and μ [Pa]."""
     mu = young_modulus_pa / (2 * (1 + poisson_ratio))
     return 2 * mu * poisson_ratio / (1 - 2 * poisson_ratio), mu
+
+
+def _bulk(young_modulus_pa: float, poisson_ratio: float) -> float:
+    return young_modulus_pa / (3 * (1 - 2 * poisson_ratio))
 
 
 def _isotropic(young_modulus_pa: float, poisson_ratio: float) -> scene_pb2.IsotropicElastic:
@@ -63,6 +69,11 @@ def _inverse_transpose(f: Floats) -> Floats:
     return _transpose(np.linalg.inv(f))
 
 
+def _by_volume(bulk_modulus_pa: float) -> Callable[[Floats], Floats]:
+    """Of W = K/2 (J − 1)²."""
+    return lambda f: bulk_modulus_pa * (_det(f) - 1) * _det(f) * _inverse_transpose(f)
+
+
 def hooke(young_modulus_pa: float, poisson_ratio: float) -> Law:
     lam, mu = lame(young_modulus_pa, poisson_ratio)
 
@@ -73,6 +84,7 @@ def hooke(young_modulus_pa: float, poisson_ratio: float) -> Law:
     return Law(
         scene_pb2.Law(hooke=_isotropic(young_modulus_pa, poisson_ratio)),
         stress,
+        lambda f: _bulk(young_modulus_pa, poisson_ratio) * (_trace(f) - 3) * IDENTITY,
         lambda s: lam * (s.sum() - 3) + 2 * mu * (s - 1),
         lambda g: mu * g * np.array([0, 1, 1, 0, 0]),
     )
@@ -97,6 +109,7 @@ def st_venant_kirchhoff(young_modulus_pa: float, poisson_ratio: float) -> Law:
     return Law(
         scene_pb2.Law(st_venant_kirchhoff=_isotropic(young_modulus_pa, poisson_ratio)),
         stress,
+        lambda f: _bulk(young_modulus_pa, poisson_ratio) * f * (_trace(_transpose(f) @ f) - 3) / 2,
         pull,
         shear,
         calculix=f"*ELASTIC\n{young_modulus_pa:g}, {poisson_ratio:g}\n",
@@ -111,6 +124,10 @@ def corotational(young_modulus_pa: float, poisson_ratio: float) -> Law:
         rotation = u @ v
         return 2 * mu * (f - rotation) + lam * (s.sum(axis=-1) - 3)[..., None, None] * rotation
 
+    def volumetric(f: Floats) -> Floats:
+        u, s, v = np.linalg.svd(f)
+        return _bulk(young_modulus_pa, poisson_ratio) * (s.sum(axis=-1) - 3)[..., None, None] * (u @ v)
+
     def shear(g: float) -> Floats:
         root = np.sqrt(4 + g**2)  # F = R S with R the rotation by atan(γ/2), tr S = root + 1
         cos, sin, spread = 2 / root, g / root, lam * (root - 2)
@@ -120,6 +137,7 @@ def corotational(young_modulus_pa: float, poisson_ratio: float) -> Law:
     return Law(
         scene_pb2.Law(corotational=_isotropic(young_modulus_pa, poisson_ratio)),
         stress,
+        volumetric,
         lambda s: lam * (s.sum() - 3) + 2 * mu * (s - 1),
         shear,
     )
@@ -134,6 +152,7 @@ def neo_hookean(young_modulus_pa: float, poisson_ratio: float) -> Law:
     return Law(
         scene_pb2.Law(neo_hookean=_isotropic(young_modulus_pa, poisson_ratio)),
         stress,
+        lambda f: _bulk(young_modulus_pa, poisson_ratio) * np.log(_det(f)) * _inverse_transpose(f),
         lambda s: mu * (s - 1 / s) + lam * np.log(s.prod()) / s,
         lambda g: mu * g * np.array([0, 1, 1, 0, 0]),
     )
@@ -160,7 +179,8 @@ def stable_neo_hookean(young_modulus_pa: float, poisson_ratio: float) -> Law:
         same, other = mu * (1 - 1 / (4 + g**2)), lam * (1 - alpha)
         return np.array([same + other, same * g, -other * g, same + other, same + other])
 
-    return Law(scene_pb2.Law(stable_neo_hookean=_isotropic(young_modulus_pa, poisson_ratio)), stress, pull, shear)
+    message = scene_pb2.Law(stable_neo_hookean=_isotropic(young_modulus_pa, poisson_ratio))
+    return Law(message, stress, _by_volume(_bulk(young_modulus_pa, poisson_ratio)), pull, shear)
 
 
 def mooney_rivlin(c10_pa: float, c01_pa: float, bulk_modulus_pa: float) -> Law:
@@ -191,6 +211,7 @@ def mooney_rivlin(c10_pa: float, c01_pa: float, bulk_modulus_pa: float) -> Law:
     return Law(
         message,
         stress,
+        _by_volume(bulk_modulus_pa),
         pull,
         shear,
         # Its MOONEY-RIVLIN: C10 (Ī1 − 3) + C01 (Ī2 − 3) + 1/D1 (J − 1)²: the same with D1 = 2/K.
@@ -222,7 +243,7 @@ def ogden(mu_pa: float, alpha: float, bulk_modulus_pa: float) -> Law:
         return np.array([s11 - g * s12, s12, s12 - g * s22, s22, third])  # P = σ F^-T
 
     message = scene_pb2.Law(ogden=scene_pb2.Ogden(mu_pa=mu_pa, alpha=alpha, bulk_modulus_pa=bulk_modulus_pa))
-    return Law(message, stress, pull, shear)
+    return Law(message, stress, _by_volume(bulk_modulus_pa), pull, shear)
 
 
 def transversely_isotropic(
@@ -252,7 +273,7 @@ def transversely_isotropic(
             fibre_direction=scene_pb2.Vector3(x=a[0], y=a[1], z=a[2]),
         )
     )
-    return Law(message, stress, pull, shear, directed=True)
+    return Law(message, stress, matrix.volumetric, pull, shear, directed=True)
 
 
 # Soft tissue: 5 kPa. What depends on no other constants than these is the same tissue at small strain.

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from tensormass.v1 import scene_pb2
+
 from . import problem as problems
-from .laws import IDENTITY, Law
+from .laws import IDENTITY
 from .meshes import Floats, Mesh
 
 if TYPE_CHECKING:
@@ -151,33 +153,52 @@ def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False)
     return np.einsum("qkj,eqji->eqki", slope, np.linalg.inv(jacobian)), determinant * weights
 
 
-def tangent(law: Law, f: Floats) -> Floats:
+Stress = Callable[[Floats], Floats]
+
+
+def tangent(stress: Stress, f: Floats) -> Floats:
     """∂P_ij/∂F_km by central differences, [..., i, j, k, m]. For Newton only: the residual decides when it ends."""
     out = np.empty((*f.shape, 3, 3))
     for k in range(3):
         for m in range(3):
             step = np.zeros((3, 3))
             step[k, m] = 1e-6
-            out[..., k, m] = (law.stress(f + step) - law.stress(f - step)) / 2e-6
+            out[..., k, m] = (stress(f + step) - stress(f - step)) / 2e-6
     return out
+
+
+def _sums(
+    problem: problems.Problem, shape: str, elements: npt.NDArray
+) -> list[tuple[npt.NDArray, Floats, Floats, Stress]]:
+    """What is integrated over the elements: gradients, weights, and a stress."""
+    law = problem.law
+    a, w = gradients(problem.mesh, shape, elements)
+    if problem.quadrature == scene_pb2.QUADRATURE_FULL:
+        return [(elements, a, w, law.stress)]
+    # Selective: the change of volume once, of the mean gradients.
+    volume = w.sum(axis=1, keepdims=True)
+    mean = np.einsum("eq,eqki->eki", w, a)[:, None] / volume[..., None, None]
+    return [
+        (elements, a, w, lambda f: law.stress(f) - law.volumetric(f)),
+        (elements, mean, volume, law.volumetric),
+    ]
 
 
 def solve(problem: problems.Problem) -> Floats:
     """Displacements in equilibrium, [node_count, 3] m."""
     import scipy.sparse  # here, so that comparing with stored answers needs no SciPy
 
-    mesh, law = problem.mesh, problem.law
-    blocks = [(elements, *gradients(mesh, shape, elements)) for shape, elements in mesh.blocks]
+    blocks = [sum_ for shape, elements in problem.mesh.blocks for sum_ in _sums(problem, shape, elements)]
 
     def system(u: Floats) -> tuple[Floats, scipy.sparse.csr_matrix]:
         inner = np.zeros(u.size)
         rows, columns, entries = [], [], []
-        for elements, a, w in blocks:
+        for elements, a, w, stress in blocks:
             f = IDENTITY + np.einsum("eki,eqkj->eqij", u[elements], a)
-            force = np.einsum("eq,eqij,eqkj->eki", w, law.stress(f), a)
+            force = np.einsum("eq,eqij,eqkj->eki", w, stress(f), a)
             dofs = (3 * elements[:, :, None] + np.arange(3)).reshape(len(elements), -1)
             np.add.at(inner, dofs, force.reshape(dofs.shape))
-            stiffness = np.einsum("eq,eqaj,eqijkl,eqbl->eaibk", w, a, tangent(law, f), a, optimize=True)
+            stiffness = np.einsum("eq,eqaj,eqijkl,eqbl->eaibk", w, a, tangent(stress, f), a, optimize=True)
             rows.append(np.repeat(dofs, dofs.shape[1], axis=1).ravel())
             columns.append(np.tile(dofs, (1, dofs.shape[1])).ravel())
             entries.append(stiffness.ravel())

@@ -29,13 +29,13 @@ class Row:
     value: float
     reference: float
     error: float
-    bound: float
+    bound: float | None
     details: list[tuple[str, float, float]] = field(default_factory=list)
     failure: str = ""
 
     @property
     def passed(self) -> bool:
-        return not self.failure and self.error <= self.bound
+        return not self.failure and (self.bound is None or self.error <= self.bound)
 
     @staticmethod
     def of(case: Case, precision: str, outcome: Outcome) -> Row:
@@ -113,13 +113,19 @@ def page(runs: list[Run]) -> str:
         for backend in BACKENDS
         if backend not in {r.backend for r in runs}
     ]
-    lines += ["", "The largest error of each section; in brackets the share of its bound.", ""]
+    lines += ["", "The error of each section that is nearest to its bound; in brackets its share of the bound.", ""]
     columns = [(backend, precision) for backend in (run.backend for run in runs) for precision in PRECISIONS]
-    lines.append("| section | cases |" + "".join(f" {backend} {precision} |" for backend, precision in columns))
-    lines.append("|---|---|" + "---|" * len(columns))
+    heads = [" ".join(column) for column in columns]
+    both = len(runs) == len(BACKENDS)
+    if both:
+        heads += [f"cuda − cpu, {precision}" for precision in PRECISIONS]
+    lines.append("| section | cases | " + " | ".join(heads) + " |")
+    lines.append("|---|---|" + "---|" * len(heads))
     for group in groups:
         members = [case for case in cases if case.group is group]
         cells = [_worst([found.get((*column, case.key)) for case in members]) for column in columns]
+        if both:
+            cells += [_disagreement(found, precision, members) for precision in PRECISIONS]
         anchor = group.title.lower().replace(" ", "-").replace("'", "")
         lines.append(f"| [{group.title}](#{anchor}) | {len(members)} | " + " | ".join(cells) + " |")
     for group in groups:
@@ -131,13 +137,23 @@ Found = dict[tuple[str, str, str], Row]
 
 
 def _worst(rows: list[Row | None]) -> str:
-    run = [row for row in rows if row is not None]
+    run = [row for row in rows if row is not None and (row.failure or row.bound is not None)]
     if not run:
         return "–"
     if any(row.failure for row in run):
         return "FAILED"
     worst = max(run, key=lambda row: row.error / row.bound)
     return f"{worst.error:.1e} ({worst.error / worst.bound:.0%})" + ("" if worst.passed else " FAILED")
+
+
+def _disagreement(found: Found, precision: str, cases: list[Case]) -> str:
+    """The largest relative difference of a value between the backends; values that should be zero are left out."""
+    differences = []
+    for case in cases:
+        pair = [found.get((backend, precision, case.key)) for backend in BACKENDS]
+        if all(row and not row.failure and row.reference for row in pair):
+            differences.append(abs(pair[1].value - pair[0].value) / abs(pair[0].value))
+    return f"{max(differences):.1e}" if differences else "–"
 
 
 def _section(group: Group, cases: list[Case], found: Found, columns: list[tuple[str, str]]) -> list[str]:
@@ -156,7 +172,7 @@ def _section(group: Group, cases: list[Case], found: Found, columns: list[tuple[
             by_precision = [found.get((backend, precision, case.key)) for precision in PRECISIONS]
             best = next((row for row in by_precision if row), None)
             cells += [_number(best.value) if best else "–", *map(_error, by_precision)]
-        cells.append(", ".join(f"{bound:g}" for bound in case.bounds.values()))
+        cells.append(", ".join("none" if bound is None else f"{bound:g}" for bound in case.bounds.values()))
         lines.append("| " + " | ".join(cell.replace("_", " ") for cell in cells) + " |")
     detailed = [
         (case, column, row)

@@ -84,7 +84,7 @@ def solve(problem: problems.Problem) -> Floats:
         slope = basis.interpolate(u.ravel()[_inverse(theirs)]).grad
         f = IDENTITY + np.moveaxis(slope, (0, 1), (-2, -1))
         stress = np.moveaxis(law.stress(f), (-2, -1), (0, 1))
-        moduli = np.moveaxis(numpy_fem.tangent(law, f), (-4, -3, -2, -1), (0, 1, 2, 3))
+        moduli = np.moveaxis(numpy_fem.tangent(law.stress, f), (-4, -3, -2, -1), (0, 1, 2, 3))
         matrix = skfem.asm(stiffness, basis, moduli=moduli).tocsr()
         return skfem.asm(inner_force, basis, stress=stress)[theirs], matrix[theirs][:, theirs]
 
