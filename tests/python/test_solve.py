@@ -354,6 +354,38 @@ def test_wrong_options_are_refused_before_anything_starts(
     assert capsys.readouterr().err == f"tensormass: {message}\n"
 
 
+CUBE = """
+name: cube
+bodies:
+  - name: cube
+    mesh: {grid: {size_m: {x: 1, y: 1, z: 1}, cells_x: 6, cells_y: 6, cells_z: 6}}
+    law: {hooke: {young_modulus_pa: 1000, poisson_ratio: 0.3}}
+    density_kg_per_m3: 1000
+    fixed: [{box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 2, y: 2, z: 0.001}}}]
+    prescribed: [{region: {box: {min_m: {x: -1, y: -1, z: 0.999}, max_m: {x: 2, y: 2, z: 2}}}, z_m: -1.5}]
+solver: {integrator: quasi_static}
+"""
+
+
+def test_what_is_turned_inside_out_is_said(solve: Callable[..., Solved]) -> None:
+    warnings = solve(CUBE).said["warnings"]
+    assert any("body 'cube': elements are turned inside out, det F down to -" in text for text in warnings)
+    warnings = solve(CUBE.replace("-1.5", "-0.5")).said["warnings"]
+    assert not any("inside out" in text for text in warnings)
+
+
+def test_what_a_scene_does_not_say_is_double_and_solved_to_its_tolerance(solve: Callable[..., Solved]) -> None:
+    solved = solve(CUBE)
+    assert (solved.status, solved.said["precision"]) == (0, "double")
+    assert solve(CUBE, "--precision", "float", "--allow-unconverged").said["precision"] == "float"
+    assert solve(CUBE.replace("{integ", "{precision: float, integ"), "--allow-unconverged").said["precision"] == "float"
+    # 100 iterations, the default where steps have to keep up with real time, are not enough here.
+    tight = CUBE.replace("quasi_static}", "implicit_euler, cg_tolerance: 1.0e-12}\nstepping: {dt_s: 10}")
+    solved = solve(tight.replace("cells_z: 6", "cells_z: 12"), "--steps", "1")
+    assert solved.status == 0
+    assert solved.said["cg_iterations"] > 100
+
+
 # --- what is printed --------------------------------------------------------------------------------------------------
 
 
