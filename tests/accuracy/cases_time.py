@@ -26,6 +26,13 @@ RELAXATION = Group(
     "1 − Σ α (1 − e^(−t/τ)) at 0.2 s. Value: the order at which the error falls with the last halving of Δt. "
     "Error: its distance from 1.",
 )
+SWING = Group(
+    "swing",
+    "Order in time",
+    "A clamped bar of 100 × 40 × 40 mm swings under gravity of 1 m/s² from rest, until 0.2 s. Value: the order at "
+    "which the displacement of its end changes with the last halving of Δt, from 200 to 400 to 800 steps. Error: "
+    "its distance from the scheme's.",
+)
 FLIGHT = Group(
     "flight",
     "Free flight",
@@ -39,6 +46,7 @@ FLIGHT = Group(
 TERMS = ((0.24, 0.27), (0.33, 0.03))
 STRETCH = 1.1
 CUBE_M = 0.1
+BAR_M = (0.1, 0.04, 0.04)
 FLIGHT_STEPS = 10_000
 FLIGHT_DT_S = 1e-3
 LOOK_EVERY = 10
@@ -46,6 +54,7 @@ LOOK_EVERY = 10
 
 def time_cases() -> Iterator[Case]:
     yield from _relaxation_cases()
+    yield from _swing_cases()
     yield from _flight_cases()
 
 
@@ -111,6 +120,42 @@ def _relaxation_cases() -> Iterator[Case]:
     yield Case(RELAXATION, "hexahedron", "neo_hookean", "order", "order in Δt", "closed form", {"double": 0.05}, order)
 
 
+def _swing_cases() -> Iterator[Case]:
+    until_s, counts = 0.2, (200, 400, 800)
+
+    def run(engine: Engine, integrator: str, order: int) -> Outcome:
+        mesh = box("hexahedron", (5, 2, 2), BAR_M)
+        end = mesh.where(lambda x, y, z: x > BAR_M[0] * (1 - 1e-6))
+        clamped = Support(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
+        found = []
+        for count in counts:
+            scene = engine.scene(Problem(mesh, LAWS["neo_hookean"], [clamped]), until_s / count)
+            scene.solver.integrator = _INTEGRATORS[integrator]
+            scene.gravity_m_per_s2.z = -1
+            with engine.loaded(scene) as handle:
+                handle.step(count)
+                found.append(float(state(handle).displacement_m[end, 2].mean()))
+        coarse, fine = abs(found[0] - found[1]), abs(found[1] - found[2])
+        reached = float(np.log2(coarse / fine))
+        details = tuple(
+            (f"Δt {until_s / count:g} s", value, change)
+            for count, value, change in zip(counts, found, (float("nan"), coarse, fine), strict=True)
+        )
+        return Outcome(reached, order, abs(reached - order), details)
+
+    for integrator, order in (("implicit Euler", 1), ("BDF2", 2)):
+        yield Case(
+            SWING,
+            "hexahedron",
+            "neo_hookean",
+            integrator,
+            "order in Δt",
+            "the scheme",
+            {"double": 0.1},
+            lambda engine, integrator=integrator, order=order: run(engine, integrator, order),
+        )
+
+
 @dataclass(frozen=True)
 class Flight:
     """[look, 3] kg m/s, [look, 3] kg m²/s about the centre of mass, [look] J."""
@@ -121,7 +166,7 @@ class Flight:
 
 
 def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
-    mesh = box(shape, (5, 2, 2), (0.1, 0.04, 0.04))
+    mesh = box(shape, (5, 2, 2), BAR_M)
     scene = engine.scene(Problem(mesh, LAWS[law], []), FLIGHT_DT_S)
     scene.solver.integrator = integrator
     probe = scene.tools.add(name="probe", max_speed_m_per_s=1.0)
