@@ -64,11 +64,16 @@ void write_prescribed(const model::Model& m, double time_s, Real* prescribed) {
   }
 }
 
-/// Where a scheme of two steps starts from after a state was written: one step back at constant velocity.
-inline std::vector<double> displacement_before(const model::Model& m, const RowState& state) {
-  std::vector<double> before = state.displacement;
-  for (std::size_t i = 0; i < before.size(); ++i) before[i] -= m.dt_s * state.velocity[i];
-  return before;
+template <class Real>
+tensor::StepScheme<Real> scheme_of(const model::Model& m, bool first_step) {
+  const tensor::StepScheme<double> scheme = model::step_scheme(m.integrator, m.dt_s, first_step);
+  tensor::StepScheme<Real> out;
+  out.step_s = static_cast<Real>(scheme.step_s);
+  for (int i = 0; i < 2; ++i) {
+    out.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
+    out.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
+  }
+  return out;
 }
 
 template <class Real>

@@ -155,7 +155,7 @@ TM_HOST_DEVICE void respond(const Team& team, const SceneView<Real>& s) {
 template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  const Real h = s.step_s;
+  const Real h = tensor::step_size(s);
   team.for_each(s.patch_surface[patch.index], s.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
     const std::uint32_t row = s.surface_rows[vertex];
     for (std::uint32_t t = 0; t < s.tool_count; ++t) {
@@ -207,7 +207,7 @@ TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
         const std::uint32_t row = s.triangle_rows[std::size_t{3} * triangle + c];
         // Where a step is solved more than once, contacts are those of its end.
         if (s.base_displacement == nullptr) {
-          change += tensor::load3<Real>(s.velocity, row) * (s.step_s * contact.weight[c]);
+          change += tensor::load3<Real>(s.velocity, row) * (s.dt_s * contact.weight[c]);
         }
         point += tensor::position(s, row) * contact.weight[c];
       }

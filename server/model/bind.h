@@ -24,12 +24,8 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_count = layout.patch_count;
   s.tool_count = static_cast<uint32_t>(tools);
   s.triangle_count = m.contact.triangle_count();
-  const TimeScheme scheme = time_scheme(m.integrator, m.dt_s);
-  s.step_s = static_cast<Real>(scheme.step_s);
-  for (int i = 0; i < 2; ++i) {
-    s.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
-    s.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
-  }
+  s.dt_s = static_cast<Real>(m.dt_s);
+  s.scheme = arena.template zeros<tensor::StepScheme<Real>>("time scheme", only_if(!m.is_plain(), 1));
   s.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.cg_max_iterations = m.cg_max_iterations;
 

@@ -109,8 +109,10 @@ class Compiler {
     TM_TRY(iterations, read_number(solver.has_newton_max_iterations() ? solver.newton_max_iterations() : otherwise, 1,
                                    limits::kMaxNewtonIterations, "scene.solver.newton_max_iterations"));
     model_.newton_max_iterations = static_cast<std::uint32_t>(iterations);
-    TM_TRY(tolerance, read_number(solver.has_newton_tolerance() ? solver.newton_tolerance() : 1e-6, 0, 0.5,
-                                  "scene.solver.newton_tolerance"));
+    TM_TRY(tolerance, read_number(solver.has_newton_tolerance() ? solver.newton_tolerance()
+                                  : model_.double_precision     ? 1e-6
+                                                                : 1e-3,
+                                  0, 0.5, "scene.solver.newton_tolerance"));
     model_.newton_tolerance = tolerance;
     return {};
   }

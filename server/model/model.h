@@ -149,13 +149,8 @@ struct ToolModel {
 
 enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
 
-/// u' = û + step_s v' and M (v' − v̂) / step_s = forces, û and v̂ from the last two steps (tensor/view.h).
-struct TimeScheme {
-  double step_s;
-  double displacement_weights[2];
-  double velocity_weights[2];
-};
-TimeScheme time_scheme(Integrator integrator, double dt_s);
+/// Of a step; the first one has no step before it.
+tensor::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first);
 
 struct Model {
   std::string name;

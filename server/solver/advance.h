@@ -16,10 +16,10 @@ TM_HOST_DEVICE void predict(const Team& team, const tensor::SceneView<Real>& s) 
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> u = tensor::load3<Real>(s.displacement, row), v = tensor::load3<Real>(s.velocity, row);
-    Vec3<Real> base_u = u * s.displacement_weights[0], base_v = v * s.velocity_weights[0];
+    Vec3<Real> base_u = u * s.scheme->displacement_weights[0], base_v = v * s.scheme->velocity_weights[0];
     if (s.previous_displacement != nullptr) {
-      base_u += tensor::load3<Real>(s.previous_displacement, row) * s.displacement_weights[1];
-      base_v += tensor::load3<Real>(s.previous_velocity, row) * s.velocity_weights[1];
+      base_u += tensor::load3<Real>(s.previous_displacement, row) * s.scheme->displacement_weights[1];
+      base_v += tensor::load3<Real>(s.previous_velocity, row) * s.scheme->velocity_weights[1];
       tensor::store3<Real>(s.previous_displacement, row, u);
       tensor::store3<Real>(s.previous_velocity, row, v);
     }
@@ -39,7 +39,8 @@ TM_HOST_DEVICE void drive(const Team& team, const tensor::SceneView<Real>& s) {
     for (std::uint32_t c = 0; c < 3; ++c) {
       if ((driven[2] >> c & 1) == 0) continue;
       const Real target = s.prescribed[std::size_t{4} * driven[1] + c];
-      s.velocity[std::size_t{4} * driven[0] + c] = (target - base[std::size_t{4} * driven[0] + c]) / s.step_s;
+      s.velocity[std::size_t{4} * driven[0] + c] =
+          (target - base[std::size_t{4} * driven[0] + c]) / tensor::step_size(s);
     }
   });
 }
@@ -48,7 +49,7 @@ TM_HOST_DEVICE void drive(const Team& team, const tensor::SceneView<Real>& s) {
 template <class Real>
 TM_HOST_DEVICE bool move_row(const tensor::SceneView<Real>& s, std::uint32_t row, const Vec3<Real>& v) {
   const Real* base = s.base_displacement != nullptr ? s.base_displacement : s.displacement;
-  const Vec3<Real> u = tensor::load3<Real>(base, row) + v * s.step_s;
+  const Vec3<Real> u = tensor::load3<Real>(base, row) + v * tensor::step_size(s);
   tensor::store3<Real>(s.velocity, row, v);
   tensor::store3<Real>(s.displacement, row, u);
   return v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30);
@@ -90,6 +91,7 @@ template <class Team, class Real>
 TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   Real sums[3] = {0, 0, 0};
+  const Real h = tensor::step_size(s);
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> rhs = tensor::load3<Real>(s.rhs, row);
     const std::uint32_t bits = tensor::free_bits(s, row);
@@ -100,10 +102,10 @@ TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<R
       sums[2] += r * increment[c];
     }
     Vec3<Real> force = tensor::load3<Real>(s.internal_force, row);
-    sums[1] += force.dot(force) * (s.step_s * s.step_s);
+    sums[1] += force.dot(force) * (h * h);
     if (s.external != nullptr) {
       force = tensor::load3<Real>(s.external, row);
-      sums[1] += force.dot(force) * (s.step_s * s.step_s);
+      sums[1] += force.dot(force) * (h * h);
     }
   });
   team.patch_sum(sums);

@@ -163,7 +163,7 @@ TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
 template <bool HasConstant, bool HasPartial, class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
-  const Real h = s.step_s;
+  const Real h = step_size(s);
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Real mass = s.inertia[4 * row], alpha = s.inertia[4 * row + 1], beta = s.inertia[4 * row + 2];
     // What M and K are applied to; neighbours of a row belong to the same body and have its damping.
@@ -226,7 +226,7 @@ template <class Team, class Real>
 TM_HOST_DEVICE void add_external_forces(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * s.step_s);
+    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * step_size(s));
   });
 }
 
@@ -245,7 +245,7 @@ TM_HOST_DEVICE void add_pressure(const Team& team, const SceneView<Real>& s) {
                                          static_cast<int>(s.pressed_corners[2 * c + 1])) *
                face.pressure_pa;
     }
-    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + force * s.step_s);
+    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + force * step_size(s));
   });
 }
 

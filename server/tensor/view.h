@@ -103,6 +103,16 @@ struct SolveReport {
   std::uint32_t negative_curvature;  // 1 if the iteration stopped on it
 };
 
+/// A step is u = û + h v and M (v − v̂) / h = forces, with û (base_displacement) and v̂ (base_velocity) made from the
+/// last two steps. Implicit Euler has h = dt, û = u and v̂ = v; linearized once, it needs neither this nor the base
+/// fields.
+template <class Real>
+struct StepScheme {
+  Real step_s;                   // h
+  Real displacement_weights[2];  // of u at the ends of the last two steps, the newer one first
+  Real velocity_weights[2];
+};
+
 /// What the outer iteration asks of the stages; only in scenes that solve more than once a step.
 struct NewtonControl {
   std::uint32_t positive_stiffness;  // 0: the consistent one
@@ -156,12 +166,9 @@ struct SceneView {
   std::uint32_t tool_count;
   std::uint32_t triangle_count;
 
-  // -- numbers of the step: u = û + step_s v with û = Σ weights u of the last two steps (base_displacement), and
-  // M (v − v̂) / step_s = forces with v̂ = Σ weights v of the last two steps (base_velocity). Implicit Euler, linearized
-  // once, has step_s = dt, û = u and v̂ = v, and needs none of the base and previous fields.
-  Real step_s;
-  Real displacement_weights[2];
-  Real velocity_weights[2];
+  // -- numbers of the step
+  Real dt_s;                       // h of an implicit Euler step that is linearized once
+  const StepScheme<Real>* scheme;  // [1] of any other step
   Real cg_tolerance;
   std::uint32_t cg_max_iterations;
 
@@ -325,10 +332,16 @@ TM_HOST_DEVICE void store_symmetric(Real* diagonal, std::uint32_t row, const Mat
   p[5] = m(2, 2);
 }
 
+/// h of the step.
+template <class Real>
+TM_HOST_DEVICE Real step_size(const SceneView<Real>& s) {
+  return s.scheme == nullptr ? s.dt_s : s.scheme->step_s;
+}
+
 /// How far a row moves from `displacement`, where forces are evaluated, to the step's end as `velocity` has it [m].
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> change_ahead(const SceneView<Real>& s, std::size_t row) {
-  const Vec3<Real> ahead = load3<Real>(s.velocity, row) * s.step_s;
+  const Vec3<Real> ahead = load3<Real>(s.velocity, row) * step_size(s);
   if (s.base_displacement == nullptr) return ahead;
   return load3<Real>(s.base_displacement, row) + ahead - load3<Real>(s.displacement, row);
 }

@@ -14,6 +14,7 @@ constexpr auto kRelaxed = std::memory_order_relaxed;
 }
 
 void Findings::take_step(const backend::StepResult& result) {
+  if (!result.converged) unconverged_steps_.fetch_add(1, kRelaxed);
   newton_iterations_.store(result.newton_iterations, kRelaxed);
   newton_residual_.store(result.newton_residual, kRelaxed);
   converged_.store(result.converged, kRelaxed);
@@ -30,6 +31,7 @@ void Findings::take_watch(const World& world) {
 
 void Findings::clear() {
   take_step({});
+  unconverged_steps_ = 0;
   for (Group& group : groups_) {
     group.min_det_f = 1;
     group.max_strain = 0;
@@ -42,6 +44,7 @@ void Findings::add_to(v1::SceneStatus& status) const {
     const double residual = newton_residual_.load(kRelaxed);
     status.set_newton_iterations(newton_iterations_.load(kRelaxed));
     status.set_newton_residual(residual);
+    status.set_unconverged_steps(unconverged_steps_.load(kRelaxed));
     if (!converged_.load(kRelaxed)) {
       status.add_warnings(
           fmt::format("the last step ended with an imbalance of {:.2g} of the forces, above newton_tolerance = {:.2g}; "
@@ -67,6 +70,12 @@ void Findings::add_to(v1::SceneStatus& status) const {
         body_of_group(g), physics::Hooke::kMaxStrain, physics::Hooke::kMaxRotation, strain, rotation));
   }
   status.set_min_det_f(min_det_f);
+  if (min_det_f <= 0) {
+    status.add_warnings(fmt::format(
+        "elements are turned inside out (min det F {:.2g}); what they carry means nothing until they come back, which "
+        "only corotational and stable_neo_hookean do by themselves",
+        min_det_f));
+  }
 }
 
 const std::string& Findings::body_of_group(std::size_t group) const {

@@ -32,6 +32,7 @@ class Findings {
   const model::Model& model_;
   std::deque<Group> groups_;  // a deque because an atomic does not move
   std::atomic<std::uint32_t> newton_iterations_{0};
+  std::atomic<std::uint64_t> unconverged_steps_{0};
   std::atomic<double> newton_residual_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
 };

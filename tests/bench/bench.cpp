@@ -88,6 +88,7 @@ Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& back
   row.bytes_per_tetrahedron = static_cast<double>(report.bytes_total()) / static_cast<double>(row.tetrahedra);
   double bytes = 0;
   for (const v1::PlanStage& stage : report.stages()) {
+    if (stage.name().starts_with("watch")) continue;  // not part of a step
     bytes += static_cast<double>(stage.bytes()) * (stage.name() == "conjugate gradients" ? model.cg_max_iterations : 1);
   }
   row.floor_s = bytes;

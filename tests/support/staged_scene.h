@@ -33,6 +33,9 @@ class StagedScene {
   explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1)
       : model(compile_into(scene, patches)), view(model::bind<Real>(model, arena_)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
+    if (view.scheme != nullptr) {
+      *const_cast<tensor::StepScheme<Real>*>(view.scheme) = backend::scheme_of<Real>(model, true);
+    }
   }
 
   /// Runs the model's stages up to and with `last`, each by all patches.

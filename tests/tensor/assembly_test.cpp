@@ -5,6 +5,7 @@
 #include "mesh/random_mesh.h"
 #include "mesh/surface.h"
 #include "support/dense_system.h"
+#include "support/laws.h"
 #include "support/staged_scene.h"
 
 /// The system that the stages assemble is the one that the definitions say, on any mesh, for any number of patches.
@@ -59,8 +60,8 @@ TEST_P(Assembly, EqualsTheBruteForceSystem) {
   for (int round = 0; round < 2; ++round) {
     staged.run_through(StageKind::kExternalForces);
     const tests::DenseSystem expected = tests::dense_system(source, u);
-    const Eigen::MatrixXd a = expected.a(staged.view.step_s);
-    const Eigen::VectorXd b = expected.b(staged.view.step_s, v);
+    const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
+    const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
     EXPECT_LT((staged.matrix() - a).norm(), 1e-13 * a.norm());
     EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-12 * b.norm());
   }
@@ -88,6 +89,74 @@ INSTANTIATE_TEST_SUITE_P(LawsAndPatches, Assembly,
                                   std::to_string(std::get<1>(one.param));
                          });
 
+/// Every law in every shape, against the same sums over elements.
+class EveryEntry : public testing::TestWithParam<std::tuple<v1::Shape, std::string>> {};
+
+TEST_P(EveryEntry, EqualsTheBruteForceSystem) {
+  const auto& [shape, law] = GetParam();
+  v1::Scene source = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = true});
+  source.mutable_bodies(0)->clear_fixed();
+  source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+  *source.mutable_bodies(0)->mutable_law() = tests::law(law, 1e5, 0.4);
+  StagedScene<double> staged(source, 2);
+  const Eigen::Index size = 3 * staged.node_count();
+  const Eigen::VectorXd u = tests::random_field(size, 0.02, 1), v = tests::random_field(size, 0.5, 2);
+  staged.put(staged.view.displacement, u);
+  staged.put(staged.view.velocity, v);
+  staged.run_through(StageKind::kExternalForces);
+  const tests::DenseSystem expected = tests::dense_system(source, u);
+  const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
+  const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
+  EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * a.norm());
+  EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-11 * b.norm());
+}
+
+INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
+                         testing::Combine(testing::ValuesIn(tests::shapes()), testing::ValuesIn(tests::law_names())),
+                         [](const auto& one) {
+                           return v1::Shape_Name(std::get<0>(one.param)) + "_" + std::get<1>(one.param);
+                         });
+
+/// What a consistent mass adds to the stiffness is ρ ∫ N_k N_l: symmetric, the same in all directions, exact for the
+/// kinetic energy of a linear velocity, where lumped mass is too heavy.
+TEST(Mass, ConsistentIsExactForLinearVelocities) {
+  for (const v1::Shape shape : tests::shapes()) {
+    for (const v1::Mass mass : {v1::MASS_LUMPED, v1::MASS_CONSISTENT}) {
+      v1::Scene source = tests::beam_scene({.cells_x = 3,
+                                            .cells_y = 2,
+                                            .cells_z = 2,
+                                            .size_x_m = 3,
+                                            .size_y_m = 1,
+                                            .size_z_m = 1,
+                                            .linear = true,
+                                            .double_precision = true});
+      source.mutable_bodies(0)->clear_fixed();
+      source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+      source.mutable_bodies(0)->set_mass(mass);
+      StagedScene<double> staged(source, 2);
+      const Eigen::Index size = 3 * staged.node_count();
+      staged.run_through(StageKind::kAssemble);
+      const double dt = staged.view.dt_s;
+      const Eigen::MatrixXd m = staged.matrix() - dt * dt * tests::dense_system(source, Eigen::VectorXd::Zero(size)).k;
+      EXPECT_LT((m - m.transpose()).norm(), 1e-12 * m.norm());
+      Eigen::VectorXd along_x = Eigen::VectorXd::Zero(size), along_y = along_x, unit = along_x;
+      for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+        const double x = staged.model.rest[4 * std::size_t{staged.row(node)}];
+        along_x[3 * node] = along_y[3 * node + 1] = x;
+        unit[3 * node] = 1;
+      }
+      const double exact = 1000 * 27.0 / 3;  // ρ ∫ x² dV
+      EXPECT_NEAR(unit.dot(m * unit), 3000, 1e-8) << v1::Shape_Name(shape);
+      EXPECT_NEAR(along_x.dot(m * along_x), along_y.dot(m * along_y), 1e-9 * exact);
+      if (mass == v1::MASS_CONSISTENT) {
+        EXPECT_NEAR(along_x.dot(m * along_x), exact, 1e-10 * exact) << v1::Shape_Name(shape);
+      } else {
+        EXPECT_GT(along_x.dot(m * along_x), 1.001 * exact) << v1::Shape_Name(shape);
+      }
+    }
+  }
+}
+
 /// The patch test: an affine displacement strains every element alike, so that no force is left inside.
 class PatchTest : public testing::TestWithParam<bool> {};
 
@@ -106,7 +175,7 @@ TEST_P(PatchTest, AffineDisplacementLeavesNoForceInside) {
   const mesh::Surface surface = mesh::boundary(mesh);
   std::vector<bool> outside(mesh.nodes.size(), false);
   for (const std::uint32_t node : surface.nodes) outside[node] = true;
-  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.step_s;
+  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.dt_s;
   double inside_largest = 0, outside_largest = 0;
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     double& largest = outside[node] ? outside_largest : inside_largest;

@@ -4,6 +4,7 @@
 #include <memory>
 #include <new>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "backend/backend.h"
@@ -52,6 +53,7 @@ class CpuState final : public SceneState {
       : model_(model),
         view_(model::bind<Real>(model, arena_)),
         tools_(const_cast<tensor::ToolState<Real>*>(view_.tools)),
+        scheme_(const_cast<tensor::StepScheme<Real>*>(view_.scheme)),
         newton_(const_cast<tensor::NewtonControl*>(view_.newton)),
         prescribed_(const_cast<Real*>(view_.prescribed)),
         barrier_(view_.patch_count) {
@@ -75,6 +77,7 @@ class CpuState final : public SceneState {
       tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_);
+    if (scheme_ != nullptr) *scheme_ = scheme_of<Real>(model_, std::exchange(first_step_, false));
     StepResult result;
     if (model_.iterates()) {
       result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
@@ -112,10 +115,7 @@ class CpuState final : public SceneState {
     };
     copy(state.displacement, view_.displacement);
     copy(state.velocity, view_.velocity);
-    if (view_.previous_displacement != nullptr) {
-      copy(displacement_before(model_, state), view_.previous_displacement);
-      copy(state.velocity, view_.previous_velocity);
-    }
+    first_step_ = true;
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
@@ -177,12 +177,14 @@ class CpuState final : public SceneState {
   HostArena arena_;
   const tensor::SceneView<Real> view_;
   tensor::ToolState<Real>* const tools_;
+  tensor::StepScheme<Real>* const scheme_;
   tensor::NewtonControl* const newton_;
   Real* const prescribed_;
   std::vector<tensor::ElementView<Real>> groups_;
   std::vector<cpu::ElementPass<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
+  bool first_step_ = true;  // since the start or since a state was written
   std::vector<std::thread> workers_;
 };
 

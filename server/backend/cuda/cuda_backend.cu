@@ -2,6 +2,7 @@
 #include <array>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <cuda_runtime.h>
@@ -91,6 +92,7 @@ class CudaState final : public SceneState {
         view_(model::bind<Real>(model, arena_)),
         tools_(model.tools.size()),
         prescribed_(4 * model.prescribed.size()),
+        scheme_(model.is_plain() ? 0 : 1),
         newton_(model.iterates() ? 1 : 0),
         solve_(1),
         patches_(view_.patch_count),
@@ -138,6 +140,7 @@ class CudaState final : public SceneState {
       tools_.data()[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_.data());
+    if (scheme_.size() > 0) *scheme_.data() = scheme_of<Real>(model_, std::exchange(first_step_, false));
     StepResult result;
     if (model_.iterates()) {
       result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
@@ -175,10 +178,7 @@ class CudaState final : public SceneState {
   void write(const RowState& state) override {
     upload(view_.displacement, state.displacement);
     upload(view_.velocity, state.velocity);
-    if (view_.previous_displacement != nullptr) {
-      upload(view_.previous_displacement, displacement_before(model_, state));
-      upload(view_.previous_velocity, state.velocity);
-    }
+    first_step_ = true;
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
@@ -260,6 +260,7 @@ class CudaState final : public SceneState {
     using model::Phase;
     if (phase == Phase::kBegin) {
       upload_pinned(view_.tools, tools_, "tools");
+      upload_pinned(view_.scheme, scheme_, "time scheme");
       upload_pinned(view_.prescribed, prescribed_, "prescribed displacements");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
@@ -306,6 +307,7 @@ class CudaState final : public SceneState {
   std::vector<ElementView<Real>> groups_;
   Pinned<tensor::ToolState<Real>> tools_;
   Pinned<Real> prescribed_;
+  Pinned<tensor::StepScheme<Real>> scheme_;
   Pinned<tensor::NewtonControl> newton_;
   Pinned<tensor::SolveReport<Real>> solve_;
   Pinned<tensor::PatchReport<Real>> patches_;
@@ -314,6 +316,7 @@ class CudaState final : public SceneState {
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
   unsigned threads_ = 0;
+  bool first_step_ = true;  // since the start or since a state was written
   cudaStream_t stream_ = nullptr;
   cudaGraphExec_t step_ = nullptr;
   cudaGraphExec_t gather_ = nullptr;

@@ -1,0 +1,259 @@
+#include <cmath>
+
+#include <gtest/gtest.h>
+
+#include "mesh/surface.h"
+#include "model/scene_input.h"
+#include "support/backends.h"
+#include "support/dense_system.h"
+#include "support/laws.h"
+#include "support/meshes.h"
+#include "support/scenes.h"
+#include "world/fields.h"
+
+/// Time schemes, equilibria, loads and fields against what mechanics says of them. The tables of docs/accuracy.md go
+/// further; these are the checks that every change must pass.
+namespace tensormass::world {
+namespace {
+
+class Analysis : public tests::OnBackend {
+ protected:
+  /// A bar 0.4 × 0.1 × 0.1 m of 4 × 2 × 2 cells, clamped at x = 0, in double precision, without gravity, solved to
+  /// rounding.
+  static v1::Scene bar(v1::Shape shape = v1::SHAPE_HEXAHEDRON, const std::string& law = "hooke", double poisson = 0.3) {
+    v1::Scene scene = tests::beam_scene({.cells_x = 4,
+                                         .cells_y = 2,
+                                         .cells_z = 2,
+                                         .size_x_m = 0.4,
+                                         .size_y_m = 0.1,
+                                         .size_z_m = 0.1,
+                                         .double_precision = true,
+                                         .cg_max_iterations = 5000,
+                                         .cg_tolerance = 1e-13});
+    scene.clear_gravity_m_per_s2();
+    scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+    *scene.mutable_bodies(0)->mutable_law() = tests::law(law, 1e5, poisson);
+    return scene;
+  }
+  static void quasi_static(v1::Scene& scene, double tolerance = 1e-10) {
+    scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+    scene.mutable_solver()->set_newton_tolerance(tolerance);
+  }
+  static void at_end(v1::Region& region, double x = 0.4) {
+    tests::set(*region.mutable_box()->mutable_min_m(), x - 1e-6, -1, -1);
+    tests::set(*region.mutable_box()->mutable_max_m(), x + 1e-6, 1, 1);
+  }
+  static v1::GetFieldsResponse fields(World& world, std::initializer_list<v1::Field> wanted) {
+    v1::GetFieldsRequest request;
+    for (const v1::Field field : wanted) request.add_fields(field);
+    return measure_fields(world.model(), world.state(), world.model().bodies[0], request).value();
+  }
+  static Eigen::MatrixXd values(const v1::FieldValues& field) {
+    const auto components = static_cast<Eigen::Index>(field.components());
+    const auto count = static_cast<Eigen::Index>(field.values().size() / sizeof(double)) / components;
+    return Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
+        reinterpret_cast<const double*>(field.values().data()), count, components);
+  }
+  static Eigen::MatrixXd one(World& world, v1::Field field) { return values(fields(world, {field}).fields(0)); }
+};
+
+/// The bar's first swing after a load is let go, against a run with steps a hundredth: the error falls with dt for
+/// implicit Euler and with dt² for BDF2.
+TEST_P(Analysis, TimeSchemesHaveTheirOrder) {
+  const auto tip = [&](v1::Solver::Integrator integrator, int steps) {
+    v1::Scene scene = bar();
+    tests::set(*scene.mutable_gravity_m_per_s2(), 0, -9.81, 0);
+    scene.mutable_solver()->set_integrator(integrator);
+    constexpr double kSpan = 0.06;
+    scene.mutable_stepping()->set_dt_s(kSpan / steps);
+    const auto world = start(scene);
+    for (int i = 0; i < steps; ++i) EXPECT_TRUE(world->step(false));
+    return one(*world, v1::FIELD_DISPLACEMENT)(4, 1);
+  };
+  const double exact = tip(v1::Solver::INTEGRATOR_BDF2, 3200);
+  ASSERT_LT(exact, -1e-3);
+  const auto ratio = [&](v1::Solver::Integrator integrator) {
+    return (tip(integrator, 60) - exact) / (tip(integrator, 120) - exact);
+  };
+  EXPECT_NEAR(ratio(v1::Solver::INTEGRATOR_IMPLICIT_EULER), 2, 0.15);
+  EXPECT_NEAR(ratio(v1::Solver::INTEGRATOR_BDF2), 4, 0.4);
+}
+
+/// An outer iteration drives the imbalance of a large bend down to rounding, for every law that is not linear.
+TEST_P(Analysis, NewtonReachesEquilibriumOfEveryLaw) {
+  for (const std::string& law : tests::law_names()) {
+    v1::Scene scene = bar(v1::SHAPE_HEXAHEDRON, law);
+    quasi_static(scene);
+    v1::Load& load = *scene.mutable_bodies(0)->add_loads();
+    at_end(*load.mutable_region());
+    tests::set(*load.mutable_traction_pa(), 0, 0, 600);
+    const auto world = start(scene);
+    ASSERT_TRUE(world->step(false));
+    EXPECT_TRUE(world->last().converged) << law << " " << world->last().newton_residual;
+    EXPECT_LT(world->last().newton_iterations, 15u) << law;
+    const auto all = fields(*world, {v1::FIELD_DISPLACEMENT, v1::FIELD_REACTION_FORCE});
+    EXPECT_GT(values(all.fields(0)).col(2).maxCoeff(), 0.05) << law << " bends far";
+    const Eigen::RowVector3d reaction = values(all.fields(1)).colwise().sum();
+    EXPECT_LT((reaction + Eigen::RowVector3d(0, 0, 6)).norm(), 1e-7) << law << ": 600 Pa on 0.01 m²";
+  }
+}
+
+/// An affine displacement of the boundary is an affine displacement inside: in every shape, and where shapes meet.
+TEST_P(Analysis, PatchTest) {
+  const auto check = [&](v1::Scene scene, const std::string& what) {
+    quasi_static(scene, 1e-12);
+    v1::Body& body = *scene.mutable_bodies(0);
+    body.clear_fixed();
+    const mesh::Mesh mesh = model::read_mesh(body, "body").value();
+    const Mat3<double> gradient = (Mat3<double>() << 0.02, 0.05, -0.03, 0.01, -0.04, 0.02, 0.03, 0.01, 0.06).finished();
+    const mesh::Surface surface = mesh::boundary(mesh);
+    for (const std::uint32_t node : surface.nodes) {
+      v1::PrescribedDisplacement& p = *body.add_prescribed();
+      p.mutable_region()->mutable_nodes()->add_indices(node);
+      const Vec3<double> u = gradient * mesh.nodes[node];
+      p.set_x_m(u[0]);
+      p.set_y_m(u[1]);
+      p.set_z_m(u[2]);
+    }
+    ASSERT_LT(surface.nodes.size(), mesh.nodes.size()) << "there is an inside";
+    const auto world = start(scene);
+    ASSERT_TRUE(world->step(false));
+    const Eigen::MatrixXd u = one(*world, v1::FIELD_DISPLACEMENT);
+    double error = 0;
+    for (std::size_t node = 0; node < mesh.nodes.size(); ++node) {
+      error =
+          std::max(error, (u.row(static_cast<Eigen::Index>(node)).transpose() - gradient * mesh.nodes[node]).norm());
+    }
+    EXPECT_LT(error, 1e-11) << what;
+    const Eigen::MatrixXd stress = one(*world, v1::FIELD_CAUCHY_STRESS);
+    EXPECT_LT((stress.rowwise() - stress.row(0)).norm(), 1e-8 * stress.norm())
+        << what << ": the stress is the same all over";
+  };
+  for (const v1::Shape shape : tests::shapes()) {
+    for (const auto quadrature : {v1::QUADRATURE_FULL, v1::QUADRATURE_SELECTIVE}) {
+      for (const char* law : {"hooke", "st_venant_kirchhoff", "stable_neo_hookean"}) {
+        v1::Scene scene = bar(shape, law);
+        scene.mutable_bodies(0)->set_quadrature(quadrature);
+        check(scene, v1::Shape_Name(shape) + " " + law);
+      }
+    }
+  }
+  v1::Scene mixed = tests::packed_scene(tests::mixed_mesh(), false);
+  check(mixed, "all linear shapes, distorted");
+}
+
+/// u = schedule(t) · displacement, where and in which directions it is given; the others stay free.
+TEST_P(Analysis, DrivenNodesGoWhereTheyAreToldAndNowhereElse) {
+  for (const bool dynamic : {true, false}) {
+    v1::Scene scene = bar(v1::SHAPE_TETRAHEDRON, "st_venant_kirchhoff");
+    if (!dynamic) quasi_static(scene);
+    v1::PrescribedDisplacement& end = *scene.mutable_bodies(0)->add_prescribed();
+    at_end(*end.mutable_region());
+    end.set_x_m(0.04);
+    for (const auto& [time, factor] : {std::pair{0.0, 0.0}, std::pair{0.04, 1.0}, std::pair{0.08, -0.5}}) {
+      end.mutable_schedule()->add_time_s(time);
+      end.mutable_schedule()->add_factor(factor);
+    }
+    const auto world = start(scene);
+    for (int step = 1; step <= 10; ++step) {
+      ASSERT_TRUE(world->step(false));
+      const double t = 0.01 * step;
+      const double expected = 0.04 * (t <= 0.04 ? t / 0.04 : t <= 0.08 ? 1 - 1.5 * (t - 0.04) / 0.04 : -0.5);
+      const Eigen::MatrixXd u = one(*world, v1::FIELD_DISPLACEMENT);
+      EXPECT_NEAR(u(4, 0), expected, 1e-12) << step;
+      if (step == 4) {
+        EXPECT_GT(std::abs(u(4, 1)), 1e-4) << "it narrows, being free to";
+      }
+    }
+    const Eigen::MatrixXd reaction = one(*world, v1::FIELD_REACTION_FORCE);
+    EXPECT_EQ(reaction(4, 1), 0) << "a free direction is held by nothing";
+    if (!dynamic) {
+      EXPECT_LT(reaction.colwise().sum().norm(), 1e-7) << "in equilibrium what holds balances";
+      EXPECT_LT(reaction.col(0).segment(4, 1)[0], 0) << "pressed";
+    }
+  }
+}
+
+/// A pressure on the whole surface of a free block squeezes it by p / K, follows it, and moves it nowhere.
+TEST_P(Analysis, PressureAllAroundIsHydrostatic) {
+  for (const v1::Shape shape : tests::shapes()) {
+    v1::Scene scene = bar(shape, "hooke");
+    v1::Body& body = *scene.mutable_bodies(0);
+    body.clear_fixed();
+    for (int c = 0; c < 3; ++c) {  // three planes of symmetry hold it
+      v1::PrescribedDisplacement& plane = *body.add_prescribed();
+      tests::set(*plane.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
+      tests::set(*plane.mutable_region()->mutable_box()->mutable_max_m(), c == 0 ? 1e-6 : 1, c == 1 ? 1e-6 : 1,
+                 c == 2 ? 1e-6 : 1);
+      if (c == 0) plane.set_x_m(0);
+      if (c == 1) plane.set_y_m(0);
+      if (c == 2) plane.set_z_m(0);
+    }
+    quasi_static(scene);
+    v1::Load& load = *body.add_loads();
+    tests::set(*load.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
+    tests::set(*load.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+    const double pressure = 1, bulk = 1e5 / (3 * (1 - 2 * 0.3));
+    load.set_pressure_pa(pressure);
+    const auto world = start(scene);
+    ASSERT_TRUE(world->step(false));
+    const auto all = fields(*world, {v1::FIELD_CAUCHY_STRESS, v1::FIELD_VON_MISES_STRESS});
+    EXPECT_NEAR(all.min_det_f(), 1 - pressure / bulk, 1e-9) << v1::Shape_Name(shape);
+    EXPECT_LT((values(all.fields(0)).leftCols(3).array() + pressure).abs().maxCoeff(), 1e-4) << v1::Shape_Name(shape);
+    EXPECT_LT(values(all.fields(1)).maxCoeff(), 1e-4) << v1::Shape_Name(shape);
+    EXPECT_NEAR(all.elastic_energy_j(), 0.5 * pressure * pressure / bulk * 0.004, 1e-12) << v1::Shape_Name(shape);
+  }
+}
+
+/// After a sudden stretch that is held the stress sinks to 1 − α of itself, in every law.
+TEST_P(Analysis, MemoryRelaxesEveryLaw) {
+  for (const std::string& law : tests::law_names()) {
+    v1::Scene scene = bar(v1::SHAPE_HEXAHEDRON, law);
+    v1::Body& body = *scene.mutable_bodies(0);
+    quasi_static(scene);
+    scene.mutable_stepping()->set_dt_s(0.05);
+    v1::PronyTerm& term = *body.mutable_law()->add_prony();
+    term.set_share(0.6);
+    term.set_relaxation_time_s(0.2);
+    v1::PrescribedDisplacement& end = *body.add_prescribed();
+    at_end(*end.mutable_region());
+    end.set_x_m(0.02);
+    end.set_y_m(0);
+    end.set_z_m(0);
+    const auto world = start(scene);
+    const auto pull = [&] {
+      EXPECT_TRUE(world->step(false));
+      return one(*world, v1::FIELD_REACTION_FORCE)(4, 0);
+    };
+    const double first = pull();
+    double last = first;
+    for (int step = 2; step <= 100; ++step) last = pull();
+    const double after_one = 1 - 0.6 * 0.05 / 0.25;  // implicit Euler's first step
+    EXPECT_NEAR(last / first, 0.4 / after_one, 1e-4) << law;
+    EXPECT_GT(first, 0.01) << law;
+  }
+}
+
+TEST_P(Analysis, WatchSeesRotationAndCompression) {
+  v1::Scene scene = bar(v1::SHAPE_TETRAHEDRON, "hooke");
+  quasi_static(scene);
+  v1::PrescribedDisplacement& end = *scene.mutable_bodies(0)->add_prescribed();
+  at_end(*end.mutable_region());
+  end.set_x_m(-0.2);
+  const auto world = start(scene);
+  world->watch();
+  EXPECT_EQ(world->watched()[0].min_det_f, 1);
+  EXPECT_EQ(world->watched()[0].max_strain, 0);
+  ASSERT_TRUE(world->step(false));
+  world->watch();
+  EXPECT_NEAR(world->watched()[0].max_strain, 0.5, 0.1);
+  EXPECT_LT(world->watched()[0].min_det_f, 0.75);
+  EXPECT_NEAR(world->watched()[0].min_det_f, fields(*world, {}).min_det_f(), 1e-12);
+  world->reset();
+  EXPECT_EQ(world->watched()[0].max_strain, 0);
+}
+
+TM_ON_EACH_BACKEND(Analysis);
+
+}  // namespace
+}  // namespace tensormass::world
