@@ -9,6 +9,7 @@
 #include "physics/element/quadratic_tetrahedron.h"
 #include "physics/element/wedge.h"
 #include "physics/material/corotational.h"
+#include "physics/material/hencky.h"
 #include "physics/material/hooke.h"
 #include "physics/material/mooney_rivlin.h"
 #include "physics/material/neo_hookean.h"
@@ -29,7 +30,7 @@ struct TypeList {
 /// In the order of mesh::Shape.
 using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, QuadraticTetrahedron>;
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
-                      TransverselyIsotropic>;
+                      TransverselyIsotropic, Hencky>;
 
 namespace detail {
 template <class... Types>

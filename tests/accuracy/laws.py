@@ -74,6 +74,24 @@ def _by_volume(bulk_modulus_pa: float) -> Callable[[Floats], Floats]:
     return lambda f: bulk_modulus_pa * (_det(f) - 1) * _det(f) * _inverse_transpose(f)
 
 
+def _shear_by_principal_stress(principal: Callable[[float], Floats]) -> Callable[[float], Floats]:
+    """Law.shear from the principal Cauchy stresses under the stretches (s, 1/s, 1)."""
+
+    def shear(g: float) -> Floats:
+        stretch = (g + np.sqrt(g**2 + 4)) / 2
+        first, second, third = principal(stretch)
+        # The larger principal direction of F Fᵀ is (stretch, 1, 0).
+        cos2, sin2 = np.array([stretch**2, 1]) / (stretch**2 + 1)
+        s11, s22, s12 = (
+            first * cos2 + second * sin2,
+            first * sin2 + second * cos2,
+            (first - second) * np.sqrt(cos2 * sin2),
+        )
+        return np.array([s11 - g * s12, s12, s12 - g * s22, s22, third])  # P = σ F^-T
+
+    return shear
+
+
 def hooke(young_modulus_pa: float, poisson_ratio: float) -> Law:
     lam, mu = lame(young_modulus_pa, poisson_ratio)
 
@@ -229,21 +247,32 @@ def ogden(mu_pa: float, alpha: float, bulk_modulus_pa: float) -> Law:
         u, s, v = np.linalg.svd(f)
         return (u * pull(s)[..., None, :]) @ v
 
-    def shear(g: float) -> Floats:
-        stretch = (g + np.sqrt(g**2 + 4)) / 2  # and 1/stretch and 1; J = 1
+    def principal(stretch: float) -> Floats:
         powers = mu_pa * np.array([stretch**alpha, stretch**-alpha, 1])
-        first, second, third = powers - powers.mean()
-        # The larger principal direction of F Fᵀ is (stretch, 1, 0).
-        cos2, sin2 = np.array([stretch**2, 1]) / (stretch**2 + 1)
-        s11, s22, s12 = (
-            first * cos2 + second * sin2,
-            first * sin2 + second * cos2,
-            (first - second) * np.sqrt(cos2 * sin2),
-        )
-        return np.array([s11 - g * s12, s12, s12 - g * s22, s22, third])  # P = σ F^-T
+        return powers - powers.mean()
 
     message = scene_pb2.Law(ogden=scene_pb2.Ogden(mu_pa=mu_pa, alpha=alpha, bulk_modulus_pa=bulk_modulus_pa))
-    return Law(message, stress, _by_volume(bulk_modulus_pa), pull, shear)
+    return Law(message, stress, _by_volume(bulk_modulus_pa), pull, _shear_by_principal_stress(principal))
+
+
+def hencky(young_modulus_pa: float, poisson_ratio: float) -> Law:
+    lam, mu = lame(young_modulus_pa, poisson_ratio)
+
+    def pull(s: Floats) -> Floats:
+        strain = np.log(s)
+        return (2 * mu * strain + lam * strain.sum(axis=-1)[..., None]) / s
+
+    def stress(f: Floats) -> Floats:
+        u, s, v = np.linalg.svd(f)
+        return (u * pull(s)[..., None, :]) @ v
+
+    return Law(
+        scene_pb2.Law(hencky=_isotropic(young_modulus_pa, poisson_ratio)),
+        stress,
+        lambda f: _bulk(young_modulus_pa, poisson_ratio) * np.log(_det(f)) * _inverse_transpose(f),
+        pull,
+        _shear_by_principal_stress(lambda stretch: 2 * mu * np.log(stretch) * np.array([1, -1, 0])),
+    )
 
 
 def transversely_isotropic(
@@ -286,4 +315,5 @@ LAWS: dict[str, Law] = {
     "mooney_rivlin": mooney_rivlin(600, 300, 8000),
     "ogden": ogden(300, 12, 8000),
     "transversely_isotropic": transversely_isotropic(5000, 0.35, 8000, (1, 0, 0)),
+    "hencky": hencky(5000, 0.35),
 }

@@ -51,8 +51,8 @@ template <class Law>
 inline constexpr bool kIsotropic = !std::is_same_v<Law, TransverselyIsotropic>;
 /// Its energy has no value where det F is not positive.
 template <class Law>
-inline constexpr bool kNeedsPositiveVolume =
-    std::is_same_v<Law, NeoHookean> || std::is_same_v<Law, MooneyRivlin> || std::is_same_v<Law, Ogden>;
+inline constexpr bool kNeedsPositiveVolume = std::is_same_v<Law, NeoHookean> || std::is_same_v<Law, MooneyRivlin> ||
+                                             std::is_same_v<Law, Ogden> || std::is_same_v<Law, Hencky>;
 /// Finds back from collapse and inversion.
 template <class Law>
 inline constexpr bool kRecovers = std::is_same_v<Law, Corotational> || std::is_same_v<Law, StableNeoHookean>;
