@@ -11,6 +11,7 @@
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "model/wedge_pairs.h"
 
 namespace tensormass::model {
 
@@ -19,13 +20,14 @@ namespace {
 /// Compiles one scene; the model grows step by step.
 class Compiler {
  public:
-  Compiler(const v1::Scene& scene, const PatchPolicy& policy) : c_{scene, {}, {}, {}, {}}, policy_(policy) {}
+  Compiler(const v1::Scene& scene, const PatchPolicy& policy) : c_{scene, {}, {}, {}, {}, {}}, policy_(policy) {}
 
   Result<Model> run() {
     TM_CHECK(read_header());
     TM_CHECK(read_bodies());
     TM_CHECK(read_tools());
-    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())));
+    make_wedge_pairs(c_);
+    make_layout();
     TM_CHECK(fill_row_fields(c_));
     TM_CHECK(fill_supports_and_loads(c_));
     TM_CHECK(group_elements(c_));
@@ -38,6 +40,13 @@ class Compiler {
   }
 
  private:
+  /// The pairs count as elements here only: the matrix couples all nodes of a pair.
+  void make_layout() {
+    merged_.blocks.push_back(wedge_pair_block(c_));
+    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())));
+    merged_.blocks.pop_back();
+  }
+
   Result<void> read_header() {
     TM_CHECK(check_name(scene_.name(), "scene.name"));
     model_.name = scene_.name();

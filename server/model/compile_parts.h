@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -28,6 +29,14 @@ struct ReadBody {
   }
 };
 
+/// Two wedges that integrate their change of volume together (wedge_pairs.h).
+struct WedgePair {
+  std::size_t body;
+  std::array<std::uint32_t, 2> elements;    ///< in the body
+  std::array<std::uint32_t, 8> nodes;       ///< in the scene: the first wedge's, then what the second one adds
+  std::array<std::size_t, 6> second_nodes;  ///< where the second wedge's nodes are in `nodes`
+};
+
 /// A model that is being compiled.
 struct Compilation {
   const v1::Scene& scene;
@@ -35,6 +44,7 @@ struct Compilation {
   mesh::Mesh merged;                      ///< all bodies; its blocks are those of the bodies in their order
   std::vector<std::size_t> block_bodies;  ///< the body of each block of merged
   std::vector<ReadBody> bodies;
+  std::vector<WedgePair> wedge_pairs;
 };
 
 /// Calls visit(shape tag, body, index of the element in its body, its scene nodes, their positions) for every element.

@@ -9,6 +9,7 @@
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "model/wedge_pairs.h"
 #include "physics/element/element.h"
 
 namespace tensormass::model {
@@ -18,20 +19,25 @@ namespace {
 using physics::Quadrature;
 using tensor::kSliceRows;
 
+/// What of an element's energy a group holds.
+enum class Share : std::uint8_t { kWhole, kWithoutDilatation, kDilatationOfPair };
+
 /// What must be equal for elements to be in one group. Groups with refreshed tensors come first; a linear law's range
 /// and a memory are watched and kept body by body.
 struct GroupKey {
   bool constant;
   int shape, law;
   Quadrature quadrature;
+  Share share;
   std::size_t body;
   std::size_t memory;  // index into the Prony series met so far; 0: none
-  auto order() const { return std::tie(constant, shape, law, quadrature, body, memory); }
+  auto order() const { return std::tie(constant, shape, law, quadrature, share, body, memory); }
   bool operator<(const GroupKey& other) const { return order() < other.order(); }
 };
 
 struct Collected {
-  std::vector<std::uint32_t> elements;
+  std::vector<std::uint32_t> elements, partners;
+  std::vector<double> first_parts;
   std::vector<std::uint32_t> rows;  // [element][node]
   std::vector<double> rest;         // [element][..]
   std::vector<double> parameters;   // [element][..]
@@ -157,30 +163,50 @@ Result<void> group_elements(Compilation& c) {
     return static_cast<std::size_t>(std::find(memories.begin(), memories.end(), terms) - memories.begin());
   };
 
-  std::uint32_t folded = mesh::kNone;
   std::map<GroupKey, Collected> collected;
+  const auto collect = [&]<class Shape>(const physics::ElementAtRest<Shape>& rest, Share share, std::size_t b,
+                                        std::uint32_t element, std::span<const std::uint32_t> nodes) -> Collected& {
+    const ReadBody& body = c.bodies[b];
+    const Material& material = body.material(element);
+    const bool alone = material.constant_stiffness || !material.prony.empty();
+    Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
+                                  material.law, body.quadrature, share, alone ? b : 0, memory_of(material.prony)}];
+    if (material.constant_stiffness) {
+      if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
+      add_constant_tensors(c, material, nodes, rest);
+    }
+    group.nodes = Shape::kNodes;
+    group.shares = rest.shares;
+    group.elements.push_back(c.model.bodies[b].element_begin + element);
+    for (const std::uint32_t node : nodes) group.rows.push_back(layout.row_of_node[node]);
+    for (const auto& point : rest.points) group.rest.insert(group.rest.end(), point.begin(), point.end());
+    group.parameters.insert(group.parameters.end(), material.parameters.begin(), material.parameters.end());
+    return group;
+  };
+
+  std::vector<bool> paired(mesh::element_count(c.merged), false);
+  for (const WedgePair& pair : c.wedge_pairs) {
+    const std::uint32_t begin = c.model.bodies[pair.body].element_begin;
+    for (const std::uint32_t element : pair.elements) paired[begin + element] = true;
+    const WedgePairAtRest at_rest = wedge_pair_at_rest(c, pair);
+    Collected& group = collect(at_rest.rest, Share::kDilatationOfPair, pair.body, pair.elements[0], pair.nodes);
+    group.partners.push_back(begin + pair.elements[1]);
+    group.first_parts.push_back(at_rest.first_part);
+  }
+  std::uint32_t folded = mesh::kNone;
   for_each_element(
       c, [&](auto tag, std::size_t b, std::uint32_t element, std::span<const std::uint32_t> nodes, const auto& x) {
         using Shape = typename decltype(tag)::Type;
-        const ReadBody& body = c.bodies[b];
-        const Material& material = body.material(element);
-        const bool alone = material.constant_stiffness || !material.prony.empty();
-        const physics::ElementAtRest<Shape> rest(x, body.quadrature);
+        const std::uint32_t of_scene = c.model.bodies[b].element_begin + element;
+        physics::ElementAtRest<Shape> rest(x, c.bodies[b].quadrature);
         for (const auto& point : rest.points) {
-          if (!(point.back() > 0)) folded = std::min(folded, c.model.bodies[b].element_begin + element);
+          if (!(point.back() > 0)) folded = std::min(folded, of_scene);
         }
-        Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
-                                      material.law, body.quadrature, alone ? b : 0, memory_of(material.prony)}];
-        if (material.constant_stiffness) {
-          if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
-          add_constant_tensors(c, material, nodes, rest);
+        if (paired[of_scene]) {  // the volumetric point, which is the last one, is the pair's
+          rest.points.pop_back();
+          rest.shares.pop_back();
         }
-        group.nodes = Shape::kNodes;
-        group.shares = rest.shares;
-        group.elements.push_back(c.model.bodies[b].element_begin + element);
-        for (const std::uint32_t node : nodes) group.rows.push_back(layout.row_of_node[node]);
-        for (const auto& point : rest.points) group.rest.insert(group.rest.end(), point.begin(), point.end());
-        group.parameters.insert(group.parameters.end(), material.parameters.begin(), material.parameters.end());
+        collect(rest, paired[of_scene] ? Share::kWithoutDilatation : Share::kWhole, b, element, nodes);
       });
 
   if (folded != mesh::kNone) {
@@ -203,12 +229,15 @@ Result<void> group_elements(Compilation& c) {
     group.partial_begin = partial_begin;
     group.record_reals = key.constant ? 0 : tensor::record_reals(static_cast<std::uint32_t>(elements.nodes));
     group.point_count = static_cast<std::uint32_t>(elements.shares.size());
-    if (key.quadrature == Quadrature::kSelective && group.point_count > 1) group.shares = elements.shares;
+    const auto divided = [](const physics::PointShares& one) { return one.deviatoric != 1 || one.volumetric != 1; };
+    if (std::any_of(elements.shares.begin(), elements.shares.end(), divided)) group.shares = elements.shares;
     for (const PronyTerm& term : memories[key.memory]) {
       group.prony.push_back(physics::prony_step(term.share, term.relaxation_time_s, c.model.dt_s));
     }
     const std::vector<std::uint32_t> order = order_by_first_row(elements.rows, elements.nodes);
     group.elements = transpose(elements.elements, order, group.element_count);
+    group.partners = transpose(elements.partners, order, group.element_count);
+    group.first_parts = transpose(elements.first_parts, order, group.element_count);
     group.rows = transpose(elements.rows, order, group.stride);
     group.rest = transpose(elements.rest, order, group.stride);
     group.parameters = transpose(elements.parameters, order, group.stride);

@@ -65,11 +65,14 @@ struct ElementGroup {
   std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
   std::vector<physics::PronyStep> prony;     ///< empty: no memory
   std::vector<std::uint32_t> elements;       ///< [element_count] index in the scene's mesh
+  std::vector<std::uint32_t> partners;       ///< [element_count] of wedge pairs (wedge_pairs.h) the second; else empty
+  std::vector<double> first_parts;           ///< [element_count] the first's part of a pair's volume; else empty
   std::vector<std::uint32_t> rows;           ///< [shape nodes][stride]
   std::vector<double> rest;                  ///< [point_count][rest reals][stride]
   std::vector<double> parameters;            ///< [law parameters][stride]
 
   bool is_constant() const { return record_reals == 0; }
+  bool is_wedge_pairs() const { return !partners.empty(); }
   /// Of Γ_i, [point_count][prony][6][stride].
   std::size_t history_reals() const {
     return std::size_t{point_count} * prony.size() * physics::kSymmetricReals * stride;

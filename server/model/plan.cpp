@@ -204,7 +204,9 @@ v1::SceneReport make_report(const Model& model, const MachineRates& machine) {
     if (stage.kind == StageKind::kElements || stage.kind == StageKind::kWatch) {
       const ElementGroup& group = model.groups[stage.group];
       physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
-        out.set_name(fmt::format("{}: {}, {}", words.name, decltype(shape)::Type::kName, decltype(law)::Type::kName));
+        out.set_name(fmt::format("{}: {}, {}", words.name,
+                                 group.is_wedge_pairs() ? "volume of wedge pairs" : decltype(shape)::Type::kName,
+                                 decltype(law)::Type::kName));
       });
     }
     out.set_reads(std::string(words.reads));

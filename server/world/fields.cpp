@@ -1,9 +1,12 @@
 #include "world/fields.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numeric>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -22,10 +25,11 @@ struct Measured {
   std::vector<double> det_f, energy;          // [element]
 };
 
-/// Deformation gradient, stress and all that of one element, its quadrature points summed up.
+/// Deformation gradient, stress and all that of one element, its quadrature points summed up, or what both wedges of a
+/// pair have together: added to what is there. `first_element`: of the body whose elements `measured` holds.
 template <class Shape, class Law>
 void measure_element(const model::ElementGroup& group, std::span<const double> history, std::uint32_t e,
-                     const std::vector<double>& displacement, std::uint32_t out, Measured& measured) {
+                     const std::vector<double>& displacement, std::uint32_t first_element, Measured& measured) {
   const auto at = [&](const std::vector<double>& items, std::size_t component) {
     return items[component * group.stride + e];
   };
@@ -35,20 +39,17 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     rows[k] = group.rows[k * group.stride + e];
     u[k] = tensor::load3<double>(displacement.data(), rows[k]);
   }
-  double volume = 0;
+  physics::PointShares volume{0, 0};
   Mat3<double> cauchy = Mat3<double>::Zero();
-  double& det_f = measured.det_f[out] = std::numeric_limits<double>::infinity();
+  double det_f = std::numeric_limits<double>::infinity(), energy = 0;
   for (std::uint32_t q = 0; q < group.point_count; ++q) {
     const auto gradients = physics::PointGradients<Shape, double>::read([&](int c) {
       return at(group.rest, std::size_t{q} * physics::kRestReals<Shape> + static_cast<std::size_t>(c));
     });
     std::array<double, Law::kParameterCount> parameters;
     for (std::size_t c = 0; c < parameters.size(); ++c) parameters[c] = at(group.parameters, c);
-    double deviatoric = 1;
-    if (!group.shares.empty()) {
-      deviatoric = group.shares[q].deviatoric;
-      Law::take_shares(parameters.data(), deviatoric, group.shares[q].volumetric);
-    }
+    const physics::PointShares shares = group.shares.empty() ? physics::PointShares{} : group.shares[q];
+    if (!group.shares.empty()) Law::take_shares(parameters.data(), shares.deviatoric, shares.volumetric);
     const Mat3<double> f = gradients.deformation_gradient(u);
     const auto point = Law::at(f, parameters.data());
     Mat3<double> stress = Law::stress(point);
@@ -73,19 +74,34 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     // A linear law does not tell one measure of stress from another.
     const Mat3<double> true_stress = Law::kConstantStiffness ? stress : Mat3<double>(stress * f.transpose() / j);
     cauchy += true_stress * gradients.weight;
-    // The points of selective integration measure the volume twice, once for each kind of moduli.
-    volume += deviatoric * gradients.weight;
-    measured.energy[out] += Law::energy(point) * gradients.weight;
+    // Selective integration goes over the volume for each kind of moduli, or for one of them only.
+    volume.deviatoric += shares.deviatoric * gradients.weight;
+    volume.volumetric += shares.volumetric * gradients.weight;
+    energy += Law::energy(point) * gradients.weight;
   }
-  cauchy /= volume;
-  measured.cauchy[out] = {cauchy(0, 0), cauchy(1, 1), cauchy(2, 2), cauchy(1, 2), cauchy(0, 2), cauchy(0, 1)};
+  cauchy /= std::max(volume.deviatoric, volume.volumetric);
+  const auto add = [&](std::uint32_t element, double part) {
+    const std::uint32_t out = element - first_element;
+    constexpr std::pair<int, int> kComponents[] = {{0, 0}, {1, 1}, {2, 2}, {1, 2}, {0, 2}, {0, 1}};
+    for (std::size_t c = 0; c < std::size(kComponents); ++c) {
+      measured.cauchy[out][c] += cauchy(kComponents[c].first, kComponents[c].second);
+    }
+    measured.det_f[out] = std::min(measured.det_f[out], det_f);
+    measured.energy[out] += part * energy;
+  };
+  if (group.is_wedge_pairs()) {
+    add(group.elements[e], group.first_parts[e]);
+    add(group.partners[e], 1 - group.first_parts[e]);
+  } else {
+    add(group.elements[e], 1);
+  }
 }
 
 Measured measure(const model::Model& m, const backend::RowState& state, const model::BodyModel& body) {
   Measured measured;
   measured.force.assign(m.layout.row_count, Vec3<double>::Zero());
-  measured.cauchy.resize(body.element_count);
-  measured.det_f.resize(body.element_count);
+  measured.cauchy.assign(body.element_count, {});
+  measured.det_f.assign(body.element_count, std::numeric_limits<double>::infinity());
   measured.energy.assign(body.element_count, 0);
   std::span<const double> histories = state.histories;
   for (const model::ElementGroup& group : m.groups) {
@@ -93,10 +109,10 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
     histories = histories.subspan(group.history_reals());
     physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
       for (std::uint32_t e = 0; e < group.element_count; ++e) {
-        const std::uint32_t out = group.elements[e] - body.element_begin;  // wraps around for the bodies before
-        if (out >= body.element_count) continue;
+        // Wraps around for the bodies before.
+        if (group.elements[e] - body.element_begin >= body.element_count) continue;
         measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
-            group, history, e, state.displacement, out, measured);
+            group, history, e, state.displacement, body.element_begin, measured);
       }
     });
   }

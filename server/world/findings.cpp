@@ -61,7 +61,9 @@ void Findings::add_to(v1::SceneStatus& status) const {
   double min_det_f = std::numeric_limits<double>::infinity();
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
-    if (model_.groups[g].law != physics::index_of<physics::Hooke>(physics::Laws{})) continue;
+    const model::ElementGroup& group = model_.groups[g];
+    // A pair of wedges is watched by its wedges.
+    if (group.law != physics::index_of<physics::Hooke>(physics::Laws{}) || group.is_wedge_pairs()) continue;
     const double strain = groups_[g].max_strain.load(kRelaxed), rotation = groups_[g].max_rotation_rad.load(kRelaxed);
     if (strain <= physics::Hooke::kMaxStrain && rotation <= physics::Hooke::kMaxRotation) continue;
     status.add_warnings(fmt::format(

@@ -42,11 +42,10 @@ const std::vector<std::string> kContactBuffers{"contact", "tool"};
 TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
   const v1::SceneReport report = plan(tests::block_with_probe());
   EXPECT_EQ(stages(report),
-            (std::vector<std::string>{"detect contact", "respond to contact",
-                                      "element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
-                                      "external forces", "assemble contact", "factorize diagonal", "scale matrix",
-                                      "conjugate gradients", "advance", "measure contact",
-                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
+            (std::vector<std::string>{
+                "detect contact", "respond to contact", "element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
+                "external forces", "assemble contact", "factorize diagonal", "scale matrix", "conjugate gradients",
+                "advance", "measure contact", "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_TRUE(has_buffer(report, part)) << part;
   EXPECT_TRUE(has_buffer(report, "visible"));
   EXPECT_TRUE(has_buffer(report, "external"));
@@ -57,10 +56,10 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   v1::Scene scene = tests::block_with_probe();
   scene.clear_tools();
   const v1::SceneReport report = plan(scene);
-  EXPECT_EQ(stages(report), (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
-                                                      "external forces", "factorize diagonal", "scale matrix",
-                                                      "conjugate gradients", "advance",
-                                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
+  EXPECT_EQ(stages(report),
+            (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
+                                      "external forces", "factorize diagonal", "scale matrix", "conjugate gradients",
+                                      "advance", "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_FALSE(has_buffer(report, part)) << part;
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
 }
@@ -96,6 +95,15 @@ TEST(Plan, OfALinearSceneRefreshesNoElement) {
   EXPECT_FALSE(has_buffer(report, "element parameters"));
   EXPECT_FALSE(has_buffer(report, "gather"));
   EXPECT_TRUE(has_buffer(report, "constant edge tensors"));
+}
+
+TEST(Plan, NamesThePairsOfWedges) {
+  v1::Scene scene = tests::beam_scene();
+  scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(v1::SHAPE_WEDGE);
+  scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
+  const std::vector<std::string> names = stages(plan(scene));
+  EXPECT_EQ(names[0], "element tensors: wedge, st_venant_kirchhoff");
+  EXPECT_EQ(names[1], "element tensors: volume of wedge pairs, st_venant_kirchhoff");
 }
 
 TEST(Plan, OfANonLinearSceneStoresNoConstantTensors) {

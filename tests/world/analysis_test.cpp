@@ -10,6 +10,7 @@
 #include "support/meshes.h"
 #include "support/scenes.h"
 #include "world/fields.h"
+#include "world/findings.h"
 
 /// Time schemes, equilibria, loads and fields against what mechanics says of them. The tables of docs/accuracy.md go
 /// further; these are the checks that every change must pass.
@@ -140,6 +141,74 @@ TEST_P(Analysis, PatchTest) {
   }
   v1::Scene mixed = tests::packed_scene(tests::mixed_mesh(), false);
   check(mixed, "all linear shapes, distorted");
+  mixed.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
+  check(mixed, "all linear shapes, distorted, selective");
+}
+
+/// A nearly incompressible bar bends about an axis across the triangles of its wedges as hexahedra do, which do not
+/// lock; wedges that keep their change of volume to themselves bend a third as far.
+TEST_P(Analysis, SelectiveWedgesDoNotLock) {
+  const auto tip = [&](v1::Shape shape) {
+    v1::Scene scene = bar(shape, "hooke", 0.4999);
+    v1::Body& body = *scene.mutable_bodies(0);
+    body.mutable_mesh()->mutable_grid()->set_cells_x(16);
+    body.mutable_mesh()->mutable_grid()->set_cells_y(8);
+    body.set_quadrature(v1::QUADRATURE_SELECTIVE);
+    v1::PrescribedDisplacement& flat = *body.add_prescribed();  // plane strain
+    tests::set(*flat.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
+    tests::set(*flat.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+    flat.set_z_m(0);
+    v1::Load& load = *body.add_loads();
+    at_end(*load.mutable_region());
+    tests::set(*load.mutable_traction_pa(), 0, 1, 0);
+    quasi_static(scene);
+    const auto world = start(scene);
+    EXPECT_TRUE(world->step(false));
+    return one(*world, v1::FIELD_DISPLACEMENT).col(1).maxCoeff();
+  };
+  const double hexahedra = tip(v1::SHAPE_HEXAHEDRON);
+  EXPECT_NEAR(tip(v1::SHAPE_WEDGE), hexahedra, 0.15 * hexahedra);
+}
+
+/// What a step computes and what the fields say are one mechanics: in equilibrium the reactions are the derivative of
+/// the energy by the displacements that are prescribed, also where wedges share their change of volume, and the energy
+/// of the elements is all there is.
+TEST_P(Analysis, ReactionsAreTheDerivativeOfTheEnergy) {
+  for (const std::string& law : tests::law_names()) {
+    const auto at = [&](double step) {
+      v1::Scene scene = tests::packed_scene(tests::mixed_mesh(), false);
+      quasi_static(scene, 1e-12);
+      scene.mutable_solver()->set_cg_max_iterations(5000);
+      scene.mutable_solver()->set_cg_tolerance(1e-13);
+      v1::Body& body = *scene.mutable_bodies(0);
+      *body.mutable_law() = tests::law(law, 1e5, 0.45);
+      body.set_quadrature(v1::QUADRATURE_SELECTIVE);
+      for (const double x : {0.0, 2.0}) {
+        v1::PrescribedDisplacement& end = *body.add_prescribed();
+        at_end(*end.mutable_region(), x);
+        end.set_x_m(x == 0 ? 0 : 0.1 + step);
+        end.set_y_m(x == 0 ? 0 : 0.2 + 2 * step);
+        end.set_z_m(x == 0 ? 0 : -0.1 + 3 * step);
+      }
+      const auto world = start(scene);
+      EXPECT_TRUE(world->step(false));
+      return fields(*world, {v1::FIELD_REACTION_FORCE, v1::FIELD_DISPLACEMENT, v1::FIELD_ELASTIC_ENERGY});
+    };
+    const v1::GetFieldsResponse here = at(0);
+    const Eigen::MatrixXd reaction = values(here.fields(0)), u = values(here.fields(1));
+    double work = 0;
+    for (Eigen::Index node = 0; node < u.rows(); ++node) {
+      if (u.row(node).isApprox(Eigen::RowVector3d(0.1, 0.2, -0.1), 1e-14)) {
+        work += reaction.row(node).dot(Eigen::RowVector3d(1, 2, 3));
+      }
+    }
+    constexpr double kStep = 1e-5;
+    const double slope = (at(kStep).elastic_energy_j() - at(-kStep).elastic_energy_j()) / (2 * kStep);
+    EXPECT_GT(std::abs(work), 100) << law;
+    EXPECT_NEAR(slope, work, 1e-6 * std::abs(work)) << law;
+    EXPECT_NEAR(values(here.fields(2)).sum(), here.elastic_energy_j(), 1e-12 * here.elastic_energy_j()) << law;
+    EXPECT_GT(values(here.fields(2)).minCoeff(), 0) << law;
+  }
 }
 
 /// u = schedule(t) · displacement, where and in which directions it is given; the others stay free.
@@ -251,6 +320,26 @@ TEST_P(Analysis, WatchSeesRotationAndCompression) {
   EXPECT_NEAR(world->watched()[0].min_det_f, fields(*world, {}).min_det_f(), 1e-12);
   world->reset();
   EXPECT_EQ(world->watched()[0].max_strain, 0);
+}
+
+/// Wedges and their pairs are two groups and one finding.
+TEST_P(Analysis, LeavingTheLinearRangeIsSaidOnce) {
+  v1::Scene scene = bar(v1::SHAPE_WEDGE, "hooke");
+  scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
+  quasi_static(scene);
+  v1::PrescribedDisplacement& end = *scene.mutable_bodies(0)->add_prescribed();
+  at_end(*end.mutable_region());
+  end.set_x_m(-0.2);
+  const auto world = start(scene);
+  ASSERT_TRUE(world->step(false));
+  world->watch();
+  Findings findings(world->model());
+  findings.take_watch(*world);
+  v1::SceneStatus status;
+  findings.add_to(status);
+  ASSERT_EQ(status.warnings_size(), 1);
+  EXPECT_NE(status.warnings(0).find("hooke has left its range"), std::string::npos) << status.warnings(0);
+  EXPECT_LT(status.min_det_f(), 0.75);
 }
 
 TM_ON_EACH_BACKEND(Analysis);
