@@ -76,6 +76,16 @@ def test_own_solver_and_calculix_agree(shape: str) -> None:
     assert compare(numpy_fem.solve(stated), calculix.solve(stated)).error < 1e-6
 
 
+def test_wedges_are_paired_as_they_were_cut() -> None:
+    cells = (3, 2, 2)
+    mesh = box("wedge", cells, place=shaken(2, 0.1, cells))
+    ((_, elements),) = mesh.blocks
+    for first, second in elements[numpy_fem.wedge_pairs(mesh, elements)]:
+        both = mesh.nodes[np.union1d(first, second)]
+        assert len(both) == 8
+        assert (np.ptp(np.round(both * cells), axis=0) == 1).all(), "the corners of a cell"
+
+
 def test_every_stored_answer_belongs_to_its_problem() -> None:
     for solver, name, shape, law in pairs():
         stated = problem(name, shape, law)
