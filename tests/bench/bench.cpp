@@ -13,6 +13,7 @@
 #include "backend/backend.h"
 #include "model/compile.h"
 #include "model/plan.h"
+#include "support/laws.h"
 #include "support/scenes.h"
 #include "world/runner.h"
 #include "world/world.h"
@@ -39,6 +40,32 @@ v1::Scene beam(std::uint32_t x, std::uint32_t y, std::uint32_t z, bool linear, b
   return tests::beam_scene(beam);
 }
 
+/// The beam of 43,200 tetrahedra with every law, and its 7,200 cells in every shape: what a choice costs.
+std::vector<Case> family() {
+  std::vector<Case> cases;
+  const auto add = [&](const std::string& name, v1::Shape shape, const std::string& law, v1::Quadrature quadrature) {
+    v1::Scene scene = beam(60, 12, 10, false, false);
+    v1::Body& body = *scene.mutable_bodies(0);
+    body.mutable_mesh()->mutable_grid()->set_shape(shape);
+    *body.mutable_law() = tests::law(law, 1e6, 0.4);
+    body.set_quadrature(quadrature);
+    cases.push_back({name, std::move(scene)});
+  };
+  for (const std::string& law : tests::law_names()) {
+    add("tetrahedra, " + law, v1::SHAPE_TETRAHEDRON, law, v1::QUADRATURE_FULL);
+  }
+  for (const auto& [quadrature, name] :
+       {std::pair{v1::QUADRATURE_FULL, "full"}, std::pair{v1::QUADRATURE_SELECTIVE, "selective"},
+        std::pair{v1::QUADRATURE_REDUCED, "reduced"}}) {
+    add(fmt::format("pyramids, StVK, {}", name), v1::SHAPE_PYRAMID, "st_venant_kirchhoff", quadrature);
+    add(fmt::format("wedges, StVK, {}", name), v1::SHAPE_WEDGE, "st_venant_kirchhoff", quadrature);
+    add(fmt::format("hexahedra, StVK, {}", name), v1::SHAPE_HEXAHEDRON, "st_venant_kirchhoff", quadrature);
+    add(fmt::format("quadratic, StVK, {}", name), v1::SHAPE_QUADRATIC_TETRAHEDRON, "st_venant_kirchhoff", quadrature);
+  }
+  add("hexahedra, corotational", v1::SHAPE_HEXAHEDRON, "corotational", v1::QUADRATURE_FULL);
+  return cases;
+}
+
 struct Measured {
   double median_s = 0, p99_s = 0, min_s = 0;
 };
@@ -50,10 +77,10 @@ Measured percentiles(std::vector<double> seconds) {
 
 struct Row {
   std::string name, backend, device;
-  std::uint64_t tetrahedra = 0, nodes = 0;
+  std::uint64_t elements = 0, nodes = 0;
   std::uint32_t patches = 0, iterations = 0, steps = 0;
   double compile_s = 0, floor_s = 0, iteration_s = 0;
-  double bytes_per_tetrahedron = 0;
+  double bytes_per_element = 0;
   Measured step{};
 };
 
@@ -82,10 +109,10 @@ Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& back
   const Clock::time_point begin = Clock::now();
   TM_TRY(model, model::compile(scene, backend.patch_policy(scene)));
   const v1::SceneReport report = model::make_report(model, backend.rates(scene));
-  row.tetrahedra = model.bodies[0].element_count;
+  row.elements = model.bodies[0].element_count;
   row.nodes = model.bodies[0].node_count;
   row.patches = model.layout.patch_count;
-  row.bytes_per_tetrahedron = static_cast<double>(report.bytes_total()) / static_cast<double>(row.tetrahedra);
+  row.bytes_per_element = static_cast<double>(report.bytes_total()) / static_cast<double>(row.elements);
   double bytes = 0;
   for (const v1::PlanStage& stage : report.stages()) {
     if (stage.name().starts_with("watch")) continue;  // not part of a step
@@ -170,7 +197,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   watcher.join();
   const v1::SceneStatus status = runner->status();
   return fmt::format(
-      R"({{"case":"real time: {}","backend":"{}","device":"{}","commit":"{}","command":"{}","tetrahedra":{},"dt_ms":{:.4f},)"
+      R"({{"case":"real time: {}","backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
       R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"step_ms_median":{:.4f},)"
       R"("step_ms_p99":{:.4f},"step_ms_max":{:.4f},"cg_iterations_last":{},"largest_force_n":{:.3f},"ready_s":{:.3f},"fault":"{}"}})",
       scene.name(), description.backend, description.device, commit, command,
@@ -181,12 +208,12 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
 
 std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
   return fmt::format(
-      R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","tetrahedra":{},"nodes":{},"patches":{},)"
+      R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"nodes":{},"patches":{},)"
       R"("steps":{},"cg_iterations":{},"step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_min":{:.4f},)"
-      R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},"bytes_per_tetrahedron":{:.0f}}})",
-      row.name, row.backend, row.device, commit, command, row.tetrahedra, row.nodes, row.patches, row.steps,
+      R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},"bytes_per_element":{:.0f}}})",
+      row.name, row.backend, row.device, commit, command, row.elements, row.nodes, row.patches, row.steps,
       row.iterations, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.step.min_s * 1e3, row.iteration_s * 1e6,
-      row.floor_s * 1e3, bandwidth / 1e9, row.compile_s, row.bytes_per_tetrahedron);
+      row.floor_s * 1e3, bandwidth / 1e9, row.compile_s, row.bytes_per_element);
 }
 
 }  // namespace
@@ -196,13 +223,14 @@ int main(int argc, char** argv) {
       "Milliseconds a step on beams that anyone can rebuild: 8 x 1 x 0.8 m, E 1 MPa, nu 0.4, 50 CG iterations."};
   std::string backend_name = "cpu", output, commit = "unknown";
   std::uint32_t steps = 100, threads = std::max(1u, std::thread::hardware_concurrency());
-  bool small = false;
+  bool small = false, of_family = false;
   app.add_option("--backend", backend_name, "cpu or cuda")->check(CLI::IsMember({"cpu", "cuda"}));
   app.add_option("--steps", steps, "measured steps of each case")->check(CLI::Range(1, 100000));
   app.add_option("--threads", threads, "CPU threads of a scene");
   app.add_option("--commit", commit, "written into the results");
   app.add_option("--json", output, "append one JSON line a case to this file");
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
+  app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
@@ -249,16 +277,17 @@ int main(int argc, char** argv) {
     std::uint32_t x, y, z;
   };
   std::vector<Case> cases;
+  if (of_family) cases = family();
   for (const Size size : {Size{40, 9, 9}, Size{60, 12, 10}, Size{160, 20, 16}}) {
-    if (small && size.x > 60) continue;
+    if (of_family || (small && size.x > 60)) continue;
     const std::uint32_t count = size.x * size.y * size.z * 6;
     cases.push_back({fmt::format("beam {} StVK float", count), beam(size.x, size.y, size.z, false, false)});
     cases.push_back({fmt::format("beam {} Hooke float", count), beam(size.x, size.y, size.z, true, false)});
   }
-  cases.push_back({"beam 43200 StVK double", beam(60, 12, 10, false, true)});
+  if (!of_family) cases.push_back({"beam 43200 StVK double", beam(60, 12, 10, false, true)});
 
   std::printf("%s on %s, %.0f GB/s\n", backend->name().c_str(), backend->device().c_str(), bandwidth / 1e9);
-  std::printf("%-26s %9s %8s %10s %10s %10s %12s %8s\n", "case", "elements", "patches", "median ms", "p99 ms",
+  std::printf("%-34s %9s %8s %10s %10s %10s %12s %8s\n", "case", "elements", "patches", "median ms", "p99 ms",
               "floor ms", "us/iteration", "ready s");
   for (Case& one : cases) {
     Row row{.name = one.name, .backend = backend->name(), .device = backend->device(), .steps = steps};
@@ -277,7 +306,7 @@ int main(int argc, char** argv) {
       row.iteration_s = (row.step.median_s - shorter->median_s) / 40;
     }
     row.floor_s /= bandwidth;
-    std::printf("%-26s %9lu %8u %10.3f %10.3f %10.3f %12.2f %8.2f\n", row.name.c_str(), row.tetrahedra, row.patches,
+    std::printf("%-34s %9lu %8u %10.3f %10.3f %10.3f %12.2f %8.2f\n", row.name.c_str(), row.elements, row.patches,
                 row.step.median_s * 1e3, row.step.p99_s * 1e3, row.floor_s * 1e3, row.iteration_s * 1e6, row.compile_s);
     std::fflush(stdout);
     if (!output.empty()) std::ofstream(output, std::ios::app) << json(row, commit, command, bandwidth) << '\n';

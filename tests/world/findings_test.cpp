@@ -1,0 +1,84 @@
+#include "world/findings.h"
+
+#include <algorithm>
+
+#include <gtest/gtest.h>
+
+#include "support/backends.h"
+#include "support/laws.h"
+#include "support/scenes.h"
+
+namespace tensormass::world {
+namespace {
+
+class FindingsOf : public tests::OnBackend {
+ protected:
+  /// A bar whose end is moved by `turn` in z and `press` in x, at equilibrium, with what is found of it.
+  v1::SceneStatus after(const std::string& law, double turn, double press, double tolerance = 1e-6) {
+    v1::Scene scene = tests::beam_scene({.cells_x = 6,
+                                         .cells_y = 2,
+                                         .cells_z = 2,
+                                         .size_x_m = 0.6,
+                                         .size_y_m = 0.1,
+                                         .size_z_m = 0.1,
+                                         .double_precision = true,
+                                         .cg_max_iterations = 2000,
+                                         .cg_tolerance = 1e-8});
+    scene.clear_gravity_m_per_s2();
+    scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+    scene.mutable_solver()->set_newton_tolerance(tolerance);
+    v1::Body& body = *scene.mutable_bodies(0);
+    *body.mutable_law() = tests::law(law, 1e5, 0.3);
+    v1::PrescribedDisplacement& end = *body.add_prescribed();
+    tests::set(*end.mutable_region()->mutable_box()->mutable_min_m(), 0.6 - 1e-6, -1, -1);
+    tests::set(*end.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+    end.set_x_m(-press);
+    end.set_z_m(turn);
+    const auto world = start(scene);
+    Findings findings(world->model());
+    EXPECT_TRUE(world->step(false));
+    world->watch();
+    findings.take_step(world->last());
+    findings.take_watch(*world);
+    v1::SceneStatus status;
+    findings.add_to(status);
+    findings.clear();
+    v1::SceneStatus cleared;
+    findings.add_to(cleared);
+    EXPECT_EQ(cleared.warnings_size(), 0);
+    EXPECT_EQ(cleared.min_det_f(), 1);
+    EXPECT_EQ(cleared.unconverged_steps(), 0u);
+    return status;
+  }
+  static bool says(const v1::SceneStatus& status, const std::string& part) {
+    return std::any_of(status.warnings().begin(), status.warnings().end(),
+                       [&](const std::string& line) { return line.find(part) != std::string::npos; });
+  }
+};
+
+TEST_P(FindingsOf, ALinearLawThatLeftItsRangeIsNamed) {
+  EXPECT_EQ(after("hooke", 0.005, 0).warnings_size(), 0) << "a small deflection is what it is for";
+  const v1::SceneStatus turned = after("hooke", 0.2, 0);
+  EXPECT_TRUE(says(turned, "body 'beam': hooke has left its range"));
+  EXPECT_TRUE(says(turned, "rotation"));
+  EXPECT_EQ(after("corotational", 0.2, 0).warnings_size(), 0) << "rotation is nothing to it";
+}
+
+TEST_P(FindingsOf, InvertedElementsAreNamed) {
+  const v1::SceneStatus crushed = after("hooke", 0, 0.7);
+  EXPECT_LT(crushed.min_det_f(), 0);
+  EXPECT_TRUE(says(crushed, "inside out"));
+}
+
+TEST_P(FindingsOf, AStepThatDidNotConvergeIsNamedAndCounted) {
+  const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 1e-300);
+  EXPECT_EQ(status.unconverged_steps(), 1u);
+  EXPECT_GT(status.newton_residual(), 0);
+  EXPECT_TRUE(says(status, "newton_max_iterations"));
+  EXPECT_EQ(after("st_venant_kirchhoff", 0.1, 0).unconverged_steps(), 0u);
+}
+
+TM_ON_EACH_BACKEND(FindingsOf);
+
+}  // namespace
+}  // namespace tensormass::world
