@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "backend/backend.h"
@@ -7,7 +8,7 @@
 /// The outer iteration of a step that is solved to a tolerance: Newton's method with backtracking, the same for every
 /// device.
 ///
-///   evaluate forces and the consistent stiffness -> solve -> full step -> halve it while the imbalance has not fallen
+///   evaluate forces and the consistent stiffness -> solve -> full step -> halve it while it is too long
 ///
 /// The consistent stiffness may be indefinite far from the solution; conjugate gradients notice, and that solve is done
 /// again with the positive one.
@@ -17,10 +18,15 @@ namespace tensormass::backend {
 struct Imbalance {
   double imbalance_squared = 0;
   double force_squared = 0;
+  double slope = 0;  ///< imbalance · increment: above zero the increment still leads downhill
 
   bool finite() const { return std::isfinite(imbalance_squared) && std::isfinite(force_squared); }
-  double relative() const { return imbalance_squared == 0 ? 0 : std::sqrt(imbalance_squared / force_squared); }
 };
+
+/// What rounding leaves of the largest forces that a scene has seen: an imbalance is not measured against less, or a
+/// scene that was let go would never come to rest.
+template <class Real>
+inline constexpr double kRoundingShare = sizeof(Real) == 4 ? 0.1 : 1e-6;
 
 template <class Real>
 Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
@@ -28,6 +34,7 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
   for (const auto& patch : patches) {
     sum.imbalance_squared += static_cast<double>(patch.imbalance_squared);
     sum.force_squared += static_cast<double>(patch.force_squared);
+    sum.slope += static_cast<double>(patch.slope);
   }
   return sum;
 }
@@ -35,30 +42,35 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 /// A Device has
 ///   void run(model::Phase), in order with what was run before; waits for nothing
 ///   tensor::NewtonControl& control(), read by the next run
-///   Imbalance imbalance() of the last evaluation, and StepResult result() of the last solve: wait for the device
+///   Imbalance imbalance() of the last evaluation, StepResult result() of the last solve or backtracking: wait for it
+/// largest_force_squared: of all steps since the scene's start, updated. rounding_share: kRoundingShare.
 template <class Device>
-StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance) {
+StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, double rounding_share,
+                       double& largest_force_squared) {
   using model::Phase;
   constexpr int kMaxHalvings = 10;
   tensor::NewtonControl& control = device.control();
-  control = {.positive_stiffness = 0, .begins_step = 1, .line_change = 0};
+  control = {.positive_stiffness = 0, .begins_step = 1, .line_share = 1};
   const auto evaluate = [&] {
     device.run(Phase::kEvaluate);
     const Imbalance now = device.imbalance();
     control.begins_step = 0;
     return now;
   };
-  const auto retreat = [&](double share) {
-    control.line_change = static_cast<float>(share);
+  const auto take_share = [&](double share) {
+    control.line_share = static_cast<float>(share);
     device.run(Phase::kBacktrack);
     return evaluate();
+  };
+  const auto relative = [&](const Imbalance& now) {
+    const double scale = std::max(now.force_squared, rounding_share * rounding_share * largest_force_squared);
+    return now.imbalance_squared == 0 ? 0 : std::sqrt(now.imbalance_squared / scale);
   };
 
   device.run(Phase::kBegin);
   Imbalance at = evaluate();
   StepResult total;
   total.newton_iterations = 0;
-  total.converged = false;
   std::uint32_t cg_iterations = 0;
   while (total.newton_iterations < max_iterations) {
     device.run(Phase::kSolve);
@@ -66,32 +78,37 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     cg_iterations += solved.cg_iterations;
     if (solved.negative_curvature && solved.finite) {
       control.positive_stiffness = 1;
-      retreat(-1);
+      take_share(0);
       device.run(Phase::kSolve);
       solved = device.result();
       cg_iterations += solved.cg_iterations;
       control.positive_stiffness = 0;
     }
     const std::uint32_t iterations = total.newton_iterations + 1;
-    total = solved;
-    total.newton_iterations = iterations;
-    total.converged = false;
-
     Imbalance next = evaluate();
-    // The first solve also moves driven nodes and takes the step's inertia along: nothing to compare it with.
-    double share = 1;
-    const auto worse = [&] {
-      return !next.finite() || (iterations > 1 && next.imbalance_squared >= at.imbalance_squared);
+    // The first solve also moves driven nodes and takes the step's inertia along: nothing to compare it with. Later, an
+    // increment is too long where the imbalance grew and it leads uphill by now; large bends pass through imbalances
+    // that are larger than where they began, and downhill all the way.
+    const auto too_long = [&] {
+      return !next.finite() || !device.result().finite ||
+             (iterations > 1 && next.imbalance_squared >= at.imbalance_squared && !(next.slope > 0));
     };
-    for (int halving = 0; halving < kMaxHalvings && worse(); ++halving) {
-      next = retreat(-share / 2);
+    double share = 1;
+    for (int halving = 0; halving < kMaxHalvings && too_long(); ++halving) {
       share /= 2;
+      next = take_share(share);
     }
-    const bool stalled = worse();
+    const bool stalled = too_long();
     at = next;
-    total.finite = at.finite();
+    total = device.result();
+    total.cg_relative_residual = solved.cg_relative_residual;
+    total.negative_curvature = solved.negative_curvature;
+    total.newton_iterations = iterations;
+    total.finite = total.finite && at.finite();
+    total.converged = false;
     if (!total.finite) break;
-    total.newton_residual = at.relative();
+    largest_force_squared = std::max(largest_force_squared, at.force_squared);
+    total.newton_residual = relative(at);
     total.converged = total.newton_residual <= tolerance;
     if (total.converged || stalled) break;
   }

@@ -48,20 +48,11 @@ TM_STAGE(Factorize, kNone, solver::factorize);
 TM_STAGE(ScaleEdges, kNone, solver::scale_edges);
 TM_STAGE(Solve, kExchanges, solver::conjugate_gradients);
 TM_STAGE(Advance, kReduces, solver::advance);
-TM_STAGE(Backtrack, kNone, solver::backtrack);
+TM_STAGE(Backtrack, kReduces, solver::backtrack);
 TM_STAGE(MeasureContact, kReduces, contact::measure);
 TM_STAGE(GatherVisible, kNone, tensor::gather_visible);
 
 #undef TM_STAGE
-
-template <class Shape, class Law>
-struct Elements {
-  static constexpr Communication kCommunication = Communication::kNone;
-  template <class Team, class Real>
-  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-    tensor::element_pass<Shape, Law>(team, s, e);
-  }
-};
 
 template <class Shape>
 struct Watch {

@@ -14,12 +14,13 @@ inline constexpr std::size_t kMaxBodies = 64;
 inline constexpr std::size_t kMaxTools = 16;
 /// Nodes of one scene. Rows and positions are indexed with 32 bits; larger scenes are refused.
 inline constexpr std::uint32_t kMaxNodes = 1u << 26;
-/// Elements of one scene. Gather entries address 72 reals an element with 32 bits (tensor/layout.h).
+/// Elements of one scene. Gather entries address the tensors of all elements with 32 bits (72 reals a tetrahedron); a
+/// scene of larger shapes reaches that limit before this one, and is told so.
 inline constexpr std::uint32_t kMaxElements = 50'000'000;
 /// Characters of a scene's, body's or tool's name.
 inline constexpr std::size_t kMaxNameLength = 64;
-/// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron: ten
-/// million tetrahedra fit.
+/// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron (32 a
+/// hexahedron): ten million tetrahedra fit.
 inline constexpr std::size_t kMaxControlMessageBytes = std::size_t{512} << 20;
 /// Bytes of one message from a client on the data plane; a larger one is dropped and counted as malformed.
 inline constexpr std::size_t kMaxPoseMessageBytes = 4096;
@@ -30,13 +31,22 @@ inline constexpr double kMaxRateHz = 20'000.0;
 /// Simulated time of a step [s].
 inline constexpr double kMinTimeStepS = 1e-6;
 inline constexpr double kMaxTimeStepS = 10.0;
-/// Conjugate-gradient iterations of one step.
+/// Conjugate-gradient iterations of one solve; a step has as many solves as outer iterations.
 inline constexpr std::uint32_t kMaxCgIterations = 100'000;
 /// CPU threads of one scene.
 inline constexpr std::uint32_t kMaxCpuThreads = 256;
 /// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
 inline constexpr double kMaxLength = 1e6;
 
+/// Named sets of a body, which each hold their nodes; a body with more is refused.
+inline constexpr std::size_t kMaxSets = 256;
+/// Parts of a body with a law of their own; each may become a pass of its own. A body with more is refused.
+inline constexpr std::size_t kMaxLawRegions = 64;
+/// Entries of fixed, of prescribed and of loads of a body; a body with more is refused. Reading one looks at every
+/// node.
+inline constexpr std::size_t kMaxSupportsAndLoads = 4096;
+/// Points of one schedule.
+inline constexpr int kMaxSchedulePoints = 100'000;
 /// Largest force of a load and largest pressure that is accepted [N, Pa].
 inline constexpr double kMaxForceN = 1e12;
 inline constexpr double kMaxPressurePa = 1e12;

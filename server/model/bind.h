@@ -58,6 +58,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.previous_displacement = arena.template zeros<Real>("previous displacement", only_if(two_steps, 4 * rows));
   s.previous_velocity = arena.template zeros<Real>("previous velocity", only_if(two_steps, 4 * rows));
   s.increment = arena.template zeros<Real>("increment", only_if(m.iterates(), 4 * rows));
+  s.iterate = arena.template zeros<Real>("iterate", only_if(m.iterates(), 4 * rows));
   s.internal_force = arena.template zeros<Real>("internal forces", only_if(m.iterates(), 4 * rows));
   s.newton = arena.template zeros<tensor::NewtonControl>("outer iteration", only_if(m.iterates(), 1));
   s.residuals = arena.template zeros<tensor::PatchResidual<Real>>("residuals", only_if(m.iterates(), patches));

@@ -35,6 +35,7 @@ class Compiler {
     if (model_.frame_rate_hz > 0) {
       TM_CHECK(make_visible_surface(c_));
     }
+    warn_of_loose_bodies();
     list_stages();
     return std::move(model_);
   }
@@ -146,6 +147,7 @@ class Compiler {
 
   Result<void> read_body(const v1::Body& body) {
     const std::string where = fmt::format("body '{}'", body.name());
+    TM_CHECK(check_counts(body, where));
     TM_TRY(mesh, read_mesh(body, where));
     const std::uint64_t nodes = merged_.nodes.size() + mesh.nodes.size();
     const std::uint64_t elements = std::uint64_t{mesh::element_count(merged_)} + mesh::element_count(mesh);
@@ -193,6 +195,27 @@ class Compiler {
     TM_CHECK(read_quadrature(body, read, where));
     TM_CHECK(read_materials(body, read, where));
     bodies_.push_back(std::move(read));
+    return {};
+  }
+
+  static Result<void> check_counts(const v1::Body& body, std::string_view where) {
+    const struct {
+      const char* name;
+      int count;
+      std::size_t most;
+      const char* limit;
+    } lists[] = {
+        {"sets", body.sets_size(), limits::kMaxSets, "kMaxSets"},
+        {"law_regions", body.law_regions_size(), limits::kMaxLawRegions, "kMaxLawRegions"},
+        {"fixed", body.fixed_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
+        {"prescribed", body.prescribed_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
+        {"loads", body.loads_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
+    };
+    for (const auto& list : lists) {
+      if (static_cast<std::size_t>(list.count) <= list.most) continue;
+      return fail(ErrorCode::kResourceExhausted,
+                  fmt::format("{}.{}: {} exceed limits::{} = {}", where, list.name, list.count, list.limit, list.most));
+    }
     return {};
   }
 
@@ -278,6 +301,17 @@ class Compiler {
     return {};
   }
 
+  /// An equilibrium of a body that nothing holds is one of many, or none.
+  void warn_of_loose_bodies() {
+    if (model_.integrator != Integrator::kQuasiStatic) return;
+    for (const BodyModel& body : model_.bodies) {
+      if (body.fixed_node_count > 0) continue;
+      model_.warnings.push_back(fmt::format(
+          "body '{}': nothing holds it, and a quasi-static step knows no inertia; give fixed or prescribed nodes",
+          body.name));
+    }
+  }
+
   /// Exactly what this scene needs, in order.
   void list_stages() {
     const auto add = [&](bool needed, StageKind kind, Phase phase, std::uint32_t group = 0) {
@@ -286,7 +320,7 @@ class Compiler {
     const bool tools = !model_.tools.empty(), plain = model_.is_plain(), iterates = model_.iterates();
     add(!plain, StageKind::kPredict, Phase::kBegin);
     add(!model_.driven.driven.empty(), StageKind::kDrive, Phase::kBegin);
-    add(tools, StageKind::kDetectContact, Phase::kBegin);
+    add(tools, StageKind::kDetectContact, Phase::kEvaluate);
     add(tools, StageKind::kRespondContact, Phase::kEvaluate);
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
       add(!model_.groups[g].is_constant(), StageKind::kElements, Phase::kEvaluate, g);
@@ -301,7 +335,8 @@ class Compiler {
     add(true, StageKind::kSolve, Phase::kSolve);
     add(true, StageKind::kAdvance, Phase::kSolve);
     add(iterates, StageKind::kBacktrack, Phase::kBacktrack);
-    add(tools && !plain, StageKind::kRespondContact, Phase::kEnd);  // as it is at the end of the step
+    add(tools && !plain, StageKind::kDetectContact, Phase::kEnd);  // as it is at the end of the step
+    add(tools && !plain, StageKind::kRespondContact, Phase::kEnd);
     add(tools, StageKind::kMeasureContact, Phase::kEnd);
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) add(true, StageKind::kWatch, Phase::kWatch, g);
   }

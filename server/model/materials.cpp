@@ -60,19 +60,19 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
     laws.push_back(&body.law_regions(i).law());
     law_where.push_back(at + ".law");
   }
-  for (std::size_t i = 0; i < laws.size(); ++i) {
-    TM_TRY(material, read_law(*laws[i], {}, law_where[i]));
-    out.materials.push_back(std::move(material));
-  }
-  out.element_materials = law_of;
-
   const v1::ElementFields& fields = body.element_fields();
   const std::string at = fmt::format("{}.element_fields", where);
   TM_TRY(young, read_field(fields.young_modulus_pa(), 1, element_count, at + ".young_modulus_pa"));
   TM_TRY(poisson, read_field(fields.poisson_ratio(), 1, element_count, at + ".poisson_ratio"));
   TM_TRY(fibres, read_field(fields.fibre_directions(), 3, element_count, at + ".fibre_directions"));
-  if (young.empty() && poisson.empty() && fibres.empty()) return {};
-  out.materials.clear();
+  out.element_materials = law_of;
+  if (young.empty() && poisson.empty() && fibres.empty()) {
+    for (std::size_t i = 0; i < laws.size(); ++i) {
+      TM_TRY(material, read_law(*laws[i], {}, law_where[i]));
+      out.materials.push_back(std::move(material));
+    }
+    return {};
+  }
   out.element_materials.resize(element_count);
   for (std::uint32_t e = 0; e < element_count; ++e) {
     ElementValues values;

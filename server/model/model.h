@@ -35,7 +35,7 @@ enum class StageKind : std::uint8_t {
   kWatch,  ///< once for each element group
 };
 
-/// Where a step's stages stand when it solves more than once (world's Newton iteration); a step that is linearized once
+/// Where a step's stages stand when it solves more than once (backend/newton.h); a step that is linearized once
 /// runs them all in a row.
 enum class Phase : std::uint8_t {
   kBegin,      ///< once
@@ -194,8 +194,11 @@ struct Model {
 
   /// More than one linearized solve a step.
   bool iterates() const { return newton_max_iterations > 1; }
-  /// Implicit Euler linearized once: needs no û, no v̂.
-  bool is_plain() const { return integrator == Integrator::kImplicitEuler && !iterates(); }
+  /// Implicit Euler linearized once: needs no û and no v̂, unless nodes with a consistent mass are driven, whose own
+  /// velocity then differs from the v̂ that their neighbours feel.
+  bool is_plain() const {
+    return integrator == Integrator::kImplicitEuler && !iterates() && (mass_edges.empty() || driven.driven.empty());
+  }
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
   std::uint64_t partial_reals() const {
     std::uint64_t reals = 0;

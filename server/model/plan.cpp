@@ -116,7 +116,8 @@ void list_not_modelled(const Model& m, v1::SceneReport& report) {
   if (m.bodies.size() > 1) report.add_not_modelled("contact between bodies: they pass through each other");
   report.add_not_modelled("self-contact of a body");
   if (!m.tools.empty()) report.add_not_modelled("friction between tools and tissue");
-  if (m.external.empty()) report.add_not_modelled("gravity and loads: the scene names none");
+  if (m.external.empty() && m.pressure.faces.empty())
+    report.add_not_modelled("gravity and loads: the scene names none");
   bool damped = false;
   for (std::size_t row = 0; row < m.layout.row_count; ++row) {
     damped = damped || m.inertia[4 * row + 1] != 0 || m.inertia[4 * row + 2] != 0;
@@ -124,7 +125,8 @@ void list_not_modelled(const Model& m, v1::SceneReport& report) {
   if (m.integrator == Integrator::kQuasiStatic) {
     report.add_not_modelled("inertia and damping: each step is an equilibrium");
   } else if (!damped) {
-    report.add_not_modelled("Rayleigh damping: the scene names none; implicit Euler damps by itself");
+    report.add_not_modelled(fmt::format("Rayleigh damping: the scene names none; {} damps by itself",
+                                        m.integrator == Integrator::kBdf2 ? "BDF2 hardly" : "implicit Euler"));
   }
   if (std::all_of(m.groups.begin(), m.groups.end(), [](const ElementGroup& g) { return g.prony.empty(); })) {
     report.add_not_modelled("viscosity: no law has prony terms");

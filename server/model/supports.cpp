@@ -17,6 +17,7 @@ namespace tensormass::model {
 namespace {
 
 constexpr std::uint32_t kAllDirections = 7;
+static_assert(mesh::kMaxFaceNodes == physics::kMaxFaceNodes);
 
 /// A row's prescribed displacement in some directions.
 struct Driven {
@@ -25,7 +26,8 @@ struct Driven {
 
 class Supports {
  public:
-  explicit Supports(Compilation& c) : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0) {}
+  explicit Supports(Compilation& c)
+      : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0), fixed_(c.model.layout.row_count, false) {}
 
   Result<void> run() {
     for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
@@ -59,7 +61,10 @@ class Supports {
   Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
     for (int i = 0; i < body.fixed_size(); ++i) {
       TM_TRY(nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
-      for (const std::uint32_t node : nodes) hold(row(b, node), kAllDirections);
+      for (const std::uint32_t node : nodes) {
+        hold(row(b, node), kAllDirections);
+        fixed_[row(b, node)] = true;
+      }
     }
     return {};
   }
@@ -88,6 +93,10 @@ class Supports {
   }
 
   static Result<void> read_schedule(const v1::Schedule& schedule, Prescribed& out, std::string_view where) {
+    if (schedule.time_s_size() > limits::kMaxSchedulePoints) {
+      return invalid(fmt::format("{}: {} points exceed limits::kMaxSchedulePoints = {}", where, schedule.time_s_size(),
+                                 limits::kMaxSchedulePoints));
+    }
     if (schedule.time_s_size() != schedule.factor_size()) {
       return invalid(fmt::format("{}: {} times and {} factors; give one factor a time", where, schedule.time_s_size(),
                                  schedule.factor_size()));
@@ -108,11 +117,13 @@ class Supports {
   template <class Where>
   Result<void> drive(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
     const Prescribed& mine = c_.model.prescribed[index];
+    std::uint32_t open = bits;  // directions that no entry before this one has
     std::vector<Driven>& of_row = driven_[static_cast<std::uint32_t>(row)];
     for (const Driven& other : of_row) {
       for (std::uint32_t c = 0; c < 3; ++c) {
         const auto axis = static_cast<Eigen::Index>(c);
         if ((other.bits & bits & 1u << c) == 0) continue;
+        open &= ~(1u << c);
         const Prescribed& theirs = c_.model.prescribed[other.prescribed];
         const bool same =
             mine.displacement_m[axis] == theirs.displacement_m[axis] &&
@@ -120,7 +131,12 @@ class Supports {
         if (!same) return invalid(fmt::format("{} is driven to two places in {}; choose one", where(), "xyz"[c]));
       }
     }
-    of_row.push_back({static_cast<std::uint32_t>(row), index, bits});
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      if (fixed_[row] && (bits >> c & 1) != 0 && mine.displacement_m[static_cast<Eigen::Index>(c)] != 0) {
+        return invalid(fmt::format("{} is fixed, and driven in {}; choose one", where(), "xyz"[c]));
+      }
+    }
+    if (open != 0) of_row.push_back({static_cast<std::uint32_t>(row), index, open});
     hold(row, bits);
     return {};
   }
@@ -232,6 +248,7 @@ class Supports {
 
   Compilation& c_;
   std::vector<double> external_;
+  std::vector<bool> fixed_;  // [row_count]
   bool any_external_ = false;
   std::map<std::uint32_t, std::vector<Driven>> driven_;
 };

@@ -168,16 +168,13 @@ WedgePairAtRest wedge_pair_at_rest(const Compilation& c, const WedgePair& pair) 
     a[k] += first.a[k] * (first.weight / volume);
     a[pair.second_nodes[k]] += second.a[k] * (second.weight / volume);
   }
-  // Of one point, whose content is replaced.
-  Vec3<double> x[WedgePairShape::kNodes];
-  for (std::size_t k = 0; k < WedgePairShape::kNodes; ++k) x[k] = c.merged.nodes[pair.nodes[k]];
-  WedgePairAtRest out{{x, physics::Quadrature::kReduced}, first.weight / volume};
-  auto& point = out.rest.points.front();
+  WedgePairAtRest out{{}, first.weight / volume};
+  auto& point = out.rest.points.emplace_back();
   for (std::size_t k = 1; k < WedgePairShape::kNodes; ++k) {
     for (std::size_t i = 0; i < 3; ++i) point[3 * (k - 1) + i] = a[k][static_cast<Eigen::Index>(i)];
   }
   point.back() = volume;
-  out.rest.shares.front() = {0, 1};
+  out.rest.shares.push_back({0, 1});
   return out;
 }
 

@@ -55,17 +55,15 @@ TM_HOST_DEVICE bool move_row(const tensor::SceneView<Real>& s, std::uint32_t row
   return v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30);
 }
 
-/// Reads solution, diagonal; writes velocity, displacement, increment, patch_reports.
-template <class Team, class Real>
-TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
+/// Moves the rows of a patch to the velocities that `velocity_of(row)` says, and reports on them.
+template <class Team, class Real, class Velocity>
+TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s, const Velocity& velocity_of) {
   using std::sqrt;
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   Real max_squared = 0;
   Real not_finite = 0;
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const Vec3<Real> change = load_lower<Real>(s.diagonal, row).transpose() * tensor::load3<Real>(s.solution, row);
-    if (s.increment != nullptr) tensor::store3<Real>(s.increment, row, change);
-    const Vec3<Real> v = tensor::load3<Real>(s.velocity, row) + change;
+    const Vec3<Real> v = velocity_of(row);
     max_squared = maximum(max_squared, v.dot(v));
     if (!move_row(s, row, v)) not_finite = 1;
   });
@@ -74,14 +72,27 @@ TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) 
   if (team.leads_patch()) s.patch_reports[patch.index] = {sqrt(max_squared), 1 - not_finite};
 }
 
-/// Takes back, or adds, a share of the last increment.
-/// Reads increment, newton; writes velocity, displacement.
+/// Reads solution, diagonal; writes velocity, displacement, iterate, increment, patch_reports.
+template <class Team, class Real>
+TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
+  move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
+    const Vec3<Real> change = load_lower<Real>(s.diagonal, row).transpose() * tensor::load3<Real>(s.solution, row);
+    const Vec3<Real> v = tensor::load3<Real>(s.velocity, row);
+    if (s.increment != nullptr) {
+      tensor::store3<Real>(s.increment, row, change);
+      tensor::store3<Real>(s.iterate, row, v);
+    }
+    return v + change;
+  });
+}
+
+/// Takes a share of the last increment in place of the whole.
+/// Reads iterate, increment, newton; writes velocity, displacement, patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s) {
-  const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  const Real share = static_cast<Real>(s.newton->line_change);
-  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    move_row(s, row, Vec3<Real>(tensor::load3<Real>(s.velocity, row) + tensor::load3<Real>(s.increment, row) * share));
+  const Real share = static_cast<Real>(s.newton->line_share);
+  move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
+    return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
   });
 }
 

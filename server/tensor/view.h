@@ -117,7 +117,7 @@ struct StepScheme {
 struct NewtonControl {
   std::uint32_t positive_stiffness;  // 0: the consistent one
   std::uint32_t begins_step;         // displacement is that of the last step's end: histories move on
-  float line_change;                 // added to the share of the last increment that velocity holds
+  float line_share;                  // of the last increment, to be taken
 };
 
 /// Squares and products of a patch's free components, for the outer iteration.
@@ -202,6 +202,7 @@ struct SceneView {
   Real* previous_displacement;  // of the step before the last; nullptr: its weight is zero
   Real* previous_velocity;
   Real* increment;                 // L⁻ᵀ x of the last solve; only for outer iterations, as are:
+  Real* iterate;                   // velocity before that increment
   Real* internal_force;            // of elements [N]
   const NewtonControl* newton;     // [1]
   PatchResidual<Real>* residuals;  // [patch_count]

@@ -6,6 +6,7 @@
 #include <iterator>
 #include <limits>
 #include <numeric>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
@@ -157,6 +158,15 @@ double kinetic_energy(const model::Model& m, const std::vector<double>& velocity
 
 Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backend::RowState& state,
                                              const model::BodyModel& body, const v1::GetFieldsRequest& request) {
+  std::set<int> asked;
+  for (const int field : request.fields()) {
+    if (field == v1::FIELD_UNSPECIFIED || !v1::Field_IsValid(field)) {
+      return invalid(fmt::format("fields: {} is unknown", field));
+    }
+    if (!asked.insert(field).second) {
+      return invalid(fmt::format("fields: {} is asked for twice", v1::Field_Name(static_cast<v1::Field>(field))));
+    }
+  }
   const Measured measured = measure(m, state, body);
   // A quasi-static scene keeps the change of a step where others keep a velocity.
   const std::vector<double> still(m.integrator == model::Integrator::kQuasiStatic ? state.velocity.size() : 0, 0.0);
@@ -206,8 +216,8 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
       case v1::FIELD_ELASTIC_ENERGY:
         values = measured.energy;
         break;
-      default:
-        return invalid(fmt::format("fields: {} is unknown", field));
+      default:  // refused above
+        break;
     }
     v1::FieldValues& out = *response.add_fields();
     out.set_field(static_cast<v1::Field>(field));

@@ -30,7 +30,9 @@ void Findings::take_watch(const World& world) {
 }
 
 void Findings::clear() {
-  take_step({});
+  backend::StepResult nothing;
+  nothing.newton_iterations = 0;
+  take_step(nothing);
   unconverged_steps_ = 0;
   for (Group& group : groups_) {
     group.min_det_f = 1;

@@ -133,7 +133,8 @@ struct Runner::Impl {
   }
 
   /// One step and its results into the mailboxes. False if the guard stopped the scene.
-  bool step_once(bool with_frame) {
+  /// with_watch: look at the elements although it is not time to.
+  bool step_once(bool with_frame, bool with_watch = false) {
     for (std::size_t i = 0; i < inboxes.size(); ++i) {
       if (const ReceivedPose* pose = inboxes[i].take()) {
         world->set_tool_target(i, pose->pose);
@@ -145,6 +146,7 @@ struct Runner::Impl {
     bool good = false;
     try {
       good = world->step(with_frame && model.visible.count() > 0);
+      if (good && (with_watch || world->step_count() >= next_watch)) watch();
     } catch (const std::exception& failure) {  // the device's, and of this scene alone
       stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
                                   world->step_count() + 1, failure.what()));
@@ -158,12 +160,15 @@ struct Runner::Impl {
     if (!good) {
       stop_with_fault(fmt::format(
           "step {} left the numbers: the state is not finite any more. Nothing of it was published. Reset the scene, "
-          "then make dt_s smaller, the loads gentler, or keep st_venant_kirchhoff out of strong compression",
+          "then make dt_s smaller or the loads gentler, see that fixed nodes hold what is quasi-static, and take a law "
+          "that "
+          "stands strong compression: st_venant_kirchhoff does not, and hencky, neo_hookean, mooney_rivlin and ogden "
+          "end "
+          "where an element turns inside out",
           stamp.step));
       return false;
     }
     findings.take_step(world->last());
-    if (stamp.step >= next_watch) watch();
     for (std::size_t i = 0; i < snapshots.size(); ++i) snapshots[i].reading = world->readings()[i];
     leave_feedback();
     if (with_frame && model.visible.count() > 0) leave_frame();
@@ -274,11 +279,10 @@ struct Runner::Impl {
       // The last step's frame is what the caller asks for next; those between go out at the stream's rate.
       const bool frame = i + 1 == count || begin - last_lockstep_frame >= lockstep_frame_interval();
       if (frame) last_lockstep_frame = begin;
-      if (!step_once(frame)) TM_CHECK(require_not_faulted());
+      if (!step_once(frame, i + 1 == count)) TM_CHECK(require_not_faulted());
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, true);
     }
-    watch();  // the caller of a lockstep scene looks at the state that it asked for
     return make_status();
   }
 

@@ -292,7 +292,7 @@ v1::PrescribedDisplacement& drive_top(v1::Scene& scene, double y_m) {
 std::vector<Refusal> law_refusals() {
   const auto fields = [](std::size_t count, double value) { return bytes(std::vector<double>(count, value)); };
   return {
-      {"NoLawNamesThoseThatAre", [](auto& s) { body(s).clear_law(); }, {"body 'block'.law", "hooke", "hencky"}},
+      {"NoLawNamesThoseThatAre", [](auto& s) { body(s).clear_law(); }, {"body 'beam'.law", "hooke", "hencky"}},
       {"MooneyWithoutShear",
        [](auto& s) { body(s).mutable_law()->mutable_mooney_rivlin()->set_bulk_modulus_pa(1e4); },
        {"law.mooney_rivlin.c10_pa + c01_pa"}},
@@ -316,7 +316,7 @@ std::vector<Refusal> law_refusals() {
          prony(s, 0.6, 1);
          prony(s, 0.4, 0.1);
        },
-       {"body 'block'.law.prony", "add up to 1"}},
+       {"body 'beam'.law.prony", "add up to 1"}},
       {"PronyWithoutTime", [](auto& s) { prony(s, 0.5, 0); }, {"law.prony[0].relaxation_time_s"}},
       {"FivePronyTerms",
        [](auto& s) {
@@ -329,39 +329,39 @@ std::vector<Refusal> law_refusals() {
          part.mutable_region()->mutable_nodes()->add_indices(0);
          *part.mutable_law() = body(s).law();
        },
-       {"body 'block'.law_regions[0].region", "no element"}},
+       {"body 'beam'.law_regions[0].region", "no element"}},
       {"LawOfARegion",
        [](auto& s) {
          v1::LawRegion& part = *body(s).add_law_regions();
          part.mutable_region()->mutable_sphere()->set_radius_m(10);
          part.mutable_law()->mutable_hooke()->set_young_modulus_pa(-1);
        },
-       {"body 'block'.law_regions[0].law.hooke.young_modulus_pa"}},
+       {"body 'beam'.law_regions[0].law.hooke.young_modulus_pa"}},
       {"FieldCutShort",
        [=](auto& s) { body(s).mutable_element_fields()->set_young_modulus_pa(fields(3, 1e4)); },
-       {"body 'block'.element_fields.young_modulus_pa", "3 values for 192 elements"}},
+       {"body 'beam'.element_fields.young_modulus_pa", "3 values for 192 elements"}},
       {"NanField",
        [=](auto& s) { body(s).mutable_element_fields()->set_poisson_ratio(fields(192, kNan)); },
-       {"body 'block'.element_fields.poisson_ratio", "element 0", "not finite"}},
+       {"body 'beam'.element_fields.poisson_ratio", "element 0", "not finite"}},
       {"FieldOutOfRange",
        [=](auto& s) { body(s).mutable_element_fields()->set_poisson_ratio(fields(192, 0.5)); },
-       {"body 'block'.element_fields, element 0", "poisson_ratio"}},
+       {"body 'beam'.element_fields, element 0", "poisson_ratio"}},
       {"FieldThatTheLawLacks",
        [=](auto& s) { body(s).mutable_element_fields()->set_fibre_directions(fields(3 * 192, 1)); },
        {"st_venant_kirchhoff", "no fibre_direction"}},
       {"UnknownQuadrature",
        [](auto& s) { body(s).set_quadrature(static_cast<v1::Quadrature>(9)); },
-       {"body 'block'.quadrature", "9"}},
-      {"UnknownMass", [](auto& s) { body(s).set_mass(static_cast<v1::Mass>(9)); }, {"body 'block'.mass", "9"}},
+       {"body 'beam'.quadrature", "9"}},
+      {"UnknownMass", [](auto& s) { body(s).set_mass(static_cast<v1::Mass>(9)); }, {"body 'beam'.mass", "9"}},
       {"UnknownShape",
        [](auto& s) { grid(s).set_shape(static_cast<v1::Shape>(9)); },
-       {"body 'block'.mesh.grid.shape", "9"}},
+       {"body 'beam'.mesh.grid.shape", "9"}},
   };
 }
 
 std::vector<Refusal> support_refusals() {
   return {
-      {"UnknownSet", [](auto& s) { body(s).add_fixed()->set_set("nobody"); }, {"body 'block'.fixed[1].set", "nobody"}},
+      {"UnknownSet", [](auto& s) { body(s).add_fixed()->set_set("nobody"); }, {"body 'beam'.fixed[1].set", "nobody"}},
       {"TwoSetsOfOneName",
        [](auto& s) {
          for (int i = 0; i < 2; ++i) {
@@ -370,21 +370,19 @@ std::vector<Refusal> support_refusals() {
            top(*set.add_regions());
          }
        },
-       {"body 'block'.sets[1]", "'top' is taken"}},
-      {"SetOfNothing", [](auto& s) { body(s).add_sets()->set_name("top"); }, {"body 'block'.sets[0]", "no region"}},
-      {"DrivenNowhere",
-       [](auto& s) { drive_top(s, 0).clear_y_m(); },
-       {"body 'block'.prescribed[0]", "x_m, y_m or z_m"}},
+       {"body 'beam'.sets[1]", "'top' is taken"}},
+      {"SetOfNothing", [](auto& s) { body(s).add_sets()->set_name("top"); }, {"body 'beam'.sets[0]", "no region"}},
+      {"DrivenNowhere", [](auto& s) { drive_top(s, 0).clear_y_m(); }, {"body 'beam'.prescribed[0]", "x_m, y_m or z_m"}},
       {"DrivenToTwoPlaces",
        [](auto& s) {
          drive_top(s, 0.01);
          drive_top(s, 0.02);
        },
-       {"body 'block'.prescribed[1]", "two places in y"}},
-      {"NanDrive", [](auto& s) { drive_top(s, kNan); }, {"body 'block'.prescribed[0]", "nan"}},
+       {"body 'beam'.prescribed[1]", "two places in y"}},
+      {"NanDrive", [](auto& s) { drive_top(s, kNan); }, {"body 'beam'.prescribed[0]", "nan"}},
       {"ScheduleOfUnequalLengths",
        [](auto& s) { drive_top(s, 0.01).mutable_schedule()->add_time_s(1); },
-       {"body 'block'.prescribed[0].schedule", "1 times and 0 factors"}},
+       {"body 'beam'.prescribed[0].schedule", "1 times and 0 factors"}},
       {"ScheduleThatGoesBack",
        [](auto& s) {
          v1::Schedule& schedule = *drive_top(s, 0.01).mutable_schedule();
@@ -393,28 +391,28 @@ std::vector<Refusal> support_refusals() {
            schedule.add_factor(1);
          }
        },
-       {"body 'block'.prescribed[0].schedule.time_s[1]", "does not come after"}},
+       {"body 'beam'.prescribed[0].schedule.time_s[1]", "does not come after"}},
       {"TractionOnNoFace",
        [](auto& s) {
          v1::Load& load = *body(s).add_loads();
          load.mutable_region()->mutable_nodes()->add_indices(0);
          tests::set(*load.mutable_traction_pa(), 1, 0, 0);
        },
-       {"body 'block'.loads[0].region", "no whole face"}},
+       {"body 'beam'.loads[0].region", "no whole face"}},
       {"NanPressure",
        [](auto& s) {
          v1::Load& load = *body(s).add_loads();
          top(*load.mutable_region());
          load.set_pressure_pa(kNan);
        },
-       {"body 'block'.loads[0].pressure_pa", "nan"}},
+       {"body 'beam'.loads[0].pressure_pa", "nan"}},
       {"HugePressure",
        [](auto& s) {
          v1::Load& load = *body(s).add_loads();
          top(*load.mutable_region());
          load.set_pressure_pa(1e13);
        },
-       {"body 'block'.loads[0].pressure_pa", "1e+12"}},
+       {"body 'beam'.loads[0].pressure_pa", "1e+12"}},
       {"UnknownIntegrator",
        [](auto& s) { s.mutable_solver()->set_integrator(static_cast<v1::Solver::Integrator>(9)); },
        {"scene.solver.integrator", "9"}},

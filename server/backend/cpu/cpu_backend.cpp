@@ -80,7 +80,8 @@ class CpuState final : public SceneState {
     if (scheme_ != nullptr) *scheme_ = scheme_of<Real>(model_, std::exchange(first_step_, false));
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, kRoundingShare<Real>,
+                           largest_force_squared_);
       if (input.gather_visible) gather_visible();
     } else {
       run_team(kWholeStep | (input.gather_visible ? kGather : 0));
@@ -115,7 +116,12 @@ class CpuState final : public SceneState {
     };
     copy(state.displacement, view_.displacement);
     copy(state.velocity, view_.velocity);
+    if (view_.previous_displacement != nullptr) {
+      copy(state.displacement, view_.previous_displacement);
+      copy(state.velocity, view_.previous_velocity);
+    }
     first_step_ = true;
+    largest_force_squared_ = 0;
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
@@ -184,7 +190,8 @@ class CpuState final : public SceneState {
   std::vector<cpu::ElementPass<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
-  bool first_step_ = true;  // since the start or since a state was written
+  double largest_force_squared_ = 0;  // see newton_step
+  bool first_step_ = true;            // since the start or since a state was written
   std::vector<std::thread> workers_;
 };
 

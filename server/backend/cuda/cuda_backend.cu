@@ -143,7 +143,8 @@ class CudaState final : public SceneState {
     if (scheme_.size() > 0) *scheme_.data() = scheme_of<Real>(model_, std::exchange(first_step_, false));
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance);
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, kRoundingShare<Real>,
+                           largest_force_squared_);
     } else {
       launch_graph(step_, "step");
     }
@@ -178,13 +179,19 @@ class CudaState final : public SceneState {
   void write(const RowState& state) override {
     upload(view_.displacement, state.displacement);
     upload(view_.velocity, state.velocity);
+    if (view_.previous_displacement != nullptr) {
+      upload(view_.previous_displacement, state.displacement);
+      upload(view_.previous_velocity, state.velocity);
+    }
     first_step_ = true;
+    largest_force_squared_ = 0;
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
       upload(groups_[g].history, histories.first(count));
       histories = histories.subspan(count);
     }
+    check(cudaDeviceSynchronize(), "write");  // copies from pageable memory may still be under way
   }
 
   // What newton_step needs of a device.
@@ -277,10 +284,8 @@ class CudaState final : public SceneState {
       });
     }
     if (phase == Phase::kEvaluate) download_pinned(residuals_, view_.residuals);
-    if (phase == Phase::kSolve) {
-      download_pinned(solve_, view_.solve_report);
-      download_pinned(patches_, view_.patch_reports);
-    }
+    if (phase == Phase::kSolve) download_pinned(solve_, view_.solve_report);
+    if (phase == Phase::kSolve || phase == Phase::kBacktrack) download_pinned(patches_, view_.patch_reports);
     if (phase == Phase::kEnd) download_pinned(loads_, view_.tool_loads);
     if (phase == Phase::kWatch) download_pinned(watch_, view_.watch);
   }
@@ -316,7 +321,8 @@ class CudaState final : public SceneState {
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
   unsigned threads_ = 0;
-  bool first_step_ = true;  // since the start or since a state was written
+  double largest_force_squared_ = 0;  // see newton_step
+  bool first_step_ = true;            // since the start or since a state was written
   cudaStream_t stream_ = nullptr;
   cudaGraphExec_t step_ = nullptr;
   cudaGraphExec_t gather_ = nullptr;

@@ -108,6 +108,7 @@ struct ElementAtRest {
   std::vector<std::array<double, kRestReals<Shape>>> points;
   std::vector<PointShares> shares;
 
+  ElementAtRest() = default;
   ElementAtRest(const Vec3<double> (&x)[Shape::kNodes], Quadrature quadrature)
       : points(rest_points<Shape>(x, quadrature)), shares(point_shares<Shape>(quadrature)) {}
 

@@ -7,6 +7,7 @@ namespace tensormass::physics {
 /// Eight nodes, trilinear, on the cube [0, 1]³.
 struct Hexahedron {
   static constexpr const char* kName = "hexahedron";
+  static constexpr int kOrder = 1;
   static constexpr int kNodes = 8;
   static constexpr bool kSinglePoint = false;
 

@@ -7,6 +7,7 @@ namespace tensormass::physics {
 /// Four nodes, F constant: one quadrature point is full. It locks when ν approaches 0.5; QuadraticTetrahedron does not.
 struct LinearTetrahedron {
   static constexpr const char* kName = "tetrahedron";
+  static constexpr int kOrder = 1;
   static constexpr int kNodes = 4;
   /// One point whatever the quadrature: the element pass needs no loop.
   static constexpr bool kSinglePoint = true;

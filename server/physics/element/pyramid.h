@@ -8,6 +8,7 @@ namespace tensormass::physics {
 /// rational functions of Bedrosian (1992) conform to linear triangles and to the bilinear base.
 struct Pyramid {
   static constexpr const char* kName = "pyramid";
+  static constexpr int kOrder = 1;
   static constexpr int kNodes = 5;
   static constexpr bool kSinglePoint = false;
 

@@ -7,6 +7,7 @@ namespace tensormass::physics {
 /// Ten nodes: the corners, then the middles of the edges 01 12 02 03 13 23. Bends without locking.
 struct QuadraticTetrahedron {
   static constexpr const char* kName = "quadratic_tetrahedron";
+  static constexpr int kOrder = 2;
   static constexpr int kNodes = 10;
   static constexpr bool kSinglePoint = false;
 

@@ -101,7 +101,7 @@ std::array<double, Shape::kNodes> lumped_volumes(const Vec3<double> (&x)[Shape::
     return out;
   }
   const auto mass = mass_integrals<Shape>(x);
-  const bool second_order = Shape::kNodes == 10;
+  const bool second_order = Shape::kOrder == 2;
   const double share = second_order ? mass.sum() / mass.trace() : 1;
   for (int k = 0; k < Shape::kNodes; ++k) {
     out[static_cast<std::size_t>(k)] = second_order ? share * mass(k, k) : mass.row(k).sum();

@@ -8,6 +8,7 @@ namespace tensormass::physics {
 /// (r₀, r₁), linear along r₂ in [0, 1].
 struct Wedge {
   static constexpr const char* kName = "wedge";
+  static constexpr int kOrder = 1;
   static constexpr int kNodes = 6;
   static constexpr bool kSinglePoint = false;
 
