@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "backend/backend.h"
 
@@ -49,6 +50,8 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
                        double& largest_force_squared) {
   using model::Phase;
   constexpr int kMaxHalvings = 10;
+  constexpr double kMaxDetour = 0.25;
+  constexpr int kMaxDetourIterations = 6;  // and what rounding leaves goes up and down for ever
   tensor::NewtonControl& control = device.control();
   control = {.positive_stiffness = 0, .begins_step = 1, .line_share = 1};
   const auto evaluate = [&] {
@@ -72,6 +75,8 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
   StepResult total;
   total.newton_iterations = 0;
   std::uint32_t cg_iterations = 0;
+  double best = std::numeric_limits<double>::infinity();
+  int since_best = 0;
   while (total.newton_iterations < max_iterations) {
     device.run(Phase::kSolve);
     StepResult solved = device.result();
@@ -87,11 +92,12 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     const std::uint32_t iterations = total.newton_iterations + 1;
     Imbalance next = evaluate();
     // The first solve also moves driven nodes and takes the step's inertia along: nothing to compare it with. Later, an
-    // increment is too long where the imbalance grew and it leads uphill by now; large bends pass through imbalances
-    // that are larger than where they began, and downhill all the way.
+    // increment is too long where the imbalance grew, unless it still leads downhill and the imbalance stays well below
+    // the forces: large bends pass through imbalances above the one that they began with.
     const auto too_long = [&] {
-      return !next.finite() || !device.result().finite ||
-             (iterations > 1 && next.imbalance_squared >= at.imbalance_squared && !(next.slope > 0));
+      if (!next.finite() || !device.result().finite) return true;
+      if (iterations == 1 || next.imbalance_squared < at.imbalance_squared) return false;
+      return !(next.slope > 0 && next.imbalance_squared < kMaxDetour * kMaxDetour * next.force_squared);
     };
     double share = 1;
     for (int halving = 0; halving < kMaxHalvings && too_long(); ++halving) {
@@ -100,6 +106,8 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     }
     const bool stalled = too_long();
     at = next;
+    since_best = at.imbalance_squared < best ? 0 : since_best + 1;
+    best = std::min(best, at.imbalance_squared);
     total = device.result();
     total.cg_relative_residual = solved.cg_relative_residual;
     total.negative_curvature = solved.negative_curvature;
@@ -110,7 +118,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     largest_force_squared = std::max(largest_force_squared, at.force_squared);
     total.newton_residual = relative(at);
     total.converged = total.newton_residual <= tolerance;
-    if (total.converged || stalled) break;
+    if (total.converged || stalled || since_best > kMaxDetourIterations) break;
   }
   total.cg_iterations = cg_iterations;
   device.run(Phase::kEnd);
