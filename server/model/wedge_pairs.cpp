@@ -134,11 +134,10 @@ void make_wedge_pairs(Compilation& c) {
       if (alone[e] && body.material(e).poisson_ratio > kNearlyIncompressible) ++locking;
     }
     if (locking <= kNoticeablePart * wedges) continue;
-    c.model.warnings.push_back(
-        fmt::format("body '{}': {} of {} wedges have no partner for their change of volume and are too stiff near a "
-                    "Poisson's ratio "
-                    "of 0.5; a partner lies across a quadrilateral face and has the same law and moduli",
-                    of.name, locking, wedges));
+    c.model.warnings.push_back(fmt::format(
+        "body '{}': {} of {} wedges have no partner for their change of volume and are too stiff near a "
+        "Poisson's ratio of 0.5; a partner lies across a quadrilateral face and has the same law and moduli",
+        of.name, locking, wedges));
   }
 }
 

@@ -161,10 +161,8 @@ struct Runner::Impl {
       stop_with_fault(fmt::format(
           "step {} left the numbers: the state is not finite any more. Nothing of it was published. Reset the scene, "
           "then make dt_s smaller or the loads gentler, see that fixed nodes hold what is quasi-static, and take a law "
-          "that "
-          "stands strong compression: st_venant_kirchhoff does not, and hencky, neo_hookean, mooney_rivlin and ogden "
-          "end "
-          "where an element turns inside out",
+          "that stands strong compression: st_venant_kirchhoff does not, and hencky, neo_hookean, mooney_rivlin and "
+          "ogden end where an element turns inside out",
           stamp.step));
       return false;
     }
