@@ -16,8 +16,11 @@
 #if defined(__CUDA_ARCH__)
 #define TM_UNROLL(count) _Pragma(TM_STRING(unroll count))
 #define TM_STRING(text) #text
+/// All of them: a small array that a loop indexes stays in registers.
+#define TM_UNROLL_ALL _Pragma("unroll")
 #else
 #define TM_UNROLL(count)
+#define TM_UNROLL_ALL
 #endif
 
 namespace tensormass {

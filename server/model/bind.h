@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <string_view>
 
 #include "model/model.h"
@@ -32,18 +33,22 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
   s.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
   s.halo = arena.template constant<uint32_t>("halo rows", layout.halo);
+  if (m.has_tiles) s.patch_of_slice = arena.template constant<uint32_t>("patches of slices", layout.patch_of_slice());
   s.slice_begin = arena.template constant<uint32_t>("matrix slices", layout.slice_begin);
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
 
   s.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
 
   s.partials = arena.template zeros<Real>("element tensors", m.partial_reals());
-  if (m.has_refreshed_tensors()) {
+  if (m.has_refreshed_tensors() && !m.has_tiles) {
     s.force_gather_begin = arena.template constant<uint32_t>("force gather offsets", m.gather.force_begin);
     s.force_gather = arena.template constant<uint32_t>("force gather", m.gather.force);
     s.edge_gather_begin = arena.template constant<uint32_t>("edge gather offsets", m.gather.edge_begin);
     s.edge_gather = arena.template constant<uint32_t>("edge gather", m.gather.edge);
   }
+
+  s.open_slice_count = static_cast<uint32_t>(m.open_slices.size());
+  s.open_slices = arena.template constant<uint32_t>("rows without tiles", m.open_slices);
 
   s.displacement = arena.template zeros<Real>("displacement", 4 * rows);
   s.velocity = arena.template zeros<Real>("velocity", 4 * rows);
@@ -104,6 +109,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.solve_report = arena.template zeros<tensor::SolveReport<Real>>("solve report", 1);
   s.watch = arena.template zeros<tensor::PatchWatch<Real>>("watch", m.groups.size() * patches);
   s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * 4);
+  s.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
   return s;
 }
 
@@ -124,6 +130,17 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
     e.prony[i] = {static_cast<Real>(group.prony[i].gain), static_cast<Real>(group.prony[i].decay)};
   }
   e.history = arena.template zeros<Real>("stress histories", group.history_reals());
+  if (!group.tiles.parts.empty()) {
+    const tensor::GroupTiles& tiles = group.tiles;
+    e.tile_count = static_cast<std::uint32_t>(tiles.tile_parts.size()) - 1;
+    for (const tensor::TilePart& part : tiles.parts) e.tile_reals = std::max(e.tile_reals, part.element_count);
+    e.tile_reals *= tensor::tile_record_reals(static_cast<std::uint32_t>(group.rows.size() / group.stride));
+    e.tile_parts = arena.template constant<std::uint32_t>("tiles", tiles.tile_parts);
+    e.parts = arena.template constant<tensor::TilePart>("parts of tiles", tiles.parts);
+    e.tile_elements = arena.template constant<std::uint32_t>("elements of tiles", tiles.elements);
+    e.tile_list_begin = arena.template constant<std::uint16_t>("lists of tiles", tiles.list_begin);
+    e.tile_entries = arena.template constant<std::uint16_t>("entries of tiles", tiles.entries);
+  }
   return e;
 }
 

@@ -31,6 +31,7 @@ class Compiler {
     TM_CHECK(fill_row_fields(c_));
     TM_CHECK(fill_supports_and_loads(c_));
     TM_CHECK(group_elements(c_));
+    TM_CHECK(map_refreshed_tensors(c_, policy_));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {
       TM_CHECK(make_visible_surface(c_));

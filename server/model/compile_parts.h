@@ -7,6 +7,7 @@
 
 #include "core/result.h"
 #include "mesh/mesh.h"
+#include "model/compile.h"
 #include "model/material_input.h"
 #include "model/model.h"
 #include "physics/lists.h"
@@ -81,6 +82,9 @@ Result<void> fill_supports_and_loads(Compilation& c);
 
 /// Linear laws go into constant tensors; every element goes into a group.
 Result<void> group_elements(Compilation& c);
+
+/// How rows find the tensors of elements that are refreshed: by tiles if the policy has them, or by gathering.
+Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy);
 
 void make_contact_surface(Compilation& c);
 Result<void> make_visible_surface(Compilation& c);

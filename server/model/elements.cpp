@@ -244,20 +244,34 @@ Result<void> group_elements(Compilation& c) {
     partial_begin += std::uint64_t{group.stride} * group.record_reals;
     c.model.groups.push_back(std::move(group));
   }
-  if (partial_begin > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(ErrorCode::kResourceExhausted,
-                fmt::format("the tensors of all elements are {} numbers, and gather maps address 2^32; use fewer "
-                            "elements, or shapes with fewer nodes",
-                            partial_begin));
-  }
+  return {};
+}
 
-  std::vector<tensor::ElementRows> rows;
-  for (const ElementGroup& group : c.model.groups) {
+Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
+  Model& model = c.model;
+  std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
+  for (const ElementGroup& group : model.groups) {
     if (group.is_constant()) continue;
     rows.push_back({static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride,
                     group.rows, static_cast<std::uint32_t>(group.partial_begin)});
   }
-  if (!rows.empty()) c.model.gather = tensor::make_gather_map(layout, rows);
+  if (rows.empty()) return {};
+  if (policy.tile_bytes > 0) {
+    const std::uint32_t reals = policy.tile_bytes / (model.double_precision ? sizeof(double) : sizeof(float));
+    tensor::Tiles tiles = tensor::make_tiles(model.layout, rows, std::min(reals, tensor::kMaxTileReals),
+                                             model.constant_edges.empty());
+    for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].tiles = std::move(tiles.groups[g]);
+    model.open_slices = std::move(tiles.open_slices);
+    model.has_tiles = true;
+    return {};
+  }
+  if (model.partial_reals() > std::numeric_limits<std::uint32_t>::max()) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("the tensors of all elements are {} numbers, and gather maps address 2^32; use fewer "
+                            "elements, or shapes with fewer nodes",
+                            model.partial_reals()));
+  }
+  model.gather = tensor::make_gather_map(model.layout, rows);
   return {};
 }
 

@@ -9,6 +9,7 @@
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "tensor/layout.h"
+#include "tensor/tiles.h"
 
 /// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
 /// means that the scene has no use for it; no backend allocates a buffer for it.
@@ -70,6 +71,7 @@ struct ElementGroup {
   std::vector<std::uint32_t> rows;           ///< [shape nodes][stride]
   std::vector<double> rest;                  ///< [point_count][rest reals][stride]
   std::vector<double> parameters;            ///< [law parameters][stride]
+  tensor::GroupTiles tiles;                  ///< empty if the backend gathers from partials
 
   bool is_constant() const { return record_reals == 0; }
   bool is_wedge_pairs() const { return !partners.empty(); }
@@ -176,7 +178,9 @@ struct Model {
   std::vector<std::string> warnings;
 
   tensor::Layout layout;
-  tensor::GatherMap gather;            ///< of `groups`
+  tensor::GatherMap gather;            ///< of `groups`; empty with tiles
+  bool has_tiles = false;
+  std::vector<std::uint32_t> open_slices;  ///< see SceneView; only with tiles
   std::vector<ElementGroup> groups;    ///< those with refreshed tensors first
   std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;      ///< [slot] kg; empty for lumped mass
@@ -202,6 +206,7 @@ struct Model {
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
   std::uint64_t partial_reals() const {
     std::uint64_t reals = 0;
+    if (has_tiles) return reals;
     for (const ElementGroup& group : groups) reals += std::uint64_t{group.stride} * group.record_reals;
     return reals;
   }

@@ -72,17 +72,26 @@ TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s
   if (team.leads_patch()) s.patch_reports[patch.index] = {sqrt(max_squared), 1 - not_finite};
 }
 
-/// Reads solution, diagonal; writes velocity, displacement, iterate, increment, patch_reports.
-template <class Team, class Real>
-TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
+/// By the change of velocity that `change_of(row)` says.
+/// Writes velocity, displacement, iterate, increment, patch_reports.
+template <class Team, class Real, class Change>
+TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& s, const Change& change_of) {
   move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
-    const Vec3<Real> change = load_lower<Real>(s.diagonal, row).transpose() * tensor::load3<Real>(s.solution, row);
+    const Vec3<Real> change = change_of(row);
     const Vec3<Real> v = tensor::load3<Real>(s.velocity, row);
     if (s.increment != nullptr) {
       tensor::store3<Real>(s.increment, row, change);
       tensor::store3<Real>(s.iterate, row, v);
     }
     return v + change;
+  });
+}
+
+/// Reads solution, diagonal; writes what advance_by does.
+template <class Team, class Real>
+TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
+  advance_by(team, s, [&](std::uint32_t row) -> Vec3<Real> {
+    return load_lower<Real>(s.diagonal, row).transpose() * tensor::load3<Real>(s.solution, row);
   });
 }
 

@@ -34,12 +34,30 @@ TM_HOST_DEVICE void inverse_cholesky(const Real* d, Real* out) {
   out[5] = i2;
 }
 
+/// L⁻¹ as inverse_cholesky writes it, as a matrix.
 template <class Real>
-TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
-  const Real* p = diagonal + 8 * row;
+TM_HOST_DEVICE Mat3<Real> lower(const Real* p) {
   Mat3<Real> m;
   m << p[0], 0, 0, p[1], p[2], 0, p[3], p[4], p[5];
   return m;
+}
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
+  return lower(diagonal + 8 * row);
+}
+
+/// L⁻¹ of a row whose diagonal block has the upper triangle `d`; zeros in the directions that are not free.
+template <class Real>
+TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real* out) {
+  const Real x = free_bits & 1, y = free_bits >> 1 & 1, z = free_bits >> 2 & 1;       // 1 in the free directions
+  const Real free[6] = {d[0], x * y * d[1], x * z * d[2], d[3], y * z * d[4], d[5]};  // the others stand alone
+  inverse_cholesky(free, out);
+  out[0] *= x;
+  out[1] *= x * y;
+  out[2] *= y;
+  out[3] *= x * z;
+  out[4] *= y * z;
+  out[5] *= z;
 }
 
 /// Replaces diagonal by L⁻¹ and rhs by b̂.
@@ -48,17 +66,9 @@ TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     Real* d = s.diagonal + std::size_t{8} * row;
-    const std::uint32_t bits = tensor::free_bits(s, row);
-    const Real x = bits & 1, y = bits >> 1 & 1, z = bits >> 2 & 1;                      // 1 in the free directions
-    const Real free[6] = {d[0], x * y * d[1], x * z * d[2], d[3], y * z * d[4], d[5]};  // the others stand alone
     Real inverse[6];
-    inverse_cholesky(free, inverse);
-    d[0] = x * inverse[0];
-    d[1] = x * y * inverse[1];
-    d[2] = y * inverse[2];
-    d[3] = x * z * inverse[3];
-    d[4] = y * z * inverse[4];
-    d[5] = z * inverse[5];
+    inverse_factor(d, tensor::free_bits(s, row), inverse);
+    for (int c = 0; c < 6; ++c) d[c] = inverse[c];
     tensor::store3<Real>(s.rhs, row, load_lower<Real>(s.diagonal, row) * tensor::load3<Real>(s.rhs, row));
   });
 }

@@ -32,6 +32,7 @@ TM_HOST_DEVICE ElementRange element_range(const SceneView<Real>& s, const Elemen
 template <class Lanes, class Shape, class Real>
 TM_HOST_DEVICE void load_displacement(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
                                       Vec3<typename Lanes::Scalar> (&u)[Shape::kNodes]) {
+  TM_UNROLL_ALL
   for (int k = 0; k < Shape::kNodes; ++k) {
     u[k] = Lanes::gather3(s.displacement, e.rows + std::size_t{static_cast<std::uint32_t>(k)} * e.count + first);
   }
@@ -43,6 +44,11 @@ TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, 
   const Real* rest = e.rest + std::size_t{point} * kReals * e.count + first;
   return physics::PointGradients<Shape, typename Lanes::Scalar>::read(
       [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
+}
+
+template <class Real>
+TM_HOST_DEVICE bool begins_the_step(const SceneView<Real>& s) {
+  return s.newton == nullptr || s.newton->begins_step != 0;
 }
 
 /// The history of a point and, at the begin of a step, its move to the stress that the last step ended with.
@@ -71,41 +77,74 @@ TM_HOST_DEVICE auto remember(const ElementView<Real>& e, std::uint32_t q, std::u
   return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
 }
 
+/// Calls visit(gradients, F, law's point, index of the point) for each quadrature point.
+template <class Lanes, class Shape, class Law, class Real, class Visit>
+TM_HOST_DEVICE void for_each_point(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
+                                   const Visit& visit) {
+  using T = typename Lanes::Scalar;
+  Vec3<T> u[Shape::kNodes];
+  load_displacement<Lanes, Shape>(s, e, first, u);
+  const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+  TM_UNROLL(1)
+  for (std::uint32_t q = 0; q < points; ++q) {
+    T parameters[Law::kParameterCount];
+    for (int c = 0; c < Law::kParameterCount; ++c) {
+      parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
+    }
+    if (!Shape::kSinglePoint && e.shares != nullptr) {
+      Law::take_shares(parameters, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
+    }
+    const auto gradients = load_point<Lanes, Shape>(e, q, first);
+    const Mat3<T> f = gradients.deformation_gradient(u);
+    auto point = Law::at(f, parameters);
+    visit(gradients, f, point, q);
+  }
+}
+
+/// Forces and stiffness of the elements at `first` go to `out` (physics::add_point). With `moves_history` the step's
+/// first evaluation also moves their memory.
+template <class Lanes, class Shape, class Law, class Real, class Out>
+TM_HOST_DEVICE void evaluate_elements(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
+                                      bool moves_history, Out& out) {
+  const bool begins_step = moves_history && begins_the_step(s);
+  const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
+                                                                             : physics::Stiffness::kConsistent;
+  for_each_point<Lanes, Shape, Law>(
+      s, e, first, [&](const auto& gradients, const auto& f, auto& point, std::uint32_t q) {
+        if (e.prony_count == 0) {
+          physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, out);
+        } else {
+          const auto viscous = remember<Lanes, Law>(e, q, first, point, begins_step);
+          physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, out);
+        }
+      });
+}
+
+/// Moves the memories of a group to the stress that the last step ended with: where several patches evaluate an
+/// element, none of them can.
+/// Reads displacement, history; writes history.
+template <class Shape, class Law, class Team, class Real>
+TM_HOST_DEVICE void move_histories(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  using Lanes = typename Team::template Lanes<Real>;
+  if (!begins_the_step(s)) return;
+  const ElementRange range = element_range(s, e, team.patch());
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    for_each_point<Lanes, Shape, Law>(s, e, first, [&](const auto&, const auto&, const auto& point, std::uint32_t q) {
+      remember<Lanes, Law>(e, q, first, point, true);
+    });
+  });
+}
+
 /// Reads displacement, history; writes partials, history.
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   constexpr std::uint32_t kRecord = record_reals(Shape::kNodes);
-  const bool begins_step = s.newton == nullptr || s.newton->begins_step != 0;
-  const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
-                                                                             : physics::Stiffness::kConsistent;
   const ElementRange range = element_range(s, e, team.patch());
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
-    Vec3<T> u[Shape::kNodes];
-    load_displacement<Lanes, Shape>(s, e, first, u);
     physics::ElementTensors<Shape, T> tensors;
-    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
-    TM_UNROLL(1)
-    for (std::uint32_t q = 0; q < points; ++q) {
-      T parameters[Law::kParameterCount];
-      for (int c = 0; c < Law::kParameterCount; ++c) {
-        parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
-      }
-      if (!Shape::kSinglePoint && e.shares != nullptr) {
-        Law::take_shares(parameters, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
-      }
-      const auto gradients = load_point<Lanes, Shape>(e, q, first);
-      const Mat3<T> f = gradients.deformation_gradient(u);
-      auto point = Law::at(f, parameters);
-      if (e.prony_count == 0) {
-        physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, tensors);
-      } else {
-        const auto viscous = remember<Lanes, Law>(e, q, first, point, begins_step);
-        physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, tensors);
-      }
-    }
-
+    evaluate_elements<Lanes, Shape, Law>(s, e, first, true, tensors);
     T record[kRecord];
     for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
       for (std::uint32_t c = 0; c < 3; ++c) record[force_offset(k) + c] = tensors.force[k][c];
@@ -157,45 +196,93 @@ TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
   return Eigen::Map<const Mat3<Real>>(p);
 }
 
+/// What a row's matrix and right-hand side are summed up from.
+template <class Real>
+struct RowSums {
+  Vec3<Real> force = Vec3<Real>::Zero();  // of the elements [N]
+  Mat3<Real> vertex = Mat3<Real>::Zero();
+  Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();  // K (β v + d)
+  Vec3<Real> momentum = Vec3<Real>::Zero();         // of the neighbours
+};
+
+/// One row of A and b from the edge tensors K_kl of its slots.
+template <bool HasConstant, class Real>
+class RowAssembly {
+ public:
+  TM_HOST_DEVICE RowAssembly(const SceneView<Real>& s, const Patch& patch, std::uint32_t row)
+      : s_(s),
+        patch_(patch),
+        row_(row),
+        h_(step_size(s)),
+        mass_(s.inertia[4 * row]),
+        alpha_(s.inertia[4 * row + 1]),
+        beta_(s.inertia[4 * row + 2]),
+        displacement_(load3<Real>(s.displacement, row)),
+        own_ahead_(stretch_ahead(row)) {}
+
+  /// edge: of the elements whose tensors are refreshed. Returns the block of A.
+  TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, std::uint32_t column, Mat3<Real> edge, RowSums<Real>& sums) const {
+    const std::uint32_t other = global_row(s_, patch_, column);
+    if constexpr (HasConstant) {
+      const Mat3<Real> constant = load_block(s_.constant_edges, slot);
+      sums.force -= constant * (load3<Real>(s_.displacement, other) - displacement_);
+      edge += constant;
+    }
+    // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
+    sums.vertex -= edge;
+    sums.stiffness_ahead += edge * (stretch_ahead(other) - own_ahead_);
+    edge *= h_ * (beta_ + h_);
+    if (s_.mass_edges != nullptr) {
+      const Real shared = s_.mass_edges[slot];
+      edge += Mat3<Real>::Identity() * (shared * (1 + alpha_ * h_));
+      sums.momentum += momentum_gap(other) * shared;
+    }
+    return edge;
+  }
+  TM_HOST_DEVICE void finish(const RowSums<Real>& sums) const {
+    const Mat3<Real> diagonal =
+        sums.vertex * (h_ * (beta_ + h_)) + Mat3<Real>::Identity() * (mass_ * (1 + alpha_ * h_));
+    store_symmetric(s_.diagonal, row_, diagonal);
+    const Vec3<Real> momentum = sums.momentum + momentum_gap(row_) * mass_;
+    store3<Real>(s_.rhs, row_, (sums.force - sums.stiffness_ahead) * h_ + momentum);
+    if (s_.internal_force != nullptr) store3<Real>(s_.internal_force, row_, sums.force);
+  }
+
+ private:
+  // What M and K are applied to; neighbours of a row belong to the same body and have its damping.
+  TM_HOST_DEVICE Vec3<Real> momentum_gap(std::size_t row) const {
+    const Vec3<Real> velocity = load3<Real>(s_.velocity, row);
+    const Vec3<Real> lost = velocity * (-alpha_ * h_);
+    if (s_.base_velocity == nullptr) return lost;
+    return lost + load3<Real>(s_.base_velocity, row) - velocity;
+  }
+  TM_HOST_DEVICE Vec3<Real> stretch_ahead(std::size_t row) const {
+    return change_ahead(s_, row) + load3<Real>(s_.velocity, row) * beta_;
+  }
+
+  const SceneView<Real>& s_;
+  const Patch& patch_;
+  const std::uint32_t row_;
+  const Real h_, mass_, alpha_, beta_;
+  const Vec3<Real> displacement_, own_ahead_;
+};
+
 /// Gathers the tensors of each row in a fixed order and forms the row of A and b.
 /// Reads partials and constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs,
 /// internal_force.
 template <bool HasConstant, bool HasPartial, class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
-  const Real h = step_size(s);
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const Real mass = s.inertia[4 * row], alpha = s.inertia[4 * row + 1], beta = s.inertia[4 * row + 2];
-    // What M and K are applied to; neighbours of a row belong to the same body and have its damping.
-    const auto momentum_gap = [&](std::size_t r) -> Vec3<Real> {
-      const Vec3<Real> velocity = load3<Real>(s.velocity, r);
-      const Vec3<Real> lost = velocity * (-alpha * h);
-      if (s.base_velocity == nullptr) return lost;
-      return lost + load3<Real>(s.base_velocity, r) - velocity;
-    };
-    const auto stretch_ahead = [&](std::size_t r) -> Vec3<Real> {
-      return change_ahead(s, r) + load3<Real>(s.velocity, r) * beta;
-    };
-
-    Vec3<Real> force = Vec3<Real>::Zero();
+    const RowAssembly<HasConstant, Real> assembly(s, patch, row);
+    RowSums<Real> sums;
     if constexpr (HasPartial) {
       for (std::uint32_t i = s.force_gather_begin[row]; i < s.force_gather_begin[row + 1]; ++i) {
-        force += Eigen::Map<const Vec3<Real>>(s.partials + s.force_gather[i]);
+        sums.force += Eigen::Map<const Vec3<Real>>(s.partials + s.force_gather[i]);
       }
     }
-    // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
-    const Vec3<Real> displacement = load3<Real>(s.displacement, row);
-    const Vec3<Real> own_ahead = stretch_ahead(row);
-    Mat3<Real> vertex = Mat3<Real>::Zero();
-    Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();
-    Vec3<Real> momentum = momentum_gap(row) * mass;
     for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
-      const std::uint32_t other = global_row(s, patch, column);
       Mat3<Real> edge = Mat3<Real>::Zero();
-      if constexpr (HasConstant) {
-        edge = load_block(s.constant_edges, slot);
-        force -= edge * (load3<Real>(s.displacement, other) - displacement);
-      }
       if constexpr (HasPartial) {
         const std::uint32_t* begin = s.edge_gather_begin + 2 * slot;
         Mat3<Real> transposed = Mat3<Real>::Zero();
@@ -203,21 +290,9 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         for (std::uint32_t i = begin[1]; i < begin[2]; ++i) transposed += dense(s.partials + s.edge_gather[i]);
         edge += transposed.transpose();
       }
-      vertex -= edge;
-      stiffness_ahead += edge * (stretch_ahead(other) - own_ahead);
-      edge *= h * (beta + h);
-      if (s.mass_edges != nullptr) {
-        const Real shared = s.mass_edges[slot];
-        edge += Mat3<Real>::Identity() * (shared * (1 + alpha * h));
-        momentum += momentum_gap(other) * shared;
-      }
-      store_block<Real>(s.edges, slot, edge);
+      store_block<Real>(s.edges, slot, assembly.couple(slot, column, edge, sums));
     });
-
-    const Mat3<Real> diagonal = vertex * (h * (beta + h)) + Mat3<Real>::Identity() * (mass * (1 + alpha * h));
-    store_symmetric(s.diagonal, row, diagonal);
-    store3<Real>(s.rhs, row, (force - stiffness_ahead) * h + momentum);
-    if (s.internal_force != nullptr) store3<Real>(s.internal_force, row, force);
+    assembly.finish(sums);
   });
 }
 

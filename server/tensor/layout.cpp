@@ -108,6 +108,14 @@ std::uint32_t Layout::patch_of_row(std::uint32_t row) const {
          1;
 }
 
+std::vector<std::uint32_t> Layout::patch_of_slice() const {
+  std::vector<std::uint32_t> patches;
+  for (std::uint32_t patch = 0; patch < patch_count; ++patch) {
+    patches.resize(patch_rows[patch + 1] / kSliceRows, patch);
+  }
+  return patches;
+}
+
 std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t slice = row / kSliceRows;
   // Ascending neighbours, then padding, which as kNone is the largest: binary search holds.

@@ -25,6 +25,7 @@ struct Layout {
 
   std::uint32_t slot_count() const { return static_cast<std::uint32_t>(columns.size()); }
   std::uint32_t patch_of_row(std::uint32_t row) const;
+  std::vector<std::uint32_t> patch_of_slice() const;  ///< [row_count / kSliceRows]
   /// The slot that couples `row` to `other`; both must be neighbours.
   std::uint32_t slot(std::uint32_t row, std::uint32_t other) const;
 };

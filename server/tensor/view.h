@@ -30,6 +30,25 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
   return (edge_offset(nodes, nodes * (nodes - 1) / 2) + 7) / 8 * 8;
 }
 
+/// A record as a tile holds it in shared memory: an odd stride, so that threads that write theirs meet no other's bank.
+TM_HOST_DEVICE constexpr std::uint32_t tile_record_reals(std::uint32_t nodes) {
+  return edge_offset(nodes, nodes * (nodes - 1) / 2) | 1;
+}
+/// Entries of a tile are 16 bits, one of which says that a block is to be transposed.
+inline constexpr std::uint32_t kMaxTileReals = 1u << 15;
+
+/// Elements of one group that a thread block evaluates at once, and the rows that it sums up from them (tiles.h).
+/// Entry lists: for each slot of the slices 2 · the place of an edge tensor in the records + 1 if transposed, then for
+/// each row the places of its forces.
+struct TilePart {
+  std::uint32_t slice_begin, slice_count;
+  std::uint32_t element_begin, element_count;  // in ElementView::tile_elements
+  std::uint32_t list_begin;                    // in tile_list_begin
+  std::uint32_t entry_begin;                   // in tile_entries
+  std::uint16_t adds;                          // 1: a part before it has written the rows
+  std::uint16_t finishes;                      // 1: forms the rows of A and b; 0: leaves K in edges and forces in rhs
+};
+
 /// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
 template <class Real>
 struct PointShares {
@@ -62,6 +81,15 @@ struct ElementView {
   std::uint32_t prony_count;
   PronyStep<Real> prony[physics::kMaxPronyTerms];
   Real* history;  // Γ_i [Pa] [quadrature points][prony_count][6][count]
+
+  // -- tiles; only where a backend has them
+  std::uint32_t tile_count;
+  std::uint32_t tile_reals;               // of the largest part's records
+  const std::uint32_t* tile_parts;        // [tile_count + 1]
+  const TilePart* parts;
+  const std::uint32_t* tile_elements;
+  const std::uint16_t* tile_list_begin;
+  const std::uint16_t* tile_entries;
 };
 
 /// A spherical probe as a step sees it.
@@ -176,6 +204,7 @@ struct SceneView {
   const std::uint32_t* patch_rows;  // [patch_count + 1]
   const std::uint32_t* patch_halo;  // [patch_count + 1] into halo
   const std::uint32_t* halo;        // global rows
+  const std::uint32_t* patch_of_slice;  // [row_count / 32]; only with tiles
 
   // -- matrix structure
   const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
@@ -190,6 +219,10 @@ struct SceneView {
   const std::uint32_t* force_gather_begin;  // [row_count + 1]
   const std::uint32_t* edge_gather;         // offsets of K_kl in partials
   const std::uint32_t* edge_gather_begin;   // [2 slots + 1] of each slot the blocks as they are, then the transposed
+
+  // -- slices whose rows no tile finishes: twice the slice, + 1 if tiles left tensors in edges and forces in rhs
+  std::uint32_t open_slice_count;
+  const std::uint32_t* open_slices;
 
   // -- state and fields of rows, [row_count, 4]
   Real* displacement;       // u [m]
@@ -257,6 +290,7 @@ struct SceneView {
   SolveReport<Real>* solve_report;   // [1]
   PatchWatch<Real>* watch;           // [group, patch_count]
   Real* reduction;                   // [2, patch_count, 4] partial sums of exchange, by parity
+  std::uint32_t* exchange_tags;      // [patch_count] exchanges so far, where cells carry their number (backend/cuda)
 };
 
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;

@@ -10,6 +10,8 @@
 #include "backend/backend.h"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/launch.cuh"
+#include "backend/cuda/solve_plan.cuh"
+#include "backend/cuda/tiles.cuh"
 #include "backend/newton.h"
 #include "backend/results.h"
 #include "backend/stages.h"
@@ -106,6 +108,7 @@ class CudaState final : public SceneState {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
+    if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout);
     check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "stream");
     if (model.iterates()) {
       for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
@@ -238,6 +241,14 @@ class CudaState final : public SceneState {
     return executable;
   }
 
+  /// Single precision has a kernel that does these stages in one.
+  static constexpr bool kSinglePrecision = std::is_same_v<Real, float>;
+  bool is_part_of_fast_solve(model::StageKind kind) const {
+    if (!kSinglePrecision) return false;
+    return kind == model::StageKind::kScaleEdges || kind == model::StageKind::kAdvance ||
+           (kind == model::StageKind::kFactorize && solve_plan_.resident);
+  }
+
   template <class StageType>
   void launch(const ElementView<Real>& elements) {
     launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements);
@@ -263,6 +274,27 @@ class CudaState final : public SceneState {
     }
   }
 
+  void launch_elements(const model::ElementGroup& group, const ElementView<Real>& elements) {
+    const cuda::ElementKernels kernels = cuda::element_kernels<Real>(group.shape, group.law);
+    if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements);
+    if (elements.tile_count == 0) return;
+    const std::size_t shared = std::max(elements.tile_reals * sizeof(Real), cuda::SharedSums<Real>::kBytes);
+    check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(shared)),
+          "shared memory of the element tensors");
+    void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
+    check(cudaLaunchKernel(kernels.assemble, elements.tile_count, cuda::kTileThreads, arguments, shared, stream_),
+          "element tensors");
+  }
+
+  void finish_slices() {
+    if (view_.open_slice_count == 0) return;
+    const unsigned blocks = (view_.open_slice_count + cuda::kTileWarps - 1) / cuda::kTileWarps;
+    void* arguments[] = {const_cast<SceneView<Real>*>(&view_)};
+    const auto kernel = model_.constant_edges.empty() ? &cuda::finish_slices<false, Real> : &cuda::finish_slices<true, Real>;
+    check(cudaLaunchKernel(reinterpret_cast<const void*>(kernel), blocks, cuda::kTileThreads, arguments, 0, stream_),
+          "rows without tiles");
+  }
+
   void enqueue_phase(model::Phase phase) {
     using model::Phase;
     if (phase == Phase::kBegin) {
@@ -273,10 +305,19 @@ class CudaState final : public SceneState {
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
       upload_pinned(view_.newton, newton_, "outer iteration");
     for (const model::Stage& stage : model_.stages) {
-      if (stage.phase != phase) continue;
+      if (stage.phase != phase || is_part_of_fast_solve(stage.kind)) continue;
+      if constexpr (kSinglePrecision) {
+        if (stage.kind == model::StageKind::kSolve) {
+          check(cuda::launch_solve(solve_plan_, view_, stream_), "solve");
+          continue;
+        }
+      }
       if (stage.kind == model::StageKind::kElements) {
-        const model::ElementGroup& group = model_.groups[stage.group];
-        launch(Communication::kNone, cuda::element_kernel<Real>(group.shape, group.law), groups_[stage.group]);
+        launch_elements(model_.groups[stage.group], groups_[stage.group]);
+        continue;
+      }
+      if (stage.kind == model::StageKind::kAssemble && model_.has_tiles) {
+        finish_slices();
         continue;
       }
       with_stage(model_, stage, [&](auto type) {
@@ -321,6 +362,7 @@ class CudaState final : public SceneState {
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
   unsigned threads_ = 0;
+  cuda::SolvePlan solve_plan_;
   double largest_force_squared_ = 0;  // see newton_step
   bool first_step_ = true;            // since the start or since a state was written
   cudaStream_t stream_ = nullptr;
@@ -338,7 +380,8 @@ class CudaBackend final : public Backend {
   model::PatchPolicy patch_policy(const v1::Scene&) const override {
     // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others.
     constexpr std::uint32_t kMinNodesPerPatch = 96;
-    return {static_cast<std::uint32_t>(properties_.multiProcessorCount), kMinNodesPerPatch};
+    constexpr std::uint32_t kTileBytes = 100 << 10;  // two blocks a multiprocessor
+    return {static_cast<std::uint32_t>(properties_.multiProcessorCount), kMinNodesPerPatch, kTileBytes};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <utility>
 
 #include "physics/lists.h"
@@ -7,18 +8,23 @@
 /// The element kernels. elements.cu is compiled once for each law, as on the CPU.
 namespace tensormass::backend::cuda {
 
-/// The kernel, of the signature of run_stage (launch.cuh), for the law at this index of physics::Laws.
+struct ElementKernels {
+  const void* assemble = nullptr;  ///< assemble_tiles (tiles.cuh), a block a tile
+  const void* move_histories = nullptr;  ///< of the signature of run_stage (launch.cuh)
+};
+
+/// For the law at this index of physics::Laws.
 template <int Law, class Real>
-const void* element_kernel_of_law(int shape);
+ElementKernels element_kernels_of_law(int shape);
 
 template <class Real>
-const void* element_kernel(int shape, int law) {
-  const void* kernel = nullptr;
+ElementKernels element_kernels(int shape, int law) {
+  ElementKernels kernels;
   [&]<int... Law>(std::integer_sequence<int, Law...>) {
-    ((Law == law ? void(kernel = element_kernel_of_law<Law, Real>(shape)) : void()), ...);
+    ((Law == law ? void(kernels = element_kernels_of_law<Law, Real>(shape)) : void()), ...);
   }
   (std::make_integer_sequence<int, physics::Laws::kCount>{});
-  return kernel;
+  return kernels;
 }
 
 }  // namespace tensormass::backend::cuda

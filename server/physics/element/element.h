@@ -30,6 +30,12 @@ template <class Shape, class T>
 struct ElementTensors {
   Vec3<T> force[Shape::kNodes];                   // f_k [N]
   Mat3<T> edge_stiffness[kPairs<Shape::kNodes>];  // K_kl, k < l [N/m]; K_lk is its transpose
+
+  /// What add_point writes to: the first contribution is assigned, so that nothing need be zero before.
+  TM_HOST_DEVICE void add_force(int k, const Vec3<T>& f, bool first) { force[k] = first ? f : Vec3<T>(force[k] + f); }
+  TM_HOST_DEVICE void add_edge(int pair, const Mat3<T>& block, bool first) {
+    edge_stiffness[pair] = first ? block : Mat3<T>(edge_stiffness[pair] + block);
+  }
 };
 
 /// K_kk [N/m].
@@ -54,6 +60,7 @@ struct PointGradients {
   TM_HOST_DEVICE static PointGradients read(Reals&& reals) {
     PointGradients point;
     point.a[0] = Vec3<T>::Zero();
+    TM_UNROLL_ALL
     for (int k = 1; k < Shape::kNodes; ++k) {
       point.a[k] = Vec3<T>(reals(3 * k - 3), reals(3 * k - 2), reals(3 * k - 1));
       point.a[0] -= point.a[k];
@@ -63,6 +70,7 @@ struct PointGradients {
   }
   TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[Shape::kNodes]) const {
     Mat3<T> f = Mat3<T>::Identity();
+    TM_UNROLL_ALL
     for (int k = 0; k < Shape::kNodes; ++k) f += displacement[k] * a[k].transpose();
     return f;
   }
@@ -73,12 +81,12 @@ enum class Stiffness {
   kPositive,    ///< positive semi-definite, for the solver
 };
 
-/// Adds what one quadrature point contributes; the first is assigned, so that `out` needs no zeros.
+/// Adds what one quadrature point contributes to `out`, an ElementTensors or what has its add_force and add_edge.
 /// point: Law::at(f); viscous: nullptr for a law without memory.
-template <class Shape, class Law, class T>
+template <class Shape, class Law, class T, class Out>
 TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
                               typename Law::template Point<T>& point, std::type_identity_t<const Viscous<T>*> viscous,
-                              Stiffness kind, bool first, ElementTensors<Shape, T>& out) {
+                              Stiffness kind, bool first, Out& out) {
   if (kind == Stiffness::kPositive) Law::make_positive(point);
   Mat3<T> stress = Law::stress(point);
   T instant = gradients.weight;
@@ -89,15 +97,16 @@ TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const M
     memory = viscous->template geometric<Law>(kind == Stiffness::kPositive) * gradients.weight;
   }
   typename Law::template Node<T> nodes[Shape::kNodes];
+  TM_UNROLL_ALL
   for (int k = 0; k < Shape::kNodes; ++k) nodes[k] = Law::at_node(point, gradients.a[k]);
+  TM_UNROLL_ALL
   for (int k = 0; k < Shape::kNodes; ++k) {
-    const Vec3<T> force = stress * gradients.a[k] * (-gradients.weight);
-    out.force[k] = first ? force : Vec3<T>(out.force[k] + force);
+    out.add_force(k, stress * gradients.a[k] * (-gradients.weight), first);
+    TM_UNROLL_ALL
     for (int l = k + 1; l < Shape::kNodes; ++l) {
-      Mat3<T>& slot = out.edge_stiffness[pair_index(Shape::kNodes, k, l)];
       Mat3<T> edge = Law::stiffness(point, nodes[k], nodes[l]) * instant;
       if (viscous != nullptr) edge += Mat3<T>::Identity() * gradients.a[k].dot(memory * gradients.a[l]);
-      slot = first ? edge : Mat3<T>(slot + edge);
+      out.add_edge(pair_index(Shape::kNodes, k, l), edge, first);
     }
   }
 }

@@ -1,0 +1,101 @@
+#pragma once
+
+#include <cstdint>
+
+#include "backend/cuda/team.cuh"
+#include "tensor/view.h"
+
+namespace tensormass::backend::cuda {
+
+/// What patches of one solve tell each other while it runs: q = Â p of their rows and three sums, without a barrier of
+/// the grid.
+///
+/// A cell is three floats and the number of the exchange, written and read as one: data carry their own flag, so that
+/// a reader needs no fence and waits for what it needs only. Cells come in two buffers by the parity of that number. A
+/// patch writes a buffer again two exchanges later, and by then every patch has read it: it has published sums since.
+/// The numbers go on from solve to solve (`tags`), or an old cell would pass for a new one.
+///
+/// All patches of a scene must run at once.
+class Exchange {
+ public:
+  struct Cell {
+    float x, y, z;
+    std::uint32_t tag;
+  };
+
+  __device__ Exchange(const tensor::SceneView<float>& s, std::uint32_t patch)
+      : cells_(reinterpret_cast<Cell*>(s.product)),
+        sums_(reinterpret_cast<Cell*>(s.reduction)),
+        tags_(s.exchange_tags),
+        rows_(s.row_count),
+        patches_(s.patch_count),
+        patch_(patch),
+        tag_(tags_[patch]) {}
+
+  /// The next exchange begins.
+  __device__ void begin() { ++tag_; }
+  /// After the last one; by one thread.
+  __device__ void remember() const { tags_[patch_] = tag_; }
+
+  __device__ void publish_row(std::uint32_t row, float x, float y, float z) const {
+    store(cells_ + std::size_t{tag_ & 1} * rows_ + row, {x, y, z, tag_});
+  }
+  __device__ Cell wait_for_row(std::uint32_t row) const { return wait(cells_ + std::size_t{tag_ & 1} * rows_ + row); }
+
+  /// The cells of rows in this exchange, four floats each.
+  __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
+
+  /// Sums over all patches in their order, the same to the last bit in every lane of every patch. One warp calls it,
+  /// with the sums of its own patch.
+  __device__ Cell sum(float x, float y, float z) const {
+    Cell* sums = sums_ + std::size_t{tag_ & 1} * patches_;
+    const unsigned lane = threadIdx.x % kWarp;
+    if (lane == 0) store(sums + patch_, {x, y, z, tag_});
+    Cell total{0, 0, 0, tag_};
+    for (std::uint32_t patch = lane; patch < patches_; patch += kWarp) {
+      const Cell other = wait(sums + patch);
+      total.x += other.x;
+      total.y += other.y;
+      total.z += other.z;
+    }
+    return sum_warp(total);
+  }
+
+  /// Over a warp; each combination is commutative, so that all lanes have the same bits.
+  __device__ static Cell sum_warp(Cell value) {
+    for (unsigned mask = kWarp / 2; mask > 0; mask /= 2) {
+      value.x += __shfl_xor_sync(0xFFFFFFFFu, value.x, mask);
+      value.y += __shfl_xor_sync(0xFFFFFFFFu, value.y, mask);
+      value.z += __shfl_xor_sync(0xFFFFFFFFu, value.z, mask);
+    }
+    return value;
+  }
+
+ private:
+  __device__ static void store(Cell* cell, const Cell& value) {
+    asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; mov.b64 lo, {%1, %2}; mov.b64 hi, {%3, %4}; mov.b128 q, {lo, hi};"
+                 " st.relaxed.gpu.global.b128 [%0], q; }" ::"l"(cell),
+                 "r"(__float_as_uint(value.x)), "r"(__float_as_uint(value.y)), "r"(__float_as_uint(value.z)),
+                 "r"(value.tag)
+                 : "memory");
+  }
+  __device__ Cell wait(const Cell* cell) const {
+    std::uint32_t x, y, z, tag;
+    do {
+      asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; ld.relaxed.gpu.global.b128 q, [%4]; mov.b128 {lo, hi}, q;"
+                   " mov.b64 {%0, %1}, lo; mov.b64 {%2, %3}, hi; }"
+                   : "=r"(x), "=r"(y), "=r"(z), "=r"(tag)
+                   : "l"(cell)
+                   : "memory");
+    } while (tag != tag_);
+    return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
+  }
+
+  Cell* const cells_;
+  Cell* const sums_;
+  std::uint32_t* const tags_;
+  const std::uint32_t rows_, patches_, patch_;
+  std::uint32_t tag_;
+};
+
+}  // namespace tensormass::backend::cuda

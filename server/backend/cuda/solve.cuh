@@ -1,0 +1,349 @@
+#pragma once
+
+#include "backend/cuda/exchange.cuh"
+#include "solver/advance.h"
+#include "solver/jacobi_scaling.h"
+
+/// The recurrence of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
+/// solve. What differs is where numbers are kept and how patches exchange them (exchange.cuh).
+///
+///   resident_solve   a thread a row: matrix, vectors and direction stay in registers and shared memory
+///   streamed_solve   more rows than threads: the matrix comes from memory in each iteration, vectors stay as near as
+///                    they fit
+namespace tensormass::backend::cuda {
+
+using tensor::kSliceRows;
+using tensor::SceneView;
+
+/// r·r and what follows from it; the same in every thread of every patch.
+class Recurrence {
+ public:
+  /// False: the solve ends before this iteration's update.
+  __device__ bool take(const Exchange::Cell& sums) {
+    const float pq = sums.x, qq = sums.y, rr = sums.z;
+    if (iterations_ == 0) first_rr_ = rr_next_ = rr;
+    if (!(rr > 0)) return false;  // solved exactly, or not a number
+    if (!(pq > 0)) {
+      negative_curvature_ = true;
+      return false;
+    }
+    alpha = rr / pq;
+    rr_next_ = maximum(rr - 2 * alpha * pq + alpha * alpha * qq, 0.0f);
+    beta = rr_next_ / rr;
+    ++iterations_;
+    return true;
+  }
+  __device__ bool goes_on(const SceneView<float>& s) const {
+    return iterations_ < s.cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
+  }
+  __device__ void report(const SceneView<float>& s) const {
+    s.solve_report->relative_residual = first_rr_ == 0 ? 0 : sqrtf(rr_next_ / first_rr_);
+    s.solve_report->iterations = iterations_;
+    s.solve_report->negative_curvature = negative_curvature_ ? 1 : 0;
+  }
+
+  float alpha = 0, beta = 0;
+
+ private:
+  float first_rr_ = 0, rr_next_ = 0;
+  std::uint32_t iterations_ = 0;
+  bool negative_curvature_ = false;
+};
+
+/// The sums of a block, then of all patches. `partial` is shared, [warps]; the result is in `total` after the next
+/// barrier of the block. Only the first warp returns late.
+template <unsigned Threads>
+__device__ void sum_patch(Exchange::Cell own, Exchange::Cell* partial) {
+  own = Exchange::sum_warp(own);
+  if (threadIdx.x % kWarp == 0) partial[threadIdx.x / kWarp] = own;
+  __syncthreads();
+}
+template <unsigned Threads>
+__device__ void sum_patches(const Exchange& exchange, const Exchange::Cell* partial, Exchange::Cell* total) {
+  const unsigned lane = threadIdx.x % kWarp;
+  Exchange::Cell mine = lane < Threads / kWarp ? partial[lane] : Exchange::Cell{0, 0, 0, 0};
+  mine = Exchange::sum_warp(mine);
+  const Exchange::Cell all = exchange.sum(mine.x, mine.y, mine.z);
+  if (lane == 0) *total = all;
+}
+
+/// Shared memory of resident_solve [bytes].
+inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own or of the halo: direction, L⁻¹
+inline constexpr std::size_t kResidentBytesPerHaloRow = 2 * 16;  // residual, product
+inline constexpr std::size_t kResidentBytesPerColumn = kSliceRows * (9 * 4 + 2);
+
+/// `Held`: blocks of a row in registers. column_capacity: columns of a slice's further blocks that shared memory holds;
+/// what is left over is read from memory in each iteration.
+template <unsigned Threads, int Held>
+__global__ void __launch_bounds__(Threads, 1)
+    resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
+  static_assert(Held % 2 == 0);
+  extern __shared__ float4 shared[];
+  __shared__ Exchange::Cell partial[Threads / kWarp], total;
+  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
+  float4* const direction = shared;                                              // [locals]
+  float4* const halo_residual = direction + locals;                              // [halo]
+  float4* const halo_product = halo_residual + patch.halo_count;                 // [halo]
+  float* const inverse = reinterpret_cast<float*>(halo_product + patch.halo_count);  // [6][locals]
+  float* const blocks = inverse + 6 * std::size_t{locals};                       // [column][9][kSliceRows]
+  auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * std::size_t{column_capacity});
+
+  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
+  const bool has_row = thread < own;
+  const std::uint32_t row = patch.row_begin + (has_row ? thread : 0);
+  const std::uint32_t halo_threads = Threads - kWarp;  // the first warp waits for sums meanwhile
+
+  // b̂ and L⁻¹ of own rows and of the halo
+  for (std::uint32_t i = thread; i < locals; i += Threads) {
+    const std::uint32_t global = tensor::global_row(s, patch, i);
+    float factor[6];
+    solver::inverse_factor(s.diagonal + std::size_t{8} * global, tensor::free_bits(s, global), factor);
+    for (int c = 0; c < 6; ++c) inverse[c * locals + i] = factor[c];
+    const Vec3<float> b = solver::lower(factor) * tensor::load3<float>(s.rhs, global);
+    direction[i] = {b[0], b[1], b[2], 0};
+    if (i >= own) halo_residual[i - own] = direction[i];
+  }
+  __syncthreads();
+  const auto inverse_of = [&](std::uint32_t local) {
+    float factor[6];
+    for (int c = 0; c < 6; ++c) factor[c] = inverse[c * locals + local];
+    return solver::lower(factor);
+  };
+
+  // Where the slice's blocks are.
+  const std::uint32_t slice = row / kSliceRows;
+  const std::uint32_t first = s.slice_begin[slice], width = has_row ? s.slice_begin[slice + 1] - first : 0;
+  std::uint32_t shared_begin = 0, shared_width = 0;  // columns
+  for (std::uint32_t other = patch.row_begin / kSliceRows; other <= slice; ++other) {
+    const std::uint32_t rest = s.slice_begin[other + 1] - s.slice_begin[other];
+    shared_begin += shared_width;
+    shared_width = minimum(rest > Held ? rest - Held : 0, column_capacity - shared_begin);
+  }
+  if (!has_row) shared_width = 0;
+
+  float held[Held][9];
+  std::uint32_t held_columns[Held / 2];  // two 16-bit offsets into direction [bytes]
+#pragma unroll
+  for (int j = 0; j < Held; ++j) {
+    if (j % 2 == 0) held_columns[j / 2] = 0;
+    for (int c = 0; c < 9; ++c) held[j][c] = 0;
+  }
+  {
+    const Mat3<float> own_inverse = inverse_of(has_row ? thread : 0);
+    const auto scaled = [&](std::uint32_t j, std::uint32_t& column) -> Mat3<float> {
+      const std::size_t slot = (std::size_t{first} + j) * kSliceRows + lane;
+      column = s.columns[slot];
+      return own_inverse * tensor::load_block<float>(s.edges, slot) * inverse_of(column).transpose();
+    };
+#pragma unroll
+    for (int j = 0; j < Held; ++j) {
+      if (j < width) {
+        std::uint32_t column;
+        const Mat3<float> block = scaled(j, column);
+        for (int c = 0; c < 9; ++c) held[j][c] = block(c / 3, c % 3);
+        held_columns[j / 2] |= (column * 16) << (16 * (j % 2));
+      }
+    }
+    for (std::uint32_t j = Held; j < width; ++j) {
+      std::uint32_t column;
+      const Mat3<float> block = scaled(j, column);
+      if (j - Held < shared_width) {
+        const std::size_t place = shared_begin + j - Held;
+        for (int c = 0; c < 9; ++c) blocks[(place * 9 + c) * kSliceRows + lane] = block(c / 3, c % 3);
+        columns[place * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
+      } else {
+        tensor::store_block<float>(s.edges, (std::size_t{first} + j) * kSliceRows + lane, block);
+      }
+    }
+  }
+
+  const float4 start = has_row ? direction[thread] : float4{};
+  Vec3<float> p(start.x, start.y, start.z), r = p, x = Vec3<float>::Zero();
+  Exchange exchange(s, patch.index);
+  Recurrence recurrence;
+  do {
+    exchange.begin();
+    Vec3<float> q = p;
+    const auto add = [&](const float* block, std::uint32_t stride, std::uint32_t offset) {
+      const float4 v = *reinterpret_cast<const float4*>(reinterpret_cast<const char*>(direction) + offset);
+      for (int i = 0; i < 3; ++i) {
+        q[i] += block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
+      }
+    };
+#pragma unroll
+    for (int j = 0; j < Held; ++j) {
+      if (j < width) add(held[j], 1, held_columns[j / 2] >> (16 * (j % 2)) & 0xFFFF);
+    }
+    for (std::uint32_t j = 0; j < shared_width; ++j) {
+      const std::size_t place = shared_begin + j;
+      add(blocks + place * (9 * kSliceRows) + lane, kSliceRows, columns[place * kSliceRows + lane]);
+    }
+    for (std::uint32_t j = Held + shared_width; j < width; ++j) {
+      const std::size_t slot = (std::size_t{first} + j) * kSliceRows + lane;
+      add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
+    }
+    if (has_row) exchange.publish_row(row, q[0], q[1], q[2]);
+    sum_patch<Threads>({p.dot(q), q.dot(q), r.dot(r), 0}, partial);
+    if (thread < kWarp) {
+      sum_patches<Threads>(exchange, partial, &total);
+    } else {
+      for (std::uint32_t h = thread - kWarp; h < patch.halo_count; h += halo_threads) {
+        const Exchange::Cell cell = exchange.wait_for_row(s.halo[patch.halo_begin + h]);
+        halo_product[h] = {cell.x, cell.y, cell.z, 0};
+      }
+    }
+    __syncthreads();
+    if (!recurrence.take(total)) break;
+    const float alpha = recurrence.alpha, beta = recurrence.beta;
+    x += p * alpha;
+    r -= q * alpha;
+    p = r + p * beta;
+    if (has_row) direction[thread] = {p[0], p[1], p[2], 0};
+    if (thread >= kWarp) {
+      for (std::uint32_t h = thread - kWarp; h < patch.halo_count; h += halo_threads) {
+        const float4 hq = halo_product[h];
+        float4 hr = halo_residual[h], hp = direction[own + h];
+        hr.x -= alpha * hq.x;
+        hr.y -= alpha * hq.y;
+        hr.z -= alpha * hq.z;
+        hp = {hr.x + beta * hp.x, hr.y + beta * hp.y, hr.z + beta * hp.z, 0};
+        halo_residual[h] = hr;
+        direction[own + h] = hp;
+      }
+    }
+    __syncthreads();
+  } while (recurrence.goes_on(s));
+
+  if (thread == 0) {
+    exchange.remember();
+    if (patch.index == 0) recurrence.report(s);
+  }
+  const Vec3<float> change = inverse_of(has_row ? thread : 0).transpose() * x;
+  solver::advance_by(Team(), s, [&](std::uint32_t) { return change; });
+}
+
+/// A patch's vectors, in shared memory or in the scene's buffers, `stride` floats a row.
+struct Vectors {
+  float* data;
+  std::uint32_t stride;
+  __device__ Vec3<float> operator[](std::uint32_t local) const {
+    const float* v = data + std::size_t{local} * stride;
+    return {v[0], v[1], v[2]};
+  }
+  __device__ void set(std::uint32_t local, const Vec3<float>& value) const {
+    float* v = data + std::size_t{local} * stride;
+    v[0] = value[0];
+    v[1] = value[1];
+    v[2] = value[2];
+  }
+};
+
+/// Shared memory of streamed_solve is given to its vectors in this order, as far as it reaches.
+inline constexpr std::size_t kStreamedBytesPerDirection = 16, kStreamedBytesPerVector = 12;
+
+/// Factors L⁻¹ and b̂ are in `diagonal` and `rhs` (solver::factorize). The first iteration scales the matrix as it reads
+/// it. capacity: of shared memory [bytes].
+template <unsigned Threads>
+__global__ void __launch_bounds__(Threads, 1)
+    streamed_solve(const __grid_constant__ SceneView<float> s, std::uint32_t capacity) {
+  extern __shared__ float4 shared[];
+  __shared__ Exchange::Cell partial[Threads / kWarp], total;
+  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
+  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
+
+  std::size_t used = 0;
+  const auto place = [&](std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
+    const std::size_t bytes = (bytes_per_row * rows + 15) / 16 * 16;
+    if (used + bytes > capacity) return Vectors{otherwise, 4};
+    used += bytes;
+    return Vectors{reinterpret_cast<float*>(reinterpret_cast<char*>(shared) + used - bytes),
+                   static_cast<std::uint32_t>(bytes_per_row / 4)};
+  };
+  const Vectors p = place(kStreamedBytesPerDirection, locals, s.direction + 4 * patch.local_begin);
+  const Vectors r = place(kStreamedBytesPerVector, locals, s.residual + 4 * patch.local_begin);
+  const Vectors x = place(kStreamedBytesPerVector, own, s.solution + std::size_t{4} * patch.row_begin);
+  const Vectors near_q = place(kStreamedBytesPerVector, own, nullptr);
+
+  for (std::uint32_t i = thread; i < locals; i += Threads) {
+    const Vec3<float> b = tensor::load3<float>(s.rhs, tensor::global_row(s, patch, i));
+    p.set(i, b);
+    r.set(i, b);
+    if (i < own) x.set(i, Vec3<float>::Zero());
+  }
+  __syncthreads();
+
+  Exchange exchange(s, patch.index);
+  Recurrence recurrence;
+  bool scaled = false;
+  do {
+    exchange.begin();
+    // Without room for it, q is read back from the cells that this patch has just published.
+    const Vectors q = near_q.data != nullptr ? near_q : Vectors{exchange.rows(patch.row_begin), 4};
+    Exchange::Cell sums{0, 0, 0, 0};
+    for (std::uint32_t local = thread; local < own; local += Threads) {
+      const std::uint32_t row = patch.row_begin + local, slice = row / kSliceRows;
+      const std::uint32_t begin = s.slice_begin[slice], end = s.slice_begin[slice + 1];
+      const Vec3<float> own_p = p[local];
+      Vec3<float> product = own_p;
+      if (scaled) {
+#pragma unroll 4
+        for (std::uint32_t j = begin; j < end; ++j) {
+          const float* block = s.edges + std::size_t{j} * (9 * kSliceRows) + lane;
+          const float4 v = reinterpret_cast<const float4*>(p.data)[s.columns[std::size_t{j} * kSliceRows + lane]];
+          for (int i = 0; i < 3; ++i) {
+            product[i] += __ldcs(block + (3 * i) * kSliceRows) * v.x + __ldcs(block + (3 * i + 1) * kSliceRows) * v.y +
+                          __ldcs(block + (3 * i + 2) * kSliceRows) * v.z;
+          }
+        }
+      } else {
+        const Mat3<float> factor = solver::load_lower<float>(s.diagonal, row);
+        for (std::uint32_t j = begin; j < end; ++j) {
+          const std::size_t slot = std::size_t{j} * kSliceRows + lane;
+          const std::uint32_t column = s.columns[slot];
+          const Mat3<float> other = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, column));
+          const Mat3<float> block = factor * tensor::load_block<float>(s.edges, slot) * other.transpose();
+          tensor::store_block<float>(s.edges, slot, block);
+          product += block * p[column];
+        }
+      }
+      exchange.publish_row(row, product[0], product[1], product[2]);
+      if (near_q.data != nullptr) q.set(local, product);
+      const Vec3<float> residual = r[local];
+      sums.x += own_p.dot(product);
+      sums.y += product.dot(product);
+      sums.z += residual.dot(residual);
+    }
+    scaled = true;
+    sum_patch<Threads>(sums, partial);
+    if (warp == 0) sum_patches<Threads>(exchange, partial, &total);
+    __syncthreads();
+    if (!recurrence.take(total)) break;
+    const float alpha = recurrence.alpha, beta = recurrence.beta;
+    for (std::uint32_t local = thread; local < own; local += Threads) {
+      const Vec3<float> direction = p[local];
+      const Vec3<float> residual = r[local] - q[local] * alpha;
+      x.set(local, x[local] + direction * alpha);
+      r.set(local, residual);
+      p.set(local, residual + direction * beta);
+    }
+    for (std::uint32_t local = own + thread; local < locals; local += Threads) {
+      const Exchange::Cell cell = exchange.wait_for_row(s.halo[patch.halo_begin + local - own]);
+      const Vec3<float> residual = r[local] - Vec3<float>(cell.x, cell.y, cell.z) * alpha;
+      r.set(local, residual);
+      p.set(local, residual + p[local] * beta);
+    }
+    __syncthreads();
+  } while (recurrence.goes_on(s));
+
+  if (thread == 0) {
+    exchange.remember();
+    if (patch.index == 0) recurrence.report(s);
+  }
+  solver::advance_by(Team(), s, [&](std::uint32_t row) -> Vec3<float> {
+    return solver::load_lower<float>(s.diagonal, row).transpose() * x[row - patch.row_begin];
+  });
+}
+
+}  // namespace tensormass::backend::cuda

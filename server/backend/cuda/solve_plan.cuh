@@ -1,0 +1,84 @@
+#pragma once
+
+#include <algorithm>
+
+#include <cuda_runtime.h>
+
+#include "backend/cuda/solve.cuh"
+#include "tensor/layout.h"
+
+/// Which of the solves a scene gets, and its launch.
+namespace tensormass::backend::cuda {
+
+struct SolvePlan {
+  bool resident = false;
+  const void* kernel = nullptr;
+  unsigned threads = 0;
+  std::size_t shared_bytes = 0;
+  std::uint32_t argument = 0;  ///< column_capacity or capacity
+};
+
+/// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes].
+inline std::size_t max_shared_bytes(const void* kernel) {
+  int device = 0, most = 0;
+  cudaFuncAttributes attributes{};
+  cudaGetDevice(&device);
+  cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
+  cudaFuncGetAttributes(&attributes, kernel);
+  return static_cast<std::size_t>(most) - attributes.sharedSizeBytes;
+}
+
+inline SolvePlan plan_solve(const tensor::Layout& layout) {
+  std::uint32_t most_rows = 0, most_locals = 0, most_halo = 0;
+  for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
+    const std::uint32_t rows = layout.patch_rows[p + 1] - layout.patch_rows[p];
+    const std::uint32_t halo = layout.patch_halo[p + 1] - layout.patch_halo[p];
+    most_rows = std::max(most_rows, rows);
+    most_halo = std::max(most_halo, halo);
+    most_locals = std::max(most_locals, rows + halo);
+  }
+  SolvePlan plan;
+  // Fewer rows leave more registers to each thread, and so more of the matrix.
+  const auto consider = [&]<unsigned Threads, int Held>() {
+    if (plan.kernel != nullptr || most_rows > Threads) return;
+    const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Held>);
+    const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow;
+    const std::size_t most = max_shared_bytes(kernel);
+    if (vectors > most || most_locals * 16 > 0xFFFF) return;
+    std::uint32_t needed = 0;
+    for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
+      std::uint32_t columns = 0;
+      for (std::uint32_t i = layout.patch_rows[p] / tensor::kSliceRows;
+           i < layout.patch_rows[p + 1] / tensor::kSliceRows; ++i) {
+        const std::uint32_t width = layout.slice_begin[i + 1] - layout.slice_begin[i];
+        columns += width > Held ? width - Held : 0;
+      }
+      needed = std::max(needed, columns);
+    }
+    const auto room = static_cast<std::uint32_t>((most - vectors) / kResidentBytesPerColumn);
+    plan = {true, kernel, Threads, 0, std::min(needed, room)};
+    plan.shared_bytes = vectors + plan.argument * kResidentBytesPerColumn;
+  };
+  consider.template operator()<256, 18>();
+  consider.template operator()<384, 12>();
+  consider.template operator()<512, 8>();
+  if (plan.kernel == nullptr) {
+    constexpr unsigned kThreads = 512;
+    plan.kernel = reinterpret_cast<const void*>(&streamed_solve<kThreads>);
+    plan.threads = kThreads;
+    const std::size_t wanted = most_locals * (kStreamedBytesPerDirection + kStreamedBytesPerVector) +
+                               2 * most_rows * kStreamedBytesPerVector + 64;
+    plan.shared_bytes = std::min(wanted, max_shared_bytes(plan.kernel)) / 16 * 16;
+    plan.argument = static_cast<std::uint32_t>(plan.shared_bytes);
+  }
+  cudaFuncSetAttribute(plan.kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(plan.shared_bytes));
+  return plan;
+}
+
+inline cudaError_t launch_solve(const SolvePlan& plan, const tensor::SceneView<float>& view, cudaStream_t stream) {
+  std::uint32_t argument = plan.argument;
+  void* arguments[] = {const_cast<tensor::SceneView<float>*>(&view), &argument};
+  return cudaLaunchCooperativeKernel(plan.kernel, view.patch_count, plan.threads, arguments, plan.shared_bytes, stream);
+}
+
+}  // namespace tensormass::backend::cuda
