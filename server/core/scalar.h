@@ -30,6 +30,18 @@ using Vec3 = Eigen::Matrix<T, 3, 1>;
 template <class T>
 using Mat3 = Eigen::Matrix<T, 3, 3>;
 
+/// Three numbers at the begin of four that lie together, aligned like four where a device reads them at once.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> read3(const Real* p) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) {
+    const float4 v = *reinterpret_cast<const float4*>(p);
+    return {v.x, v.y, v.z};
+  }
+#endif
+  return {p[0], p[1], p[2]};
+}
+
 /// Elementary functions by overload, so that formulas are written once for numbers and for packs of numbers
 /// (core/pack.h adds the overloads for packs).
 template <class Real>
@@ -77,8 +89,7 @@ struct SingleLane {
   TM_HOST_DEVICE static void store(Real* p, Scalar value) { *p = value; }
   /// vectors: [.., 4], of which three are used; the fourth is read and, by store3, may be overwritten
   TM_HOST_DEVICE static Vec3<Scalar> load3(const Real* vectors, std::uint32_t first) {
-    const Real* p = vectors + std::size_t{4} * first;
-    return {p[0], p[1], p[2]};
+    return read3(vectors + std::size_t{4} * first);
   }
   TM_HOST_DEVICE static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
     Real* p = vectors + std::size_t{4} * first;

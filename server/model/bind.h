@@ -133,12 +133,15 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
   if (!group.tiles.parts.empty()) {
     const tensor::GroupTiles& tiles = group.tiles;
     e.tile_count = static_cast<std::uint32_t>(tiles.tile_parts.size()) - 1;
-    for (const tensor::TilePart& part : tiles.parts) e.tile_reals = std::max(e.tile_reals, part.element_count);
+    for (const tensor::TilePart& part : tiles.parts) {
+      e.tile_reals = std::max(e.tile_reals, part.element_count);
+      e.tile_lists = std::max(e.tile_lists, part.list_count + part.entry_count + 2 * tensor::kTileAlignment);
+    }
     e.tile_reals *= tensor::tile_record_reals(static_cast<std::uint32_t>(group.rows.size() / group.stride));
     e.tile_parts = arena.template constant<std::uint32_t>("tiles", tiles.tile_parts);
     e.parts = arena.template constant<tensor::TilePart>("parts of tiles", tiles.parts);
     e.tile_elements = arena.template constant<std::uint32_t>("elements of tiles", tiles.elements);
-    e.tile_list_begin = arena.template constant<std::uint16_t>("lists of tiles", tiles.list_begin);
+    e.tile_list = arena.template constant<std::uint16_t>("lists of tiles", tiles.lists);
     e.tile_entries = arena.template constant<std::uint16_t>("entries of tiles", tiles.entries);
   }
   return e;

@@ -255,7 +255,6 @@ Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
     rows.push_back({static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride,
                     group.rows, static_cast<std::uint32_t>(group.partial_begin)});
   }
-  if (rows.empty()) return {};
   if (policy.tile_bytes > 0) {
     const std::uint32_t reals = policy.tile_bytes / (model.double_precision ? sizeof(double) : sizeof(float));
     tensor::Tiles tiles = tensor::make_tiles(model.layout, rows, std::min(reals, tensor::kMaxTileReals),
@@ -265,6 +264,7 @@ Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
     model.has_tiles = true;
     return {};
   }
+  if (rows.empty()) return {};
   if (model.partial_reals() > std::numeric_limits<std::uint32_t>::max()) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("the tensors of all elements are {} numbers, and gather maps address 2^32; use fewer "

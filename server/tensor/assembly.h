@@ -220,9 +220,19 @@ class RowAssembly {
         displacement_(load3<Real>(s.displacement, row)),
         own_ahead_(stretch_ahead(row)) {}
 
-  /// edge: of the elements whose tensors are refreshed. Returns the block of A.
-  TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, std::uint32_t column, Mat3<Real> edge, RowSums<Real>& sums) const {
+  /// The row behind a slot, and how far it moves; read before the tensors, which takes as long.
+  struct Neighbour {
+    std::uint32_t row;
+    Vec3<Real> ahead;
+  };
+  TM_HOST_DEVICE Neighbour neighbour(std::uint32_t column) const {
     const std::uint32_t other = global_row(s_, patch_, column);
+    return {other, stretch_ahead(other)};
+  }
+  /// edge: of the elements whose tensors are refreshed. Returns the block of A.
+  TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, const Neighbour& neighbour, Mat3<Real> edge,
+                                   RowSums<Real>& sums) const {
+    const std::uint32_t other = neighbour.row;
     if constexpr (HasConstant) {
       const Mat3<Real> constant = load_block(s_.constant_edges, slot);
       sums.force -= constant * (load3<Real>(s_.displacement, other) - displacement_);
@@ -230,7 +240,7 @@ class RowAssembly {
     }
     // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
     sums.vertex -= edge;
-    sums.stiffness_ahead += edge * (stretch_ahead(other) - own_ahead_);
+    sums.stiffness_ahead += edge * (neighbour.ahead - own_ahead_);
     edge *= h_ * (beta_ + h_);
     if (s_.mass_edges != nullptr) {
       const Real shared = s_.mass_edges[slot];
@@ -290,19 +300,23 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         for (std::uint32_t i = begin[1]; i < begin[2]; ++i) transposed += dense(s.partials + s.edge_gather[i]);
         edge += transposed.transpose();
       }
-      store_block<Real>(s.edges, slot, assembly.couple(slot, column, edge, sums));
+      store_block<Real>(s.edges, slot, assembly.couple(slot, assembly.neighbour(column), edge, sums));
     });
     assembly.finish(sums);
   });
+}
+
+/// Gravity and loads of a row.
+template <class Real>
+TM_HOST_DEVICE void add_external_force(const SceneView<Real>& s, std::uint32_t row) {
+  store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * step_size(s));
 }
 
 /// Adds constant forces: gravity and loads. Only scenes that name them have this stage.
 template <class Team, class Real>
 TM_HOST_DEVICE void add_external_forces(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
-  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * step_size(s));
-  });
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) { add_external_force(s, row); });
 }
 
 /// Pressure follows the surface; its change with the deformation stays out of the matrix, which it would make

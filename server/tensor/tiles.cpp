@@ -32,6 +32,8 @@ Incidence incidence_of(const ElementRows& group, std::uint32_t row_count) {
   return out;
 }
 
+std::size_t align(std::size_t count) { return (count + kTileAlignment - 1) / kTileAlignment * kTileAlignment; }
+
 class Builder {
  public:
   Builder(const Layout& layout, std::span<const ElementRows> groups, std::uint32_t capacity_reals, bool finishes)
@@ -112,7 +114,7 @@ class Builder {
     part.slice_count = count;
     part.element_begin = static_cast<std::uint32_t>(out.elements.size());
     part.element_count = static_cast<std::uint32_t>(elements.size());
-    part.list_begin = static_cast<std::uint32_t>(out.list_begin.size());
+    part.list_begin = static_cast<std::uint32_t>(out.lists.size());
     part.entry_begin = static_cast<std::uint32_t>(out.entries.size());
     out.elements.insert(out.elements.end(), elements.begin(), elements.end());
 
@@ -138,8 +140,11 @@ class Builder {
     each_entry([&](std::uint32_t list, std::uint32_t) { ++counts_[list + 1]; });
     std::partial_sum(counts_.begin(), counts_.end(), counts_.begin());
     assert(counts_.back() <= 0xFFFF);
-    out.list_begin.insert(out.list_begin.end(), counts_.begin(), counts_.end());
-    out.entries.resize(out.entries.size() + counts_.back());
+    part.list_count = static_cast<std::uint32_t>(counts_.size());
+    part.entry_count = counts_.back();
+    out.lists.insert(out.lists.end(), counts_.begin(), counts_.end());
+    out.lists.resize(align(out.lists.size()));
+    out.entries.resize(align(out.entries.size() + part.entry_count));
     std::uint16_t* entries = out.entries.data() + part.entry_begin;
     each_entry([&](std::uint32_t list, std::uint32_t entry) {
       entries[counts_[list]++] = static_cast<std::uint16_t>(entry);

@@ -39,12 +39,13 @@ inline constexpr std::uint32_t kMaxTileReals = 1u << 15;
 
 /// Elements of one group that a thread block evaluates at once, and the rows that it sums up from them (tiles.h).
 /// Entry lists: for each slot of the slices 2 · the place of an edge tensor in the records + 1 if transposed, then for
-/// each row the places of its forces.
+/// each row the places of its forces. Lists, and entries, begin at multiples of kTileAlignment.
+inline constexpr std::uint32_t kTileAlignment = 8;  // of 16 bits: a device copies 16 bytes at once
 struct TilePart {
   std::uint32_t slice_begin, slice_count;
   std::uint32_t element_begin, element_count;  // in ElementView::tile_elements
-  std::uint32_t list_begin;                    // in tile_list_begin
-  std::uint32_t entry_begin;                   // in tile_entries
+  std::uint32_t list_begin, list_count;        // in tile_list: where each list begins in the part's entries, and an end
+  std::uint32_t entry_begin, entry_count;      // in tile_entries
   std::uint16_t adds;                          // 1: a part before it has written the rows
   std::uint16_t finishes;                      // 1: forms the rows of A and b; 0: leaves K in edges and forces in rhs
 };
@@ -85,10 +86,11 @@ struct ElementView {
   // -- tiles; only where a backend has them
   std::uint32_t tile_count;
   std::uint32_t tile_reals;               // of the largest part's records
+  std::uint32_t tile_lists;               // of the largest part's lists and entries together
   const std::uint32_t* tile_parts;        // [tile_count + 1]
   const TilePart* parts;
   const std::uint32_t* tile_elements;
-  const std::uint16_t* tile_list_begin;
+  const std::uint16_t* tile_list;
   const std::uint16_t* tile_entries;
 };
 
@@ -345,8 +347,7 @@ TM_HOST_DEVICE void for_each_slot(const SceneView<Real>& s, std::uint32_t row, V
 
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> load3(const Real* vectors, std::size_t row) {
-  const Real* p = vectors + 4 * row;
-  return {p[0], p[1], p[2]};
+  return read3(vectors + 4 * row);
 }
 template <class Real>
 TM_HOST_DEVICE void store3(Real* vectors, std::size_t row, const Vec3<Real>& v) {

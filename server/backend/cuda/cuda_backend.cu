@@ -91,17 +91,17 @@ class CudaState final : public SceneState {
  public:
   explicit CudaState(const model::Model& model)
       : model_(model),
-        view_(model::bind<Real>(model, arena_)),
         tools_(model.tools.size()),
         prescribed_(4 * model.prescribed.size()),
         scheme_(model.is_plain() ? 0 : 1),
         newton_(model.iterates() ? 1 : 0),
         solve_(1),
-        patches_(view_.patch_count),
-        residuals_(model.iterates() ? view_.patch_count : 0),
-        watch_(model.groups.size() * view_.patch_count),
-        loads_(std::size_t{view_.tool_count} * view_.patch_count),
-        visible_(3 * std::size_t{view_.visible_count}) {
+        patches_(model.layout.patch_count),
+        residuals_(model.iterates() ? model.layout.patch_count : 0),
+        watch_(model.groups.size() * model.layout.patch_count),
+        loads_(model.tools.size() * model.layout.patch_count),
+        visible_(3 * std::size_t{model.visible.count()}),
+        view_(bind_view(model)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     std::uint32_t largest = 0;
     for (std::uint32_t p = 0; p < view_.patch_count; ++p) {
@@ -227,6 +227,17 @@ class CudaState final : public SceneState {
     check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
   }
 
+  /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
+  SceneView<Real> bind_view(const model::Model& model) {
+    SceneView<Real> view = model::bind<Real>(model, arena_);
+    view.solve_report = solve_.data();
+    view.patch_reports = patches_.data();
+    view.residuals = residuals_.data();
+    view.watch = watch_.data();
+    view.tool_loads = loads_.data();
+    return view;
+  }
+
   template <class Enqueue>
   cudaGraphExec_t record(const Enqueue& enqueue) {
     cudaGraph_t graph = nullptr;
@@ -278,20 +289,22 @@ class CudaState final : public SceneState {
     const cuda::ElementKernels kernels = cuda::element_kernels<Real>(group.shape, group.law);
     if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements);
     if (elements.tile_count == 0) return;
-    const std::size_t shared = std::max(elements.tile_reals * sizeof(Real), cuda::SharedSums<Real>::kBytes);
+    const std::size_t shared = cuda::tile_bytes(elements);
+    auto record_bytes = static_cast<std::uint32_t>(cuda::tile_record_bytes(elements));
     check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(shared)),
           "shared memory of the element tensors");
-    void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
-    check(cudaLaunchKernel(kernels.assemble, elements.tile_count, cuda::kTileThreads, arguments, shared, stream_),
+    void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements), &record_bytes};
+    check(cudaLaunchKernel(kernels.assemble, elements.tile_count, kernels.threads, arguments, shared, stream_),
           "element tensors");
   }
 
   void finish_slices() {
     if (view_.open_slice_count == 0) return;
-    const unsigned blocks = (view_.open_slice_count + cuda::kTileWarps - 1) / cuda::kTileWarps;
+    constexpr unsigned kSlices = cuda::kFinishThreads / cuda::kWarp;
+    const unsigned blocks = (view_.open_slice_count + kSlices - 1) / kSlices;
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_)};
     const auto kernel = model_.constant_edges.empty() ? &cuda::finish_slices<false, Real> : &cuda::finish_slices<true, Real>;
-    check(cudaLaunchKernel(reinterpret_cast<const void*>(kernel), blocks, cuda::kTileThreads, arguments, 0, stream_),
+    check(cudaLaunchKernel(reinterpret_cast<const void*>(kernel), blocks, cuda::kFinishThreads, arguments, 0, stream_),
           "rows without tiles");
   }
 
@@ -316,19 +329,15 @@ class CudaState final : public SceneState {
         launch_elements(model_.groups[stage.group], groups_[stage.group]);
         continue;
       }
-      if (stage.kind == model::StageKind::kAssemble && model_.has_tiles) {
+      if (stage.kind == model::StageKind::kAssemble) {
         finish_slices();
         continue;
       }
+      if (stage.kind == model::StageKind::kExternalForces) continue;  // tiles and finish_slices add them
       with_stage(model_, stage, [&](auto type) {
         launch<decltype(type)>(groups_.empty() ? ElementView<Real>{} : groups_[stage.group]);
       });
     }
-    if (phase == Phase::kEvaluate) download_pinned(residuals_, view_.residuals);
-    if (phase == Phase::kSolve) download_pinned(solve_, view_.solve_report);
-    if (phase == Phase::kSolve || phase == Phase::kBacktrack) download_pinned(patches_, view_.patch_reports);
-    if (phase == Phase::kEnd) download_pinned(loads_, view_.tool_loads);
-    if (phase == Phase::kWatch) download_pinned(watch_, view_.watch);
   }
 
   void enqueue_gather() {
@@ -348,9 +357,6 @@ class CudaState final : public SceneState {
   }
 
   const model::Model& model_;
-  DeviceArena arena_;
-  const SceneView<Real> view_;
-  std::vector<ElementView<Real>> groups_;
   Pinned<tensor::ToolState<Real>> tools_;
   Pinned<Real> prescribed_;
   Pinned<tensor::StepScheme<Real>> scheme_;
@@ -361,6 +367,9 @@ class CudaState final : public SceneState {
   Pinned<tensor::PatchWatch<Real>> watch_;
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
+  DeviceArena arena_;
+  const SceneView<Real> view_;
+  std::vector<ElementView<Real>> groups_;
   unsigned threads_ = 0;
   cuda::SolvePlan solve_plan_;
   double largest_force_squared_ = 0;  // see newton_step

@@ -21,6 +21,7 @@ ElementKernels element_kernels_of_law(int shape) {
     using Shape = typename decltype(shape_tag)::Type;
     if (index != shape) return;
     kernels.assemble = reinterpret_cast<const void*>(&assemble_tiles<Shape, physics::LawAt<Law>, Real>);
+    kernels.threads = kTileThreads<Shape>;
     kernels.move_histories =
         reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, physics::LawAt<Law>>, Real, kStageThreads>);
   });

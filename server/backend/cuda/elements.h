@@ -9,7 +9,8 @@
 namespace tensormass::backend::cuda {
 
 struct ElementKernels {
-  const void* assemble = nullptr;  ///< assemble_tiles (tiles.cuh), a block a tile
+  const void* assemble = nullptr;        ///< assemble_tiles (tiles.cuh), a block a tile
+  unsigned threads = 0;                  ///< of assemble
   const void* move_histories = nullptr;  ///< of the signature of run_stage (launch.cuh)
 };
 

@@ -40,25 +40,35 @@ class Exchange {
   __device__ void publish_row(std::uint32_t row, float x, float y, float z) const {
     store(cells_ + std::size_t{tag_ & 1} * rows_ + row, {x, y, z, tag_});
   }
-  __device__ Cell wait_for_row(std::uint32_t row) const { return wait(cells_ + std::size_t{tag_ & 1} * rows_ + row); }
 
   /// The cells of rows in this exchange, four floats each.
   __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
 
-  /// Sums over all patches in their order, the same to the last bit in every lane of every patch. One warp calls it,
-  /// with the sums of its own patch.
-  __device__ Cell sum(float x, float y, float z) const {
-    Cell* sums = sums_ + std::size_t{tag_ & 1} * patches_;
-    const unsigned lane = threadIdx.x % kWarp;
-    if (lane == 0) store(sums + patch_, {x, y, z, tag_});
-    Cell total{0, 0, 0, tag_};
-    for (std::uint32_t patch = lane; patch < patches_; patch += kWarp) {
-      const Cell other = wait(sums + patch);
-      total.x += other.x;
-      total.y += other.y;
-      total.z += other.z;
+  __device__ void publish_sums(float x, float y, float z) const {
+    store(sums_ + std::size_t{tag_ & 1} * patches_ + patch_, {x, y, z, tag_});
+  }
+  __device__ Cell wait_for_sums(std::uint32_t patch) const {
+    return wait(sums_ + std::size_t{tag_ & 1} * patches_ + patch);
+  }
+  /// Cells of rows [index(0)], [index(stride)], .. as many as `count` allows, at most Count; they are under way at once.
+  template <int Count, class Index>
+  __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
+                                Cell (&cells)[Count]) const {
+    const Cell* place[Count];
+#pragma unroll
+    for (int i = 0; i < Count; ++i) {
+      // Beyond the end, the first one again.
+      const std::uint32_t item = first + i * stride < count ? first + i * stride : first;
+      place[i] = cells_ + std::size_t{tag_ & 1} * rows_ + index(item);
     }
-    return sum_warp(total);
+    bool arrived;
+    do {
+      arrived = true;
+#pragma unroll
+      for (int i = 0; i < Count; ++i) cells[i] = load(place[i]);
+#pragma unroll
+      for (int i = 0; i < Count; ++i) arrived = arrived && cells[i].tag == tag_;
+    } while (!arrived);
   }
 
   /// Over a warp; each combination is commutative, so that all lanes have the same bits.
@@ -79,16 +89,21 @@ class Exchange {
                  "r"(value.tag)
                  : "memory");
   }
-  __device__ Cell wait(const Cell* cell) const {
+  __device__ static Cell load(const Cell* cell) {
     std::uint32_t x, y, z, tag;
-    do {
-      asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; ld.relaxed.gpu.global.b128 q, [%4]; mov.b128 {lo, hi}, q;"
-                   " mov.b64 {%0, %1}, lo; mov.b64 {%2, %3}, hi; }"
-                   : "=r"(x), "=r"(y), "=r"(z), "=r"(tag)
-                   : "l"(cell)
-                   : "memory");
-    } while (tag != tag_);
+    asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; ld.relaxed.gpu.global.b128 q, [%4]; mov.b128 {lo, hi}, q;"
+                 " mov.b64 {%0, %1}, lo; mov.b64 {%2, %3}, hi; }"
+                 : "=r"(x), "=r"(y), "=r"(z), "=r"(tag)
+                 : "l"(cell)
+                 : "memory");
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
+  }
+  __device__ Cell wait(const Cell* cell) const {
+    Cell value;
+    do {
+      value = load(cell);
+    } while (value.tag != tag_);
+    return value;
   }
 
   Cell* const cells_;

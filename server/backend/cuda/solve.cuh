@@ -27,9 +27,9 @@ class Recurrence {
       negative_curvature_ = true;
       return false;
     }
-    alpha = rr / pq;
+    alpha = __fdividef(rr, pq);
     rr_next_ = maximum(rr - 2 * alpha * pq + alpha * alpha * qq, 0.0f);
-    beta = rr_next_ / rr;
+    beta = __fdividef(rr_next_, rr);
     ++iterations_;
     return true;
   }
@@ -50,22 +50,49 @@ class Recurrence {
   bool negative_curvature_ = false;
 };
 
-/// The sums of a block, then of all patches. `partial` is shared, [warps]; the result is in `total` after the next
-/// barrier of the block. Only the first warp returns late.
+/// The sums of all patches, in three turns around barriers of the block: a warp's, a patch's, which the first warp
+/// publishes, and those of all patches, for each of which one of `summers` threads waits. In a fixed order, and so the
+/// same to the last bit in every thread of every patch.
 template <unsigned Threads>
-__device__ void sum_patch(Exchange::Cell own, Exchange::Cell* partial) {
-  own = Exchange::sum_warp(own);
-  if (threadIdx.x % kWarp == 0) partial[threadIdx.x / kWarp] = own;
-  __syncthreads();
-}
-template <unsigned Threads>
-__device__ void sum_patches(const Exchange& exchange, const Exchange::Cell* partial, Exchange::Cell* total) {
-  const unsigned lane = threadIdx.x % kWarp;
-  Exchange::Cell mine = lane < Threads / kWarp ? partial[lane] : Exchange::Cell{0, 0, 0, 0};
-  mine = Exchange::sum_warp(mine);
-  const Exchange::Cell all = exchange.sum(mine.x, mine.y, mine.z);
-  if (lane == 0) *total = all;
-}
+class PatchSums {
+ public:
+  __device__ void add_warp(Exchange::Cell own) {
+    own = Exchange::sum_warp(own);
+    if (threadIdx.x % kWarp == 0) warps_[threadIdx.x / kWarp] = own;
+    __syncthreads();
+  }
+  __device__ static std::uint32_t summers(std::uint32_t patches) { return (patches + kWarp - 1) / kWarp * kWarp; }
+  /// Only for threads below summers; the first ones publish.
+  __device__ void exchange(const Exchange& exchange, std::uint32_t patches) {
+    constexpr unsigned kWarps = Threads / kWarp;
+    const unsigned thread = threadIdx.x;
+    if (thread < kWarp) {
+      const Exchange::Cell mine = Exchange::sum_warp(thread < kWarps ? warps_[thread] : Exchange::Cell{0, 0, 0, 0});
+      if (thread == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
+    }
+    for (std::uint32_t first = 0; first < patches; first += Threads) {  // once, but for small blocks
+      const std::uint32_t patch = first + thread;
+      const Exchange::Cell one = patch < patches ? exchange.wait_for_sums(patch) : Exchange::Cell{0, 0, 0, 0};
+      const Exchange::Cell of_warp = Exchange::sum_warp(one);
+      if (thread % kWarp == 0 && patch < patches) all_[patch / kWarp] = of_warp;
+    }
+  }
+  /// After a barrier.
+  __device__ Exchange::Cell total(std::uint32_t patches) const {
+    Exchange::Cell sum = all_[0];
+    for (std::uint32_t i = 1; i < (patches + kWarp - 1) / kWarp; ++i) {
+      sum.x += all_[i].x;
+      sum.y += all_[i].y;
+      sum.z += all_[i].z;
+    }
+    return sum;
+  }
+
+ private:
+  static constexpr unsigned kMostPatches = 1024;
+  Exchange::Cell warps_[Threads / kWarp];
+  Exchange::Cell all_[kMostPatches / kWarp];
+};
 
 /// Shared memory of resident_solve [bytes].
 inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own or of the halo: direction, L⁻¹
@@ -79,20 +106,24 @@ __global__ void __launch_bounds__(Threads, 1)
     resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
   static_assert(Held % 2 == 0);
   extern __shared__ float4 shared[];
-  __shared__ Exchange::Cell partial[Threads / kWarp], total;
+  __shared__ PatchSums<Threads> sums;
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   float4* const direction = shared;                                              // [locals]
   float4* const halo_residual = direction + locals;                              // [halo]
   float4* const halo_product = halo_residual + patch.halo_count;                 // [halo]
   float* const inverse = reinterpret_cast<float*>(halo_product + patch.halo_count);  // [6][locals]
-  float* const blocks = inverse + 6 * std::size_t{locals};                       // [column][9][kSliceRows]
+  // [column] two float4 and a float of each row
+  float* const blocks = reinterpret_cast<float*>((reinterpret_cast<std::size_t>(inverse + 6 * std::size_t{locals}) + 15) / 16 * 16);
   auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * std::size_t{column_capacity});
 
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
   const bool has_row = thread < own;
   const std::uint32_t row = patch.row_begin + (has_row ? thread : 0);
-  const std::uint32_t halo_threads = Threads - kWarp;  // the first warp waits for sums meanwhile
+  // Some warps wait for the sums, the others for the halo, if enough are left.
+  const std::uint32_t summers = PatchSums<Threads>::summers(s.patch_count);
+  const std::uint32_t halo_begin = summers + 2 * kWarp <= Threads ? summers : 0;
+  const std::uint32_t halo_stride = Threads - halo_begin;
 
   // b̂ and L⁻¹ of own rows and of the halo
   for (std::uint32_t i = thread; i < locals; i += Threads) {
@@ -150,7 +181,10 @@ __global__ void __launch_bounds__(Threads, 1)
       const Mat3<float> block = scaled(j, column);
       if (j - Held < shared_width) {
         const std::size_t place = shared_begin + j - Held;
-        for (int c = 0; c < 9; ++c) blocks[(place * 9 + c) * kSliceRows + lane] = block(c / 3, c % 3);
+        float* const to = blocks + place * (9 * kSliceRows);
+        reinterpret_cast<float4*>(to)[lane] = {block(0, 0), block(0, 1), block(0, 2), block(1, 0)};
+        reinterpret_cast<float4*>(to)[kSliceRows + lane] = {block(1, 1), block(1, 2), block(2, 0), block(2, 1)};
+        to[8 * kSliceRows + lane] = block(2, 2);
         columns[place * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
       } else {
         tensor::store_block<float>(s.edges, (std::size_t{first} + j) * kSliceRows + lane, block);
@@ -171,37 +205,49 @@ __global__ void __launch_bounds__(Threads, 1)
         q[i] += block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
       }
     };
+    // By fours without a branch between, so that reads are under way together; what is beyond the width is zero.
 #pragma unroll
-    for (int j = 0; j < Held; ++j) {
-      if (j < width) add(held[j], 1, held_columns[j / 2] >> (16 * (j % 2)) & 0xFFFF);
+    for (int j = 0; j < Held; j += 4) {
+      if (j >= width) break;
+#pragma unroll
+      for (int i = j; i < j + 4 && i < Held; ++i) add(held[i], 1, held_columns[i / 2] >> (16 * (i % 2)) & 0xFFFF);
     }
+#pragma unroll 2
     for (std::uint32_t j = 0; j < shared_width; ++j) {
       const std::size_t place = shared_begin + j;
-      add(blocks + place * (9 * kSliceRows) + lane, kSliceRows, columns[place * kSliceRows + lane]);
+      const float* from = blocks + place * (9 * kSliceRows);
+      const float4 a = reinterpret_cast<const float4*>(from)[lane], b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
+      const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
+      add(block, 1, columns[place * kSliceRows + lane]);
     }
     for (std::uint32_t j = Held + shared_width; j < width; ++j) {
       const std::size_t slot = (std::size_t{first} + j) * kSliceRows + lane;
       add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
     }
     if (has_row) exchange.publish_row(row, q[0], q[1], q[2]);
-    sum_patch<Threads>({p.dot(q), q.dot(q), r.dot(r), 0}, partial);
-    if (thread < kWarp) {
-      sum_patches<Threads>(exchange, partial, &total);
-    } else {
-      for (std::uint32_t h = thread - kWarp; h < patch.halo_count; h += halo_threads) {
-        const Exchange::Cell cell = exchange.wait_for_row(s.halo[patch.halo_begin + h]);
-        halo_product[h] = {cell.x, cell.y, cell.z, 0};
+    sums.add_warp({p.dot(q), q.dot(q), r.dot(r), 0});
+    if (thread < summers) sums.exchange(exchange, s.patch_count);
+    if (thread >= halo_begin) {
+      constexpr int kAtOnce = 2;
+      for (std::uint32_t h = thread - halo_begin; h < patch.halo_count; h += kAtOnce * halo_stride) {
+        Exchange::Cell cells[kAtOnce];
+        exchange.wait_for_rows(h, halo_stride, patch.halo_count,
+                               [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
+        for (int i = 0; i < kAtOnce; ++i) {
+          const std::uint32_t place = h + i * halo_stride;
+          if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
+        }
       }
     }
     __syncthreads();
-    if (!recurrence.take(total)) break;
+    if (!recurrence.take(sums.total(s.patch_count))) break;
     const float alpha = recurrence.alpha, beta = recurrence.beta;
     x += p * alpha;
     r -= q * alpha;
     p = r + p * beta;
     if (has_row) direction[thread] = {p[0], p[1], p[2], 0};
-    if (thread >= kWarp) {
-      for (std::uint32_t h = thread - kWarp; h < patch.halo_count; h += halo_threads) {
+    if (thread >= halo_begin) {
+      for (std::uint32_t h = thread - halo_begin; h < patch.halo_count; h += halo_stride) {
         const float4 hq = halo_product[h];
         float4 hr = halo_residual[h], hp = direction[own + h];
         hr.x -= alpha * hq.x;
@@ -248,10 +294,11 @@ template <unsigned Threads>
 __global__ void __launch_bounds__(Threads, 1)
     streamed_solve(const __grid_constant__ SceneView<float> s, std::uint32_t capacity) {
   extern __shared__ float4 shared[];
-  __shared__ Exchange::Cell partial[Threads / kWarp], total;
+  __shared__ PatchSums<Threads> sums;
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
-  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
+  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
+  const std::uint32_t summers = PatchSums<Threads>::summers(s.patch_count);
 
   std::size_t used = 0;
   const auto place = [&](std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
@@ -281,7 +328,7 @@ __global__ void __launch_bounds__(Threads, 1)
     exchange.begin();
     // Without room for it, q is read back from the cells that this patch has just published.
     const Vectors q = near_q.data != nullptr ? near_q : Vectors{exchange.rows(patch.row_begin), 4};
-    Exchange::Cell sums{0, 0, 0, 0};
+    Exchange::Cell own_sums{0, 0, 0, 0};
     for (std::uint32_t local = thread; local < own; local += Threads) {
       const std::uint32_t row = patch.row_begin + local, slice = row / kSliceRows;
       const std::uint32_t begin = s.slice_begin[slice], end = s.slice_begin[slice + 1];
@@ -311,15 +358,15 @@ __global__ void __launch_bounds__(Threads, 1)
       exchange.publish_row(row, product[0], product[1], product[2]);
       if (near_q.data != nullptr) q.set(local, product);
       const Vec3<float> residual = r[local];
-      sums.x += own_p.dot(product);
-      sums.y += product.dot(product);
-      sums.z += residual.dot(residual);
+      own_sums.x += own_p.dot(product);
+      own_sums.y += product.dot(product);
+      own_sums.z += residual.dot(residual);
     }
     scaled = true;
-    sum_patch<Threads>(sums, partial);
-    if (warp == 0) sum_patches<Threads>(exchange, partial, &total);
+    sums.add_warp(own_sums);
+    if (thread < summers) sums.exchange(exchange, s.patch_count);
     __syncthreads();
-    if (!recurrence.take(total)) break;
+    if (!recurrence.take(sums.total(s.patch_count))) break;
     const float alpha = recurrence.alpha, beta = recurrence.beta;
     for (std::uint32_t local = thread; local < own; local += Threads) {
       const Vec3<float> direction = p[local];
@@ -328,11 +375,17 @@ __global__ void __launch_bounds__(Threads, 1)
       r.set(local, residual);
       p.set(local, residual + direction * beta);
     }
-    for (std::uint32_t local = own + thread; local < locals; local += Threads) {
-      const Exchange::Cell cell = exchange.wait_for_row(s.halo[patch.halo_begin + local - own]);
-      const Vec3<float> residual = r[local] - Vec3<float>(cell.x, cell.y, cell.z) * alpha;
-      r.set(local, residual);
-      p.set(local, residual + p[local] * beta);
+    constexpr int kAtOnce = 4;
+    for (std::uint32_t h = thread; h < patch.halo_count; h += kAtOnce * Threads) {
+      Exchange::Cell cells[kAtOnce];
+      exchange.wait_for_rows(h, Threads, patch.halo_count,
+                             [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
+      for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
+        const std::uint32_t local = own + h + i * Threads;
+        const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;
+        r.set(local, residual);
+        p.set(local, residual + p[local] * beta);
+      }
     }
     __syncthreads();
   } while (recurrence.goes_on(s));

@@ -42,7 +42,7 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   const auto consider = [&]<unsigned Threads, int Held>() {
     if (plan.kernel != nullptr || most_rows > Threads) return;
     const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Held>);
-    const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow;
+    const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow + 16;
     const std::size_t most = max_shared_bytes(kernel);
     if (vectors > most || most_locals * 16 > 0xFFFF) return;
     std::uint32_t needed = 0;

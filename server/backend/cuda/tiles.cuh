@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cuda_pipeline_primitives.h>
+
 #include "backend/cuda/team.cuh"
 #include "tensor/assembly.h"
 
@@ -10,8 +12,12 @@ using tensor::ElementView;
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-inline constexpr unsigned kTileThreads = 256;
-inline constexpr unsigned kTileWarps = kTileThreads / kWarp;
+inline constexpr unsigned kFinishThreads = 256;
+
+/// A slice of tetrahedra touches about 350 elements: a thread each, at two blocks a multiprocessor.
+template <class Shape>
+inline constexpr unsigned kTileThreads = Shape::kNodes == 4 ? 352 : 256;
+inline constexpr unsigned kMostTileWarps = 352 / kWarp;
 
 /// An element's record in shared memory; physics::add_point writes to it.
 template <class Shape, class Real>
@@ -28,12 +34,12 @@ struct SharedRecord {
 };
 
 /// The sums of a row, put together from the warps that have shared its slots, in their order. Shared memory,
-/// [kTileWarps][kReals][kSliceRows].
+/// [warps][kReals][kSliceRows].
 template <class Real>
 class SharedSums {
  public:
   static constexpr unsigned kReals = 15;
-  static constexpr std::size_t kBytes = kTileWarps * kReals * kSliceRows * sizeof(Real);
+  static constexpr std::size_t kBytes = kMostTileWarps * kReals * kSliceRows * sizeof(Real);
 
   __device__ explicit SharedSums(void* shared) : place_(static_cast<Real*>(shared)) {}
   __device__ void store(unsigned warp, unsigned lane, const tensor::RowSums<Real>& sums) const {
@@ -60,6 +66,23 @@ class SharedSums {
   Real* const place_;
 };
 
+/// Starts a copy of 16-bit numbers to shared memory, by the whole block; both ends are aligned to kTileAlignment.
+__device__ inline void copy_async(std::uint16_t* to, const std::uint16_t* from, std::uint32_t count) {
+  for (std::uint32_t i = threadIdx.x * tensor::kTileAlignment; i < count; i += blockDim.x * tensor::kTileAlignment) {
+    __pipeline_memcpy_async(to + i, from + i, sizeof(std::uint16_t) * tensor::kTileAlignment);
+  }
+}
+
+/// Shared memory of assemble_tiles [bytes]: records, or sums when those have been read; then lists and entries.
+template <class Real>
+std::size_t tile_record_bytes(const ElementView<Real>& e) {
+  return (std::max(e.tile_reals * sizeof(Real), SharedSums<Real>::kBytes) + 15) / 16 * 16;
+}
+template <class Real>
+std::size_t tile_bytes(const ElementView<Real>& e) {
+  return tile_record_bytes(e) + e.tile_lists * sizeof(std::uint16_t);
+}
+
 /// The sum of a slot's edge tensors.
 template <class Real>
 __device__ Mat3<Real> gather_edge(const Real* records, const std::uint16_t* entries, std::uint32_t begin,
@@ -77,43 +100,51 @@ __device__ Mat3<Real> gather_edge(const Real* records, const std::uint16_t* entr
 }
 
 template <class Shape, class Law, class Real>
-__global__ void __launch_bounds__(kTileThreads, 2) assemble_tiles(const __grid_constant__ SceneView<Real> s,
-                                                                  const __grid_constant__ ElementView<Real> e) {
-  extern __shared__ double aligned[];
+__global__ void __launch_bounds__(kTileThreads<Shape>, 2) assemble_tiles(const __grid_constant__ SceneView<Real> s,
+                                                                  const __grid_constant__ ElementView<Real> e,
+                                                                  std::uint32_t record_bytes) {
+  extern __shared__ float4 aligned[];
   Real* const records = reinterpret_cast<Real*>(aligned);
+  auto* const list = reinterpret_cast<std::uint16_t*>(reinterpret_cast<char*>(aligned) + record_bytes);
   constexpr std::uint32_t kRecord = tensor::tile_record_reals(Shape::kNodes);
+  constexpr unsigned kThreads = kTileThreads<Shape>, kWarps = kThreads / kWarp;
   const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
 
   for (std::uint32_t index = e.tile_parts[blockIdx.x]; index < e.tile_parts[blockIdx.x + 1]; ++index) {
     const tensor::TilePart part = e.parts[index];
-    for (std::uint32_t i = threadIdx.x; i < part.element_count; i += kTileThreads) {
+    const std::uint32_t listed = (part.list_count + tensor::kTileAlignment - 1) / tensor::kTileAlignment;
+    std::uint16_t* const entries = list + listed * tensor::kTileAlignment;
+    copy_async(list, e.tile_list + part.list_begin, part.list_count);
+    copy_async(entries, e.tile_entries + part.entry_begin, part.entry_count);
+    __pipeline_commit();
+    for (std::uint32_t i = threadIdx.x; i < part.element_count; i += kThreads) {
       SharedRecord<Shape, Real> record{records + i * kRecord};
       tensor::evaluate_elements<SingleLane<Real>, Shape, Law>(s, e, e.tile_elements[part.element_begin + i], false,
                                                               record);
     }
+    __pipeline_wait_prior(0);
     __syncthreads();
 
     // Warps take turns with the slots of a slice.
     const std::uint32_t which = warp % part.slice_count, turn = warp / part.slice_count;
-    const std::uint32_t turns = kTileWarps / part.slice_count;
+    const std::uint32_t turns = kWarps / part.slice_count;  // a warp may be left over
     const std::uint32_t slice = part.slice_begin + which, row = slice * kSliceRows + lane;
     const std::uint32_t columns_before = s.slice_begin[part.slice_begin];
     const std::uint32_t lists = (s.slice_begin[part.slice_begin + part.slice_count] - columns_before) * kSliceRows;
-    const std::uint16_t* const list = e.tile_list_begin + part.list_begin;
-    const std::uint16_t* const entries = e.tile_entries + part.entry_begin;
     const tensor::Patch patch = tensor::patch_of(s, s.patch_of_slice[slice]);
     const tensor::RowAssembly<false, Real> assembly(s, patch, row);
     tensor::RowSums<Real> sums;
-    for (std::uint32_t j = s.slice_begin[slice] + turn; j < s.slice_begin[slice + 1]; j += turns) {
+    for (std::uint32_t j = s.slice_begin[slice] + turn; turn < turns && j < s.slice_begin[slice + 1]; j += turns) {
       const std::size_t slot = std::size_t{j} * kSliceRows + lane;
       const std::uint32_t own = (j - columns_before) * kSliceRows + lane;
+      const auto neighbour = assembly.neighbour(s.columns[slot]);
       Mat3<Real> edge = gather_edge(records, entries, list[own], list[own + 1]);
       if (part.adds != 0) edge += tensor::load_block(s.edges, slot);
-      if (part.finishes != 0) edge = assembly.couple(slot, s.columns[slot], edge, sums);
+      if (part.finishes != 0) edge = assembly.couple(slot, neighbour, edge, sums);
       tensor::store_block<Real>(s.edges, slot, edge);
     }
     const std::uint32_t own = lists + which * kSliceRows + lane;
-    for (std::uint32_t i = list[own] + turn; i < list[own + 1]; i += turns) {
+    for (std::uint32_t i = list[own] + turn; turn < turns && i < list[own + 1]; i += turns) {
       const Real* force = records + entries[i];
       sums.force += Vec3<Real>(force[0], force[1], force[2]);
     }
@@ -123,12 +154,13 @@ __global__ void __launch_bounds__(kTileThreads, 2) assemble_tiles(const __grid_c
     shared.store(warp, lane, sums);
     __syncthreads();
     if (turn == 0) {
-      for (std::uint32_t other = warp + part.slice_count; other < kTileWarps; other += part.slice_count) {
+      for (std::uint32_t other = warp + part.slice_count; other < kWarps; other += part.slice_count) {
         shared.add_to(other, lane, sums);
       }
       if (part.adds != 0) sums.force += tensor::load3<Real>(s.rhs, row);
       if (part.finishes != 0) {
         assembly.finish(sums);
+        if (s.external != nullptr) tensor::add_external_force(s, row);
       } else {
         tensor::store3<Real>(s.rhs, row, sums.force);
       }
@@ -139,8 +171,8 @@ __global__ void __launch_bounds__(kTileThreads, 2) assemble_tiles(const __grid_c
 
 /// Rows that no tile finishes: of linear laws, or of more than one group.
 template <bool HasConstant, class Real>
-__global__ void __launch_bounds__(kTileThreads) finish_slices(const __grid_constant__ SceneView<Real> s) {
-  const std::uint32_t i = (blockIdx.x * kTileThreads + threadIdx.x) / kWarp;
+__global__ void __launch_bounds__(kFinishThreads) finish_slices(const __grid_constant__ SceneView<Real> s) {
+  const std::uint32_t i = (blockIdx.x * kFinishThreads + threadIdx.x) / kWarp;
   if (i >= s.open_slice_count) return;
   const std::uint32_t slice = s.open_slices[i] / 2, row = slice * kSliceRows + threadIdx.x % kWarp;
   const bool begun = s.open_slices[i] % 2 != 0;
@@ -150,9 +182,10 @@ __global__ void __launch_bounds__(kTileThreads) finish_slices(const __grid_const
   if (begun) sums.force = tensor::load3<Real>(s.rhs, row);
   tensor::for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
     const Mat3<Real> edge = begun ? tensor::load_block(s.edges, slot) : Mat3<Real>(Mat3<Real>::Zero());
-    tensor::store_block<Real>(s.edges, slot, assembly.couple(slot, column, edge, sums));
+    tensor::store_block<Real>(s.edges, slot, assembly.couple(slot, assembly.neighbour(column), edge, sums));
   });
   assembly.finish(sums);
+  if (s.external != nullptr) tensor::add_external_force(s, row);
 }
 
 }  // namespace tensormass::backend::cuda
