@@ -44,7 +44,7 @@ class Compiler {
   /// The pairs count as elements here only: the matrix couples all nodes of a pair.
   void make_layout() {
     merged_.blocks.push_back(wedge_pair_block(c_));
-    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())));
+    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())), policy_.storage);
     merged_.blocks.pop_back();
   }
 
@@ -322,10 +322,12 @@ class Compiler {
     add(!model_.driven.driven.empty(), StageKind::kDrive, Phase::kBegin);
     add(tools, StageKind::kDetectContact, Phase::kEvaluate);
     add(tools, StageKind::kRespondContact, Phase::kEvaluate);
+    const bool edges = model_.layout.storage == tensor::Storage::kEdges;
+    add(edges, StageKind::kAssemble, Phase::kEvaluate);  // what elements then add to
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
       add(!model_.groups[g].is_constant(), StageKind::kElements, Phase::kEvaluate, g);
     }
-    add(true, StageKind::kAssemble, Phase::kEvaluate);
+    add(!edges, StageKind::kAssemble, Phase::kEvaluate);  // what it gathers from elements
     add(!model_.external.empty(), StageKind::kExternalForces, Phase::kEvaluate);
     add(!model_.pressure.faces.empty(), StageKind::kPressure, Phase::kEvaluate);
     add(tools, StageKind::kAssembleContact, Phase::kEvaluate);

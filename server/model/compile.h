@@ -12,6 +12,7 @@ namespace tensormass::model {
 struct PatchPolicy {
   std::uint32_t max_patches = 1;
   std::uint32_t min_nodes_per_patch = 1;
+  tensor::Storage storage = tensor::Storage::kRows;
   std::uint32_t count(std::uint32_t node_count) const;
 };
 

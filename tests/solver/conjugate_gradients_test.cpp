@@ -150,8 +150,7 @@ TEST_P(Patches, SayWhenTheMatrixIsIndefinite) {
   // Off-diagonal blocks that outweigh the unit diagonal: eigenvalues of both signs.
   const std::uint32_t a = staged.row(staged.node_count() - 1), b = staged.row(staged.node_count() - 2);
   const Mat3<double> strong = 100 * Mat3<double>::Identity();
-  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(a, b), strong);
-  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(b, a), strong);
+  staged.put_scaled_block(a, b, strong);
   staged.run(StageKind::kSolve);
   EXPECT_EQ(staged.view.solve_report->negative_curvature, 1u);
   EXPECT_TRUE(staged.by_node(staged.view.solution).allFinite());
