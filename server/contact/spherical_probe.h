@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "physics/contact/closest_point.h"
+#include "tensor/edges.h"
 #include "tensor/view.h"
 
 /// A rigid sphere against the tissue's surface: penalty pressure, frictionless, implicit.
