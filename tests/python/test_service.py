@@ -104,27 +104,6 @@ def wait_for(what: str, condition: Callable[[], bool]) -> None:
 # --- control ----------------------------------------------------------------------------------------------------------
 
 
-def test_load_says_how_far_it_is_and_ends_with_its_caller(server: tm.Server) -> None:
-    scene = tm.Scene.from_yaml(BLOCK)
-    heard: list[tuple[str, float]] = []
-    handle = server.load(scene, name="heard", progress=lambda part, fraction: heard.append((part, fraction)))
-    handle.unload()
-    fractions = [fraction for _, fraction in heard]
-    assert fractions == sorted(fractions)
-    assert (fractions[0], heard[-1]) == (0.0, ("", 1.0))
-    assert handle.report is not None
-    assert handle.report.bodies[0].name == "tissue"
-
-    def give_up(part: str, fraction: float) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        server.load(scene, name="given-up", progress=give_up)
-    scene.message.bodies[0].density_kg_per_m3 = -1
-    with pytest.raises(tm.InvalidArgumentError, match="body 'tissue'"):
-        server.load(scene, name="wrong", progress=lambda part, fraction: None)
-
-
 def test_a_free_body_falls_as_implicit_euler_says(load: Callable[..., tm.SceneHandle]) -> None:
     scene = tetrahedron_scene(gravity_m_per_s2=(0, 0, -9.81))
     scene.message.stepping.dt_s = 0.01
