@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "core/parallel.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
@@ -18,6 +19,9 @@ namespace {
 
 using physics::Quadrature;
 using tensor::kSliceRows;
+
+/// Elements that a thread takes at a time.
+constexpr std::size_t kGrain = 16384;
 
 /// What of an element's energy a group holds.
 enum class Share : std::uint8_t { kWhole, kWithoutDilatation, kDilatationOfPair };
@@ -62,10 +66,12 @@ template <class T>
 std::vector<T> transpose(const std::vector<T>& items, std::size_t components, const std::vector<std::uint32_t>& order,
                          std::uint32_t stride) {
   std::vector<T> out(components * stride, T{});
-  for (std::size_t e = 0; e < order.size(); ++e) {
-    if (order[e] == mesh::kNone) continue;
-    for (std::size_t c = 0; c < components; ++c) out[c * stride + e] = items[order[e] * components + c];
-  }
+  parallel_ranges(order.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t e = begin; e < end; ++e) {
+      if (order[e] == mesh::kNone) continue;
+      for (std::size_t c = 0; c < components; ++c) out[c * stride + e] = items[order[e] * components + c];
+    }
+  });
   return out;
 }
 
@@ -160,9 +166,8 @@ Result<void> fill_row_fields(Compilation& c) {
       if (!inertia) continue;
       c.model.inertia[4 * row(k)] += density * integrals(k, k);
       for (int l = k + 1; l < Shape::kNodes; ++l) {
-        layout.for_each_place(
-            static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)),
-            [&](std::uint32_t slot, bool) { c.model.mass_edges[slot] += density * integrals(k, l); });
+        layout.for_each_place(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)),
+                              [&](std::uint32_t slot, bool) { c.model.mass_edges[slot] += density * integrals(k, l); });
       }
     }
   });
@@ -189,6 +194,13 @@ Result<void> group_elements(Compilation& c) {
     if (material.constant_stiffness) {
       if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
       add_constant_tensors(c, material, nodes, rest);
+    }
+    if (group.elements.empty()) {  // room for all that may come: growing step by step would copy them again and again
+      const std::size_t most = c.model.bodies[b].element_count;
+      group.elements.reserve(most);
+      group.rows.reserve(most * Shape::kNodes);
+      group.rest.reserve(most * rest.points.size() * physics::kRestReals<Shape>);
+      group.parameters.reserve(most * material.parameters.size());
     }
     group.nodes = Shape::kNodes;
     group.shares = rest.shares;
@@ -243,8 +255,7 @@ Result<void> group_elements(Compilation& c) {
     const bool edges = layout.storage == tensor::Storage::kEdges;
     const auto by_patch =
         edges ? tensor::order_by_patch(layout, elements.rows, elements.nodes) : tensor::PatchElements{};
-    const std::vector<std::uint32_t> order =
-        edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
+    const std::vector<std::uint32_t> order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
     group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
     group.partial_begin = partial_begin;
     group.record_reals = key.constant ? 0 : tensor::record_reals(static_cast<std::uint32_t>(elements.nodes));
