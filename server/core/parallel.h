@@ -29,8 +29,7 @@ void parallel_for(std::size_t count, const Body& body) {
 /// The same by ranges: body(begin, end), each of `grain` indices.
 template <class Body>
 void parallel_ranges(std::size_t count, std::size_t grain, const Body& body) {
-  parallel_for((count + grain - 1) / grain,
-               [&](std::size_t i) { body(i * grain, std::min(count, (i + 1) * grain)); });
+  parallel_for((count + grain - 1) / grain, [&](std::size_t i) { body(i * grain, std::min(count, (i + 1) * grain)); });
 }
 
 }  // namespace tensormass

@@ -12,8 +12,8 @@
 #define TM_HOST_DEVICE
 #endif
 
-/// Inlines everything that a function calls. On packs of numbers the compiler otherwise leaves Eigen's small products as
-/// calls that pass vectors through memory.
+/// Inlines everything that a function calls. On packs of numbers the compiler otherwise leaves Eigen's small products
+/// as calls that pass vectors through memory.
 #if defined(__CUDACC__)
 #define TM_FLATTEN
 #else

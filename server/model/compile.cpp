@@ -49,7 +49,8 @@ class Compiler {
   /// The pairs count as elements here only: the matrix couples all nodes of a pair.
   void make_layout() {
     merged_.blocks.push_back(wedge_pair_block(c_));
-    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())), policy_.storage);
+    model_.layout =
+        tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())), policy_.storage);
     merged_.blocks.pop_back();
   }
 

@@ -67,11 +67,11 @@ struct ElementGroup {
   /// [place] index in the scene's mesh; mesh::kNone where an element is computed once more for another patch, and in
   /// padding. May end before the padding does.
   std::vector<std::uint32_t> elements;
-  std::vector<std::uint32_t> partners;       ///< [place] of wedge pairs (wedge_pairs.h) the second; else empty
-  std::vector<double> first_parts;           ///< [place] the first's part of a pair's volume; else empty
-  std::vector<std::uint32_t> rows;           ///< [shape nodes][stride]
-  std::vector<double> rest;                  ///< [point_count][rest reals][stride]
-  std::vector<double> parameters;            ///< [law parameters][stride]
+  std::vector<std::uint32_t> partners;  ///< [place] of wedge pairs (wedge_pairs.h) the second; else empty
+  std::vector<double> first_parts;      ///< [place] the first's part of a pair's volume; else empty
+  std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
+  std::vector<double> rest;             ///< [point_count][rest reals][stride]
+  std::vector<double> parameters;       ///< [law parameters][stride]
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant

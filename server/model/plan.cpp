@@ -72,7 +72,8 @@ Cost cost(const Model& m, const Stage& stage) {
       return {g.stride * per_element + added, g.stride * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
     }
     case StageKind::kAssemble:
-      if (edges) return {slots * 9 * real * (constant ? 2 : 1) + rows * (3 * 4 + 8) * real, slots * (constant ? 90 : 0)};
+      if (edges)
+        return {slots * 9 * real * (constant ? 2 : 1) + rows * (3 * 4 + 8) * real, slots * (constant ? 90 : 0)};
       return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
                   slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
               gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};

@@ -60,8 +60,8 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     if constexpr (requires { Team::kOneThread; }) {
       if (tensor::stores_edges(s)) {
         own_product = s.own_product + std::size_t{4} * patch.row_begin;
-        sum_pq = tensor::multiply_edges<Lanes>(s, patch, p, own_product);
-        sum_qq = tensor::publish_product<Lanes>(s, patch, own_product, product);
+        tensor::multiply_edges<Lanes>(s, patch, p, own_product);
+        tensor::publish_product<Lanes>(s, patch, p, own_product, product, sum_pq, sum_qq);
       }
     }
     if (!tensor::stores_edges(s)) {
@@ -79,8 +79,8 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
           }
         }
         Lanes::store3(product, row, q);
-        sum_pq += tensor::dot(own, q);
-        sum_qq += tensor::dot(q, q);
+        sum_pq += own[0] * q[0] + own[1] * q[1] + own[2] * q[2];
+        sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];
       });
     }
     Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(sum_qq), Lanes::sum(sum_rr)};

@@ -8,9 +8,9 @@
 
 /// A matrix that stores edges, for patches that one thread runs.
 ///
-/// A symmetric matrix needs each block off its diagonal once: a product reads it and uses it for both rows, which halves
-/// what an iteration must move. Between rows of one patch this is what happens; a block between two patches is stored in
-/// both, so that a patch still writes to its own rows only. Which of two rows stores their edge is free, and
+/// A symmetric matrix needs each block off its diagonal once: a product reads it and uses it for both rows, which
+/// halves what an iteration must move. Between rows of one patch this is what happens; a block between two patches is
+/// stored in both, so that a patch still writes to its own rows only. Which of two rows stores their edge is free, and
 /// make_layout shares the edges out so that all rows of a slice have about equally many.
 ///
 /// Slices are kEdgeSliceRows rows high, a vector register of floats. The columns of slice i are
@@ -90,8 +90,8 @@ void add_reals(Real* to, const Real* from) {
 }  // namespace detail
 
 /// Fetches what the elements from `first` on will need soon: more streams than the processor follows by itself, and
-/// blocks that are spread over the matrix. Inlined by force: GCC 12 takes a function that only prefetches for one without
-/// effect and drops its calls.
+/// blocks that are spread over the matrix. Inlined by force: GCC 12 takes a function that only prefetches for one
+/// without effect and drops its calls.
 template <class Lanes, class Shape, class Real>
 [[gnu::always_inline]] inline void prefetch_elements(const SceneView<Real>& s, const ElementView<Real>& e,
                                                      std::uint32_t first) {
@@ -190,37 +190,30 @@ void add_to_edges(const SceneView<Real>& s, const ElementView<Real>& e, const Pa
   }
 }
 
-/// Product of two vectors of lanes.
-template <class T>
-TM_HOST_DEVICE T dot(const Vec3<T>& a, const Vec3<T>& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-/// Gives q where other patches read it, and what the patch adds to q · q.
+/// Gives q where other patches read it, and what the patch adds to p · q and q · q. Both from q as it is in the end:
+/// edge by edge, p · q would add up what cancels in q, and lose the digits that an ill-conditioned matrix leaves it.
 template <class Lanes, class Real>
-typename Lanes::Scalar publish_product(const SceneView<Real>& s, const Patch& patch, const Real* q, Real* product) {
+void publish_product(const SceneView<Real>& s, const Patch& patch, const Real* p, const Real* q, Real* product,
+                     typename Lanes::Scalar& pq, typename Lanes::Scalar& qq) {
   using T = typename Lanes::Scalar;
   for (std::uint32_t i = s.patch_boundary[patch.index]; i < s.patch_boundary[patch.index + 1]; ++i) {
     store3<Real>(product, patch.row_begin + s.boundary[i], load3<Real>(q, s.boundary[i]));
   }
-  T qq = T(0);
   for (std::uint32_t c = 0; c < 4 * patch.own(); c += Lanes::kWidth) {
     const T component = Lanes::load(q + c);
+    pq += Lanes::load(p + c) * component;
     qq += component * component;
   }
-  return qq;
 }
 
-/// q = Â p on the rows of a patch, after scale_edges, and what the patch adds to p · q. p: patch-local, halo behind; q: of
-/// its own rows, zero before.
+/// q = Â p on the rows of a patch, after scale_edges. p: patch-local, halo behind; q: of its own rows, zero before.
 template <class Lanes, class Real>
-typename Lanes::Scalar multiply_edges(const SceneView<Real>& s, const Patch& patch, const Real* p, Real* q) {
+void multiply_edges(const SceneView<Real>& s, const Patch& patch, const Real* p, Real* q) {
   using T = typename Lanes::Scalar;
-  T pq = T(0);
   for (std::uint32_t local = 0; local < patch.own(); local += Lanes::kWidth) {
     const std::uint32_t slice = (patch.row_begin + local) / kEdgeSliceRows, lane = local % kEdgeSliceRows;
     const Vec3<T> own = Lanes::load3(p, local);
-    Vec3<T> sum(T(0), T(0), T(0));
+    Vec3<T> sum = own;  // the unit diagonal
     const auto multiply = [&](std::uint32_t j, auto&& use) {
       const Real* block = s.edges + std::size_t{j} * (9 * kEdgeSliceRows) + lane;
       const std::uint32_t* columns = s.columns + std::size_t{j} * kEdgeSliceRows + lane;
@@ -240,13 +233,9 @@ typename Lanes::Scalar multiply_edges(const SceneView<Real>& s, const Patch& pat
       const std::uint32_t* columns = multiply(j, [&](T a, int i, int c) { other[c] += a * own[i]; });
       Lanes::scatter_add3(q, columns, other);
     }
-    pq += dot(own, sum);  // once more for the other rows of these edges
-    sum += own;           // the unit diagonal
     for (std::uint32_t j = halo; j < end; ++j) multiply(j, [](T, int, int) {});
-    pq += dot(own, sum);
     Lanes::store3(q, local, Vec3<T>(Lanes::load3(q, local) + sum));
   }
-  return pq;
 }
 
 }  // namespace tensormass::tensor

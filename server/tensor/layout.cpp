@@ -31,8 +31,8 @@ struct StoredEdges {
   }
 };
 
-/// Kind kEdges: shares the edges within a patch out so that each node stores half of its own, as near as can be. All nodes
-/// of a patch then have about equally many, which keeps slices free of padding.
+/// Kind kEdges: shares the edges within a patch out so that each node stores half of its own, as near as can be. All
+/// nodes of a patch then have about equally many, which keeps slices free of padding.
 StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neighbours) {
   const std::size_t node_count = partition.order.size();
   std::vector<std::uint32_t> place(node_count), patch(node_count);
@@ -42,7 +42,8 @@ StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neig
       patch[partition.order[i]] = p;
     }
   }
-  StoredEdges stored{std::vector<std::uint32_t>(node_count, 0), {}, std::vector<std::uint32_t>(neighbours.items.size())};
+  StoredEdges stored{
+      std::vector<std::uint32_t>(node_count, 0), {}, std::vector<std::uint32_t>(neighbours.items.size())};
   const auto store = [&](std::uint32_t node, std::uint32_t other) {
     stored.items[neighbours.offsets[node] + stored.inner[node]++] = other;
   };
@@ -160,10 +161,10 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
             continue;
           }
           const std::uint32_t other = rows[from(i) + j];
-          const auto column = is_own(other) ? other - begin
-                                            : count + static_cast<std::uint32_t>(
-                                                          std::lower_bound(out.halo.begin(), out.halo.end(), other) -
-                                                          out.halo.begin());
+          const auto column =
+              is_own(other) ? other - begin
+                            : count + static_cast<std::uint32_t>(
+                                          std::lower_bound(out.halo.begin(), out.halo.end(), other) - out.halo.begin());
           out.columns.push_back(column);
           out.neighbour_rows.push_back(other);
         }
@@ -228,8 +229,7 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
   layout.patch_count = patch_count;
   const mesh::Rows neighbours = mesh::node_neighbours(mesh);
   const mesh::Partition partition = mesh::partition(mesh, patch_count, kSliceRows);
-  const StoredEdges stored =
-      storage == Storage::kRows ? whole_rows(neighbours) : share_edges(partition, neighbours);
+  const StoredEdges stored = storage == Storage::kRows ? whole_rows(neighbours) : share_edges(partition, neighbours);
   number_rows(layout, partition, stored);
 
   std::vector<PatchSlots> patches(patch_count);

@@ -237,7 +237,7 @@ struct SceneView {
   Real* solution;   // [row_count, 4] x
   Real* residual;   // [own + halo of every patch, 4]
   Real* direction;  // [own + halo of every patch, 4]
-  Real* product;    // [2, row_count, 4] Â p, by parity of the iteration: what patches exchange; of boundary rows at least
+  Real* product;  // [2, row_count, 4] Â p, by parity of the iteration: what patches exchange; of boundary rows at least
 
   // -- tissue surface, only for scenes with tools
   const std::uint32_t* triangle_rows;        // [triangle_count, 3]
@@ -247,12 +247,12 @@ struct SceneView {
   const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
   const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
   const std::uint32_t* incidence_begin;      // [surface vertex + 1]
-  const std::uint32_t* incidence;            // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
-  const std::uint32_t* vertex_of_corner;     // [triangle_count, 3] surface vertex
-  const ToolState<Real>* tools;              // [tool_count]
-  ClosestTriangle<Real>* closest;            // [tool_count, patch_count]
-  TriangleContact<Real>* contacts;           // [tool_count, triangle_count]
-  ToolLoad<Real>* tool_loads;                // [tool_count, patch_count]
+  const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
+  const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
+  const ToolState<Real>* tools;           // [tool_count]
+  ClosestTriangle<Real>* closest;         // [tool_count, patch_count]
+  TriangleContact<Real>* contacts;        // [tool_count, triangle_count]
+  ToolLoad<Real>* tool_loads;             // [tool_count, patch_count]
 
   // -- what clients see
   std::uint32_t visible_count;

@@ -63,8 +63,9 @@ int main(int argc, char** argv) {
   const double triad = triad_bytes_per_s(threads);
   const double slots = staged.model.layout.slot_count();
   std::printf("%u threads, triad %.1f GB/s, %.0f slots, %.1f %% of them padding\n", threads, triad / 1e9, slots,
-              100 * static_cast<double>(std::count(staged.model.layout.neighbour_rows.begin(),
-                                                   staged.model.layout.neighbour_rows.end(), mesh::kNone)) /
+              100 *
+                  static_cast<double>(std::count(staged.model.layout.neighbour_rows.begin(),
+                                                 staged.model.layout.neighbour_rows.end(), mesh::kNone)) /
                   slots);
   std::printf("%-42s %10s %10s %10s %10s\n", "stage", "ms", "MB", "GB/s", "of triad");
   // Whole steps, so that each stage finds in the caches what the ones before left there.
@@ -84,9 +85,8 @@ int main(int argc, char** argv) {
     const bool solve = stages[i].kind == model::StageKind::kSolve;
     const double seconds = best[i] / (solve ? staged.model.cg_max_iterations : 1);
     const double rate = static_cast<double>(planned.bytes()) / seconds;
-    std::printf("%-42s %10.3f %10.2f %10.1f %9.0f %%\n",
-                (planned.name() + (solve ? ", an iteration" : "")).c_str(), seconds * 1e3,
-                static_cast<double>(planned.bytes()) / 1e6, rate / 1e9, 100 * rate / triad);
+    std::printf("%-42s %10.3f %10.2f %10.1f %9.0f %%\n", (planned.name() + (solve ? ", an iteration" : "")).c_str(),
+                seconds * 1e3, static_cast<double>(planned.bytes()) / 1e6, rate / 1e9, 100 * rate / triad);
     total += best[i];
   }
   std::printf("%-42s %10.3f\n", "together", total * 1e3);

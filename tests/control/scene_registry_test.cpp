@@ -128,8 +128,8 @@ TEST_F(SceneRegistryTest, SaysHowFarALoadIs) {
 TEST_F(SceneRegistryTest, EndsALoadThatNobodyWaitsFor) {
   for (int last = 1;; ++last) {
     int part = 0;
-    const auto loaded = registry.load(
-        small_scene("a"), model::Progress([&](std::string_view, double) { return ++part < last; }));
+    const auto loaded =
+        registry.load(small_scene("a"), model::Progress([&](std::string_view, double) { return ++part < last; }));
     if (loaded) {
       EXPECT_GT(last, 6);
       return;

@@ -186,12 +186,11 @@ TEST_P(Patches, SayWhenAValueIsNoNumber) {
 }
 
 using tensor::Storage;
-INSTANTIATE_TEST_SUITE_P(Counts, Patches,
-                         testing::Values(Cut{1}, Cut{2}, Cut{3}, Cut{8}, Cut{1, Storage::kRows}, Cut{3, Storage::kRows}),
-                         [](const auto& one) {
-                           return std::to_string(one.param.patches) +
-                                  (one.param.storage == Storage::kRows ? "_rows" : "_edges");
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    Counts, Patches, testing::Values(Cut{1}, Cut{2}, Cut{3}, Cut{8}, Cut{1, Storage::kRows}, Cut{3, Storage::kRows}),
+    [](const auto& one) {
+      return std::to_string(one.param.patches) + (one.param.storage == Storage::kRows ? "_rows" : "_edges");
+    });
 
 TEST(PatchCounts, AgreeToRounding) {
   StagedScene<double> one = assembled<double>({1});

@@ -81,16 +81,14 @@ TEST_P(Assembly, PaddingRowsStayOut) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(LawsAndPatches, Assembly,
-                         testing::Combine(testing::Values(Case{"hooke", true, false}, Case{"stvk", false, true},
-                                                          Case{"both", true, true}),
-                                          testing::Values(1u, 2u, 5u),
-                                          testing::Values(Storage::kRows, Storage::kEdges)),
-                         [](const auto& one) {
-                           return std::string(std::get<0>(one.param).name) + "_" +
-                                  std::to_string(std::get<1>(one.param)) +
-                                  (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    LawsAndPatches, Assembly,
+    testing::Combine(testing::Values(Case{"hooke", true, false}, Case{"stvk", false, true}, Case{"both", true, true}),
+                     testing::Values(1u, 2u, 5u), testing::Values(Storage::kRows, Storage::kEdges)),
+    [](const auto& one) {
+      return std::string(std::get<0>(one.param).name) + "_" + std::to_string(std::get<1>(one.param)) +
+             (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
+    });
 
 /// Every law in every shape, against the same sums over elements.
 class EveryEntry : public testing::TestWithParam<std::tuple<v1::Shape, std::string>> {};

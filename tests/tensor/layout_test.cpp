@@ -222,9 +222,8 @@ TEST(PatchElements, EveryPatchAddsToItsOwnEdgesOnly) {
     }
     EXPECT_EQ(computed, expected);
   }
-  EXPECT_TRUE(std::all_of(places.begin(), places.end(), [&](std::uint32_t place) {
-    return place == kNoPlace || place / 2 < layout.slot_count();
-  }));
+  EXPECT_TRUE(std::all_of(places.begin(), places.end(),
+                          [&](std::uint32_t place) { return place == kNoPlace || place / 2 < layout.slot_count(); }));
 }
 
 TEST(Layout, HoldsItsInvariantsOnGrids) {
