@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "physics/contact/closest_point.h"
+#include "tensor/edges.h"
 #include "tensor/view.h"
 
 /// A rigid sphere against the tissue's surface: penalty pressure, frictionless, implicit.
@@ -184,7 +185,7 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         for (std::uint32_t k = 1; k <= 2; ++k) {
           const std::uint32_t slot = incidence[1 + k];
           const Real other = contact.weight[(corner + k) % 3];
-          tensor::store_block<Real>(s.edges, slot, tensor::load_block<Real>(s.edges, slot) + stiffness * other);
+          if (slot != tensor::kNoPlace) tensor::add_to_block<Real>(s, slot, stiffness * other);
         }
       }
     }

@@ -45,6 +45,11 @@ Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const Runne
   }
 }
 
+/// Ends a load that its client no longer waits for.
+model::Progress while_awaited(const grpc::ServerContext& context) {
+  return model::Progress([&context](std::string_view, double) { return !context.IsCancelled(); });
+}
+
 }  // namespace
 
 ControlService::ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
@@ -58,11 +63,29 @@ grpc::Status ControlService::GetVersion(grpc::ServerContext*, const v1::GetVersi
   return grpc::Status::OK;
 }
 
-grpc::Status ControlService::LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest* request,
+grpc::Status ControlService::LoadScene(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
                                        v1::LoadSceneResponse* response) {
-  const auto runner = registry_.load(request->scene());
+  const auto runner = registry_.load(request->scene(), while_awaited(*context));
   if (!runner) return to_status(runner.error());
   *response->mutable_report() = (*runner)->report();
+  return grpc::Status::OK;
+}
+
+grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context, const v1::LoadSceneRequest* request,
+                                                   grpc::ServerWriter<v1::LoadSceneWithProgressResponse>* writer) {
+  const model::Progress progress([&](std::string_view part, double fraction) {
+    v1::LoadSceneWithProgressResponse response;
+    response.set_part(std::string(part));
+    response.set_fraction(fraction);
+    return writer->Write(response) && !context->IsCancelled();
+  });
+  const auto runner = registry_.load(request->scene(), progress);
+  if (!runner) return to_status(runner.error());
+  v1::LoadSceneWithProgressResponse response;
+  response.set_fraction(1);
+  *response.mutable_report() = (*runner)->report();
+  // A client that went away meanwhile does not know that the scene runs.
+  if (!writer->Write(response)) (void)registry_.unload(request->scene().name());
   return grpc::Status::OK;
 }
 
@@ -78,9 +101,9 @@ grpc::Status ControlService::ListScenes(grpc::ServerContext*, const v1::ListScen
   return grpc::Status::OK;
 }
 
-grpc::Status ControlService::InspectScene(grpc::ServerContext*, const v1::InspectSceneRequest* request,
+grpc::Status ControlService::InspectScene(grpc::ServerContext* context, const v1::InspectSceneRequest* request,
                                           v1::InspectSceneResponse* response) {
-  return answer(registry_.inspect(request->scene()), response->mutable_report());
+  return answer(registry_.inspect(request->scene(), while_awaited(*context)), response->mutable_report());
 }
 
 grpc::Status ControlService::PauseScene(grpc::ServerContext*, const v1::PauseSceneRequest* request,

@@ -17,6 +17,8 @@ class ControlService final : public v1::Control::Service {
 
   grpc::Status GetVersion(grpc::ServerContext*, const v1::GetVersionRequest*, v1::GetVersionResponse*) override;
   grpc::Status LoadScene(grpc::ServerContext*, const v1::LoadSceneRequest*, v1::LoadSceneResponse*) override;
+  grpc::Status LoadSceneWithProgress(grpc::ServerContext*, const v1::LoadSceneRequest*,
+                                     grpc::ServerWriter<v1::LoadSceneWithProgressResponse>*) override;
   grpc::Status UnloadScene(grpc::ServerContext*, const v1::UnloadSceneRequest*, v1::UnloadSceneResponse*) override;
   grpc::Status ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse*) override;
   grpc::Status InspectScene(grpc::ServerContext*, const v1::InspectSceneRequest*, v1::InspectSceneResponse*) override;

@@ -51,9 +51,9 @@ class SceneRegistry::Reservation {
 SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal)
     : options_(options), output_signal_(std::move(output_signal)) {}
 
-Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene) {
+Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
   TM_TRY(reservation, Reservation::take(*this, scene.name()));
-  TM_TRY(started, world::Runner::start(scene, options_));
+  TM_TRY(started, world::Runner::start(scene, options_, progress));
   const RunnerPtr runner = std::move(started);
   runner->set_output_signal(output_signal_);
   TM_CHECK(reservation.fill(runner));

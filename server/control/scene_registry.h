@@ -26,9 +26,11 @@ class SceneRegistry {
   SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal);
 
   /// Compiles and starts the scene.
-  Result<RunnerPtr> load(const v1::Scene& scene);
+  Result<RunnerPtr> load(const v1::Scene& scene, const model::Progress& progress = {});
   /// Checks and compiles without running.
-  Result<v1::SceneReport> inspect(const v1::Scene& scene) const { return world::Runner::inspect(scene, options_); }
+  Result<v1::SceneReport> inspect(const v1::Scene& scene, const model::Progress& progress = {}) const {
+    return world::Runner::inspect(scene, options_, progress);
+  }
   Result<void> unload(std::string_view name);
   Result<RunnerPtr> find(std::string_view name) const;
   /// All that run, by name.

@@ -21,6 +21,8 @@ inline grpc::Status to_status(const Error& error) {
       return {grpc::StatusCode::FAILED_PRECONDITION, error.message};
     case ErrorCode::kUnavailable:
       return {grpc::StatusCode::UNAVAILABLE, error.message};
+    case ErrorCode::kCancelled:
+      return {grpc::StatusCode::CANCELLED, error.message};
   }
   return {grpc::StatusCode::INTERNAL, error.message};
 }

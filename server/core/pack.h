@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <type_traits>
@@ -13,6 +14,9 @@
 
 /// A pack of numbers that the compiler keeps in one vector register: the CPU's counterpart of a few GPU threads.
 /// Formulas templated on their scalar run on it unchanged. Host only.
+/// Loops over lanes in full: a vector that is indexed by a loop's variable lives in memory.
+#define TM_UNROLL_LANES _Pragma("GCC unroll 8")
+
 namespace tensormass {
 
 template <class Real, int Width>
@@ -116,9 +120,11 @@ struct PackLanes {
   static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
     Vector rows[4] = {value[0].v, value[1].v, value[2].v, Vector{}};
     transpose<4>(rows);
+    TM_UNROLL_LANES
     for (std::uint32_t row = 0; row < 4; ++row) {
       Quad quads[kQuads];
       split(rows[row], quads);
+      TM_UNROLL_LANES
       for (std::uint32_t i = 0; i < kQuads; ++i) {
         std::memcpy(vectors + std::size_t{4} * (first + row + 4 * i), &quads[i], sizeof(Quad));
       }
@@ -129,16 +135,52 @@ struct PackLanes {
     static_assert(Count % Width == 0);
     for (std::uint32_t c = 0; c < Count; c += Width) {
       Vector rows[Width];
+      TM_UNROLL_LANES
       for (std::uint32_t i = 0; i < Width; ++i) rows[i] = values[c + i].v;
       transpose<Width>(rows);
+      TM_UNROLL_LANES
       for (std::uint32_t lane = 0; lane < Width; ++lane) {
         std::memcpy(records + lane * stride + c, &rows[lane], sizeof(Vector));
+      }
+    }
+  }
+  /// The other way round: the first `Count` values of each lane's own record.
+  template <std::size_t Count, class Address>
+  static void gather_records(Scalar (&values)[Count], const Address& address) {
+    static_assert(Count >= Width);
+    for (std::uint32_t c = 0; c < Count; c += Width) {
+      const std::uint32_t first = std::min<std::uint32_t>(c, Count - Width);  // the last ones overlap
+      Vector rows[Width];
+      TM_UNROLL_LANES
+      for (std::uint32_t lane = 0; lane < Width; ++lane) {
+        std::memcpy(&rows[lane], address(lane) + first, sizeof(Vector));
+      }
+      transpose<Width>(rows);
+      TM_UNROLL_LANES
+      for (std::uint32_t i = 0; i < Width; ++i) values[first + i] = Scalar::of(rows[i]);
+    }
+  }
+  /// Adds to the vectors that the lanes name, one lane after the other: several may name the same.
+  static void scatter_add3(Real* vectors, const std::uint32_t* index, const Vec3<Scalar>& value) {
+    Vector rows[4] = {value[0].v, value[1].v, value[2].v, Vector{}};
+    transpose<4>(rows);
+    TM_UNROLL_LANES
+    for (std::uint32_t i = 0; i < kQuads; ++i) {
+      TM_UNROLL_LANES
+      for (std::uint32_t row = 0; row < 4; ++row) {
+        Quad quads[kQuads], sum;
+        split(rows[row], quads);
+        Real* to = vectors + std::size_t{4} * index[row + 4 * i];
+        std::memcpy(&sum, to, sizeof sum);
+        sum += quads[i];
+        std::memcpy(to, &sum, sizeof sum);
       }
     }
   }
   /// In a fixed order, so that runs repeat bitwise.
   static Real sum(Scalar value) {
     Real total = 0;
+    TM_UNROLL_LANES
     for (std::uint32_t lane = 0; lane < Width; ++lane) total += value.v[lane];
     return total;
   }
@@ -173,8 +215,10 @@ struct PackLanes {
   template <class Address>
   static Vec3<Scalar> to_lanes(Address address) {
     Vector rows[4];
+    TM_UNROLL_LANES
     for (std::uint32_t row = 0; row < 4; ++row) {
       Quad quads[kQuads];
+      TM_UNROLL_LANES
       for (std::uint32_t i = 0; i < kQuads; ++i) std::memcpy(&quads[i], address(row + 4 * i), sizeof(Quad));
       rows[row] = join(quads);
     }
@@ -193,11 +237,13 @@ struct PackLanes {
   template <std::uint32_t Size, std::uint32_t Step>
   static void exchange(Vector (&rows)[Size]) {
     Mask low, high;
+    TM_UNROLL_LANES
     for (std::uint32_t lane = 0; lane < Width; ++lane) {
       const bool second = (lane & Step) != 0;
       low[lane] = static_cast<Index>(second ? Width + lane - Step : lane);
       high[lane] = static_cast<Index>(second ? Width + lane : lane + Step);
     }
+    TM_UNROLL_LANES
     for (std::uint32_t i = 0; i < Size; ++i) {
       if ((i & Step) != 0) continue;
       const Vector a = rows[i], b = rows[i + Step];

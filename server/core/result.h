@@ -15,6 +15,7 @@ enum class ErrorCode {
   kResourceExhausted,   ///< A limit of core/limits.h; the message names it.
   kFailedPrecondition,  ///< Not in the state that the call needs.
   kUnavailable,         ///< No device, no port, or shutting down.
+  kCancelled,           ///< Nobody waits for the result any more.
 };
 
 /// The user's error (our own mistakes are assertions). Handled once, at the edge.

@@ -12,6 +12,14 @@
 #define TM_HOST_DEVICE
 #endif
 
+/// Inlines everything that a function calls. On packs of numbers the compiler otherwise leaves Eigen's small products
+/// as calls that pass vectors through memory.
+#if defined(__CUDACC__)
+#define TM_FLATTEN
+#else
+#define TM_FLATTEN [[gnu::flatten]]
+#endif
+
 /// Several turns of the following loop in flight at once: what hides memory latency where a GPU thread walks a row.
 #if defined(__CUDA_ARCH__)
 #define TM_UNROLL(count) _Pragma(TM_STRING(unroll count))

@@ -36,11 +36,16 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   if (m.has_tiles) s.patch_of_slice = arena.template constant<uint32_t>("patches of slices", layout.patch_of_slice());
   s.slice_begin = arena.template constant<uint32_t>("matrix slices", layout.slice_begin);
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
+  const bool edges = layout.storage == tensor::Storage::kEdges;
+  s.slice_halo = arena.template constant<uint32_t>("matrix slices' halo", layout.slice_halo);
+  s.patch_boundary = arena.template constant<uint32_t>("boundary rows of patches", layout.patch_boundary);
+  s.boundary = arena.template constant<uint32_t>("boundary rows", layout.boundary);
+  s.own_product = arena.template zeros<Real>("own product", only_if(edges, 4 * rows));
 
   s.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
 
   s.partials = arena.template zeros<Real>("element tensors", m.partial_reals());
-  if (m.has_refreshed_tensors() && !m.has_tiles) {
+  if (!m.gather.force.empty()) {
     s.force_gather_begin = arena.template constant<uint32_t>("force gather offsets", m.gather.force_begin);
     s.force_gather = arena.template constant<uint32_t>("force gather", m.gather.force);
     s.edge_gather_begin = arena.template constant<uint32_t>("edge gather offsets", m.gather.edge_begin);
@@ -129,6 +134,8 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
   for (std::size_t i = 0; i < group.prony.size(); ++i) {
     e.prony[i] = {static_cast<Real>(group.prony[i].gain), static_cast<Real>(group.prony[i].decay)};
   }
+  e.patch_elements = arena.template constant<std::uint32_t>("elements of patches", group.patch_elements);
+  e.pair_places = arena.template constant<std::uint32_t>("element places", group.pair_places);
   e.history = arena.template zeros<Real>("stress histories", group.history_reals());
   if (!group.tiles.parts.empty()) {
     const tensor::GroupTiles& tiles = group.tiles;

@@ -20,18 +20,23 @@ namespace {
 /// Compiles one scene; the model grows step by step.
 class Compiler {
  public:
-  Compiler(const v1::Scene& scene, const PatchPolicy& policy) : c_{scene, {}, {}, {}, {}, {}}, policy_(policy) {}
+  Compiler(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress)
+      : c_{scene, {}, {}, {}, {}, {}}, policy_(policy), progress_(progress) {}
 
   Result<Model> run() {
     TM_CHECK(read_header());
     TM_CHECK(read_bodies());
     TM_CHECK(read_tools());
+    TM_CHECK(progress_.begin(LoadPart::kOrderNodes));
     make_wedge_pairs(c_);
     make_layout();
+    TM_CHECK(progress_.begin(LoadPart::kSupports));
     TM_CHECK(fill_row_fields(c_));
     TM_CHECK(fill_supports_and_loads(c_));
+    TM_CHECK(progress_.begin(LoadPart::kElements));
     TM_CHECK(group_elements(c_));
     TM_CHECK(map_refreshed_tensors(c_, policy_));
+    TM_CHECK(progress_.begin(LoadPart::kSurfaces));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {
       TM_CHECK(make_visible_surface(c_));
@@ -45,7 +50,8 @@ class Compiler {
   /// The pairs count as elements here only: the matrix couples all nodes of a pair.
   void make_layout() {
     merged_.blocks.push_back(wedge_pair_block(c_));
-    model_.layout = tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())));
+    model_.layout =
+        tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())), policy_.storage);
     merged_.blocks.pop_back();
   }
 
@@ -141,12 +147,14 @@ class Compiler {
       if (!names.insert(body.name()).second) {
         return invalid(fmt::format("scene.bodies[{}]: the name '{}' is taken by another body", i, body.name()));
       }
-      TM_CHECK(read_body(body));
+      TM_CHECK(read_body(body, static_cast<std::size_t>(i)));
     }
     return {};
   }
 
-  Result<void> read_body(const v1::Body& body) {
+  Result<void> read_body(const v1::Body& body, std::size_t index) {
+    const auto body_count = static_cast<std::size_t>(scene_.bodies_size());
+    TM_CHECK(progress_.begin(LoadPart::kReadMesh, index, body_count));
     const std::string where = fmt::format("body '{}'", body.name());
     TM_CHECK(check_counts(body, where));
     TM_TRY(mesh, read_mesh(body, where));
@@ -158,6 +166,7 @@ class Compiler {
                               "limits::kMaxElements = {}",
                               where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
     }
+    TM_CHECK(progress_.begin(LoadPart::kCheckMesh, index, body_count));
     TM_TRY(report, mesh::admit(mesh, body.name()));
     TM_TRY(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
 
@@ -323,10 +332,12 @@ class Compiler {
     add(!model_.driven.driven.empty(), StageKind::kDrive, Phase::kBegin);
     add(tools, StageKind::kDetectContact, Phase::kEvaluate);
     add(tools, StageKind::kRespondContact, Phase::kEvaluate);
+    const bool edges = model_.layout.storage == tensor::Storage::kEdges;
+    add(edges, StageKind::kAssemble, Phase::kEvaluate);  // what elements then add to
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
       add(!model_.groups[g].is_constant(), StageKind::kElements, Phase::kEvaluate, g);
     }
-    add(true, StageKind::kAssemble, Phase::kEvaluate);
+    add(!edges, StageKind::kAssemble, Phase::kEvaluate);  // what it gathers from elements
     add(!model_.external.empty(), StageKind::kExternalForces, Phase::kEvaluate);
     add(!model_.pressure.faces.empty(), StageKind::kPressure, Phase::kEvaluate);
     add(tools, StageKind::kAssembleContact, Phase::kEvaluate);
@@ -344,6 +355,7 @@ class Compiler {
 
   Compilation c_;
   const PatchPolicy policy_;
+  const Progress& progress_;
   const v1::Scene& scene_ = c_.scene;
   Model& model_ = c_.model;
   mesh::Mesh& merged_ = c_.merged;
@@ -356,7 +368,9 @@ std::uint32_t PatchPolicy::count(std::uint32_t node_count) const {
   return std::clamp(node_count / std::max(min_nodes_per_patch, 1u), 1u, std::max(max_patches, 1u));
 }
 
-Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy) { return Compiler(scene, policy).run(); }
+Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
+  return Compiler(scene, policy, progress).run();
+}
 
 std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise) {
   return scene.solver().has_cpu_threads() ? scene.solver().cpu_threads() : otherwise;

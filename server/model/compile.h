@@ -4,6 +4,7 @@
 
 #include "core/result.h"
 #include "model/model.h"
+#include "model/progress.h"
 #include "tensormass/v1/scene.pb.h"
 
 namespace tensormass::model {
@@ -12,12 +13,14 @@ namespace tensormass::model {
 struct PatchPolicy {
   std::uint32_t max_patches = 1;
   std::uint32_t min_nodes_per_patch = 1;
+  tensor::Storage storage = tensor::Storage::kRows;
   std::uint32_t tile_bytes = 0;  ///< shared memory for the records of a tile (tensor/tiles.h); 0: no tiles
   std::uint32_t count(std::uint32_t node_count) const;
 };
 
-/// Checks the whole scene and compiles it. Errors name the place in the scene, the element or node, and the remedy.
-Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy);
+/// Checks the whole scene and compiles it. Errors name the place in the scene, the element or node, and the remedy;
+/// kCancelled if `progress` says so.
+Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress = {});
 
 /// Threads that the scene asks for on a CPU; `otherwise` if it does not say.
 std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise);

@@ -6,6 +6,7 @@
 
 #include <fmt/format.h>
 
+#include "core/parallel.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
@@ -18,6 +19,9 @@ namespace {
 
 using physics::Quadrature;
 using tensor::kSliceRows;
+
+/// Elements that a thread takes at a time.
+constexpr std::size_t kGrain = 16384;
 
 /// What of an element's energy a group holds.
 enum class Share : std::uint8_t { kWhole, kWithoutDilatation, kDilatationOfPair };
@@ -59,11 +63,27 @@ std::vector<std::uint32_t> order_by_first_row(const std::vector<std::uint32_t>& 
 
 /// [element][component] to [component][stride] in the given order; the padding is zero.
 template <class T>
-std::vector<T> transpose(const std::vector<T>& items, const std::vector<std::uint32_t>& order, std::uint32_t stride) {
-  const std::size_t components = items.size() / order.size();
+std::vector<T> transpose(const std::vector<T>& items, std::size_t components, const std::vector<std::uint32_t>& order,
+                         std::uint32_t stride) {
   std::vector<T> out(components * stride, T{});
-  for (std::size_t e = 0; e < order.size(); ++e) {
-    for (std::size_t c = 0; c < components; ++c) out[c * stride + e] = items[order[e] * components + c];
+  parallel_ranges(order.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t e = begin; e < end; ++e) {
+      if (order[e] == mesh::kNone) continue;
+      for (std::size_t c = 0; c < components; ++c) out[c * stride + e] = items[order[e] * components + c];
+    }
+  });
+  return out;
+}
+
+/// The elements of each place, where a patch computes them for the first time; kNone elsewhere.
+std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& elements,
+                                              const std::vector<std::uint32_t>& order) {
+  std::vector<std::uint32_t> out(order.size(), mesh::kNone);
+  std::vector<bool> met(elements.size(), false);
+  for (std::size_t place = 0; place < order.size(); ++place) {
+    if (order[place] == mesh::kNone || met[order[place]]) continue;
+    met[order[place]] = true;
+    out[place] = elements[order[place]];
   }
   return out;
 }
@@ -83,15 +103,16 @@ void add_constant_tensors(Compilation& c, const Material& material, std::span<co
           physics::element_tensors<Law>(rest, at_rest, material.parameters.data(), physics::Stiffness::kConsistent);
       const auto add = [&](std::uint32_t slot, const Mat3<double>& block) {
         double* edges = c.model.constant_edges.data();
-        tensor::store_block<double>(edges, slot, tensor::load_block<double>(edges, slot) + block);
+        for (std::uint32_t i = 0; i < 9; ++i) edges[layout.component(slot, i)] += block(i / 3, i % 3);
       };
       for (int k = 0; k < Shape::kNodes; ++k) {
         const std::uint32_t row_k = layout.row_of_node[nodes[static_cast<std::size_t>(k)]];
         for (int l = k + 1; l < Shape::kNodes; ++l) {
           const std::uint32_t row_l = layout.row_of_node[nodes[static_cast<std::size_t>(l)]];
           const Mat3<double>& edge = tensors.edge_stiffness[physics::pair_index(Shape::kNodes, k, l)];
-          add(layout.slot(row_k, row_l), edge);
-          add(layout.slot(row_l, row_k), edge.transpose());
+          layout.for_each_place(row_k, row_l, [&](std::uint32_t slot, bool transposed) {
+            add(slot, transposed ? Mat3<double>(edge.transpose()) : edge);
+          });
         }
       }
     }
@@ -144,10 +165,9 @@ Result<void> fill_row_fields(Compilation& c) {
       c.model.row_mass[row(k)] += density * integrals.row(k).sum();
       if (!inertia) continue;
       c.model.inertia[4 * row(k)] += density * integrals(k, k);
-      for (int l = 0; l < Shape::kNodes; ++l) {
-        if (l == k) continue;
-        c.model.mass_edges[layout.slot(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)))] +=
-            density * integrals(k, l);
+      for (int l = k + 1; l < Shape::kNodes; ++l) {
+        layout.for_each_place(static_cast<std::uint32_t>(row(k)), static_cast<std::uint32_t>(row(l)),
+                              [&](std::uint32_t slot, bool) { c.model.mass_edges[slot] += density * integrals(k, l); });
       }
     }
   });
@@ -174,6 +194,13 @@ Result<void> group_elements(Compilation& c) {
     if (material.constant_stiffness) {
       if (c.model.constant_edges.empty()) c.model.constant_edges.assign(9 * std::size_t{layout.slot_count()}, 0);
       add_constant_tensors(c, material, nodes, rest);
+    }
+    if (group.elements.empty()) {  // room for all that may come: growing step by step would copy them again and again
+      const std::size_t most = c.model.bodies[b].element_count;
+      group.elements.reserve(most);
+      group.rows.reserve(most * Shape::kNodes);
+      group.rest.reserve(most * rest.points.size() * physics::kRestReals<Shape>);
+      group.parameters.reserve(most * material.parameters.size());
     }
     group.nodes = Shape::kNodes;
     group.shares = rest.shares;
@@ -225,7 +252,11 @@ Result<void> group_elements(Compilation& c) {
     group.shape = key.shape;
     group.law = key.law;
     group.element_count = static_cast<std::uint32_t>(elements.elements.size());
-    group.stride = (group.element_count + kSliceRows - 1) / kSliceRows * kSliceRows;
+    const bool edges = layout.storage == tensor::Storage::kEdges;
+    const auto by_patch =
+        edges ? tensor::order_by_patch(layout, elements.rows, elements.nodes) : tensor::PatchElements{};
+    const std::vector<std::uint32_t> order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
+    group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
     group.partial_begin = partial_begin;
     group.record_reals = key.constant ? 0 : tensor::record_reals(static_cast<std::uint32_t>(elements.nodes));
     group.point_count = static_cast<std::uint32_t>(elements.shares.size());
@@ -234,13 +265,18 @@ Result<void> group_elements(Compilation& c) {
     for (const PronyTerm& term : memories[key.memory]) {
       group.prony.push_back(physics::prony_step(term.share, term.relaxation_time_s, c.model.dt_s));
     }
-    const std::vector<std::uint32_t> order = order_by_first_row(elements.rows, elements.nodes);
-    group.elements = transpose(elements.elements, order, group.element_count);
-    group.partners = transpose(elements.partners, order, group.element_count);
-    group.first_parts = transpose(elements.first_parts, order, group.element_count);
-    group.rows = transpose(elements.rows, order, group.stride);
-    group.rest = transpose(elements.rest, order, group.stride);
-    group.parameters = transpose(elements.parameters, order, group.stride);
+    const auto components = [&](const auto& items) { return items.size() / group.element_count; };
+    const auto placed = [&](const auto& items) { return transpose(items, components(items), order, group.stride); };
+    group.elements = elements_of_places(elements.elements, order);
+    group.partners = placed(elements.partners);
+    group.first_parts = placed(elements.first_parts);
+    group.rows = placed(elements.rows);
+    group.rest = placed(elements.rest);
+    group.parameters = placed(elements.parameters);
+    group.patch_elements = by_patch.ranges;
+    if (edges && !key.constant) {
+      group.pair_places = tensor::pair_places(layout, by_patch, group.rows, elements.nodes);
+    }
     partial_begin += std::uint64_t{group.stride} * group.record_reals;
     c.model.groups.push_back(std::move(group));
   }
@@ -249,6 +285,7 @@ Result<void> group_elements(Compilation& c) {
 
 Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
   Model& model = c.model;
+  if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
   std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
     if (group.is_constant()) continue;

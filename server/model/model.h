@@ -59,19 +59,24 @@ struct ElementGroup {
   int shape = 0;  ///< index into physics::Shapes
   int law = 0;    ///< index into physics::Laws
   std::uint32_t element_count = 0;
-  std::uint32_t stride = 0;                  ///< element_count rounded up to a multiple of kSliceRows
+  std::uint32_t stride = 0;                  ///< places: a multiple of kSliceRows, at least element_count
   std::uint64_t partial_begin = 0;           ///< in reals
   std::uint32_t record_reals = 0;            ///< 0: the tensors are constant, in Model::constant_edges
   std::uint32_t point_count = 0;             ///< quadrature points of an element
   std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
   std::vector<physics::PronyStep> prony;     ///< empty: no memory
-  std::vector<std::uint32_t> elements;       ///< [element_count] index in the scene's mesh
-  std::vector<std::uint32_t> partners;       ///< [element_count] of wedge pairs (wedge_pairs.h) the second; else empty
-  std::vector<double> first_parts;           ///< [element_count] the first's part of a pair's volume; else empty
-  std::vector<std::uint32_t> rows;           ///< [shape nodes][stride]
-  std::vector<double> rest;                  ///< [point_count][rest reals][stride]
-  std::vector<double> parameters;            ///< [law parameters][stride]
-  tensor::GroupTiles tiles;                  ///< empty if the backend gathers from partials
+  /// [place] index in the scene's mesh; mesh::kNone where an element is computed once more for another patch, and in
+  /// padding. May end before the padding does.
+  std::vector<std::uint32_t> elements;
+  std::vector<std::uint32_t> partners;  ///< [place] of wedge pairs (wedge_pairs.h) the second; else empty
+  std::vector<double> first_parts;      ///< [place] the first's part of a pair's volume; else empty
+  std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
+  std::vector<double> rest;             ///< [point_count][rest reals][stride]
+  std::vector<double> parameters;       ///< [law parameters][stride]
+  tensor::GroupTiles tiles;             ///< only where the backend has tiles
+  // Only with Storage::kEdges, see ElementView:
+  std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
+  std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
 
   bool is_constant() const { return record_reals == 0; }
   bool is_wedge_pairs() const { return !partners.empty(); }
@@ -206,7 +211,7 @@ struct Model {
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
   std::uint64_t partial_reals() const {
     std::uint64_t reals = 0;
-    if (has_tiles) return reals;
+    if (has_tiles || layout.storage == tensor::Storage::kEdges) return reals;
     for (const ElementGroup& group : groups) reals += std::uint64_t{group.stride} * group.record_reals;
     return reals;
   }

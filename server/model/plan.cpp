@@ -47,7 +47,7 @@ Cost cost(const Model& m, const Stage& stage) {
   const double incidences = static_cast<double>(m.contact.incidence.size()) / 4;
   const double gathered_forces = static_cast<double>(m.gather.force.size());
   const double gathered_edges = static_cast<double>(m.gather.edge.size());
-  const bool constant = !m.constant_edges.empty();
+  const bool constant = !m.constant_edges.empty(), edges = m.layout.storage == tensor::Storage::kEdges;
   switch (stage.kind) {
     case StageKind::kPredict:
       return {rows * 7 * 4 * real, rows * 12};
@@ -64,12 +64,16 @@ Cost cost(const Model& m, const Stage& stage) {
       const double per_element =
           static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
           (static_cast<double>(g.rest.size() + g.parameters.size()) + 2 * history) * real / g.stride +
-          g.record_reals * real;
+          (edges ? static_cast<double>(g.pair_places.size()) / g.stride * 4 : g.record_reals * real);
       // Of StVK: about 70 for the stress of a point, 60 for each pair of nodes.
       const double nodes = static_cast<double>(g.rows.size()) / g.stride;
-      return {g.element_count * per_element, g.element_count * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
+      // With kEdges the matrix and the right-hand side are read and written, too.
+      const double added = edges ? (slots * 9 + rows * (8 + 4)) * 2 * real : 0;
+      return {g.stride * per_element + added, g.stride * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
     }
     case StageKind::kAssemble:
+      if (edges)
+        return {slots * 9 * real * (constant ? 2 : 1) + rows * (3 * 4 + 8) * real, slots * (constant ? 90 : 0)};
       return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
                   slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
               gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
@@ -88,7 +92,7 @@ Cost cost(const Model& m, const Stage& stage) {
     case StageKind::kScaleEdges:
       return {slots * (2 * 9 * real + 4), slots * 90};
     case StageKind::kSolve:
-      return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * 18 + rows * 36};
+      return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
     case StageKind::kAdvance:
       return {rows * 6 * 4 * real, rows * 30};
     case StageKind::kBacktrack:

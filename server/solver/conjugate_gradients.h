@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "tensor/edges.h"
 #include "tensor/view.h"
 
 /// Conjugate gradients on Â x = b̂, written for one patch. Each iteration communicates once.
@@ -17,7 +18,7 @@ namespace tensormass::solver {
 
 /// Reads edges, rhs; writes solution, residual, direction, product, solve_report.
 template <class Team, class Real>
-TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real>& s) {
+TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real>& s) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
@@ -25,43 +26,63 @@ TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real
   Real* p = s.direction + 4 * patch.local_begin;
 
   const auto start_from = [&](std::uint32_t local, std::uint32_t row) {
-    const Vec3<Real> b = tensor::load3<Real>(s.rhs, row);
-    tensor::store3<Real>(r, local, b);
-    tensor::store3<Real>(p, local, b);
+    const Real* b = s.rhs + std::size_t{4} * row;
+    for (int c = 0; c < 4; ++c) {
+      // The fourth is nothing, and stays zero whatever a solve that left the numbers behind has made of it.
+      r[std::size_t{4} * local + c] = p[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
+    }
   };
   team.for_each(0, patch.own(), [&](std::uint32_t local) {
+    const std::size_t row = std::size_t{patch.row_begin} + local;
     start_from(local, patch.row_begin + local);
-    tensor::store3<Real>(s.solution, patch.row_begin + local, Vec3<Real>::Zero());
+    for (int c = 0; c < 4; ++c) {
+      s.solution[4 * row + c] = 0;
+      if (tensor::stores_edges(s)) s.own_product[4 * row + c] = 0;
+    }
   });
   team.for_each(0, patch.halo_count,
                 [&](std::uint32_t h) { start_from(patch.own() + h, s.halo[patch.halo_begin + h]); });
   team.sync();
 
+  // r · r of the own rows is summed where r is made.
+  T sum_rr = T(0);
+  team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
+    const T residual = Lanes::load(r + c);
+    sum_rr += residual * residual;
+  });
   Real first_rr = 0, rr_next = 0;
   std::uint32_t iteration = 0;
   bool negative_curvature = false;
   while (iteration < s.cg_max_iterations) {
     Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
-    T sum_pq = T(0), sum_qq = T(0), sum_rr = T(0);
-    team.template for_lanes<Lanes::kWidth>(0, patch.own(), [&](std::uint32_t local) {
-      const std::uint32_t row = patch.row_begin + local;
-      const std::uint32_t slice = row / tensor::kSliceRows, lane = row % tensor::kSliceRows;
-      const Vec3<T> own = Lanes::load3(p, local);
-      Vec3<T> q = own;
-      TM_UNROLL(4)
-      for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
-        const Real* block = s.edges + std::size_t{j} * (9 * tensor::kSliceRows) + lane;
-        const Vec3<T> x = Lanes::gather3(p, s.columns + std::size_t{j} * tensor::kSliceRows + lane);
-        for (int i = 0; i < 3; ++i) {
-          for (int c = 0; c < 3; ++c) q[i] += Lanes::load(block + (3 * i + c) * tensor::kSliceRows) * x[c];
-        }
+    Real* own_product = product + std::size_t{4} * patch.row_begin;
+    T sum_pq = T(0), sum_qq = T(0);
+    if constexpr (requires { Team::kOneThread; }) {
+      if (tensor::stores_edges(s)) {
+        own_product = s.own_product + std::size_t{4} * patch.row_begin;
+        tensor::multiply_edges<Lanes>(s, patch, p, own_product);
+        tensor::publish_product<Lanes>(s, patch, p, own_product, product, sum_pq, sum_qq);
       }
-      Lanes::store3(product, row, q);
-      const Vec3<T> residual = Lanes::load3(r, local);
-      sum_pq += own[0] * q[0] + own[1] * q[1] + own[2] * q[2];
-      sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];
-      sum_rr += residual[0] * residual[0] + residual[1] * residual[1] + residual[2] * residual[2];
-    });
+    }
+    if (!tensor::stores_edges(s)) {
+      team.template for_lanes<Lanes::kWidth>(0, patch.own(), [&](std::uint32_t local) {
+        const std::uint32_t row = patch.row_begin + local;
+        const std::uint32_t slice = row / tensor::kSliceRows, lane = row % tensor::kSliceRows;
+        const Vec3<T> own = Lanes::load3(p, local);
+        Vec3<T> q = own;
+        TM_UNROLL(4)
+        for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
+          const Real* block = s.edges + std::size_t{j} * (9 * tensor::kSliceRows) + lane;
+          const Vec3<T> x = Lanes::gather3(p, s.columns + std::size_t{j} * tensor::kSliceRows + lane);
+          for (int i = 0; i < 3; ++i) {
+            for (int c = 0; c < 3; ++c) q[i] += Lanes::load(block + (3 * i + c) * tensor::kSliceRows) * x[c];
+          }
+        }
+        Lanes::store3(product, row, q);
+        sum_pq += own[0] * q[0] + own[1] * q[1] + own[2] * q[2];
+        sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];
+      });
+    }
     Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(sum_qq), Lanes::sum(sum_rr)};
     team.exchange(sums, s.reduction + std::size_t{iteration & 1} * 4 * s.patch_count);
     const Real pq = sums[0], qq = sums[1], rr = sums[2];
@@ -75,13 +96,17 @@ TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real
     const Real alpha = rr / pq;
     rr_next = maximum(rr - 2 * alpha * pq + alpha * alpha * qq, Real(0));
     const Real beta = rr_next / rr;
-    team.for_each(0, patch.own(), [&](std::uint32_t local) {
-      const std::uint32_t row = patch.row_begin + local;
-      const Vec3<Real> direction = tensor::load3<Real>(p, local);
-      const Vec3<Real> residual = tensor::load3<Real>(r, local) - tensor::load3<Real>(product, row) * alpha;
-      tensor::store3<Real>(s.solution, row, tensor::load3<Real>(s.solution, row) + direction * alpha);
-      tensor::store3<Real>(r, local, residual);
-      tensor::store3<Real>(p, local, residual + direction * beta);
+    // Component by component: rows are of four, of which the last stays zero.
+    sum_rr = T(0);
+    team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
+      const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
+      const T direction = Lanes::load(p + c);
+      const T residual = Lanes::load(r + c) - Lanes::load(own_product + c) * T(alpha);
+      Lanes::store(s.solution + of_scene, Lanes::load(s.solution + of_scene) + direction * T(alpha));
+      Lanes::store(r + c, residual);
+      Lanes::store(p + c, residual + direction * T(beta));
+      sum_rr += residual * residual;
+      if (tensor::stores_edges(s)) Lanes::store(own_product + c, T(0));  // what multiply_edges adds to
     });
     team.for_each(0, patch.halo_count, [&](std::uint32_t h) {
       const std::uint32_t local = patch.own() + h;

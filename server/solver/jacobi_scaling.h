@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "tensor/edges.h"
 #include "tensor/view.h"
 
 /// Block-Jacobi preconditioning folded into the matrix: with the Cholesky factors D_i = L_i L_iᵀ of the diagonal
@@ -73,10 +74,58 @@ TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s
   });
 }
 
+/// L_i⁻¹ A_ij L_j⁻ᵀ of blocks that lie row by row, in place; l: the six reals of L⁻¹.
+template <class T>
+TM_HOST_DEVICE void scale_block(const T* l_i, T* block, const T* l_j) {
+  for (int c = 0; c < 3; ++c) {
+    const T x = block[c], y = block[3 + c], z = block[6 + c];
+    block[c] = l_i[0] * x;
+    block[3 + c] = l_i[1] * x + l_i[2] * y;
+    block[6 + c] = l_i[3] * x + l_i[4] * y + l_i[5] * z;
+  }
+  for (int r = 0; r < 9; r += 3) {
+    const T x = block[r], y = block[r + 1], z = block[r + 2];
+    block[r] = x * l_j[0];
+    block[r + 1] = x * l_j[1] + y * l_j[2];
+    block[r + 2] = x * l_j[3] + y * l_j[4] + z * l_j[5];
+  }
+}
+
+/// Replaces the edges of a patch by Â_ij, whose components then lie apart (tensor/edges.h).
+template <class Lanes, class Real>
+TM_FLATTEN void scale_edge_slices(const tensor::SceneView<Real>& s, const tensor::Patch& patch) {
+  using T = typename Lanes::Scalar;
+  using tensor::kEdgeSliceRows;
+  constexpr std::uint32_t kTile = 9 * kEdgeSliceRows;
+  for (std::uint32_t slice = patch.row_begin / kEdgeSliceRows; slice < patch.row_end / kEdgeSliceRows; ++slice) {
+    for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
+      Real blocks[kTile];
+      Real* tile = s.edges + std::size_t{j} * kTile;
+      std::memcpy(blocks, tile, sizeof blocks);
+      for (std::uint32_t first = 0; first < kEdgeSliceRows; first += Lanes::kWidth) {
+        const std::uint32_t* columns = s.columns + std::size_t{j} * kEdgeSliceRows + first;
+        T own[8], other[8], block[9];
+        Lanes::gather_records(own, [&](std::uint32_t lane) {
+          return s.diagonal + std::size_t{8} * (slice * kEdgeSliceRows + first + lane);
+        });
+        Lanes::gather_records(other, [&](std::uint32_t lane) {
+          return s.diagonal + std::size_t{8} * tensor::global_row(s, patch, columns[lane]);
+        });
+        Lanes::gather_records(block, [&](std::uint32_t lane) { return blocks + 9 * (first + lane); });
+        scale_block(own, block, other);
+        for (std::uint32_t c = 0; c < 9; ++c) Lanes::store(tile + c * kEdgeSliceRows + first, block[c]);
+      }
+    }
+  }
+}
+
 /// Replaces edges by Â_ij.
 template <class Team, class Real>
 TM_HOST_DEVICE void scale_edges(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
+  if constexpr (requires { Team::kOneThread; }) {
+    if (tensor::stores_edges(s)) return scale_edge_slices<typename Team::template Lanes<Real>>(s, patch);
+  }
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Mat3<Real> own = load_lower<Real>(s.diagonal, row);
     tensor::for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "physics/element/element.h"
+#include "tensor/edges.h"
 #include "tensor/view.h"
 
 /// Elements to tensors to the linear system of one implicit step. Each function does one patch's share; the elements of
@@ -18,12 +19,13 @@
 /// iteration d = 0 and b is the imbalance.
 namespace tensormass::tensor {
 
-/// The part of an element group that a patch works on: whole slices.
+/// The part of an element group that a patch works on: whole slices, or what touches the patch (Storage::kEdges).
 struct ElementRange {
   std::uint32_t begin, end;
 };
 template <class Real>
 TM_HOST_DEVICE ElementRange element_range(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t patch) {
+  if (e.patch_elements != nullptr) return {e.patch_elements[2 * patch], e.patch_elements[2 * patch + 1]};
   const std::uint32_t slices = e.count / kSliceRows;
   return {static_cast<std::uint32_t>(std::uint64_t{slices} * patch / s.patch_count) * kSliceRows,
           static_cast<std::uint32_t>(std::uint64_t{slices} * (patch + 1) / s.patch_count) * kSliceRows};
@@ -135,16 +137,27 @@ TM_HOST_DEVICE void move_histories(const Team& team, const SceneView<Real>& s, c
   });
 }
 
-/// Reads displacement, history; writes partials, history.
+/// Reads displacement, history; writes partials, history; with a matrix that stores edges, reads velocity and base
+/// fields, too, and adds to edges, diagonal, rhs, internal_force instead of partials.
 template <class Shape, class Law, class Team, class Real>
-TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+TM_FLATTEN TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   constexpr std::uint32_t kRecord = record_reals(Shape::kNodes);
   const ElementRange range = element_range(s, e, team.patch());
+  [[maybe_unused]] const Patch patch = patch_of(s, team.patch());
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    if constexpr (requires { Team::kOneThread; }) {
+      if (stores_edges(s)) prefetch_elements<Lanes, Shape>(s, e, first);
+    }
     physics::ElementTensors<Shape, T> tensors;
     evaluate_elements<Lanes, Shape, Law>(s, e, first, true, tensors);
+    if constexpr (requires { Team::kOneThread; }) {
+      if (stores_edges(s)) {
+        const std::uint32_t left = range.end - first;
+        return add_to_edges<Lanes, Shape>(s, e, patch, first, left < Lanes::kWidth ? left : Lanes::kWidth, tensors);
+      }
+    }
     T record[kRecord];
     for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
       for (std::uint32_t c = 0; c < 3; ++c) record[force_offset(k) + c] = tensors.force[k][c];
@@ -196,6 +209,83 @@ TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
   return Eigen::Map<const Mat3<Real>>(p);
 }
 
+/// What M and K are applied to in b, and what they are multiplied with in A. Neighbours of a row belong to the same
+/// body and have its damping.
+template <class Real>
+struct RowTerms {
+  const SceneView<Real>& s;
+  Real h, mass, alpha, beta;
+
+  TM_HOST_DEVICE RowTerms(const SceneView<Real>& scene, std::size_t row)
+      : s(scene),
+        h(step_size(scene)),
+        mass(scene.inertia[4 * row]),
+        alpha(scene.inertia[4 * row + 1]),
+        beta(scene.inertia[4 * row + 2]) {}
+
+  TM_HOST_DEVICE Real mass_share() const { return 1 + alpha * h; }
+  TM_HOST_DEVICE Real stiffness_share() const { return h * (beta + h); }
+  TM_HOST_DEVICE Vec3<Real> momentum_gap(std::size_t row) const {
+    const Vec3<Real> velocity = load3<Real>(s.velocity, row);
+    const Vec3<Real> lost = velocity * (-alpha * h);
+    if (s.base_velocity == nullptr) return lost;
+    return lost + load3<Real>(s.base_velocity, row) - velocity;
+  }
+  TM_HOST_DEVICE Vec3<Real> stretch_ahead(std::size_t row) const {
+    return change_ahead(s, row) + load3<Real>(s.velocity, row) * beta;
+  }
+};
+
+/// The part of A and b that is not refreshed: inertia and constant tensors. The element passes add theirs to it.
+/// Reads constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs, internal_force.
+template <bool HasConstant, class Real>
+void begin_edges(const SceneView<Real>& s, const Patch& patch) {
+  for (std::uint32_t row = patch.row_begin; row < patch.row_end; ++row) {
+    const RowTerms<Real> terms(s, row);
+    store_symmetric<Real>(s.diagonal, row, Mat3<Real>::Identity() * (terms.mass * terms.mass_share()));
+    store3<Real>(s.rhs, row, terms.momentum_gap(row) * terms.mass);
+    if (s.internal_force != nullptr) store3<Real>(s.internal_force, row, Vec3<Real>::Zero());
+  }
+  if (!HasConstant && s.mass_edges == nullptr) {
+    const std::size_t begin = std::size_t{s.slice_begin[patch.row_begin / kEdgeSliceRows]} * kEdgeSliceRows;
+    const std::size_t end = std::size_t{s.slice_begin[patch.row_end / kEdgeSliceRows]} * kEdgeSliceRows;
+    std::memset(s.edges + edge_begin(begin), 0, (edge_begin(end) - edge_begin(begin)) * sizeof(Real));
+    return;
+  }
+  for_each_edge(s, patch, [&](std::size_t slot, std::uint32_t local, std::uint32_t column, bool both) {
+    const std::size_t row = std::size_t{patch.row_begin} + local, other = global_row(s, patch, column);
+    const RowTerms<Real> terms(s, row);
+    Mat3<Real> block = Mat3<Real>::Zero();
+    if constexpr (HasConstant) {
+      const Mat3<Real> edge = load_edge(s.constant_edges, slot);
+      block = edge * terms.stiffness_share();
+      const Vec3<Real> stretch = load3<Real>(s.displacement, other) - load3<Real>(s.displacement, row);
+      const Vec3<Real> ahead = stretch + terms.stretch_ahead(other) - terms.stretch_ahead(row);
+      const auto add = [&](std::size_t to, const Mat3<Real>& of, Real sign) {
+        store3<Real>(s.rhs, to, load3<Real>(s.rhs, to) - of * ahead * (sign * terms.h));
+        Real* d = s.diagonal + 8 * to;
+        for (int i = 0, c = 0; i < 3; ++i) {
+          for (int j = i; j < 3; ++j, ++c) d[c] -= of(i, j) * terms.stiffness_share();
+        }
+        if (s.internal_force == nullptr) return;
+        store3<Real>(s.internal_force, to, load3<Real>(s.internal_force, to) - of * stretch * sign);
+      };
+      add(row, edge, 1);
+      if (both) add(other, edge.transpose(), -1);
+    }
+    if (s.mass_edges != nullptr) {
+      const Real shared = s.mass_edges[slot];
+      block += Mat3<Real>::Identity() * (shared * terms.mass_share());
+      const auto add = [&](std::size_t to, std::size_t from) {
+        store3<Real>(s.rhs, to, load3<Real>(s.rhs, to) + terms.momentum_gap(from) * shared);
+      };
+      add(row, other);
+      if (both) add(other, row);
+    }
+    store_edge<Real>(s.edges, slot, block);
+  });
+}
+
 /// What a row's matrix and right-hand side are summed up from.
 template <class Real>
 struct RowSums {
@@ -213,12 +303,9 @@ class RowAssembly {
       : s_(s),
         patch_(patch),
         row_(row),
-        h_(step_size(s)),
-        mass_(s.inertia[4 * row]),
-        alpha_(s.inertia[4 * row + 1]),
-        beta_(s.inertia[4 * row + 2]),
+        terms_(s, row),
         displacement_(load3<Real>(s.displacement, row)),
-        own_ahead_(stretch_ahead(row)) {}
+        own_ahead_(terms_.stretch_ahead(row)) {}
 
   /// The row behind a slot, and how far it moves; read before the tensors, which takes as long.
   struct Neighbour {
@@ -227,7 +314,7 @@ class RowAssembly {
   };
   TM_HOST_DEVICE Neighbour neighbour(std::uint32_t column) const {
     const std::uint32_t other = global_row(s_, patch_, column);
-    return {other, stretch_ahead(other)};
+    return {other, terms_.stretch_ahead(other)};
   }
   /// edge: of the elements whose tensors are refreshed. Returns the block of A.
   TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, const Neighbour& neighbour, Mat3<Real> edge,
@@ -241,39 +328,28 @@ class RowAssembly {
     // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
     sums.vertex -= edge;
     sums.stiffness_ahead += edge * (neighbour.ahead - own_ahead_);
-    edge *= h_ * (beta_ + h_);
+    edge *= terms_.stiffness_share();
     if (s_.mass_edges != nullptr) {
       const Real shared = s_.mass_edges[slot];
-      edge += Mat3<Real>::Identity() * (shared * (1 + alpha_ * h_));
-      sums.momentum += momentum_gap(other) * shared;
+      edge += Mat3<Real>::Identity() * (shared * terms_.mass_share());
+      sums.momentum += terms_.momentum_gap(other) * shared;
     }
     return edge;
   }
   TM_HOST_DEVICE void finish(const RowSums<Real>& sums) const {
     const Mat3<Real> diagonal =
-        sums.vertex * (h_ * (beta_ + h_)) + Mat3<Real>::Identity() * (mass_ * (1 + alpha_ * h_));
+        sums.vertex * terms_.stiffness_share() + Mat3<Real>::Identity() * (terms_.mass * terms_.mass_share());
     store_symmetric(s_.diagonal, row_, diagonal);
-    const Vec3<Real> momentum = sums.momentum + momentum_gap(row_) * mass_;
-    store3<Real>(s_.rhs, row_, (sums.force - sums.stiffness_ahead) * h_ + momentum);
+    const Vec3<Real> momentum = sums.momentum + terms_.momentum_gap(row_) * terms_.mass;
+    store3<Real>(s_.rhs, row_, (sums.force - sums.stiffness_ahead) * terms_.h + momentum);
     if (s_.internal_force != nullptr) store3<Real>(s_.internal_force, row_, sums.force);
   }
 
  private:
-  // What M and K are applied to; neighbours of a row belong to the same body and have its damping.
-  TM_HOST_DEVICE Vec3<Real> momentum_gap(std::size_t row) const {
-    const Vec3<Real> velocity = load3<Real>(s_.velocity, row);
-    const Vec3<Real> lost = velocity * (-alpha_ * h_);
-    if (s_.base_velocity == nullptr) return lost;
-    return lost + load3<Real>(s_.base_velocity, row) - velocity;
-  }
-  TM_HOST_DEVICE Vec3<Real> stretch_ahead(std::size_t row) const {
-    return change_ahead(s_, row) + load3<Real>(s_.velocity, row) * beta_;
-  }
-
   const SceneView<Real>& s_;
   const Patch& patch_;
   const std::uint32_t row_;
-  const Real h_, mass_, alpha_, beta_;
+  const RowTerms<Real> terms_;
   const Vec3<Real> displacement_, own_ahead_;
 };
 
@@ -283,6 +359,9 @@ class RowAssembly {
 template <bool HasConstant, bool HasPartial, class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
+  if constexpr (requires { Team::kOneThread; }) {
+    if (stores_edges(s)) return begin_edges<HasConstant>(s, patch);
+  }
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const RowAssembly<HasConstant, Real> assembly(s, patch, row);
     RowSums<Real> sums;

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cassert>
+#include <iterator>
 #include <numeric>
 
+#include "core/parallel.h"
 #include "mesh/partition.h"
 #include "physics/element/element.h"
 
@@ -19,8 +21,76 @@ std::uint32_t round_up(std::uint32_t value, std::uint32_t multiple) {
   return (value + multiple - 1) / multiple * multiple;
 }
 
+/// Which neighbours a node stores its edges with. Those within its patch come first.
+struct StoredEdges {
+  std::vector<std::uint32_t> inner, all;  // [node] how many within the patch, and together
+  std::vector<std::uint32_t> items;       // as in mesh::Rows of all neighbours, whose offsets hold here, too
+
+  std::span<const std::uint32_t> of(const mesh::Rows& neighbours, std::uint32_t node) const {
+    return {items.data() + neighbours.offsets[node], all[node]};
+  }
+};
+
+/// Kind kEdges: shares the edges within a patch out so that each node stores half of its own, as near as can be. All
+/// nodes of a patch then have about equally many, which keeps slices free of padding.
+StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neighbours) {
+  const std::size_t node_count = partition.order.size();
+  std::vector<std::uint32_t> place(node_count), patch(node_count);
+  for (std::uint32_t p = 0; p + 1 < partition.offsets.size(); ++p) {
+    for (std::uint32_t i = partition.offsets[p]; i < partition.offsets[p + 1]; ++i) {
+      place[partition.order[i]] = i;
+      patch[partition.order[i]] = p;
+    }
+  }
+  StoredEdges stored{
+      std::vector<std::uint32_t>(node_count, 0), {}, std::vector<std::uint32_t>(neighbours.items.size())};
+  const auto store = [&](std::uint32_t node, std::uint32_t other) {
+    stored.items[neighbours.offsets[node] + stored.inner[node]++] = other;
+  };
+  std::vector<std::uint32_t> degree(node_count, 0);  // within the patch
+  for (std::uint32_t node = 0; node < node_count; ++node) {
+    for (const std::uint32_t other : neighbours[node]) degree[node] += patch[other] == patch[node] ? 1 : 0;
+  }
+  std::vector<std::uint32_t> later;
+  for (const std::uint32_t node : partition.order) {
+    later.clear();
+    for (const std::uint32_t other : neighbours[node]) {
+      if (patch[other] == patch[node] && place[other] > place[node]) later.push_back(other);
+    }
+    const std::uint32_t goal = (degree[node] + 1) / 2;
+    for (std::size_t i = 0; i < later.size(); ++i) {
+      const std::uint32_t other = later[i];
+      const bool wants = stored.inner[node] < goal, must = stored.inner[node] + (later.size() - i) <= goal;
+      const bool other_is_full = stored.inner[other] >= (degree[other] + 1) / 2;
+      if (must || (wants && other_is_full)) {
+        store(node, other);
+      } else {
+        store(other, node);
+      }
+    }
+  }
+  stored.all = stored.inner;
+  for (std::uint32_t node = 0; node < node_count; ++node) {
+    for (const std::uint32_t other : neighbours[node]) {
+      if (patch[other] != patch[node]) stored.items[neighbours.offsets[node] + stored.all[node]++] = other;
+    }
+  }
+  return stored;
+}
+
+/// Kind kRows: each node all of its edges, in one section.
+StoredEdges whole_rows(const mesh::Rows& neighbours) {
+  StoredEdges stored;
+  stored.items = neighbours.items;
+  for (std::uint32_t node = 0; node < neighbours.size(); ++node) {
+    stored.all.push_back(static_cast<std::uint32_t>(neighbours[node].size()));
+  }
+  stored.inner = stored.all;
+  return stored;
+}
+
 /// Numbers the nodes patch by patch.
-void number_rows(Layout& layout, const mesh::Partition& partition, const mesh::Rows& neighbours) {
+void number_rows(Layout& layout, const mesh::Partition& partition, const StoredEdges& stored) {
   layout.row_of_node.assign(partition.order.size(), 0);
   layout.patch_rows.assign(1, 0);
   std::vector<std::uint32_t> order = partition.order;
@@ -28,7 +98,11 @@ void number_rows(Layout& layout, const mesh::Partition& partition, const mesh::R
     const std::uint32_t begin = partition.offsets[patch], end = partition.offsets[patch + 1];
     for (std::uint32_t window = begin; window < end; window += kSortWindowRows) {
       std::stable_sort(order.begin() + window, order.begin() + std::min(window + kSortWindowRows, end),
-                       [&](std::uint32_t a, std::uint32_t b) { return neighbours[a].size() > neighbours[b].size(); });
+                       [&](std::uint32_t a, std::uint32_t b) {
+                         const std::uint32_t outer_a = stored.all[a] - stored.inner[a];
+                         const std::uint32_t outer_b = stored.all[b] - stored.inner[b];
+                         return outer_a != outer_b ? outer_a > outer_b : stored.inner[a] > stored.inner[b];
+                       });
     }
     const std::uint32_t first_row = layout.patch_rows.back();
     const std::uint32_t rows = round_up(std::max(end - begin, 1u), kSliceRows);
@@ -42,51 +116,68 @@ void number_rows(Layout& layout, const mesh::Partition& partition, const mesh::R
   layout.row_count = layout.patch_rows.back();
 }
 
-/// The neighbours of a row as rows, ascending.
-std::vector<std::uint32_t> neighbours_of_row(const Layout& layout, const mesh::Rows& neighbours, std::uint32_t row) {
-  std::vector<std::uint32_t> result;
-  if (layout.node_of_row[row] == mesh::kNone) return result;
-  for (const std::uint32_t node : neighbours[layout.node_of_row[row]]) result.push_back(layout.row_of_node[node]);
-  std::sort(result.begin(), result.end());
-  return result;
-}
+/// What a patch adds to the layout.
+struct PatchSlots {
+  std::vector<std::uint32_t> columns, neighbour_rows, halo;
+  std::vector<std::uint32_t> inner_widths, widths;  // of slices
+};
 
-/// Slices and columns of one patch.
-void add_patch_slots(Layout& layout, const mesh::Rows& neighbours, std::uint32_t patch) {
+PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const StoredEdges& stored,
+                       std::uint32_t patch) {
   const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1];
-  std::vector<std::vector<std::uint32_t>> rows(end - begin);
-  std::vector<std::uint32_t> halo;
+  const auto is_own = [&](std::uint32_t row) { return row >= begin && row < end; };
+  // Neighbours as rows, each section ascending.
+  std::vector<std::uint32_t> offsets{0}, middles, rows;
+  PatchSlots out;
   for (std::uint32_t row = begin; row < end; ++row) {
-    rows[row - begin] = neighbours_of_row(layout, neighbours, row);
-    for (const std::uint32_t other : rows[row - begin]) {
-      if (other < begin || other >= end) halo.push_back(other);
+    const std::uint32_t node = layout.node_of_row[row];
+    const std::size_t first = rows.size();
+    std::size_t inner = 0;
+    if (node != mesh::kNone) {
+      for (const std::uint32_t other : stored.of(neighbours, node)) rows.push_back(layout.row_of_node[other]);
+      inner = stored.inner[node];
     }
+    const auto middle = rows.begin() + static_cast<std::ptrdiff_t>(first + inner);
+    std::sort(rows.begin() + static_cast<std::ptrdiff_t>(first), middle);
+    std::sort(middle, rows.end());
+    middles.push_back(static_cast<std::uint32_t>(first + inner));
+    offsets.push_back(static_cast<std::uint32_t>(rows.size()));
   }
-  std::sort(halo.begin(), halo.end());
-  halo.erase(std::unique(halo.begin(), halo.end()), halo.end());
+  std::copy_if(rows.begin(), rows.end(), std::back_inserter(out.halo), [&](std::uint32_t row) { return !is_own(row); });
+  std::sort(out.halo.begin(), out.halo.end());
+  out.halo.erase(std::unique(out.halo.begin(), out.halo.end()), out.halo.end());
 
-  for (std::uint32_t slice = begin; slice < end; slice += kSliceRows) {
-    std::size_t width = 0;
-    for (std::uint32_t row = slice; row < slice + kSliceRows; ++row) width = std::max(width, rows[row - begin].size());
-    for (std::size_t j = 0; j < width; ++j) {
-      for (std::uint32_t row = slice; row < slice + kSliceRows; ++row) {
-        const auto& own = rows[row - begin];
-        if (j >= own.size()) {
-          layout.columns.push_back(row - begin);
-          layout.neighbour_rows.push_back(mesh::kNone);
-          continue;
+  const std::uint32_t height = layout.slice_rows(), count = end - begin;
+  for (std::uint32_t slice = 0; slice < count; slice += height) {
+    // Section by section: what lies in [from(i), to(i)) of `rows`.
+    const auto add = [&](const auto& from, const auto& to) {
+      std::uint32_t width = 0;
+      for (std::uint32_t i = slice; i < slice + height; ++i) width = std::max(width, to(i) - from(i));
+      for (std::uint32_t j = 0; j < width; ++j) {
+        for (std::uint32_t i = slice; i < slice + height; ++i) {
+          if (from(i) + j >= to(i)) {
+            out.columns.push_back(i);
+            out.neighbour_rows.push_back(mesh::kNone);
+            continue;
+          }
+          const std::uint32_t other = rows[from(i) + j];
+          const auto column =
+              is_own(other) ? other - begin
+                            : count + static_cast<std::uint32_t>(
+                                          std::lower_bound(out.halo.begin(), out.halo.end(), other) - out.halo.begin());
+          out.columns.push_back(column);
+          out.neighbour_rows.push_back(other);
         }
-        const std::uint32_t other = own[j];
-        const bool is_own = other >= begin && other < end;
-        const auto place = std::lower_bound(halo.begin(), halo.end(), other) - halo.begin();
-        layout.columns.push_back(is_own ? other - begin : end - begin + static_cast<std::uint32_t>(place));
-        layout.neighbour_rows.push_back(other);
       }
-    }
-    layout.slice_begin.push_back(layout.slice_begin.back() + static_cast<std::uint32_t>(width));
+      return width;
+    };
+    const auto first = [&](std::uint32_t i) { return offsets[i]; };
+    const auto middle = [&](std::uint32_t i) { return middles[i]; };
+    const auto last = [&](std::uint32_t i) { return offsets[i + 1]; };
+    out.inner_widths.push_back(add(first, middle));
+    out.widths.push_back(out.inner_widths.back() + add(middle, last));
   }
-  layout.halo.insert(layout.halo.end(), halo.begin(), halo.end());
-  layout.patch_halo.push_back(static_cast<std::uint32_t>(layout.halo.size()));
+  return out;
 }
 
 /// Counts, then fills, so that each list comes in the order of the elements. fill(add) calls add(list, item).
@@ -116,31 +207,142 @@ std::vector<std::uint32_t> Layout::patch_of_slice() const {
   return patches;
 }
 
+bool Layout::in_one_patch(std::uint32_t row, std::uint32_t other) const {
+  const std::uint32_t patch = patch_of_row(row);
+  return other >= patch_rows[patch] && other < patch_rows[patch + 1];
+}
+
 std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
-  const std::uint32_t slice = row / kSliceRows;
-  // Ascending neighbours, then padding, which as kNone is the largest: binary search holds.
+  const std::uint32_t height = slice_rows(), slice = row / height;
   std::uint32_t low = slice_begin[slice], high = slice_begin[slice + 1];
+  if (storage == Storage::kEdges) (in_one_patch(row, other) ? high : low) = slice_halo[slice];
+  // Ascending neighbours, then padding, which as kNone is the largest: binary search holds.
+  const std::uint32_t end = high;
   while (low < high) {
     const std::uint32_t middle = (low + high) / 2;
-    if (neighbour_rows[middle * kSliceRows + row % kSliceRows] < other) {
+    if (neighbour_rows[middle * height + row % height] < other) {
       low = middle + 1;
     } else {
       high = middle;
     }
   }
-  assert(low < slice_begin[slice + 1] && neighbour_rows[low * kSliceRows + row % kSliceRows] == other);
-  return low * kSliceRows + row % kSliceRows;
+  const bool found = low < end && neighbour_rows[low * height + row % height] == other;
+  assert(found || storage == Storage::kEdges);
+  return found ? low * height + row % height : kNoPlace;
 }
 
-Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count) {
+Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage storage) {
   Layout layout;
+  layout.storage = storage;
   layout.patch_count = patch_count;
   const mesh::Rows neighbours = mesh::node_neighbours(mesh);
-  number_rows(layout, mesh::partition(mesh, patch_count, kSliceRows), neighbours);
+  const mesh::Partition partition = mesh::partition(mesh, patch_count, kSliceRows);
+  const StoredEdges stored = storage == Storage::kRows ? whole_rows(neighbours) : share_edges(partition, neighbours);
+  number_rows(layout, partition, stored);
+
+  std::vector<PatchSlots> patches(patch_count);
+  parallel_for(patch_count, [&](std::size_t patch) {
+    patches[patch] = patch_slots(layout, neighbours, stored, static_cast<std::uint32_t>(patch));
+  });
   layout.patch_halo.assign(1, 0);
   layout.slice_begin.assign(1, 0);
-  for (std::uint32_t patch = 0; patch < patch_count; ++patch) add_patch_slots(layout, neighbours, patch);
+  for (PatchSlots& patch : patches) {
+    for (std::size_t slice = 0; slice < patch.widths.size(); ++slice) {
+      const std::uint32_t begin = layout.slice_begin.back();
+      if (storage == Storage::kEdges) layout.slice_halo.push_back(begin + patch.inner_widths[slice]);
+      layout.slice_begin.push_back(begin + patch.widths[slice]);
+    }
+    layout.columns.insert(layout.columns.end(), patch.columns.begin(), patch.columns.end());
+    layout.neighbour_rows.insert(layout.neighbour_rows.end(), patch.neighbour_rows.begin(), patch.neighbour_rows.end());
+    layout.halo.insert(layout.halo.end(), patch.halo.begin(), patch.halo.end());
+    layout.patch_halo.push_back(static_cast<std::uint32_t>(layout.halo.size()));
+    patch = {};
+  }
+  if (storage == Storage::kEdges) {
+    std::vector<std::uint32_t> boundary = layout.halo;
+    std::sort(boundary.begin(), boundary.end());
+    boundary.erase(std::unique(boundary.begin(), boundary.end()), boundary.end());
+    layout.patch_boundary.assign(patch_count + 1, 0);
+    for (const std::uint32_t row : boundary) {
+      const std::uint32_t patch = layout.patch_of_row(row);
+      layout.boundary.push_back(row - layout.patch_rows[patch]);
+      ++layout.patch_boundary[patch + 1];
+    }
+    std::partial_sum(layout.patch_boundary.begin(), layout.patch_boundary.end(), layout.patch_boundary.begin());
+  }
   return layout;
+}
+
+PatchElements order_by_patch(const Layout& layout, std::span<const std::uint32_t> rows, std::size_t node_count) {
+  const std::size_t element_count = rows.size() / node_count;
+  PatchElements out;
+  std::vector<std::vector<std::uint32_t>> of_patch(layout.patch_count);
+  std::vector<std::uint32_t> patch_of_slice;  // rows of 32
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    patch_of_slice.resize(layout.patch_rows[patch + 1] / kSliceRows, patch);
+  }
+  for (std::size_t e = 0; e < element_count; ++e) {
+    const auto nodes = rows.subspan(e * node_count, node_count);
+    for (std::size_t k = 0; k < node_count; ++k) {
+      auto& list = of_patch[patch_of_slice[nodes[k] / kSliceRows]];
+      if (list.empty() || list.back() != e) list.push_back(static_cast<std::uint32_t>(e));
+    }
+  }
+  parallel_for(layout.patch_count, [&](std::size_t patch) {
+    const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1];
+    // By the lowest row within the patch: neighbours in space are neighbours in memory. A counting sort.
+    std::vector<std::uint32_t>& list = of_patch[patch];
+    std::vector<std::uint32_t> key(list.size()), next(end - begin + 1, 0), sorted(list.size());
+    for (std::size_t i = 0; i < list.size(); ++i) {
+      key[i] = end;
+      for (const std::uint32_t row : rows.subspan(list[i] * node_count, node_count)) {
+        if (row >= begin && row < key[i]) key[i] = row;
+      }
+      ++next[key[i] - begin + 1];
+    }
+    std::partial_sum(next.begin(), next.end(), next.begin());
+    for (std::size_t i = 0; i < list.size(); ++i) sorted[next[key[i] - begin]++] = list[i];
+    list = std::move(sorted);
+  });
+  for (const std::vector<std::uint32_t>& list : of_patch) {
+    out.ranges.push_back(static_cast<std::uint32_t>(out.order.size()));
+    out.order.insert(out.order.end(), list.begin(), list.end());
+    out.ranges.push_back(static_cast<std::uint32_t>(out.order.size()));
+    out.order.resize(round_up(static_cast<std::uint32_t>(out.order.size()), kSliceRows), mesh::kNone);
+  }
+  return out;
+}
+
+std::vector<std::uint32_t> pair_places(const Layout& layout, const PatchElements& elements,
+                                       std::span<const std::uint32_t> rows, std::size_t node_count) {
+  const std::size_t stride = elements.order.size();
+  std::vector<std::uint32_t> places(node_count * (node_count - 1) / 2 * stride, kNoPlace);
+  const auto fill = [&](std::uint32_t patch, std::size_t first, std::size_t last) {
+    const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1];
+    const auto is_own = [&](std::uint32_t row) { return row >= begin && row < end; };
+    for (std::size_t e = first; e < last; ++e) {
+      std::size_t pair = 0;  // in the order of physics::pair_index
+      for (std::size_t k = 0; k < node_count; ++k) {
+        for (std::size_t l = k + 1; l < node_count; ++l, ++pair) {
+          const std::uint32_t row_k = rows[k * stride + e], row_l = rows[l * stride + e];
+          std::uint32_t& place = places[pair * stride + e];
+          if (is_own(row_k)) {
+            if (const std::uint32_t slot = layout.slot(row_k, row_l); slot != kNoPlace) place = 2 * slot;
+          }
+          if (place == kNoPlace && is_own(row_l)) {
+            if (const std::uint32_t slot = layout.slot(row_l, row_k); slot != kNoPlace) place = 2 * slot + 1;
+          }
+        }
+      }
+    }
+  };
+  constexpr std::size_t kGrain = 4096;
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    const std::size_t begin = elements.ranges[2 * patch], end = elements.ranges[2 * patch + 1];
+    parallel_ranges(end - begin, kGrain,
+                    [&](std::size_t first, std::size_t last) { fill(patch, begin + first, begin + last); });
+  }
+  return places;
 }
 
 GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> groups) {

@@ -92,6 +92,9 @@ struct ElementView {
   const std::uint32_t* tile_elements;
   const std::uint16_t* tile_list;
   const std::uint16_t* tile_entries;
+  // Only where the matrix stores edges (tensor/edges.h):
+  const std::uint32_t* patch_elements;  // [patch_count, 2] begin and end of those that touch a patch; nullptr: shares
+  const std::uint32_t* pair_places;     // [pairs][count] 2 slot + 1 if it holds the transposed block; kNoPlace: nowhere
 };
 
 /// A spherical probe as a step sees it.
@@ -211,6 +214,11 @@ struct SceneView {
   // -- matrix structure
   const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
   const std::uint32_t* columns;      // [slot] patch-local: own rows, then halo; padding slots name the row itself
+  // Only where the matrix stores edges, else nullptr (tensor/edges.h):
+  const std::uint32_t* slice_halo;      // [row_count / 8] where the halo of a slice begins
+  const std::uint32_t* patch_boundary;  // [patch_count + 1] into boundary
+  const std::uint32_t* boundary;        // patch-local rows that are in the halo of others
+  Real* own_product;                    // [row_count, 4] Â p, zero between iterations
 
   // -- constant tensors of the linear laws
   const Real* constant_edges;  // [slot] 3×3
@@ -264,7 +272,7 @@ struct SceneView {
   Real* solution;   // [row_count, 4] x
   Real* residual;   // [own + halo of every patch, 4]
   Real* direction;  // [own + halo of every patch, 4]
-  Real* product;    // [2, row_count, 4] Â p, by parity of the iteration: what patches exchange
+  Real* product;  // [2, row_count, 4] Â p, by parity of the iteration: what patches exchange; of boundary rows at least
 
   // -- tissue surface, only for scenes with tools
   const std::uint32_t* triangle_rows;        // [triangle_count, 3]
@@ -274,12 +282,12 @@ struct SceneView {
   const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
   const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
   const std::uint32_t* incidence_begin;      // [surface vertex + 1]
-  const std::uint32_t* incidence;            // [.., 4]: triangle, corner, slots of the two following corners
-  const std::uint32_t* vertex_of_corner;     // [triangle_count, 3] surface vertex
-  const ToolState<Real>* tools;              // [tool_count]
-  ClosestTriangle<Real>* closest;            // [tool_count, patch_count]
-  TriangleContact<Real>* contacts;           // [tool_count, triangle_count]
-  ToolLoad<Real>* tool_loads;                // [tool_count, patch_count]
+  const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
+  const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
+  const ToolState<Real>* tools;           // [tool_count]
+  ClosestTriangle<Real>* closest;         // [tool_count, patch_count]
+  TriangleContact<Real>* contacts;        // [tool_count, triangle_count]
+  ToolLoad<Real>* tool_loads;             // [tool_count, patch_count]
 
   // -- what clients see
   std::uint32_t visible_count;
@@ -296,6 +304,7 @@ struct SceneView {
 };
 
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
+inline constexpr std::uint32_t kNoPlace = 0xFFFFFFFFu;
 
 /// One patch's ranges.
 struct Patch {

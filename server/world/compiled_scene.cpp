@@ -17,9 +17,10 @@ Result<std::unique_ptr<backend::Backend>> make_backend(BackendChoice choice, std
 
 }  // namespace
 
-Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options) {
+Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
+                                    const model::Progress& progress) {
   TM_TRY(backend, make_backend(options.backend, options.cpu_threads));
-  TM_TRY(model, model::compile(scene, backend->patch_policy(scene)));
+  TM_TRY(model, model::compile(scene, backend->patch_policy(scene), progress));
   v1::SceneReport report = model::make_report(model, backend->rates(scene));
   return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
 }

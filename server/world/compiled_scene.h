@@ -14,6 +14,7 @@ struct CompiledScene {
   v1::SceneReport report;
 };
 
-Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options);
+Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
+                                    const model::Progress& progress);
 
 }  // namespace tensormass::world

@@ -109,8 +109,8 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
     const std::span<const double> history = histories.first(group.history_reals());
     histories = histories.subspan(group.history_reals());
     physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
-      for (std::uint32_t e = 0; e < group.element_count; ++e) {
-        // Wraps around for the bodies before.
+      for (std::uint32_t e = 0; e < group.elements.size(); ++e) {
+        // Wraps around for the bodies before; kNone is of no body.
         if (group.elements[e] - body.element_begin >= body.element_count) continue;
         measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
             group, history, e, state.displacement, body.element_begin, measured);
@@ -144,11 +144,13 @@ double kinetic_energy(const model::Model& m, const std::vector<double>& velocity
     const Vec3<double> v = tensor::load3<double>(velocity.data(), row);
     twice += m.inertia[4 * std::size_t{row}] * v.squaredNorm();
     if (m.mass_edges.empty()) continue;
-    const std::uint32_t slice = row / tensor::kSliceRows;
+    const std::uint32_t height = m.layout.slice_rows(), slice = row / height;
     for (std::uint32_t j = m.layout.slice_begin[slice]; j < m.layout.slice_begin[slice + 1]; ++j) {
-      const std::size_t slot = std::size_t{j} * tensor::kSliceRows + row % tensor::kSliceRows;
+      const std::size_t slot = std::size_t{j} * height + row % height;
       const std::uint32_t other = m.layout.neighbour_rows[slot];
-      if (other != mesh::kNone) twice += m.mass_edges[slot] * v.dot(tensor::load3<double>(velocity.data(), other));
+      if (other == mesh::kNone) continue;
+      const double uses = !m.layout.slice_halo.empty() && j < m.layout.slice_halo[slice] ? 2 : 1;  // tensor/edges.h
+      twice += uses * m.mass_edges[slot] * v.dot(tensor::load3<double>(velocity.data(), other));
     }
   }
   return twice / 2;

@@ -476,14 +476,17 @@ struct Runner::Impl {
   std::thread thread;
 };
 
-Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options) {
-  TM_TRY(compiled, compile_scene(scene, options));
+Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
+                                              const model::Progress& progress) {
+  TM_TRY(compiled, compile_scene(scene, options, progress));
+  TM_CHECK(progress.begin(model::LoadPart::kBuffers));
   TM_TRY(world, World::create(std::move(compiled.model), *compiled.backend));
   return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world))));
 }
 
-Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options) {
-  TM_TRY(compiled, compile_scene(scene, options));
+Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options,
+                                        const model::Progress& progress) {
+  TM_TRY(compiled, compile_scene(scene, options, progress));
   return std::move(compiled.report);
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "model/progress.h"
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/scene.pb.h"
 #include "tensormass/v1/stream.pb.h"
@@ -29,9 +30,11 @@ struct RunnerOptions {
 class Runner {
  public:
   /// Checks the scene, compiles it and starts it. Errors name the body, the element and the remedy.
-  static Result<std::unique_ptr<Runner>> start(const v1::Scene& scene, const RunnerOptions& options);
+  static Result<std::unique_ptr<Runner>> start(const v1::Scene& scene, const RunnerOptions& options,
+                                               const model::Progress& progress = {});
   /// Checks and compiles without running.
-  static Result<v1::SceneReport> inspect(const v1::Scene& scene, const RunnerOptions& options);
+  static Result<v1::SceneReport> inspect(const v1::Scene& scene, const RunnerOptions& options,
+                                         const model::Progress& progress = {});
 
   /// Ends the loop and joins its thread. No call may be under way: callers on several threads share the ownership.
   ~Runner();

@@ -1,6 +1,8 @@
 #include "control/scene_registry.h"
 
+#include <algorithm>
 #include <atomic>
+#include <set>
 #include <thread>
 
 #include <gtest/gtest.h>
@@ -105,6 +107,37 @@ TEST_F(SceneRegistryTest, CloseTakesAllOutAndRefusesMore) {
   EXPECT_EQ(ending[0]->status().scene(), "a");
   EXPECT_EQ(ending[0]->step(1).error().code, ErrorCode::kUnavailable);
   EXPECT_EQ(registry.load(small_scene("b")).error().code, ErrorCode::kUnavailable);
+}
+
+TEST_F(SceneRegistryTest, SaysHowFarALoadIs) {
+  std::vector<double> fractions;
+  std::set<std::string, std::less<>> parts;
+  const model::Progress progress([&](std::string_view part, double fraction) {
+    fractions.push_back(fraction);
+    EXPECT_TRUE(parts.emplace(part).second) << part;
+    return true;
+  });
+  ASSERT_TRUE(registry.load(small_scene("a"), progress));
+  EXPECT_GE(fractions.size(), 6u);
+  EXPECT_TRUE(std::is_sorted(fractions.begin(), fractions.end()));
+  EXPECT_EQ(fractions.front(), 0);
+  EXPECT_LT(fractions.back(), 1);
+}
+
+/// At whatever part the client goes away: the load ends there, and the name is free.
+TEST_F(SceneRegistryTest, EndsALoadThatNobodyWaitsFor) {
+  for (int last = 1;; ++last) {
+    int part = 0;
+    const auto loaded =
+        registry.load(small_scene("a"), model::Progress([&](std::string_view, double) { return ++part < last; }));
+    if (loaded) {
+      EXPECT_GT(last, 6);
+      return;
+    }
+    EXPECT_EQ(part, last) << "nothing goes on after it";
+    EXPECT_EQ(loaded.error().code, ErrorCode::kCancelled);
+    EXPECT_TRUE(registry.list().empty());
+  }
 }
 
 }  // namespace

@@ -89,6 +89,50 @@ TEST_F(ServiceTest, SaysWhoItIs) {
   EXPECT_EQ(response.malformed_messages(), 7u);
 }
 
+TEST_F(ServiceTest, SaysHowFarALoadIsAndThenWhatWasLoaded) {
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+  v1::LoadSceneRequest request;
+  *request.mutable_scene() = tests::block_with_probe();
+  const auto reader = stub->LoadSceneWithProgress(&context, request);
+  v1::LoadSceneWithProgressResponse message;
+  double fraction = 0;
+  int parts = 0;
+  while (reader->Read(&message)) {
+    EXPECT_GE(message.fraction(), fraction);
+    EXPECT_EQ(message.has_report(), message.part().empty());
+    fraction = message.fraction();
+    ++parts;
+  }
+  EXPECT_TRUE(reader->Finish().ok());
+  EXPECT_GE(parts, 7);
+  EXPECT_EQ(fraction, 1);
+  EXPECT_EQ(message.report().scene(), "block");
+  EXPECT_TRUE(registry.find("block"));
+}
+
+TEST_F(ServiceTest, ALoadEndsWithItsClient) {
+  v1::LoadSceneRequest request;
+  *request.mutable_scene() = tests::beam_scene({.cells_x = 60, .cells_y = 12, .cells_z = 10});
+  {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+    const auto reader = stub->LoadSceneWithProgress(&context, request);
+    v1::LoadSceneWithProgressResponse message;
+    ASSERT_TRUE(reader->Read(&message));
+    context.TryCancel();
+    EXPECT_EQ(reader->Finish().error_code(), grpc::StatusCode::CANCELLED);
+  }
+  // The name is held until the part that is under way has ended.
+  grpc::StatusCode again = grpc::StatusCode::ALREADY_EXISTS;
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  while (again == grpc::StatusCode::ALREADY_EXISTS && std::chrono::steady_clock::now() < deadline) {
+    again = code<v1::LoadSceneRequest, v1::LoadSceneResponse>(&Stub::LoadScene, request);
+    std::this_thread::yield();
+  }
+  EXPECT_EQ(again, grpc::StatusCode::OK);
+}
+
 TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
   const v1::SceneReport report = load(tests::block_with_probe());
   EXPECT_EQ(report.scene(), "block");

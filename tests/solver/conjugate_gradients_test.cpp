@@ -21,10 +21,16 @@ constexpr tests::Beam kBeam{.cells_x = 6,
                             .cg_max_iterations = 2000,
                             .cg_tolerance = 1e-13};
 
+/// How the matrix is cut and stored.
+struct Cut {
+  std::uint32_t patches;
+  tensor::Storage storage = tensor::Storage::kEdges;
+};
+
 /// A beam in motion, ready to be solved.
 template <class Real>
-StagedScene<Real> assembled(std::uint32_t patches, tests::Beam beam = kBeam) {
-  StagedScene<Real> staged(tests::beam_scene(beam), patches);
+StagedScene<Real> assembled(Cut cut, tests::Beam beam = kBeam) {
+  StagedScene<Real> staged(tests::beam_scene(beam), cut.patches, cut.storage);
   Eigen::VectorXd u = tests::random_field(3 * staged.node_count(), 0.02, 1);
   Eigen::VectorXd v = tests::random_field(3 * staged.node_count(), 0.3, 2);
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
@@ -63,7 +69,7 @@ Eigen::VectorXd solve(StagedScene<Real>& staged) {
   return staged.by_node(staged.view.velocity) - before;
 }
 
-class Patches : public testing::TestWithParam<std::uint32_t> {};
+class Patches : public testing::TestWithParam<Cut> {};
 
 TEST_P(Patches, SolveTheSystemThatADenseFactorizationSolves) {
   StagedScene<double> staged = assembled<double>(GetParam());
@@ -150,8 +156,7 @@ TEST_P(Patches, SayWhenTheMatrixIsIndefinite) {
   // Off-diagonal blocks that outweigh the unit diagonal: eigenvalues of both signs.
   const std::uint32_t a = staged.row(staged.node_count() - 1), b = staged.row(staged.node_count() - 2);
   const Mat3<double> strong = 100 * Mat3<double>::Identity();
-  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(a, b), strong);
-  tensor::store_block<double>(staged.view.edges, staged.model.layout.slot(b, a), strong);
+  staged.put_scaled_block(a, b, strong);
   staged.run(StageKind::kSolve);
   EXPECT_EQ(staged.view.solve_report->negative_curvature, 1u);
   EXPECT_TRUE(staged.by_node(staged.view.solution).allFinite());
@@ -180,13 +185,18 @@ TEST_P(Patches, SayWhenAValueIsNoNumber) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Counts, Patches, testing::Values(1u, 2u, 3u, 8u));
+using tensor::Storage;
+INSTANTIATE_TEST_SUITE_P(
+    Counts, Patches, testing::Values(Cut{1}, Cut{2}, Cut{3}, Cut{8}, Cut{1, Storage::kRows}, Cut{3, Storage::kRows}),
+    [](const auto& one) {
+      return std::to_string(one.param.patches) + (one.param.storage == Storage::kRows ? "_rows" : "_edges");
+    });
 
 TEST(PatchCounts, AgreeToRounding) {
-  StagedScene<double> one = assembled<double>(1);
+  StagedScene<double> one = assembled<double>({1});
   const Eigen::VectorXd expected = solve(one);
   for (const std::uint32_t patches : {2u, 4u, 9u}) {
-    StagedScene<double> several = assembled<double>(patches);
+    StagedScene<double> several = assembled<double>({patches});
     EXPECT_LT((solve(several) - expected).norm(), 1e-11 * expected.norm()) << patches << " patches";
   }
 }

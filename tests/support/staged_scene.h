@@ -10,6 +10,7 @@
 
 #include <Eigen/Dense>
 
+#include "backend/cpu/arena.h"
 #include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
 #include "backend/results.h"
@@ -21,8 +22,8 @@
 namespace tensormass::tests {
 
 /// Compiles or throws the refusal, which ends a test with its message. Exactly `patches` patches.
-inline model::Model compile_into(const v1::Scene& scene, std::uint32_t patches) {
-  auto model = model::compile(scene, {patches, 1});
+inline model::Model compile_into(const v1::Scene& scene, std::uint32_t patches, tensor::Storage storage) {
+  auto model = model::compile(scene, {patches, 1, storage});
   if (!model) throw std::runtime_error(model.error().message);
   return std::move(*model);
 }
@@ -30,8 +31,9 @@ inline model::Model compile_into(const v1::Scene& scene, std::uint32_t patches) 
 template <class Real>
 class StagedScene {
  public:
-  explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1)
-      : model(compile_into(scene, patches)), view(model::bind<Real>(model, arena_)) {
+  explicit StagedScene(const v1::Scene& scene, std::uint32_t patches = 1,
+                       tensor::Storage storage = tensor::Storage::kEdges)
+      : model(compile_into(scene, patches, storage)), view(model::bind<Real>(model, arena_)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     if (view.scheme != nullptr) {
       *const_cast<tensor::StepScheme<Real>*>(view.scheme) = backend::scheme_of<Real>(model, true);
@@ -40,15 +42,37 @@ class StagedScene {
 
   /// Runs the model's stages up to and with `last`, each by all patches.
   void run_through(model::StageKind last) {
+    // Stages of one linearized step stand in the order of their kinds, but for elements and assembly.
     for (const model::Stage& stage : model.stages) {
-      if (stage.kind > last) return;  // stages of one linearized step stand in the order of their kinds
-      run(stage);
+      if (stage.kind <= last) run(stage);
     }
   }
   void run(model::StageKind kind) {
     for (const model::Stage& stage : model.stages) {
       if (stage.kind == kind) run(stage);
     }
+  }
+  void run(const model::Stage& stage) {
+    const tensor::ElementView<Real>& elements = groups_[stage.group];
+    const auto on_each_patch = [&](const auto& run_stage) {
+      backend::cpu::Barrier barrier(view.patch_count);
+      std::vector<std::thread> threads;
+      for (std::uint32_t patch = 0; patch < view.patch_count; ++patch) {
+        threads.emplace_back([&, patch] {
+          backend::cpu::Team team(patch, view.patch_count, barrier);
+          run_stage(team);
+        });
+      }
+      for (std::thread& thread : threads) thread.join();
+    };
+    if (stage.kind == model::StageKind::kElements) {
+      const model::ElementGroup& group = model.groups[stage.group];
+      const auto pass = backend::cpu::element_pass<Real>(group.shape, group.law);
+      on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
+    }
+    backend::with_stage(model, stage, [&](auto type) {
+      on_each_patch([&](backend::cpu::Team& team) { decltype(type)::run(team, view, elements); });
+    });
   }
   void step() { run_through(model::StageKind::kMeasureContact); }
 
@@ -73,13 +97,28 @@ class StagedScene {
   /// The matrix of the view, by node; of the assembled, unscaled system if `with_diagonal`, else its edges alone.
   Eigen::MatrixXd matrix(bool with_diagonal = true) const {
     Eigen::MatrixXd a = Eigen::MatrixXd::Zero(3 * node_count(), 3 * node_count());
-    for (std::uint32_t node = 0; node < node_count(); ++node) {
+    const auto node_of = [&](const tensor::Patch& patch, std::uint32_t column) {
+      return model.layout.node_of_row[tensor::global_row(view, patch, column)];
+    };
+    for (std::uint32_t p = 0; tensor::stores_edges(view) && p < view.patch_count; ++p) {
+      const tensor::Patch patch = tensor::patch_of(view, p);
+      tensor::for_each_edge(view, patch, [&](std::size_t slot, std::uint32_t own, std::uint32_t column, bool both) {
+        const std::uint32_t node = node_of(patch, own), other = node_of(patch, column);
+        if (node == mesh::kNone) return;
+        const Mat3<double> block = (with_diagonal ? tensor::load_edge<Real>(view.edges, slot) : load_scaled_edge(slot))
+                                       .template cast<double>();
+        a.block<3, 3>(3 * node, 3 * other) += block;
+        if (both) a.block<3, 3>(3 * other, 3 * node) += block.transpose();
+      });
+    }
+    for (std::uint32_t node = 0; !tensor::stores_edges(view) && node < node_count(); ++node) {
       const tensor::Patch patch = tensor::patch_of(view, model.layout.patch_of_row(row(node)));
       tensor::for_each_slot(view, row(node), [&](std::size_t slot, std::uint32_t column) {
         const std::uint32_t other = model.layout.node_of_row[tensor::global_row(view, patch, column)];
         a.block<3, 3>(3 * node, 3 * other) += tensor::load_block<Real>(view.edges, slot).template cast<double>();
       });
-      if (!with_diagonal) continue;
+    }
+    for (std::uint32_t node = 0; with_diagonal && node < node_count(); ++node) {
       const Real* d = view.diagonal + std::size_t{8} * row(node);
       Mat3<double> block;
       block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
@@ -87,49 +126,26 @@ class StagedScene {
     }
     return a;
   }
-
- private:
-  struct Arena {
-    template <class T, class U>
-    const T* constant(std::string_view name, const std::vector<U>& items) {
-      T* copy = zeros<T>(name, items.size());
-      for (std::size_t i = 0; i < items.size(); ++i) copy[i] = static_cast<T>(items[i]);
-      return copy;
-    }
-    template <class T>
-    T* zeros(std::string_view, std::size_t count) {
-      if (count == 0) return nullptr;
-      auto block = std::make_shared<std::vector<T>>(count);
-      blocks.push_back(block);
-      return block->data();
-    }
-    std::vector<std::shared_ptr<void>> blocks;
-  };
-
-  void run(const model::Stage& stage) {
-    const tensor::ElementView<Real>& elements = groups_[stage.group];
-    const auto on_each_patch = [&](const auto& run_stage) {
-      backend::cpu::Barrier barrier(view.patch_count);
-      std::vector<std::thread> threads;
-      for (std::uint32_t patch = 0; patch < view.patch_count; ++patch) {
-        threads.emplace_back([&, patch] {
-          backend::cpu::Team team(patch, view.patch_count, barrier);
-          run_stage(team);
-        });
-      }
-      for (std::thread& thread : threads) thread.join();
-    };
-    if (stage.kind == model::StageKind::kElements) {
-      const model::ElementGroup& group = model.groups[stage.group];
-      const auto pass = backend::cpu::element_pass<Real>(group.shape, group.law);
-      on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
-    }
-    backend::with_stage(model, stage, [&](auto type) {
-      on_each_patch([&](backend::cpu::Team& team) { decltype(type)::run(team, view, elements); });
+  /// Writes a block of the scaled matrix, and by symmetry its transpose.
+  void put_scaled_block(std::uint32_t row_k, std::uint32_t row_l, const Mat3<Real>& block) const {
+    model.layout.for_each_place(row_k, row_l, [&](std::uint32_t slot, bool transposed) {
+      const Mat3<Real> stored = transposed ? Mat3<Real>(block.transpose()) : block;
+      for (int c = 0; c < 9; ++c) view.edges[scaled_component(slot, c)] = stored(c / 3, c % 3);
     });
   }
 
-  Arena arena_;
+ private:
+  std::size_t scaled_component(std::size_t slot, int c) const {
+    const std::size_t height = model.layout.slice_rows();
+    return slot / height * (9 * height) + slot % height + static_cast<std::size_t>(c) * height;
+  }
+  Mat3<Real> load_scaled_edge(std::size_t slot) const {
+    Mat3<Real> block;
+    for (int c = 0; c < 9; ++c) block(c / 3, c % 3) = view.edges[scaled_component(slot, c)];
+    return block;
+  }
+
+  backend::cpu::Arena arena_;
 
  public:
   const model::Model model;

@@ -20,10 +20,11 @@ struct Case {
   bool hooke, st_venant_kirchhoff;
 };
 
-class Assembly : public testing::TestWithParam<std::tuple<Case, std::uint32_t>> {
+class Assembly : public testing::TestWithParam<std::tuple<Case, std::uint32_t, Storage>> {
  protected:
   const Case& laws() const { return std::get<0>(GetParam()); }
   std::uint32_t patches() const { return std::get<1>(GetParam()); }
+  Storage storage() const { return std::get<2>(GetParam()); }
 
   /// One body for each law, with damping and gravity, of different meshes.
   v1::Scene scene() const {
@@ -50,7 +51,7 @@ class Assembly : public testing::TestWithParam<std::tuple<Case, std::uint32_t>> 
 
 TEST_P(Assembly, EqualsTheBruteForceSystem) {
   const v1::Scene source = scene();
-  StagedScene<double> staged(source, patches());
+  StagedScene<double> staged(source, patches(), storage());
   ASSERT_EQ(staged.view.patch_count, patches());
   const Eigen::Index size = 3 * staged.node_count();
   const Eigen::VectorXd u = tests::random_field(size, 0.03, 1), v = tests::random_field(size, 0.5, 2);
@@ -68,7 +69,7 @@ TEST_P(Assembly, EqualsTheBruteForceSystem) {
 }
 
 TEST_P(Assembly, PaddingRowsStayOut) {
-  StagedScene<double> staged(scene(), patches());
+  StagedScene<double> staged(scene(), patches(), storage());
   staged.put(staged.view.displacement, tests::random_field(3 * staged.node_count(), 0.03, 3));
   staged.step();
   for (std::uint32_t row = 0; row < staged.view.row_count; ++row) {
@@ -80,14 +81,14 @@ TEST_P(Assembly, PaddingRowsStayOut) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(LawsAndPatches, Assembly,
-                         testing::Combine(testing::Values(Case{"hooke", true, false}, Case{"stvk", false, true},
-                                                          Case{"both", true, true}),
-                                          testing::Values(1u, 2u, 5u)),
-                         [](const auto& one) {
-                           return std::string(std::get<0>(one.param).name) + "_" +
-                                  std::to_string(std::get<1>(one.param));
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    LawsAndPatches, Assembly,
+    testing::Combine(testing::Values(Case{"hooke", true, false}, Case{"stvk", false, true}, Case{"both", true, true}),
+                     testing::Values(1u, 2u, 5u), testing::Values(Storage::kRows, Storage::kEdges)),
+    [](const auto& one) {
+      return std::string(std::get<0>(one.param).name) + "_" + std::to_string(std::get<1>(one.param)) +
+             (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
+    });
 
 /// Every law in every shape, against the same sums over elements.
 class EveryEntry : public testing::TestWithParam<std::tuple<v1::Shape, std::string>> {};

@@ -1,6 +1,7 @@
 #include "tensor/layout.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 
 #include <gtest/gtest.h>
@@ -91,6 +92,55 @@ void check_slots(const mesh::Mesh& mesh, const Layout& layout) {
   }
 }
 
+/// Storage::kEdges: between rows of one patch each edge once, across patches in both rows, each in its section.
+void check_edges(const mesh::Mesh& mesh, const Layout& layout) {
+  const auto neighbours = neighbours_of(mesh);
+  ASSERT_EQ(layout.slice_begin.size(), layout.row_count / kEdgeSliceRows + 1);
+  ASSERT_EQ(layout.slice_halo.size(), layout.row_count / kEdgeSliceRows);
+  ASSERT_EQ(layout.slot_count(), layout.slice_begin.back() * kEdgeSliceRows);
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> found;  // (node that stores it, the other)
+  for (std::uint32_t slot = 0; slot < layout.slot_count(); ++slot) {
+    const std::uint32_t j = slot / kEdgeSliceRows;
+    const auto slice = static_cast<std::uint32_t>(
+        std::upper_bound(layout.slice_begin.begin(), layout.slice_begin.end(), j) - layout.slice_begin.begin() - 1);
+    const std::uint32_t row = slice * kEdgeSliceRows + slot % kEdgeSliceRows, patch = layout.patch_of_row(row);
+    const std::uint32_t begin = layout.patch_rows[patch], own = layout.patch_rows[patch + 1] - begin;
+    const std::uint32_t column = layout.columns[slot], other = layout.neighbour_rows[slot];
+    if (other == mesh::kNone) {
+      EXPECT_EQ(begin + column, row) << "a padding slot names its own row";
+      continue;
+    }
+    EXPECT_EQ(other, column < own ? begin + column : layout.halo[layout.patch_halo[patch] + column - own]);
+    EXPECT_EQ(column < own, j < layout.slice_halo[slice]) << "each section its own kind";
+    EXPECT_EQ(layout.slot(row, other), slot);
+    ++found[{layout.node_of_row[row], layout.node_of_row[other]}];
+  }
+  for (std::uint32_t node = 0; node < mesh.nodes.size(); ++node) {
+    for (const std::uint32_t other : neighbours[node]) {
+      const std::uint32_t row = layout.row_of_node[node], other_row = layout.row_of_node[other];
+      const int stored = found[{node, other}], mirrored = found[{other, node}];
+      if (layout.patch_of_row(row) == layout.patch_of_row(other_row)) {
+        EXPECT_EQ(stored + mirrored, 1) << "nodes " << node << " and " << other;
+      } else {
+        EXPECT_EQ(stored, 1) << "nodes " << node << " and " << other;
+      }
+      int places = 0;
+      layout.for_each_place(row, other_row, [&](std::uint32_t slot, bool transposed) {
+        EXPECT_EQ(layout.neighbour_rows[slot], transposed ? row : other_row);
+        ++places;
+      });
+      EXPECT_EQ(places, stored + mirrored);
+    }
+  }
+  std::set<std::uint32_t> boundary, expected(layout.halo.begin(), layout.halo.end());
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    for (std::uint32_t i = layout.patch_boundary[patch]; i < layout.patch_boundary[patch + 1]; ++i) {
+      boundary.insert(layout.patch_rows[patch] + layout.boundary[i]);
+    }
+  }
+  EXPECT_EQ(boundary, expected) << "what one patch reads another publishes";
+}
+
 void check_halo(const mesh::Mesh& mesh, const Layout& layout) {
   const auto neighbours = neighbours_of(mesh);
   ASSERT_EQ(layout.patch_halo.size(), layout.patch_count + 1);
@@ -117,6 +167,63 @@ void check(const mesh::Mesh& mesh, std::uint32_t patches) {
   check_rows(mesh, layout);
   check_slots(mesh, layout);
   check_halo(mesh, layout);
+  const Layout edges = make_layout(mesh, patches, Storage::kEdges);
+  check_rows(mesh, edges);
+  check_edges(mesh, edges);
+  check_halo(mesh, edges);
+}
+
+TEST(Layout, SharesEdgesOutSoThatSlicesHaveLittlePadding) {
+  const Layout layout = make_layout(mesh::testing::unit_grid(16), 2, Storage::kEdges);
+  const auto padding = std::count(layout.neighbour_rows.begin(), layout.neighbour_rows.end(), mesh::kNone);
+  EXPECT_LT(static_cast<double>(padding), 0.05 * layout.slot_count());
+}
+
+/// Each patch computes what touches its rows, finds each of its edges once, and nobody else's.
+TEST(PatchElements, EveryPatchAddsToItsOwnEdgesOnly) {
+  const mesh::Mesh mesh = mesh::testing::random_mesh(2, 5, 0.6);
+  const Layout layout = make_layout(mesh, 3, Storage::kEdges);
+  const auto elements = mesh::element_nodes(mesh);
+  std::vector<std::uint32_t> rows;
+  for (const auto& nodes : elements) {
+    for (const std::uint32_t node : nodes) rows.push_back(layout.row_of_node[node]);
+  }
+  const PatchElements by_patch = order_by_patch(layout, rows, 4);
+  const std::size_t stride = by_patch.order.size();
+  std::vector<std::uint32_t> placed(4 * stride, 0);
+  for (std::size_t e = 0; e < stride; ++e) {
+    for (std::size_t k = 0; by_patch.order[e] != mesh::kNone && k < 4; ++k) {
+      placed[k * stride + e] = rows[4 * by_patch.order[e] + k];
+    }
+  }
+  const std::vector<std::uint32_t> places = pair_places(layout, by_patch, placed, 4);
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    const std::uint32_t begin = by_patch.ranges[2 * patch], end = by_patch.ranges[2 * patch + 1];
+    EXPECT_EQ(begin % kSliceRows, 0u);
+    const auto is_own = [&](std::uint32_t row) { return layout.patch_of_row(row) == patch; };
+    std::multiset<std::uint32_t> computed, expected;
+    for (std::uint32_t e = 0; e < elements.size(); ++e) {
+      if (std::any_of(&rows[4 * e], &rows[4 * e] + 4, is_own)) expected.insert(e);
+    }
+    for (std::uint32_t e = begin; e < end; ++e) {
+      computed.insert(by_patch.order[e]);
+      std::size_t pair = 0;
+      for (std::size_t k = 0; k < 4; ++k) {
+        for (std::size_t l = k + 1; l < 4; ++l, ++pair) {
+          const std::uint32_t row_k = placed[k * stride + e], row_l = placed[l * stride + e];
+          const std::uint32_t place = places[pair * stride + e];
+          ASSERT_EQ(place != kNoPlace, is_own(row_k) || is_own(row_l));
+          if (place == kNoPlace) continue;
+          const bool transposed = place % 2 != 0;
+          EXPECT_TRUE(is_own(transposed ? row_l : row_k));
+          EXPECT_EQ(layout.neighbour_rows[place / 2], transposed ? row_k : row_l);
+        }
+      }
+    }
+    EXPECT_EQ(computed, expected);
+  }
+  EXPECT_TRUE(std::all_of(places.begin(), places.end(),
+                          [&](std::uint32_t place) { return place == kNoPlace || place / 2 < layout.slot_count(); }));
 }
 
 TEST(Layout, HoldsItsInvariantsOnGrids) {

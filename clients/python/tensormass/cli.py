@@ -13,7 +13,7 @@ from tensormass import gateway, load_test, mesh_files, meshes, run, solve
 from tensormass.client import DEFAULT_ADDRESS, connect, launch
 from tensormass.demo import builtin_scenes
 from tensormass.errors import TensormassError
-from tensormass.output import print_json, quality_text, report_text, state_name, status_line, to_plain
+from tensormass.output import load_line, print_json, quality_text, report_text, state_name, status_line, to_plain
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
 _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -119,7 +119,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _load(args: argparse.Namespace) -> int:
     with connect(args.server) as server:
-        report = server.load(args.scene, name=args.name, lockstep=args.lockstep).report
+        progress = load_line(quiet=args.json)
+        report = server.load(args.scene, name=args.name, lockstep=args.lockstep, progress=progress).report
         assert report is not None
         print_json(to_plain(report)) if args.json else print(report_text(report))
     return 0

@@ -6,7 +6,7 @@ import contextlib
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +161,14 @@ class Server(Closing):
         """Version, backend, device, data endpoints and counters of malformed input."""
         return self._call("GetVersion", control_pb2.GetVersionRequest())
 
-    def load(self, scene: SceneSource, *, lockstep: bool | None = None, name: str | None = None) -> SceneHandle:
+    def load(
+        self,
+        scene: SceneSource,
+        *,
+        lockstep: bool | None = None,
+        name: str | None = None,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> SceneHandle:
         """Loads a scene and starts it.
 
         Args:
@@ -169,14 +176,34 @@ class Server(Closing):
                 (`builtin_scenes`).
             lockstep: True steps only on `SceneHandle.step`; None leaves it as the scene says.
             name: instead of the scene's own.
+            progress: called with what the daemon does now, for people, and how much of the time has gone, 0 to 1. What
+                it raises ends the load and comes out here.
 
         Raises:
             InvalidArgumentError: the scene is refused; the message names the body, the element and the remedy.
             AlreadyExistsError: a scene of this name is loaded.
         """
         request = control_pb2.LoadSceneRequest(scene=_message_of(scene, lockstep, name))
-        reply = self._call("LoadScene", request, timeout_s=_LOAD_TIMEOUT_S)
-        return SceneHandle(self, request.scene.name, reply.report)
+        if progress is None:
+            report = self._call("LoadScene", request, timeout_s=_LOAD_TIMEOUT_S).report
+        else:
+            report = self._load_with_progress(request, progress)
+        return SceneHandle(self, request.scene.name, report)
+
+    def _load_with_progress(
+        self, request: control_pb2.LoadSceneRequest, progress: Callable[[str, float], None]
+    ) -> control_pb2.SceneReport:
+        messages = self._call("LoadSceneWithProgress", request, timeout_s=_LOAD_TIMEOUT_S)
+        report = control_pb2.SceneReport()
+        try:
+            for message in messages:
+                progress(message.part, message.fraction)
+                report = message.report
+        except grpc.RpcError as error:
+            raise errors.from_rpc_error(error) from error
+        finally:
+            messages.cancel()  # nothing, if it has ended
+        return report
 
     def inspect(self, scene: SceneSource) -> control_pb2.SceneReport:
         """Checks and compiles a scene without running it. Raises as `load`."""

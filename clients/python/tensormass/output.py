@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+import shutil
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,19 @@ def print_json(value: object) -> None:
 def state_name(status: stream_pb2.SceneStatus) -> str:
     """`running`, `paused`, `lockstep` or `faulted`."""
     return stream_pb2.SceneStatus.State.Name(status.state).removeprefix("STATE_").lower()
+
+
+def load_line(*, quiet: bool = False) -> Callable[[str, float], None] | None:
+    """Writes how far a load is on one line of a terminal, for `Server.load`; None where there is no terminal."""
+    if quiet or not sys.stdout.isatty():
+        return None
+    width = shutil.get_terminal_size().columns - 1
+
+    def write(part: str, fraction: float) -> None:
+        text = f"loading {100 * fraction:3.0f} %  {part}" if part else ""  # the last one clears the line
+        print(f"\r{text[:width]:<{width}}", end="" if part else "\r", flush=True)
+
+    return write
 
 
 def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 from tensormass import gateway
 from tensormass.client import SceneHandle, Server, launch
 from tensormass.errors import InvalidArgumentError, UnavailableError
-from tensormass.output import Warnings, print_json, report_text, status_line, to_plain
+from tensormass.output import Warnings, load_line, print_json, report_text, status_line, to_plain
 from tensormass.processes import ChildProcess, find_program
 from tensormass.scene import Scene
 
@@ -67,7 +67,7 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
     async with contextlib.AsyncExitStack() as parts:
         server = await asyncio.to_thread(launch, backend=args.backend, cpu_threads=args.cpu_threads)
         parts.callback(server.close)
-        handle = await asyncio.to_thread(server.load, scene, lockstep=False)
+        handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
         version = server.version()
         _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
         if args.verbose and handle.report is not None:

@@ -29,7 +29,7 @@ from tensormass import mesh_files, meshes
 from tensormass.client import SceneHandle, Server, connect, launch
 from tensormass.errors import InvalidArgumentError, NotConvergedError
 from tensormass.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields, field_numbers
-from tensormass.output import Warnings, print_json, table
+from tensormass.output import Warnings, load_line, print_json, table
 from tensormass.scene import Scene, pack_mesh, unpack_mesh
 from tensormass.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2, stream_pb2
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     with _server(args) as server:
         # A daemon of others may have a scene of this name.
         name = f"{scene.name[:40]}-solve-{os.getpid()}" if args.server else None
-        handle = server.load(scene, lockstep=True, name=name)
+        handle = server.load(scene, lockstep=True, name=name, progress=load_line(quiet=args.json))
         try:
             writer = _Writer(args.out, handle, volumes, names)
             solution = _Solution(args, scene.message, handle, writer)

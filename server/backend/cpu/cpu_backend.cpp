@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cstring>
 #include <fstream>
 #include <memory>
 #include <new>
@@ -8,6 +7,7 @@
 #include <vector>
 
 #include "backend/backend.h"
+#include "backend/cpu/arena.h"
 #include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
 #include "backend/newton.h"
@@ -18,33 +18,6 @@
 namespace tensormass::backend {
 
 namespace {
-
-/// Buffers of a scene in host memory, each on a cache line of its own.
-class HostArena {
- public:
-  template <class T, class U>
-  const T* constant(std::string_view name, const std::vector<U>& items) {
-    T* copy = zeros<T>(name, items.size());
-    std::transform(items.begin(), items.end(), copy, [](U item) { return static_cast<T>(item); });
-    return copy;
-  }
-  template <class T>
-  T* zeros(std::string_view /*name*/, std::size_t count) {
-    if (count == 0) return nullptr;
-    const std::size_t bytes = (count * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment;
-    blocks_.emplace_back(static_cast<std::byte*>(std::aligned_alloc(kAlignment, bytes)));
-    if (!blocks_.back()) throw std::bad_alloc();
-    std::memset(blocks_.back().get(), 0, bytes);
-    return reinterpret_cast<T*>(blocks_.back().get());
-  }
-
- private:
-  static constexpr std::size_t kAlignment = 64;
-  struct Free {
-    void operator()(std::byte* p) const { std::free(p); }
-  };
-  std::vector<std::unique_ptr<std::byte, Free>> blocks_;
-};
 
 template <class Real>
 class CpuState final : public SceneState {
@@ -180,7 +153,7 @@ class CpuState final : public SceneState {
   }
 
   const model::Model& model_;
-  HostArena arena_;
+  cpu::Arena arena_;
   const tensor::SceneView<Real> view_;
   tensor::ToolState<Real>* const tools_;
   tensor::StepScheme<Real>* const scheme_;
@@ -214,7 +187,7 @@ class CpuBackend final : public Backend {
   model::PatchPolicy patch_policy(const v1::Scene& scene) const override {
     // Below that, waiting for each other costs more than the work saved.
     constexpr std::uint32_t kMinNodesPerThread = 512;
-    return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread};
+    return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread, tensor::Storage::kEdges};
   }
   model::MachineRates rates(const v1::Scene& scene) const override {
     // Of one core of a current server, with vectors; measured by tensormass-bench where it matters.

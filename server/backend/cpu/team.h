@@ -41,6 +41,9 @@ class Team {
   template <class Real>
   using Lanes = NativeLanes<Real>;
 
+  /// What no other thread writes, it may write in any order: a matrix may store edges (tensor/edges.h).
+  static constexpr bool kOneThread = true;
+
   Team(std::uint32_t patch, std::uint32_t patch_count, Barrier& barrier)
       : patch_(patch), patch_count_(patch_count), barrier_(barrier) {}
 

@@ -390,7 +390,8 @@ class CudaBackend final : public Backend {
     // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others.
     constexpr std::uint32_t kMinNodesPerPatch = 96;
     constexpr std::uint32_t kTileBytes = 100 << 10;  // two blocks a multiprocessor
-    return {static_cast<std::uint32_t>(properties_.multiProcessorCount), kMinNodesPerPatch, kTileBytes};
+    return {static_cast<std::uint32_t>(properties_.multiProcessorCount), kMinNodesPerPatch, tensor::Storage::kRows,
+            kTileBytes};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <string_view>
+#include <vector>
+
+#include <sys/mman.h>
+
+namespace tensormass::backend::cpu {
+
+/// Buffers of a scene in host memory, each on a cache line of its own (model/bind.h says what an arena is).
+class Arena {
+ public:
+  template <class T, class U>
+  const T* constant(std::string_view name, const std::vector<U>& items) {
+    T* copy = zeros<T>(name, items.size());
+    std::transform(items.begin(), items.end(), copy, [](U item) { return static_cast<T>(item); });
+    return copy;
+  }
+  template <class T>
+  T* zeros(std::string_view /*name*/, std::size_t count) {
+    if (count == 0) return nullptr;
+    const bool large = count * sizeof(T) >= kHugePage;
+    const std::size_t alignment = large ? kHugePage : kCacheLine;
+    const std::size_t bytes = (count * sizeof(T) + alignment - 1) / alignment * alignment;
+    blocks_.emplace_back(static_cast<std::byte*>(std::aligned_alloc(alignment, bytes)));
+    if (!blocks_.back()) throw std::bad_alloc();
+    if (large) (void)madvise(blocks_.back().get(), bytes, MADV_HUGEPAGE);  // only a hint
+    std::memset(blocks_.back().get(), 0, bytes);
+    return reinterpret_cast<T*>(blocks_.back().get());
+  }
+
+ private:
+  static constexpr std::size_t kCacheLine = 64, kHugePage = std::size_t{2} << 20;
+  struct Free {
+    void operator()(std::byte* p) const { std::free(p); }
+  };
+  std::vector<std::unique_ptr<std::byte, Free>> blocks_;
+};
+
+}  // namespace tensormass::backend::cpu
