@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
+import json
 import math
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -14,10 +18,11 @@ import yaml
 
 import tensormass as tm
 from tensormass import meshes, presets
+from tensormass.cli import main
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile
 from tensormass.shapes import SHAPES
-from tensormass.trade import sweep
+from tensormass.trade import command, reference, sweep
 from tensormass.trade.command import parse_share, parse_time_s
 from tensormass.trade.interpolation import Interpolation
 from tensormass.trade.knobs import Knobs, Setting
@@ -335,3 +340,116 @@ def test_the_committed_presets_are_settings_of_their_scenes(tmp_path: Path) -> N
         knobs = Knobs(SceneFile.read(scene), tmp_path)
         for setting in of_scene.values():
             assert knobs.canonical(setting) == setting
+
+
+# --- the whole, with a daemon of one formula --------------------------------------------------------------------------
+
+
+class Formula:
+    """Stands for a recorder: displacement (1 + error) u, error = (h² + dt²) / 100, both against the scene's own."""
+
+    def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
+        self.weights = [np.ones(2)]
+        self.runs = 0
+        self._cells = scene.bodies[0].mesh.grid.cells_x
+        self._own_dt_s = script.sample_s / 2
+        self._broken_law = broken_law
+
+    def record(self, scene: scene_pb2.Scene) -> Recording:
+        self.runs += 1
+        if scene.bodies[0].law.WhichOneof("kind") == self._broken_law:
+            raise tm.FailedPreconditionError("left the numbers")
+        cells = scene.bodies[0].mesh.grid.cells_x
+        dt = (scene.stepping.dt_s or self._own_dt_s) / self._own_dt_s
+        error = 0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2
+        costs = replace(COSTS, step_p50_s=1e-3 * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt)
+        u = (1 + error) * np.ones((2, 2, 3))
+        force = (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
+        empty = np.empty(0)
+        return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
+
+
+def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK.replace("cells_x: 4", "cells_x: 40"), tmp_path)
+    script = Script.of(knobs.message, None)
+    formula, said = Formula(knobs.message, script), list[str]()
+
+    def find(tolerance: float, limit_s: float) -> reference.Reference:
+        return reference.find(
+            knobs, script, formula, Store(tmp_path), MACHINE, tolerance=tolerance, limit_s=limit_s, say=said.append
+        )  # type: ignore[arg-type]
+
+    found = find(0.02, 1e9)
+    assert found.ended == "below a third of the tolerance"
+    assert found.order == pytest.approx(2, abs=0.2)
+    true_error = found.recording.displacement[0].max() - 1
+    assert found.displacement_error == pytest.approx(true_error, rel=0.25)
+    assert found.displacement_error < 0.02 / 3
+    assert len(said) == len(found.levels) == formula.runs
+    before = formula.runs
+    assert find(0.02, 1e9) == replace(found, recording=ANY)  # taken from the folder
+    assert formula.runs == before
+    finer = find(0.002, 1e9)
+    assert len(finer.levels) > len(found.levels)
+    assert formula.runs == len(finer.levels)
+    limited = find(1e-9, 30.0)
+    assert "--reference-seconds 30" in limited.ended
+    assert limited.error > 1e-9
+
+
+def test_a_run_is_resumed_and_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "block.yaml").write_text(BLOCK)
+    knobs = knobs_of(BLOCK, tmp_path)
+    formula = Formula(knobs.message, Script.of(knobs.message, None))
+    monkeypatch.setattr(command, "launch", lambda **_: contextlib.nullcontext(FakeServer()))
+    monkeypatch.setattr(command, "Recorder", lambda *_: formula)
+    monkeypatch.setattr(Machine, "of", lambda *_: MACHINE)
+    out = tmp_path / "out"
+    run = ["trade", str(tmp_path / "block.yaml"), "--out", str(out), "--knobs", "resolution,dt_s", "--json"]
+    assert main([*run, "--tolerance", "3%"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert {tuple(of["setting"]) for of in first["measurements"]} >= {(), ("resolution",), ("resolution", "dt_s")}
+    assert first["not_varied"]["law"] == "not asked for"
+    assert first["fastest"]["errors"]["displacement"] <= 0.03
+    assert first["fastest"]["cost_s"] < first["measurements"][0]["cost_s"] * 4
+    runs = formula.runs
+    (out / "results.jsonl").write_text("".join((out / "results.jsonl").read_text().splitlines(keepends=True)[:-2]))
+    assert main([*run, "--tolerance", "3%"]) == 0
+    assert json.loads(capsys.readouterr().out) == first
+    assert formula.runs == runs + 2  # the two lines that were taken away
+    monkeypatch.setattr(Machine, "of", lambda *_: replace(MACHINE, device="another"))
+    assert main([*run, "--tolerance", "3%"]) == 0
+    assert formula.runs == 2 * runs + 2  # nothing is taken from another machine
+    capsys.readouterr()
+
+    page = (out / "report.html").read_text()
+    assert page.count("<circle") == len(first["measurements"])
+    assert "http" not in page  # nothing is fetched
+    ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
+    fastest = SceneFile.read(out / "fastest.yaml").scene().message
+    assert fastest.tools == knobs.message.tools
+    assert main([*run[:-1], "--tolerance", "0.0001%"]) == 1
+    printed = capsys.readouterr().out
+    assert "none is that accurate" in printed
+    assert not (out / "fastest.yaml").exists()
+
+
+class FakeServer:
+    def inspect(self, path: Path) -> None:
+        tm.Scene.from_file(path)
+
+
+def test_a_setting_that_breaks_is_a_result_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "block.yaml").write_text(BLOCK)
+    knobs = knobs_of(BLOCK, tmp_path)
+    formula = Formula(knobs.message, Script.of(knobs.message, None), broken_law="hencky")
+    monkeypatch.setattr(command, "launch", lambda **_: contextlib.nullcontext(FakeServer()))
+    monkeypatch.setattr(command, "Recorder", lambda *_: formula)
+    monkeypatch.setattr(Machine, "of", lambda *_: MACHINE)
+    options = ["--knobs", "law", "--combinations", "0", "--reference-seconds", "1", "--tolerance", "5%"]
+    main(["trade", str(tmp_path / "block.yaml"), "--out", str(tmp_path / "out"), *options])
+    assert "law hencky could not be run: left the numbers" in capsys.readouterr().out

@@ -53,7 +53,7 @@ def page(outcome: Outcome) -> str:
         "<h2>Reference</h2>",
         _paragraphs(outcome.reference.text()),
         "<h2>One knob at a time</h2>",
-        _table(["knob", "value", "cost", "error", "displacement", "force", "moved"], _knob_rows(outcome)),
+        _table(report.KNOB_HEADS, report.knob_rows(list(outcome.knobs.knobs.values()), outcome.measurements)),
         _paragraphs(f"{name}: {why}" for name, why in outcome.knobs.without.items()),
         "<h2>All settings</h2>",
         _table(report.HEADS, rows),
@@ -75,26 +75,6 @@ def _table(heads: Sequence[str], rows: Iterable[tuple[Sequence[str], str]]) -> s
         f'<tr class="{kind}">' + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row, kind in rows
     )
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>'
-
-
-def _knob_rows(outcome: Outcome) -> list[tuple[list[str], str]]:
-    """Each value of each knob against the scene as it is, which is marked."""
-    base = outcome.measurements[0]
-    of_single = {next(iter(of.setting.items())): of for of in outcome.measurements if len(of.setting) == 1}
-    rows = []
-    for name, knob in outcome.knobs.knobs.items():
-        for value in knob.values:
-            of = base if value == knob.own else of_single.get((name, value))
-            if of is None or of.errors is None:
-                continue
-            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
-            factor = of.cost_s / base.cost_s
-            errors = of.errors
-            cells = [name, shown, f"× {factor:.2f}", report.percent(errors.judged), report.percent(errors.displacement)]
-            rows.append(
-                ([*cells, report.percent(errors.force), report.percent(of.moved)], "front" if of is base else "")
-            )
-    return rows
 
 
 def _chart(outcome: Outcome, front: list[Measurement]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tensormass.output import table
 from tensormass.trade import sweep
-from tensormass.trade.knobs import Setting
+from tensormass.trade.knobs import Knob, Setting
 from tensormass.trade.store import Measurement
 
 if TYPE_CHECKING:
@@ -36,6 +36,10 @@ HEADS = [
     "energy",
     "moved",
 ]
+
+
+#: Headings of `knob_rows`.
+KNOB_HEADS = ["knob", "value", "cost", "error", "displacement", "force", "moved"]
 
 
 def setting_text(setting: Setting) -> str:
@@ -81,6 +85,24 @@ def cells(of: Measurement) -> list[str]:
         "–" if energy is None else f"{1e3 * energy:.3g} mJ",
         percent(of.moved),
     ]
+
+
+def knob_rows(knobs: Sequence[Knob], measurements: Sequence[Measurement]) -> list[tuple[list[str], str]]:
+    """Each value of each knob alone, its cost as a factor of that of the scene as it is, the first measurement; rows of
+    the scene's own values are marked "front"."""
+    base = measurements[0]
+    alone = {next(iter(of.setting.items())): of for of in measurements if len(of.setting) == 1}
+    rows = []
+    for knob in knobs:
+        for value in knob.values:
+            of = base if value == knob.own else alone.get((knob.name, value))
+            if of is None or of.errors is None:
+                continue
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            cells = [knob.name, shown, f"× {of.cost_s / base.cost_s:.2f}", percent(of.errors.judged)]
+            cells += [percent(of.errors.displacement), percent(of.errors.force), percent(of.moved)]
+            rows.append((cells, "front" if of is base else ""))
+    return rows
 
 
 def percent(share: float | None) -> str:
