@@ -16,6 +16,8 @@ _VALUES_A_KNOB = 4
 _PRODUCT_LIMIT = 400_000
 # A value whose error is above this many tolerances is not promising at any price.
 _HOPELESS_TOLERANCES = 5.0
+# A dearer point is on the front only if its error is below this share of that of the cheaper one: times scatter.
+_WORTHWHILE = 0.99
 
 
 def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
@@ -72,12 +74,12 @@ def combinations(
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points that no other beats in both, by the first coordinate."""
+    """Indices of the points (cost, error) that no cheaper one matches, the cheapest first."""
     order = sorted(range(len(points)), key=lambda index: points[index])
     front = []
     best = math.inf
     for index in order:
-        if points[index][1] < best:
+        if points[index][1] < _WORTHWHILE * best or best == math.inf:
             front.append(index)
             best = points[index][1]
     return front
