@@ -253,7 +253,8 @@ class _Run:
                 work_most_j = max(work_most_j, work_j)
             last = force, position
             is_sample = step % self._steps_a_sample == 0
-            is_free = script.free_s[0] <= at_s <= script.free_s[1] and script.free_s[1] > 0
+            # A thousandth of a step is rounding.
+            is_free = script.free_s[0] < at_s < script.free_s[1] + 1e-3 * self._dt_s
             if is_sample or is_free:
                 positions = [self._handle.positions(name) for name in self._names]
                 taken = [
