@@ -207,11 +207,11 @@ def test_richardson_finds_order_and_error() -> None:
     assert richardson([1.0, 1e-9], 1.5)[1] == 2.0  # nor is one that converges by chance
 
 
-def test_the_tool_presses_in_by_its_radius_and_comes_back(tmp_path: Path) -> None:
+def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -> None:
     scene = knobs_of(BLOCK, tmp_path).message
     script = Script.of(scene, None)
     top = np.array([script.pose(share * script.duration_s) for share in (0, 0.2, 0.7, 1.0)])
-    np.testing.assert_allclose(top, [[0.05, 0.05, z] for z in (0.08, 0.08, 0.05, 0.08)])
+    np.testing.assert_allclose(top, [[0.05, 0.05, z] for z in (0.08, 0.08, 0.055, 0.08)])
     assert script.duration_s / script.sample_s == pytest.approx(script.sample_count)
     del scene.tools[:]
     scene.ClearField("gravity_m_per_s2")

@@ -110,11 +110,12 @@ def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server
 def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
     script = Script.of(scene_of(), None)
     # The tip starts at z = 0.68, the surface is at 0.6.
-    assert script.travel_m == pytest.approx((0, 0, -0.08))
+    assert script.travel_m == pytest.approx((0, 0, -0.075))
+    assert Script.of(scene_of(), press_radii=1).travel_m == pytest.approx((0, 0, -0.08))
     assert script.start_m == (0.05, 0.05, 0.7)
     turned = scene_of(SCENE + "    orientation: {w: 0.7071067811865476, x: 0, y: 0.7071067811865476, z: 0}\n")
     # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
-    assert Script.of(turned, None).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
+    assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
 
 
 @pytest.mark.parametrize(
@@ -135,7 +136,7 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     np.testing.assert_allclose(displacement[:, :, :2], 0, atol=1e-12)
     np.testing.assert_allclose(got.volume[0], [1 + stretch(t) for t in times], rtol=1e-9)
     assert got.force.shape == (20, 3)
-    assert got.work_j == pytest.approx(STIFFNESS_N_PER_M * 0.08**2 / 2, rel=1e-6)  # of the spring, at the deepest
+    assert got.work_j == pytest.approx(STIFFNESS_N_PER_M * 0.075**2 / 2, rel=1e-6)  # of the spring, at the deepest
     assert got.free_times_s[-1] == pytest.approx(0.35 * script.duration_s)
     assert got.outside_share == 0
     assert got.min_det_f == pytest.approx(0.7)

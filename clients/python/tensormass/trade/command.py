@@ -21,7 +21,7 @@ from tensormass.trade import html, reference, report, sweep
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import compare
 from tensormass.trade.reference import Reference
-from tensormass.trade.script import Recorder, Recording, Script
+from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script
 from tensormass.trade.store import Machine, Measurement, Store, key_of
 
 _COMBINATIONS = 24
@@ -43,6 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
     parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
     parser.add_argument("--seconds", type=float, metavar="T", help="simulated time of the test run")
+    parser.add_argument(
+        "--press",
+        type=float,
+        default=PRESS_RADII,
+        metavar="RADII",
+        help="how deep the tool presses, against its radius; default: %(default)s",
+    )
     parser.add_argument("--knobs", metavar="A,B", help="only these; default: all that the scene has")
     parser.add_argument("--combinations", type=int, metavar="N", help=f"of several knobs; default: {_COMBINATIONS}")
     parser.add_argument(
@@ -130,7 +137,7 @@ class Outcome:
 
 def run(args: argparse.Namespace) -> int:
     """Measures, prints and writes; 0 if a setting is within the tolerance and one within the budget."""
-    for option in ("seconds", "reference_seconds"):
+    for option in ("seconds", "press", "reference_seconds"):
         value = getattr(args, option)
         if value is not None and not value > 0:
             raise InvalidArgumentError(f"--{option.replace('_', '-')} {value:g}: must be positive")
@@ -149,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     knobs = Knobs(file, folder / "meshes")
     if args.knobs is not None:
         knobs.choose(name.strip() for name in args.knobs.split(","))
-    script = Script.of(knobs.message, args.seconds)
+    script = Script.of(knobs.message, args.seconds, args.press)
     with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
         trade = _Trade(args, knobs, script, server, store)
         outcome = trade.measure(name)

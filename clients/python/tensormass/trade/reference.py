@@ -37,6 +37,7 @@ class Level:
     step_count: int
     wall_s: float
     unconverged_steps: int
+    min_det_f: float
     displacement: float | None = None
     force: float | None = None
 
@@ -47,6 +48,8 @@ class Level:
             text += f", displacement {self.displacement:.2%} from the level before"
         if self.force is not None:
             text += f", force {self.force:.2%}"
+        if self.min_det_f <= 0:
+            text += f", det F down to {self.min_det_f:.2g}"
         return text + (f", {self.unconverged_steps} steps not converged" if self.unconverged_steps else "")
 
 
@@ -134,6 +137,7 @@ def find(
                 recording.costs.step_count,
                 recording.costs.wall_s,
                 recording.unconverged_steps,
+                recording.min_det_f,
                 errors.displacement if errors else None,
                 errors.force if errors else None,
             )

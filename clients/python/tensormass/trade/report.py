@@ -136,6 +136,11 @@ def findings(outcome: Outcome) -> list[str]:
             f"the reference itself may be off by {percent(reference.error)}: errors of that size say little; give it "
             "--reference-seconds, or a machine that is faster"
         )
+    if reference.levels[-1].min_det_f <= 0:
+        lines.append(
+            "the reference has elements that are turned inside out: the scene leaves the range of its law, and there is "
+            "no answer to converge to; press less (--press), or take a law that stands compression"
+        )
     broken = [of for of in outcome.measurements if of.errors is None]
     lines += [f"{setting_text(of.setting)} could not be run: {of.failure}" for of in broken]
     unconverged = [of for of in outcome.measurements if of.unconverged_steps]
