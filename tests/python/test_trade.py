@@ -194,6 +194,7 @@ def test_frequency_and_damping_of_a_swing() -> None:
     assert measured[0] == pytest.approx(6, rel=1e-2)
     assert measured[1] == pytest.approx(rate / math.hypot(rate, omega), rel=1e-2)
     assert oscillation(times, 1 - np.exp(-times)) is None
+    assert oscillation(times, 1 + 1e-3 * np.cos(omega * times)) is None  # equilibrium, and what a solver leaves
 
 
 def test_richardson_finds_order_and_error() -> None:

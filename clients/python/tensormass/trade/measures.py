@@ -14,7 +14,7 @@ from tensormass.trade.script import Recording
 
 # The direction of a force is looked at while it is above this share of its largest.
 _FELT_SHARE = 0.1
-# Swings below this share of the first are noise.
+# Swings below this share of the first are noise; so is a first one below this share of the whole.
 _SWING_SHARE = 0.02
 # What Richardson's order is kept to: an erratic sequence is not trusted more than it deserves, nor beyond the schemes'.
 _ORDERS = (0.5, 2.0)
@@ -101,6 +101,8 @@ def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] 
             step_s = (times_s[i + 1] - times_s[i - 1]) / 2
             turns.append((float(times_s[i] + shift * step_s), float(values[i] + shift * (before + after) / 4)))
     swings = [abs(b[1] - a[1]) for a, b in itertools.pairwise(turns)]
+    if not swings or swings[0] < _SWING_SHARE * float(np.abs(values).max()):
+        return None
     count = 0
     while count < len(swings) and swings[count] > _SWING_SHARE * swings[0]:
         count += 1

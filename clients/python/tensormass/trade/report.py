@@ -138,8 +138,8 @@ def findings(outcome: Outcome) -> list[str]:
         )
     if reference.levels[-1].min_det_f <= 0:
         lines.append(
-            "the reference has elements that are turned inside out: the scene leaves the range of its law, and there is "
-            "no answer to converge to; press less (--press), or take a law that stands compression"
+            "the reference has elements that are turned inside out: the scene leaves the range of its law, and there "
+            "is no answer to converge to; press less (--press), or take a law that stands compression"
         )
     broken = [of for of in outcome.measurements if of.errors is None]
     lines += [f"{setting_text(of.setting)} could not be run: {of.failure}" for of in broken]

@@ -105,7 +105,10 @@ class Script:
         if self.tool is not None:
             begin, inside, leave, back = (share * self.duration_s for share in _PATH_SHARES)
             travel_mm = 1e3 * float(np.linalg.norm(self.travel_m))
-            what += f"; {self.tool!r} moves by {travel_mm:.1f} mm from {begin:.2g} to {inside:.2g} s, stays to {leave:.2g} s, and is back at {back:.2g} s"
+            what += (
+                f"; {self.tool!r} moves by {travel_mm:.1f} mm from {begin:.2g} to {inside:.2g} s, stays to "
+                f"{leave:.2g} s, and is back at {back:.2g} s"
+            )
         return what
 
 
