@@ -24,7 +24,7 @@ gravity_m_per_s2: {z: -9.81}
 stepping: {dt_s: 0.01}
 bodies:
   - name: tissue
-    mesh: {grid: {size_m: {x: 0.08, y: 0.08, z: 0.04}, cells_x: 4, cells_y: 4, cells_z: 2, shape: hexahedron}}
+    mesh: {grid: {size_m: {x: 0.08, y: 0.08, z: 0.04}, cells_x: 6, cells_y: 6, cells_z: 4, shape: hexahedron}}
     law: {neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}}
     density_kg_per_m3: 1000
     rayleigh_stiffness_s: 0.005
@@ -72,7 +72,7 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     moved = {of["setting"].get("dt_s"): of["moved"] for of in result["measurements"] if len(of["setting"]) < 2}
     assert 1.3 < moved[0.02] / moved[0.005] < 3
     assert 0 < own["force"] < 1  # it was felt
-    assert own["force_angle_rad"] < coarse["force_angle_rad"]
+    assert own["force_angle_rad"] < 1e-4  # pressed from straight above, in float
     assert own["frequency"] < 0.5  # it swings
     (as_it_is,) = (of for of in result["measurements"] if not of["setting"])
     assert as_it_is["moved"] == 0  # the same run twice, bit by bit
