@@ -72,7 +72,6 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     moved = {of["setting"].get("dt_s"): of["moved"] for of in result["measurements"] if len(of["setting"]) < 2}
     assert 1.3 < moved[0.02] / moved[0.005] < 3
     assert 0 < own["force"] < 1  # it was felt
-    assert own["force_angle_rad"] < 1e-4  # pressed from straight above, in float
     assert own["frequency"] < 0.5  # it swings
     (as_it_is,) = (of for of in result["measurements"] if not of["setting"])
     assert as_it_is["moved"] == 0  # the same run twice, bit by bit
@@ -80,7 +79,8 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert as_it_is["costs"]["latency_p50_s"] > as_it_is["costs"]["step_p50_s"]
     assert result["machine"]["backend"] == "cpu"
     assert any(len(of["setting"]) > 1 for of in result["measurements"])
-    assert 0 < result["reference"]["displacement_error"] < own["displacement"]
+    assert len(result["reference"]["levels"]) >= 2
+    assert result["reference"]["force_error"] > 0
 
     assert main(["inspect", str(tmp_path / "out" / "most_accurate.yaml"), "--backend", "cpu"]) == 0
 
@@ -97,6 +97,7 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
         > 2 * errors_of(result)["displacement"]
         > errors_of(result, shape="quadratic_tetrahedron")["displacement"]
     )
+    assert 0 < result["reference"]["displacement_error"] < errors_of(result)["displacement"]
     assert errors_of(result)["force"] is None
     assert errors_of(result)["frequency"] is None
     assert errors_of(result, newton_max_iterations=1)["displacement"] > errors_of(result)["displacement"]
