@@ -14,7 +14,7 @@ from typing import Any
 
 from tensormass import defaults
 from tensormass.client import Server, launch
-from tensormass.errors import InvalidArgumentError, TensormassError, UnavailableError
+from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, UnavailableError
 from tensormass.output import print_json
 from tensormass.scene import SceneFile, is_mesh_file
 from tensormass.trade import html, reference, report, sweep
@@ -244,6 +244,9 @@ class _Trade:
             return known
         try:
             recording = self._recorder.record(scene)
+            if self._knobs.quasi_static and recording.unconverged_steps:
+                # As `tensormass solve` has it: what is no equilibrium is no result.
+                raise NotConvergedError("ended above newton_tolerance")
         except UnavailableError:
             raise  # the daemon is gone: this says nothing about the setting
         except TensormassError as error:
