@@ -24,7 +24,7 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy asan tsan lint format clean
+.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy trade asan tsan lint format clean
 
 help: ## This list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -80,6 +80,10 @@ accuracy: setup-test ## Proof of accuracy: results in tests/accuracy, table in d
 	@$(MAKE) native python
 	@cd tests && $(if $(REFERENCES),python -m accuracy.references &&) \
 	  { python -m accuracy --backend $(BACKEND) || failed=1; python -m accuracy.report && exit $${failed:-0}; }
+
+trade: setup-test ## Measure the demo scenes' settings: results, presets, docs/accuracy.md (BACKEND=cuda); goes on if stopped
+	@$(MAKE) native python
+	@cd tests && python -m accuracy.trade --backend $(BACKEND) && python -m accuracy.report
 
 asan: setup ## C++ tests under address and undefined-behaviour sanitizers
 	@$(MAKE) sanitized NAME=asan SANITIZE=address,undefined

@@ -11,6 +11,7 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from . import trade
 from .case import Case, Group, Outcome
 from .cases import all_cases
 
@@ -130,6 +131,7 @@ def page(runs: list[Run]) -> str:
         lines.append(f"| [{group.title}](#{anchor}) | {len(members)} | " + " | ".join(cells) + " |")
     for group in groups:
         lines += _section(group, [case for case in cases if case.group is group], found, columns)
+    lines += trade.section(BACKENDS)
     return "\n".join(lines) + "\n"
 
 

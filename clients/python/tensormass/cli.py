@@ -14,6 +14,7 @@ from tensormass.client import DEFAULT_ADDRESS, connect, launch
 from tensormass.demo import builtin_scenes
 from tensormass.errors import TensormassError
 from tensormass.output import load_line, print_json, quality_text, report_text, state_name, status_line, to_plain
+from tensormass.trade import command as trade
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
 _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -68,6 +69,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     solve.add_arguments(sub, _SCENE_HELP)
     sub.set_defaults(command=solve.run)
+
+    sub = commands.add_parser(
+        "trade", parents=[json_option], help="measure what each choice of a scene costs in time and buys in accuracy"
+    )
+    trade.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=trade.run)
 
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)

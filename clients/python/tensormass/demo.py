@@ -34,7 +34,7 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     scene_file = _TEMPLATES / f"{name}.yaml"
     if not any(f"{organ}.msh" in scene_file.read_text() for organ in ORGANS):
         return scene_file, _TEMPLATES
-    folder = _cache_folder()
+    folder = cache_folder()
     files = [folder / file for organ in ORGANS for file in (f"{organ}.msh", f"{organ}_skin.ply")]
     stamp = folder / "made_from.txt"
     sources = hashlib.sha256(b"".join((_PACKAGE / source).read_bytes() for source in _SOURCES)).hexdigest()
@@ -56,7 +56,8 @@ def _make_organs(folder: Path) -> None:
         meshio.Mesh(skin.vertices, [("triangle", skin.triangles.astype("int32"))]).write(folder / f"{name}_skin.ply")
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """Where meshes that are made on demand are kept."""
     build = BUILD_BIN.parent
     if build.is_dir() and os.access(build, os.W_OK):
         return build / "scenes"

@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from tensormass import gateway
+from tensormass import gateway, presets
 from tensormass.client import SceneHandle, Server, launch
 from tensormass.errors import InvalidArgumentError, UnavailableError
 from tensormass.output import Warnings, load_line, print_json, report_text, status_line, to_plain
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--haptic-transport", choices=("zeromq", "zenoh"), default="zeromq", help="default: %(default)s"
     )
+    parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
     parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
     parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
     parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Runs until told to end; 0 if everything ran and ended as it should."""
     # Read first: a mistake in the file is said before anything starts.
-    scene = Scene.from_file(args.scene)
+    scene = presets.read_scene(args.scene, args.preset)
     if args.rate is not None:
         if not args.rate > 0:
             raise InvalidArgumentError(f"--rate {args.rate:g}: must be positive")

@@ -7,6 +7,7 @@ positions are sent as the file has them; `Mesh.scale` and `Mesh.translation_m` t
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -57,40 +58,14 @@ class Scene:
             NotFoundError: no such file, or a mesh that the scene names is not there.
             InvalidArgumentError: what is wrong, with the file and the path of the field.
         """
-        directory: Path | None = None
-        if not Path(path).exists() and (builtin := demo.builtin_scene(str(path))) is not None:
-            path, directory = builtin
-        path = Path(path)
-        if path.suffix and path.suffix.lower() not in _YAML_ENDINGS:
-            return Scene.from_mesh(mesh_files.read_mesh(path), name=as_name(path.stem) or "scene")
-        try:
-            text = path.read_text("utf-8")
-        except FileNotFoundError:
-            raise NotFoundError(
-                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())})"
-            ) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
-        return Scene.from_yaml(text, directory=directory or path.parent, where=str(path))
+        if is_mesh_file(path):
+            return Scene.from_mesh(mesh_files.read_mesh(Path(path)), name=as_name(Path(path).stem) or "scene")
+        return SceneFile.read(path).scene()
 
     @staticmethod
     def from_yaml(text: str, *, directory: str | Path = ".", where: str = "scene") -> Scene:
         """Parses a scene file's text; mesh files are looked up relative to `directory`."""
-        try:
-            # A SafeLoader: nothing in the text is run.
-            content = yaml.load(text, Loader=_StrictLoader)
-        except yaml.YAMLError as error:
-            raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
-        if not isinstance(content, dict):
-            raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
-        message = scene_pb2.Scene()
-        fields = _checked_fields(content, cast(Descriptor, message.DESCRIPTOR), where, "")
-        try:
-            json_format.ParseDict(fields, message, max_recursion_depth=20)
-        except json_format.ParseError as error:
-            raise InvalidArgumentError(f"{where}: {error}") from error
-        _resolve_files(message, Path(directory), where)
-        return Scene(message=message)
+        return SceneFile.parse(text, Path(directory), where).scene()
 
     @staticmethod
     def from_arrays(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, **options: Any) -> Scene:  # noqa: ANN401
@@ -209,6 +184,67 @@ class Scene:
         return self.message.tools[-1]
 
 
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene as its file has it: fields by name, before meshes are read."""
+
+    fields: dict[str, Any]
+    #: Mesh files are relative to it.
+    directory: Path
+    #: For messages.
+    where: str
+    #: The name of the built-in scene that this is; None: somebody's own.
+    builtin: str | None = None
+
+    @staticmethod
+    def read(path: str | Path) -> SceneFile:
+        """Reads a scene file or a built-in scene. Raises as `Scene.from_file`."""
+        directory: Path | None = None
+        builtin: str | None = None
+        if not Path(path).exists() and (found := demo.builtin_scene(str(path))) is not None:
+            builtin = str(path)
+            path, directory = found
+        path = Path(path)
+        try:
+            text = path.read_text("utf-8")
+        except FileNotFoundError:
+            raise NotFoundError(
+                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())})"
+            ) from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
+        return replace(SceneFile.parse(text, directory or path.parent, str(path)), builtin=builtin)
+
+    @staticmethod
+    def parse(text: str, directory: Path, where: str) -> SceneFile:
+        """As `read`, of a text."""
+        try:
+            # A SafeLoader: nothing in the text is run.
+            content = yaml.load(text, Loader=_StrictLoader)
+        except yaml.YAMLError as error:
+            raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
+        if not isinstance(content, dict):
+            raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
+        return SceneFile(content, directory, where)
+
+    def scene(self) -> Scene:
+        """Checks the fields and reads the meshes."""
+        message = scene_pb2.Scene()
+        fields = _checked_fields(self.fields, cast(Descriptor, message.DESCRIPTOR), self.where, "")
+        try:
+            json_format.ParseDict(fields, message, max_recursion_depth=20)
+        except json_format.ParseError as error:
+            raise InvalidArgumentError(f"{self.where}: {error}") from error
+        _resolve_files(message, self.directory, self.where)
+        return Scene(message=message)
+
+
+def is_mesh_file(path: str | Path) -> bool:
+    """Whether a name says of itself that it is a bare mesh and no scene."""
+    suffix = Path(path).suffix.lower()
+    return suffix != "" and suffix not in _YAML_ENDINGS
+
+
 def vector3(values: Vector, where: str) -> scene_pb2.Vector3:
     """A message from three finite numbers."""
     array = np.asarray(values, dtype=np.float64)
@@ -292,6 +328,16 @@ def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.Vol
     )
 
 
+def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
+    """The mesh that a body's message holds or, of a grid, stands for; before scale and translation."""
+    if body.mesh.WhichOneof("source") != "grid":
+        return unpack_mesh(body.mesh.packed, f"body {body.name!r}")
+    of = body.mesh.grid
+    shape = BY_NUMBER[of.shape or scene_pb2.SHAPE_TETRAHEDRON].name
+    size, origin = ([v.x, v.y, v.z] for v in (of.size_m, of.origin_m))
+    return meshes.grid([of.cells_x, of.cells_y, of.cells_z], size, shape=shape, origin_m=origin)
+
+
 def pack_triangles(surface: meshes.TriangleSurface) -> scene_pb2.PackedTriangles:
     """As `pack_mesh`."""
     return scene_pb2.PackedTriangles(
@@ -351,12 +397,20 @@ def _checked_fields(content: object, descriptor: Descriptor, where: str, path: s
 
 def _enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
     """A value by its full name or without the enum's name: SHAPE_HEXAHEDRON, hexahedron."""
-    prefix = "".join(f"_{c}" if c.isupper() else c.upper() for c in enum.name).removeprefix("_") + "_"
-    known = {of.name.removeprefix(prefix).lower(): of.number for of in enum.values if of.number != 0}
-    short = str(value).removeprefix(prefix).lower()
+    known = {short_name(enum, of.number): of.number for of in enum.values if of.number != 0}
+    short = str(value).removeprefix(_enum_prefix(enum)).lower()
     if short not in known:
         raise InvalidArgumentError(f"{where}: unknown value {value!r}; {suggestion(short, known)}")
     return known[short]
+
+
+def short_name(enum: EnumDescriptor, number: int) -> str:
+    """A value of an enum as scene files have it: SHAPE_HEXAHEDRON -> hexahedron."""
+    return str(enum.values_by_number[number].name).removeprefix(_enum_prefix(enum)).lower()
+
+
+def _enum_prefix(enum: EnumDescriptor) -> str:
+    return "".join(f"_{c}" if c.isupper() else c.upper() for c in enum.name).removeprefix("_") + "_"
 
 
 def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:

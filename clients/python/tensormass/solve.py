@@ -25,13 +25,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass import mesh_files, meshes
+from tensormass import defaults, mesh_files, meshes, presets
 from tensormass.client import SceneHandle, Server, connect, launch
 from tensormass.errors import InvalidArgumentError, NotConvergedError
 from tensormass.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields, field_numbers
 from tensormass.output import Warnings, load_line, print_json, table
-from tensormass.scene import Scene, pack_mesh, unpack_mesh
-from tensormass.shapes import BY_NUMBER
+from tensormass.scene import pack_mesh, volume_mesh
 from tensormass.v1 import scene_pb2, stream_pb2
 
 # At rest: so many looks, so many steps apart, all below this share of the largest kinetic energy seen.
@@ -61,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="the state after the last step"
     )
+    parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--steps", type=int, metavar="N", help="make N steps")
     length.add_argument("--seconds", type=float, metavar="T", help="go on until T s of simulated time")
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     names = list(FIELD_NAMES) if args.fields is None else [name.strip() for name in args.fields.split(",")]
     field_numbers(names)
 
-    scene = Scene.from_file(args.scene)
+    scene = presets.read_scene(args.scene, args.preset)
     solver = scene.message.solver
     if args.precision is not None or solver.precision == scene_pb2.Solver.PRECISION_UNSPECIFIED:
         single = args.precision == "float"
@@ -135,14 +135,9 @@ def _explicit_meshes(scene: scene_pb2.Scene) -> list[meshes.VolumeMesh]:
     """The elements of each body. A grid becomes the mesh that it stands for, so that they are known here."""
     volumes = []
     for body in scene.bodies:
+        volumes.append(volume_mesh(body))
         if body.mesh.WhichOneof("source") == "grid":
-            of = body.mesh.grid
-            shape = BY_NUMBER[of.shape or scene_pb2.SHAPE_TETRAHEDRON].name
-            size, origin = ([v.x, v.y, v.z] for v in (of.size_m, of.origin_m))
-            volumes.append(meshes.grid([of.cells_x, of.cells_y, of.cells_z], size, shape=shape, origin_m=origin))
             body.mesh.packed.CopyFrom(pack_mesh(volumes[-1]))
-        else:
-            volumes.append(unpack_mesh(body.mesh.packed, f"body {body.name!r}"))
     return volumes
 
 
@@ -209,10 +204,8 @@ class _Solution:
         self._solver = scene.solver
         self._handle = handle
         self._writer = writer
-        self._dt_s = scene.stepping.dt_s if scene.stepping.HasField("dt_s") else 1 / 60
-        self._scheduled_s = max(
-            (max(of.schedule.time_s, default=0.0) for body in scene.bodies for of in body.prescribed), default=0.0
-        )
+        self._dt_s = defaults.dt_s(scene)
+        self._scheduled_s = defaults.scheduled_s(scene)
         self._warnings = Warnings()
         self._unconverged_count = 0
         self._unconverged = ""
@@ -306,11 +299,8 @@ class _Solution:
         if status.fault:
             raise NotConvergedError(f"{where}: {status.fault}")
         solver = self._solver
-        newton_limit = solver.newton_max_iterations
-        if not solver.HasField("newton_max_iterations"):
-            newton_limit = 50 if solver.integrator == _QUASI_STATIC else 1
-        if newton_limit > 1:
-            tolerance = solver.newton_tolerance if solver.HasField("newton_tolerance") else 1e-6
+        if defaults.newton_max_iterations(solver) > 1:
+            tolerance = defaults.newton_tolerance(solver)
             if status.newton_residual > tolerance:
                 single = solver.precision != scene_pb2.Solver.PRECISION_DOUBLE
                 self._did_not_converge(
@@ -320,7 +310,7 @@ class _Solution:
                     + "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps"
                 )
             return
-        tolerance = solver.cg_tolerance if solver.HasField("cg_tolerance") else 1e-3
+        tolerance = defaults.cg_tolerance(solver)
         if tolerance > 0 and status.cg_relative_residual > tolerance:
             self._did_not_converge(
                 f"{where} did not converge: a residual of {status.cg_relative_residual:.1e} after "

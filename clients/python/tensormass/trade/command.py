@@ -1,0 +1,302 @@
+"""`tensormass trade`: measures a scene over its knobs and writes the settings worth having."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tensormass import defaults
+from tensormass.client import Server, launch
+from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, UnavailableError
+from tensormass.output import print_json
+from tensormass.scene import SceneFile, is_mesh_file
+from tensormass.trade import html, reference, report, sweep
+from tensormass.trade.knobs import Knobs, Setting
+from tensormass.trade.measures import compare
+from tensormass.trade.reference import Reference
+from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script
+from tensormass.trade.store import Machine, Measurement, Store, key_of
+
+_COMBINATIONS = 24
+_QUICK_COMBINATIONS = 6
+_REFERENCE_S = 600.0
+_QUICK_REFERENCE_S = 60.0
+_TIMES_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
+    """The options of `tensormass trade`."""
+    parser.add_argument("scene", help=scene_help)
+    parser.add_argument(
+        "--budget", type=parse_time_s, metavar="TIME", help="for each step of the scene, as 1ms; default: its dt"
+    )
+    parser.add_argument(
+        "--tolerance", type=parse_share, default=0.02, metavar="SHARE", help="of the error, as 2%% (default)"
+    )
+    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
+    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    parser.add_argument("--seconds", type=float, metavar="T", help="simulated time of the test run")
+    parser.add_argument(
+        "--press",
+        type=float,
+        default=PRESS_RADII,
+        metavar="RADII",
+        help="how deep the tool presses, against its radius; default: %(default)s",
+    )
+    parser.add_argument("--knobs", metavar="A,B", help="only these; default: all that the scene has")
+    parser.add_argument("--combinations", type=int, metavar="N", help=f"of several knobs; default: {_COMBINATIONS}")
+    parser.add_argument(
+        "--reference-seconds",
+        type=float,
+        metavar="T",
+        help=f"refine the reference no longer than this; default: {_REFERENCE_S:g}",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"nearest values only, {_QUICK_COMBINATIONS} combinations, {_QUICK_REFERENCE_S:g} s for the reference",
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FOLDER", help="for results and report; a run goes on where it was stopped"
+    )
+    parser.description = (
+        "Runs a scene through a script over and over, with other meshes, laws, steps and solvers, and compares each "
+        "run with the same scene refined until it no longer moves. Prints a table and writes report.html, trade.json "
+        "and as scene files the fastest setting within the tolerance (fastest.yaml) and the most accurate one within "
+        "the budget (most_accurate.yaml). The error is that of displacement (L2) or of the tool's force, whichever is "
+        "larger."
+    )
+
+
+def parse_time_s(text: str) -> float:
+    """`1ms`, `500us`, `0.001s` -> seconds."""
+    match = re.fullmatch(r"([0-9.eE+-]+?)\s*(us|ms|s)", text.strip())
+    return _positive(match[1] if match else "", text, "a time such as 1ms") * (_TIMES_S[match[2]] if match else 0)
+
+
+def parse_share(text: str) -> float:
+    """`2%`, `0.02` -> 0.02."""
+    stripped = text.strip()
+    return _positive(stripped.removesuffix("%"), text, "a share such as 2%") * (0.01 if stripped.endswith("%") else 1)
+
+
+def _positive(number: str, text: str, what: str) -> float:
+    try:
+        value = float(number)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+    return value
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run found. `measurements`: the scene as it is, single knobs, combinations."""
+
+    scene: str
+    knobs: Knobs
+    script: Script
+    machine: Machine
+    reference: Reference
+    measurements: list[Measurement]
+    combinations: int
+    possible_combinations: int
+    tolerance: float
+    budget_s: float
+    fastest: Measurement | None
+    most_accurate: Measurement | None
+
+    def to_plain(self) -> dict[str, Any]:
+        def plain(of: Measurement | None) -> dict[str, Any] | None:
+            return of.to_plain() if of is not None else None
+
+        return {
+            "scene": self.scene,
+            "machine": self.machine.__dict__,
+            "script": self.script.text(),
+            "reference": self.reference.to_plain(),
+            "knobs": {name: {"own": of.own, "values": list(of.values)} for name, of in self.knobs.knobs.items()},
+            "not_varied": self.knobs.without,
+            "tolerance": self.tolerance,
+            "budget_s": self.budget_s,
+            "combinations": {"measured": self.combinations, "possible": self.possible_combinations},
+            "fastest": plain(self.fastest),
+            "most_accurate": plain(self.most_accurate),
+            "front": [of.key for of in sweep.front(self.measurements)],
+            "measurements": [of.to_plain() for of in self.measurements],
+        }
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measures, prints and writes; 0 if a setting is within the tolerance and one within the budget."""
+    for option in ("seconds", "press", "reference_seconds"):
+        value = getattr(args, option)
+        if value is not None and not value > 0:
+            raise InvalidArgumentError(f"--{option.replace('_', '-')} {value:g}: must be positive")
+    if args.combinations is not None and args.combinations < 0:
+        raise InvalidArgumentError(f"--combinations {args.combinations}: must not be negative")
+    if is_mesh_file(args.scene):
+        raise InvalidArgumentError(f"{args.scene}: a bare mesh; write a scene file that says what happens to it")
+    file = SceneFile.read(args.scene)
+    name = file.scene().name
+    folder = args.out or Path(f"trade-{name}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        store = Store(folder)
+    except OSError as error:
+        raise InvalidArgumentError(f"--out {folder}: {error}") from error
+    knobs = Knobs(file, folder / "meshes")
+    if args.knobs is not None:
+        knobs.choose(name.strip() for name in args.knobs.split(","))
+    script = Script.of(knobs.message, args.seconds, args.press)
+    with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
+        trade = _Trade(args, knobs, script, server, store)
+        outcome = trade.measure(name)
+        written = _write(outcome, folder, server)
+    print_json(outcome.to_plain()) if args.json else print(report.text(outcome, written))
+    return 0 if outcome.fastest is not None and outcome.most_accurate is not None else 1
+
+
+class _Trade:
+    """One run of the command."""
+
+    def __init__(self, args: argparse.Namespace, knobs: Knobs, script: Script, server: Server, store: Store) -> None:
+        self._args = args
+        self._knobs = knobs
+        self._script = script
+        self._store = store
+        self._machine = Machine.of(server, args.cpu_threads)
+        self._recorder = Recorder(server, knobs.message, script)
+        self._dt_s = defaults.dt_s(knobs.message)
+        self._began = time.monotonic()
+
+    def measure(self, name: str) -> Outcome:
+        args, knobs = self._args, self._knobs
+        tolerance: float = args.tolerance
+        limit_s = args.reference_seconds or (_QUICK_REFERENCE_S if args.quick else _REFERENCE_S)
+        self._say(f"{name}: {self._script.text()}, on {self._machine.backend} ({self._machine.device})")
+        found = reference.find(
+            knobs,
+            self._script,
+            self._recorder,
+            self._store,
+            self._machine,
+            tolerance=tolerance,
+            limit_s=limit_s,
+            say=self._say,
+        )
+        own = self._own_recording()
+        singles = sweep.one_at_a_time(knobs, args.quick)
+        measured = self._all(singles, found, own, "one knob at a time")
+        if measured[0].errors is None:
+            raise InvalidArgumentError(f"the scene as it is cannot be run: {measured[0].failure}")
+        count = args.combinations
+        if count is None:
+            count = _QUICK_COMBINATIONS if args.quick else _COMBINATIONS
+        chosen, possible = sweep.combinations(knobs, measured, count, tolerance)
+        measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
+        budget_s = args.budget or self._dt_s
+        return Outcome(
+            scene=name,
+            knobs=knobs,
+            script=self._script,
+            machine=self._machine,
+            reference=found,
+            measurements=measured,
+            combinations=len(chosen),
+            possible_combinations=possible,
+            tolerance=tolerance,
+            budget_s=budget_s,
+            fastest=sweep.fastest_within(measured, tolerance),
+            most_accurate=sweep.most_accurate_within(measured, budget_s),
+        )
+
+    def _own_recording(self) -> Recording:
+        """Of the scene as it is: what a choice by itself changes is told against it."""
+        key = key_of(self._knobs.message, self._script, self._machine, "own")
+        recording = self._store.recording(key)
+        if recording is None:
+            recording = self._recorder.record(self._knobs.message)
+            self._store.keep(key, recording)
+        return recording
+
+    def _all(self, settings: Sequence[Setting], found: Reference, own: Recording, what: str) -> list[Measurement]:
+        measured = []
+        for number, setting in enumerate(settings, 1):
+            measurement = self._measured(setting, found, own)
+            measured.append(measurement)
+            result = measurement.failure or report.brief(measurement)
+            self._say(f"{what}, {number}/{len(settings)}: {report.setting_text(setting)}: {result}")
+        return measured
+
+    def _measured(self, setting: Setting, found: Reference, own: Recording) -> Measurement:
+        scene = self._knobs.apply(setting).scene().message
+        key = key_of(scene, self._script, self._machine, f"{found.key} {dict(setting)}")
+        if (known := self._store.get(key)) is not None:
+            return known
+        try:
+            recording = self._recorder.record(scene)
+            if self._knobs.quasi_static and recording.unconverged_steps:
+                # As `tensormass solve` has it: what is no equilibrium is no result.
+                raise NotConvergedError("ended above newton_tolerance")
+        except UnavailableError:
+            raise  # the daemon is gone: this says nothing about the setting
+        except TensormassError as error:
+            measurement = Measurement(key, dict(setting), self._machine, failure=str(error))
+        else:
+            weights = self._recorder.weights
+            steps_of_own = 1.0 if self._script.one_step else self._dt_s / defaults.dt_s(scene)
+            measurement = Measurement(
+                key,
+                dict(setting),
+                self._machine,
+                element_count=recording.element_count,
+                errors=compare(recording, found.recording, weights),
+                costs=recording.costs,
+                moved=compare(recording, own, weights).displacement,
+                cost_s=recording.costs.step_p50_s * steps_of_own,
+                unconverged_steps=recording.unconverged_steps,
+                min_det_f=recording.min_det_f,
+                outside_share=recording.outside_share,
+                warnings=recording.warnings,
+            )
+        self._store.put(measurement)
+        return measurement
+
+    def _say(self, text: str) -> None:
+        minutes, seconds = divmod(int(time.monotonic() - self._began), 60)
+        print(f"[{minutes:3d}:{seconds:02d}] {text}", file=sys.stderr, flush=True)
+
+
+def _write(outcome: Outcome, folder: Path, server: Server) -> list[Path]:
+    """Report, results and the two scenes, which are tried before they are promised."""
+    (folder / "trade.json").write_text(json.dumps(outcome.to_plain(), indent=1) + "\n", "utf-8")
+    (folder / "report.html").write_text(html.page(outcome), "utf-8")
+    written = [folder / "report.html", folder / "trade.json"]
+    limits = {
+        "fastest": (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
+        "most_accurate": (outcome.most_accurate, f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms"),
+    }
+    for name, (measurement, what) in limits.items():
+        path = folder / f"{name}.yaml"
+        if measurement is None:
+            path.unlink(missing_ok=True)  # of an earlier run
+            continue
+        setting = report.setting_text(measurement.setting)
+        comment = (
+            f"{what}, made by `tensormass trade {outcome.scene}`.\n"
+            f"{setting}: {report.brief(measurement)}\n"
+            f"Measured on {outcome.machine.backend} ({outcome.machine.device})."
+        )
+        outcome.knobs.write(measurement.setting, path, comment)
+        server.inspect(path)
+        written.append(path)
+    return written

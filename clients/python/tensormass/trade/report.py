@@ -1,0 +1,185 @@
+"""What `tensormass trade` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tensormass.output import table
+from tensormass.trade import sweep
+from tensormass.trade.knobs import Knob, Setting
+from tensormass.trade.store import Measurement
+
+if TYPE_CHECKING:
+    from tensormass.trade.command import Outcome
+
+#: Headings of `cells`.
+HEADS = [
+    "setting",
+    "elements",
+    "error",
+    "displacement",
+    "worst node",
+    "force",
+    "angle",
+    "work",
+    "frequency",
+    "damping",
+    "volume",
+    "cost",
+    "step p50",
+    "step p99",
+    "latency",
+    "memory",
+    "energy",
+    "moved",
+]
+
+
+#: Headings of `knob_rows`.
+KNOB_HEADS = ["knob", "value", "cost", "error", "displacement", "force", "moved"]
+
+
+def setting_text(setting: Setting) -> str:
+    """`dt_s 0.01, law hencky`."""
+    parts = [
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in setting.items()
+    ]
+    return ", ".join(parts) or "as it is"
+
+
+def brief(measurement: Measurement) -> str:
+    """Error and cost in a few words."""
+    errors = measurement.errors
+    if errors is None:
+        return measurement.failure
+    force = "" if errors.force is None else f", force {percent(errors.force)}"
+    return f"displacement {percent(errors.displacement)}{force}; {ms(measurement.cost_s)} a step of the scene"
+
+
+def cells(of: Measurement) -> list[str]:
+    """A row of a table, under `HEADS`."""
+    if of.errors is None or of.costs is None:
+        return [setting_text(of.setting), *["–"] * (len(HEADS) - 1)]
+    errors, costs = of.errors, of.costs
+    energy = costs.energy_j_per_step
+    return [
+        setting_text(of.setting),
+        str(of.element_count),
+        percent(errors.judged),
+        percent(errors.displacement),
+        percent(errors.worst_node),
+        percent(errors.force),
+        "–" if errors.force_angle_rad is None else f"{math.degrees(errors.force_angle_rad):.2g}°",
+        percent(errors.work),
+        percent(errors.frequency),
+        "–" if errors.damping is None else f"{errors.damping:+.3f}",
+        percent(errors.volume),
+        ms(of.cost_s),
+        ms(costs.step_p50_s),
+        ms(costs.step_p99_s),
+        ms(costs.latency_p50_s),
+        f"{costs.memory_bytes / 1e6:.3g} MB",
+        "–" if energy is None else f"{1e3 * energy:.3g} mJ",
+        percent(of.moved),
+    ]
+
+
+def knob_rows(knobs: Sequence[Knob], measurements: Sequence[Measurement]) -> list[tuple[list[str], str]]:
+    """Each value of each knob alone, its cost as a factor of that of the scene as it is, the first measurement; rows of
+    the scene's own values are marked "front"."""
+    base = measurements[0]
+    alone = {next(iter(of.setting.items())): of for of in measurements if len(of.setting) == 1}
+    rows = []
+    for knob in knobs:
+        for value in knob.values:
+            of = base if value == knob.own else alone.get((knob.name, value))
+            if of is None or of.errors is None:
+                continue
+            shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+            cells = [knob.name, shown, f"× {of.cost_s / base.cost_s:.2f}", percent(of.errors.judged)]
+            cells += [percent(of.errors.displacement), percent(of.errors.force), percent(of.moved)]
+            rows.append((cells, "front" if of is base else ""))
+    return rows
+
+
+def percent(share: float | None) -> str:
+    if share is None:
+        return "–"
+    return f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
+
+
+def ms(time_s: float) -> str:
+    return f"{1e3 * time_s:.3g} ms"
+
+
+def words() -> list[str]:
+    """What the columns mean."""
+    return [
+        "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
+        "worst node: the largest difference of any point, against the largest displacement",
+        "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
+        "cost: median time to compute as much as one step of the scene simulates; latency: pose to force over the "
+        "control plane, in lockstep",
+        "moved: displacement against the scene as it is, what the choice by itself changes",
+    ]
+
+
+def findings(outcome: Outcome) -> list[str]:
+    """What the user should know of the result."""
+    lines = []
+    reference = outcome.reference
+    if reference.error > outcome.tolerance / 3:
+        lines.append(
+            f"the reference itself may be off by {percent(reference.error)}: errors of that size say little; give it "
+            "--reference-seconds, or a machine that is faster"
+        )
+    if reference.levels[-1].min_det_f <= 0:
+        lines.append(
+            "the reference has elements that are turned inside out: the scene leaves the range of its law, and there "
+            "is no answer to converge to; press less (--press), or take a law that stands compression"
+        )
+    broken = [of for of in outcome.measurements if of.errors is None]
+    lines += [f"{setting_text(of.setting)} could not be run: {of.failure}" for of in broken]
+    unconverged = [of for of in outcome.measurements if of.unconverged_steps]
+    if unconverged:
+        lines.append(f"{len(unconverged)} settings have steps that ended above their newton_tolerance")
+    return lines
+
+
+def picks(outcome: Outcome) -> list[tuple[str, str]]:
+    """The two settings asked for, and what they reach."""
+    wanted = [
+        (f"fastest within {percent(outcome.tolerance)}", outcome.fastest, "none is that accurate"),
+        (f"most accurate within {ms(outcome.budget_s)}", outcome.most_accurate, "none is that fast"),
+    ]
+    return [
+        (what, f"{setting_text(of.setting)}: {brief(of)}" if of is not None else missing)
+        for what, of, missing in wanted
+    ]
+
+
+def text(outcome: Outcome, written: Sequence[Path]) -> str:
+    """For a terminal."""
+    front = {of.key for of in sweep.front(outcome.measurements)}
+    rows = [["", *HEADS]]
+    for of in sorted(outcome.measurements, key=lambda of: of.cost_s):
+        rows.append(["*" if of.key in front else "", *cells(of)])
+    machine = outcome.machine
+    sections = [
+        f"{outcome.scene}: {outcome.script.text()}\non {machine.backend} ({machine.device}), tensormassd "
+        f"{machine.version}, build {machine.build}",
+        "reference:\n" + "\n".join(f"  {line}" for line in outcome.reference.text()),
+        table(rows) + "\n* on the front: no other is both faster and more accurate",
+        "\n".join(words()),
+        "not varied:\n" + "\n".join(f"  {name}: {why}" for name, why in outcome.knobs.without.items()),
+        f"measured: {len(outcome.measurements)} settings, {outcome.combinations} of them combinations of "
+        f"{outcome.possible_combinations} that are possible",
+    ]
+    if lines := findings(outcome):
+        sections.append("warnings:\n" + "\n".join(f"  {line}" for line in lines))
+    sections.append("\n".join(f"{what}: {reached}" for what, reached in picks(outcome)))
+    sections.append("written: " + ", ".join(map(str, written)))
+    return "\n\n".join(sections)

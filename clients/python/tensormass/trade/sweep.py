@@ -1,0 +1,112 @@
+"""Which settings to measure, and which of the measured ones are worth having."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tensormass.trade.knobs import Knobs, Setting, Value
+from tensormass.trade.store import Measurement
+
+# Of one knob, values that go into combinations: the scene's own and the best of the others.
+_VALUES_A_KNOB = 4
+_PRODUCT_LIMIT = 400_000
+# A value whose error is above this many tolerances is not promising at any price.
+_HOPELESS_TOLERANCES = 5.0
+# A dearer point is on the front only if its error is below this share of that of the cheaper one: times scatter.
+_WORTHWHILE = 0.99
+
+
+def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
+    """The scene as it is, then each knob turned alone; `quick`: only to the neighbours of ordered ones."""
+    settings: list[dict[str, Value]] = [{}]
+    for name, knob in knobs.knobs.items():
+        settings += [knobs.canonical({name: value}) for value in knob.others(nearest=quick)]
+    return [setting for index, setting in enumerate(settings) if setting not in settings[:index]]
+
+
+def combinations(
+    knobs: Knobs, measured: Sequence[Measurement], count: int, tolerance: float
+) -> tuple[list[dict[str, Value]], int]:
+    """Settings of several knobs that promise most, at most `count`, and out of how many.
+
+    What a knob did alone predicts what it does with others: factors of cost multiply, changes of error add. The
+    promising are the front of that prediction, then the front of the rest, and so on.
+    """
+    by_setting = {_frozen(of.setting): of for of in measured if of.errors is not None}
+    base = by_setting[_frozen({})]
+    assert base.errors is not None
+    base_error = base.errors.judged
+    worth_at_most = max(_HOPELESS_TOLERANCES * tolerance, 1.5 * base_error)
+    choices: list[list[tuple[dict[str, Value], float, float]]] = []
+    for name, knob in knobs.knobs.items():
+        alone = []
+        for value in knob.others():
+            of = by_setting.get(_frozen(knobs.canonical({name: value})))
+            if of is not None and of.errors is not None and of.errors.judged <= worth_at_most:
+                log_cost = math.log(of.cost_s / base.cost_s)
+                alone.append(({name: value}, log_cost, of.errors.judged - base_error))
+        # Useful is what is cheaper or more accurate than the scene.
+        alone = [of for of in alone if of[1] < 0 or of[2] < 0]
+        alone.sort(key=lambda of: min(of[1], 0.0) + min(of[2] / max(base_error, 1e-9), 0.0))
+        choices.append([({}, 0.0, 0.0), *alone[: _VALUES_A_KNOB - 1]])
+    while math.prod(len(of) for of in choices) > _PRODUCT_LIMIT:
+        longest = max(choices, key=len)
+        longest.pop()
+    settings: dict[tuple[tuple[str, Value], ...], tuple[dict[str, Value], float, float]] = {}
+    for parts in itertools.product(*choices):
+        setting = knobs.canonical({name: value for of, _, _ in parts for name, value in of.items()})
+        if len(setting) > 1 and _frozen(setting) not in by_setting:
+            error = max(base_error + sum(of[2] for of in parts), 0.0)
+            settings[_frozen(setting)] = (setting, sum(of[1] for of in parts), error)
+    candidates = list(settings.values())
+    total = len(candidates)
+    chosen: list[dict[str, Value]] = []
+    while candidates and len(chosen) < count:
+        front = _spread(pareto([(cost, error) for _, cost, error in candidates]), count - len(chosen))
+        chosen += [candidates[index][0] for index in front]
+        taken = set(front)
+        candidates = [of for index, of in enumerate(candidates) if index not in taken]
+    return chosen, total
+
+
+def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the points (cost, error) that no cheaper one matches, the cheapest first."""
+    order = sorted(range(len(points)), key=lambda index: points[index])
+    front = []
+    best = math.inf
+    for index in order:
+        if points[index][1] < _WORTHWHILE * best or best == math.inf:
+            front.append(index)
+            best = points[index][1]
+    return front
+
+
+def front(measured: Sequence[Measurement]) -> list[Measurement]:
+    """Measurements that none beats in cost and error, the cheapest first; without those that broke."""
+    usable = [of for of in measured if of.errors is not None and math.isfinite(of.errors.judged)]
+    return [usable[index] for index in pareto([(of.cost_s, of.errors.judged) for of in usable if of.errors])]
+
+
+def fastest_within(measured: Sequence[Measurement], tolerance: float) -> Measurement | None:
+    """None: no setting is that accurate."""
+    return next((of for of in front(measured) if of.errors and of.errors.judged <= tolerance), None)
+
+
+def most_accurate_within(measured: Sequence[Measurement], budget_s: float) -> Measurement | None:
+    """None: no setting is that fast."""
+    return next((of for of in reversed(front(measured)) if of.cost_s <= budget_s), None)
+
+
+def _spread(indices: list[int], count: int) -> list[int]:
+    """At most `count` of them, evenly."""
+    if len(indices) <= count:
+        return indices
+    return [indices[round(of)] for of in np.linspace(0, len(indices) - 1, count)]
+
+
+def _frozen(setting: Setting) -> tuple[tuple[str, Value], ...]:
+    return tuple(sorted(setting.items()))

@@ -1,0 +1,161 @@
+"""The test run of `tensormass trade` against a scene that moves by a formula."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tensormass as tm
+from tensormass.fields import Fields
+from tensormass.meshes import FloatArray
+from tensormass.scene import SceneFile, volume_mesh
+from tensormass.trade.script import Recorder, Script, rest_nodes
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+
+SCENE = """
+name: block
+gravity_m_per_s2: {z: -9.81}
+stepping: {dt_s: 0.01}
+bodies:
+  - name: block
+    mesh:
+      grid: {size_m: {x: 1, y: 1, z: 1}, cells_x: 4, cells_y: 2, cells_z: 2, shape: hexahedron}
+      scale: 0.1
+      translation_m: {z: 0.5}
+    law: {hooke: {young_modulus_pa: 5000, poisson_ratio: 0.4}}
+    density_kg_per_m3: 1000
+tools:
+  - name: probe
+    spherical_probe: {radius_m: 0.01, tip_offset_m: {z: -0.02}}
+    position_m: {x: 0.05, y: 0.05, z: 0.7}
+"""
+STIFFNESS_N_PER_M = 100.0
+
+
+class FormulaServer:
+    """Stretches all bodies along z by 1 % · (1 − cos 2π 5 t); the tool hangs on a spring at its start."""
+
+    def __init__(self, fault_at_step: int = 0) -> None:
+        self.fault_at_step = fault_at_step
+        self.loaded: list[FormulaScene] = []
+
+    def version(self) -> control_pb2.GetVersionResponse:
+        return control_pb2.GetVersionResponse(backend="cpu")
+
+    def load(self, scene: scene_pb2.Scene, *, lockstep: bool) -> FormulaScene:
+        assert lockstep
+        self.loaded.append(FormulaScene(scene, self.fault_at_step))
+        return self.loaded[-1]
+
+
+def stretch(time_s: float) -> float:
+    return 0.01 * (1 - math.cos(2 * math.pi * 5 * time_s))
+
+
+class FormulaScene:
+    def __init__(self, scene: scene_pb2.Scene, fault_at_step: int) -> None:
+        self._scene = scene
+        self._fault_at_step = fault_at_step
+        self._step = 0
+        self.steps_ever = 0
+        self._tool = self._start = np.array([scene.tools[0].position_m.z]) if scene.tools else np.zeros(1)
+        self.unloaded = False
+        self.report = control_pb2.SceneReport(bytes_total=1000)
+
+    def positions(self, body: str) -> FloatArray:
+        (of,) = (of for of in self._scene.bodies if of.name == body)
+        rest = rest_nodes(of, volume_mesh(of).nodes)
+        return rest * [1, 1, 1 + stretch(self._step * self._scene.stepping.dt_s)]
+
+    def fields(self, body: str) -> Fields:
+        return Fields(self._step, 0.0, {}, 0.0, 0.0, 0.7)
+
+    def move_tool(self, name: str, position_m: FloatArray) -> None:
+        self._tool = position_m[2:]
+
+    def step(self) -> stream_pb2.SceneStatus:
+        self._step += 1
+        self.steps_ever += 1
+        status = stream_pb2.SceneStatus(step=self._step, step_time_p50_s=1e-3, step_time_p99_s=2e-3, min_det_f=1)
+        status.unconverged_steps = 1
+        if self._step == self._fault_at_step:
+            status.fault = "left the numbers"
+        for tool in self._scene.tools:
+            feedback = status.tools.add(tool=tool.name)
+            feedback.position_m.z = self._tool[0]
+            feedback.force_n.z = STIFFNESS_N_PER_M * (self._start[0] - self._tool[0])
+        return status
+
+    def reset(self) -> None:
+        self._step = 0
+
+    def topology(self) -> stream_pb2.Topology:
+        return stream_pb2.Topology(bodies=[stream_pb2.BodySurface(vertex_count=5)])
+
+    def unload(self) -> None:
+        self.unloaded = True
+
+
+def scene_of(text: str = SCENE) -> scene_pb2.Scene:
+    return SceneFile.parse(text, Path(), "scene").scene().message
+
+
+def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None):  # noqa: ANN201
+    return Recorder(server or FormulaServer(), base, script).record(scene)  # type: ignore[arg-type]
+
+
+def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
+    script = Script.of(scene_of(), None)
+    # The tip starts at z = 0.68, the surface is at 0.6.
+    assert script.travel_m == pytest.approx((0, 0, -0.075))
+    assert Script.of(scene_of(), press_radii=1).travel_m == pytest.approx((0, 0, -0.08))
+    assert script.start_m == (0.05, 0.05, 0.7)
+    turned = scene_of(SCENE + "    orientation: {w: 0.7071067811865476, x: 0, y: 0.7071067811865476, z: 0}\n")
+    # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
+    assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
+
+
+@pytest.mark.parametrize(
+    "edit", [("cells_x: 4", "cells_x: 7"), ("hexahedron", "quadratic_tetrahedron"), ("0.01}", "0.005}")]
+)
+def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str, str]) -> None:
+    base = scene_of()
+    script = Script.of(base, 0.4)
+    changed = scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.005}") if edit[0] == "0.01}" else SCENE.replace(*edit))
+    server = FormulaServer()
+    got = record(changed, base, script, server)
+    (displacement,) = got.displacement
+    points = rest_nodes(base.bodies[0], volume_mesh(base.bodies[0]).nodes)
+    times = script.sample_s * np.arange(1, script.sample_count + 1)
+    assert displacement.shape == (20, len(points), 3)
+    expected = points[:, 2] * np.array([[stretch(t)] for t in times])
+    np.testing.assert_allclose(displacement[:, :, 2], expected, atol=1e-12)
+    np.testing.assert_allclose(displacement[:, :, :2], 0, atol=1e-12)
+    np.testing.assert_allclose(got.volume[0], [1 + stretch(t) for t in times], rtol=1e-9)
+    assert got.force.shape == (20, 3)
+    assert got.work_j == pytest.approx(STIFFNESS_N_PER_M * 0.075**2 / 2, rel=1e-6)  # of the spring, at the deepest
+    assert got.free_times_s[-1] == pytest.approx(0.35 * script.duration_s)
+    assert got.outside_share == 0
+    assert got.min_det_f == pytest.approx(0.7)
+    assert got.costs.step_count == round(0.4 / changed.stepping.dt_s)
+    assert got.costs.frame_bytes == 60
+    assert got.costs.energy_j_per_step is None
+    assert server.loaded[0].unloaded
+
+
+def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
+    text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n"
+    server = FormulaServer()
+    got = record(scene_of(text), scene_of(text), Script.of(scene_of(text), None), server)
+    assert got.displacement[0].shape[0] == got.costs.step_count == got.unconverged_steps == 1
+    assert server.loaded[0].steps_ever == 5
+
+
+def test_a_scene_that_stops_is_an_error_and_is_unloaded() -> None:
+    server = FormulaServer(fault_at_step=3)
+    with pytest.raises(tm.FailedPreconditionError, match="left the numbers"):
+        record(scene_of(), scene_of(), Script.of(scene_of(), None), server)
+    assert server.loaded[0].unloaded
