@@ -6,21 +6,15 @@ python -m accuracy [--backend cpu|cuda] [--only TEXT] [--precision double|float]
 from __future__ import annotations
 
 import argparse
-import os
-import platform
-import subprocess
 import sys
 import time
-from pathlib import Path
 
 import tensormass as tm
 
-from . import report
+from . import record, report
 from .case import Case
 from .cases import all_cases
 from .engine import PRECISIONS, Engine
-
-HERE = Path(__file__).parent
 
 
 def main() -> int:
@@ -44,8 +38,8 @@ def main() -> int:
         run_info = report.Run(
             backend=arguments.backend,
             device=device,
-            machine=_machine(),
-            commit=_commit(),
+            machine=record.machine(),
+            commit=record.commit(),
             command=f"python -m accuracy --backend {arguments.backend}",
             date=time.strftime("%Y-%m-%d", time.gmtime()),
             seconds=round(time.monotonic() - start),
@@ -67,22 +61,6 @@ def run(case: Case, engine: Engine) -> report.Row:
     said = row.failure or f"{row.value:.9g}, error {row.error:.1e}, bound {row.bound}"
     print(f"{verdict} {engine.precision:6} {case.key}: {said}", flush=True)
     return row
-
-
-def _machine() -> str:
-    model = platform.processor() or platform.machine()
-    cpu_info = Path("/proc/cpuinfo")
-    if cpu_info.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpu_info.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    return f"{model}, {os.cpu_count()} threads"
-
-
-def _commit() -> str:
-    """TENSORMASS_COMMIT where the tree is a copy without history."""
-    command = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return os.environ.get("TENSORMASS_COMMIT") or done.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":
