@@ -60,7 +60,8 @@ class Group:
 
 @dataclass(frozen=True)
 class Case:
-    """expects: the outcomes that keep the promise. short: why it may fall short, by precision; "" stands for both.
+    """expects: the outcomes that keep the promise. short: why it may fall short, or be caught, by precision; "" stands
+    for both.
 
     long: only with --long. quick: also a test of `make test`.
     """
@@ -85,7 +86,7 @@ class Case:
 
     def explains(self, outcome: str, precision: str) -> bool:
         """Whether this outcome is what the page says of the case."""
-        return outcome in self.expects or (outcome == SHORT and bool(self.reason(precision)))
+        return outcome in self.expects or (outcome in (SHORT, CAUGHT) and bool(self.reason(precision)))
 
 
 @dataclass(frozen=True)

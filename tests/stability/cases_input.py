@@ -210,7 +210,7 @@ def _spoil_scene(engine: Engine, place: Place) -> Found:
             engine.server.inspect(scene)
         except tm.InvalidArgumentError as refusal:
             refused += 1
-            if not _names_it(str(refusal), place):
+            if not _names_it(str(refusal), place, value):
                 bad.append(f"{value:g}: the refusal does not name it: {refusal}")
             continue
         why, moved = _harm(engine, scene)
@@ -233,9 +233,14 @@ def _counted(refused: int, harmless: int, bad: list[str]) -> Found:
     return Found([Check("values that do harm", float(len(bad)), 0)], note=note)
 
 
-def _names_it(refusal: str, place: Place) -> bool:
-    by_row = place.path.endswith("positions") and re.search(r"(node|vertex) \d+ of", refusal)
-    return bool(by_row) or place.name in refusal
+def _names_it(refusal: str, place: Place, value: float) -> bool:
+    """A number that is none, or none that anybody means, by its field. Any other may be right where it stands and wrong
+    for what it makes: a region without nodes, a flat element, a skin outside; then that is named, with its body.
+    """
+    if np.isfinite(value) and abs(value) < 1e300:
+        return place.name in refusal or "body '" in refusal
+    by_row = place.name.endswith("positions") and re.search(r"(node|point|vertex) \d+ of", refusal)
+    return bool(by_row) or place.name.removesuffix("s") in refusal  # an element has one of its fibre_directions
 
 
 def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Found:

@@ -14,6 +14,7 @@ from stability.case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Gro
 from stability.tissue import (
     CUBE_M,
     REAL_TIME_DT_S,
+    SOFTENS,
     clamped,
     cube,
     distance,
@@ -27,7 +28,7 @@ from stability.tissue import (
 STEP = Group(
     "step",
     "Length of a step",
-    "A cube of 0.1 m (E 5 kPa, 1000 kg/m³), clamped on one side, let go under its weight with a damping of 50 / s, "
+    "A cube of 0.1 m (E 5 kPa, 1000 kg/m³), clamped on one side, let go under its weight with a damping of 20 / s, "
     "until it is at rest; implicit Euler linearized once, or by Newton's method where the name says so. Must hold: "
     "the total energy (elastic, kinetic, of the load) never rises between two looks by more than 1 % of the work that "
     "the load does; at the end it is at the equilibrium that Newton's method finds in double precision, to 1 %.",
@@ -51,8 +52,9 @@ HOUR = Group(
     "One cell whose side is driven along z, 10 mm and 1 Hz, for an hour of simulated time in 216,000 steps, in float "
     "and in double. Must hold: at 60 looks the two differ by less than 1 % of the displacement.",
 )
-DAMPING_PER_S = 50.0
-SETTLED_S = 0.4
+# Near critical for the cube's first swing, at 15 rad/s: what is left of it after SETTLED_S is e⁻¹⁰.
+DAMPING_PER_S = 20.0
+SETTLED_S = 1.0
 STEPS_S = (1e-4, 1e-3, REAL_TIME_DT_S, 0.1, 1.0)
 NAMES = {1e-4: "0.1 ms", 1e-3: "1 ms", REAL_TIME_DT_S: "1/60 s", 0.1: "0.1 s", 1.0: "1 s"}
 LOOKS = 20
@@ -65,16 +67,23 @@ def step_cases() -> Iterator[Case]:
     yield from _hour_cases()
 
 
-def settle(engine: Engine, problem: Problem, dt_s: float, newton: bool = False) -> Found:
+def settles(law: str) -> tuple[str, ...]:
+    """Under its weight the edge of the clamp is pressed to where st_venant_kirchhoff softens and turns inside out."""
+    return (HOLDS, CAUGHT) if law in SOFTENS else (HOLDS,)
+
+
+def settle(
+    engine: Engine, problem: Problem, dt_s: float, *, newton: bool = False, damping_per_s: float = DAMPING_PER_S
+) -> Found:
     """Lets the problem go until it is at rest."""
     reference = equilibrium(engine, problem).displacement_m
     forces = problem.nodal_forces()
     work = float((forces * reference).sum())
     scene = real_time(engine, problem, dt_s)
-    scene.bodies[0].rayleigh_mass_per_s = DAMPING_PER_S
+    scene.bodies[0].rayleigh_mass_per_s = damping_per_s
     if newton:
         scene.solver.newton_max_iterations = 20
-    steps = max(round(SETTLED_S / dt_s), 60)
+    steps = max(round(SETTLED_S / dt_s), 120)
     energies = [0.0]
     with running(engine, scene) as scene_running:
         for _ in range(LOOKS):
@@ -90,7 +99,7 @@ def _step_cases() -> Iterator[Case]:
     def run(engine: Engine, law: str, shape: str, dt_s: float, newton: bool) -> Found:
         mesh = cube(shape)
         problem = Problem(mesh, tissue(law), [clamped(mesh)], forces_n=nodal_weight(mesh))
-        return settle(engine, problem, dt_s, newton)
+        return settle(engine, problem, dt_s, newton=newton)
 
     for dt_s in STEPS_S:
         for newton in (False, True):
@@ -106,15 +115,18 @@ def _step_cases() -> Iterator[Case]:
                         lambda engine, law=law, shape=shape, dt_s=dt_s, newton=newton: run(
                             engine, law, shape, dt_s, newton
                         ),
+                        expects=settles(law),
                         quick=shape == "hexahedron" and dt_s == 1.0 and not newton,
                     )
 
 
 def _load_cases() -> Iterator[Case]:
-    def run(engine: Engine, law: str, shape: str, times: float, young_pa: float) -> Found:
+    def run(engine: Engine, law: str, shape: str, times: float, young_pa: float, newton: bool) -> Found:
         mesh = cube(shape)
         forces = nodal_weight(mesh, times)
         scene = real_time(engine, Problem(mesh, tissue(law, young_pa), [clamped(mesh)], forces_n=forces))
+        if newton:
+            scene.solver.newton_max_iterations = 50
         worst = -np.inf
         with running(engine, scene) as scene_running:
             for _ in range(LOOKS):
@@ -137,11 +149,16 @@ def _load_cases() -> Iterator[Case]:
         with running(engine, scene):
             raise AssertionError("it was admitted")
 
-    for times, young_pa, name in (
-        (1e2, 5e3, "100 × weight, 5 kPa"),
-        (1e4, 5e3, "10⁴ × weight, 5 kPa"),
-        (1e6, 5e3, "10⁶ × weight, 5 kPa"),
-        (1e6, 1e11, "10⁶ × weight, 100 GPa"),
+    overshoot = (
+        "one linearized solve a step overshoots where the stiffness grows as the 12th power of the stretch, and gains "
+        "energy; Newton's method does not (next row)"
+    )
+    for times, young_pa, newton, name in (
+        (1e2, 5e3, False, "100 × weight, 5 kPa"),
+        (1e2, 5e3, True, "100 × weight, 5 kPa, Newton"),
+        (1e4, 5e3, False, "10⁴ × weight, 5 kPa"),
+        (1e6, 5e3, False, "10⁶ × weight, 5 kPa"),
+        (1e6, 1e11, False, "10⁶ × weight, 100 GPa"),
     ):
         for law in LAWS:
             for shape in SHAPES:
@@ -150,10 +167,11 @@ def _load_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, times=times, young_pa=young_pa: run(
-                        engine, law, shape, times, young_pa
+                    lambda engine, law=law, shape=shape, times=times, young_pa=young_pa, newton=newton: run(
+                        engine, law, shape, times, young_pa, newton
                     ),
                     expects=(HOLDS,) if young_pa > 1e9 else (HOLDS, CAUGHT),
+                    short={"": overshoot} if law == "ogden" and times == 1e2 and not newton else {},
                 )
     for law in LAWS:
         yield Case(

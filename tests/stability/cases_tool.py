@@ -17,7 +17,7 @@ from tensormass.v1 import scene_pb2
 TOOL = Group(
     "tool",
     "Tools",
-    "A cube of 0.1 m in 4 × 4 × 4 cells, clamped at its bottom, damping of 5 / s, and a probe of 15 mm, 60 steps a "
+    "A cube of 0.1 m in 3 × 3 × 3 cells, clamped at its bottom, damping of 5 / s, and a probe of 15 mm, 60 steps a "
     "second. *Through*: dragged through the middle of it and back at 0.5 m/s, five times. *Teleported*: with no limit "
     "of speed, from one side to the other in every step, or into the middle in every second, 120 steps. Must hold: 10 "
     "s after the tool has left every element has its volume and its shape again, as under “Where it starts”, and the "
@@ -26,6 +26,8 @@ TOOL = Group(
 )
 RADIUS_M = 0.015
 DAMPING_PER_S = 5.0
+# Of a tissue that has gone out of the tool's way: neither check holds then.
+LEAST_FORCE_N = 1e-6
 UNLIMITED_M_PER_S = 1000.0
 SIDES = ((-0.05, 0.05, 0.06), (0.15, 0.05, 0.06))
 MIDDLE = (0.05, 0.05, 0.06)
@@ -34,7 +36,7 @@ AWAY = (0.05, 0.05, 0.5)
 
 def tool_cases() -> Iterator[Case]:
     def scene_of(engine: Engine, law: str, shape: str, speed_m_per_s: float) -> tuple[scene_pb2.Scene, Problem]:
-        mesh = box(shape, (4, 4, 4), (CUBE_M,) * 3)
+        mesh = box(shape, (3, 3, 3), (CUBE_M,) * 3)
         bottom = Support(mesh.where(lambda x, y, z: z < 1e-9), np.zeros(3))
         problem = Problem(mesh, tissue(law), [bottom])
         scene = real_time(engine, problem)
@@ -51,7 +53,7 @@ def tool_cases() -> Iterator[Case]:
                 scene_running.handle.move_tool("probe", stop)
                 scene_running.step(steps_each)
             scene_running.handle.move_tool("probe", AWAY)
-            scene_running.step(600)
+            scene_running.step(300)
             force = float(np.linalg.norm(scene_running.handle.feedback("probe").force_n))
             found = scene_running.state()
             return Found([*at_rest_again(found, problem.mesh), Check("force [N]", force, 0)], scene_running.warnings)
@@ -69,11 +71,15 @@ def tool_cases() -> Iterator[Case]:
                 scene_running.step()
                 forces.append(scene_running.handle.feedback("probe").force_n)
             held = scene_running.state().reaction_n[bottom.nodes].sum(axis=0)
-            size = float(np.linalg.norm(forces[-1]))
+            size = max(float(np.linalg.norm(forces[-1])), LEAST_FORCE_N)
             swing = float(np.ptp(np.array(forces), axis=0).max()) / size
             balance = float(np.linalg.norm(held - forces[-1])) / size
             return Found(
-                [Check("swing of the force", swing, FELT), Check("action − reaction", balance, FELT)],
+                [
+                    Check("the tool is not felt", float(size <= LEAST_FORCE_N), 0),
+                    Check("swing of the force", swing, FELT),
+                    Check("action − reaction", balance, FELT),
+                ],
                 scene_running.warnings,
             )
 

@@ -23,6 +23,7 @@ GRAVITY_M_PER_S2 = 9.81
 REAL_TIME_DT_S = 1 / 60
 # What a law makes of compression, turning inside out and rotation (promises.py).
 RECOVERS = ("corotational", "stable_neo_hookean")
+SOFTENS = ("st_venant_kirchhoff", "transversely_isotropic")
 
 _OF_YOUNG_AND_POISSON = {
     "hooke": laws.hooke,
