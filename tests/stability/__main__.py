@@ -12,9 +12,10 @@ import time
 import tensormass as tm
 from accuracy import record
 from accuracy.engine import PRECISIONS, Engine
-from stability import report
-from stability.case import HOLDS, judge
-from stability.cases import all_cases
+
+from . import report
+from .case import HOLDS, judge
+from .cases import all_cases
 
 
 def main() -> int:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from stability.case import Case
-from stability.cases_input import input_cases
-from stability.cases_material import material_cases
-from stability.cases_mesh import mesh_cases
-from stability.cases_motion import motion_cases
-from stability.cases_start import start_cases
-from stability.cases_steps import step_cases
-from stability.cases_tool import tool_cases
+from .case import Case
+from .cases_input import input_cases
+from .cases_material import material_cases
+from .cases_mesh import mesh_cases
+from .cases_motion import motion_cases
+from .cases_start import start_cases
+from .cases_steps import step_cases
+from .cases_tool import tool_cases
 
 
 def all_cases() -> list[Case]:

@@ -17,9 +17,10 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import box
 from accuracy.problem import Problem
-from stability.case import Case, Check, Found, Group
-from stability.tissue import CUBE_M, clamped, packed, real_time, tissue
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+
+from .case import Case, Check, Found, Group
+from .tissue import CUBE_M, clamped, packed, real_time, tissue
 
 INPUT = Group(
     "input",

@@ -10,10 +10,12 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, Floats, Mesh, box
 from accuracy.problem import Problem
-from stability.case import FELT, REFUSED, Case, Check, Found, Group
-from stability.cases_material import pull
-from stability.cases_steps import settle, settles
-from stability.tissue import (
+from tensormass.v1 import scene_pb2
+
+from .case import FELT, REFUSED, Case, Check, Found, Group
+from .cases_material import pull
+from .cases_steps import settle, settles
+from .tissue import (
     CUBE_M,
     GRAVITY_M_PER_S2,
     REAL_TIME_DT_S,
@@ -24,7 +26,6 @@ from stability.tissue import (
     running,
     tissue,
 )
-from tensormass.v1 import scene_pb2
 
 MESH = Group(
     "mesh",

@@ -11,9 +11,10 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, box
 from accuracy.problem import Problem
-from stability.case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
-from stability.tissue import initial, real_time, running, tissue
 from tensormass.v1 import scene_pb2
+
+from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
+from .tissue import initial, real_time, running, tissue
 
 MOTION = Group(
     "motion",

@@ -10,8 +10,9 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, Floats
 from accuracy.problem import Problem
-from stability.case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
-from stability.tissue import CUBE_M, RECOVERS, at_rest_again, clamped, cube, initial, real_time, running, tissue
+
+from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
+from .tissue import CUBE_M, RECOVERS, at_rest_again, clamped, cube, initial, real_time, running, tissue
 
 START = Group(
     "start",

@@ -10,8 +10,9 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, box
 from accuracy.problem import Problem, Support
-from stability.case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Group
-from stability.tissue import (
+
+from .case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Group
+from .tissue import (
     CUBE_M,
     REAL_TIME_DT_S,
     SOFTENS,

@@ -10,9 +10,10 @@ from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import box
 from accuracy.problem import Problem, Support
-from stability.case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
-from stability.tissue import CUBE_M, RECOVERS, at_rest_again, real_time, running, tissue
 from tensormass.v1 import scene_pb2
+
+from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
+from .tissue import CUBE_M, RECOVERS, at_rest_again, real_time, running, tissue
 
 TOOL = Group(
     "tool",

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from accuracy import record
-from stability.case import BROKEN, CAUGHT, HOLDS, REFUSED, SHORT, Case, Group, Verdict
-from stability.cases import all_cases
-from stability.promises import PROMISES
+
+from .case import BROKEN, CAUGHT, HOLDS, REFUSED, SHORT, Case, Group, Verdict
+from .cases import all_cases
+from .promises import PROMISES
 
 FOLDER = Path(__file__).parent / "results"
 PAGE = Path(__file__).parents[2] / "docs" / "stability.md"

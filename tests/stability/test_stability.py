@@ -8,13 +8,14 @@ import pytest
 
 import tensormass as tm
 from accuracy.engine import Engine
-from stability.case import HOLDS, SHORT, Case, Check, Found, Group, judge
-from stability.cases import all_cases
-from stability.cases_input import places, real_fields, whole_scene
-from stability.promises import PROMISES
-from stability.tissue import LAWS, tissue
 from tensormass import processes
 from tensormass.v1 import scene_pb2
+
+from .case import HOLDS, SHORT, Case, Check, Found, Group, judge
+from .cases import all_cases
+from .cases_input import places, real_fields, whole_scene
+from .promises import PROMISES
+from .tissue import LAWS, tissue
 
 QUICK = [(case, precision) for case in all_cases() if case.quick for precision in case.precisions]
 

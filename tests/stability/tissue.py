@@ -13,8 +13,9 @@ from accuracy.engine import BODY, Engine, State, state
 from accuracy.laws import LAWS, Law
 from accuracy.meshes import Floats, Mesh, box
 from accuracy.problem import DENSITY_KG_PER_M3, Problem, Support
-from stability.case import FELT, Check
 from tensormass.v1 import scene_pb2
+
+from .case import FELT, Check
 
 CUBE_M = 0.1
 YOUNG_PA = 5000.0
