@@ -2,6 +2,7 @@
 #
 #   CUDA=OFF   build without the CUDA backend      JOBS=n   parallel compilations      SCENE=path   another scene
 #   REFERENCES=1   `make accuracy` asks the other solvers again instead of comparing with their stored answers
+#   LONG=1         `make stability` also runs 10⁶ steps, an hour of simulated time and millions of elements
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
@@ -24,7 +25,8 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy trade asan tsan lint format clean
+.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy stability trade asan tsan \
+        lint format clean
 
 help: ## This list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -80,6 +82,11 @@ accuracy: setup-test ## Proof of accuracy: results in tests/accuracy, table in d
 	@$(MAKE) native python
 	@cd tests && $(if $(REFERENCES),python -m accuracy.references &&) \
 	  { python -m accuracy --backend $(BACKEND) || failed=1; python -m accuracy.report && exit $${failed:-0}; }
+
+stability: setup-test ## Proof of stability: results in tests/stability, page in docs/stability.md (BACKEND=cuda, LONG=1)
+	@$(MAKE) native python
+	@cd tests && { python -m stability --backend $(BACKEND) $(if $(LONG),--long) || failed=1; \
+	  python -m stability.report && exit $${failed:-0}; }
 
 trade: setup-test ## Measure the demo scenes' settings: results, presets, docs/accuracy.md (BACKEND=cuda); goes on if stopped
 	@$(MAKE) native python

@@ -77,7 +77,7 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
 /// Rest positions, masses, damping.
 Result<void> fill_row_fields(Compilation& c);
 
-/// Fixed and prescribed nodes, forces, tractions, pressures, gravity.
+/// Fixed and prescribed nodes, forces, tractions, pressures, gravity, initial displacements and velocities.
 Result<void> fill_supports_and_loads(Compilation& c);
 
 /// Linear laws go into constant tensors; every element goes into a group.

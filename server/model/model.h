@@ -193,6 +193,8 @@ struct Model {
   std::vector<double> inertia;         ///< [row_count, 4]
   std::vector<double> row_mass;        ///< [row_count] kg, also where inertia leaves it out (quasi-static)
   std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
+  /// [row_count, 4] m, m/s; empty: at rest.
+  std::vector<double> initial_displacement, initial_velocity;
   DrivenRows driven;
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;

@@ -11,7 +11,8 @@
 #include "model/scene_input.h"
 #include "physics/element/face.h"
 
-/// What holds a body and what acts on it: fixed and prescribed nodes, forces, tractions, pressures, gravity.
+/// What holds a body, what acts on it and how it starts: fixed and prescribed nodes, forces, tractions, pressures,
+/// gravity, initial displacements and velocities.
 namespace tensormass::model {
 
 namespace {
@@ -37,6 +38,7 @@ class Supports {
       TM_CHECK(fix(body, b, sets, where));
       TM_CHECK(prescribe(body, b, sets, where));
       TM_CHECK(load(body, b, sets, where));
+      TM_CHECK(start(body, b, where));
       BodyModel& out = c_.model.bodies[b];
       for (std::uint32_t node = 0; node < out.node_count; ++node) {
         if (c_.model.rest[4 * row(b, node) + 3] != kAllDirections) ++out.fixed_node_count;
@@ -203,6 +205,39 @@ class Supports {
       out.rows[k] = k < face.count ? static_cast<std::uint32_t>(row(b, face[k])) : 0;
     }
     c_.model.pressure.faces.push_back(out);
+  }
+
+  Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
+    TM_CHECK(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
+                        c_.model.initial_displacement));
+    const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
+    if (!body.initial_velocity_m_per_s().empty() && c_.model.integrator == Integrator::kQuasiStatic) {
+      return invalid(fmt::format("{}: a quasi-static step knows no velocity; leave it out", at));
+    }
+    return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);
+  }
+
+  /// out: [row_count, 4]
+  Result<void> read_start(const std::string& bytes, std::size_t b, std::string_view where, std::vector<double>& out) {
+    if (bytes.empty()) return {};
+    TM_TRY(values, read_reals(bytes, 3, where));
+    const std::size_t node_count = c_.model.bodies[b].node_count;
+    if (values.size() != 3 * node_count) {
+      return invalid(fmt::format("{}: {} values for {} nodes; give three a node", where, values.size(), node_count));
+    }
+    out.resize(4 * std::size_t{c_.model.layout.row_count}, 0);
+    for (std::uint32_t node = 0; node < node_count; ++node) {
+      for (std::size_t c = 0; c < 3; ++c) {
+        const double value = values[3 * std::size_t{node} + c];
+        const auto at = [&] { return fmt::format("{}, node {}", where, node); };
+        TM_CHECK(read_number(value, -limits::kMaxLength, limits::kMaxLength, at()));
+        if (fixed_[row(b, node)] && value != 0) {
+          return invalid(fmt::format("{} is fixed and starts at rest; give it zero", at()));
+        }
+        out[4 * row(b, node) + c] = value;
+      }
+    }
+    return {};
   }
 
   void add_gravity() {

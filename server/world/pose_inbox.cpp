@@ -29,9 +29,9 @@ Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& messag
     return tl::make_unexpected(std::move(error));
   };
   const std::string where = fmt::format("pose of tool '{}'", tool);
-  const auto position = model::read_vector(message.position_m(), where);
+  const auto position = model::read_vector(message.position_m(), where + ".position_m");
   if (!position) return refuse(position.error());
-  const auto orientation = model::read_orientation(message.orientation(), where);
+  const auto orientation = model::read_orientation(message.orientation(), where + ".orientation");
   if (!orientation) return refuse(orientation.error());
 
   const std::lock_guard lock(writers_);

@@ -33,8 +33,18 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       forces_(model_->tools.size()),
       readings_(model_->tools.size()),
       watched_(model_->groups.size()) {
+  if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
+}
+
+void World::write_start() {
+  const std::vector<double> rest(4 * std::size_t{model_->layout.row_count}, 0.0);
+  std::size_t histories = 0;
+  for (const model::ElementGroup& group : model_->groups) histories += group.history_reals();
+  const auto or_rest = [&](const std::vector<double>& start) { return start.empty() ? rest : start; };
+  state_->write({or_rest(model_->initial_displacement), or_rest(model_->initial_velocity),
+                 std::vector<double>(histories, 0.0)});
 }
 
 void World::place_tools() {
@@ -97,10 +107,7 @@ bool World::step(bool gather_visible) {
 void World::watch() { state_->watch(watched_); }
 
 void World::reset() {
-  const std::vector<double> rest(4 * std::size_t{model_->layout.row_count}, 0.0);
-  std::size_t histories = 0;
-  for (const model::ElementGroup& group : model_->groups) histories += group.history_reals();
-  state_->write({rest, rest, std::vector<double>(histories, 0.0)});
+  write_start();
   std::fill(watched_.begin(), watched_.end(), backend::GroupWatch{});
   step_count_ = 0;
   last_ = {};

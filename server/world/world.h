@@ -49,7 +49,7 @@ class World {
   bool step(bool gather_visible);
   /// Looks at every element; now and then, not every step.
   void watch();
-  /// Back to rest: displacement, velocity, time, tools.
+  /// Back to the start: displacement, velocity, time, tools.
   void reset();
 
   std::uint64_t step_count() const { return step_count_; }
@@ -69,6 +69,7 @@ class World {
 
  private:
   World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
+  void write_start();
   void place_tools();
   void move_tools();
   void read_tools();

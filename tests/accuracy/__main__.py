@@ -11,7 +11,7 @@ import time
 
 import tensormass as tm
 
-from . import provenance, report
+from . import record, report
 from .case import Case
 from .cases import all_cases
 from .engine import PRECISIONS, Engine
@@ -38,8 +38,8 @@ def main() -> int:
         run_info = report.Run(
             backend=arguments.backend,
             device=device,
-            machine=provenance.machine(),
-            commit=provenance.commit(),
+            machine=record.machine(),
+            commit=record.commit(),
             command=f"python -m accuracy --backend {arguments.backend}",
             date=time.strftime("%Y-%m-%d", time.gmtime()),
             seconds=round(time.monotonic() - start),

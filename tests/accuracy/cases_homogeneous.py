@@ -169,12 +169,18 @@ def pulled(mesh: Mesh, law: Law, stretch: float) -> Problem:
     return Problem(mesh, law, supports, increments=STEPS)
 
 
-def free_sides_stress(law: Law, stretch: float) -> float:
-    """Nominal stress along x where the sides carry none."""
+def free_sides_stretch(law: Law, stretch: float) -> float:
+    """Of the sides, where they carry nothing."""
     low, high = 0.6, 1.6
     for _ in range(60):  # bisection, to the last digit
         side = (low + high) / 2
         low, high = (low, side) if law.pull(np.array([stretch, side, side]))[1] > 0 else (side, high)
+    return side
+
+
+def free_sides_stress(law: Law, stretch: float) -> float:
+    """Nominal stress along x where the sides carry none."""
+    side = free_sides_stretch(law, stretch)
     return float(law.pull(np.array([stretch, side, side]))[0])
 
 

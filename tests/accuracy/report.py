@@ -11,7 +11,7 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import trade
+from . import record, trade
 from .case import Case, Group, Outcome
 from .cases import all_cases
 
@@ -63,12 +63,9 @@ class Run:
     rows: list[Row]
 
     def write(self) -> Path:
-        FOLDER.mkdir(exist_ok=True)
         path = FOLDER / f"{self.backend}.json"
         head = {key: value for key, value in asdict(self).items() if key != "rows"}
-        lines = ",\n".join(f"    {json.dumps(_rounded(asdict(row)), ensure_ascii=False)}" for row in self.rows)
-        start = json.dumps(head, ensure_ascii=False, indent=2).rstrip("}\n")
-        path.write_text(f'{start},\n  "rows": [\n{lines}\n  ]\n}}\n')
+        record.write(path, head, [asdict(row) for row in self.rows])
         return path
 
     @staticmethod
@@ -78,15 +75,6 @@ class Run:
             return None
         content = json.loads(path.read_text())
         return Run(**{**content, "rows": [Row(**row) for row in content["rows"]]})
-
-
-def _rounded(row: dict) -> dict:
-    def short(value: object) -> object:
-        if isinstance(value, float):
-            return float(f"{value:.9g}")
-        return [short(item) for item in value] if isinstance(value, list | tuple) else value
-
-    return {key: short(value) for key, value in row.items() if value not in ("", [])}
 
 
 def page(runs: list[Run]) -> str:

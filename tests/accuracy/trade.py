@@ -22,7 +22,7 @@ from tensormass.trade import report, sweep
 from tensormass.trade.knobs import Knob
 from tensormass.trade.store import Measurement
 
-from . import provenance
+from . import record
 
 FOLDER = Path(__file__).parent / "results"
 SCENES = ("demo", "cantilever")
@@ -110,8 +110,8 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
         "scene": content.pop("scene"),
         "command": f"tensormass trade {scene} --backend {arguments.backend} {' '.join(options)}",
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
-        "commit": provenance.commit(),
-        "host": provenance.machine(),
+        "commit": record.commit(),
+        "host": record.machine(),
         **content,
     }
     lines = [head, *({name: of for name, of in row.items() if name != "machine"} for row in rows)]

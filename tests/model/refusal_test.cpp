@@ -425,10 +425,38 @@ std::vector<Refusal> support_refusals() {
   };
 }
 
+/// The block has 5 × 3 × 5 nodes; node 0 is fixed.
+std::vector<Refusal> start_refusals() {
+  const auto start = [](std::size_t count, double value) { return bytes(std::vector<double>(count, value)); };
+  return {
+      {"StartCutShort",
+       [=](auto& s) { body(s).set_initial_displacement_m(start(9, 0)); },
+       {"body 'beam'.initial_displacement_m", "9 values for 75 nodes"}},
+      {"StartInHalfABlock",
+       [=](auto& s) { body(s).set_initial_velocity_m_per_s(std::string(25, 0)); },
+       {"body 'beam'.initial_velocity_m_per_s", "25 bytes", "multiple of 24"}},
+      {"NanStart",
+       [=](auto& s) { body(s).set_initial_displacement_m(start(225, kNan)); },
+       {"body 'beam'.initial_displacement_m, node 0", "nan"}},
+      {"FarStart",
+       [=](auto& s) { body(s).set_initial_velocity_m_per_s(start(225, 1e7)); },
+       {"body 'beam'.initial_velocity_m_per_s, node 0", "1e+06"}},
+      {"FixedNodeThatStartsElsewhere",
+       [=](auto& s) { body(s).set_initial_velocity_m_per_s(start(225, 1)); },
+       {"body 'beam'.initial_velocity_m_per_s, node 0", "is fixed"}},
+      {"VelocityWithoutInertia",
+       [=](auto& s) {
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+         body(s).set_initial_velocity_m_per_s(start(225, 0));
+       },
+       {"body 'beam'.initial_velocity_m_per_s", "quasi-static"}},
+  };
+}
+
 std::vector<Refusal> all_refusals() {
   std::vector<Refusal> all;
   for (auto refusals : {header_refusals(), body_refusals(), mesh_refusals(), region_refusals(), tool_refusals(),
-                        law_refusals(), support_refusals()}) {
+                        law_refusals(), support_refusals(), start_refusals()}) {
     all.insert(all.end(), refusals.begin(), refusals.end());
   }
   return all;

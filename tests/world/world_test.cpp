@@ -210,6 +210,37 @@ TEST_P(Mechanics, ResetIsBackToRest) {
   EXPECT_EQ(world->readings()[0].force_n, first_force);
 }
 
+/// A body starts where its scene says, with the velocities that it says, and a reset brings it back there.
+TEST_P(Mechanics, StartsAsTheSceneSays) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 2,
+                                       .cells_y = 1,
+                                       .cells_z = 1,
+                                       .double_precision = true,
+                                       .cg_max_iterations = 500,
+                                       .cg_tolerance = 1e-14});
+  v1::Body& body = *scene.mutable_bodies(0);
+  body.clear_fixed();
+  const auto rest = positions(*start(scene));
+  const Eigen::RowVector3d moved(0.5, -0.25, 2), velocity(1, 2, 3);
+  const auto bytes = [&](const Eigen::RowVector3d& row) {
+    const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> all = row.replicate(rest.rows(), 1);
+    return std::string(reinterpret_cast<const char*>(all.data()), sizeof(double) * static_cast<std::size_t>(all.size()));
+  };
+  scene.clear_gravity_m_per_s2();
+  body.set_initial_displacement_m(bytes(moved));
+  body.set_initial_velocity_m_per_s(bytes(velocity));
+  for (const auto integrator : {v1::Solver::INTEGRATOR_IMPLICIT_EULER, v1::Solver::INTEGRATOR_BDF2}) {
+    scene.mutable_solver()->set_integrator(integrator);
+    const auto world = start(scene);
+    for (const bool again : {false, true}) {
+      if (again) world->reset();
+      EXPECT_LT(((positions(*world) - rest).rowwise() - moved).cwiseAbs().maxCoeff(), 1e-15);
+      run(*world, 10);
+      EXPECT_LT(((positions(*world) - rest).rowwise() - (moved + 0.1 * velocity)).cwiseAbs().maxCoeff(), 1e-12);
+    }
+  }
+}
+
 TEST_P(Mechanics, ToolsFollowTheirTargetsNoFasterThanTheyMay) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   scene.mutable_tools(0)->set_max_speed_m_per_s(0.4);

@@ -268,7 +268,7 @@ class SceneHandle:
         return self._server._call("ResumeScene", control_pb2.ResumeSceneRequest(scene=self.name)).status
 
     def reset(self) -> stream_pb2.SceneStatus:
-        """Back to rest: positions, velocities, time and tools; clears a fault."""
+        """Back to the start: positions, velocities, time and tools; clears a fault."""
         return self._server._call("ResetScene", control_pb2.ResetSceneRequest(scene=self.name)).status
 
     def unload(self) -> None:

@@ -1,0 +1,46 @@
+"""Where the rows of a results file come from, and how it is written: one row a line, so that diffs read well."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+
+
+def machine() -> str:
+    model = platform.processor() or platform.machine()
+    cpu_info = Path("/proc/cpuinfo")
+    if cpu_info.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpu_info.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return f"{model}, {os.cpu_count()} threads"
+
+
+def commit() -> str:
+    """TENSORMASS_COMMIT where the tree is a copy without history."""
+    command = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return os.environ.get("TENSORMASS_COMMIT") or done.stdout.strip() or "unknown"
+
+
+def write(path: Path, head: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
+    """JSON of the head and its rows, numbers to nine digits; what is empty is left out of a row."""
+    path.parent.mkdir(exist_ok=True)
+    lines = ",\n".join(f"    {json.dumps(_rounded(row), ensure_ascii=False)}" for row in rows)
+    start = json.dumps(head, ensure_ascii=False, indent=2).rstrip("}\n")
+    path.write_text(f'{start},\n  "rows": [\n{lines}\n  ]\n}}\n')
+
+
+def _rounded(row: Mapping[str, Any]) -> dict[str, Any]:
+    def short(value: object) -> object:
+        if isinstance(value, float):
+            return float(f"{value:.9g}")
+        return [short(item) for item in value] if isinstance(value, list | tuple) else value
+
+    return {key: short(value) for key, value in row.items() if value not in ("", [])}

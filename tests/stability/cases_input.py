@@ -1,0 +1,300 @@
+"""Every number of a scene and of a pose, spoiled. The fields are found by walking the protocol's descriptors, so that
+none is forgotten: test_stability.py fails for a field that is new and not in `whole_scene`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.message import Message
+
+import tensormass as tm
+from accuracy.engine import Engine
+from accuracy.laws import LAWS
+from accuracy.meshes import box
+from accuracy.problem import Problem
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+
+from .case import Case, Check, Found, Group
+from .tissue import CUBE_M, clamped, packed, real_time, tissue
+
+INPUT = Group(
+    "input",
+    "Every input field",
+    "Each number of a scene that uses every field, and of a tool's pose, in turn NaN, ±∞, a denormal (5·10⁻³²⁴, "
+    "10⁻³¹⁰), ±10³⁰⁰, −1 and its own negative. Must hold: it is refused with a message that names the field, or it "
+    "does no harm: a denormal steps as zero does, any other as a number (finite after 5 steps, or stopped by a "
+    "fault), and the daemon answers on.",
+)
+VALUES = (np.nan, np.inf, -np.inf, 5e-324, 1e-310, 1e300, -1e300, -1.0)
+STEPS = 5
+_REAL = (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT)
+# Packed arrays of uint32; all others hold float64.
+_INDEX_BYTES = ("nodes", "triangles")
+
+
+@dataclass(frozen=True)
+class Place:
+    """One number of a message. kind: message and field, for the count of what was visited."""
+
+    path: str
+    kind: tuple[str, str]
+    get: Callable[[Message], float]
+    set: Callable[[Message, float], None]
+
+    @property
+    def name(self) -> str:
+        """What a refusal has to call it: the field, or the vector or displacement that it is a component of."""
+        *_, parent, field = [re.sub(r"\[\d+\]", "", part) for part in ("", *self.path.split("."))]
+        return parent if field.removesuffix("_m") in "wxyz" else field
+
+
+def whole_scene(engine: Engine) -> scene_pb2.Scene:
+    """Every field of `Scene` that holds real numbers."""
+    mesh = box("hexahedron", (2, 1, 1), (CUBE_M,) * 3)
+    scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
+    scene.stepping.dt_s, scene.stepping.rate_hz = 1 / 60, 60
+    scene.solver.cg_tolerance, scene.solver.newton_tolerance = 1e-3, 1e-3
+    scene.solver.newton_max_iterations = 2
+    scene.streams.frame_rate_hz, scene.streams.status_rate_hz = 60, 4
+    scene.gravity_m_per_s2.z = -1
+    first = scene.bodies[0]
+    first.rayleigh_mass_per_s, first.rayleigh_stiffness_s = 1, 1e-3
+    first.color_srgb.x = 0.5
+    first.mesh.scale = 1.0
+    first.mesh.translation_m.x = 0.25
+    first.fixed.add().sphere.radius_m = 1e-3
+    first.fixed[-1].sphere.center_m.x = 0.25
+    first.sets.add(name="all").regions.add().box.max_m.CopyFrom(scene_pb2.Vector3(x=1, y=1, z=1))
+    first.sets[0].regions[0].box.min_m.x = -1
+    end = [int(node) for node in mesh.where(lambda x, y, z: x > CUBE_M * 0.9)]
+    for _ in range(3):
+        first.loads.add().region.nodes.indices.extend(end)
+    first.loads[0].force_n.x = 0.1
+    first.loads[1].traction_pa.x = 1
+    first.loads[2].pressure_pa = 1
+    driven = first.prescribed.add(x_m=0.001, y_m=0.001, z_m=0.001)
+    driven.region.nodes.indices.append(end[0])
+    driven.schedule.time_s.extend([0, 1])
+    driven.schedule.factor.extend([0, 1])
+    middle = mesh.where(lambda x, y, z: (x > 0.01) & (x < 0.09))
+    moved = np.zeros(mesh.nodes.shape)
+    moved[middle] = 1e-4
+    first.initial_displacement_m = first.initial_velocity_m_per_s = packed(moved)
+    first.law.prony.add(share=0.2, relaxation_time_s=0.1)
+    triangle = mesh.nodes[:3]
+    first.skin.packed.vertex_positions = packed(triangle)
+    first.skin.packed.triangles = np.array([0, 1, 2], "<u4").tobytes()
+    for law in LAWS:
+        body = scene.bodies.add(name=law, density_kg_per_m3=1000, law=tissue(law).message)
+        grid = body.mesh.grid
+        grid.cells_x = grid.cells_y = grid.cells_z = 1
+        grid.shape = scene_pb2.SHAPE_HEXAHEDRON
+        grid.size_m.x = grid.size_m.y = grid.size_m.z = CUBE_M
+        grid.origin_m.y = 1 + len(scene.bodies)
+        if law in ("st_venant_kirchhoff", "transversely_isotropic"):
+            body.element_fields.young_modulus_pa = packed([[5000]])
+            body.element_fields.poisson_ratio = packed([[0.3]])
+        if law == "transversely_isotropic":
+            body.element_fields.fibre_directions = packed([[1, 0, 0]])
+    probe = scene.tools.add(name="probe", max_speed_m_per_s=0.5)
+    probe.spherical_probe.radius_m, probe.spherical_probe.penalty_stiffness_pa_per_m = 0.01, 1e6
+    probe.spherical_probe.tip_offset_m.z = 0.001
+    probe.position_m.z = 1
+    probe.orientation.w = 1
+    return scene
+
+
+def _is_real_bytes(field: FieldDescriptor) -> bool:
+    return field.type == FieldDescriptor.TYPE_BYTES and field.name not in _INDEX_BYTES
+
+
+def places(message: Message, path: str = "") -> Iterator[Place]:
+    """Every number that the message can hold where it has its sub-messages; of a repeated field the first."""
+    for field in message.DESCRIPTOR.fields:
+        here = f"{path}.{field.name}" if path else field.name
+        kind = (message.DESCRIPTOR.name, field.name)
+        if field.cpp_type == FieldDescriptor.CPPTYPE_MESSAGE:
+            if field.is_repeated:
+                for index, item in enumerate(getattr(message, field.name)):
+                    for place in places(item, f"{here}[{index}]"):
+                        yield _through(place, lambda m, name=field.name, i=index: getattr(m, name)[i])
+            elif message.HasField(field.name):
+                for place in places(getattr(message, field.name), here):
+                    yield _through(place, lambda m, name=field.name: getattr(m, name))
+        elif field.cpp_type in _REAL:
+            if field.containing_oneof is not None and not message.HasField(field.name):
+                continue
+            if field.is_repeated:
+                if getattr(message, field.name):
+                    yield Place(
+                        f"{here}[0]",
+                        kind,
+                        lambda m, name=field.name: getattr(m, name)[0],
+                        lambda m, value, name=field.name: getattr(m, name).__setitem__(0, value),
+                    )
+            else:
+                yield Place(
+                    here,
+                    kind,
+                    lambda m, name=field.name: getattr(m, name),
+                    lambda m, value, name=field.name: setattr(m, name, value),
+                )
+        elif _is_real_bytes(field) and getattr(message, field.name):
+            yield Place(here, kind, lambda m, name=field.name: _number(m, name)[-1], _set_last(field.name))
+
+
+def _through(place: Place, enter: Callable[[Message], Message]) -> Place:
+    return Place(place.path, place.kind, lambda m: place.get(enter(m)), lambda m, value: place.set(enter(m), value))
+
+
+def _number(message: Message, name: str) -> np.ndarray:
+    return np.frombuffer(getattr(message, name), "<f8").copy()
+
+
+def _set_last(name: str) -> Callable[[Message, float], None]:
+    def change(message: Message, value: float) -> None:
+        numbers = _number(message, name)
+        # A node that is neither fixed nor driven.
+        numbers[len(numbers) // 2 if name.startswith("initial") else -1] = value
+        setattr(message, name, numbers.tobytes())
+
+    return change
+
+
+def real_fields(descriptor: Descriptor) -> set[tuple[str, str]]:
+    """(message, field) of every real number that a message of this type can hold."""
+    return {
+        (message.name, field.name)
+        for message in _messages(descriptor)
+        for field in message.fields
+        if field.cpp_type in _REAL or _is_real_bytes(field)
+    }
+
+
+def _messages(descriptor: Descriptor) -> list[Descriptor]:
+    found, waiting = {descriptor.full_name: descriptor}, [descriptor]
+    while waiting:
+        for field in waiting.pop().fields:
+            if field.message_type is not None and field.message_type.full_name not in found:
+                found[field.message_type.full_name] = field.message_type
+                waiting.append(field.message_type)
+    return list(found.values())
+
+
+def _harm(engine: Engine, scene: scene_pb2.Scene) -> tuple[str, np.ndarray]:
+    """Why stepping the scene is not harmless, and where its bodies are then."""
+    try:
+        with engine.loaded(scene) as handle:
+            handle.step(STEPS)
+            moved = np.concatenate([handle.positions(body.name) for body in scene.bodies])
+    except tm.FailedPreconditionError:
+        return "", np.empty(0)  # caught while running
+    if not np.isfinite(moved).all():
+        return "left the numbers unsaid", moved
+    return "", moved
+
+
+def _spoil_scene(engine: Engine, place: Place) -> Found:
+    good = whole_scene(engine)
+    refused = harmless = 0
+    bad: list[str] = []
+    for value in (*VALUES, -place.get(good)):
+        scene = scene_pb2.Scene()
+        scene.CopyFrom(good)
+        place.set(scene, value)
+        try:
+            engine.server.inspect(scene)
+        except tm.InvalidArgumentError as refusal:
+            refused += 1
+            if not _names_it(str(refusal), place, value):
+                bad.append(f"{value:g}: the refusal does not name it: {refusal}")
+            continue
+        why, moved = _harm(engine, scene)
+        if not why and 0 < value < 1e-300:
+            place.set(scene, 0.0)
+            try:
+                why, as_zero = _harm(engine, scene)
+                if not why and not np.allclose(moved, as_zero, rtol=0, atol=1e-6 * CUBE_M):
+                    why = "not as zero"
+            except tm.InvalidArgumentError:
+                why = "zero is refused"
+        if why:
+            bad.append(f"{value:g}: {why}")
+        harmless += not why
+    return _counted(refused, harmless, bad)
+
+
+def _counted(refused: int, harmless: int, bad: list[str]) -> Found:
+    note = "; ".join([f"{refused} refused, {harmless} harmless", *bad])
+    return Found([Check("values that do harm", float(len(bad)), 0)], note=note)
+
+
+def _names_it(refusal: str, place: Place, value: float) -> bool:
+    """A number that is none, or none that anybody means, by its field. Any other may be right where it stands and wrong
+    for what it makes: a region without nodes, a flat element, a skin outside; then that is named, with its body.
+    """
+    if np.isfinite(value) and abs(value) < 1e300:
+        return place.name in refusal or "body '" in refusal
+    by_row = place.name.endswith("positions") and re.search(r"(node|point|vertex) \d+ of", refusal)
+    return bool(by_row) or place.name.removesuffix("s") in refusal  # an element has one of its fibre_directions
+
+
+def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Found:
+    refused = harmless = 0
+    bad: list[str] = []
+    scene = whole_scene(engine)
+    with engine.loaded(scene) as handle:
+        for sequence, value in enumerate((*VALUES, -place.get(good)), 1):
+            pose = stream_pb2.ToolPose()
+            pose.CopyFrom(good)
+            pose.sequence = sequence
+            place.set(pose, value)
+            try:
+                engine.server._call("MoveTool", control_pb2.MoveToolRequest(scene=scene.name, tool="probe", pose=pose))
+            except tm.InvalidArgumentError as refusal:
+                refused += 1
+                if place.name not in str(refusal):
+                    bad.append(f"{value:g}: the refusal does not name it: {refusal}")
+                continue
+            handle.step()
+            position = handle.feedback("probe").position_m
+            harmless += bool(np.isfinite(position).all())
+            if not np.isfinite(position).all():
+                bad.append(f"{value:g}: the tool left the numbers")
+    return _counted(refused, harmless, bad)
+
+
+def input_cases() -> Iterator[Case]:
+    template = whole_scene(Engine(None, "float"))
+    seen: set[str] = set()
+    for place in places(template):
+        # The same field of another body says nothing new, but a law's is its own.
+        short = re.sub(r"\[\d+\]", "", place.path)
+        if short in seen:
+            continue
+        seen.add(short)
+        yield Case(
+            INPUT,
+            short,
+            "any",
+            "any",
+            lambda engine, place=place: _spoil_scene(engine, place),
+            precisions=("float",),
+            quick=True,
+        )
+    pose = stream_pb2.ToolPose(client_id=1, position_m=scene_pb2.Vector3(z=1), orientation=scene_pb2.Quaternion(w=1))
+    for place in places(pose):
+        yield Case(
+            INPUT,
+            f"pose: {place.path}",
+            "any",
+            "any",
+            lambda engine, place=place: _spoil_pose(engine, place, pose),
+            precisions=("float",),
+            quick=True,
+        )

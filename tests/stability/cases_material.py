@@ -1,0 +1,268 @@
+"""Stiffness, Poisson's ratio and density at their ends, and side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from accuracy.cases_homogeneous import free_sides_stretch, pulled
+from accuracy.engine import BODY, Engine, state
+from accuracy.laws import LAWS, Law
+from accuracy.meshes import SHAPES, Floats, Mesh, box
+from accuracy.problem import Problem, Support, node_areas
+from tensormass.v1 import scene_pb2
+
+from .case import FELT, REFUSED, Case, Check, Found, Group
+from .cases_steps import DAMPING_PER_S, settle, settles
+from .tissue import (
+    CUBE_M,
+    GRAVITY_M_PER_S2,
+    REAL_TIME_DT_S,
+    YOUNG_PA,
+    clamped,
+    cube,
+    nodal_weight,
+    real_time,
+    running,
+    tissue,
+)
+
+STIFFNESS = Group(
+    "stiffness",
+    "Stiffness",
+    "The clamped cube under a load of 0.2 E on its section, whatever E is, let go as above. Must hold: as above.",
+)
+JUMP = Group(
+    "jump",
+    "Jumps of stiffness",
+    "A column of 0.1 m in guides (no displacement across), one half 10⁶ times as stiff as the other (or every second "
+    "layer), pushed by 10 % of the soft half's modulus at its end. In equilibrium each layer has the stretch that its "
+    "law says for that stress: closed form. Must hold: the displacement of every node to 10⁻⁶ of the largest (1 % in "
+    "float and in real time).",
+)
+POISSON = Group(
+    "poisson",
+    "Poisson's ratio",
+    "A cube on three planes of symmetry, pulled to 1.1 of its length. Must hold: force and change of the section as "
+    "the closed form of the law says, to 10⁻⁶ (1 % in float), by Newton's method.",
+)
+DENSITY = Group(
+    "density",
+    "Densities side by side",
+    "Two clamped cubes in one scene, 10 and 10⁶ kg/m³, each under its own weight in a gravity of 0.001 m/s² for the "
+    "heavy one's sake. Must hold: the light one moves as it does alone, to 1 % of its displacement, at 20 looks.",
+)
+PULLED = 1.1
+NEWTON_BOUND = {"double": 1e-6, "float": FELT}
+
+
+def material_cases() -> Iterator[Case]:
+    yield from _stiffness_cases()
+    yield from _jump_cases()
+    yield from _poisson_cases()
+    yield from _density_cases()
+
+
+def _stiffness_cases() -> Iterator[Case]:
+    def run(engine: Engine, law: str, shape: str, young_pa: float) -> Found:
+        mesh = cube(shape)
+        forces = nodal_weight(mesh, young_pa / YOUNG_PA)
+        problem = Problem(mesh, tissue(law, young_pa), [clamped(mesh)], forces_n=forces)
+        # A soft cube swings slower, as √E. A stiff one is at rest after a few steps of this length.
+        slower = max(1.0, float(np.sqrt(YOUNG_PA / young_pa)))
+        return settle(engine, problem, REAL_TIME_DT_S * slower, damping_per_s=DAMPING_PER_S / slower)
+
+    for young_pa, name in ((10, "10 Pa"), (1e3, "1 kPa"), (1e6, "1 MPa"), (1e9, "1 GPa"), (1e11, "100 GPa")):
+        for law in LAWS:
+            for shape in SHAPES:
+                yield Case(
+                    STIFFNESS,
+                    name,
+                    law,
+                    shape,
+                    lambda engine, law=law, shape=shape, young_pa=young_pa: run(engine, law, shape, young_pa),
+                    expects=settles(law),
+                    quick=shape == "tetrahedron" and young_pa in (10, 1e11),
+                )
+
+
+def _confined_stretch(law: Law, stress_pa: float) -> float:
+    """Along x in guides, by bisection."""
+    low, high = 0.5, 1.5
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if law.pull(np.array([middle, 1, 1]))[0] > stress_pa else (middle, high)
+    return middle
+
+
+def _jump_cases() -> Iterator[Case]:
+    ratio, layers = 1e6, 4
+
+    def run(engine: Engine, name: str, law: str, shape: str, newton: bool) -> Found:
+        mesh = box(shape, (layers, 2, 2), (CUBE_M,) * 3)
+        is_stiff = [layer >= layers // 2 if name.startswith("halves") else layer % 2 == 1 for layer in range(layers)]
+        soft, stiff = tissue(law), tissue(law, YOUNG_PA * ratio)
+        stress_pa = -0.1 * YOUNG_PA
+        stretches = {True: _confined_stretch(stiff, stress_pa), False: _confined_stretch(soft, stress_pa)}
+        exact = _column(mesh, [stretches[one] for one in is_stiff])
+        guides = [Support(np.arange(len(mesh.nodes)), np.array([np.nan, 0, 0])), clamped(mesh)]
+        problem = Problem(mesh, soft, guides, forces_n=_end_load(mesh, stress_pa))
+        scene = engine.scene(problem) if newton else real_time(engine, problem)
+        if newton:
+            scene.solver.ClearField("newton_tolerance")  # the daemon's own
+        else:
+            scene.bodies[0].rayleigh_mass_per_s = 50
+        width_m = CUBE_M / layers
+        for layer in np.flatnonzero(is_stiff).tolist():
+            part = scene.bodies[0].law_regions.add(law=stiff.message)
+            part.region.box.min_m.x, part.region.box.max_m.x = (layer - 1e-6) * width_m, (layer + 1 + 1e-6) * width_m
+            part.region.box.max_m.y = part.region.box.max_m.z = CUBE_M
+        with running(engine, scene) as scene_running:
+            scene_running.step(1 if newton else 240)
+            ours = scene_running.state().displacement_m
+            bound = NEWTON_BOUND[engine.precision] if newton else FELT
+            error = float(np.abs(ours - exact).max() / np.abs(exact).max())
+            return Found([Check("distance to the closed form", error, bound)], scene_running.warnings)
+
+    rounding = "float has 7 digits, and the jump takes 6: the step ends above its tolerance, and the status says so"
+    names = (("halves", True), ("layers", True), ("halves, real time", False), ("layers, real time", False))
+    for name, newton in names:
+        for law in LAWS:
+            for shape in SHAPES:
+                yield Case(
+                    JUMP,
+                    name,
+                    law,
+                    shape,
+                    lambda engine, name=name, law=law, shape=shape, newton=newton: run(
+                        engine, name, law, shape, newton
+                    ),
+                    short={"float": rounding} if newton else {},
+                )
+
+
+def _column(mesh: Mesh, stretches: list[float]) -> Floats:
+    """Displacements of a column whose layers have these stretches along x."""
+    edges = np.linspace(0, CUBE_M, len(stretches) + 1)
+    moved = np.concatenate([[0], np.cumsum((np.array(stretches) - 1) * np.diff(edges))])
+    out = np.zeros(mesh.nodes.shape)
+    out[:, 0] = np.interp(mesh.nodes[:, 0], edges, moved)
+    return out
+
+
+def _end_load(mesh: Mesh, stress_pa: float) -> Floats:
+    """On the nodes of the end at x = CUBE_M, as a traction makes it."""
+    end = mesh.where(lambda x, y, z: x > CUBE_M * (1 - 1e-9))
+    out = np.zeros(mesh.nodes.shape)
+    out[:, 0] = stress_pa * node_areas(mesh, end)
+    return out
+
+
+def pull(engine: Engine, mesh: Mesh, law: Law) -> Found:
+    """A box, CUBE_M long, on three planes of symmetry, to PULLED of its length, by Newton's method."""
+    section_m2 = float(np.prod(np.ptp(mesh.nodes[:, 1:], axis=0)))
+    end = mesh.where(lambda x, y, z: x > CUBE_M * (1 - 1e-6))
+    problem = pulled(mesh, law, PULLED)
+    side = free_sides_stretch(law, PULLED)
+    force = float(law.pull(np.array([PULLED, side, side]))[0])
+    bound = NEWTON_BOUND[engine.precision]
+    with running(engine, engine.scene(problem)) as scene_running:
+        scene_running.step(problem.increments)
+        found = scene_running.state()
+    stress_pa = float(found.reaction_n[end, 0].sum()) / section_m2
+    narrower = found.displacement_m[:, 1] - (side - 1) * mesh.nodes[:, 1]
+    checks = [
+        Check("force", abs(stress_pa / force - 1), bound),
+        Check("width", float(np.abs(narrower).max()) / (CUBE_M * (PULLED - 1)), bound),
+    ]
+    return Found(checks, scene_running.warnings)
+
+
+def _poisson_cases() -> Iterator[Case]:
+    def run(engine: Engine, law: str, shape: str, poisson: float) -> Found:
+        return pull(engine, box(shape, (1, 1, 1), (CUBE_M,) * 3), tissue(law, poisson_ratio=poisson))
+
+    def refused(engine: Engine, law: str, poisson: float) -> Found:
+        mesh = box("hexahedron", (1, 1, 1), (CUBE_M,) * 3)
+        scene = engine.scene(Problem(mesh, tissue(law), [clamped(mesh)]))
+        getattr(scene.bodies[0].law, law).poisson_ratio = poisson
+        with running(engine, scene):
+            raise AssertionError("it was admitted")
+
+    for poisson in (-0.999, -0.5, 0.0, 0.3, 0.45, 0.49, 0.499, 0.4999):
+        for law in LAWS:
+            for shape in SHAPES:
+                yield Case(
+                    POISSON,
+                    f"{poisson:g}",
+                    law,
+                    shape,
+                    lambda engine, law=law, shape=shape, poisson=poisson: run(engine, law, shape, poisson),
+                    quick=shape == "hexahedron" and poisson in (-0.5, 0.4999),
+                )
+    for poisson in (-1.0, 0.5):
+        for law in LAWS:
+            if law in ("mooney_rivlin", "ogden"):
+                continue  # they are given by their bulk modulus
+            yield Case(
+                POISSON,
+                f"{poisson:g}",
+                law,
+                "hexahedron",
+                lambda engine, law=law, poisson=poisson: refused(engine, law, poisson),
+                expects=(REFUSED,),
+            )
+
+
+def _density_cases() -> Iterator[Case]:
+    light_kg_per_m3, heavy_kg_per_m3, looks = 10.0, 1e6, 20
+
+    def scene_of(engine: Engine, law: str, shape: str) -> scene_pb2.Scene:
+        mesh = cube(shape)
+        scene = real_time(engine, Problem(mesh, tissue(law), [clamped(mesh)], density_kg_per_m3=light_kg_per_m3))
+        scene.gravity_m_per_s2.z = -GRAVITY_M_PER_S2 / 1e4
+        return scene
+
+    def moves(engine: Engine, scene: scene_pb2.Scene) -> Floats:
+        with engine.loaded(scene) as handle:
+            found = []
+            for _ in range(looks):
+                handle.step()
+                found.append(state(handle).displacement_m)
+            return np.array(found)
+
+    def run(engine: Engine, law: str, shape: str, cg_tolerance: float | None) -> Found:
+        alone = moves(engine, scene_of(engine, law, shape))
+        together = scene_of(engine, law, shape)
+        if cg_tolerance is not None:
+            together.solver.cg_tolerance = cg_tolerance
+        heavy = together.bodies.add()
+        heavy.CopyFrom(together.bodies[0])
+        heavy.name = "heavy"
+        heavy.density_kg_per_m3 = heavy_kg_per_m3
+        assert together.bodies[0].name == BODY
+        error = float(np.abs(moves(engine, together) - alone).max() / np.abs(alone).max())
+        return Found([Check("distance to the motion alone", error, FELT)])
+
+    drowns = (
+        "conjugate gradients stop at a residual relative to that of the whole scene, in which the light body drowns; "
+        "the next row gives them a tolerance that sees it"
+    )
+    float_ends = (
+        "in float conjugate gradients end at about 10⁻⁴ of the whole scene's residual, whatever the tolerance: take "
+        "double, or a scene for each body"
+    )
+    for cg_tolerance, name in ((None, "10 and 10⁶ kg/m³"), (1e-8, "10 and 10⁶ kg/m³, cg_tolerance 10⁻⁸")):
+        for law in LAWS:
+            for shape in SHAPES:
+                yield Case(
+                    DENSITY,
+                    name,
+                    law,
+                    shape,
+                    lambda engine, law=law, shape=shape, cg_tolerance=cg_tolerance: run(
+                        engine, law, shape, cg_tolerance
+                    ),
+                    short={"": drowns} if cg_tolerance is None else {"float": float_ends},
+                )

@@ -1,0 +1,147 @@
+"""Meshes: one element, slivers, layers a thousand times as wide as thick, millions of elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from accuracy.engine import Engine
+from accuracy.laws import LAWS
+from accuracy.meshes import SHAPES, Floats, Mesh, box
+from accuracy.problem import Problem
+from tensormass.v1 import scene_pb2
+
+from .case import FELT, REFUSED, Case, Check, Found, Group
+from .cases_material import pull
+from .cases_steps import settle, settles
+from .tissue import (
+    CUBE_M,
+    GRAVITY_M_PER_S2,
+    REAL_TIME_DT_S,
+    clamped,
+    cube,
+    nodal_weight,
+    real_time,
+    running,
+    tissue,
+)
+
+MESH = Group(
+    "mesh",
+    "Meshes",
+    "*One element*: held by one face. *0.1°*: the cube with a layer of cells in its middle so thin that dihedral "
+    "angles of its tetrahedra are 0.1°. *Aspect 1000*: the layer is a thousandth as thick as the cells are wide. They "
+    "are let go under their weight, 60 steps a second; must hold as under “Length of a step”. *Plate*: 0.1 mm thick, "
+    "100 mm wide, in cells of 50 mm, pulled to 1.1 of its length; must hold as under “Poisson's ratio”.",
+)
+MILLIONS = Group(
+    "millions",
+    "Millions of elements",
+    "A cube of 0.1 m in 1,053,696 tetrahedra or 1,000,000 hexahedra, free, falls for 10 steps. Must hold: every node "
+    "falls as implicit Euler says, to 1 %.",
+)
+
+
+PLATE_M = CUBE_M / 1000
+
+
+def mesh_cases() -> Iterator[Case]:
+    yield from _thin_cases()
+    yield from _million_cases()
+
+
+def _one_element(shape: str) -> Mesh:
+    """The first element of the cube, with its first face in the plane x = 0 that `clamped` holds."""
+    whole = box(shape, (1, 1, 1), (CUBE_M,) * 3)
+    ((_, elements),) = whole.blocks
+    on_face = [int((whole.nodes[element, 0] < 1e-9).sum()) for element in elements]
+    element = elements[int(np.argmax(on_face))]
+    return Mesh(whole.nodes[element], ((shape, np.arange(len(element))[None]),))
+
+
+def _thin_layer(thickness_m: float, shape: str) -> Mesh:
+    """Three layers along x, that in the middle thin."""
+
+    def place(nodes: Floats) -> Floats:
+        out = nodes.copy()
+        edges = [0, (CUBE_M - thickness_m) / 2, (CUBE_M + thickness_m) / 2, CUBE_M]
+        out[:, 0] = np.interp(nodes[:, 0], np.linspace(0, CUBE_M, 4), edges)
+        return out
+
+    return box(shape, (3, 2, 2), (CUBE_M,) * 3, place)
+
+
+def _thin_cases() -> Iterator[Case]:
+    cell_m = CUBE_M / 2
+    meshes = {
+        "one element": _one_element,
+        "0.1°": lambda shape: _thin_layer(cell_m * np.tan(np.radians(0.1)), shape),
+        "aspect 1000": lambda shape: _thin_layer(cell_m / 1000, shape),
+    }
+
+    def run(engine: Engine, name: str, law: str, shape: str) -> Found:
+        mesh = meshes[name](shape)
+        share = 1 / len(box(shape, (1, 1, 1)).blocks[0][1]) if name == "one element" else 1.0
+        problem = Problem(mesh, tissue(law), [clamped(mesh)], forces_n=nodal_weight(mesh, share))
+        return settle(engine, problem, REAL_TIME_DT_S)
+
+    def flat(engine: Engine, law: str) -> Found:
+        mesh = cube("tetrahedron")
+        squeezed = Mesh(mesh.nodes * (1, 1, 1e-9), mesh.blocks)
+        with running(engine, real_time(engine, Problem(squeezed, tissue(law), []))):
+            raise AssertionError("it was admitted")
+
+    def plate(engine: Engine, law: str, shape: str) -> Found:
+        mesh = box(shape, (2, 2, 1), (CUBE_M, CUBE_M, PLATE_M))
+        return pull(engine, mesh, tissue(law))
+
+    for law in LAWS:
+        for shape in SHAPES:
+            yield Case(MESH, "plate", law, shape, lambda engine, law=law, shape=shape: plate(engine, law, shape))
+    for name in meshes:
+        for law in LAWS:
+            for shape in SHAPES:
+                yield Case(
+                    MESH,
+                    name,
+                    law,
+                    shape,
+                    lambda engine, name=name, law=law, shape=shape: run(engine, name, law, shape),
+                    expects=settles(law),
+                    quick=shape == "tetrahedron" and name == "0.1°",
+                )
+    for law in LAWS:
+        yield Case(
+            MESH, "flat elements", law, "tetrahedron", lambda engine, law=law: flat(engine, law), expects=(REFUSED,)
+        )
+
+
+def _million_cases() -> Iterator[Case]:
+    steps, dt_s, gravity = 10, REAL_TIME_DT_S, GRAVITY_M_PER_S2
+
+    def run(engine: Engine, law: str, shape: str, cells: int) -> Found:
+        mesh = box("hexahedron", (1, 1, 1))
+        scene = real_time(engine, Problem(mesh, tissue(law), []))
+        grid = scene.bodies[0].mesh.grid
+        grid.size_m.x = grid.size_m.y = grid.size_m.z = CUBE_M
+        grid.cells_x = grid.cells_y = grid.cells_z = cells
+        grid.shape = scene_pb2.Shape.Value(f"SHAPE_{shape.upper()}")
+        scene.gravity_m_per_s2.z = -gravity
+        fall = -gravity * dt_s**2 * steps * (steps + 1) / 2
+        with engine.loaded(scene) as handle:
+            handle.step(steps)
+            moved = handle.fields("body", ("displacement",))["displacement"]
+        error = float(np.abs(moved - (0, 0, fall)).max() / abs(fall))
+        return Found([Check("distance to the fall", error, {"double": 1e-6, "float": FELT}[engine.precision])])
+
+    for shape, cells in (("tetrahedron", 56), ("hexahedron", 100)):
+        yield Case(
+            MILLIONS,
+            f"{cells}³ cells",
+            "stable_neo_hookean",
+            shape,
+            lambda engine, shape=shape, cells=cells: run(engine, "stable_neo_hookean", shape, cells),
+            precisions=("float",),
+            long=True,
+        )

@@ -1,0 +1,139 @@
+"""Any law as the tissue of a given Young's modulus and Poisson's ratio, and the scenes that the cases share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+import tensormass as tm
+from accuracy import laws
+from accuracy.engine import BODY, Engine, State, state
+from accuracy.laws import LAWS, Law
+from accuracy.meshes import Floats, Mesh, box
+from accuracy.problem import DENSITY_KG_PER_M3, Problem, Support
+from tensormass.v1 import scene_pb2
+
+from .case import FELT, Check
+
+CUBE_M = 0.1
+YOUNG_PA = 5000.0
+POISSON = 0.35
+GRAVITY_M_PER_S2 = 9.81
+REAL_TIME_DT_S = 1 / 60
+# What a law makes of compression, turning inside out and rotation (promises.py).
+RECOVERS = ("corotational", "stable_neo_hookean")
+SOFTENS = ("st_venant_kirchhoff", "transversely_isotropic")
+
+_OF_YOUNG_AND_POISSON = {
+    "hooke": laws.hooke,
+    "st_venant_kirchhoff": laws.st_venant_kirchhoff,
+    "corotational": laws.corotational,
+    "neo_hookean": laws.neo_hookean,
+    "stable_neo_hookean": laws.stable_neo_hookean,
+    "hencky": laws.hencky,
+}
+
+
+def tissue(law: str, young_modulus_pa: float = YOUNG_PA, poisson_ratio: float = POISSON) -> Law:
+    """The law whose small strain is Hooke's of these constants; fibres along x add 1.6 E."""
+    if law in _OF_YOUNG_AND_POISSON:
+        return _OF_YOUNG_AND_POISSON[law](young_modulus_pa, poisson_ratio)
+    if law == "transversely_isotropic":
+        return laws.transversely_isotropic(young_modulus_pa, poisson_ratio, 1.6 * young_modulus_pa, (1, 0, 0))
+    shear_pa = young_modulus_pa / (2 * (1 + poisson_ratio))
+    bulk_pa = young_modulus_pa / (3 * (1 - 2 * poisson_ratio))
+    if law == "mooney_rivlin":
+        return laws.mooney_rivlin(shear_pa / 3, shear_pa / 6, bulk_pa)
+    if law == "ogden":
+        return laws.ogden(shear_pa / 6, 12, bulk_pa)
+    raise KeyError(f"{law} is none of {', '.join(LAWS)}; add it here")
+
+
+def cube(shape: str, cells: int = 2) -> Mesh:
+    return box(shape, (5 if shape == "mixed" else cells, cells, cells), (CUBE_M,) * 3)
+
+
+def clamped(mesh: Mesh) -> Support:
+    """Its side at x = 0 held."""
+    return Support(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
+
+
+def nodal_weight(mesh: Mesh, times: float = 1.0) -> Floats:
+    """The weight of a cube of CUBE_M, equally on all nodes, downwards: its work is exactly f · u in every shape."""
+    forces = np.zeros(mesh.nodes.shape)
+    forces[:, 2] = -times * DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2 * CUBE_M**3 / len(mesh.nodes)
+    return forces
+
+
+def real_time(engine: Engine, problem: Problem, dt_s: float = REAL_TIME_DT_S) -> scene_pb2.Scene:
+    """The problem as a trainer runs it: implicit Euler linearized once, with the daemon's own tolerances."""
+    scene = engine.scene(problem, dt_s)
+    precision = scene.solver.precision
+    scene.solver.Clear()
+    scene.solver.precision = precision
+    return scene
+
+
+class Running:
+    """A loaded scene, and every warning that its status gave."""
+
+    def __init__(self, handle: tm.SceneHandle) -> None:
+        self.handle = handle
+        self.warnings: list[str] = []
+
+    def step(self, count: int = 1) -> None:
+        for warning in self.handle.step(count).warnings:
+            if warning not in self.warnings:
+                self.warnings.append(warning)
+
+    def state(self) -> State:
+        return state(self.handle)
+
+
+@contextmanager
+def running(engine: Engine, scene: scene_pb2.Scene) -> Iterator[Running]:
+    with engine.loaded(scene) as handle:
+        yield Running(handle)
+
+
+_equilibria: dict[str, State] = {}
+
+
+def equilibrium(engine: Engine, problem: Problem) -> State:
+    """By Newton's method in double precision: what a scene must come to rest at."""
+    key = f"{engine.server.address} {problem.digest()}"
+    if key not in _equilibria:
+        _equilibria[key] = Engine(engine.server, "double").equilibrium(problem)
+    return _equilibria[key]
+
+
+def distance(ours: Floats, reference: Floats, label: str = "distance to the reference", bound: float = FELT) -> Check:
+    """The largest over the largest displacement of the reference."""
+    return Check(label, float(np.abs(ours - reference).max() / np.abs(reference).max()), bound)
+
+
+def at_rest_again(found: State, mesh: Mesh, young_modulus_pa: float = YOUNG_PA) -> list[Check]:
+    """Every element has its volume and nothing is stored in any: the shape is that of rest, wherever the body is."""
+    volume = float(np.prod(np.ptp(mesh.nodes, axis=0)))
+    return [
+        Check("|det F − 1|", float(np.abs(found.det_f - 1).max()), FELT),
+        Check("elastic energy / (E V)", found.elastic_energy_j / (young_modulus_pa * volume), FELT**2),
+        Check("kinetic energy / (E V)", found.kinetic_energy_j / (young_modulus_pa * volume), FELT**2),
+    ]
+
+
+def packed(values: Sequence[Sequence[float]] | Floats) -> bytes:
+    return np.asarray(values, dtype="<f8").tobytes()
+
+
+def initial(
+    scene: scene_pb2.Scene, displacement_m: Floats | None = None, velocity_m_per_s: Floats | None = None
+) -> None:
+    """The state of the body that the scene starts with."""
+    (body,) = [body for body in scene.bodies if body.name == BODY]
+    if displacement_m is not None:
+        body.initial_displacement_m = packed(displacement_m)
+    if velocity_m_per_s is not None:
+        body.initial_velocity_m_per_s = packed(velocity_m_per_s)
