@@ -40,7 +40,7 @@ TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real
   Real first_rr = 0, rr_next = 0;
   std::uint32_t iteration = 0;
   bool negative_curvature = false;
-  while (iteration < s.cg_max_iterations) {
+  while (iteration < s.control->cg_max_iterations) {
     Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
     T sum_pq = T(0), sum_qq = T(0), sum_rr = T(0);
     team.template for_lanes<Lanes::kWidth>(0, patch.own(), [&](std::uint32_t local) {

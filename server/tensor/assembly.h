@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 
 #include "physics/element/element.h"
 #include "tensor/view.h"
@@ -45,27 +46,30 @@ TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, 
       [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
 }
 
-/// The history of a point and, at the begin of a step, its move to the stress that the last step ended with.
+/// The history of a point in a step of `dt_s` and, where history_dt_s is not zero, its move to the stress that the last
+/// step ended with, which took that long.
 template <class Lanes, class Law, class Point, class Real>
 TM_HOST_DEVICE auto remember(const ElementView<Real>& e, std::uint32_t q, std::uint32_t first, const Point& point,
-                             bool begins_step) {
+                             Real dt_s, Real history_dt_s) {
   using T = typename Lanes::Scalar;
   T stress[physics::kSymmetricReals], memory[physics::kSymmetricReals];
   physics::to_symmetric<T>(Law::second_piola(point), stress);
   for (T& value : memory) value = T(0);
   T instant = T(1);
   for (std::uint32_t term = 0; term < e.prony_count; ++term) {
-    const T gain = T(e.prony[term].gain), decay = T(e.prony[term].decay);
-    instant -= gain;
+    const PronyTerm<Real> t = e.prony[term];
+    const auto now = physics::prony_step(t.share, t.relaxation_time_s, dt_s);
+    const auto last = physics::prony_step(t.share, t.relaxation_time_s, history_dt_s);
+    instant -= T(now.gain);
     for (std::uint32_t c = 0; c < physics::kSymmetricReals; ++c) {
       Real* place =
           e.history + ((std::size_t{q} * e.prony_count + term) * physics::kSymmetricReals + c) * e.count + first;
       T gamma = Lanes::load(place);
-      if (begins_step) {
-        gamma = gain * stress[c] + decay * gamma;
+      if (history_dt_s > 0) {
+        gamma = T(last.gain) * stress[c] + T(last.decay) * gamma;
         Lanes::store(place, gamma);
       }
-      memory[c] += decay * gamma;
+      memory[c] += T(now.decay) * gamma;
     }
   }
   return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
@@ -77,7 +81,8 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   constexpr std::uint32_t kRecord = record_reals(Shape::kNodes);
-  const bool begins_step = s.newton == nullptr || s.newton->begins_step != 0;
+  const Real dt_s = s.control->dt_s;
+  const Real history_dt_s = s.newton == nullptr || s.newton->begins_step != 0 ? s.control->history_dt_s : Real(0);
   const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
                                                                              : physics::Stiffness::kConsistent;
   const ElementRange range = element_range(s, e, team.patch());
@@ -101,7 +106,7 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
       if (e.prony_count == 0) {
         physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, tensors);
       } else {
-        const auto viscous = remember<Lanes, Law>(e, q, first, point, begins_step);
+        const auto viscous = remember<Lanes, Law>(e, q, first, point, dt_s, history_dt_s);
         physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, tensors);
       }
     }
@@ -121,13 +126,37 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
   });
 }
 
-/// How far the elements of a group are from rest; only now and then.
-/// Reads displacement; writes watch.
+/// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
+/// Reads displacement; writes min_det_f.
 template <class Shape, class Team, class Real>
-TM_HOST_DEVICE void watch_elements(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  using Lanes = typename Team::template Lanes<Real>;
+  using T = typename Lanes::Scalar;
+  const ElementRange range = element_range(s, e, team.patch());
+  T compression = T(-std::numeric_limits<Real>::max());  // −det F
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    Vec3<T> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
+    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    TM_UNROLL(1)
+    for (std::uint32_t q = 0; q < points; ++q) {
+      const Mat3<T> f = load_point<Lanes, Shape>(e, q, first).deformation_gradient(u);  // of padding: the identity
+      compression = maximum(compression, T(-f.determinant()));
+    }
+  });
+  const Real worst = team.patch_max(Lanes::largest(compression));
+  if (team.leads_patch()) s.min_det_f[e.watch_begin + team.patch()] = -worst;
+}
+
+/// How far the elements of a group are from rest, and the energy that is in them; only now and then.
+/// Reads displacement; writes watch.
+template <class Shape, class Law, class Team, class Real>
+TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using std::sqrt;
   const ElementRange range = element_range(s, e, team.patch());
-  Real compression = -1, strain = 0, rotation = 0;  // −min det F, squares
+  Real compression = -std::numeric_limits<Real>::max(), flattening = compression;  // −min det F, −least stretch
+  Real strain = 0, rotation = 0;                                                   // squares
+  Real energy[1] = {0};
   team.for_each(range.begin, range.end, [&](std::uint32_t element) {
     using Lanes = SingleLane<Real>;
     if (!(load_point<Lanes, Shape>(e, 0, element).weight > 0)) return;  // padding
@@ -135,7 +164,15 @@ TM_HOST_DEVICE void watch_elements(Team& team, const SceneView<Real>& s, const E
     load_displacement<Lanes, Shape>(s, e, element, u);
     const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
     for (std::uint32_t q = 0; q < points; ++q) {
-      const Mat3<Real> f = load_point<Lanes, Shape>(e, q, element).deformation_gradient(u);
+      const auto gradients = load_point<Lanes, Shape>(e, q, element);
+      const Mat3<Real> f = gradients.deformation_gradient(u);
+      Real parameters[Law::kParameterCount];
+      for (int c = 0; c < Law::kParameterCount; ++c) {
+        parameters[c] = e.parameters[static_cast<std::size_t>(c) * e.count + element];
+      }
+      if (e.shares != nullptr) Law::take_shares(parameters, e.shares[q].deviatoric, e.shares[q].volumetric);
+      energy[0] += Law::energy(Law::at(f, parameters)) * gradients.weight;
+      flattening = maximum(flattening, -physics::signed_singular_values(f).sigma[2]);
       compression = maximum(compression, -f.determinant());
       const Mat3<Real> sum = f + f.transpose(), difference = f - f.transpose();
       for (int c = 0; c < 9; ++c) {
@@ -148,7 +185,11 @@ TM_HOST_DEVICE void watch_elements(Team& team, const SceneView<Real>& s, const E
   compression = team.patch_max(compression);
   strain = team.patch_max(strain);
   rotation = team.patch_max(rotation);
-  if (team.leads_patch()) s.watch[e.watch_begin + team.patch()] = {-compression, sqrt(strain), sqrt(rotation)};
+  flattening = team.patch_max(flattening);
+  team.patch_sum(energy);
+  if (team.leads_patch()) {
+    s.watch[e.watch_begin + team.patch()] = {-compression, sqrt(strain), sqrt(rotation), -flattening, energy[0]};
+  }
 }
 
 /// The 3×3 block at `p`, column-major.

@@ -14,17 +14,28 @@ struct Elements {
   }
 };
 
+template <class Shape, class Law>
+struct Watch {
+  template <class Team, class Real>
+  __device__ static void run(Team& team, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e) {
+    tensor::watch_elements<Shape, Law>(team, s, e);
+  }
+};
+
 template <int Law, class Real>
-const void* element_kernel_of_law(int shape) {
-  const void* kernel = nullptr;
+ElementKernels element_kernels_of_law(int shape) {
+  ElementKernels kernels;
   physics::for_each_type(physics::Shapes{}, [&](auto shape_tag, int index) {
-    using Pass = Elements<typename decltype(shape_tag)::Type, physics::LawAt<Law>>;
-    if (index == shape) kernel = reinterpret_cast<const void*>(&run_stage<Pass, Real, kStageThreads>);
+    using Shape = typename decltype(shape_tag)::Type;
+    using Of = physics::LawAt<Law>;
+    if (index != shape) return;
+    kernels.tensors = reinterpret_cast<const void*>(&run_stage<Elements<Shape, Of>, Real, kStageThreads>);
+    kernels.watch = reinterpret_cast<const void*>(&run_stage<Watch<Shape, Of>, Real>);
   });
-  return kernel;
+  return kernels;
 }
 
-template const void* element_kernel_of_law<TM_LAW, float>(int);
-template const void* element_kernel_of_law<TM_LAW, double>(int);
+template ElementKernels element_kernels_of_law<TM_LAW, float>(int);
+template ElementKernels element_kernels_of_law<TM_LAW, double>(int);
 
 }  // namespace tensormass::backend::cuda

@@ -4,21 +4,27 @@
 
 #include "physics/lists.h"
 
-/// The element kernels. elements.cu is compiled once for each law, as on the CPU.
+/// The kernels over elements. elements.cu is compiled once for each law, as on the CPU.
 namespace tensormass::backend::cuda {
 
-/// The kernel, of the signature of run_stage (launch.cuh), for the law at this index of physics::Laws.
+/// Of the signature of run_stage (launch.cuh).
+struct ElementKernels {
+  const void* tensors = nullptr;  ///< tensor::element_pass; does not reduce
+  const void* watch = nullptr;    ///< tensor::watch_elements; reduces
+};
+
+/// Of the law at this index of physics::Laws.
 template <int Law, class Real>
-const void* element_kernel_of_law(int shape);
+ElementKernels element_kernels_of_law(int shape);
 
 template <class Real>
-const void* element_kernel(int shape, int law) {
-  const void* kernel = nullptr;
+ElementKernels element_kernels(int shape, int law) {
+  ElementKernels kernels;
   [&]<int... Law>(std::integer_sequence<int, Law...>) {
-    ((Law == law ? void(kernel = element_kernel_of_law<Law, Real>(shape)) : void()), ...);
+    ((Law == law ? void(kernels = element_kernels_of_law<Law, Real>(shape)) : void()), ...);
   }
   (std::make_integer_sequence<int, physics::Laws::kCount>{});
-  return kernel;
+  return kernels;
 }
 
 }  // namespace tensormass::backend::cuda
