@@ -46,6 +46,18 @@ TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, 
       [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
 }
 
+/// What a point integrates of the law's moduli.
+template <class Lanes, class Shape, class Law, class Real, class T>
+TM_HOST_DEVICE void load_parameters(const ElementView<Real>& e, std::uint32_t point, std::uint32_t first,
+                                    T (&parameters)[Law::kParameterCount]) {
+  for (int c = 0; c < Law::kParameterCount; ++c) {
+    parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
+  }
+  if (!Shape::kSinglePoint && e.shares != nullptr) {
+    Law::take_shares(parameters, T(e.shares[point].deviatoric), T(e.shares[point].volumetric));
+  }
+}
+
 /// The history of a point in a step of `dt_s` and, where history_dt_s is not zero, its move to the stress that the last
 /// step ended with, which took that long.
 template <class Lanes, class Law, class Point, class Real>
@@ -94,12 +106,7 @@ TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, con
     TM_UNROLL(1)
     for (std::uint32_t q = 0; q < points; ++q) {
       T parameters[Law::kParameterCount];
-      for (int c = 0; c < Law::kParameterCount; ++c) {
-        parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
-      }
-      if (!Shape::kSinglePoint && e.shares != nullptr) {
-        Law::take_shares(parameters, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
-      }
+      load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
       const auto gradients = load_point<Lanes, Shape>(e, q, first);
       const Mat3<T> f = gradients.deformation_gradient(u);
       auto point = Law::at(f, parameters);
@@ -153,42 +160,43 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using std::sqrt;
+  using Lanes = typename Team::template Lanes<Real>;
+  using T = typename Lanes::Scalar;
   const ElementRange range = element_range(s, e, team.patch());
-  Real compression = -std::numeric_limits<Real>::max(), flattening = compression;  // −min det F, −least stretch
-  Real strain = 0, rotation = 0;                                                   // squares
-  Real energy[1] = {0};
-  team.for_each(range.begin, range.end, [&](std::uint32_t element) {
-    using Lanes = SingleLane<Real>;
-    if (!(load_point<Lanes, Shape>(e, 0, element).weight > 0)) return;  // padding
-    Vec3<Real> u[Shape::kNodes];
-    load_displacement<Lanes, Shape>(s, e, element, u);
+  T compression = T(-std::numeric_limits<Real>::max()), flattening = T(-1);  // −det F, −least stretch
+  T strain = T(0), rotation = T(0), energy = T(0);                           // the first two squared
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    Vec3<T> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
     const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    TM_UNROLL(1)
     for (std::uint32_t q = 0; q < points; ++q) {
-      const auto gradients = load_point<Lanes, Shape>(e, q, element);
-      const Mat3<Real> f = gradients.deformation_gradient(u);
-      Real parameters[Law::kParameterCount];
-      for (int c = 0; c < Law::kParameterCount; ++c) {
-        parameters[c] = e.parameters[static_cast<std::size_t>(c) * e.count + element];
+      T parameters[Law::kParameterCount];
+      load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
+      const auto gradients = load_point<Lanes, Shape>(e, q, first);
+      const Mat3<T> f = gradients.deformation_gradient(u);  // of padding: the identity
+      // Padding has no parameters, and a law may have no energy without.
+      const T own = Law::energy(Law::at(f, parameters)) * gradients.weight;
+      energy += select_greater(gradients.weight, T(0), own, T(0));
+      compression = maximum(compression, T(-f.determinant()));
+      if constexpr (requires { Law::kLeastStretch; }) {
+        flattening = maximum(flattening, T(-physics::signed_singular_values(f).sigma[2]));
       }
-      if (e.shares != nullptr) Law::take_shares(parameters, e.shares[q].deviatoric, e.shares[q].volumetric);
-      energy[0] += Law::energy(Law::at(f, parameters)) * gradients.weight;
-      flattening = maximum(flattening, -physics::signed_singular_values(f).sigma[2]);
-      compression = maximum(compression, -f.determinant());
-      const Mat3<Real> sum = f + f.transpose(), difference = f - f.transpose();
-      for (int c = 0; c < 9; ++c) {
-        const Real component = sum(c % 3, c / 3) / 2 - (c % 3 == c / 3 ? Real(1) : Real(0));
-        strain = maximum(strain, component * component);
+      for (int c = 0; c < 3; ++c) {
+        const int d = (c + 1) % 3;
+        const T stretch = f(c, c) - T(1), shear = (f(c, d) + f(d, c)) * T(0.5);
+        strain = maximum(strain, maximum(T(stretch * stretch), T(shear * shear)));
       }
-      rotation = maximum(rotation, difference.squaredNorm() / 8);
+      const T x = f(2, 1) - f(1, 2), y = f(0, 2) - f(2, 0), z = f(1, 0) - f(0, 1);
+      rotation = maximum(rotation, T((x * x + y * y + z * z) * T(0.25)));
     }
   });
-  compression = team.patch_max(compression);
-  strain = team.patch_max(strain);
-  rotation = team.patch_max(rotation);
-  flattening = team.patch_max(flattening);
-  team.patch_sum(energy);
+  const Real most[4] = {team.patch_max(Lanes::largest(compression)), team.patch_max(Lanes::largest(flattening)),
+                        team.patch_max(Lanes::largest(strain)), team.patch_max(Lanes::largest(rotation))};
+  Real sum[1] = {Lanes::sum(energy)};
+  team.patch_sum(sum);
   if (team.leads_patch()) {
-    s.watch[e.watch_begin + team.patch()] = {-compression, sqrt(strain), sqrt(rotation), -flattening, energy[0]};
+    s.watch[e.watch_begin + team.patch()] = {-most[0], sqrt(most[2]), sqrt(most[3]), -most[1], sum[0]};
   }
 }
 

@@ -148,7 +148,7 @@ struct PatchWatch {
   Real min_det_f;
   Real max_strain;     // largest component of |sym F − I|
   Real max_rotation;   // |axial vector of skew F|, about the angle in radians
-  Real least_stretch;  // smallest principal stretch, negative in an inverted element
+  Real least_stretch;  // smallest principal stretch, at most 1; 1 for laws that state none (kLeastStretch)
   Real elastic_energy_j;
 };
 
