@@ -26,8 +26,12 @@ struct ToolForce {
 
 /// What a step is told.
 struct StepInput {
-  ToolCenters centers;    ///< [tool_count]
+  ToolCenters centers{};  ///< [tool_count]
   double end_time_s = 0;  ///< for displacements that are prescribed over time
+  double dt_s = 0;
+  std::uint32_t cg_max_iterations = 0;
+  bool keeps = true;     ///< the state at its begin is the one that `restore` goes back to
+  bool careful = false;  ///< implicit Euler in place of BDF2, positive stiffness in place of the consistent one
   bool gather_visible = false;
 };
 
@@ -37,6 +41,12 @@ struct StepResult {
   bool negative_curvature = false;
   bool finite = true;
   double max_speed_m_per_s = 0;
+  double max_move_m = 0;        ///< of any node from the kept state
+  double max_distance_m = 0;    ///< of any node from rest
+  double kinetic_energy_j = 0;  ///< of the nodes' masses
+  double work_j = 0;            ///< of gravity and loads since the kept state
+  /// Of the elements that are checked in each step; 1 where none is.
+  double min_det_f = 1;
   std::uint32_t newton_iterations = 1;
   double newton_residual = 0;  ///< imbalance relative to the forces at work; 0 in a step that is linearized once
   bool converged = true;       ///< false: the outer iteration ended before its tolerance
@@ -47,6 +57,8 @@ struct GroupWatch {
   double min_det_f = 1;
   double max_strain = 0;
   double max_rotation_rad = 0;
+  double least_stretch = 1;
+  double elastic_energy_j = 0;
 };
 
 /// Everything that moves, of all rows. `histories` are the groups' Γ_i one after the other.
@@ -54,6 +66,8 @@ struct RowState {
   std::vector<double> displacement;  ///< [row_count, 4] m
   std::vector<double> velocity;      ///< [row_count, 4] m/s
   std::vector<double> histories;     ///< Pa
+  /// Length of the step that displacement is ahead of the histories; 0: they belong together.
+  double history_dt_s = 0;
 };
 
 /// The state of one scene on one device. Not thread-safe. A step allocates nothing.
@@ -64,6 +78,8 @@ class SceneState {
   /// One step of the model's stages. forces: [tool_count], written. With `gather_visible` the frame's positions are
   /// ready when it returns.
   virtual StepResult step(const StepInput& input, std::span<ToolForce> forces) = 0;
+  /// Back to the begin of the last step that kept it. No host sees the state on its way.
+  virtual void restore() = 0;
   /// [visible_count, 3] m, as of the last step that gathered them; valid until the next one.
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers them without a step.

@@ -44,16 +44,18 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 ///   void run(model::Phase), in order with what was run before; waits for nothing
 ///   tensor::NewtonControl& control(), read by the next run
 ///   Imbalance imbalance() of the last evaluation, StepResult result() of the last solve or backtracking: wait for it
-/// largest_force_squared: of all steps since the scene's start, updated. rounding_share: kRoundingShare.
+/// positive: take the positive stiffness throughout. largest_force_squared: of all steps since the scene's start,
+/// updated. rounding_share: kRoundingShare.
 template <class Device>
-StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, double rounding_share,
-                       double& largest_force_squared) {
+StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, bool positive,
+                       double rounding_share, double& largest_force_squared) {
   using model::Phase;
   constexpr int kMaxHalvings = 10;
   constexpr double kMaxDetour = 0.25;
   constexpr int kMaxDetourIterations = 6;  // and what rounding leaves goes up and down for ever
   tensor::NewtonControl& control = device.control();
-  control = {.positive_stiffness = 0, .begins_step = 1, .line_share = 1};
+  const std::uint32_t usual_stiffness = positive ? 1 : 0;
+  control = {.positive_stiffness = usual_stiffness, .begins_step = 1, .line_share = 1};
   const auto evaluate = [&] {
     device.run(Phase::kEvaluate);
     const Imbalance now = device.imbalance();
@@ -87,7 +89,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
       device.run(Phase::kSolve);
       solved = device.result();
       cg_iterations += solved.cg_iterations;
-      control.positive_stiffness = 0;
+      control.positive_stiffness = usual_stiffness;
     }
     const std::uint32_t iterations = total.newton_iterations + 1;
     Imbalance next = evaluate();

@@ -19,8 +19,25 @@ StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const ten
   for (const auto& patch : patches) {
     result.finite = result.finite && patch.finite == 1;
     result.max_speed_m_per_s = std::max(result.max_speed_m_per_s, static_cast<double>(patch.max_speed_m_per_s));
+    result.max_move_m = std::max(result.max_move_m, static_cast<double>(patch.max_move_m));
+    result.max_distance_m = std::max(result.max_distance_m, static_cast<double>(patch.max_distance_m));
+    result.kinetic_energy_j += static_cast<double>(patch.kinetic_energy_j);
+    result.work_j += static_cast<double>(patch.work_j);
   }
   return result;
+}
+
+/// min_det_f: [group_count, patch_count]; empty: no group is checked
+template <class Real>
+double read_volume(const model::Model& m, std::span<const Real> min_det_f) {
+  double least = m.checks_volume() ? std::numeric_limits<double>::infinity() : 1;
+  const std::size_t patches = m.layout.patch_count;
+  for (std::size_t group = 0; group < m.groups.size(); ++group) {
+    if (!m.groups[group].checks_volume) continue;
+    for (const Real one : min_det_f.subspan(group * patches, patches))
+      least = std::min(least, static_cast<double>(one));
+  }
+  return least;
 }
 
 /// watch: [group_count, patch_count]
@@ -28,11 +45,14 @@ template <class Real>
 void read_watch(std::span<const tensor::PatchWatch<Real>> watch, std::span<GroupWatch> groups) {
   const std::size_t patches = groups.empty() ? 0 : watch.size() / groups.size();
   for (std::size_t group = 0; group < groups.size(); ++group) {
-    GroupWatch all{std::numeric_limits<double>::infinity(), 0, 0};
+    constexpr double kNone = std::numeric_limits<double>::infinity();
+    GroupWatch all{.min_det_f = kNone, .least_stretch = kNone};
     for (const auto& patch : watch.subspan(group * patches, patches)) {
       all.min_det_f = std::min(all.min_det_f, static_cast<double>(patch.min_det_f));
       all.max_strain = std::max(all.max_strain, static_cast<double>(patch.max_strain));
       all.max_rotation_rad = std::max(all.max_rotation_rad, static_cast<double>(patch.max_rotation));
+      all.least_stretch = std::min(all.least_stretch, static_cast<double>(patch.least_stretch));
+      all.elastic_energy_j += static_cast<double>(patch.elastic_energy_j);
     }
     groups[group] = all;
   }
@@ -64,15 +84,28 @@ void write_prescribed(const model::Model& m, double time_s, Real* prescribed) {
   }
 }
 
+/// What a state remembers between steps besides its fields.
+struct Past {
+  double dt_s = 0;                   ///< of the last step; 0: there was none
+  double history_dt_s = 0;           ///< RowState::history_dt_s
+  double largest_force_squared = 0;  ///< see newton_step
+};
+
+/// A scheme of two steps starts anew where they are not equally long.
 template <class Real>
-tensor::StepScheme<Real> scheme_of(const model::Model& m, bool first_step) {
-  const tensor::StepScheme<double> scheme = model::step_scheme(m.integrator, m.dt_s, first_step);
-  tensor::StepScheme<Real> out;
-  out.step_s = static_cast<Real>(scheme.step_s);
+tensor::StepControl<Real> control_of(const model::Model& m, const StepInput& input, const Past& past) {
+  const bool starts = input.careful || past.dt_s != input.dt_s;
+  const tensor::StepScheme<double> scheme = model::step_scheme(m.integrator, input.dt_s, starts);
+  tensor::StepControl<Real> out;
+  out.scheme.step_s = static_cast<Real>(scheme.step_s);
   for (int i = 0; i < 2; ++i) {
-    out.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
-    out.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
+    out.scheme.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
+    out.scheme.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
   }
+  out.dt_s = static_cast<Real>(input.dt_s);
+  out.history_dt_s = static_cast<Real>(past.history_dt_s);
+  out.cg_max_iterations = input.cg_max_iterations;
+  out.keeps = input.keeps ? 1 : 0;
   return out;
 }
 

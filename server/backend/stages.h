@@ -55,16 +55,16 @@ TM_STAGE(GatherVisible, kNone, tensor::gather_visible);
 #undef TM_STAGE
 
 template <class Shape>
-struct Watch {
+struct CheckVolume {
   static constexpr Communication kCommunication = Communication::kReduces;
   template <class Team, class Real>
   TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-    tensor::watch_elements<Shape>(team, s, e);
+    tensor::check_volume<Shape>(team, s, e);
   }
 };
 
-/// Calls visit(stage type) for a stage of a model. Not for kElements, which are many: each backend compiles them law by
-/// law (elements.h of its folder).
+/// Calls visit(stage type) for a stage of a model. Not for kElements and kWatch, which are many: each backend compiles
+/// them law by law (elements.h of its folder).
 template <class Visit>
 void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit) {
   using model::StageKind;
@@ -78,6 +78,7 @@ void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit)
     case StageKind::kRespondContact:
       return visit(RespondContact{});
     case StageKind::kElements:
+    case StageKind::kWatch:
       return;
     case StageKind::kAssemble:
       if (!m.has_refreshed_tensors()) return visit(AssembleConstant{});
@@ -103,9 +104,9 @@ void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit)
       return visit(Backtrack{});
     case StageKind::kMeasureContact:
       return visit(MeasureContact{});
-    case StageKind::kWatch:
+    case StageKind::kCheckVolume:
       return physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
-        if (index == m.groups[stage.group].shape) visit(Watch<typename decltype(shape)::Type>{});
+        if (index == m.groups[stage.group].shape) visit(CheckVolume<typename decltype(shape)::Type>{});
       });
   }
 }

@@ -208,7 +208,7 @@ TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
         const std::uint32_t row = s.triangle_rows[std::size_t{3} * triangle + c];
         // Where a step is solved more than once, contacts are those of its end.
         if (s.base_displacement == nullptr) {
-          change += tensor::load3<Real>(s.velocity, row) * (s.dt_s * contact.weight[c]);
+          change += tensor::load3<Real>(s.velocity, row) * (tensor::step_size(s) * contact.weight[c]);
         }
         point += tensor::position(s, row) * contact.weight[c];
       }

@@ -33,6 +33,9 @@ inline constexpr double kMinTimeStepS = 1e-6;
 inline constexpr double kMaxTimeStepS = 10.0;
 /// Conjugate-gradient iterations of one solve; a step has as many solves as outer iterations.
 inline constexpr std::uint32_t kMaxCgIterations = 100'000;
+/// Time that a scene may ask its steps to take [s].
+inline constexpr double kMinBudgetS = 1e-6;
+inline constexpr double kMaxBudgetS = 10.0;
 /// CPU threads of one scene.
 inline constexpr std::uint32_t kMaxCpuThreads = 256;
 /// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.

@@ -184,6 +184,12 @@ struct PackLanes {
     for (std::uint32_t lane = 0; lane < Width; ++lane) total += value.v[lane];
     return total;
   }
+  static Real largest(Scalar value) {
+    Real most = value.v[0];
+    for (std::uint32_t lane = 1; lane < Width; ++lane)
+      most = tensormass::maximum(most, static_cast<Real>(value.v[lane]));
+    return most;
+  }
 
  private:
   using Vector = typename Scalar::Vector;

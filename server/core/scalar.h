@@ -114,6 +114,7 @@ struct SingleLane {
     for (std::uint32_t c = 0; c < Count; ++c) records[c] = values[c];
   }
   TM_HOST_DEVICE static Real sum(Scalar value) { return value; }
+  TM_HOST_DEVICE static Real largest(Scalar value) { return value; }
 };
 
 }  // namespace tensormass

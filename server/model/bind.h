@@ -25,10 +25,8 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_count = layout.patch_count;
   s.tool_count = static_cast<uint32_t>(tools);
   s.triangle_count = m.contact.triangle_count();
-  s.dt_s = static_cast<Real>(m.dt_s);
-  s.scheme = arena.template zeros<tensor::StepScheme<Real>>("time scheme", only_if(!m.is_plain(), 1));
+  s.control = arena.template zeros<tensor::StepControl<Real>>("step control", 1);
   s.cg_tolerance = static_cast<Real>(m.cg_tolerance);
-  s.cg_max_iterations = m.cg_max_iterations;
 
   s.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
   s.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
@@ -67,6 +65,10 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.base_velocity = arena.template zeros<Real>("base velocity", only_if(!m.is_plain(), 4 * rows));
   s.previous_displacement = arena.template zeros<Real>("previous displacement", only_if(two_steps, 4 * rows));
   s.previous_velocity = arena.template zeros<Real>("previous velocity", only_if(two_steps, 4 * rows));
+  s.kept_displacement = arena.template zeros<Real>("kept displacement", 4 * rows);
+  s.kept_velocity = arena.template zeros<Real>("kept velocity", 4 * rows);
+  s.kept_previous_displacement = arena.template zeros<Real>("kept previous displacement", only_if(two_steps, 4 * rows));
+  s.kept_previous_velocity = arena.template zeros<Real>("kept previous velocity", only_if(two_steps, 4 * rows));
   s.increment = arena.template zeros<Real>("increment", only_if(m.iterates(), 4 * rows));
   s.iterate = arena.template zeros<Real>("iterate", only_if(m.iterates(), 4 * rows));
   s.internal_force = arena.template zeros<Real>("internal forces", only_if(m.iterates(), 4 * rows));
@@ -113,6 +115,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_reports = arena.template zeros<tensor::PatchReport<Real>>("patch reports", patches);
   s.solve_report = arena.template zeros<tensor::SolveReport<Real>>("solve report", 1);
   s.watch = arena.template zeros<tensor::PatchWatch<Real>>("watch", m.groups.size() * patches);
+  s.min_det_f = arena.template zeros<Real>("volume check", only_if(m.checks_volume(), m.groups.size() * patches));
   s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * 4);
   s.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
   return s;
@@ -128,15 +131,16 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
   e.watch_begin = static_cast<std::uint32_t>(group_index) * m.layout.patch_count;
   e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
   e.rest = arena.template constant<Real>("element rest shapes", group.rest);
-  if (!group.is_constant()) e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+  e.parameters = arena.template constant<Real>("element parameters", group.parameters);
   e.shares = arena.template constant<tensor::PointShares<Real>>("selective integration", group.shares);
   e.prony_count = static_cast<std::uint32_t>(group.prony.size());
   for (std::size_t i = 0; i < group.prony.size(); ++i) {
-    e.prony[i] = {static_cast<Real>(group.prony[i].gain), static_cast<Real>(group.prony[i].decay)};
+    e.prony[i] = {static_cast<Real>(group.prony[i].share), static_cast<Real>(group.prony[i].relaxation_time_s)};
   }
   e.patch_elements = arena.template constant<std::uint32_t>("elements of patches", group.patch_elements);
   e.pair_places = arena.template constant<std::uint32_t>("element places", group.pair_places);
   e.history = arena.template zeros<Real>("stress histories", group.history_reals());
+  e.kept_history = arena.template zeros<Real>("kept stress histories", group.history_reals());
   if (!group.tiles.parts.empty()) {
     const tensor::GroupTiles& tiles = group.tiles;
     e.tile_count = static_cast<std::uint32_t>(tiles.tile_parts.size()) - 1;

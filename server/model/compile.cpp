@@ -89,6 +89,7 @@ class Compiler {
     TM_TRY(tolerance,
            read_number(solver.has_cg_tolerance() ? solver.cg_tolerance() : 1e-3, 0, 0.5, "scene.solver.cg_tolerance"));
     model_.cg_tolerance = tolerance;
+    TM_CHECK(read_budget(solver));
     if (solver.has_cpu_threads()) {
       TM_CHECK(read_number(solver.cpu_threads(), 1, limits::kMaxCpuThreads, "scene.solver.cpu_threads"));
     }
@@ -104,6 +105,35 @@ class Compiler {
     TM_TRY(gravity, read_vector(scene_.gravity_m_per_s2(), "scene.gravity_m_per_s2"));
     model_.gravity_m_per_s2 = gravity;
     model_.has_gravity = gravity.squaredNorm() > 0;
+    return {};
+  }
+
+  /// What a step may take and what it must not fall below: an accuracy is given up only down to a stated floor.
+  Result<void> read_budget(const v1::Solver& solver) {
+    if (solver.has_floor_tolerance()) {
+      TM_TRY(floor, read_number(solver.floor_tolerance(), 1e-12, 0.5, "scene.solver.floor_tolerance"));
+      if (floor < model_.cg_tolerance) {
+        return invalid(
+            fmt::format("scene.solver.floor_tolerance: {} is below cg_tolerance = {}, at which the solve "
+                        "stops; lower cg_tolerance",
+                        floor, model_.cg_tolerance));
+      }
+      model_.floor_tolerance = floor;
+    }
+    if (!solver.has_budget_s()) {
+      if (!solver.has_floor_cg_iterations()) return {};
+      return invalid("scene.solver.floor_cg_iterations: nothing lowers the iterations; give budget_s too");
+    }
+    TM_TRY(budget, read_number(solver.budget_s(), limits::kMinBudgetS, limits::kMaxBudgetS, "scene.solver.budget_s"));
+    if (!solver.has_floor_cg_iterations() && !solver.has_floor_tolerance()) {
+      return invalid(
+          "scene.solver.budget_s: say how far accuracy may go down for it: give floor_cg_iterations, floor_tolerance "
+          "or both");
+    }
+    const double fewest = solver.has_floor_cg_iterations() ? solver.floor_cg_iterations() : 1;
+    TM_TRY(floor, read_number(fewest, 1, model_.cg_max_iterations, "scene.solver.floor_cg_iterations"));
+    model_.budget_s = budget;
+    model_.floor_cg_iterations = static_cast<std::uint32_t>(floor);
     return {};
   }
 
@@ -350,6 +380,9 @@ class Compiler {
     add(tools && !plain, StageKind::kDetectContact, Phase::kEnd);  // as it is at the end of the step
     add(tools && !plain, StageKind::kRespondContact, Phase::kEnd);
     add(tools, StageKind::kMeasureContact, Phase::kEnd);
+    for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
+      add(model_.groups[g].checks_volume, StageKind::kCheckVolume, Phase::kEnd, g);
+    }
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) add(true, StageKind::kWatch, Phase::kWatch, g);
   }
 

@@ -176,8 +176,8 @@ Result<void> fill_row_fields(Compilation& c) {
 
 Result<void> group_elements(Compilation& c) {
   const tensor::Layout& layout = c.model.layout;
-  std::vector<std::vector<PronyTerm>> memories{{}};
-  const auto memory_of = [&](const std::vector<PronyTerm>& terms) {
+  std::vector<std::vector<physics::PronyTerm>> memories{{}};
+  const auto memory_of = [&](const std::vector<physics::PronyTerm>& terms) {
     const auto found = std::find(memories.begin(), memories.end(), terms);
     if (found == memories.end()) memories.push_back(terms);
     return static_cast<std::size_t>(std::find(memories.begin(), memories.end(), terms) - memories.begin());
@@ -251,6 +251,11 @@ Result<void> group_elements(Compilation& c) {
     ElementGroup group;
     group.shape = key.shape;
     group.law = key.law;
+    physics::for_each_type(physics::Laws{}, [&](auto law, int index) {
+      using Law = typename decltype(law)::Type;
+      if (index != key.law) return;
+      group.checks_volume = Law::kInversion == physics::Inversion::kCaught && elements.partners.empty();
+    });
     group.element_count = static_cast<std::uint32_t>(elements.elements.size());
     const bool edges = layout.storage == tensor::Storage::kEdges;
     const auto by_patch =
@@ -262,9 +267,7 @@ Result<void> group_elements(Compilation& c) {
     group.point_count = static_cast<std::uint32_t>(elements.shares.size());
     const auto divided = [](const physics::PointShares& one) { return one.deviatoric != 1 || one.volumetric != 1; };
     if (std::any_of(elements.shares.begin(), elements.shares.end(), divided)) group.shares = elements.shares;
-    for (const PronyTerm& term : memories[key.memory]) {
-      group.prony.push_back(physics::prony_step(term.share, term.relaxation_time_s, c.model.dt_s));
-    }
+    group.prony = memories[key.memory];
     const auto components = [&](const auto& items) { return items.size() / group.element_count; };
     const auto placed = [&](const auto& items) { return transpose(items, components(items), order, group.stride); };
     group.elements = elements_of_places(elements.elements, order);

@@ -108,8 +108,8 @@ Result<void> override_values(google::protobuf::Message& constants, const Element
   return {};
 }
 
-Result<std::vector<PronyTerm>> read_prony(const v1::Law& law, std::string_view where) {
-  std::vector<PronyTerm> terms;
+Result<std::vector<physics::PronyTerm>> read_prony(const v1::Law& law, std::string_view where) {
+  std::vector<physics::PronyTerm> terms;
   if (law.prony_size() > physics::kMaxPronyTerms) {
     return invalid(fmt::format("{}.prony: {} terms; physics::kMaxPronyTerms is {}", where, law.prony_size(),
                                physics::kMaxPronyTerms));

@@ -7,26 +7,20 @@
 
 #include "core/result.h"
 #include "core/scalar.h"
+#include "physics/element/prony.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Laws from untrusted messages.
 namespace tensormass::model {
 
-/// A term of a visco-elastic law (physics/element/prony.h).
-struct PronyTerm {
-  double share = 0;
-  double relaxation_time_s = 0;
-  bool operator==(const PronyTerm&) const = default;
-};
-
 /// What the scene says of a material, checked.
 struct Material {
-  int law = 0;                      ///< index into physics::Laws
-  std::vector<double> parameters;   ///< as the law stores them
-  std::vector<PronyTerm> prony;     ///< empty: no memory
-  double young_modulus_pa = 0;      ///< at rest, under a sudden load
-  double poisson_ratio = 0;         ///< at rest
-  bool constant_stiffness = false;  ///< its tensors do not change while it deforms
+  int law = 0;                            ///< index into physics::Laws
+  std::vector<double> parameters;         ///< as the law stores them
+  std::vector<physics::PronyTerm> prony;  ///< empty: no memory
+  double young_modulus_pa = 0;            ///< at rest, under a sudden load
+  double poisson_ratio = 0;               ///< at rest
+  bool constant_stiffness = false;        ///< its tensors do not change while it deforms
 };
 
 /// In place of what a law says, for one element.

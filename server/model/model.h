@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <string>
@@ -33,7 +34,8 @@ enum class StageKind : std::uint8_t {
   kAdvance,
   kBacktrack,
   kMeasureContact,
-  kWatch,  ///< once for each element group
+  kCheckVolume,  ///< once for each element group whose law must not turn inside out
+  kWatch,        ///< once for each element group
 };
 
 /// Where a step's stages stand when it solves more than once (backend/newton.h); a step that is linearized once
@@ -51,7 +53,7 @@ inline constexpr int kPhases = 6;
 struct Stage {
   StageKind kind;
   Phase phase;
-  std::uint32_t group = 0;  ///< of kElements and kWatch
+  std::uint32_t group = 0;  ///< of kElements, kCheckVolume and kWatch
 };
 
 /// Elements of one (shape, law); of one body if the law is linear or has a memory.
@@ -64,7 +66,7 @@ struct ElementGroup {
   std::uint32_t record_reals = 0;            ///< 0: the tensors are constant, in Model::constant_edges
   std::uint32_t point_count = 0;             ///< quadrature points of an element
   std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
-  std::vector<physics::PronyStep> prony;     ///< empty: no memory
+  std::vector<physics::PronyTerm> prony;     ///< empty: no memory
   /// [place] index in the scene's mesh; mesh::kNone where an element is computed once more for another patch, and in
   /// padding. May end before the padding does.
   std::vector<std::uint32_t> elements;
@@ -77,6 +79,8 @@ struct ElementGroup {
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
+  /// Its law does not recover from inversion; a pair of wedges is looked at by its wedges.
+  bool checks_volume = false;
 
   bool is_constant() const { return record_reals == 0; }
   bool is_wedge_pairs() const { return !partners.empty(); }
@@ -174,6 +178,9 @@ struct Model {
   std::uint32_t newton_max_iterations = 1;
   double newton_tolerance = 0;
   double cg_tolerance = 0;
+  double budget_s = 0;                    ///< time that a step may take; 0: whatever it takes
+  std::uint32_t floor_cg_iterations = 0;  ///< to which cg_max_iterations may be lowered for the budget
+  double floor_tolerance = 0;             ///< residual above which no step is published; 0: none stated
   std::uint32_t cg_max_iterations = 0;
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
@@ -211,6 +218,9 @@ struct Model {
     return integrator == Integrator::kImplicitEuler && !iterates() && (mass_edges.empty() || driven.driven.empty());
   }
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
+  bool checks_volume() const {
+    return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });
+  }
   std::uint64_t partial_reals() const {
     std::uint64_t reals = 0;
     if (has_tiles || layout.storage == tensor::Storage::kEdges) return reals;

@@ -94,15 +94,20 @@ Cost cost(const Model& m, const Stage& stage) {
     case StageKind::kSolve:
       return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
     case StageKind::kAdvance:
-      return {rows * 6 * 4 * real, rows * 30};
+      return {rows * 9 * 4 * real, rows * 50};
     case StageKind::kBacktrack:
       return {rows * 5 * 4 * real, rows * 12};
     case StageKind::kMeasureContact:
       return {tools * triangles * real, tools * triangles};
+    case StageKind::kCheckVolume: {
+      const ElementGroup& g = m.groups[stage.group];
+      return {static_cast<double>(g.rows.size()) * (4 + 4 * real) + static_cast<double>(g.rest.size()) * real,
+              g.element_count * g.point_count * 80.0};
+    }
     case StageKind::kWatch: {
       const ElementGroup& g = m.groups[stage.group];
       return {static_cast<double>(g.rows.size()) * (4 + 4 * real) + static_cast<double>(g.rest.size()) * real,
-              g.element_count * g.point_count * 120.0};
+              g.element_count * g.point_count * 600.0};
     }
   }
   return {};
@@ -173,13 +178,15 @@ StageText text(StageKind kind) {
     case StageKind::kSolve:
       return {"conjugate gradients", "matrix, right-hand side", "solution"};
     case StageKind::kAdvance:
-      return {"advance", "solution", "velocity, displacement"};
+      return {"advance", "solution", "velocity, displacement, kept state, what guards look at"};
     case StageKind::kBacktrack:
       return {"backtrack", "increment", "velocity, displacement"};
     case StageKind::kMeasureContact:
       return {"measure contact", "contacts, velocity", "force on each tool"};
+    case StageKind::kCheckVolume:
+      return {"check volume", "displacement, rest shapes", "smallest det F"};
     case StageKind::kWatch:
-      return {"watch elements", "displacement, rest shapes", "smallest det F, largest strain and rotation"};
+      return {"watch elements", "displacement, rest shapes", "smallest det F, strain, rotation, elastic energy"};
   }
   return {};
 }
@@ -207,7 +214,8 @@ v1::SceneReport make_report(const Model& model, const MachineRates& machine) {
     const Cost one = cost(model, stage);
     v1::PlanStage& out = *report.add_stages();
     out.set_name(std::string(words.name));
-    if (stage.kind == StageKind::kElements || stage.kind == StageKind::kWatch) {
+    if (stage.kind == StageKind::kElements || stage.kind == StageKind::kCheckVolume ||
+        stage.kind == StageKind::kWatch) {
       const ElementGroup& group = model.groups[stage.group];
       physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
         out.set_name(fmt::format("{}: {}, {}", words.name,

@@ -8,18 +8,32 @@
 /// need to know. tensor/view.h says what û, v̂ and h are.
 namespace tensormass::solver {
 
+/// Puts the state of a row at the begin of the step aside, for a guard that takes the step back.
+template <class Real>
+TM_HOST_DEVICE void keep(const tensor::SceneView<Real>& s, std::uint32_t row, const Vec3<Real>& u,
+                         const Vec3<Real>& v) {
+  if (s.control->keeps == 0) return;
+  tensor::store3<Real>(s.kept_displacement, row, u);
+  tensor::store3<Real>(s.kept_velocity, row, v);
+  if (s.previous_displacement == nullptr) return;
+  tensor::store3<Real>(s.kept_previous_displacement, row, tensor::load3<Real>(s.previous_displacement, row));
+  tensor::store3<Real>(s.kept_previous_velocity, row, tensor::load3<Real>(s.previous_velocity, row));
+}
+
 /// û and v̂ of the step, from the last two; the solve starts at v̂.
 /// Reads displacement, velocity; writes base_displacement, base_velocity, previous_displacement, previous_velocity,
-/// velocity. Only for scenes that are not implicit Euler linearized once.
+/// velocity, kept fields. Only for scenes that are not implicit Euler linearized once.
 template <class Team, class Real>
 TM_HOST_DEVICE void predict(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> u = tensor::load3<Real>(s.displacement, row), v = tensor::load3<Real>(s.velocity, row);
-    Vec3<Real> base_u = u * s.scheme->displacement_weights[0], base_v = v * s.scheme->velocity_weights[0];
+    const tensor::StepScheme<Real>& scheme = s.control->scheme;
+    Vec3<Real> base_u = u * scheme.displacement_weights[0], base_v = v * scheme.velocity_weights[0];
+    keep(s, row, u, v);
     if (s.previous_displacement != nullptr) {
-      base_u += tensor::load3<Real>(s.previous_displacement, row) * s.scheme->displacement_weights[1];
-      base_v += tensor::load3<Real>(s.previous_velocity, row) * s.scheme->velocity_weights[1];
+      base_u += tensor::load3<Real>(s.previous_displacement, row) * scheme.displacement_weights[1];
+      base_v += tensor::load3<Real>(s.previous_velocity, row) * scheme.velocity_weights[1];
       tensor::store3<Real>(s.previous_displacement, row, u);
       tensor::store3<Real>(s.previous_velocity, row, v);
     }
@@ -45,40 +59,46 @@ TM_HOST_DEVICE void drive(const Team& team, const tensor::SceneView<Real>& s) {
   });
 }
 
-/// u = û + h v, and whether the row is still a number.
-template <class Real>
-TM_HOST_DEVICE bool move_row(const tensor::SceneView<Real>& s, std::uint32_t row, const Vec3<Real>& v) {
-  const Real* base = s.base_displacement != nullptr ? s.base_displacement : s.displacement;
-  const Vec3<Real> u = tensor::load3<Real>(base, row) + v * tensor::step_size(s);
-  tensor::store3<Real>(s.velocity, row, v);
-  tensor::store3<Real>(s.displacement, row, u);
-  return v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30);
-}
-
-/// Moves the rows of a patch to the velocities that `velocity_of(row)` says, and reports on them.
+/// Moves the rows of a patch to the velocities that `velocity_of(row)` says, u = û + h v, and reports on them.
 template <class Team, class Real, class Velocity>
 TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s, const Velocity& velocity_of) {
   using std::sqrt;
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  Real max_squared = 0;
-  Real not_finite = 0;
+  const Real* base = s.base_displacement != nullptr ? s.base_displacement : s.displacement;
+  const Real h = tensor::step_size(s);
+  Real speed = 0, move = 0, distance = 0;  // squares
+  Real sums[3] = {0, 0, 0};                // rows that are no numbers, twice the kinetic energy, work
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> v = velocity_of(row);
-    max_squared = maximum(max_squared, v.dot(v));
-    if (!move_row(s, row, v)) not_finite = 1;
+    const Vec3<Real> u = tensor::load3<Real>(base, row) + v * h;
+    const Vec3<Real> moved = u - tensor::load3<Real>(s.kept_displacement, row);
+    tensor::store3<Real>(s.velocity, row, v);
+    tensor::store3<Real>(s.displacement, row, u);
+    speed = maximum(speed, v.dot(v));
+    move = maximum(move, moved.dot(moved));
+    distance = maximum(distance, u.dot(u));
+    if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
+    sums[1] += s.inertia[std::size_t{4} * row] * v.dot(v);
+    if (s.external != nullptr) sums[2] += tensor::load3<Real>(s.external, row).dot(moved);
   });
-  max_squared = team.patch_max(max_squared);
-  not_finite = team.patch_max(not_finite);
-  if (team.leads_patch()) s.patch_reports[patch.index] = {sqrt(max_squared), 1 - not_finite};
+  speed = team.patch_max(speed);
+  move = team.patch_max(move);
+  distance = team.patch_max(distance);
+  team.patch_sum(sums);
+  if (team.leads_patch()) {
+    s.patch_reports[patch.index] = {
+        sqrt(speed), sums[0] == 0 ? Real(1) : Real(0), sqrt(move), sqrt(distance), sums[1] / 2, sums[2]};
+  }
 }
 
 /// By the change of velocity that `change_of(row)` says.
-/// Writes velocity, displacement, iterate, increment, patch_reports.
+/// Writes velocity, displacement, iterate, increment, patch_reports, kept fields.
 template <class Team, class Real, class Change>
 TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& s, const Change& change_of) {
   move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
     const Vec3<Real> change = change_of(row);
     const Vec3<Real> v = tensor::load3<Real>(s.velocity, row);
+    if (s.base_displacement == nullptr) keep(s, row, tensor::load3<Real>(s.displacement, row), v);  // else: predict has
     if (s.increment != nullptr) {
       tensor::store3<Real>(s.increment, row, change);
       tensor::store3<Real>(s.iterate, row, v);
@@ -96,7 +116,7 @@ TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) 
 }
 
 /// Takes a share of the last increment in place of the whole.
-/// Reads iterate, increment, newton; writes velocity, displacement, patch_reports.
+/// Reads iterate, increment, newton, kept displacement; writes velocity, displacement, patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s) {
   const Real share = static_cast<Real>(s.newton->line_share);

@@ -53,7 +53,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
   Real first_rr = 0, rr_next = 0;
   std::uint32_t iteration = 0;
   bool negative_curvature = false;
-  while (iteration < s.cg_max_iterations) {
+  while (iteration < s.control->cg_max_iterations) {
     Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
     Real* own_product = product + std::size_t{4} * patch.row_begin;
     T sum_pq = T(0), sum_qq = T(0);

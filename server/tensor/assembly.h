@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 
 #include "physics/element/element.h"
 #include "tensor/edges.h"
@@ -48,32 +49,49 @@ TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, 
       [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
 }
 
+/// By how much the histories of elements are to move on: the length of the last step in the first evaluation of this
+/// one [s], then zero.
 template <class Real>
-TM_HOST_DEVICE bool begins_the_step(const SceneView<Real>& s) {
-  return s.newton == nullptr || s.newton->begins_step != 0;
+TM_HOST_DEVICE Real history_step(const SceneView<Real>& s) {
+  return s.newton == nullptr || s.newton->begins_step != 0 ? s.control->history_dt_s : Real(0);
 }
 
-/// The history of a point and, at the begin of a step, its move to the stress that the last step ended with.
+/// What a point integrates of the law's moduli.
+template <class Lanes, class Shape, class Law, class Real, class T>
+TM_HOST_DEVICE void load_parameters(const ElementView<Real>& e, std::uint32_t point, std::uint32_t first,
+                                    T (&parameters)[Law::kParameterCount]) {
+  for (int c = 0; c < Law::kParameterCount; ++c) {
+    parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
+  }
+  if (!Shape::kSinglePoint && e.shares != nullptr) {
+    Law::take_shares(parameters, T(e.shares[point].deviatoric), T(e.shares[point].volumetric));
+  }
+}
+
+/// The history of a point in a step of `dt_s` and, where history_dt_s is not zero, its move to the stress that the last
+/// step ended with, which took that long.
 template <class Lanes, class Law, class Point, class Real>
 TM_HOST_DEVICE auto remember(const ElementView<Real>& e, std::uint32_t q, std::uint32_t first, const Point& point,
-                             bool begins_step) {
+                             Real dt_s, Real history_dt_s) {
   using T = typename Lanes::Scalar;
   T stress[physics::kSymmetricReals], memory[physics::kSymmetricReals];
   physics::to_symmetric<T>(Law::second_piola(point), stress);
   for (T& value : memory) value = T(0);
   T instant = T(1);
   for (std::uint32_t term = 0; term < e.prony_count; ++term) {
-    const T gain = T(e.prony[term].gain), decay = T(e.prony[term].decay);
-    instant -= gain;
+    const PronyTerm<Real> t = e.prony[term];
+    const auto now = physics::prony_step(t.share, t.relaxation_time_s, dt_s);
+    const auto last = physics::prony_step(t.share, t.relaxation_time_s, history_dt_s);
+    instant -= T(now.gain);
     for (std::uint32_t c = 0; c < physics::kSymmetricReals; ++c) {
       Real* place =
           e.history + ((std::size_t{q} * e.prony_count + term) * physics::kSymmetricReals + c) * e.count + first;
       T gamma = Lanes::load(place);
-      if (begins_step) {
-        gamma = gain * stress[c] + decay * gamma;
+      if (history_dt_s > 0) {
+        gamma = T(last.gain) * stress[c] + T(last.decay) * gamma;
         Lanes::store(place, gamma);
       }
-      memory[c] += decay * gamma;
+      memory[c] += T(now.decay) * gamma;
     }
   }
   return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
@@ -90,12 +108,7 @@ TM_HOST_DEVICE void for_each_point(const SceneView<Real>& s, const ElementView<R
   TM_UNROLL(1)
   for (std::uint32_t q = 0; q < points; ++q) {
     T parameters[Law::kParameterCount];
-    for (int c = 0; c < Law::kParameterCount; ++c) {
-      parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
-    }
-    if (!Shape::kSinglePoint && e.shares != nullptr) {
-      Law::take_shares(parameters, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
-    }
+    load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
     const auto gradients = load_point<Lanes, Shape>(e, q, first);
     const Mat3<T> f = gradients.deformation_gradient(u);
     auto point = Law::at(f, parameters);
@@ -108,7 +121,7 @@ TM_HOST_DEVICE void for_each_point(const SceneView<Real>& s, const ElementView<R
 template <class Lanes, class Shape, class Law, class Real, class Out>
 TM_HOST_DEVICE void evaluate_elements(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
                                       bool moves_history, Out& out) {
-  const bool begins_step = moves_history && begins_the_step(s);
+  const Real dt_s = s.control->dt_s, history_dt_s = moves_history ? history_step(s) : Real(0);
   const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
                                                                              : physics::Stiffness::kConsistent;
   for_each_point<Lanes, Shape, Law>(
@@ -116,7 +129,7 @@ TM_HOST_DEVICE void evaluate_elements(const SceneView<Real>& s, const ElementVie
         if (e.prony_count == 0) {
           physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, out);
         } else {
-          const auto viscous = remember<Lanes, Law>(e, q, first, point, begins_step);
+          const auto viscous = remember<Lanes, Law>(e, q, first, point, dt_s, history_dt_s);
           physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, out);
         }
       });
@@ -128,11 +141,12 @@ TM_HOST_DEVICE void evaluate_elements(const SceneView<Real>& s, const ElementVie
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void move_histories(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
-  if (!begins_the_step(s)) return;
+  const Real history_dt_s = history_step(s);
+  if (!(history_dt_s > 0)) return;
   const ElementRange range = element_range(s, e, team.patch());
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     for_each_point<Lanes, Shape, Law>(s, e, first, [&](const auto&, const auto&, const auto& point, std::uint32_t q) {
-      remember<Lanes, Law>(e, q, first, point, true);
+      remember<Lanes, Law>(e, q, first, point, s.control->dt_s, history_dt_s);
     });
   });
 }
@@ -173,34 +187,82 @@ TM_FLATTEN TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Re
   });
 }
 
-/// How far the elements of a group are from rest; only now and then.
-/// Reads displacement; writes watch.
+/// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
+/// Reads displacement; writes min_det_f.
 template <class Shape, class Team, class Real>
-TM_HOST_DEVICE void watch_elements(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-  using std::sqrt;
+TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  using Lanes = typename Team::template Lanes<Real>;
+  using T = typename Lanes::Scalar;
   const ElementRange range = element_range(s, e, team.patch());
-  Real compression = -1, strain = 0, rotation = 0;  // −min det F, squares
-  team.for_each(range.begin, range.end, [&](std::uint32_t element) {
-    using Lanes = SingleLane<Real>;
-    if (!(load_point<Lanes, Shape>(e, 0, element).weight > 0)) return;  // padding
-    Vec3<Real> u[Shape::kNodes];
-    load_displacement<Lanes, Shape>(s, e, element, u);
+  T compression = T(-std::numeric_limits<Real>::max());  // −det F
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    Vec3<T> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
     const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    TM_UNROLL(1)
     for (std::uint32_t q = 0; q < points; ++q) {
-      const Mat3<Real> f = load_point<Lanes, Shape>(e, q, element).deformation_gradient(u);
-      compression = maximum(compression, -f.determinant());
-      const Mat3<Real> sum = f + f.transpose(), difference = f - f.transpose();
-      for (int c = 0; c < 9; ++c) {
-        const Real component = sum(c % 3, c / 3) / 2 - (c % 3 == c / 3 ? Real(1) : Real(0));
-        strain = maximum(strain, component * component);
-      }
-      rotation = maximum(rotation, difference.squaredNorm() / 8);
+      const Mat3<T> f = load_point<Lanes, Shape>(e, q, first).deformation_gradient(u);  // of padding: the identity
+      compression = maximum(compression, T(-f.determinant()));
     }
   });
-  compression = team.patch_max(compression);
-  strain = team.patch_max(strain);
-  rotation = team.patch_max(rotation);
-  if (team.leads_patch()) s.watch[e.watch_begin + team.patch()] = {-compression, sqrt(strain), sqrt(rotation)};
+  const Real worst = team.patch_max(Lanes::largest(compression));
+  if (team.leads_patch()) s.min_det_f[e.watch_begin + team.patch()] = -worst;
+}
+
+/// How far the elements of a group are from rest, and the energy that is in them; only now and then.
+/// Reads displacement; writes watch.
+template <class Shape, class Law, class Team, class Real>
+TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  using std::sqrt;
+  using Lanes = typename Team::template Lanes<Real>;
+  using T = typename Lanes::Scalar;
+  const ElementRange range = element_range(s, e, team.patch());
+  T compression = T(-std::numeric_limits<Real>::max()), flattening = T(-1);  // −det F, −least stretch
+  T strain = T(0), rotation = T(0), energy = T(0);                           // the first two squared
+  const Patch patch = patch_of(s, team.patch());
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+    // Where patches share elements, the energy is counted by the one that has the first node.
+    T counted = T(1);
+    if (e.patch_elements != nullptr) {
+      Real counts[Lanes::kWidth];
+      for (std::uint32_t i = 0; i < Lanes::kWidth; ++i) {
+        const std::uint32_t row = e.rows[first + i];
+        counts[i] = row >= patch.row_begin && row < patch.row_end ? Real(1) : Real(0);
+      }
+      counted = Lanes::load(counts);
+    }
+    Vec3<T> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
+    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+    TM_UNROLL(1)
+    for (std::uint32_t q = 0; q < points; ++q) {
+      T parameters[Law::kParameterCount];
+      load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
+      const auto gradients = load_point<Lanes, Shape>(e, q, first);
+      const Mat3<T> f = gradients.deformation_gradient(u);  // of padding: the identity
+      // Padding has no parameters, and a law may have no energy without.
+      const T own = Law::energy(Law::at(f, parameters)) * gradients.weight;
+      energy += counted * select_greater(gradients.weight, T(0), own, T(0));
+      compression = maximum(compression, T(-f.determinant()));
+      if constexpr (requires { Law::kLeastStretch; }) {
+        flattening = maximum(flattening, T(-physics::signed_singular_values(f).sigma[2]));
+      }
+      for (int c = 0; c < 3; ++c) {
+        const int d = (c + 1) % 3;
+        const T stretch = f(c, c) - T(1), shear = (f(c, d) + f(d, c)) * T(0.5);
+        strain = maximum(strain, maximum(T(stretch * stretch), T(shear * shear)));
+      }
+      const T x = f(2, 1) - f(1, 2), y = f(0, 2) - f(2, 0), z = f(1, 0) - f(0, 1);
+      rotation = maximum(rotation, T((x * x + y * y + z * z) * T(0.25)));
+    }
+  });
+  const Real most[4] = {team.patch_max(Lanes::largest(compression)), team.patch_max(Lanes::largest(flattening)),
+                        team.patch_max(Lanes::largest(strain)), team.patch_max(Lanes::largest(rotation))};
+  Real sum[1] = {Lanes::sum(energy)};
+  team.patch_sum(sum);
+  if (team.leads_patch()) {
+    s.watch[e.watch_begin + team.patch()] = {-most[0], sqrt(most[2]), sqrt(most[3]), -most[1], sum[0]};
+  }
 }
 
 /// The 3×3 block at `p`, column-major.

@@ -61,11 +61,11 @@ struct PointShares {
       : deviatoric(static_cast<Real>(s.deviatoric)), volumetric(static_cast<Real>(s.volumetric)) {}
 };
 
-/// A_i, B_i of physics/element/prony.h.
+/// α_i, τ_i of physics/element/prony.h.
 template <class Real>
-struct PronyStep {
-  Real gain;
-  Real decay;
+struct PronyTerm {
+  Real share;
+  Real relaxation_time_s;
 };
 
 /// Elements of one (shape, law). Structures of arrays, padded to a multiple of kSliceRows with elements of zero weight.
@@ -80,8 +80,9 @@ struct ElementView {
   const Real* parameters;           // [law parameters][count]
   const PointShares<Real>* shares;  // [quadrature points]; nullptr: each integrates all moduli
   std::uint32_t prony_count;
-  PronyStep<Real> prony[physics::kMaxPronyTerms];
-  Real* history;  // Γ_i [Pa] [quadrature points][prony_count][6][count]
+  PronyTerm<Real> prony[physics::kMaxPronyTerms];
+  Real* history;       // Γ_i [Pa] [quadrature points][prony_count][6][count]
+  Real* kept_history;  // of the state to go back to
 
   // -- tiles; only where a backend has them
   std::uint32_t tile_count;
@@ -121,11 +122,15 @@ struct ClosestTriangle {
   Real side;  // +1 the tool's centre is outside the tissue, −1 inside
 };
 
-/// Counted by a step; one for each patch, then reduced by the host in order.
+/// What the guards look at after each step; one for each patch, then reduced by the host in order.
 template <class Real>
 struct PatchReport {
   Real max_speed_m_per_s;
-  Real finite;  // 1, or 0 if a value of the patch is not a number
+  Real finite;            // 1, or 0 if a value of the patch is not a number
+  Real max_move_m;        // from the kept state
+  Real max_distance_m;    // from rest
+  Real kinetic_energy_j;  // of the masses of nodes
+  Real work_j;            // of gravity and loads since the kept state
 };
 
 /// What the solve says of itself.
@@ -137,13 +142,22 @@ struct SolveReport {
 };
 
 /// A step is u = û + h v and M (v − v̂) / h = forces, with û (base_displacement) and v̂ (base_velocity) made from the
-/// last two steps. Implicit Euler has h = dt, û = u and v̂ = v; linearized once, it needs neither this nor the base
-/// fields.
+/// last two steps. Implicit Euler has h = dt, û = u and v̂ = v; linearized once, it needs no base fields.
 template <class Real>
 struct StepScheme {
   Real step_s;                   // h
   Real displacement_weights[2];  // of u at the ends of the last two steps, the newer one first
   Real velocity_weights[2];
+};
+
+/// What the host tells the coming step, and may change from one to the next.
+template <class Real>
+struct StepControl {
+  StepScheme<Real> scheme;
+  Real dt_s;          // of the step
+  Real history_dt_s;  // of the step before, by which histories are to move on; 0: they have
+  std::uint32_t cg_max_iterations;
+  std::uint32_t keeps;  // the state that it begins with is the one to go back to
 };
 
 /// What the outer iteration asks of the stages; only in scenes that solve more than once a step.
@@ -165,8 +179,10 @@ struct PatchResidual {
 template <class Real>
 struct PatchWatch {
   Real min_det_f;
-  Real max_strain;    // largest component of |sym F − I|
-  Real max_rotation;  // |axial vector of skew F|, about the angle in radians
+  Real max_strain;     // largest component of |sym F − I|
+  Real max_rotation;   // |axial vector of skew F|, about the angle in radians
+  Real least_stretch;  // smallest principal stretch, at most 1; 1 for laws that state none (kLeastStretch)
+  Real elastic_energy_j;
 };
 
 /// A face under pressure and the rows of its nodes; physics/element/face.h.
@@ -200,10 +216,8 @@ struct SceneView {
   std::uint32_t triangle_count;
 
   // -- numbers of the step
-  Real dt_s;                       // h of an implicit Euler step that is linearized once
-  const StepScheme<Real>* scheme;  // [1] of any other step
+  const StepControl<Real>* control;  // [1]
   Real cg_tolerance;
-  std::uint32_t cg_max_iterations;
 
   // -- patches; rows and halo by offsets
   const std::uint32_t* patch_rows;  // [patch_count + 1]
@@ -244,6 +258,10 @@ struct SceneView {
   Real* base_velocity;      // v̂; nullptr: velocity itself
   Real* previous_displacement;  // of the step before the last; nullptr: its weight is zero
   Real* previous_velocity;
+  Real* kept_displacement;  // the state to go back to
+  Real* kept_velocity;
+  Real* kept_previous_displacement;  // nullptr as previous_displacement
+  Real* kept_previous_velocity;
   Real* increment;                 // L⁻ᵀ x of the last solve; only for outer iterations, as are:
   Real* iterate;                   // velocity before that increment
   Real* internal_force;            // of elements [N]
@@ -299,6 +317,7 @@ struct SceneView {
   PatchReport<Real>* patch_reports;  // [patch_count]
   SolveReport<Real>* solve_report;   // [1]
   PatchWatch<Real>* watch;           // [group, patch_count]
+  Real* min_det_f;                   // [group, patch_count] of the groups whose volume each step checks
   Real* reduction;                   // [2, patch_count, 4] partial sums of exchange, by parity
   std::uint32_t* exchange_tags;      // [patch_count] exchanges so far, where cells carry their number (backend/cuda)
 };
@@ -380,7 +399,7 @@ TM_HOST_DEVICE void store_symmetric(Real* diagonal, std::uint32_t row, const Mat
 /// h of the step.
 template <class Real>
 TM_HOST_DEVICE Real step_size(const SceneView<Real>& s) {
-  return s.scheme == nullptr ? s.dt_s : s.scheme->step_s;
+  return s.control->scheme.step_s;
 }
 
 /// How far a row moves from `displacement`, where forces are evaluated, to the step's end as `velocity` has it [m].

@@ -29,8 +29,9 @@ struct Measured {
 /// Deformation gradient, stress and all that of one element, its quadrature points summed up, or what both wedges of a
 /// pair have together: added to what is there. `first_element`: of the body whose elements `measured` holds.
 template <class Shape, class Law>
-void measure_element(const model::ElementGroup& group, std::span<const double> history, std::uint32_t e,
-                     const std::vector<double>& displacement, std::uint32_t first_element, Measured& measured) {
+void measure_element(const model::ElementGroup& group, std::span<const double> history, double history_dt_s,
+                     std::uint32_t e, const std::vector<double>& displacement, std::uint32_t first_element,
+                     Measured& measured) {
   const auto at = [&](const std::vector<double>& items, std::size_t component) {
     return items[component * group.stride + e];
   };
@@ -62,8 +63,10 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
           gamma[c] =
               history[((std::size_t{q} * group.prony.size() + i) * physics::kSymmetricReals + c) * group.stride + e];
         }
-        viscous.instant -= group.prony[i].gain;
-        viscous.memory += physics::symmetric(gamma) * group.prony[i].decay;
+        const physics::PronyTerm& term = group.prony[i];
+        const auto step = physics::prony_step(term.share, term.relaxation_time_s, history_dt_s);
+        viscous.instant -= step.gain;
+        viscous.memory += physics::symmetric(gamma) * step.decay;
       }
       stress = viscous.template stress<Law>(f, stress);
     }
@@ -113,7 +116,7 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
         // Wraps around for the bodies before; kNone is of no body.
         if (group.elements[e] - body.element_begin >= body.element_count) continue;
         measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
-            group, history, e, state.displacement, body.element_begin, measured);
+            group, history, state.history_dt_s, e, state.displacement, body.element_begin, measured);
       }
     });
   }

@@ -13,7 +13,19 @@ namespace {
 constexpr auto kRelaxed = std::memory_order_relaxed;
 }
 
-void Findings::take_step(const backend::StepResult& result) {
+void Findings::take_step(const World& world) {
+  if (const GuardEvent* event = world.guard_event()) {
+    const std::lock_guard lock(event_mutex_);
+    last_event_ = *event;
+    guard_events_.fetch_add(1, kRelaxed);
+    if (!event->recovered) return;  // the scene stands where it stood
+    guard_recoveries_.fetch_add(1, kRelaxed);
+  }
+  const backend::StepResult& result = world.last();
+  kinetic_j_.store(world.energy().kinetic_j(), kRelaxed);
+  work_j_.store(world.energy().work_j(), kRelaxed);
+  cg_iterations_.store(result.cg_iterations, kRelaxed);
+  cg_residual_.store(result.cg_relative_residual, kRelaxed);
   if (!result.converged) unconverged_steps_.fetch_add(1, kRelaxed);
   newton_iterations_.store(result.newton_iterations, kRelaxed);
   newton_residual_.store(result.newton_residual, kRelaxed);
@@ -26,22 +38,39 @@ void Findings::take_watch(const World& world) {
     groups_[g].min_det_f.store(world.watched()[g].min_det_f, kRelaxed);
     groups_[g].max_strain.store(world.watched()[g].max_strain, kRelaxed);
     groups_[g].max_rotation_rad.store(world.watched()[g].max_rotation_rad, kRelaxed);
+    groups_[g].least_stretch.store(world.watched()[g].least_stretch, kRelaxed);
   }
+  elastic_j_.store(world.energy().elastic_j(), kRelaxed);
+  dissipated_j_.store(world.energy().dissipated_j().value_or(0), kRelaxed);
 }
 
 void Findings::clear() {
-  backend::StepResult nothing;
-  nothing.newton_iterations = 0;
-  take_step(nothing);
-  unconverged_steps_ = 0;
+  for (auto* count : {&cg_iterations_, &newton_iterations_}) count->store(0, kRelaxed);
+  for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_}) {
+    value->store(0, kRelaxed);
+  }
+  for (auto* count : {&unconverged_steps_, &guard_events_, &guard_recoveries_}) count->store(0, kRelaxed);
+  converged_ = true;
+  negative_curvature_ = false;
   for (Group& group : groups_) {
     group.min_det_f = 1;
     group.max_strain = 0;
     group.max_rotation_rad = 0;
+    group.least_stretch = 1;
   }
 }
 
 void Findings::add_to(v1::SceneStatus& status) const {
+  add_solve(status);
+  add_elements(status);
+  add_energy(status);
+  add_guard(status);
+  add_budget(status);
+}
+
+void Findings::add_solve(v1::SceneStatus& status) const {
+  status.set_cg_iterations(cg_iterations_.load(kRelaxed));
+  status.set_cg_relative_residual(cg_residual_.load(kRelaxed));
   if (model_.iterates()) {
     const double residual = newton_residual_.load(kRelaxed);
     status.set_newton_iterations(newton_iterations_.load(kRelaxed));
@@ -50,8 +79,7 @@ void Findings::add_to(v1::SceneStatus& status) const {
     if (!converged_.load(kRelaxed)) {
       status.add_warnings(
           fmt::format("the last step ended with an imbalance of {:.2g} of the forces, above newton_tolerance = {:.2g}; "
-                      "give it more "
-                      "newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
+                      "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
                       residual, model_.newton_tolerance));
     }
   }
@@ -60,25 +88,80 @@ void Findings::add_to(v1::SceneStatus& status) const {
         "conjugate gradients met a direction of negative curvature and ended early; the matrix is at the end of its "
         "precision: take double, or a milder ratio of stiffness to mass");
   }
-  double min_det_f = std::numeric_limits<double>::infinity();
+}
+
+void Findings::add_elements(v1::SceneStatus& status) const {
+  double min_det_f = std::numeric_limits<double>::infinity(), most_used = 0;
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
     const model::ElementGroup& group = model_.groups[g];
-    // A pair of wedges is watched by its wedges.
-    if (group.law != physics::index_of<physics::Hooke>(physics::Laws{}) || group.is_wedge_pairs()) continue;
+    if (group.is_wedge_pairs()) continue;  // watched by its wedges
     const double strain = groups_[g].max_strain.load(kRelaxed), rotation = groups_[g].max_rotation_rad.load(kRelaxed);
-    if (strain <= physics::Hooke::kMaxStrain && rotation <= physics::Hooke::kMaxRotation) continue;
-    status.add_warnings(fmt::format(
-        "body '{}': hooke has left its range of strains up to {} and rotations up to {} rad: strain {:.2g}, rotation "
-        "{:.2g} rad; take corotational or another law that stands rotation",
-        body_of_group(g), physics::Hooke::kMaxStrain, physics::Hooke::kMaxRotation, strain, rotation));
+    const double stretch = groups_[g].least_stretch.load(kRelaxed);
+    physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
+      using Law = typename decltype(tag)::Type;
+      if (index != group.law) return;
+      if constexpr (Law::kInversion == physics::Inversion::kOutOfRange) {
+        const double used = std::max(strain / Law::kMaxStrain, rotation / Law::kMaxRotation);
+        most_used = std::max(most_used, used);
+        if (used <= 1) return;
+        status.add_warnings(fmt::format(
+            "body '{}': {} has left its range of strains up to {} and rotations up to {} rad: strain {:.2g}, rotation "
+            "{:.2g} rad; take corotational or another law that stands rotation",
+            body_of_group(g), Law::kName, Law::kMaxStrain, Law::kMaxRotation, strain, rotation));
+      } else if constexpr (requires { Law::kLeastStretch; }) {
+        const double used = std::max(1 - stretch, 0.0) / (1 - Law::kLeastStretch);
+        most_used = std::max(most_used, used);
+        if (used <= 1) return;
+        status.add_warnings(fmt::format(
+            "body '{}': {} gets softer where it is pressed to less than {} of its length, and an element is pressed to "
+            "{:.2g}; take stable_neo_hookean or another law that stands compression",
+            body_of_group(g), Law::kName, Law::kLeastStretch, stretch));
+      }
+    });
   }
+  status.set_law_range_used(most_used);
   status.set_min_det_f(min_det_f);
   if (min_det_f <= 0) {
     status.add_warnings(fmt::format(
         "elements are turned inside out (min det F {:.2g}); what they carry means nothing until they come back, which "
         "only corotational and stable_neo_hookean do by themselves",
         min_det_f));
+  }
+}
+
+void Findings::add_energy(v1::SceneStatus& status) const {
+  status.set_kinetic_energy_j(kinetic_j_.load(kRelaxed));
+  status.set_elastic_energy_j(elastic_j_.load(kRelaxed));
+  status.set_work_j(work_j_.load(kRelaxed));
+  if (counts_all_work(model_) && counts_all_energy(model_))
+    status.set_dissipated_energy_j(dissipated_j_.load(kRelaxed));
+}
+
+void Findings::add_guard(v1::SceneStatus& status) const {
+  status.set_guard_events(guard_events_.load(kRelaxed));
+  status.set_guard_recoveries(guard_recoveries_.load(kRelaxed));
+  if (status.guard_events() == 0) return;
+  const std::lock_guard lock(event_mutex_);
+  status.set_guard_text(to_text(last_event_));
+}
+
+void Findings::add_budget(v1::SceneStatus& status) const {
+  status.set_floor_tolerance(model_.floor_tolerance);
+  if (model_.budget_s == 0) return;
+  const std::uint32_t limit = budget_.limit();
+  status.set_step_budget_s(model_.budget_s);
+  status.set_floor_cg_iterations(model_.floor_cg_iterations);
+  status.set_cg_iteration_limit(limit);
+  if (limit < model_.cg_max_iterations) {
+    status.add_warnings(fmt::format("a solve takes {} of {} iterations at most, to keep steps within budget_s = {:.3g}",
+                                    limit, model_.cg_max_iterations, model_.budget_s));
+  }
+  if (budget_.step_s() > model_.budget_s) {
+    status.add_warnings(fmt::format(
+        "steps take {:.2g} s of a budget of {:.2g} s; the floor is {} iterations{}", budget_.step_s(), model_.budget_s,
+        model_.floor_cg_iterations,
+        model_.floor_tolerance > 0 ? fmt::format(" and a residual of {:.2g}", model_.floor_tolerance) : ""));
   }
 }
 

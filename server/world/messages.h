@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <span>
+#include <vector>
 
 #include "model/model.h"
 #include "tensormass/v1/stream.pb.h"
@@ -24,6 +25,18 @@ struct StepStamp {
   std::uint64_t step = 0;
   double simulated_time_s = 0;
   std::uint64_t server_time_ns = 0;
+};
+
+/// A step's visible positions and tools, as the loop leaves them for the publisher.
+struct FrameSlot {
+  StepStamp stamp;
+  std::vector<float> positions;
+  std::vector<ToolSnapshot> tools;
+};
+
+struct FeedbackSlot {
+  StepStamp stamp;
+  std::vector<ToolSnapshot> tools;
 };
 
 std::uint64_t unix_time_ns();

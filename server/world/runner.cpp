@@ -12,11 +12,10 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
-#include "model/compile.h"
-#include "model/plan.h"
 #include "world/compiled_scene.h"
 #include "world/fields.h"
 #include "world/findings.h"
+#include "world/iteration_budget.h"
 #include "world/messages.h"
 #include "world/pose_inbox.h"
 #include "world/step_clock.h"
@@ -29,18 +28,6 @@
 namespace tensormass::world {
 
 namespace {
-
-/// A step's visible positions and tools, as the loop leaves them for the publisher.
-struct FrameSlot {
-  StepStamp stamp;
-  std::vector<float> positions;
-  std::vector<ToolSnapshot> tools;
-};
-
-struct FeedbackSlot {
-  StepStamp stamp;
-  std::vector<ToolSnapshot> tools;
-};
 
 /// How often the elements of a running scene are looked at.
 constexpr double kWatchRateHz = 4;
@@ -63,7 +50,8 @@ struct Runner::Impl {
         feedback_for_status(FeedbackSlot{{}, snapshots}),
         clock(model.rate_hz),
         state(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
-        findings(model) {
+        budget(model),
+        findings(model, budget) {
     for (std::size_t i = 0; i < model.tools.size(); ++i) {
       tool_index.emplace(model.tools[i].name, i);
       snapshots[i].reading = world->readings()[i];
@@ -96,6 +84,8 @@ struct Runner::Impl {
       if (!step_once(due)) continue;
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, clock.finish(end));
+      budget.take_step(std::chrono::duration<double>(end - begin).count(), world->last());
+      world->set_cg_limit(budget.limit());
     }
   }
 
@@ -147,26 +137,18 @@ struct Runner::Impl {
     try {
       good = world->step(with_frame && model.visible.count() > 0);
       if (good && (with_watch || world->step_count() >= next_watch)) watch();
-    } catch (const std::exception& failure) {  // the device's, and of this scene alone
-      stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
-                                  world->step_count() + 1, failure.what()));
+    } catch (const std::exception& failure) {
+      stop_for_device(failure);
+      return false;
+    }
+    findings.take_step(*world);
+    if (!good) {
+      stop_with_fault(to_text(*world->guard_event()));
       return false;
     }
     stamp = {world->step_count(), world->simulated_time_s(), unix_time_ns()};
     step_count.store(stamp.step, std::memory_order_relaxed);
     simulated_time_s.store(stamp.simulated_time_s, std::memory_order_relaxed);
-    cg_iterations.store(world->last().cg_iterations, std::memory_order_relaxed);
-    cg_residual.store(world->last().cg_relative_residual, std::memory_order_relaxed);
-    if (!good) {
-      stop_with_fault(fmt::format(
-          "step {} left the numbers: the state is not finite any more. Nothing of it was published. Reset the scene, "
-          "then make dt_s smaller or the loads gentler, see that fixed nodes hold what is quasi-static, and take a law "
-          "that stands strong compression: st_venant_kirchhoff does not, and hencky, neo_hookean, mooney_rivlin and "
-          "ogden end where an element turns inside out",
-          stamp.step));
-      return false;
-    }
-    findings.take_step(world->last());
     for (std::size_t i = 0; i < snapshots.size(); ++i) snapshots[i].reading = world->readings()[i];
     leave_feedback();
     if (with_frame && model.visible.count() > 0) leave_frame();
@@ -225,6 +207,13 @@ struct Runner::Impl {
     release_tools();
   }
 
+  /// The device's failure is of this scene alone. What it holds of the scene cannot be trusted any more.
+  void stop_for_device(const std::exception& failure) {
+    device_failed = true;
+    stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
+                                world->step_count() + 1, failure.what()));
+  }
+
   void set_state(State next) {
     state = next;
     statistics.interrupt();
@@ -239,6 +228,9 @@ struct Runner::Impl {
     const std::lock_guard lock(fault_mutex);
     return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is stopped: {}", model.name, fault));
   }
+
+  /// A scene that a guard stopped still shows its last good state.
+  Result<void> require_state() { return device_failed ? require_not_faulted() : Result<void>{}; }
 
   Result<v1::SceneStatus> do_pause() {
     TM_CHECK(require_not_faulted());
@@ -291,6 +283,7 @@ struct Runner::Impl {
 
   Result<v1::SceneStatus> do_reset() {
     world->reset();
+    device_failed = false;
     {
       const std::lock_guard lock(fault_mutex);
       fault.clear();
@@ -301,8 +294,8 @@ struct Runner::Impl {
     stamp = {0, 0, unix_time_ns()};
     step_count = 0;
     simulated_time_s = 0;
-    cg_iterations = 0;
-    cg_residual = 0;
+    budget.clear();
+    world->set_cg_limit(budget.limit());
     findings.clear();
     next_watch = 0;
     for (std::size_t i = 0; i < snapshots.size(); ++i) {
@@ -317,7 +310,7 @@ struct Runner::Impl {
   }
 
   Result<v1::Frame> do_frame() {
-    TM_CHECK(require_not_faulted());
+    TM_CHECK(require_state());
     if (model.visible.count() == 0) {
       return fail(ErrorCode::kFailedPrecondition,
                   fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model.name));
@@ -331,7 +324,7 @@ struct Runner::Impl {
   }
 
   Result<v1::GetPositionsResponse> do_positions(std::string_view name) {
-    TM_CHECK(require_not_faulted());
+    TM_CHECK(require_state());
     for (const model::BodyModel& body : model.bodies) {
       if (body.name != name) continue;
       const std::vector<double> positions = world->positions(body);
@@ -350,7 +343,7 @@ struct Runner::Impl {
     double simulated_time_s;
   };
   Result<FieldSource> do_copy_state() {
-    TM_CHECK(require_not_faulted());
+    TM_CHECK(require_state());
     return FieldSource{world->state(), world->step_count(), world->simulated_time_s()};
   }
 
@@ -366,10 +359,20 @@ struct Runner::Impl {
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
-  /// Runs `command` on the loop between two steps and waits for its result.
+  /// Runs `command` on the loop between two steps and waits for its result, which is an error if the device fails.
   template <class Command>
   auto on_loop(Command command) -> decltype(command()) {
-    auto task = std::make_shared<std::packaged_task<decltype(command())()>>(std::move(command));
+    const auto guarded = [this, command]() -> decltype(command()) {
+      try {
+        return command();
+      } catch (const std::exception& failure) {
+        stop_for_device(failure);
+        return fail(ErrorCode::kUnavailable,
+                    fmt::format("scene '{}': the device failed: {}; unload the scene and load it again", model.name,
+                                failure.what()));
+      }
+    };
+    auto task = std::make_shared<std::packaged_task<decltype(command())()>>(guarded);
     auto result = task->get_future();
     {
       const std::lock_guard lock(mutex);
@@ -397,8 +400,6 @@ struct Runner::Impl {
     status.set_target_rate_hz(model.lockstep ? 0 : model.rate_hz);
     status.set_reached_rate_hz(statistics.reached_rate_hz());
     status.set_missed_deadlines(statistics.missed_deadlines());
-    status.set_cg_iterations(cg_iterations.load(std::memory_order_relaxed));
-    status.set_cg_relative_residual(cg_residual.load(std::memory_order_relaxed));
     const StepStatistics::Percentiles times = statistics.percentiles();
     status.set_step_time_p50_s(times.p50_s);
     status.set_step_time_p99_s(times.p99_s);
@@ -462,13 +463,14 @@ struct Runner::Impl {
   double frame_phase = 0;
   Clock::time_point last_lockstep_frame{};
   std::uint64_t next_watch = 0;  // step
+  bool device_failed = false;
 
   // Written by the loop, read by anyone.
   std::atomic<State> state;
   StepStatistics statistics;
   std::atomic<std::uint64_t> step_count{0}, frame_sequence{0}, frames_replaced{0}, malformed_poses{0};
-  std::atomic<double> simulated_time_s{0}, cg_residual{0};
-  std::atomic<std::uint32_t> cg_iterations{0};
+  std::atomic<double> simulated_time_s{0};
+  IterationBudget budget;
   Findings findings;
   mutable std::mutex fault_mutex;
   std::string fault;
@@ -480,6 +482,10 @@ Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const Runn
                                               const model::Progress& progress) {
   TM_TRY(compiled, compile_scene(scene, options, progress));
   TM_CHECK(progress.begin(model::LoadPart::kBuffers));
+  return start(std::move(compiled));
+}
+
+Result<std::unique_ptr<Runner>> Runner::start(CompiledScene compiled) {
   TM_TRY(world, World::create(std::move(compiled.model), *compiled.backend));
   return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world))));
 }
@@ -548,9 +554,10 @@ Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose
 void Runner::count_malformed_pose() { impl_->malformed_poses.fetch_add(1, std::memory_order_relaxed); }
 
 void Runner::set_output_signal(std::function<void()> signal) {
-  impl_->on_loop([this, &signal] {
+  (void)impl_->on_loop([this, &signal]() -> Result<void> {
     impl_->output_signal = std::move(signal);
     impl_->signal_output();
+    return {};
   });
 }
 

@@ -15,6 +15,8 @@
 
 namespace tensormass::world {
 
+struct CompiledScene;
+
 enum class BackendChoice { kAuto, kCpu, kCuda };
 
 struct RunnerOptions {
@@ -32,6 +34,8 @@ class Runner {
   /// Checks the scene, compiles it and starts it. Errors name the body, the element and the remedy.
   static Result<std::unique_ptr<Runner>> start(const v1::Scene& scene, const RunnerOptions& options,
                                                const model::Progress& progress = {});
+  /// One that is compiled already.
+  static Result<std::unique_ptr<Runner>> start(CompiledScene compiled);
   /// Checks and compiles without running.
   static Result<v1::SceneReport> inspect(const v1::Scene& scene, const RunnerOptions& options,
                                          const model::Progress& progress = {});

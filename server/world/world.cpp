@@ -29,10 +29,16 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
     : model_(std::move(model)),
       state_(std::move(state)),
       tools_(model_->tools.size()),
+      before_(model_->tools.size()),
+      targets_(model_->tools.size()),
       centers_(model_->tools.size()),
+      touches_(model_->tools.size()),
       forces_(model_->tools.size()),
       readings_(model_->tools.size()),
-      watched_(model_->groups.size()) {
+      watched_(model_->groups.size()),
+      guard_(*model_),
+      energy_(*model_),
+      cg_limit_(model_->cg_max_iterations) {
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -63,17 +69,18 @@ void World::move_tools() {
     // The sphere is what must not jump through tissue: its centre is limited, however the pose moves it.
     const Vec3<double> from = motion.current.position_m + lever(tool, motion.current);
     const Vec3<double> to = motion.target.position_m + lever(tool, motion.target);
+    before_[i] = {motion.current, from, readings_[i].force_n};
     const double distance = (to - from).norm();
     const double reach = tool.max_speed_m_per_s * model_->dt_s;
     const double share = distance > reach ? reach / distance : 1.0;
     if (share < 1) {
       const Eigen::Quaterniond turned = rotation(motion.current).slerp(share, rotation(motion.target));
       motion.current.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
-      centers_[i] = from + share * (to - from);
-      motion.current.position_m = centers_[i] - lever(tool, motion.current);
+      targets_[i] = from + share * (to - from);
+      motion.current.position_m = targets_[i] - lever(tool, motion.current);
     } else {
       motion.current = motion.target;
-      centers_[i] = to;
+      targets_[i] = to;
     }
   }
 }
@@ -97,20 +104,90 @@ void World::read_tools() {
 
 bool World::step(bool gather_visible) {
   move_tools();
-  last_ = state_->step({centers_, simulated_time_s() + model_->dt_s, gather_visible}, forces_);
+  has_event_ = false;
+  Verdict verdict = make_step({1, 1, false, Breach::kNone}, cg_limit_, true, gather_visible);
+  if (!verdict.good()) {
+    verdict = retry(verdict);
+    if (!verdict.good()) {
+      state_->restore();
+      for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].current = before_[i].pose;
+      return false;
+    }
+    if (gather_visible) state_->gather_visible();
+  }
+  energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
-  if (!last_.finite) return false;
   read_tools();
   return true;
 }
 
-void World::watch() { state_->watch(watched_); }
+/// Goes back and makes the step in other ways, until one of them holds its bounds.
+Verdict World::retry(const Verdict& first) {
+  event_ = {.step = step_count_ + 1, .first = first, .last = first};
+  has_event_ = true;
+  for (const Retry& how : retries()) {
+    if (how.only_for != Breach::kNone && (first.breach != how.only_for || cg_limit_ == model_->cg_max_iterations)) {
+      continue;
+    }
+    state_->restore();
+    event_.last = make_step(how, how.iteration_factor * model_->cg_max_iterations, false, false);
+    event_.steps = how.steps;
+    ++event_.retries;
+    if (event_.last.good()) break;
+  }
+  event_.recovered = event_.last.good();
+  return event_.last;
+}
+
+/// A step in equal parts, each of which must hold the bounds. `keeps`: the state that it begins with is the one to go
+/// back to.
+Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool keeps, bool gather_visible) {
+  tools_work_j_ = 0;
+  std::uint32_t iterations = 0;
+  for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {before_[i].center_m, before_[i].force_n};
+  for (std::uint32_t part = 1; part <= how.steps; ++part) {
+    const double share = static_cast<double>(part) / how.steps;
+    for (std::size_t i = 0; i < tools_.size(); ++i) {
+      centers_[i] = targets_[i] + (1 - share) * (before_[i].center_m - targets_[i]);
+    }
+    last_ = state_->step({.centers = centers_,
+                          .end_time_s = simulated_time_s() + share * model_->dt_s,
+                          .dt_s = model_->dt_s / how.steps,
+                          .cg_max_iterations = cg_max_iterations,
+                          .keeps = keeps,
+                          .careful = how.careful,
+                          .gather_visible = gather_visible},
+                         forces_);
+    iterations += last_.cg_iterations;
+    last_.cg_iterations = iterations;
+    StepEnergy energy{.available_j = energy_.available_j()};
+    for (std::size_t i = 0; i < tools_.size(); ++i) {
+      const Vec3<double> force = forces_[i].force_n;
+      tools_work_j_ -= (touches_[i].force_n + force).dot(centers_[i] - touches_[i].center_m) / 2;
+      energy.contacts_j += std::max(touches_[i].force_n.norm(), force.norm()) * model_->tools[i].radius_m;
+      touches_[i] = {centers_[i], force};
+    }
+    energy.tools_work_j = tools_work_j_;
+    const Verdict verdict = guard_.judge(last_, energy);
+    if (!verdict.good()) return verdict;
+  }
+  return {};
+}
+
+void World::watch() {
+  state_->watch(watched_);
+  double elastic_j = 0;
+  for (const backend::GroupWatch& group : watched_) elastic_j += group.elastic_energy_j;
+  energy_.look(elastic_j);
+}
 
 void World::reset() {
   write_start();
   std::fill(watched_.begin(), watched_.end(), backend::GroupWatch{});
   step_count_ = 0;
   last_ = {};
+  energy_.clear();
+  has_event_ = false;
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
 }

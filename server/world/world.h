@@ -8,6 +8,7 @@
 
 #include "backend/backend.h"
 #include "model/model.h"
+#include "world/guard.h"
 
 namespace tensormass::world {
 
@@ -35,7 +36,8 @@ struct ToolReading {
 ///
 ///   tools move towards their targets -> the model's stages on the backend -> guard -> readings
 ///
-/// and allocates nothing.
+/// and allocates nothing. A step that leaves the guard's bounds is taken back and done again in smaller steps, then
+/// with a safer setting; a world that nothing of it helps stands where the last good step ended.
 class World {
  public:
   static Result<std::unique_ptr<World>> create(std::unique_ptr<const model::Model> model,
@@ -45,8 +47,12 @@ class World {
 
   void set_tool_target(std::size_t tool, const Pose& pose) { tools_[tool].target = pose; }
 
-  /// False if the guard stopped the scene: the state is no number any more and nothing of this step may be published.
+  /// False if the guard found no way to make this step: it has not been made.
   bool step(bool gather_visible);
+  /// Of a solve, from the next step on; at most the model's. A retry takes all that the model has.
+  void set_cg_limit(std::uint32_t cg_max_iterations) { cg_limit_ = cg_max_iterations; }
+  /// The last step that left its bounds, if it is the last one that was tried.
+  const GuardEvent* guard_event() const { return has_event_ ? &event_ : nullptr; }
   /// Looks at every element; now and then, not every step.
   void watch();
   /// Back to the start: displacement, velocity, time, tools.
@@ -55,6 +61,7 @@ class World {
   std::uint64_t step_count() const { return step_count_; }
   double simulated_time_s() const { return static_cast<double>(step_count_) * model_->dt_s; }
   const backend::StepResult& last() const { return last_; }
+  const EnergyBalance& energy() const { return energy_; }
   std::span<const ToolReading> readings() const { return readings_; }
   /// Of the last watch; [group_count].
   std::span<const backend::GroupWatch> watched() const { return watched_; }
@@ -73,14 +80,36 @@ class World {
   void place_tools();
   void move_tools();
   void read_tools();
+  Verdict retry(const Verdict& first);
+  Verdict make_step(const Retry& how, std::uint32_t cg_max_iterations, bool keeps, bool gather_visible);
+
+  /// A tool where a step begins.
+  struct Before {
+    Pose pose;
+    Vec3<double> center_m = Vec3<double>::Zero(), force_n = Vec3<double>::Zero();
+  };
+  /// Centre of a tool's sphere, and the force on it there.
+  struct Touch {
+    Vec3<double> center_m, force_n;
+  };
 
   std::unique_ptr<const model::Model> model_;
   std::unique_ptr<backend::SceneState> state_;
   std::vector<ToolMotion> tools_;
-  std::vector<Vec3<double>> centers_;
+  // Of the step at hand, by tool.
+  std::vector<Before> before_;
+  std::vector<Vec3<double>> targets_;  // centres at its end
+  std::vector<Vec3<double>> centers_;  // at the end of the part of it that is made
+  std::vector<Touch> touches_;         // at the end of the part before
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
   std::vector<backend::GroupWatch> watched_;
+  const Guard guard_;
+  EnergyBalance energy_;
+  double tools_work_j_ = 0;  // of the step at hand
+  GuardEvent event_;
+  bool has_event_ = false;
+  std::uint32_t cg_limit_;
   backend::StepResult last_;
   std::uint64_t step_count_ = 0;
 };

@@ -89,7 +89,7 @@ TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
   const Eigen::VectorXd u = tests::random_field(size, 0.01, 1), v = tests::random_field(size, 0.5, 2);
   staged.put(staged.view.displacement, u);
   staged.put(staged.view.velocity, v);
-  const double dt = staged.view.dt_s;
+  const double dt = staged.model.dt_s;
   const tests::DenseSystem tissue = tests::dense_system(scene, u);
   // Over a face, over an edge, at a corner.
   for (const Vec3<double>& center : {Vec3<double>(0.5, 1.2, 0.5), {1.15, 1.1, 0.5}, {-0.1, -0.1, 1.1}}) {
@@ -119,7 +119,7 @@ TEST_P(Probe, ActsOnTheTissueAsTheTissueOnIt) {
   }
   const backend::ToolForce tool = measured(staged);
   ASSERT_GT(tool.force_n[1], 100);
-  EXPECT_LT((momentum + staged.view.dt_s * tool.force_n).norm(), 1e-9 * momentum.norm());
+  EXPECT_LT((momentum + staged.model.dt_s * tool.force_n).norm(), 1e-9 * momentum.norm());
   // Without friction every force passes through the centre.
   EXPECT_LT(angular.norm(), 1e-9 * momentum.norm());
   EXPECT_LT(tool.torque_n_m.norm(), 1e-12 * tool.force_n.norm());

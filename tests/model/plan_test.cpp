@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "model/compile.h"
+#include "support/laws.h"
 #include "support/scenes.h"
 
 /// A scene pays for what it names and for nothing else: no stage, no buffer.
@@ -45,7 +46,8 @@ TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
             (std::vector<std::string>{
                 "detect contact", "respond to contact", "element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
                 "external forces", "assemble contact", "factorize diagonal", "scale matrix", "conjugate gradients",
-                "advance", "measure contact", "watch elements: tetrahedron, st_venant_kirchhoff"}));
+                "advance", "measure contact", "check volume: tetrahedron, st_venant_kirchhoff",
+                "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_TRUE(has_buffer(report, part)) << part;
   EXPECT_TRUE(has_buffer(report, "visible"));
   EXPECT_TRUE(has_buffer(report, "external"));
@@ -59,7 +61,8 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   EXPECT_EQ(stages(report),
             (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
                                       "external forces", "factorize diagonal", "scale matrix", "conjugate gradients",
-                                      "advance", "watch elements: tetrahedron, st_venant_kirchhoff"}));
+                                      "advance", "check volume: tetrahedron, st_venant_kirchhoff",
+                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_FALSE(has_buffer(report, part)) << part;
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
 }
@@ -92,9 +95,20 @@ TEST(Plan, OfALinearSceneRefreshesNoElement) {
   const v1::SceneReport report = plan(tests::beam_scene({.linear = true}));
   EXPECT_EQ(stages(report).front(), "assemble");
   EXPECT_FALSE(has_buffer(report, "element tensors"));
-  EXPECT_FALSE(has_buffer(report, "element parameters"));
   EXPECT_FALSE(has_buffer(report, "gather"));
   EXPECT_TRUE(has_buffer(report, "constant edge tensors"));
+}
+
+TEST(Plan, ChecksTheVolumeOnlyOfLawsThatDoNotComeBack) {
+  for (const std::string& name : tests::law_names()) {
+    v1::Scene scene = tests::beam_scene();
+    *scene.mutable_bodies(0)->mutable_law() = tests::law(name, 1e4, 0.3);
+    const v1::SceneReport report = plan(scene);
+    const std::vector<std::string> names = stages(report);
+    const bool checks = name != "hooke" && name != "corotational" && name != "stable_neo_hookean";
+    EXPECT_EQ(std::count(names.begin(), names.end(), "check volume: tetrahedron, " + name), checks ? 1 : 0) << name;
+    EXPECT_EQ(has_buffer(report, "volume check"), checks) << name;
+  }
 }
 
 TEST(Plan, NamesThePairsOfWedges) {

@@ -72,6 +72,32 @@ std::vector<Refusal> header_refusals() {
        {"scene.solver.cg_max_iterations", "100000"}},
       {"NegativeTolerance", [](auto& s) { s.mutable_solver()->set_cg_tolerance(-1); }, {"scene.solver.cg_tolerance"}},
       {"NanTolerance", [](auto& s) { s.mutable_solver()->set_cg_tolerance(kNan); }, {"scene.solver.cg_tolerance"}},
+      {"BudgetWithoutAFloor",
+       [](auto& s) { s.mutable_solver()->set_budget_s(0.01); },
+       {"scene.solver.budget_s", "floor_cg_iterations", "floor_tolerance"}},
+      {"NoBudget",
+       [](auto& s) {
+         s.mutable_solver()->set_budget_s(0);
+         s.mutable_solver()->set_floor_cg_iterations(1);
+       },
+       {"scene.solver.budget_s", "1e-06"}},
+      {"FloorWithoutABudget",
+       [](auto& s) { s.mutable_solver()->set_floor_cg_iterations(5); },
+       {"scene.solver.floor_cg_iterations", "budget_s"}},
+      {"FloorAboveTheCeiling",
+       [](auto& s) {
+         s.mutable_solver()->set_cg_max_iterations(50);
+         s.mutable_solver()->set_budget_s(0.01);
+         s.mutable_solver()->set_floor_cg_iterations(51);
+       },
+       {"scene.solver.floor_cg_iterations", "50"}},
+      {"FloorBelowWhereTheSolveStops",
+       [](auto& s) {
+         s.mutable_solver()->set_cg_tolerance(1e-3);
+         s.mutable_solver()->set_floor_tolerance(1e-4);
+       },
+       {"scene.solver.floor_tolerance", "cg_tolerance"}},
+      {"NanFloor", [](auto& s) { s.mutable_solver()->set_floor_tolerance(kNan); }, {"scene.solver.floor_tolerance"}},
       {"NoThreads", [](auto& s) { s.mutable_solver()->set_cpu_threads(0); }, {"scene.solver.cpu_threads", "256"}},
       {"TooManyThreads", [](auto& s) { s.mutable_solver()->set_cpu_threads(257); }, {"scene.solver.cpu_threads"}},
       {"NegativeFrameRate",

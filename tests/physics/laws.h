@@ -55,7 +55,7 @@ inline constexpr bool kNeedsPositiveVolume = std::is_same_v<Law, NeoHookean> || 
                                              std::is_same_v<Law, Ogden> || std::is_same_v<Law, Hencky>;
 /// Finds back from collapse and inversion.
 template <class Law>
-inline constexpr bool kRecovers = std::is_same_v<Law, Corotational> || std::is_same_v<Law, StableNeoHookean>;
+inline constexpr bool kRecovers = Law::kInversion == Inversion::kRecovers;
 
 namespace detail {
 template <class... L>

@@ -9,7 +9,7 @@ namespace {
 /// A strain that is put on at once and held: the stress sinks from S⁰ to S⁰ (1 − α), as (1 + Δt/τ)⁻ⁿ in n steps.
 TEST(Prony, ASuddenStrainRelaxesByItsShare) {
   const double share = 0.4, time = 0.25, dt = 0.01;
-  const PronyStep step = prony_step(share, time, dt);
+  const PronyStep<double> step = prony_step(share, time, dt);
   double gamma = 0;
   for (int n = 1; n <= 400; ++n) {
     gamma = step.gain + step.decay * gamma;

@@ -14,7 +14,7 @@ from conftest import Recorder
 import tensormass as tm
 from tensormass import mesh_files, meshes
 from tensormass.cli import main, parse_length_m
-from tensormass.output import to_plain
+from tensormass.output import status_line, to_plain
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 STATUS = stream_pb2.SceneStatus(
@@ -67,6 +67,15 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
         assert part in line
     assert main(["status", "--server", server.address, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
+
+
+def test_a_status_says_what_guards_and_budget_did() -> None:
+    status = stream_pb2.SceneStatus(cg_iterations=40, guard_events=3, guard_recoveries=2)
+    assert "guards 3, mended 2" in status_line(status)
+    assert "floor" not in status_line(status)
+    status = stream_pb2.SceneStatus(step_budget_s=0.008, cg_iteration_limit=40, floor_cg_iterations=20)
+    assert "at most 40 (floor 20) in 8 ms" in status_line(status)
+    assert "guards" not in status_line(status)
 
 
 def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]) -> None:

@@ -182,6 +182,16 @@ def test_a_scene_from_arrays_carries_everything_given() -> None:
     assert not tm.Scene.from_arrays(NODES, TETRAHEDRA).message.HasField("gravity_m_per_s2")
 
 
+def test_a_budget_comes_with_its_floor() -> None:
+    scene = tm.Scene("s")
+    scene.keep_to_budget(0.004, floor_cg_iterations=12)
+    assert scene.message.solver.budget_s == 0.004
+    assert scene.message.solver.floor_cg_iterations == 12
+    assert not scene.message.solver.HasField("floor_tolerance")
+    scene.keep_to_budget(0.004, floor_tolerance=1e-2)
+    assert scene.message.solver.floor_tolerance == 1e-2
+
+
 def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
     mesh = meshio.Mesh(NODES, [("triangle", [[0, 1, 2]]), ("tetra", TETRAHEDRA)])
     options = {"name": "s", "fixed_nodes": [0]}

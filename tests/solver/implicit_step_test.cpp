@@ -29,7 +29,7 @@ TEST(ImplicitStep, SatisfiesTheEquationOfMotionAtItsEnd) {
   staged.put(staged.view.velocity, v0);
   staged.step();
   const Eigen::VectorXd u1 = staged.by_node(staged.view.displacement), v1 = staged.by_node(staged.view.velocity);
-  const double dt = staged.view.dt_s;
+  const double dt = staged.model.dt_s;
   EXPECT_LT((u1 - u0 - dt * v1).norm(), 1e-14 * u1.norm());
 
   const tests::DenseSystem system = tests::dense_system(scene, u1);  // force at the end of the step: −K u₁

@@ -35,9 +35,8 @@ class StagedScene {
                        tensor::Storage storage = tensor::Storage::kEdges)
       : model(compile_into(scene, patches, storage)), view(model::bind<Real>(model, arena_)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
-    if (view.scheme != nullptr) {
-      *const_cast<tensor::StepScheme<Real>*>(view.scheme) = backend::scheme_of<Real>(model, true);
-    }
+    *const_cast<tensor::StepControl<Real>*>(view.control) =
+        backend::control_of<Real>(model, {.dt_s = model.dt_s, .cg_max_iterations = model.cg_max_iterations}, {});
   }
 
   /// Runs the model's stages up to and with `last`, each by all patches.
@@ -67,7 +66,7 @@ class StagedScene {
     };
     if (stage.kind == model::StageKind::kElements) {
       const model::ElementGroup& group = model.groups[stage.group];
-      const auto pass = backend::cpu::element_pass<Real>(group.shape, group.law);
+      const auto pass = backend::cpu::element_passes<Real>(group.shape, group.law).tensors;
       on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
     }
     backend::with_stage(model, stage, [&](auto type) {

@@ -61,8 +61,8 @@ TEST_P(Assembly, EqualsTheBruteForceSystem) {
   for (int round = 0; round < 2; ++round) {
     staged.run_through(StageKind::kExternalForces);
     const tests::DenseSystem expected = tests::dense_system(source, u);
-    const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
-    const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
+    const Eigen::MatrixXd a = expected.a(staged.model.dt_s);
+    const Eigen::VectorXd b = expected.b(staged.model.dt_s, v);
     EXPECT_LT((staged.matrix() - a).norm(), 1e-13 * a.norm());
     EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-12 * b.norm());
   }
@@ -106,8 +106,8 @@ TEST_P(EveryEntry, EqualsTheBruteForceSystem) {
   staged.put(staged.view.velocity, v);
   staged.run_through(StageKind::kExternalForces);
   const tests::DenseSystem expected = tests::dense_system(source, u);
-  const Eigen::MatrixXd a = expected.a(staged.view.dt_s);
-  const Eigen::VectorXd b = expected.b(staged.view.dt_s, v);
+  const Eigen::MatrixXd a = expected.a(staged.model.dt_s);
+  const Eigen::VectorXd b = expected.b(staged.model.dt_s, v);
   EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * a.norm());
   EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-11 * b.norm());
 }
@@ -137,7 +137,7 @@ TEST(Mass, ConsistentIsExactForLinearVelocities) {
       StagedScene<double> staged(source, 2);
       const Eigen::Index size = 3 * staged.node_count();
       staged.run_through(StageKind::kAssemble);
-      const double dt = staged.view.dt_s;
+      const double dt = staged.model.dt_s;
       const Eigen::MatrixXd m = staged.matrix() - dt * dt * tests::dense_system(source, Eigen::VectorXd::Zero(size)).k;
       EXPECT_LT((m - m.transpose()).norm(), 1e-12 * m.norm());
       Eigen::VectorXd along_x = Eigen::VectorXd::Zero(size), along_y = along_x, unit = along_x;
@@ -176,7 +176,7 @@ TEST_P(PatchTest, AffineDisplacementLeavesNoForceInside) {
   const mesh::Surface surface = mesh::boundary(mesh);
   std::vector<bool> outside(mesh.nodes.size(), false);
   for (const std::uint32_t node : surface.nodes) outside[node] = true;
-  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.view.dt_s;
+  const Eigen::VectorXd force = staged.by_node(staged.view.rhs) / staged.model.dt_s;
   double inside_largest = 0, outside_largest = 0;
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     double& largest = outside[node] ? outside_largest : inside_largest;

@@ -361,7 +361,8 @@ TEST_P(Analysis, LeavingTheLinearRangeIsSaidOnce) {
   const auto world = start(scene);
   ASSERT_TRUE(world->step(false));
   world->watch();
-  Findings findings(world->model());
+  const IterationBudget budget(world->model());
+  Findings findings(world->model(), budget);
   findings.take_watch(*world);
   v1::SceneStatus status;
   findings.add_to(status);

@@ -35,10 +35,11 @@ class FindingsOf : public tests::OnBackend {
     end.set_x_m(-press);
     end.set_z_m(turn);
     const auto world = start(scene);
-    Findings findings(world->model());
+    const IterationBudget budget(world->model());
+    Findings findings(world->model(), budget);
     EXPECT_TRUE(world->step(false));
     world->watch();
-    findings.take_step(world->last());
+    findings.take_step(*world);
     findings.take_watch(*world);
     v1::SceneStatus status;
     findings.add_to(status);

@@ -278,8 +278,8 @@ TEST_P(Mechanics, TurningSweepsTheSphereNoFasterThanItMayMove) {
   EXPECT_LT((before - Vec3<double>(0, 1, 0.2)).norm(), 1e-12);
 }
 
-/// Next to no mass and no stiffness under a force beyond all sense: thrown a light month away within some steps.
-TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
+/// Next to no mass and no stiffness: thrown faster and faster, until it moves farther in a step than it is large.
+TEST_P(Mechanics, TheGuardStopsAStateThatRunsAway) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
                                        .cells_z = 2,
@@ -287,14 +287,13 @@ TEST_P(Mechanics, TheGuardStopsAStateThatLeavesTheNumbers) {
                                        .size_y_m = 0.05,
                                        .size_z_m = 0.05,
                                        .linear = true,
-                                       .young_modulus_pa = 1e-3,
-                                       .dt_s = 1});
+                                       .young_modulus_pa = 1e-3});
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
   body.set_density_kg_per_m3(1e-3);
   v1::Load& load = *body.add_loads();
   load.mutable_region()->mutable_sphere()->set_radius_m(1);
-  tests::set(*load.mutable_force_n(), 1e6, 0, 0);
+  tests::set(*load.mutable_force_n(), 1e-4, 0, 0);
   const auto world = start(scene);
   const Eigen::MatrixX3d rest = positions(*world);
   int good_steps = 0;

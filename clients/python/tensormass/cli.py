@@ -93,6 +93,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("name", nargs="?", help="of one scene; default: all")
     sub.set_defaults(command=_status)
 
+    sub = commands.add_parser(
+        "report", parents=[server, json_option], help="status and state of a scene in one file, for a report"
+    )
+    sub.add_argument("name", help="of the loaded scene")
+    sub.add_argument("-o", "--output", type=Path, required=True, help=".npz")
+    sub.set_defaults(command=_report)
+
     sub = commands.add_parser("inspect", parents=[json_option], help="check a scene and print its plan and cost")
     sub.add_argument("scene", help=_SCENE_HELP)
     sub.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
@@ -165,6 +172,13 @@ def _status(args: argparse.Namespace) -> int:
     print(f"malformed messages: {version.malformed_messages}")
     for status in statuses:
         print(f"{status.scene}: {status_line(status)}")
+    return 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    with connect(args.server) as server:
+        path = server.scene(args.name).write_report(args.output)
+    print_json({"output": str(path)}) if args.json else print(f"wrote {path}")
     return 0
 
 

@@ -14,7 +14,7 @@ import grpc
 import numpy as np
 import numpy.typing as npt
 
-from tensormass import errors
+from tensormass import errors, scene_report
 from tensormass.fields import FieldName, Fields, field_numbers
 from tensormass.processes import ChildProcess, find_program
 from tensormass.scene import Scene, Vector
@@ -296,6 +296,10 @@ class SceneHandle:
         """
         request = control_pb2.GetFieldsRequest(scene=self.name, body=body, fields=field_numbers(names))
         return Fields.from_message(self._server._call("GetFields", request, timeout_s=_LOAD_TIMEOUT_S))
+
+    def write_report(self, path: str | Path) -> Path:
+        """Writes status and state to an .npz file; see `tensormass.scene_report`."""
+        return scene_report.write_report(self, path)
 
     def surface(self, body: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
         """What a viewer sees of a body now: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3]."""

@@ -67,6 +67,9 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
         f"{1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
         f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
     ]
+    if status.step_budget_s > 0:
+        range_text = f"at most {status.cg_iteration_limit} (floor {status.floor_cg_iterations})"
+        parts.append(f"{range_text} in {1e3 * status.step_budget_s:g} ms")
     if status.newton_iterations > 0:
         parts.append(f"Newton {status.newton_iterations} to {status.newton_residual:.0e}")
     if status.state != stream_pb2.SceneStatus.STATE_RUNNING:
@@ -74,6 +77,8 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
     parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
     if client_count is not None:
         parts.append(f"clients {client_count}")
+    if status.guard_events > 0:
+        parts.append(f"guards {status.guard_events}, mended {status.guard_recoveries}")
     if status.fault:
         parts.append(f"FAULT: {status.fault}")
     return "  ".join(parts)

@@ -183,6 +183,22 @@ class Scene:
         self.message.tools.append(tool)
         return self.message.tools[-1]
 
+    def keep_to_budget(
+        self, budget_s: float, *, floor_cg_iterations: int | None = None, floor_tolerance: float | None = None
+    ) -> None:
+        """Lets the daemon lower the solver's iterations while steps take longer than `budget_s`, down to a floor.
+
+        Args:
+            floor_cg_iterations: never fewer.
+            floor_tolerance: no step is published whose relative residual is above.
+        """
+        solver = self.message.solver
+        solver.budget_s = budget_s
+        if floor_cg_iterations is not None:
+            solver.floor_cg_iterations = floor_cg_iterations
+        if floor_tolerance is not None:
+            solver.floor_tolerance = floor_tolerance
+
 
 @dataclass(frozen=True)
 class SceneFile:

@@ -3,7 +3,6 @@
 #include <memory>
 #include <new>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "backend/backend.h"
@@ -26,13 +25,13 @@ class CpuState final : public SceneState {
       : model_(model),
         view_(model::bind<Real>(model, arena_)),
         tools_(const_cast<tensor::ToolState<Real>*>(view_.tools)),
-        scheme_(const_cast<tensor::StepScheme<Real>*>(view_.scheme)),
+        control_(const_cast<tensor::StepControl<Real>*>(view_.control)),
         newton_(const_cast<tensor::NewtonControl*>(view_.newton)),
         prescribed_(const_cast<Real*>(view_.prescribed)),
         barrier_(view_.patch_count) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
       groups_.push_back(model::bind<Real>(model, g, arena_));
-      passes_.push_back(cpu::element_pass<Real>(model.groups[g].shape, model.groups[g].law));
+      passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
     }
     for (std::uint32_t patch = 1; patch < view_.patch_count; ++patch) {
       workers_.emplace_back([this, patch] { work(patch); });
@@ -50,18 +49,48 @@ class CpuState final : public SceneState {
       tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_);
-    if (scheme_ != nullptr) *scheme_ = scheme_of<Real>(model_, std::exchange(first_step_, false));
+    *control_ = control_of<Real>(model_, input, past_);
+    if (input.keeps) {
+      kept_past_ = past_;
+      retries_ = false;
+    }
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, kRoundingShare<Real>,
-                           largest_force_squared_);
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
+                           kRoundingShare<Real>, past_.largest_force_squared);
       if (input.gather_visible) gather_visible();
     } else {
       run_team(kWholeStep | (input.gather_visible ? kGather : 0));
       result = this->result();
     }
     read_forces<Real>({view_.tool_loads, std::size_t{view_.tool_count} * view_.patch_count}, forces);
+    result.min_det_f = read_volume<Real>(model_, {view_.min_det_f, model_.groups.size() * view_.patch_count});
+    past_.dt_s = past_.history_dt_s = input.dt_s;
     return result;
+  }
+
+  void restore() override {
+    const auto copy = [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); };
+    const std::size_t reals = 4 * std::size_t{view_.row_count};
+    copy(view_.kept_displacement, reals, view_.displacement);
+    copy(view_.kept_velocity, reals, view_.velocity);
+    if (view_.previous_displacement != nullptr) {
+      copy(view_.kept_previous_displacement, reals, view_.previous_displacement);
+      copy(view_.kept_previous_velocity, reals, view_.previous_velocity);
+    }
+    // The step that is taken back has moved the histories on from the kept state, which is what a retry needs too; only
+    // a retry of several steps moves them further.
+    for (std::size_t g = 0; g < groups_.size(); ++g) {
+      const std::size_t count = model_.groups[g].history_reals();
+      if (retries_) {
+        copy(groups_[g].kept_history, count, groups_[g].history);
+      } else {
+        copy(groups_[g].history, count, groups_[g].kept_history);
+      }
+    }
+    retries_ = true;
+    past_ = kept_past_;
+    past_.history_dt_s = 0;
   }
 
   std::span<const float> visible_positions() override {
@@ -76,7 +105,10 @@ class CpuState final : public SceneState {
 
   RowState read() override {
     const std::size_t reals = 4 * std::size_t{view_.row_count};
-    RowState state{{view_.displacement, view_.displacement + reals}, {view_.velocity, view_.velocity + reals}, {}};
+    RowState state{{view_.displacement, view_.displacement + reals},
+                   {view_.velocity, view_.velocity + reals},
+                   {},
+                   past_.history_dt_s};
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const Real* history = groups_[g].history;
       state.histories.insert(state.histories.end(), history, history + model_.groups[g].history_reals());
@@ -93,8 +125,7 @@ class CpuState final : public SceneState {
       copy(state.displacement, view_.previous_displacement);
       copy(state.velocity, view_.previous_velocity);
     }
-    first_step_ = true;
-    largest_force_squared_ = 0;
+    past_ = {.history_dt_s = state.history_dt_s};
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
@@ -138,7 +169,9 @@ class CpuState final : public SceneState {
     for (const model::Stage& stage : model_.stages) {
       if ((what & command(stage.phase)) == 0) continue;
       if (stage.kind == model::StageKind::kElements) {
-        passes_[stage.group](team, view_, groups_[stage.group]);
+        passes_[stage.group].tensors(team, view_, groups_[stage.group]);
+      } else if (stage.kind == model::StageKind::kWatch) {
+        passes_[stage.group].watch(team, view_, groups_[stage.group]);
       } else {
         with_stage(model_, stage, [&](auto type) {
           decltype(type)::run(team, view_, groups_.empty() ? tensor::ElementView<Real>{} : groups_[stage.group]);
@@ -156,15 +189,15 @@ class CpuState final : public SceneState {
   cpu::Arena arena_;
   const tensor::SceneView<Real> view_;
   tensor::ToolState<Real>* const tools_;
-  tensor::StepScheme<Real>* const scheme_;
+  tensor::StepControl<Real>* const control_;
   tensor::NewtonControl* const newton_;
   Real* const prescribed_;
   std::vector<tensor::ElementView<Real>> groups_;
-  std::vector<cpu::ElementPass<Real>> passes_;
+  std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
-  double largest_force_squared_ = 0;  // see newton_step
-  bool first_step_ = true;            // since the start or since a state was written
+  Past past_, kept_past_;
+  bool retries_ = false;  // the last kept state has been gone back to
   std::vector<std::thread> workers_;
 };
 

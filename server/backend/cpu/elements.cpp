@@ -6,17 +6,18 @@
 namespace tensormass::backend::cpu {
 
 template <int Law, class Real>
-ElementPass<Real> element_pass_of_law(int shape) {
-  ElementPass<Real> pass = nullptr;
+ElementPasses<Real> element_passes_of_law(int shape) {
+  ElementPasses<Real> passes;
   physics::for_each_type(physics::Shapes{}, [&](auto shape_tag, int index) {
-    if (index == shape) {
-      pass = &tensor::element_pass<typename decltype(shape_tag)::Type, physics::LawAt<Law>, Team, Real>;
-    }
+    using Shape = typename decltype(shape_tag)::Type;
+    if (index != shape) return;
+    passes.tensors = &tensor::element_pass<Shape, physics::LawAt<Law>, Team, Real>;
+    passes.watch = &tensor::watch_elements<Shape, physics::LawAt<Law>, Team, Real>;
   });
-  return pass;
+  return passes;
 }
 
-template ElementPass<float> element_pass_of_law<TM_LAW, float>(int);
-template ElementPass<double> element_pass_of_law<TM_LAW, double>(int);
+template ElementPasses<float> element_passes_of_law<TM_LAW, float>(int);
+template ElementPasses<double> element_passes_of_law<TM_LAW, double>(int);
 
 }  // namespace tensormass::backend::cpu

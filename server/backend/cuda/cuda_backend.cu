@@ -2,7 +2,6 @@
 #include <array>
 #include <stdexcept>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <cuda_runtime.h>
@@ -93,12 +92,13 @@ class CudaState final : public SceneState {
       : model_(model),
         tools_(model.tools.size()),
         prescribed_(4 * model.prescribed.size()),
-        scheme_(model.is_plain() ? 0 : 1),
+        control_(1),
         newton_(model.iterates() ? 1 : 0),
         solve_(1),
         patches_(model.layout.patch_count),
         residuals_(model.iterates() ? model.layout.patch_count : 0),
         watch_(model.groups.size() * model.layout.patch_count),
+        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count : 0),
         loads_(model.tools.size() * model.layout.patch_count),
         visible_(3 * std::size_t{model.visible.count()}),
         view_(bind_view(model)) {
@@ -143,18 +143,51 @@ class CudaState final : public SceneState {
       tools_.data()[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_.data());
-    if (scheme_.size() > 0) *scheme_.data() = scheme_of<Real>(model_, std::exchange(first_step_, false));
+    *control_.data() = control_of<Real>(model_, input, past_);
+    if (input.keeps) {
+      kept_past_ = past_;
+      retries_ = false;
+    }
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, kRoundingShare<Real>,
-                           largest_force_squared_);
+      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
+                           kRoundingShare<Real>, past_.largest_force_squared);
     } else {
       launch_graph(step_, "step");
     }
     if (input.gather_visible && gather_) launch_graph(gather_, "frame");
     wait("step");
     read_forces<Real>(loads_.span(), forces);
-    return model_.iterates() ? result : this->result();
+    if (!model_.iterates()) result = this->result();
+    result.min_det_f = read_volume<Real>(model_, min_det_f_.span());
+    past_.dt_s = past_.history_dt_s = input.dt_s;
+    return result;
+  }
+
+  void restore() override {
+    const auto copy = [&](const Real* from, std::size_t count, Real* to) {
+      if (count == 0) return;
+      check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream_), "restore");
+    };
+    const std::size_t reals = 4 * std::size_t{view_.row_count};
+    copy(view_.kept_displacement, reals, view_.displacement);
+    copy(view_.kept_velocity, reals, view_.velocity);
+    if (view_.previous_displacement != nullptr) {
+      copy(view_.kept_previous_displacement, reals, view_.previous_displacement);
+      copy(view_.kept_previous_velocity, reals, view_.previous_velocity);
+    }
+    for (std::size_t g = 0; g < groups_.size(); ++g) {  // as on the CPU
+      const std::size_t count = model_.groups[g].history_reals();
+      if (retries_) {
+        copy(groups_[g].kept_history, count, groups_[g].history);
+      } else {
+        copy(groups_[g].history, count, groups_[g].kept_history);
+      }
+    }
+    retries_ = true;
+    past_ = kept_past_;
+    past_.history_dt_s = 0;
+    wait("restore");  // reading back does not go by this stream
   }
 
   std::span<const float> visible_positions() override { return visible_.span(); }
@@ -172,7 +205,7 @@ class CudaState final : public SceneState {
 
   RowState read() override {
     const std::size_t reals = 4 * std::size_t{view_.row_count};
-    RowState state{download(view_.displacement, reals), download(view_.velocity, reals), {}};
+    RowState state{download(view_.displacement, reals), download(view_.velocity, reals), {}, past_.history_dt_s};
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::vector<double> history = download(groups_[g].history, model_.groups[g].history_reals());
       state.histories.insert(state.histories.end(), history.begin(), history.end());
@@ -186,8 +219,7 @@ class CudaState final : public SceneState {
       upload(view_.previous_displacement, state.displacement);
       upload(view_.previous_velocity, state.velocity);
     }
-    first_step_ = true;
-    largest_force_squared_ = 0;
+    past_ = {.history_dt_s = state.history_dt_s};
     std::span<const double> histories = state.histories;
     for (std::size_t g = 0; g < groups_.size(); ++g) {
       const std::size_t count = model_.groups[g].history_reals();
@@ -234,6 +266,7 @@ class CudaState final : public SceneState {
     view.patch_reports = patches_.data();
     view.residuals = residuals_.data();
     view.watch = watch_.data();
+    view.min_det_f = min_det_f_.data();
     view.tool_loads = loads_.data();
     return view;
   }
@@ -312,7 +345,7 @@ class CudaState final : public SceneState {
     using model::Phase;
     if (phase == Phase::kBegin) {
       upload_pinned(view_.tools, tools_, "tools");
-      upload_pinned(view_.scheme, scheme_, "time scheme");
+      upload_pinned(view_.control, control_, "step control");
       upload_pinned(view_.prescribed, prescribed_, "prescribed displacements");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
@@ -327,6 +360,12 @@ class CudaState final : public SceneState {
       }
       if (stage.kind == model::StageKind::kElements) {
         launch_elements(model_.groups[stage.group], groups_[stage.group]);
+        continue;
+      }
+      if (stage.kind == model::StageKind::kWatch) {
+        const model::ElementGroup& group = model_.groups[stage.group];
+        launch(Communication::kReduces, cuda::element_kernels<Real>(group.shape, group.law).watch,
+               groups_[stage.group]);
         continue;
       }
       if (stage.kind == model::StageKind::kAssemble) {
@@ -359,12 +398,13 @@ class CudaState final : public SceneState {
   const model::Model& model_;
   Pinned<tensor::ToolState<Real>> tools_;
   Pinned<Real> prescribed_;
-  Pinned<tensor::StepScheme<Real>> scheme_;
+  Pinned<tensor::StepControl<Real>> control_;
   Pinned<tensor::NewtonControl> newton_;
   Pinned<tensor::SolveReport<Real>> solve_;
   Pinned<tensor::PatchReport<Real>> patches_;
   Pinned<tensor::PatchResidual<Real>> residuals_;
   Pinned<tensor::PatchWatch<Real>> watch_;
+  Pinned<Real> min_det_f_;
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
   DeviceArena arena_;
@@ -372,8 +412,8 @@ class CudaState final : public SceneState {
   std::vector<ElementView<Real>> groups_;
   unsigned threads_ = 0;
   cuda::SolvePlan solve_plan_;
-  double largest_force_squared_ = 0;  // see newton_step
-  bool first_step_ = true;            // since the start or since a state was written
+  Past past_, kept_past_;
+  bool retries_ = false;  // the last kept state has been gone back to
   cudaStream_t stream_ = nullptr;
   cudaGraphExec_t step_ = nullptr;
   cudaGraphExec_t gather_ = nullptr;

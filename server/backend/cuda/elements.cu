@@ -14,16 +14,25 @@ struct MoveHistories {
   }
 };
 
+template <class Shape, class Law>
+struct Watch {
+  template <class Team, class Real>
+  __device__ static void run(Team& team, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e) {
+    tensor::watch_elements<Shape, Law>(team, s, e);
+  }
+};
+
 template <int Law, class Real>
 ElementKernels element_kernels_of_law(int shape) {
   ElementKernels kernels;
   physics::for_each_type(physics::Shapes{}, [&](auto shape_tag, int index) {
     using Shape = typename decltype(shape_tag)::Type;
+    using Of = physics::LawAt<Law>;
     if (index != shape) return;
-    kernels.assemble = reinterpret_cast<const void*>(&assemble_tiles<Shape, physics::LawAt<Law>, Real>);
+    kernels.assemble = reinterpret_cast<const void*>(&assemble_tiles<Shape, Of, Real>);
     kernels.threads = kTileThreads<Shape>;
-    kernels.move_histories =
-        reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, physics::LawAt<Law>>, Real, kStageThreads>);
+    kernels.move_histories = reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, Of>, Real, kStageThreads>);
+    kernels.watch = reinterpret_cast<const void*>(&run_stage<Watch<Shape, Of>, Real>);
   });
   return kernels;
 }

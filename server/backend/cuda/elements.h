@@ -5,16 +5,18 @@
 
 #include "physics/lists.h"
 
-/// The element kernels. elements.cu is compiled once for each law, as on the CPU.
+/// The kernels over elements. elements.cu is compiled once for each law, as on the CPU.
 namespace tensormass::backend::cuda {
 
 struct ElementKernels {
-  const void* assemble = nullptr;        ///< assemble_tiles (tiles.cuh), a block a tile
-  unsigned threads = 0;                  ///< of assemble
-  const void* move_histories = nullptr;  ///< of the signature of run_stage (launch.cuh)
+  const void* assemble = nullptr;  ///< assemble_tiles (tiles.cuh), a block a tile
+  unsigned threads = 0;            ///< of assemble
+  // Of the signature of run_stage (launch.cuh):
+  const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
+  const void* watch = nullptr;           ///< tensor::watch_elements; reduces
 };
 
-/// For the law at this index of physics::Laws.
+/// Of the law at this index of physics::Laws.
 template <int Law, class Real>
 ElementKernels element_kernels_of_law(int shape);
 

@@ -34,7 +34,7 @@ class Recurrence {
     return true;
   }
   __device__ bool goes_on(const SceneView<float>& s) const {
-    return iterations_ < s.cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
+    return iterations_ < s.control->cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
   }
   __device__ void report(const SceneView<float>& s) const {
     s.solve_report->relative_residual = first_rr_ == 0 ? 0 : sqrtf(rr_next_ / first_rr_);

@@ -20,11 +20,20 @@ inline constexpr int kMaxPronyTerms = 4;
 /// Reals of a symmetric stress in a history: xx yy zz yz xz xy.
 inline constexpr int kSymmetricReals = 6;
 
-/// A_i, B_i of a step.
-struct PronyStep {
-  double gain = 0, decay = 0;
+/// A term: α_i, τ_i.
+struct PronyTerm {
+  double share = 0;
+  double relaxation_time_s = 0;
+  bool operator==(const PronyTerm&) const = default;
 };
-constexpr PronyStep prony_step(double share, double relaxation_time_s, double dt_s) {
+
+/// A_i, B_i of a step.
+template <class Real>
+struct PronyStep {
+  Real gain, decay;
+};
+template <class Real>
+TM_HOST_DEVICE constexpr PronyStep<Real> prony_step(Real share, Real relaxation_time_s, Real dt_s) {
   return {share * dt_s / (dt_s + relaxation_time_s), relaxation_time_s / (dt_s + relaxation_time_s)};
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -14,6 +15,7 @@ namespace tensormass::physics {
 /// jumps; the stiffness against rotation there is bounded.
 struct Corotational : StretchLaw<Corotational>, LameParameters {
   static constexpr const char* kName = "corotational";
+  static constexpr Inversion kInversion = Inversion::kRecovers;
 
   template <class T>
   TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {

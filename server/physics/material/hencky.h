@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -12,6 +13,7 @@ namespace tensormass::physics {
 /// NaN, which stops the scene.
 struct Hencky : StretchLaw<Hencky>, LameParameters {
   static constexpr const char* kName = "hencky";
+  static constexpr Inversion kInversion = Inversion::kCaught;
 
   template <class T>
   TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 
 namespace tensormass::physics {
@@ -10,6 +11,7 @@ namespace tensormass::physics {
 /// on F, so its tensors are assembled once. All measures of stress are one for small strain: S is P.
 struct Hooke : LameParameters {
   static constexpr const char* kName = "hooke";
+  static constexpr Inversion kInversion = Inversion::kOutOfRange;
   static constexpr bool kConstantStiffness = true;
 
   /// Where its range ends: beyond, what it leaves out (squares of the strain, the strain θ²/2 that a rotation of θ

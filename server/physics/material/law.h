@@ -3,6 +3,7 @@
 #include <concepts>
 
 #include "core/scalar.h"
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 
 /// What a law of elasticity is to the rest of the engine.
@@ -12,6 +13,8 @@
 ///
 ///   kName                the protocol's name for it
 ///   kConstantStiffness   the stiffness does not depend on F: its tensors are assembled once
+///   kInversion           what it promises where det F ≤ 0
+///   kLeastStretch        optional: the principal stretch below which the law is no good any more
 ///   kParameterCount      what it stores for an element. parameters(...) makes them on the host from the protocol's
 ///                        numbers; their range is the caller's to check
 ///   moduli_at_rest(p)    bulk and shear modulus of the small strain limit, fibres left out
@@ -37,6 +40,7 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
                        typename L::template Point<double> point, typename L::template Node<double> node) {
   { L::kName } -> std::convertible_to<const char*>;
   { L::kConstantStiffness } -> std::convertible_to<bool>;
+  { L::kInversion } -> std::convertible_to<Inversion>;
   { L::kParameterCount } -> std::convertible_to<int>;
   { L::moduli_at_rest(p) } -> std::same_as<Moduli>;
   L::take_shares(p, 1.0, 1.0);

@@ -2,6 +2,7 @@
 
 #include <array>
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -14,6 +15,7 @@ namespace tensormass::physics {
 /// is NaN, which stops the scene. A uniform collapse costs K/2 only.
 struct MooneyRivlin : StretchLaw<MooneyRivlin> {
   static constexpr const char* kName = "mooney_rivlin";
+  static constexpr Inversion kInversion = Inversion::kCaught;
   static constexpr int kParameterCount = 3;
 
   static std::array<double, kParameterCount> parameters(double c10_pa, double c01_pa, double bulk_modulus_pa) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -11,6 +12,7 @@ namespace tensormass::physics {
 /// scene. λ (ln J)² softens in strong expansion, beyond J = e. Any ν in (−1, 0.5).
 struct NeoHookean : StretchLaw<NeoHookean>, LameParameters {
   static constexpr const char* kName = "neo_hookean";
+  static constexpr Inversion kInversion = Inversion::kCaught;
 
   template <class T>
   TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {

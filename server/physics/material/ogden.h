@@ -2,6 +2,7 @@
 
 #include <array>
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -14,6 +15,7 @@ namespace tensormass::physics {
 /// the scene. A uniform collapse costs K/2 only.
 struct Ogden : StretchLaw<Ogden> {
   static constexpr const char* kName = "ogden";
+  static constexpr Inversion kInversion = Inversion::kCaught;
   static constexpr int kParameterCount = 3;  // μ/α [Pa], α, K [Pa]
 
   /// μ and α of the same sign.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "physics/decomposition.h"
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 
 namespace tensormass::physics {
@@ -11,6 +12,8 @@ namespace tensormass::physics {
 /// 1/√3) and has no resistance to inversion: states beyond that are caught, not recovered.
 struct StVenantKirchhoff : LameParameters {
   static constexpr const char* kName = "st_venant_kirchhoff";
+  static constexpr Inversion kInversion = Inversion::kCaught;
+  static constexpr double kLeastStretch = 0.577;  ///< 1/√3
   static constexpr bool kConstantStiffness = false;
 
   template <class T>

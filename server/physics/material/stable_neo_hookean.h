@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
 
@@ -13,6 +14,7 @@ namespace tensormass::physics {
 /// (−1, 0.5).
 struct StableNeoHookean : StretchLaw<StableNeoHookean>, LameParameters {
   static constexpr const char* kName = "stable_neo_hookean";
+  static constexpr Inversion kInversion = Inversion::kRecovers;
 
   template <class T>
   TM_HOST_DEVICE static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters) {

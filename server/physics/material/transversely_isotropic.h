@@ -2,6 +2,7 @@
 
 #include <array>
 
+#include "physics/material/inversion.h"
 #include "physics/material/st_venant_kirchhoff.h"
 
 namespace tensormass::physics {
@@ -11,6 +12,8 @@ namespace tensormass::physics {
 /// Fibres resist compression as they resist tension. Range and limits of St-Venant-Kirchhoff's law.
 struct TransverselyIsotropic {
   static constexpr const char* kName = "transversely_isotropic";
+  static constexpr Inversion kInversion = Inversion::kCaught;
+  static constexpr double kLeastStretch = StVenantKirchhoff::kLeastStretch;
   static constexpr bool kConstantStiffness = false;
   static constexpr int kParameterCount = 6;  // λ, μ, Δλ/2 + Δμ [Pa], a0
 

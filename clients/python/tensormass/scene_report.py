@@ -1,0 +1,40 @@
+"""What a report of a misbehaving scene needs: its status and its state, in one file.
+
+A scene that a guard stopped stands at its last good state, so the file shows from where the step was tried.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tensormass.errors import InvalidArgumentError
+from tensormass.meshes import FloatArray
+from tensormass.output import to_plain
+
+if TYPE_CHECKING:
+    from tensormass.client import SceneHandle
+
+
+def write_report(scene: SceneHandle, path: str | Path) -> Path:
+    """Writes `status` (JSON, with the tools' poses) and for each body `<body>/displacement` [node_count, 3] m and
+    `<body>/velocity` [node_count, 3] m/s, in the order of its mesh, as .npz.
+
+    Raises:
+        InvalidArgumentError: the path does not end in .npz.
+        FailedPreconditionError: the device failed; there is no state to trust.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise InvalidArgumentError(f"{path}: a report is an .npz file")
+    arrays: dict[str, FloatArray] = {}
+    for body in scene.topology().bodies:
+        fields = scene.fields(body.name, ["displacement", "velocity"])
+        arrays[f"{body.name}/displacement"] = fields["displacement"]
+        arrays[f"{body.name}/velocity"] = fields["velocity"]
+    status = np.array(json.dumps(to_plain(scene.status())))
+    np.savez_compressed(path, status=status, **arrays)  # type: ignore[arg-type]
+    return path

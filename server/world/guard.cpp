@@ -1,0 +1,167 @@
+#include "world/guard.h"
+
+#include <algorithm>
+#include <array>
+#include <limits>
+
+#include <fmt/format.h>
+
+#include "physics/lists.h"
+
+namespace tensormass::world {
+
+namespace {
+
+/// In sizes of the scene: a node that crosses it in one step has passed through whatever it was to touch.
+constexpr double kMaxMove = 1;
+/// In sizes of the scene: a held body that is stretched to ten times the scene shows no tissue any more.
+constexpr double kMaxDistance = 10;
+/// Of the solve, relative: conjugate gradients may rise on their way, by less than this.
+constexpr double kMaxResidual = 100;
+/// Of the outer iteration: forces out of balance by as much as they are.
+constexpr double kMaxImbalance = 1;
+/// A step solves a linearized problem, and the work of forces is a sum over steps: energy is known to a few times.
+constexpr double kEnergySlack = 4;
+/// Strain of the whole scene whose energy is not worth a guard.
+constexpr double kLeastStrain = 1e-3;
+
+constexpr std::array<Retry, 4> kRetries{{
+    {1, 1, false, Breach::kResidual},
+    {2, 1, false, Breach::kNone},
+    {8, 1, false, Breach::kNone},
+    {8, 4, true, Breach::kNone},
+}};
+
+/// Diagonal of the box around the scene at rest, and what displacements are prescribed beyond it.
+double size_of(const model::Model& m) {
+  Vec3<double> low = Vec3<double>::Constant(std::numeric_limits<double>::infinity()), high = -low;
+  for (const std::uint32_t row : m.layout.row_of_node) {
+    const Vec3<double> x = tensor::load3<double>(m.rest.data(), row);
+    low = low.cwiseMin(x);
+    high = high.cwiseMax(x);
+  }
+  double prescribed = 0;
+  for (const model::Prescribed& p : m.prescribed) {
+    double largest = p.factor.empty() ? 1 : 0;
+    for (const double factor : p.factor) largest = std::max(largest, std::abs(factor));
+    prescribed = std::max(prescribed, largest * p.displacement_m.norm());
+  }
+  return (high - low).norm() + 2 * prescribed;
+}
+
+/// Of all elements at kLeastStrain, in shear.
+double least_energy(const model::Model& m) {
+  double energy = 0;
+  for (const model::ElementGroup& group : m.groups) {
+    physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
+      using Law = typename decltype(law)::Type;
+      constexpr std::size_t kWeight = physics::kRestReals<typename decltype(shape)::Type> - 1;
+      for (std::uint32_t e = 0; e < group.element_count; ++e) {
+        std::array<double, Law::kParameterCount> parameters;
+        for (std::size_t c = 0; c < parameters.size(); ++c) parameters[c] = group.parameters[c * group.stride + e];
+        const double shear_pa = Law::moduli_at_rest(parameters.data()).shear_pa;
+        for (std::size_t q = 0; q < group.point_count; ++q) {
+          energy += shear_pa * group.rest[(q * (kWeight + 1) + kWeight) * group.stride + e];
+        }
+      }
+    });
+  }
+  return energy * kLeastStrain * kLeastStrain;
+}
+
+}  // namespace
+
+bool counts_all_work(const model::Model& m) { return m.driven.driven.empty() && m.pressure.faces.empty(); }
+
+bool counts_all_energy(const model::Model& m) {
+  return m.integrator != model::Integrator::kQuasiStatic && m.mass_edges.empty() &&
+         std::all_of(m.groups.begin(), m.groups.end(), [](const auto& group) { return group.prony.empty(); });
+}
+
+std::string to_text(const Verdict& verdict) {
+  const auto [breach, value, bound] = verdict;
+  switch (breach) {
+    case Breach::kNone:
+      return "it holds its bounds";
+    case Breach::kNotFinite:
+      return "the state is not finite any more";
+    case Breach::kMove:
+      return fmt::format("a node moved {:.3g} m in it, farther than the scene is large ({:.3g} m)", value, bound);
+    case Breach::kDistance:
+      return fmt::format("a node is {:.3g} m from where it rests, where {:.3g} m is the most", value, bound);
+    case Breach::kEnergy:
+      return fmt::format("the kinetic energy is {:.3g} J, where no more than {:.3g} J can be", value, bound);
+    case Breach::kResidual:
+      return fmt::format("the linear solve ended at a residual of {:.3g}, above {:.3g}", value, bound);
+    case Breach::kImbalance:
+      return fmt::format("the outer iteration ended with an imbalance of {:.3g} of the forces, above {:.3g}", value,
+                         bound);
+    case Breach::kVolume:
+      return fmt::format("an element is turned inside out (det F {:.3g}), from which its law does not come back",
+                         value);
+  }
+  return {};
+}
+
+EnergyBalance::EnergyBalance(const model::Model& model)
+    : complete_(counts_all_work(model) && counts_all_energy(model)) {}
+
+void EnergyBalance::add_step(double kinetic_j, double loads_work_j, double tools_work_j) {
+  kinetic_j_ = kinetic_j;
+  work_j_ += loads_work_j + tools_work_j;
+  available_j_ += std::max(loads_work_j, 0.0) + std::max(tools_work_j, 0.0);
+}
+
+void EnergyBalance::look(double elastic_j) {
+  elastic_j_ = elastic_j;
+  available_j_ = kinetic_j_ + elastic_j_;
+  dissipated_j_ = work_j_ - available_j_;
+}
+
+void EnergyBalance::clear() { kinetic_j_ = elastic_j_ = work_j_ = dissipated_j_ = available_j_ = 0; }
+
+Guard::Guard(const model::Model& m)
+    : max_move_m_(kMaxMove * size_of(m)),
+      max_distance_m_(kMaxDistance * size_of(m)),
+      max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxResidual),
+      least_energy_j_(least_energy(m)),
+      judges_energy_(counts_all_work(m)) {
+  // What nothing holds may fall as far as it likes.
+  if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
+    max_distance_m_ = std::numeric_limits<double>::infinity();
+  }
+}
+
+Verdict Guard::judge(const backend::StepResult& result, const StepEnergy& energy) const {
+  if (!result.finite) return {Breach::kNotFinite};
+  if (!(result.max_move_m <= max_move_m_)) return {Breach::kMove, result.max_move_m, max_move_m_};
+  if (!(result.max_distance_m <= max_distance_m_)) return {Breach::kDistance, result.max_distance_m, max_distance_m_};
+  if (!(result.min_det_f > 0)) return {Breach::kVolume, result.min_det_f, 0};
+  if (!(result.newton_residual <= kMaxImbalance)) return {Breach::kImbalance, result.newton_residual, kMaxImbalance};
+  if (!(result.cg_relative_residual <= max_residual_)) {
+    return {Breach::kResidual, result.cg_relative_residual, max_residual_};
+  }
+  const double there =
+      energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
+  const double bound = kEnergySlack * there + least_energy_j_;
+  if (judges_energy_ && !(result.kinetic_energy_j <= bound)) return {Breach::kEnergy, result.kinetic_energy_j, bound};
+  return {};
+}
+
+std::span<const Retry> retries() { return kRetries; }
+
+std::string to_text(const GuardEvent& event) {
+  const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
+  if (event.recovered) {
+    return fmt::format("{}; done again as {} step{}, it held them", what, event.steps, event.steps == 1 ? "" : "s");
+  }
+  return fmt::format(
+      "{}. {} retries with smaller steps and a safer setting did not help; the last of them: {}. Nothing of it was "
+      "published; the scene stands where step {} ended. Reset the scene, then make dt_s smaller or the loads gentler, "
+      "see that fixed nodes hold what is quasi-static, and take a law that stands what is asked of it: corotational "
+      "and "
+      "stable_neo_hookean come back from collapse and inversion, the others do not",
+      what, event.retries, to_text(event.last), event.step - 1);
+}
+
+}  // namespace tensormass::world

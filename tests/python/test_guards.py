@@ -1,0 +1,72 @@
+"""Guards and indicators through a real daemon. Without build/bin/tensormassd these are skipped."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tensormass as tm
+from tensormass import processes
+from tensormass.output import state_name
+
+try:
+    processes.find_program("tensormassd", "TENSORMASSD")
+except tm.NotFoundError as not_built:
+    pytest.skip(str(not_built), allow_module_level=True)
+
+BLOCK = """
+name: block
+gravity_m_per_s2: {z: -9.81}
+stepping: {dt_s: 0.005, lockstep: true}
+bodies:
+  - name: tissue
+    mesh: {grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 5, cells_y: 5, cells_z: 3}}
+    law: {st_venant_kirchhoff: {young_modulus_pa: 8000, poisson_ratio: 0.4}}
+    density_kg_per_m3: 1000
+    fixed:
+      - box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}
+"""
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[tm.Server]:
+    with tm.launch(backend="cpu", zenoh=False) as running:
+        yield running
+
+
+def test_a_guard_stops_a_scene_at_its_last_good_state(server: tm.Server, tmp_path: Path) -> None:
+    scene = tm.Scene.from_yaml(BLOCK)
+    scene.message.solver.cg_max_iterations = 2
+    scene.message.solver.cg_tolerance = 1e-6
+    scene.message.solver.floor_tolerance = 1e-6
+    handle = server.load(scene, name="stopped")
+    with pytest.raises(tm.FailedPreconditionError, match="step 1 left its bounds: the linear solve ended at"):
+        handle.step()
+    status = handle.status()
+    assert state_name(status) == "faulted"
+    assert (status.step, status.guard_events, status.guard_recoveries) == (0, 1, 0)
+    assert handle.frame().step == 0
+    with pytest.raises(tm.InvalidArgumentError, match="npz"):
+        handle.write_report(tmp_path / "stopped.txt")
+    with np.load(handle.write_report(tmp_path / "stopped.npz")) as report:
+        assert json.loads(str(report["status"]))["fault"] == status.fault
+        assert report["tissue/displacement"].shape == (6 * 6 * 4, 3)
+        assert not report["tissue/displacement"].any()
+        assert not report["tissue/velocity"].any()
+    assert state_name(handle.reset()) == "lockstep"
+
+
+def test_status_says_where_energy_went(server: tm.Server) -> None:
+    status = server.load(tm.Scene.from_yaml(BLOCK), name="energy").step(40)
+    assert status.work_j > 0
+    assert status.elastic_energy_j > 0
+    taken = status.work_j - status.kinetic_energy_j - status.elastic_energy_j
+    assert status.HasField("dissipated_energy_j")
+    assert status.dissipated_energy_j == pytest.approx(taken)
+    assert taken > 0
+    assert 0 < status.law_range_used < 1
+    assert status.guard_events == 0

@@ -1,0 +1,95 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include "backend/backend.h"
+
+/// A backend whose steps go wrong when a test says so, in the state and in the report alike.
+namespace tensormass::tests {
+
+enum class Fault {
+  kNotANumber,   ///< the state is not finite any more
+  kExplosion,    ///< velocities a thousand times too large
+  kStall,        ///< the linear solve did not converge
+  kDeviceError,  ///< the device throws
+};
+
+/// What goes wrong in the `call`-th solve (from 0) that a world makes for its `step`-th step (from 1).
+using FaultPlan = std::function<std::optional<Fault>(std::uint64_t step, std::uint64_t call)>;
+
+class FaultyState final : public backend::SceneState {
+ public:
+  FaultyState(std::unique_ptr<backend::SceneState> sound, FaultPlan plan)
+      : sound_(std::move(sound)), plan_(std::move(plan)) {}
+
+  backend::StepResult step(const backend::StepInput& input, std::span<backend::ToolForce> forces) override {
+    if (input.keeps) {
+      ++step_;
+      call_ = 0;
+    } else {
+      ++call_;
+    }
+    backend::StepResult result = sound_->step(input, forces);
+    const std::optional<Fault> fault = plan_(step_, call_);
+    if (!fault) return result;
+    backend::RowState state = sound_->read();
+    switch (*fault) {
+      case Fault::kNotANumber:
+        for (double& value : state.displacement) value = std::numeric_limits<double>::quiet_NaN();
+        for (backend::ToolForce& force : forces) force.force_n.setConstant(std::numeric_limits<double>::quiet_NaN());
+        result.finite = false;
+        break;
+      case Fault::kExplosion:
+        for (double& value : state.velocity) value *= 1e3;
+        result.kinetic_energy_j = 1e6 * (result.kinetic_energy_j + 1);
+        break;
+      case Fault::kStall:
+        result.cg_relative_residual = 1e3;
+        break;
+      case Fault::kDeviceError:
+        throw std::runtime_error("injected");
+    }
+    sound_->write(state);
+    if (input.gather_visible) sound_->gather_visible();
+    return result;
+  }
+  void restore() override { sound_->restore(); }
+  std::span<const float> visible_positions() override { return sound_->visible_positions(); }
+  void gather_visible() override { sound_->gather_visible(); }
+  void watch(std::span<backend::GroupWatch> groups) override { sound_->watch(groups); }
+  backend::RowState read() override { return sound_->read(); }
+  void write(const backend::RowState& state) override { sound_->write(state); }
+
+ private:
+  const std::unique_ptr<backend::SceneState> sound_;
+  const FaultPlan plan_;
+  std::uint64_t step_ = 0, call_ = 0;
+};
+
+class FaultyBackend final : public backend::Backend {
+ public:
+  FaultyBackend(std::unique_ptr<backend::Backend> sound, FaultPlan plan)
+      : sound_(std::move(sound)), plan_(std::move(plan)) {}
+
+  std::string name() const override { return sound_->name(); }
+  std::string device() const override { return sound_->device(); }
+  model::PatchPolicy patch_policy(const v1::Scene& scene) const override { return sound_->patch_policy(scene); }
+  model::MachineRates rates(const v1::Scene& scene) const override { return sound_->rates(scene); }
+  Result<std::unique_ptr<backend::SceneState>> create(const model::Model& model) const override {
+    TM_TRY(state, sound_->create(model));
+    return std::unique_ptr<backend::SceneState>(std::make_unique<FaultyState>(std::move(state), plan_));
+  }
+
+ private:
+  const std::unique_ptr<backend::Backend> sound_;
+  const FaultPlan plan_;
+};
+
+}  // namespace tensormass::tests

@@ -1,0 +1,330 @@
+#include "world/guard.h"
+
+#include <cmath>
+#include <functional>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "support/backends.h"
+#include "support/faulty_backend.h"
+#include "support/laws.h"
+#include "support/scenes.h"
+#include "world/fields.h"
+
+namespace tensormass::world {
+namespace {
+
+using tests::Fault;
+
+/// Every kind of state that a step carries on: what a guard must put back.
+struct Kind {
+  const char* name;
+  std::function<void(v1::Scene&)> set;
+};
+const std::vector<Kind>& kinds() {
+  static const std::vector<Kind> all{
+      {"plain", [](v1::Scene&) {}},
+      {"bdf2", [](v1::Scene& s) { s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_BDF2); }},
+      {"newton", [](v1::Scene& s) { s.mutable_solver()->set_newton_max_iterations(5); }},
+      {"memory",
+       [](v1::Scene& s) {
+         v1::PronyTerm& term = *s.mutable_bodies(0)->mutable_law()->add_prony();
+         term.set_share(0.5);
+         term.set_relaxation_time_s(0.03);
+       }},
+      {"all of it",
+       [](v1::Scene& s) {
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_BDF2);
+         s.mutable_solver()->set_newton_max_iterations(5);
+         v1::PronyTerm& term = *s.mutable_bodies(0)->mutable_law()->add_prony();
+         term.set_share(0.5);
+         term.set_relaxation_time_s(0.03);
+       }},
+  };
+  return all;
+}
+
+/// A block that sinks under its weight against a probe that stands in its way.
+v1::Scene pressed_block(const Kind& kind, double dt_s = 0.01) {
+  v1::Scene scene = tests::block_with_probe(true, 4);
+  scene.mutable_stepping()->set_dt_s(dt_s);
+  scene.mutable_tools(0)->mutable_position_m()->set_y(0.057);
+  kind.set(scene);
+  return scene;
+}
+
+class Guarding : public tests::OnBackend {
+ protected:
+  std::unique_ptr<World> start_faulty(const v1::Scene& scene, tests::FaultPlan plan) {
+    backend_ = std::make_unique<tests::FaultyBackend>(std::move(backend_), std::move(plan));
+    auto world = start(scene);
+    SetUp();  // the sound one again
+    return world;
+  }
+};
+
+/// A step that is taken back and made as two of half its length is exactly that, whatever the scene carries on.
+TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
+  for (const Kind& kind : kinds()) {
+    const auto faulty = start_faulty(pressed_block(kind), [](std::uint64_t, std::uint64_t call) {
+      return call == 0 ? std::optional(Fault::kNotANumber) : std::nullopt;
+    });
+    const auto sound = start(pressed_block(kind, 0.005));
+    for (int i = 0; i < 5; ++i) {
+      ASSERT_TRUE(faulty->step(false)) << kind.name;
+      ASSERT_TRUE(sound->step(false) && sound->step(false)) << kind.name;
+      ASSERT_NE(faulty->guard_event(), nullptr);
+      EXPECT_TRUE(faulty->guard_event()->recovered);
+      EXPECT_EQ(faulty->guard_event()->steps, 2u);
+      EXPECT_EQ(faulty->state().displacement, sound->state().displacement) << kind.name << ", step " << i + 1;
+      EXPECT_EQ(faulty->state().velocity, sound->state().velocity) << kind.name;
+      EXPECT_EQ(faulty->readings()[0].force_n, sound->readings()[0].force_n) << kind.name;
+    }
+    EXPECT_EQ(faulty->step_count(), 5u);
+    EXPECT_GT(faulty->readings()[0].force_n.norm(), 0) << "the probe was among what ran";
+  }
+}
+
+/// A world that nothing helped stands where it stood, and goes on from there as if nothing had been.
+TEST_P(Guarding, AWorldThatNothingHelpedStandsAtItsLastGoodState) {
+  for (const Fault fault : {Fault::kNotANumber, Fault::kExplosion, Fault::kStall}) {
+    for (const Kind& kind : kinds()) {
+      // Of the parts of each retry the first is good: histories move on in it.
+      const auto faulty = start_faulty(pressed_block(kind), [&](std::uint64_t step, std::uint64_t call) {
+        return step == 4 && call % 2 == 0 ? std::optional(fault) : std::nullopt;
+      });
+      const auto sound = start(pressed_block(kind));
+      faulty->set_tool_target(0, {{0.06, 0.057, 0.05}, {1, 0, 0, 0}});
+      sound->set_tool_target(0, {{0.06, 0.057, 0.05}, {1, 0, 0, 0}});
+      for (int i = 0; i < 3; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
+      const auto stress = [&](World& world) {
+        v1::GetFieldsRequest request;
+        request.add_fields(v1::FIELD_VON_MISES_STRESS);
+        const auto fields = measure_fields(world.model(), world.state(), world.model().bodies[0], request);
+        std::vector<double> values(fields->fields(0).values().size() / sizeof(double));
+        std::memcpy(values.data(), fields->fields(0).values().data(), fields->fields(0).values().size());
+        return Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size())).eval();
+      };
+      const backend::RowState before = faulty->state();
+      const Eigen::VectorXd stress_before = stress(*faulty);
+      const ToolReading reading = faulty->readings()[0];
+
+      ASSERT_FALSE(faulty->step(false)) << kind.name;
+      ASSERT_NE(faulty->guard_event(), nullptr);
+      EXPECT_FALSE(faulty->guard_event()->recovered);
+      EXPECT_EQ(faulty->guard_event()->step, 4u);
+      EXPECT_EQ(faulty->guard_event()->retries, 3u);
+      EXPECT_EQ(faulty->step_count(), 3u);
+      EXPECT_EQ(faulty->state().displacement, before.displacement) << kind.name;
+      EXPECT_EQ(faulty->state().velocity, before.velocity) << kind.name;
+      EXPECT_EQ(faulty->readings()[0].pose.position_m, reading.pose.position_m);
+      EXPECT_LT((stress(*faulty) - stress_before).norm(), 1e-12 * stress_before.norm()) << kind.name;
+
+      for (int i = 0; i < 3; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
+      EXPECT_EQ(faulty->state().displacement, sound->state().displacement) << kind.name;
+      EXPECT_EQ(faulty->readings()[0].force_n, sound->readings()[0].force_n) << kind.name;
+    }
+  }
+}
+
+TEST_P(Guarding, IterationsThatWereLoweredTooFarAreGivenBackFirst) {
+  v1::Scene scene = pressed_block(kinds()[0]);
+  scene.mutable_solver()->set_cg_tolerance(1e-8);
+  scene.mutable_solver()->set_floor_tolerance(1e-4);
+  const auto world = start(scene), all = start(scene);
+  world->set_cg_limit(3);
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_TRUE(world->step(false) && all->step(false));
+    ASSERT_NE(world->guard_event(), nullptr);
+    EXPECT_EQ(world->guard_event()->first.breach, Breach::kResidual);
+    EXPECT_EQ(world->guard_event()->first.bound, 1e-4);
+    EXPECT_EQ(world->guard_event()->steps, 1u);
+    EXPECT_LE(world->last().cg_relative_residual, 1e-4);
+    EXPECT_EQ(all->guard_event(), nullptr);
+    EXPECT_EQ(world->state().displacement, all->state().displacement);
+  }
+}
+
+TEST_P(Guarding, AFloorThatCannotBeReachedIsNotLeft) {
+  v1::Scene scene = pressed_block(kinds()[0]);
+  scene.mutable_solver()->set_cg_max_iterations(1);
+  scene.mutable_solver()->set_cg_tolerance(1e-9);
+  scene.mutable_solver()->set_floor_tolerance(1e-9);
+  const auto world = start(scene);
+  EXPECT_FALSE(world->step(false));
+  EXPECT_EQ(world->guard_event()->first.breach, Breach::kResidual);
+  EXPECT_EQ(world->guard_event()->last.breach, Breach::kResidual);
+}
+
+/// A bar whose end is pushed through its other end.
+TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreNot) {
+  for (const std::string& name : tests::law_names()) {
+    v1::Scene scene = tests::beam_scene({.cells_x = 4,
+                                         .cells_y = 2,
+                                         .cells_z = 2,
+                                         .size_x_m = 0.4,
+                                         .size_y_m = 0.1,
+                                         .size_z_m = 0.1,
+                                         .double_precision = true,
+                                         .cg_max_iterations = 500,
+                                         .cg_tolerance = 1e-6});
+    scene.clear_gravity_m_per_s2();
+    v1::Body& body = *scene.mutable_bodies(0);
+    *body.mutable_law() = tests::law(name, 1e5, 0.3);
+    v1::PrescribedDisplacement& end = *body.add_prescribed();
+    tests::set(*end.mutable_region()->mutable_box()->mutable_min_m(), 0.4 - 1e-6, -1, -1);
+    tests::set(*end.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+    end.set_x_m(-0.6);
+    end.mutable_schedule()->add_time_s(0);
+    end.mutable_schedule()->add_factor(0);
+    end.mutable_schedule()->add_time_s(0.2);
+    end.mutable_schedule()->add_factor(1);
+    const auto world = start(scene);
+    int steps = 0;
+    while (steps < 30 && world->step(false)) ++steps;
+    const int law = world->model().groups[0].law;
+    physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
+      using Law = typename decltype(tag)::Type;
+      if (index != law) return;
+      if (Law::kInversion != physics::Inversion::kCaught) {
+        EXPECT_EQ(steps, 30) << name << ": " << to_text(*world->guard_event());
+        return;
+      }
+      ASSERT_LT(steps, 20) << name;
+      EXPECT_GE(steps, 1) << name;
+      world->watch();
+      EXPECT_GT(world->watched()[0].min_det_f, 0) << name << ": the state that it stands in";
+    });
+  }
+}
+
+/// What the work of gravity becomes: v_n = n g dt, so that ½ m v² = m (g dt)² n² / 2 of m (g dt)² n (n + 1) / 2.
+TEST_P(Guarding, CountsWhatImplicitEulerTakesFromAFall) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 4,
+                                       .cells_y = 2,
+                                       .cells_z = 2,
+                                       .double_precision = true,
+                                       .cg_max_iterations = 500,
+                                       .cg_tolerance = 1e-14});
+  scene.mutable_bodies(0)->clear_fixed();
+  const auto world = start(scene);
+  const double mass = world->model().bodies[0].mass_kg, n = 20, unit = mass * std::pow(9.81 * 0.01, 2) / 2;
+  for (int i = 0; i < n; ++i) ASSERT_TRUE(world->step(false));
+  world->watch();
+  EXPECT_NEAR(world->energy().work_j(), unit * n * (n + 1), 1e-9 * unit * n * n);
+  EXPECT_NEAR(world->energy().kinetic_j(), unit * n * n, 1e-9 * unit * n * n);
+  EXPECT_NEAR(world->energy().elastic_j(), 0, 1e-9 * unit * n * n);
+  EXPECT_NEAR(world->energy().dissipated_j().value(), unit * n, 1e-8 * unit * n * n);
+}
+
+/// Of every law and shape, as GetFields measures it on the host.
+TEST_P(Guarding, ElasticEnergyIsThatOfTheFields) {
+  for (const v1::Shape shape : tests::shapes()) {
+    for (const std::string& name : tests::law_names()) {
+      v1::Scene scene = tests::block_with_probe(true, 2);
+      scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+      scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
+      *scene.mutable_bodies(0)->mutable_law() = tests::law(name, 5e3, 0.4);
+      const auto world = start(scene);
+      for (int i = 0; i < 3; ++i) ASSERT_TRUE(world->step(false));
+      world->watch();
+      const auto fields = measure_fields(world->model(), world->state(), world->model().bodies[0], {});
+      EXPECT_GT(fields->elastic_energy_j(), 0);
+      EXPECT_NEAR(world->energy().elastic_j(), fields->elastic_energy_j(), 1e-9 * fields->elastic_energy_j())
+          << name << ", " << v1::Shape_Name(shape);
+    }
+  }
+}
+
+/// A tool that presses does work, and what it did is in the tissue or was taken by the scheme: nothing from nowhere.
+TEST_P(Guarding, WorkOfToolsIsCounted) {
+  v1::Scene scene = tests::block_with_probe(true, 6);
+  scene.clear_gravity_m_per_s2();
+  const auto world = start(scene);
+  for (int i = 0; i < 100; ++i) {
+    world->set_tool_target(0, {{0.05, 0.06 - 0.0001 * i, 0.05}, {1, 0, 0, 0}});
+    ASSERT_TRUE(world->step(false));
+  }
+  world->watch();
+  EXPECT_GT(world->energy().work_j(), 0);
+  EXPECT_GT(world->energy().elastic_j(), 0.3 * world->energy().work_j()) << "pressed slowly, most of it is there";
+  EXPECT_GT(world->energy().dissipated_j().value(), 0);
+}
+
+TM_ON_EACH_BACKEND(Guarding);
+
+model::Model model_of(const v1::Scene& scene) { return std::move(model::compile(scene, {1, 1}).value()); }
+
+/// The block of 0.1 × 0.05 × 0.1 m is 0.15 m across.
+TEST(GuardBounds, AreEachAsked) {
+  v1::Scene scene = tests::block_with_probe();
+  const model::Model model = model_of(scene);
+  const Guard guard(model);
+  const StepEnergy energy{.available_j = 1};
+  const backend::StepResult good{
+      .max_move_m = 0.14, .max_distance_m = 1.4, .kinetic_energy_j = 3.9, .min_det_f = 1e-6, .newton_residual = 0.9};
+  EXPECT_TRUE(guard.judge(good, energy).good()) << to_text(guard.judge(good, energy));
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  const auto breach = [&](auto member, auto value) {
+    backend::StepResult bad = good;
+    bad.*member = value;
+    const Verdict verdict = guard.judge(bad, energy);
+    EXPECT_FALSE(to_text(verdict).empty());
+    return verdict.breach;
+  };
+  using Result = backend::StepResult;
+  EXPECT_EQ(breach(&Result::finite, false), Breach::kNotFinite);
+  EXPECT_EQ(breach(&Result::max_move_m, 0.16), Breach::kMove);
+  EXPECT_EQ(breach(&Result::max_distance_m, 1.6), Breach::kDistance);
+  EXPECT_EQ(breach(&Result::kinetic_energy_j, 4.1), Breach::kEnergy);
+  EXPECT_EQ(breach(&Result::kinetic_energy_j, kNan), Breach::kEnergy);
+  EXPECT_EQ(breach(&Result::cg_relative_residual, 101.0), Breach::kResidual);
+  EXPECT_EQ(breach(&Result::newton_residual, 1.1), Breach::kImbalance);
+  EXPECT_EQ(breach(&Result::min_det_f, 0.0), Breach::kVolume);
+  EXPECT_EQ(breach(&Result::min_det_f, kNan), Breach::kVolume);
+}
+
+TEST(GuardBounds, EnergyMayBeWhatCameInSinceTheLastLook) {
+  const model::Model model = model_of(tests::block_with_probe());
+  const Guard guard(model);
+  const backend::StepResult moving{.kinetic_energy_j = 1};
+  EXPECT_EQ(guard.judge(moving, {}).breach, Breach::kEnergy);
+  EXPECT_TRUE(guard.judge(moving, {.available_j = 1}).good());
+  EXPECT_TRUE(guard.judge(moving, {.tools_work_j = 1}).good());
+  EXPECT_TRUE(guard.judge(moving, {.contacts_j = 1}).good());
+  backend::StepResult loaded = moving;
+  loaded.work_j = 1;
+  EXPECT_TRUE(guard.judge(loaded, {}).good());
+  EXPECT_EQ(guard.judge(moving, {.available_j = 0.2, .tools_work_j = -10}).breach, Breach::kEnergy);
+
+  EnergyBalance balance(model);
+  balance.add_step(1, 2, 3);
+  balance.add_step(2, 1, -4);
+  EXPECT_EQ(balance.available_j(), 6) << "work that went out was kinetic energy, or elastic energy before";
+  EXPECT_EQ(balance.work_j(), 2);
+  balance.look(0.5);
+  EXPECT_EQ(balance.available_j(), 2.5);
+  EXPECT_EQ(balance.dissipated_j(), -0.5);
+}
+
+TEST(GuardBounds, AreWideWhereAScenePrescribesIt) {
+  v1::Scene scene = tests::block_with_probe();
+  v1::Scene loose = scene;
+  loose.mutable_bodies(0)->clear_fixed();
+  const backend::StepResult far{.max_distance_m = 100};
+  EXPECT_EQ(Guard(model_of(scene)).judge(far, {}).breach, Breach::kDistance);
+  EXPECT_TRUE(Guard(model_of(loose)).judge(far, {}).good()) << "nothing holds it";
+
+  v1::PrescribedDisplacement& pull = *scene.mutable_bodies(0)->add_prescribed();
+  tests::set(*pull.mutable_region()->mutable_box()->mutable_min_m(), -1, 0.049, -1);
+  tests::set(*pull.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
+  pull.set_y_m(0.5);
+  const model::Model driven = model_of(scene);
+  EXPECT_TRUE(Guard(driven).judge({.max_move_m = 0.5}, {}).good());
+  EXPECT_TRUE(Guard(driven).judge({.kinetic_energy_j = 1e6}, {}).good()) << "work of driven nodes is not counted";
+  EXPECT_FALSE(EnergyBalance(driven).dissipated_j().has_value());
+}
+
+}  // namespace
+}  // namespace tensormass::world
