@@ -99,6 +99,9 @@ class Backend {
   virtual std::string device() const = 0;  ///< for people
   virtual model::PatchPolicy patch_policy(const v1::Scene& scene) const = 0;
   virtual model::MachineRates rates(const v1::Scene& scene) const = 0;
+  /// Measured now, as a copy or STREAM's triad reaches it, bytes read and written: what no step beats that has to go
+  /// through memory.
+  virtual double measure_bandwidth_bytes_per_s() const = 0;
   virtual Result<std::unique_ptr<SceneState>> create(const model::Model& model) const = 0;
 };
 

@@ -289,7 +289,7 @@ Result<void> group_elements(Compilation& c) {
 Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
   Model& model = c.model;
   if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
-  std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
+  std::vector<tensor::ElementRows> rows;                           // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
     if (group.is_constant()) continue;
     rows.push_back({static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride,
@@ -297,8 +297,8 @@ Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
   }
   if (policy.tile_bytes > 0) {
     const std::uint32_t reals = policy.tile_bytes / (model.double_precision ? sizeof(double) : sizeof(float));
-    tensor::Tiles tiles = tensor::make_tiles(model.layout, rows, std::min(reals, tensor::kMaxTileReals),
-                                             model.constant_edges.empty());
+    tensor::Tiles tiles =
+        tensor::make_tiles(model.layout, rows, std::min(reals, tensor::kMaxTileReals), model.constant_edges.empty());
     for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].tiles = std::move(tiles.groups[g]);
     model.open_slices = std::move(tiles.open_slices);
     model.has_tiles = true;

@@ -190,16 +190,16 @@ struct Model {
   std::vector<std::string> warnings;
 
   tensor::Layout layout;
-  tensor::GatherMap gather;            ///< of `groups`; empty with tiles
+  tensor::GatherMap gather;  ///< of `groups`; empty with tiles
   bool has_tiles = false;
   std::vector<std::uint32_t> open_slices;  ///< see SceneView; only with tiles
-  std::vector<ElementGroup> groups;    ///< those with refreshed tensors first
-  std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
-  std::vector<double> mass_edges;      ///< [slot] kg; empty for lumped mass
-  std::vector<double> rest;            ///< [row_count, 4]
-  std::vector<double> inertia;         ///< [row_count, 4]
-  std::vector<double> row_mass;        ///< [row_count] kg, also where inertia leaves it out (quasi-static)
-  std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
+  std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
+  std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
+  std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
+  std::vector<double> rest;                ///< [row_count, 4]
+  std::vector<double> inertia;             ///< [row_count, 4]
+  std::vector<double> row_mass;            ///< [row_count] kg, also where inertia leaves it out (quasi-static)
+  std::vector<double> external;            ///< [row_count, 4]; empty without gravity and loads
   /// [row_count, 4] m, m/s; empty: at rest.
   std::vector<double> initial_displacement, initial_velocity;
   DrivenRows driven;

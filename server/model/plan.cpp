@@ -65,6 +65,14 @@ Cost cost(const Model& m, const Stage& stage) {
           static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
           (static_cast<double>(g.rest.size() + g.parameters.size()) + 2 * history) * real / g.stride +
           (edges ? static_cast<double>(g.pair_places.size()) / g.stride * 4 : g.record_reals * real);
+      if (m.has_tiles) {  // each element is read, and evaluated, by every tile that it touches; rows are written once
+        const double evaluated = static_cast<double>(g.tiles.elements.size());
+        const double lists = static_cast<double>(g.tiles.lists.size() + g.tiles.entries.size()) * 2 + evaluated * 4;
+        const double nodes = static_cast<double>(g.rows.size()) / g.stride;
+        return {evaluated * (per_element - g.record_reals * real) + lists + slots * (9 * real + 4) +
+                    rows * (6 * 4 + 8) * real,
+                evaluated * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
+      }
       // Of StVK: about 70 for the stress of a point, 60 for each pair of nodes.
       const double nodes = static_cast<double>(g.rows.size()) / g.stride;
       // With kEdges the matrix and the right-hand side are read and written, too.
@@ -74,6 +82,11 @@ Cost cost(const Model& m, const Stage& stage) {
     case StageKind::kAssemble:
       if (edges)
         return {slots * 9 * real * (constant ? 2 : 1) + rows * (3 * 4 + 8) * real, slots * (constant ? 90 : 0)};
+      if (m.has_tiles) {
+        const double open = static_cast<double>(m.open_slices.size()) * tensor::kSliceRows / rows;
+        return {open * (slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real),
+                open * (slots * (constant ? 54 : 36) + rows * 60)};
+      }
       return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
                   slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
               gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};

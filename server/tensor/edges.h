@@ -74,11 +74,13 @@ void add_eight(Real* to, const Real* block, std::uint32_t transposed) {
   typedef Real Eight __attribute__((vector_size(8 * sizeof(Real))));
   using Index = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
   typedef Index Order __attribute__((vector_size(8 * sizeof(Index))));
-  static constexpr Order kOrders[2] = {{0, 1, 2, 3, 4, 5, 6, 7}, {0, 3, 6, 1, 4, 7, 2, 5}};
+  static constexpr Index kOrders[2][8] = {{0, 1, 2, 3, 4, 5, 6, 7}, {0, 3, 6, 1, 4, 7, 2, 5}};
+  Order order;
   Eight sum, added;
+  std::memcpy(&order, kOrders[transposed], sizeof order);
   std::memcpy(&sum, to, sizeof sum);
   std::memcpy(&added, block, sizeof added);
-  sum += __builtin_shuffle(added, kOrders[transposed]);
+  sum += __builtin_shuffle(added, order);
   std::memcpy(to, &sum, sizeof sum);
 }
 

@@ -146,9 +146,8 @@ class Builder {
     out.lists.resize(align(out.lists.size()));
     out.entries.resize(align(out.entries.size() + part.entry_count));
     std::uint16_t* entries = out.entries.data() + part.entry_begin;
-    each_entry([&](std::uint32_t list, std::uint32_t entry) {
-      entries[counts_[list]++] = static_cast<std::uint16_t>(entry);
-    });
+    each_entry(
+        [&](std::uint32_t list, std::uint32_t entry) { entries[counts_[list]++] = static_cast<std::uint16_t>(entry); });
     out.parts.push_back(part);
     return out.parts.back();
   }

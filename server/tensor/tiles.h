@@ -16,11 +16,11 @@ namespace tensormass::tensor {
 
 /// Of a group's tiles; empty where a backend gathers from `partials`.
 struct GroupTiles {
-  std::vector<TilePart> parts;              ///< by tile
-  std::vector<std::uint32_t> tile_parts;    ///< [tiles that have parts + 1]
-  std::vector<std::uint32_t> elements;      ///< of the group, part by part, ascending
-  std::vector<std::uint16_t> lists;         ///< of each part: its slots, its rows, and an end; into its entries
-  std::vector<std::uint16_t> entries;       ///< offsets in the tile's records, see TilePart
+  std::vector<TilePart> parts;            ///< by tile
+  std::vector<std::uint32_t> tile_parts;  ///< [tiles that have parts + 1]
+  std::vector<std::uint32_t> elements;    ///< of the group, part by part, ascending
+  std::vector<std::uint16_t> lists;       ///< of each part: its slots, its rows, and an end; into its entries
+  std::vector<std::uint16_t> entries;     ///< offsets in the tile's records, see TilePart
 };
 
 struct Tiles {

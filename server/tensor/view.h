@@ -86,9 +86,9 @@ struct ElementView {
 
   // -- tiles; only where a backend has them
   std::uint32_t tile_count;
-  std::uint32_t tile_reals;               // of the largest part's records
-  std::uint32_t tile_lists;               // of the largest part's lists and entries together
-  const std::uint32_t* tile_parts;        // [tile_count + 1]
+  std::uint32_t tile_reals;         // of the largest part's records
+  std::uint32_t tile_lists;         // of the largest part's lists and entries together
+  const std::uint32_t* tile_parts;  // [tile_count + 1]
   const TilePart* parts;
   const std::uint32_t* tile_elements;
   const std::uint16_t* tile_list;
@@ -220,9 +220,9 @@ struct SceneView {
   Real cg_tolerance;
 
   // -- patches; rows and halo by offsets
-  const std::uint32_t* patch_rows;  // [patch_count + 1]
-  const std::uint32_t* patch_halo;  // [patch_count + 1] into halo
-  const std::uint32_t* halo;        // global rows
+  const std::uint32_t* patch_rows;      // [patch_count + 1]
+  const std::uint32_t* patch_halo;      // [patch_count + 1] into halo
+  const std::uint32_t* halo;            // global rows
   const std::uint32_t* patch_of_slice;  // [row_count / 32]; only with tiles
 
   // -- matrix structure

@@ -49,8 +49,8 @@ void World::write_start() {
   std::size_t histories = 0;
   for (const model::ElementGroup& group : model_->groups) histories += group.history_reals();
   const auto or_rest = [&](const std::vector<double>& start) { return start.empty() ? rest : start; };
-  state_->write({or_rest(model_->initial_displacement), or_rest(model_->initial_velocity),
-                 std::vector<double>(histories, 0.0)});
+  state_->write(
+      {or_rest(model_->initial_displacement), or_rest(model_->initial_velocity), std::vector<double>(histories, 0.0)});
 }
 
 void World::place_tools() {

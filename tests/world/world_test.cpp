@@ -224,7 +224,8 @@ TEST_P(Mechanics, StartsAsTheSceneSays) {
   const Eigen::RowVector3d moved(0.5, -0.25, 2), velocity(1, 2, 3);
   const auto bytes = [&](const Eigen::RowVector3d& row) {
     const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> all = row.replicate(rest.rows(), 1);
-    return std::string(reinterpret_cast<const char*>(all.data()), sizeof(double) * static_cast<std::size_t>(all.size()));
+    return std::string(reinterpret_cast<const char*>(all.data()),
+                       sizeof(double) * static_cast<std::size_t>(all.size()));
   };
   scene.clear_gravity_m_per_s2();
   body.set_initial_displacement_m(bytes(moved));

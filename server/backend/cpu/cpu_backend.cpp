@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <chrono>
 #include <fstream>
 #include <memory>
 #include <new>
@@ -229,6 +230,25 @@ class CpuBackend final : public Backend {
             .operations_per_s = 6e9 * threads,
             .stage_latency_s = threads > 1 ? 2e-6 : 0,
             .iteration_latency_s = threads > 1 ? 2e-6 : 0};
+  }
+  double measure_bandwidth_bytes_per_s() const override {
+    const std::size_t count = std::size_t{16} << 20;  // of a thread's part of each array
+    const std::uint32_t threads = std::max(default_threads_, 1u);
+    std::vector<double> a(count * threads, 1), b(count * threads, 2), c(count * threads, 3);
+    double best = 0;
+    for (int repeat = 0; repeat < 5; ++repeat) {
+      const auto begin = std::chrono::steady_clock::now();
+      std::vector<std::thread> workers;
+      for (std::uint32_t t = 0; t < threads; ++t) {
+        workers.emplace_back([&, t] {
+          for (std::size_t i = t * count; i < (t + 1) * count; ++i) a[i] = b[i] + 3 * c[i];
+        });
+      }
+      for (std::thread& worker : workers) worker.join();
+      const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+      best = std::max(best, 3.0 * sizeof(double) * static_cast<double>(count * threads) / elapsed.count());
+    }
+    return best;
   }
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;

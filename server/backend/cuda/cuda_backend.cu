@@ -326,7 +326,8 @@ class CudaState final : public SceneState {
     auto record_bytes = static_cast<std::uint32_t>(cuda::tile_record_bytes(elements));
     check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(shared)),
           "shared memory of the element tensors");
-    void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements), &record_bytes};
+    void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
+                         &record_bytes};
     check(cudaLaunchKernel(kernels.assemble, elements.tile_count, kernels.threads, arguments, shared, stream_),
           "element tensors");
   }
@@ -336,7 +337,8 @@ class CudaState final : public SceneState {
     constexpr unsigned kSlices = cuda::kFinishThreads / cuda::kWarp;
     const unsigned blocks = (view_.open_slice_count + kSlices - 1) / kSlices;
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_)};
-    const auto kernel = model_.constant_edges.empty() ? &cuda::finish_slices<false, Real> : &cuda::finish_slices<true, Real>;
+    const auto kernel =
+        model_.constant_edges.empty() ? &cuda::finish_slices<false, Real> : &cuda::finish_slices<true, Real>;
     check(cudaLaunchKernel(reinterpret_cast<const void*>(kernel), blocks, cuda::kFinishThreads, arguments, 0, stream_),
           "rows without tiles");
   }
@@ -435,6 +437,30 @@ class CudaBackend final : public Backend {
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};
+  }
+  double measure_bandwidth_bytes_per_s() const override {
+    constexpr std::size_t kBytes = std::size_t{1} << 30;
+    constexpr int kCopies = 20;
+    void *from = nullptr, *to = nullptr;
+    cudaEvent_t begin = nullptr, end = nullptr;
+    float ms = 0;
+    const bool measured = cudaMalloc(&from, kBytes) == cudaSuccess && cudaMalloc(&to, kBytes) == cudaSuccess &&
+                          cudaEventCreate(&begin) == cudaSuccess && cudaEventCreate(&end) == cudaSuccess;
+    if (measured) {
+      for (int i = 0; i <= kCopies; ++i) {  // the first one warms up
+        if (i == 1) cudaEventRecord(begin);
+        cudaMemcpyAsync(to, from, kBytes, cudaMemcpyDeviceToDevice);
+      }
+      cudaEventRecord(end);
+      cudaEventSynchronize(end);
+      cudaEventElapsedTime(&ms, begin, end);
+    }
+    cudaEventDestroy(begin);
+    cudaEventDestroy(end);
+    cudaFree(from);
+    cudaFree(to);
+    cudaGetLastError();
+    return ms > 0 ? 2e3 * kCopies * static_cast<double>(kBytes) / static_cast<double>(ms) : 0;
   }
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;

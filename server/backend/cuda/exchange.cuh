@@ -50,7 +50,8 @@ class Exchange {
   __device__ Cell wait_for_sums(std::uint32_t patch) const {
     return wait(sums_ + std::size_t{tag_ & 1} * patches_ + patch);
   }
-  /// Cells of rows [index(0)], [index(stride)], .. as many as `count` allows, at most Count; they are under way at once.
+  /// Cells of rows [index(0)], [index(stride)], .. as many as `count` allows, at most Count; they are under way at
+  /// once.
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
@@ -83,19 +84,20 @@ class Exchange {
 
  private:
   __device__ static void store(Cell* cell, const Cell& value) {
-    asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; mov.b64 lo, {%1, %2}; mov.b64 hi, {%3, %4}; mov.b128 q, {lo, hi};"
-                 " st.relaxed.gpu.global.b128 [%0], q; }" ::"l"(cell),
-                 "r"(__float_as_uint(value.x)), "r"(__float_as_uint(value.y)), "r"(__float_as_uint(value.z)),
-                 "r"(value.tag)
-                 : "memory");
+    asm volatile(
+        "{ .reg .b128 q; .reg .b64 lo, hi; mov.b64 lo, {%1, %2}; mov.b64 hi, {%3, %4}; mov.b128 q, {lo, hi};"
+        " st.relaxed.gpu.global.b128 [%0], q; }" ::"l"(cell),
+        "r"(__float_as_uint(value.x)), "r"(__float_as_uint(value.y)), "r"(__float_as_uint(value.z)), "r"(value.tag)
+        : "memory");
   }
   __device__ static Cell load(const Cell* cell) {
     std::uint32_t x, y, z, tag;
-    asm volatile("{ .reg .b128 q; .reg .b64 lo, hi; ld.relaxed.gpu.global.b128 q, [%4]; mov.b128 {lo, hi}, q;"
-                 " mov.b64 {%0, %1}, lo; mov.b64 {%2, %3}, hi; }"
-                 : "=r"(x), "=r"(y), "=r"(z), "=r"(tag)
-                 : "l"(cell)
-                 : "memory");
+    asm volatile(
+        "{ .reg .b128 q; .reg .b64 lo, hi; ld.relaxed.gpu.global.b128 q, [%4]; mov.b128 {lo, hi}, q;"
+        " mov.b64 {%0, %1}, lo; mov.b64 {%2, %3}, hi; }"
+        : "=r"(x), "=r"(y), "=r"(z), "=r"(tag)
+        : "l"(cell)
+        : "memory");
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
   }
   __device__ Cell wait(const Cell* cell) const {

@@ -109,12 +109,13 @@ __global__ void __launch_bounds__(Threads, 1)
   __shared__ PatchSums<Threads> sums;
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
-  float4* const direction = shared;                                              // [locals]
-  float4* const halo_residual = direction + locals;                              // [halo]
-  float4* const halo_product = halo_residual + patch.halo_count;                 // [halo]
+  float4* const direction = shared;                                                  // [locals]
+  float4* const halo_residual = direction + locals;                                  // [halo]
+  float4* const halo_product = halo_residual + patch.halo_count;                     // [halo]
   float* const inverse = reinterpret_cast<float*>(halo_product + patch.halo_count);  // [6][locals]
   // [column] two float4 and a float of each row
-  float* const blocks = reinterpret_cast<float*>((reinterpret_cast<std::size_t>(inverse + 6 * std::size_t{locals}) + 15) / 16 * 16);
+  float* const blocks =
+      reinterpret_cast<float*>((reinterpret_cast<std::size_t>(inverse + 6 * std::size_t{locals}) + 15) / 16 * 16);
   auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * std::size_t{column_capacity});
 
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
@@ -216,7 +217,8 @@ __global__ void __launch_bounds__(Threads, 1)
     for (std::uint32_t j = 0; j < shared_width; ++j) {
       const std::size_t place = shared_begin + j;
       const float* from = blocks + place * (9 * kSliceRows);
-      const float4 a = reinterpret_cast<const float4*>(from)[lane], b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
+      const float4 a = reinterpret_cast<const float4*>(from)[lane],
+                   b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
       const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
       add(block, 1, columns[place * kSliceRows + lane]);
     }
@@ -231,8 +233,8 @@ __global__ void __launch_bounds__(Threads, 1)
       constexpr int kAtOnce = 2;
       for (std::uint32_t h = thread - halo_begin; h < patch.halo_count; h += kAtOnce * halo_stride) {
         Exchange::Cell cells[kAtOnce];
-        exchange.wait_for_rows(h, halo_stride, patch.halo_count,
-                               [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
+        exchange.wait_for_rows(
+            h, halo_stride, patch.halo_count, [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
         for (int i = 0; i < kAtOnce; ++i) {
           const std::uint32_t place = h + i * halo_stride;
           if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
@@ -378,8 +380,8 @@ __global__ void __launch_bounds__(Threads, 1)
     constexpr int kAtOnce = 4;
     for (std::uint32_t h = thread; h < patch.halo_count; h += kAtOnce * Threads) {
       Exchange::Cell cells[kAtOnce];
-      exchange.wait_for_rows(h, Threads, patch.halo_count,
-                             [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
+      exchange.wait_for_rows(
+          h, Threads, patch.halo_count, [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
       for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
         const std::uint32_t local = own + h + i * Threads;
         const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;

@@ -100,9 +100,9 @@ __device__ Mat3<Real> gather_edge(const Real* records, const std::uint16_t* entr
 }
 
 template <class Shape, class Law, class Real>
-__global__ void __launch_bounds__(kTileThreads<Shape>, 2) assemble_tiles(const __grid_constant__ SceneView<Real> s,
-                                                                  const __grid_constant__ ElementView<Real> e,
-                                                                  std::uint32_t record_bytes) {
+__global__ void __launch_bounds__(kTileThreads<Shape>, 2)
+    assemble_tiles(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
+                   std::uint32_t record_bytes) {
   extern __shared__ float4 aligned[];
   Real* const records = reinterpret_cast<Real*>(aligned);
   auto* const list = reinterpret_cast<std::uint16_t*>(reinterpret_cast<char*>(aligned) + record_bytes);
