@@ -49,7 +49,7 @@ const std::vector<Kind>& kinds() {
 v1::Scene pressed_block(const Kind& kind, double dt_s = 0.01) {
   v1::Scene scene = tests::block_with_probe(true, 4);
   scene.mutable_stepping()->set_dt_s(dt_s);
-  scene.mutable_tools(0)->mutable_position_m()->set_y(0.057);
+  scene.mutable_tools(0)->mutable_position_m()->set_y(0.054);
   kind.set(scene);
   return scene;
 }
@@ -95,8 +95,8 @@ TEST_P(Guarding, AWorldThatNothingHelpedStandsAtItsLastGoodState) {
         return step == 4 && call % 2 == 0 ? std::optional(fault) : std::nullopt;
       });
       const auto sound = start(pressed_block(kind));
-      faulty->set_tool_target(0, {{0.06, 0.057, 0.05}, {1, 0, 0, 0}});
-      sound->set_tool_target(0, {{0.06, 0.057, 0.05}, {1, 0, 0, 0}});
+      faulty->set_tool_target(0, {{0.06, 0.054, 0.05}, {1, 0, 0, 0}});
+      sound->set_tool_target(0, {{0.06, 0.054, 0.05}, {1, 0, 0, 0}});
       for (int i = 0; i < 3; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
       const auto stress = [&](World& world) {
         v1::GetFieldsRequest request;
@@ -157,10 +157,10 @@ TEST_P(Guarding, AFloorThatCannotBeReachedIsNotLeft) {
   EXPECT_EQ(world->guard_event()->last.breach, Breach::kResidual);
 }
 
-/// A bar whose end is pushed through its other end.
+/// A block between two plates, of which one is pushed through the other: no node is free, so that only the law decides.
 TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreNot) {
   for (const std::string& name : tests::law_names()) {
-    v1::Scene scene = tests::beam_scene({.cells_x = 4,
+    v1::Scene scene = tests::beam_scene({.cells_x = 1,
                                          .cells_y = 2,
                                          .cells_z = 2,
                                          .size_x_m = 0.4,
@@ -176,6 +176,8 @@ TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreN
     tests::set(*end.mutable_region()->mutable_box()->mutable_min_m(), 0.4 - 1e-6, -1, -1);
     tests::set(*end.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
     end.set_x_m(-0.6);
+    end.set_y_m(0);
+    end.set_z_m(0);
     end.mutable_schedule()->add_time_s(0);
     end.mutable_schedule()->add_factor(0);
     end.mutable_schedule()->add_time_s(0.2);
@@ -191,10 +193,10 @@ TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreN
         EXPECT_EQ(steps, 30) << name << ": " << to_text(*world->guard_event());
         return;
       }
-      ASSERT_LT(steps, 20) << name;
-      EXPECT_GE(steps, 1) << name;
+      EXPECT_EQ(steps, 13) << name << ": 3 cm each, 40 cm in all";
+      EXPECT_EQ(world->guard_event()->first.breach, Breach::kVolume) << name;
       world->watch();
-      EXPECT_GT(world->watched()[0].min_det_f, 0) << name << ": the state that it stands in";
+      EXPECT_NEAR(world->watched()[0].min_det_f, 0.025, 1e-6) << name << ": the state that it stands in";
     });
   }
 }
