@@ -15,6 +15,6 @@ struct CompiledScene {
 };
 
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
-                                    const model::Progress& progress);
+                                    const model::Progress& progress = {});
 
 }  // namespace tensormass::world

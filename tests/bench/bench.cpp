@@ -131,6 +131,7 @@ struct Row {
   std::string name, backend, device;
   std::uint64_t elements = 0, nodes = 0;
   std::uint32_t patches = 0, iterations = 0, steps = 0;
+  std::uint32_t restarts = 0;  ///< from rest, after a guard had stopped the scene
   double compile_s = 0, floor_s = 0, iteration_s = 0;
   double bytes_per_element = 0;
   double target_s = 0;
@@ -156,26 +157,31 @@ Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& back
   row.floor_s = bytes;
   TM_TRY(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
   row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
-  for (int i = 0; i < 3; ++i) world->step(false);
-  std::vector<double> seconds;
-  for (std::uint32_t i = 0; i < steps; ++i) {
-    const Clock::time_point start = Clock::now();
-    if (!world->step(false)) return invalid("the state left the numbers");
-    seconds.push_back(std::chrono::duration<double>(Clock::now() - start).count());
-  }
+  // A St-Venant-Kirchhoff beam that falls for long turns inside out, which its guard catches: then it starts again from
+  // rest, and neither that step nor one that was retried is a sample.
+  const auto sample = [&](std::uint32_t count) -> Result<std::vector<double>> {
+    std::vector<double> seconds;
+    for (std::uint32_t tried = 0; seconds.size() < count; ++tried) {
+      if (tried > 2 * count + 10) return invalid("more than half of the steps leave the bounds of the guards");
+      const Clock::time_point start = Clock::now();
+      const bool good = world->step(false);
+      const double elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
+      if (good && world->guard_event() == nullptr) seconds.push_back(elapsed_s);
+      if (!good) world->reset();
+      if (!good) ++row.restarts;
+    }
+    return seconds;
+  };
+  TM_CHECK(sample(3));
+  TM_TRY(seconds, sample(steps));
   row.iterations = world->last().cg_iterations;
   const Measured measured = percentiles(seconds);
-  seconds.clear();
   // An iteration is the difference that iterations make: the same scene with ten.
   constexpr std::uint32_t kFew = 10;
   if (scene.solver().cg_tolerance() == 0 && row.iterations > kFew) {
     world->set_cg_limit(kFew);
-    for (std::uint32_t i = 0; i < std::max(steps / 2, 5u); ++i) {
-      const Clock::time_point start = Clock::now();
-      if (!world->step(false)) return invalid("the state left the numbers");
-      seconds.push_back(std::chrono::duration<double>(Clock::now() - start).count());
-    }
-    row.iteration_s = (measured.median_s - percentiles(std::move(seconds)).median_s) / (row.iterations - kFew);
+    TM_TRY(shorter, sample(std::max(steps / 2, 5u)));
+    row.iteration_s = (measured.median_s - percentiles(shorter).median_s) / (row.iterations - kFew);
   }
   return measured;
 }
@@ -257,10 +263,10 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
 std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
   return fmt::format(
       R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"nodes":{},"patches":{},)"
-      R"("steps":{},"cg_iterations":{},"step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_min":{:.4f},)"
+      R"("steps":{},"restarts":{},"cg_iterations":{},"step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_min":{:.4f},)"
       R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"ratio_to_floor":{:.2f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},)"
       R"("bytes_per_element":{:.0f},"target_ms":{:.3f},"target_met":{}}})",
-      row.name, row.backend, row.device, commit, command, row.elements, row.nodes, row.patches, row.steps,
+      row.name, row.backend, row.device, commit, command, row.elements, row.nodes, row.patches, row.steps, row.restarts,
       row.iterations, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.step.min_s * 1e3, row.iteration_s * 1e6,
       row.floor_s * 1e3, row.step.median_s / row.floor_s, bandwidth / 1e9, row.compile_s, row.bytes_per_element,
       row.target_s * 1e3,

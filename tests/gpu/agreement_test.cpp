@@ -27,7 +27,7 @@ Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int step
   auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
   EXPECT_TRUE(world) << world.error().message;
   for (int i = 0; i < steps; ++i) {
-    if (press) (*world)->set_tool_target(0, {{0.05, 0.058 - 0.012 * std::min(i / 60.0, 1.0), 0.05}, {1, 0, 0, 0}});
+    if (press) (*world)->set_tool_target(0, {{0.05, 0.058 - 0.006 * std::min(i / 60.0, 1.0), 0.05}, {1, 0, 0, 0}});
     EXPECT_TRUE((*world)->step(false));
     if (press) out.forces.push_back((*world)->readings()[0].force_n);
   }
