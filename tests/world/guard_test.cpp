@@ -1,6 +1,8 @@
 #include "world/guard.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <functional>
 #include <limits>
 
@@ -71,6 +73,7 @@ TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
       return call == 0 ? std::optional(Fault::kNotANumber) : std::nullopt;
     });
     const auto sound = start(pressed_block(kind, 0.005));
+    double most_force_n = 0;
     for (int i = 0; i < 5; ++i) {
       ASSERT_TRUE(faulty->step(false)) << kind.name;
       ASSERT_TRUE(sound->step(false) && sound->step(false)) << kind.name;
@@ -80,9 +83,10 @@ TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
       EXPECT_EQ(faulty->state().displacement, sound->state().displacement) << kind.name << ", step " << i + 1;
       EXPECT_EQ(faulty->state().velocity, sound->state().velocity) << kind.name;
       EXPECT_EQ(faulty->readings()[0].force_n, sound->readings()[0].force_n) << kind.name;
+      most_force_n = std::max(most_force_n, faulty->readings()[0].force_n.norm());
     }
     EXPECT_EQ(faulty->step_count(), 5u);
-    EXPECT_GT(faulty->readings()[0].force_n.norm(), 0) << "the probe was among what ran";
+    EXPECT_GT(most_force_n, 0) << "the probe was among what ran";
   }
 }
 
