@@ -89,7 +89,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     if (iteration == 0) first_rr = rr_next = rr;
     if (!(rr > 0)) break;  // solved exactly, or not a number
     if (!(pq > 0)) {
-      negative_curvature = true;
+      negative_curvature = pq != 0;  // zero: what is left of the residual is below the smallest number
       break;
     }
 

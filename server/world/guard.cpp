@@ -118,7 +118,12 @@ void EnergyBalance::look(double elastic_j) {
   dissipated_j_ = work_j_ - available_j_;
 }
 
-void EnergyBalance::clear() { kinetic_j_ = elastic_j_ = work_j_ = dissipated_j_ = available_j_ = 0; }
+void EnergyBalance::start(double kinetic_j, double elastic_j) {
+  kinetic_j_ = kinetic_j;
+  elastic_j_ = elastic_j;
+  work_j_ = available_j_ = kinetic_j + elastic_j;
+  dissipated_j_ = 0;
+}
 
 Guard::Guard(const model::Model& m)
     : max_move_m_(kMaxMove * size_of(m)),

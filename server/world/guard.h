@@ -46,7 +46,8 @@ class EnergyBalance {
   /// A step that was published. Work since the step before.
   void add_step(double kinetic_j, double loads_work_j, double tools_work_j);
   void look(double elastic_j);
-  void clear();
+  /// What the scene has to begin with.
+  void start(double kinetic_j, double elastic_j);
 
   /// What there was at the last look and came in since.
   double available_j() const { return available_j_; }

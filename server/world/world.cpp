@@ -51,6 +51,16 @@ void World::write_start() {
   const auto or_rest = [&](const std::vector<double>& start) { return start.empty() ? rest : start; };
   state_->write(
       {or_rest(model_->initial_displacement), or_rest(model_->initial_velocity), std::vector<double>(histories, 0.0)});
+  double kinetic_j = 0, elastic_j = 0;
+  for (std::size_t i = 0; i < model_->initial_velocity.size(); ++i) {
+    const double v = i % 4 < 3 ? model_->initial_velocity[i] : 0;
+    kinetic_j += model_->row_mass[i / 4] * v * v / 2;
+  }
+  if (!model_->initial_displacement.empty()) {
+    state_->watch(watched_);
+    for (const backend::GroupWatch& group : watched_) elastic_j += group.elastic_energy_j;
+  }
+  energy_.start(kinetic_j, elastic_j);
 }
 
 void World::place_tools() {
@@ -186,7 +196,6 @@ void World::reset() {
   std::fill(watched_.begin(), watched_.end(), backend::GroupWatch{});
   step_count_ = 0;
   last_ = {};
-  energy_.clear();
   has_event_ = false;
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();

@@ -21,7 +21,9 @@ class Mechanics : public tests::OnBackend {
         flat.data(), static_cast<Eigen::Index>(flat.size() / 3), 3);
   }
   void run(World& world, int steps) {
-    for (int i = 0; i < steps; ++i) ASSERT_TRUE(world.step(false)) << "step " << i;
+    for (int i = 0; i < steps; ++i)
+      ASSERT_TRUE(world.step(false)) << (world.guard_event() != nullptr ? to_text(*world.guard_event()) : "")
+                                     << ", step " << i;
   }
 };
 

@@ -24,7 +24,7 @@ class Recurrence {
     if (iterations_ == 0) first_rr_ = rr_next_ = rr;
     if (!(rr > 0)) return false;  // solved exactly, or not a number
     if (!(pq > 0)) {
-      negative_curvature_ = true;
+      negative_curvature_ = pq != 0;  // zero: what is left of the residual is below the smallest number
       return false;
     }
     alpha = __fdividef(rr, pq);
