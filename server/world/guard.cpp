@@ -49,6 +49,15 @@ double size_of(const model::Model& m) {
   return (high - low).norm() + 2 * prescribed;
 }
 
+/// How far from rest a scene lets its nodes begin: it may spring back as far in a step.
+double largest_start(const model::Model& m) {
+  double squared = 0;
+  for (std::size_t i = 0; i + 2 < m.initial_displacement.size(); i += 4) {
+    squared = std::max(squared, Eigen::Map<const Vec3<double>>(m.initial_displacement.data() + i).squaredNorm());
+  }
+  return std::sqrt(squared);
+}
+
 /// Of all elements at kLeastStrain, in shear.
 double least_energy(const model::Model& m) {
   double energy = 0;
@@ -126,8 +135,8 @@ void EnergyBalance::start(double kinetic_j, double elastic_j) {
 }
 
 Guard::Guard(const model::Model& m)
-    : max_move_m_(kMaxMove * size_of(m)),
-      max_distance_m_(kMaxDistance * size_of(m)),
+    : max_move_m_(kMaxMove * (size_of(m) + largest_start(m))),
+      max_distance_m_(kMaxDistance * (size_of(m) + largest_start(m))),
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxResidual),
       least_energy_j_(least_energy(m)),
       judges_energy_(counts_all_work(m)) {
