@@ -59,6 +59,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
     scene.stepping.dt_s, scene.stepping.rate_hz = 1 / 60, 60
     scene.solver.cg_tolerance, scene.solver.newton_tolerance = 1e-3, 1e-3
+    scene.solver.floor_tolerance, scene.solver.budget_s = 1e-2, 1.0
     scene.solver.newton_max_iterations = 2
     scene.streams.frame_rate_hz, scene.streams.status_rate_hz = 60, 4
     scene.gravity_m_per_s2.z = -1
