@@ -7,10 +7,27 @@ import os
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands before the rows of everything that one command found."""
+
+    backend: str
+    device: str
+    machine: str
+    commit: str
+    command: str
+    date: str
+    seconds: int
+
+    def head(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(Head)}
 
 
 def machine() -> str:

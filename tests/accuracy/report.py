@@ -50,22 +50,14 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(record.Head):
     """Everything that one command found."""
 
-    backend: str
-    device: str
-    machine: str
-    commit: str
-    command: str
-    date: str
-    seconds: int
     rows: list[Row]
 
     def write(self) -> Path:
         path = FOLDER / f"{self.backend}.json"
-        head = {key: value for key, value in asdict(self).items() if key != "rows"}
-        record.write(path, head, [asdict(row) for row in self.rows])
+        record.write(path, self.head(), [asdict(row) for row in self.rows])
         return path
 
     @staticmethod

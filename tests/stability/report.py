@@ -10,7 +10,7 @@ import math
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,28 +44,20 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(record.Head):
     """Everything that one command found."""
 
-    backend: str
-    device: str
-    machine: str
-    commit: str
-    command: str
-    date: str
-    seconds: int
     rows: list[Row]
 
     def write(self) -> Path:
         """One line a case: of each precision the outcome, the share of the bound and the text."""
         path = FOLDER / f"{self.backend}.json"
-        head = {key: value for key, value in asdict(self).items() if key != "rows"}
         lines: dict[str, dict[str, Any]] = {}
         for row in self.rows:
             share = None if math.isnan(row.verdict.share) else float(f"{row.verdict.share:.3g}")
             line = lines.setdefault(row.key, {"key": row.key})
             line[row.precision] = [row.verdict.outcome, share, row.verdict.text]
-        record.write(path, head, list(lines.values()))
+        record.write(path, self.head(), list(lines.values()))
         return path
 
     @staticmethod
