@@ -2,11 +2,14 @@
 
 #include <cmath>
 #include <limits>
+#include <span>
+#include <vector>
 
 #include "backend/backend.h"
 #include "tensor/view.h"
 
-/// From a view's reports in host memory to a StepResult: the last, short reduction over patches, in their order.
+/// Between a view and the host: from reports to a StepResult, the last, short reduction over patches, in their order;
+/// and what a state remembers, gives and takes, whatever device its buffers are on.
 namespace tensormass::backend {
 
 template <class Real>
@@ -107,6 +110,86 @@ tensor::StepControl<Real> control_of(const model::Model& m, const StepInput& inp
   out.cg_max_iterations = input.cg_max_iterations;
   out.keeps = input.keeps ? 1 : 0;
   return out;
+}
+
+/// What a state remembers, and how it goes back to the begin of a step; the same on every device.
+template <class Real>
+class Memory {
+ public:
+  /// What the coming step is told.
+  tensor::StepControl<Real> begin(const model::Model& m, const StepInput& input) {
+    if (input.keeps) {
+      kept_ = past_;
+      retries_ = false;
+    }
+    return control_of<Real>(m, input, past_);
+  }
+  void end(const StepInput& input) { past_.dt_s = past_.history_dt_s = input.dt_s; }
+  /// Fields were written from outside.
+  void start_anew(double history_dt_s) { past_ = {.history_dt_s = history_dt_s}; }
+  /// SceneState::restore. copy(from, count, to) may return before it is done.
+  template <class Copy>
+  void restore(const model::Model& m, const tensor::SceneView<Real>& view,
+               std::span<const tensor::ElementView<Real>> groups, const Copy& copy) {
+    const std::size_t reals = 4 * std::size_t{view.row_count};
+    copy(view.kept_displacement, reals, view.displacement);
+    copy(view.kept_velocity, reals, view.velocity);
+    if (view.previous_displacement != nullptr) {
+      copy(view.kept_previous_displacement, reals, view.previous_displacement);
+      copy(view.kept_previous_velocity, reals, view.previous_velocity);
+    }
+    // The step that is taken back has moved the histories on from the kept state, which is what a retry needs too; only
+    // a retry of several steps moves them further.
+    for (std::size_t g = 0; g < groups.size(); ++g) {
+      const std::size_t count = m.groups[g].history_reals();
+      if (retries_) {
+        copy(groups[g].kept_history, count, groups[g].history);
+      } else {
+        copy(groups[g].history, count, groups[g].kept_history);
+      }
+    }
+    retries_ = true;
+    past_ = kept_;
+    past_.history_dt_s = 0;
+  }
+
+  double history_dt_s() const { return past_.history_dt_s; }
+  double& largest_force_squared() { return past_.largest_force_squared; }
+
+ private:
+  Past past_, kept_;
+  bool retries_ = false;  // the last kept state has been gone back to
+};
+
+/// download(from, count): the numbers, as doubles.
+template <class Real, class Download>
+RowState read_state(const model::Model& m, const tensor::SceneView<Real>& view,
+                    std::span<const tensor::ElementView<Real>> groups, double history_dt_s, const Download& download) {
+  const std::size_t reals = 4 * std::size_t{view.row_count};
+  RowState state{download(view.displacement, reals), download(view.velocity, reals), {}, history_dt_s};
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    const std::vector<double> history = download(groups[g].history, m.groups[g].history_reals());
+    state.histories.insert(state.histories.end(), history.begin(), history.end());
+  }
+  return state;
+}
+
+/// upload(to, from)
+template <class Real, class Upload>
+void write_state(const model::Model& m, const tensor::SceneView<Real>& view,
+                 std::span<const tensor::ElementView<Real>> groups, const RowState& state, const Upload& upload) {
+  upload(view.displacement, state.displacement);
+  upload(view.velocity, state.velocity);
+  if (view.previous_displacement != nullptr) {
+    upload(view.previous_displacement, state.displacement);
+    upload(view.previous_velocity, state.velocity);
+  }
+  std::span<const double> histories = state.histories;
+  for (std::size_t g = 0; g < groups.size(); ++g) {
+    const std::size_t count = m.groups[g].history_reals();
+    upload(groups[g].history, histories.first(count));
+    histories = histories.subspan(count);
+  }
 }
 
 template <class Real>

@@ -16,6 +16,55 @@
 /// Sums run in a fixed order: results repeat bitwise for the same number of patches.
 namespace tensormass::solver {
 
+/// a / b, in single precision on a device to two units in the last place: its exact division is a function call, and
+/// two of them stand in the chain of every iteration.
+template <class Real>
+TM_HOST_DEVICE Real quotient(Real a, Real b) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) return __fdividef(a, b);
+#endif
+  return a / b;
+}
+
+/// r·r and what follows from it; the same in every patch.
+template <class Real>
+class Recurrence {
+ public:
+  /// The sums of an iteration. False: the solve ends before its update.
+  TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr) {
+    if (iterations_ == 0) first_rr_ = rr_next_ = rr;
+    if (!(rr > 0)) return false;  // solved exactly, or not a number
+    if (!(pq > 0)) {
+      negative_curvature_ = pq != 0;  // zero: what is left of the residual is below the smallest number
+      return false;
+    }
+    alpha_ = quotient(rr, pq);
+    rr_next_ = maximum(rr - 2 * alpha_ * pq + alpha_ * alpha_ * qq, Real(0));
+    beta_ = quotient(rr_next_, rr);
+    ++iterations_;
+    return true;
+  }
+  /// After an update.
+  TM_HOST_DEVICE bool goes_on(const tensor::SceneView<Real>& s) const {
+    return iterations_ < s.control->cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
+  }
+  TM_HOST_DEVICE void report(const tensor::SceneView<Real>& s) const {
+    using std::sqrt;
+    s.solve_report->relative_residual = first_rr_ == 0 ? Real(0) : sqrt(rr_next_ / first_rr_);
+    s.solve_report->iterations = iterations_;
+    s.solve_report->negative_curvature = negative_curvature_ ? 1 : 0;
+  }
+
+  TM_HOST_DEVICE Real alpha() const { return alpha_; }
+  TM_HOST_DEVICE Real beta() const { return beta_; }
+  TM_HOST_DEVICE std::uint32_t iterations() const { return iterations_; }
+
+ private:
+  Real alpha_ = 0, beta_ = 0, first_rr_ = 0, rr_next_ = 0;
+  std::uint32_t iterations_ = 0;
+  bool negative_curvature_ = false;
+};
+
 /// Reads edges, rhs; writes solution, residual, direction, product, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real>& s) {
@@ -50,10 +99,9 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     const T residual = Lanes::load(r + c);
     sum_rr += residual * residual;
   });
-  Real first_rr = 0, rr_next = 0;
-  std::uint32_t iteration = 0;
-  bool negative_curvature = false;
-  while (iteration < s.control->cg_max_iterations) {
+  Recurrence<Real> recurrence;
+  do {
+    const std::uint32_t iteration = recurrence.iterations();
     Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
     Real* own_product = product + std::size_t{4} * patch.row_begin;
     T sum_pq = T(0), sum_qq = T(0);
@@ -85,17 +133,8 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     }
     Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(sum_qq), Lanes::sum(sum_rr)};
     team.exchange(sums, s.reduction + std::size_t{iteration & 1} * 4 * s.patch_count);
-    const Real pq = sums[0], qq = sums[1], rr = sums[2];
-    if (iteration == 0) first_rr = rr_next = rr;
-    if (!(rr > 0)) break;  // solved exactly, or not a number
-    if (!(pq > 0)) {
-      negative_curvature = pq != 0;  // zero: what is left of the residual is below the smallest number
-      break;
-    }
-
-    const Real alpha = rr / pq;
-    rr_next = maximum(rr - 2 * alpha * pq + alpha * alpha * qq, Real(0));
-    const Real beta = rr_next / rr;
+    if (!recurrence.take(sums[0], sums[1], sums[2])) break;
+    const Real alpha = recurrence.alpha(), beta = recurrence.beta();
     // Component by component: rows are of four, of which the last stays zero.
     sum_rr = T(0);
     team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
@@ -116,16 +155,9 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
       tensor::store3<Real>(p, local, residual + tensor::load3<Real>(p, local) * beta);
     });
     team.sync();
-    ++iteration;
-    if (rr_next <= s.cg_tolerance * s.cg_tolerance * first_rr) break;
-  }
+  } while (recurrence.goes_on(s));
 
-  if (team.leads()) {
-    using std::sqrt;
-    s.solve_report->relative_residual = first_rr == 0 ? Real(0) : sqrt(rr_next / first_rr);
-    s.solve_report->iterations = iteration;
-    s.solve_report->negative_curvature = negative_curvature ? 1 : 0;
-  }
+  if (team.leads()) recurrence.report(s);
 }
 
 }  // namespace tensormass::solver

@@ -277,10 +277,7 @@ PatchElements order_by_patch(const Layout& layout, std::span<const std::uint32_t
   const std::size_t element_count = rows.size() / node_count;
   PatchElements out;
   std::vector<std::vector<std::uint32_t>> of_patch(layout.patch_count);
-  std::vector<std::uint32_t> patch_of_slice;  // rows of 32
-  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
-    patch_of_slice.resize(layout.patch_rows[patch + 1] / kSliceRows, patch);
-  }
+  const std::vector<std::uint32_t> patch_of_slice = layout.patch_of_slice();
   for (std::size_t e = 0; e < element_count; ++e) {
     const auto nodes = rows.subspan(e * node_count, node_count);
     for (std::size_t k = 0; k < node_count; ++k) {

@@ -4,6 +4,8 @@
 #include <cassert>
 #include <numeric>
 
+#include "physics/element/element.h"
+
 namespace tensormass::tensor {
 
 namespace {
@@ -128,8 +130,9 @@ class Builder {
           add(slots + own - row_begin, i * record + force_offset(k));
           for (std::uint32_t l = 0; l < group.node_count; ++l) {
             if (l == k) continue;
-            const std::uint32_t low = std::min(k, l), high = std::max(k, l);
-            const std::uint32_t pair = low * (2 * group.node_count - low - 1) / 2 + high - low - 1;
+            const auto pair = static_cast<std::uint32_t>(physics::pair_index(static_cast<int>(group.node_count),
+                                                                             static_cast<int>(std::min(k, l)),
+                                                                             static_cast<int>(std::max(k, l))));
             add(layout_.slot(own, row(l)) - slot_begin,
                 (i * record + edge_offset(group.node_count, pair)) * 2 + (l < k ? 1 : 0));
           }

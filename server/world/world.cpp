@@ -51,16 +51,12 @@ void World::write_start() {
   const auto or_rest = [&](const std::vector<double>& start) { return start.empty() ? rest : start; };
   state_->write(
       {or_rest(model_->initial_displacement), or_rest(model_->initial_velocity), std::vector<double>(histories, 0.0)});
-  double kinetic_j = 0, elastic_j = 0;
+  double kinetic_j = 0;
   for (std::size_t i = 0; i < model_->initial_velocity.size(); ++i) {
     const double v = i % 4 < 3 ? model_->initial_velocity[i] : 0;
     kinetic_j += model_->row_mass[i / 4] * v * v / 2;
   }
-  if (!model_->initial_displacement.empty()) {
-    state_->watch(watched_);
-    for (const backend::GroupWatch& group : watched_) elastic_j += group.elastic_energy_j;
-  }
-  energy_.start(kinetic_j, elastic_j);
+  energy_.start(kinetic_j, model_->initial_displacement.empty() ? 0 : watch_elastic_energy());
 }
 
 void World::place_tools() {
@@ -184,12 +180,14 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
   return {};
 }
 
-void World::watch() {
+double World::watch_elastic_energy() {
   state_->watch(watched_);
   double elastic_j = 0;
   for (const backend::GroupWatch& group : watched_) elastic_j += group.elastic_energy_j;
-  energy_.look(elastic_j);
+  return elastic_j;
 }
+
+void World::watch() { energy_.look(watch_elastic_energy()); }
 
 void World::reset() {
   write_start();

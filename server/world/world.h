@@ -77,6 +77,7 @@ class World {
  private:
   World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
   void write_start();
+  double watch_elastic_energy();  ///< of all elements, as they are now [J]
   void place_tools();
   void move_tools();
   void read_tools();

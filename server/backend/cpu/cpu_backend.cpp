@@ -50,15 +50,11 @@ class CpuState final : public SceneState {
       tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_);
-    *control_ = control_of<Real>(model_, input, past_);
-    if (input.keeps) {
-      kept_past_ = past_;
-      retries_ = false;
-    }
+    *control_ = memory_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
-                           kRoundingShare<Real>, past_.largest_force_squared);
+                           kRoundingShare<Real>, memory_.largest_force_squared());
       if (input.gather_visible) gather_visible();
     } else {
       run_team(kWholeStep | (input.gather_visible ? kGather : 0));
@@ -66,32 +62,13 @@ class CpuState final : public SceneState {
     }
     read_forces<Real>({view_.tool_loads, std::size_t{view_.tool_count} * view_.patch_count}, forces);
     result.min_det_f = read_volume<Real>(model_, {view_.min_det_f, model_.groups.size() * view_.patch_count});
-    past_.dt_s = past_.history_dt_s = input.dt_s;
+    memory_.end(input);
     return result;
   }
 
   void restore() override {
-    const auto copy = [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); };
-    const std::size_t reals = 4 * std::size_t{view_.row_count};
-    copy(view_.kept_displacement, reals, view_.displacement);
-    copy(view_.kept_velocity, reals, view_.velocity);
-    if (view_.previous_displacement != nullptr) {
-      copy(view_.kept_previous_displacement, reals, view_.previous_displacement);
-      copy(view_.kept_previous_velocity, reals, view_.previous_velocity);
-    }
-    // The step that is taken back has moved the histories on from the kept state, which is what a retry needs too; only
-    // a retry of several steps moves them further.
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const std::size_t count = model_.groups[g].history_reals();
-      if (retries_) {
-        copy(groups_[g].kept_history, count, groups_[g].history);
-      } else {
-        copy(groups_[g].history, count, groups_[g].kept_history);
-      }
-    }
-    retries_ = true;
-    past_ = kept_past_;
-    past_.history_dt_s = 0;
+    memory_.restore(model_, view_, std::span<const tensor::ElementView<Real>>(groups_),
+                    [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); });
   }
 
   std::span<const float> visible_positions() override {
@@ -105,34 +82,15 @@ class CpuState final : public SceneState {
   }
 
   RowState read() override {
-    const std::size_t reals = 4 * std::size_t{view_.row_count};
-    RowState state{{view_.displacement, view_.displacement + reals},
-                   {view_.velocity, view_.velocity + reals},
-                   {},
-                   past_.history_dt_s};
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const Real* history = groups_[g].history;
-      state.histories.insert(state.histories.end(), history, history + model_.groups[g].history_reals());
-    }
-    return state;
+    return read_state(model_, view_, std::span<const tensor::ElementView<Real>>(groups_), memory_.history_dt_s(),
+                      [](const Real* from, std::size_t count) { return std::vector<double>(from, from + count); });
   }
   void write(const RowState& state) override {
-    const auto copy = [](std::span<const double> from, Real* to) {
-      std::transform(from.begin(), from.end(), to, [](double value) { return static_cast<Real>(value); });
-    };
-    copy(state.displacement, view_.displacement);
-    copy(state.velocity, view_.velocity);
-    if (view_.previous_displacement != nullptr) {
-      copy(state.displacement, view_.previous_displacement);
-      copy(state.velocity, view_.previous_velocity);
-    }
-    past_ = {.history_dt_s = state.history_dt_s};
-    std::span<const double> histories = state.histories;
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const std::size_t count = model_.groups[g].history_reals();
-      copy(histories.first(count), groups_[g].history);
-      histories = histories.subspan(count);
-    }
+    write_state(model_, view_, std::span<const tensor::ElementView<Real>>(groups_), state,
+                [](Real* to, std::span<const double> from) {
+                  std::transform(from.begin(), from.end(), to, [](double value) { return static_cast<Real>(value); });
+                });
+    memory_.start_anew(state.history_dt_s);
   }
 
   // What newton_step needs of a device.
@@ -197,8 +155,7 @@ class CpuState final : public SceneState {
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
-  Past past_, kept_past_;
-  bool retries_ = false;  // the last kept state has been gone back to
+  Memory<Real> memory_;
   std::vector<std::thread> workers_;
 };
 

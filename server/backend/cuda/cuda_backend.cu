@@ -143,15 +143,11 @@ class CudaState final : public SceneState {
       tools_.data()[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_.data());
-    *control_.data() = control_of<Real>(model_, input, past_);
-    if (input.keeps) {
-      kept_past_ = past_;
-      retries_ = false;
-    }
+    *control_.data() = memory_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
-                           kRoundingShare<Real>, past_.largest_force_squared);
+                           kRoundingShare<Real>, memory_.largest_force_squared());
     } else {
       launch_graph(step_, "step");
     }
@@ -160,33 +156,16 @@ class CudaState final : public SceneState {
     read_forces<Real>(loads_.span(), forces);
     if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, min_det_f_.span());
-    past_.dt_s = past_.history_dt_s = input.dt_s;
+    memory_.end(input);
     return result;
   }
 
   void restore() override {
-    const auto copy = [&](const Real* from, std::size_t count, Real* to) {
-      if (count == 0) return;
-      check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream_), "restore");
-    };
-    const std::size_t reals = 4 * std::size_t{view_.row_count};
-    copy(view_.kept_displacement, reals, view_.displacement);
-    copy(view_.kept_velocity, reals, view_.velocity);
-    if (view_.previous_displacement != nullptr) {
-      copy(view_.kept_previous_displacement, reals, view_.previous_displacement);
-      copy(view_.kept_previous_velocity, reals, view_.previous_velocity);
-    }
-    for (std::size_t g = 0; g < groups_.size(); ++g) {  // as on the CPU
-      const std::size_t count = model_.groups[g].history_reals();
-      if (retries_) {
-        copy(groups_[g].kept_history, count, groups_[g].history);
-      } else {
-        copy(groups_[g].history, count, groups_[g].kept_history);
-      }
-    }
-    retries_ = true;
-    past_ = kept_past_;
-    past_.history_dt_s = 0;
+    memory_.restore(
+        model_, view_, std::span<const ElementView<Real>>(groups_), [&](const Real* from, std::size_t count, Real* to) {
+          if (count == 0) return;
+          check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream_), "restore");
+        });
     wait("restore");  // reading back does not go by this stream
   }
 
@@ -204,28 +183,13 @@ class CudaState final : public SceneState {
   }
 
   RowState read() override {
-    const std::size_t reals = 4 * std::size_t{view_.row_count};
-    RowState state{download(view_.displacement, reals), download(view_.velocity, reals), {}, past_.history_dt_s};
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const std::vector<double> history = download(groups_[g].history, model_.groups[g].history_reals());
-      state.histories.insert(state.histories.end(), history.begin(), history.end());
-    }
-    return state;
+    return read_state(model_, view_, std::span<const ElementView<Real>>(groups_), memory_.history_dt_s(),
+                      [&](const Real* from, std::size_t count) { return download(from, count); });
   }
   void write(const RowState& state) override {
-    upload(view_.displacement, state.displacement);
-    upload(view_.velocity, state.velocity);
-    if (view_.previous_displacement != nullptr) {
-      upload(view_.previous_displacement, state.displacement);
-      upload(view_.previous_velocity, state.velocity);
-    }
-    past_ = {.history_dt_s = state.history_dt_s};
-    std::span<const double> histories = state.histories;
-    for (std::size_t g = 0; g < groups_.size(); ++g) {
-      const std::size_t count = model_.groups[g].history_reals();
-      upload(groups_[g].history, histories.first(count));
-      histories = histories.subspan(count);
-    }
+    write_state(model_, view_, std::span<const ElementView<Real>>(groups_), state,
+                [&](Real* to, std::span<const double> from) { upload(to, from); });
+    memory_.start_anew(state.history_dt_s);
     check(cudaDeviceSynchronize(), "write");  // copies from pageable memory may still be under way
   }
 
@@ -414,8 +378,7 @@ class CudaState final : public SceneState {
   std::vector<ElementView<Real>> groups_;
   unsigned threads_ = 0;
   cuda::SolvePlan solve_plan_;
-  Past past_, kept_past_;
-  bool retries_ = false;  // the last kept state has been gone back to
+  Memory<Real> memory_;
   cudaStream_t stream_ = nullptr;
   cudaGraphExec_t step_ = nullptr;
   cudaGraphExec_t gather_ = nullptr;

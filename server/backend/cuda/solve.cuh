@@ -2,9 +2,10 @@
 
 #include "backend/cuda/exchange.cuh"
 #include "solver/advance.h"
+#include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
 
-/// The recurrence of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
+/// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
 /// solve. What differs is where numbers are kept and how patches exchange them (exchange.cuh).
 ///
 ///   resident_solve   a thread a row: matrix, vectors and direction stay in registers and shared memory
@@ -14,41 +15,6 @@ namespace tensormass::backend::cuda {
 
 using tensor::kSliceRows;
 using tensor::SceneView;
-
-/// r·r and what follows from it; the same in every thread of every patch.
-class Recurrence {
- public:
-  /// False: the solve ends before this iteration's update.
-  __device__ bool take(const Exchange::Cell& sums) {
-    const float pq = sums.x, qq = sums.y, rr = sums.z;
-    if (iterations_ == 0) first_rr_ = rr_next_ = rr;
-    if (!(rr > 0)) return false;  // solved exactly, or not a number
-    if (!(pq > 0)) {
-      negative_curvature_ = pq != 0;  // zero: what is left of the residual is below the smallest number
-      return false;
-    }
-    alpha = __fdividef(rr, pq);
-    rr_next_ = maximum(rr - 2 * alpha * pq + alpha * alpha * qq, 0.0f);
-    beta = __fdividef(rr_next_, rr);
-    ++iterations_;
-    return true;
-  }
-  __device__ bool goes_on(const SceneView<float>& s) const {
-    return iterations_ < s.control->cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
-  }
-  __device__ void report(const SceneView<float>& s) const {
-    s.solve_report->relative_residual = first_rr_ == 0 ? 0 : sqrtf(rr_next_ / first_rr_);
-    s.solve_report->iterations = iterations_;
-    s.solve_report->negative_curvature = negative_curvature_ ? 1 : 0;
-  }
-
-  float alpha = 0, beta = 0;
-
- private:
-  float first_rr_ = 0, rr_next_ = 0;
-  std::uint32_t iterations_ = 0;
-  bool negative_curvature_ = false;
-};
 
 /// The sums of all patches, in three turns around barriers of the block: a warp's, a patch's, which the first warp
 /// publishes, and those of all patches, for each of which one of `summers` threads waits. In a fixed order, and so the
@@ -196,7 +162,7 @@ __global__ void __launch_bounds__(Threads, 1)
   const float4 start = has_row ? direction[thread] : float4{};
   Vec3<float> p(start.x, start.y, start.z), r = p, x = Vec3<float>::Zero();
   Exchange exchange(s, patch.index);
-  Recurrence recurrence;
+  solver::Recurrence<float> recurrence;
   do {
     exchange.begin();
     Vec3<float> q = p;
@@ -242,8 +208,9 @@ __global__ void __launch_bounds__(Threads, 1)
       }
     }
     __syncthreads();
-    if (!recurrence.take(sums.total(s.patch_count))) break;
-    const float alpha = recurrence.alpha, beta = recurrence.beta;
+    const Exchange::Cell all = sums.total(s.patch_count);
+    if (!recurrence.take(all.x, all.y, all.z)) break;
+    const float alpha = recurrence.alpha(), beta = recurrence.beta();
     x += p * alpha;
     r -= q * alpha;
     p = r + p * beta;
@@ -324,7 +291,7 @@ __global__ void __launch_bounds__(Threads, 1)
   __syncthreads();
 
   Exchange exchange(s, patch.index);
-  Recurrence recurrence;
+  solver::Recurrence<float> recurrence;
   bool scaled = false;
   do {
     exchange.begin();
@@ -368,8 +335,9 @@ __global__ void __launch_bounds__(Threads, 1)
     sums.add_warp(own_sums);
     if (thread < summers) sums.exchange(exchange, s.patch_count);
     __syncthreads();
-    if (!recurrence.take(sums.total(s.patch_count))) break;
-    const float alpha = recurrence.alpha, beta = recurrence.beta;
+    const Exchange::Cell all = sums.total(s.patch_count);
+    if (!recurrence.take(all.x, all.y, all.z)) break;
+    const float alpha = recurrence.alpha(), beta = recurrence.beta();
     for (std::uint32_t local = thread; local < own; local += Threads) {
       const Vec3<float> direction = p[local];
       const Vec3<float> residual = r[local] - q[local] * alpha;
