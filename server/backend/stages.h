@@ -7,6 +7,7 @@
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
 #include "tensor/assembly.h"
+#include "tensor/rows.h"
 #include "tensor/visible.h"
 
 /// The stages as types, so that every backend runs the same functions: the CPU calls `run` with the team of a thread,
@@ -37,9 +38,6 @@ TM_STAGE(Predict, kNone, solver::predict);
 TM_STAGE(Drive, kNone, solver::drive);
 TM_STAGE(DetectContact, kReduces, contact::detect);
 TM_STAGE(RespondContact, kNone, contact::respond);
-TM_STAGE(AssembleConstant, kNone, (tensor::assemble<true, false>));
-TM_STAGE(AssemblePartial, kNone, (tensor::assemble<false, true>));
-TM_STAGE(AssembleBoth, kNone, (tensor::assemble<true, true>));
 TM_STAGE(ExternalForces, kNone, tensor::add_external_forces);
 TM_STAGE(Pressure, kNone, tensor::add_pressure);
 TM_STAGE(AssembleContact, kNone, contact::assemble);
@@ -53,6 +51,20 @@ TM_STAGE(MeasureContact, kReduces, contact::measure);
 TM_STAGE(GatherVisible, kNone, tensor::gather_visible);
 
 #undef TM_STAGE
+
+/// The part of the system that is not refreshed: before the elements where they add to it, else behind them.
+template <bool HasConstant>
+struct Assemble {
+  static constexpr Communication kCommunication = Communication::kNone;
+  template <class Team, class Real>
+  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>&) {
+    if constexpr (requires { Team::kOneThread; }) {
+      tensor::begin_edges<HasConstant>(team, s);
+    } else {
+      tensor::finish_rows<HasConstant>(team, s);
+    }
+  }
+};
 
 template <class Shape>
 struct CheckVolume {
@@ -81,9 +93,7 @@ void with_stage(const model::Model& m, const model::Stage& stage, Visit&& visit)
     case StageKind::kWatch:
       return;
     case StageKind::kAssemble:
-      if (!m.has_refreshed_tensors()) return visit(AssembleConstant{});
-      if (m.constant_edges.empty()) return visit(AssemblePartial{});
-      return visit(AssembleBoth{});
+      return m.constant_edges.empty() ? visit(Assemble<false>{}) : visit(Assemble<true>{});
     case StageKind::kExternalForces:
       return visit(ExternalForces{});
     case StageKind::kPressure:

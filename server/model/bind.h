@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <string_view>
 
+#include "core/parallel.h"
 #include "model/model.h"
 
 /// The one place that says which buffers a model needs. The same function fills a view in host memory, in device
@@ -12,6 +13,7 @@ namespace tensormass::model {
 /// An Arena has
 ///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted by static_cast; nullptr for an empty vector
 ///   T* zeros<T>(name, count)                           zeroed memory; nullptr for no items
+///   const T* generated<T>(name, count, fill)           what fill(T*) writes over zeros; nullptr for no items
 template <class Real, class Arena>
 tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   using std::uint32_t;
@@ -31,10 +33,10 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
   s.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
   s.halo = arena.template constant<uint32_t>("halo rows", layout.halo);
-  if (m.has_tiles) s.patch_of_slice = arena.template constant<uint32_t>("patches of slices", layout.patch_of_slice());
+  const bool edges = layout.storage == tensor::Storage::kEdges;
+  if (!edges) s.patch_of_slice = arena.template constant<uint32_t>("patches of slices", layout.patch_of_slice());
   s.slice_begin = arena.template constant<uint32_t>("matrix slices", layout.slice_begin);
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
-  const bool edges = layout.storage == tensor::Storage::kEdges;
   s.slice_halo = arena.template constant<uint32_t>("matrix slices' halo", layout.slice_halo);
   s.patch_boundary = arena.template constant<uint32_t>("boundary rows of patches", layout.patch_boundary);
   s.boundary = arena.template constant<uint32_t>("boundary rows", layout.boundary);
@@ -42,16 +44,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
 
   s.constant_edges = arena.template constant<Real>("constant edge tensors", m.constant_edges);
 
-  s.partials = arena.template zeros<Real>("element tensors", m.partial_reals());
-  if (!m.gather.force.empty()) {
-    s.force_gather_begin = arena.template constant<uint32_t>("force gather offsets", m.gather.force_begin);
-    s.force_gather = arena.template constant<uint32_t>("force gather", m.gather.force);
-    s.edge_gather_begin = arena.template constant<uint32_t>("edge gather offsets", m.gather.edge_begin);
-    s.edge_gather = arena.template constant<uint32_t>("edge gather", m.gather.edge);
-  }
-
-  s.open_slice_count = static_cast<uint32_t>(m.open_slices.size());
-  s.open_slices = arena.template constant<uint32_t>("rows without tiles", m.open_slices);
+  s.begun_slices = arena.template constant<std::uint8_t>("begun rows", m.begun_slices);
 
   s.displacement = arena.template zeros<Real>("displacement", 4 * rows);
   s.velocity = arena.template zeros<Real>("velocity", 4 * rows);
@@ -121,17 +114,51 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   return s;
 }
 
+/// Rest shapes and parameters of a group, element by element (tensor::record_reals).
+template <class Real>
+void write_records(const ElementGroup& group, Real* to) {
+  const std::size_t stride = group.stride, parameters = group.parameters.size() / stride;
+  const std::size_t reals = group.rest.size() / stride / group.point_count, record = group.record_reals();
+  const std::size_t step = tensor::point_stride(static_cast<std::uint32_t>(reals), group.point_count);
+  constexpr std::size_t kGrain = 16384;
+  parallel_ranges(stride, kGrain, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t e = begin; e < end; ++e) {
+      Real* own = to + e * record;
+      for (std::size_t q = 0; q < group.point_count; ++q) {
+        for (std::size_t c = 0; c < reals; ++c) {
+          own[q * step + c] = static_cast<Real>(group.rest[(q * reals + c) * stride + e]);
+        }
+      }
+      for (std::size_t c = 0; c < parameters; ++c) {
+        own[group.point_count * step + c] = static_cast<Real>(group.parameters[c * stride + e]);
+      }
+    }
+  });
+}
+
 template <class Real, class Arena>
 tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena) {
   const ElementGroup& group = m.groups[group_index];
   tensor::ElementView<Real> e{};
   e.count = group.stride;
-  e.partial_begin = static_cast<std::uint32_t>(group.partial_begin);
   e.point_count = group.point_count;
   e.watch_begin = static_cast<std::uint32_t>(group_index) * m.layout.patch_count;
   e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
-  e.rest = arena.template constant<Real>("element rest shapes", group.rest);
-  e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+  if (m.layout.storage == tensor::Storage::kEdges) {
+    e.rest = arena.template constant<Real>("element rest shapes", group.rest);
+    e.parameters = arena.template constant<Real>("element parameters", group.parameters);
+  } else {
+    e.record_reals = group.record_reals();
+    e.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
+                                               [&](Real* to) { write_records(group, to); });
+    const tensor::RowLists& lists = group.row_lists;
+    e.slice_count = static_cast<std::uint32_t>(lists.slices.size());
+    e.slices = arena.template constant<std::uint32_t>("slices of elements", lists.slices);
+    e.list_begin = arena.template constant<std::uint32_t>("element list offsets", lists.list_begin);
+    e.listed = arena.template constant<std::uint32_t>("element lists", lists.listed);
+    e.place_bits = lists.place_bits;
+    e.places = arena.template constant<std::uint32_t>("places of elements", lists.places);
+  }
   e.shares = arena.template constant<tensor::PointShares<Real>>("selective integration", group.shares);
   e.prony_count = static_cast<std::uint32_t>(group.prony.size());
   for (std::size_t i = 0; i < group.prony.size(); ++i) {
@@ -141,20 +168,6 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
   e.pair_places = arena.template constant<std::uint32_t>("element places", group.pair_places);
   e.history = arena.template zeros<Real>("stress histories", group.history_reals());
   e.kept_history = arena.template zeros<Real>("kept stress histories", group.history_reals());
-  if (!group.tiles.parts.empty()) {
-    const tensor::GroupTiles& tiles = group.tiles;
-    e.tile_count = static_cast<std::uint32_t>(tiles.tile_parts.size()) - 1;
-    for (const tensor::TilePart& part : tiles.parts) {
-      e.tile_reals = std::max(e.tile_reals, part.element_count);
-      e.tile_lists = std::max(e.tile_lists, part.list_count + part.entry_count + 2 * tensor::kTileAlignment);
-    }
-    e.tile_reals *= tensor::tile_record_reals(static_cast<std::uint32_t>(group.rows.size() / group.stride));
-    e.tile_parts = arena.template constant<std::uint32_t>("tiles", tiles.tile_parts);
-    e.parts = arena.template constant<tensor::TilePart>("parts of tiles", tiles.parts);
-    e.tile_elements = arena.template constant<std::uint32_t>("elements of tiles", tiles.elements);
-    e.tile_list = arena.template constant<std::uint16_t>("lists of tiles", tiles.lists);
-    e.tile_entries = arena.template constant<std::uint16_t>("entries of tiles", tiles.entries);
-  }
   return e;
 }
 

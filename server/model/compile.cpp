@@ -35,7 +35,7 @@ class Compiler {
     TM_CHECK(fill_supports_and_loads(c_));
     TM_CHECK(progress_.begin(LoadPart::kElements));
     TM_CHECK(group_elements(c_));
-    TM_CHECK(map_refreshed_tensors(c_, policy_));
+    list_elements_of_rows(c_);
     TM_CHECK(progress_.begin(LoadPart::kSurfaces));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {
@@ -365,10 +365,10 @@ class Compiler {
     const bool edges = model_.layout.storage == tensor::Storage::kEdges;
     add(edges, StageKind::kAssemble, Phase::kEvaluate);  // what elements then add to
     for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
-      add(!model_.groups[g].is_constant(), StageKind::kElements, Phase::kEvaluate, g);
+      add(!model_.groups[g].is_constant, StageKind::kElements, Phase::kEvaluate, g);
     }
-    add(!edges, StageKind::kAssemble, Phase::kEvaluate);  // what it gathers from elements
-    add(!model_.external.empty(), StageKind::kExternalForces, Phase::kEvaluate);
+    add(!model_.begun_slices.empty(), StageKind::kAssemble, Phase::kEvaluate);  // what elements leave to be finished
+    add(edges && !model_.external.empty(), StageKind::kExternalForces, Phase::kEvaluate);
     add(!model_.pressure.faces.empty(), StageKind::kPressure, Phase::kEvaluate);
     add(tools, StageKind::kAssembleContact, Phase::kEvaluate);
     add(iterates, StageKind::kMeasureResidual, Phase::kEvaluate);

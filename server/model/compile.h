@@ -14,7 +14,6 @@ struct PatchPolicy {
   std::uint32_t max_patches = 1;
   std::uint32_t min_nodes_per_patch = 1;
   tensor::Storage storage = tensor::Storage::kRows;
-  std::uint32_t tile_bytes = 0;  ///< shared memory for the records of a tile (tensor/tiles.h); 0: no tiles
   std::uint32_t count(std::uint32_t node_count) const;
 };
 

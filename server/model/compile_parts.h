@@ -83,8 +83,8 @@ Result<void> fill_supports_and_loads(Compilation& c);
 /// Linear laws go into constant tensors; every element goes into a group.
 Result<void> group_elements(Compilation& c);
 
-/// How rows find the tensors of elements that are refreshed: by tiles if the policy has them, or by gathering.
-Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy);
+/// Where rows evaluate their elements: which.
+void list_elements_of_rows(Compilation& c);
 
 void make_contact_surface(Compilation& c);
 Result<void> make_visible_surface(Compilation& c);

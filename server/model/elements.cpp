@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <limits>
 #include <map>
 #include <numeric>
 #include <tuple>
@@ -246,7 +245,6 @@ Result<void> group_elements(Compilation& c) {
                     body->name, folded - body->element_begin));
   }
 
-  std::uint64_t partial_begin = 0;
   for (const auto& [key, elements] : collected) {
     ElementGroup group;
     group.shape = key.shape;
@@ -262,8 +260,7 @@ Result<void> group_elements(Compilation& c) {
         edges ? tensor::order_by_patch(layout, elements.rows, elements.nodes) : tensor::PatchElements{};
     const std::vector<std::uint32_t> order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
     group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
-    group.partial_begin = partial_begin;
-    group.record_reals = key.constant ? 0 : tensor::record_reals(static_cast<std::uint32_t>(elements.nodes));
+    group.is_constant = key.constant;
     group.point_count = static_cast<std::uint32_t>(elements.shares.size());
     const auto divided = [](const physics::PointShares& one) { return one.deviatoric != 1 || one.volumetric != 1; };
     if (std::any_of(elements.shares.begin(), elements.shares.end(), divided)) group.shares = elements.shares;
@@ -280,39 +277,23 @@ Result<void> group_elements(Compilation& c) {
     if (edges && !key.constant) {
       group.pair_places = tensor::pair_places(layout, by_patch, group.rows, elements.nodes);
     }
-    partial_begin += std::uint64_t{group.stride} * group.record_reals;
     c.model.groups.push_back(std::move(group));
   }
   return {};
 }
 
-Result<void> map_refreshed_tensors(Compilation& c, const PatchPolicy& policy) {
+void list_elements_of_rows(Compilation& c) {
   Model& model = c.model;
-  if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
-  std::vector<tensor::ElementRows> rows;                           // the first groups, as those are refreshed
+  if (model.layout.storage == tensor::Storage::kEdges) return;  // elements write into the matrix
+  std::vector<tensor::ElementRows> rows;                        // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
-    if (group.is_constant()) continue;
-    rows.push_back({static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride,
-                    group.rows, static_cast<std::uint32_t>(group.partial_begin)});
+    if (group.is_constant) continue;
+    rows.push_back(
+        {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows});
   }
-  if (policy.tile_bytes > 0) {
-    const std::uint32_t reals = policy.tile_bytes / (model.double_precision ? sizeof(double) : sizeof(float));
-    tensor::Tiles tiles =
-        tensor::make_tiles(model.layout, rows, std::min(reals, tensor::kMaxTileReals), model.constant_edges.empty());
-    for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].tiles = std::move(tiles.groups[g]);
-    model.open_slices = std::move(tiles.open_slices);
-    model.has_tiles = true;
-    return {};
-  }
-  if (rows.empty()) return {};
-  if (model.partial_reals() > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(ErrorCode::kResourceExhausted,
-                fmt::format("the tensors of all elements are {} numbers, and gather maps address 2^32; use fewer "
-                            "elements, or shapes with fewer nodes",
-                            model.partial_reals()));
-  }
-  model.gather = tensor::make_gather_map(model.layout, rows);
-  return {};
+  tensor::GroupRowLists lists = tensor::make_row_lists(model.layout, rows, model.constant_edges.empty());
+  for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);
+  model.begun_slices = std::move(lists.begun_slices);
 }
 
 }  // namespace tensormass::model

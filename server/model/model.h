@@ -10,7 +10,7 @@
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "tensor/layout.h"
-#include "tensor/tiles.h"
+#include "tensor/row_lists.h"
 
 /// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
 /// means that the scene has no use for it; no backend allocates a buffer for it.
@@ -62,8 +62,7 @@ struct ElementGroup {
   int law = 0;    ///< index into physics::Laws
   std::uint32_t element_count = 0;
   std::uint32_t stride = 0;                  ///< places: a multiple of kSliceRows, at least element_count
-  std::uint64_t partial_begin = 0;           ///< in reals
-  std::uint32_t record_reals = 0;            ///< 0: the tensors are constant, in Model::constant_edges
+  bool is_constant = false;                  ///< the tensors are in Model::constant_edges
   std::uint32_t point_count = 0;             ///< quadrature points of an element
   std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
   std::vector<physics::PronyTerm> prony;     ///< empty: no memory
@@ -75,14 +74,18 @@ struct ElementGroup {
   std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
   std::vector<double> rest;             ///< [point_count][rest reals][stride]
   std::vector<double> parameters;       ///< [law parameters][stride]
-  tensor::GroupTiles tiles;             ///< only where the backend has tiles
+  tensor::RowLists row_lists;           ///< only with Storage::kRows, of refreshed tensors
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
   /// Its law does not recover from inversion; a pair of wedges is looked at by its wedges.
   bool checks_volume = false;
 
-  bool is_constant() const { return record_reals == 0; }
+  /// Of an element's record (tensor::record_reals).
+  std::uint32_t record_reals() const {
+    return tensor::record_reals(static_cast<std::uint32_t>(rest.size() / stride / point_count), point_count,
+                                static_cast<std::uint32_t>(parameters.size() / stride));
+  }
   bool is_wedge_pairs() const { return !partners.empty(); }
   /// Of Γ_i, [point_count][prony][6][stride].
   std::size_t history_reals() const {
@@ -190,9 +193,7 @@ struct Model {
   std::vector<std::string> warnings;
 
   tensor::Layout layout;
-  tensor::GatherMap gather;  ///< of `groups`; empty with tiles
-  bool has_tiles = false;
-  std::vector<std::uint32_t> open_slices;  ///< see SceneView; only with tiles
+  std::vector<std::uint8_t> begun_slices;  ///< see SceneView; only with Storage::kRows
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
@@ -217,15 +218,9 @@ struct Model {
   bool is_plain() const {
     return integrator == Integrator::kImplicitEuler && !iterates() && (mass_edges.empty() || driven.driven.empty());
   }
-  bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant(); }
+  bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });
-  }
-  std::uint64_t partial_reals() const {
-    std::uint64_t reals = 0;
-    if (has_tiles || layout.storage == tensor::Storage::kEdges) return reals;
-    for (const ElementGroup& group : groups) reals += std::uint64_t{group.stride} * group.record_reals;
-    return reals;
   }
 };
 

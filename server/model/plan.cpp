@@ -21,6 +21,10 @@ class CountingArena {
   const T* constant(std::string_view name, const std::vector<U>& items) {
     return zeros<T>(name, items.size());
   }
+  template <class T, class Fill>
+  const T* generated(std::string_view name, std::size_t count, const Fill&) {
+    return zeros<T>(name, count);
+  }
   template <class T>
   T* zeros(std::string_view name, std::size_t count) {
     if (count == 0) return nullptr;
@@ -45,8 +49,6 @@ Cost cost(const Model& m, const Stage& stage) {
   const double rows = m.layout.row_count, slots = m.layout.slot_count();
   const double tools = static_cast<double>(m.tools.size()), triangles = m.contact.triangle_count();
   const double incidences = static_cast<double>(m.contact.incidence.size()) / 4;
-  const double gathered_forces = static_cast<double>(m.gather.force.size());
-  const double gathered_edges = static_cast<double>(m.gather.edge.size());
   const bool constant = !m.constant_edges.empty(), edges = m.layout.storage == tensor::Storage::kEdges;
   switch (stage.kind) {
     case StageKind::kPredict:
@@ -61,35 +63,24 @@ Cost cost(const Model& m, const Stage& stage) {
     case StageKind::kElements: {
       const ElementGroup& g = m.groups[stage.group];
       const double history = static_cast<double>(g.history_reals());
-      const double per_element =
-          static_cast<double>(g.rows.size()) * (4 + 4 * real) / g.stride +
-          (static_cast<double>(g.rest.size() + g.parameters.size()) + 2 * history) * real / g.stride +
-          (edges ? static_cast<double>(g.pair_places.size()) / g.stride * 4 : g.record_reals * real);
-      if (m.has_tiles) {  // each element is read, and evaluated, by every tile that it touches; rows are written once
-        const double evaluated = static_cast<double>(g.tiles.elements.size());
-        const double lists = static_cast<double>(g.tiles.lists.size() + g.tiles.entries.size()) * 2 + evaluated * 4;
-        const double nodes = static_cast<double>(g.rows.size()) / g.stride;
-        return {evaluated * (per_element - g.record_reals * real) + lists + slots * (9 * real + 4) +
-                    rows * (6 * 4 + 8) * real,
-                evaluated * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
+      const double rest = (static_cast<double>(g.rest.size() + g.parameters.size()) + 2 * history) * real;
+      // Of StVK: about 120 for the stress of a point and 60 for each node, then 60 for each block.
+      const double nodes = static_cast<double>(g.rows.size()) / g.stride, points = g.stride * g.point_count;
+      if (!edges) {  // every node's row evaluates the element and its own blocks; if caches hold, it is read once
+        const double lists = static_cast<double>(g.row_lists.listed.size() + g.row_lists.places.size()) * 4;
+        return {rest + lists + slots * (9 * real + 4) + rows * (6 * 4 + 8) * real,
+                nodes * points * (120 + 60 * nodes + 60 * (nodes - 1))};
       }
-      // Of StVK: about 70 for the stress of a point, 60 for each pair of nodes.
-      const double nodes = static_cast<double>(g.rows.size()) / g.stride;
-      // With kEdges the matrix and the right-hand side are read and written, too.
-      const double added = edges ? (slots * 9 + rows * (8 + 4)) * 2 * real : 0;
-      return {g.stride * per_element + added, g.stride * g.point_count * (120 + 30 * nodes + 30 * nodes * nodes)};
+      const double elements =
+          static_cast<double>(g.rows.size()) * (4 + 4 * real) + rest + static_cast<double>(g.pair_places.size()) * 4;
+      // The matrix and the right-hand side are read and written, too.
+      return {elements + (slots * 9 + rows * (8 + 4)) * 2 * real, points * (120 + 30 * nodes + 30 * nodes * nodes)};
     }
     case StageKind::kAssemble:
       if (edges)
         return {slots * 9 * real * (constant ? 2 : 1) + rows * (3 * 4 + 8) * real, slots * (constant ? 90 : 0)};
-      if (m.has_tiles) {
-        const double open = static_cast<double>(m.open_slices.size()) * tensor::kSliceRows / rows;
-        return {open * (slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real),
-                open * (slots * (constant ? 54 : 36) + rows * 60)};
-      }
-      return {(gathered_forces * 3 + gathered_edges * 9) * real + (gathered_forces + gathered_edges) * 4 +
-                  slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
-              gathered_forces * 3 + gathered_edges * 9 + slots * (constant ? 54 : 36) + rows * 60};
+      return {slots * (9 * real * (constant ? 2 : 1) + 4) + rows * (4 * 4 + 8) * real,
+              slots * (constant ? 54 : 36) + rows * 60};
     case StageKind::kExternalForces:
       return {rows * 12 * real, rows * 6};
     case StageKind::kPressure: {

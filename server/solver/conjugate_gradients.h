@@ -30,6 +30,9 @@ TM_HOST_DEVICE Real quotient(Real a, Real b) {
 template <class Real>
 class Recurrence {
  public:
+  TM_HOST_DEVICE explicit Recurrence(const tensor::SceneView<Real>& s)
+      : tolerance_squared_(s.cg_tolerance * s.cg_tolerance), max_iterations_(s.control->cg_max_iterations) {}
+
   /// The sums of an iteration. False: the solve ends before its update.
   TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr) {
     if (iterations_ == 0) first_rr_ = rr_next_ = rr;
@@ -45,8 +48,8 @@ class Recurrence {
     return true;
   }
   /// After an update.
-  TM_HOST_DEVICE bool goes_on(const tensor::SceneView<Real>& s) const {
-    return iterations_ < s.control->cg_max_iterations && !(rr_next_ <= s.cg_tolerance * s.cg_tolerance * first_rr_);
+  TM_HOST_DEVICE bool goes_on() const {
+    return iterations_ < max_iterations_ && !(rr_next_ <= tolerance_squared_ * first_rr_);
   }
   TM_HOST_DEVICE void report(const tensor::SceneView<Real>& s) const {
     using std::sqrt;
@@ -60,6 +63,8 @@ class Recurrence {
   TM_HOST_DEVICE std::uint32_t iterations() const { return iterations_; }
 
  private:
+  Real tolerance_squared_;
+  std::uint32_t max_iterations_;
   Real alpha_ = 0, beta_ = 0, first_rr_ = 0, rr_next_ = 0;
   std::uint32_t iterations_ = 0;
   bool negative_curvature_ = false;
@@ -99,7 +104,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     const T residual = Lanes::load(r + c);
     sum_rr += residual * residual;
   });
-  Recurrence<Real> recurrence;
+  Recurrence<Real> recurrence(s);
   do {
     const std::uint32_t iteration = recurrence.iterations();
     Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
@@ -155,7 +160,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
       tensor::store3<Real>(p, local, residual + tensor::load3<Real>(p, local) * beta);
     });
     team.sync();
-  } while (recurrence.goes_on(s));
+  } while (recurrence.goes_on());
 
   if (team.leads()) recurrence.report(s);
 }

@@ -41,31 +41,89 @@ TM_HOST_DEVICE void load_displacement(const SceneView<Real>& s, const ElementVie
   }
 }
 
-template <class Lanes, class Shape, class Real>
-TM_HOST_DEVICE auto load_point(const ElementView<Real>& e, std::uint32_t point, std::uint32_t first) {
-  constexpr std::uint32_t kReals = physics::kRestReals<Shape>;
-  const Real* rest = e.rest + std::size_t{point} * kReals * e.count + first;
-  return physics::PointGradients<Shape, typename Lanes::Scalar>::read(
-      [&](int c) { return Lanes::load(rest + std::size_t{static_cast<std::uint32_t>(c)} * e.count); });
+/// Reals that lie together and begin at a multiple of four, as many as fill up to one.
+template <std::uint32_t Count, class Real>
+TM_HOST_DEVICE void read_reals(const Real* from, Real (&to)[Count]) {
+  static_assert(Count % 4 == 0);
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) {
+    TM_UNROLL_ALL
+    for (std::uint32_t c = 0; c < Count; c += 4) {
+      const float4 v = *reinterpret_cast<const float4*>(from + c);
+      to[c] = v.x;
+      to[c + 1] = v.y;
+      to[c + 2] = v.z;
+      to[c + 3] = v.w;
+    }
+  } else
+#endif
+  {
+    TM_UNROLL_ALL
+    for (std::uint32_t c = 0; c < Count; ++c) to[c] = from[c];
+  }
 }
+
+template <class Shape, class Real>
+TM_HOST_DEVICE std::uint32_t points_of(const ElementView<Real>& e) {
+  return Shape::kSinglePoint ? 1 : e.point_count;
+}
+
+/// Elements that are read one by one are records, those that are read by packs are structures of arrays.
+template <class Lanes>
+inline constexpr bool kReadsRecords = Lanes::kWidth == 1;
+
+/// A quadrature point of elements as it is stored. Reading it waits for nothing: what follows from it is computed where
+/// it is used.
+template <class Lanes, class Shape, class Law>
+struct StoredPoint {
+  using T = typename Lanes::Scalar;
+  static constexpr std::uint32_t kReals = physics::kRestReals<Shape>;
+  T reals[round_to_four(kReals)];
+  T parameters[maximum(Law::kParameterCount, 1)];
+
+  StoredPoint() = default;
+  template <class Real>
+  TM_HOST_DEVICE StoredPoint(const ElementView<Real>& e, std::uint32_t q, std::uint32_t first) {
+    if constexpr (kReadsRecords<Lanes>) {
+      const std::uint32_t points = points_of<Shape>(e), stride = point_stride(kReals, points);
+      const Real* record = e.records + std::size_t{first} * e.record_reals;
+      read_reals(record + q * stride, reals);
+      for (int c = 0; c < Law::kParameterCount; ++c) parameters[c] = record[points * stride + c];
+    } else {
+      const Real* rest = e.rest + std::size_t{q} * kReals * e.count + first;
+      TM_UNROLL_ALL
+      for (std::uint32_t c = 0; c < kReals; ++c) reals[c] = Lanes::load(rest + std::size_t{c} * e.count);
+      for (int c = 0; c < Law::kParameterCount; ++c) {
+        parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
+      }
+    }
+  }
+
+  TM_HOST_DEVICE auto gradients() const {
+    return physics::PointGradients<Shape, T>::read([&](int c) { return reals[c]; });
+  }
+  /// The law at F, with the part of its moduli that the point integrates.
+  template <class Real>
+  TM_HOST_DEVICE auto law_at(const ElementView<Real>& e, std::uint32_t q, const Mat3<T>& f) const {
+    T own[maximum(Law::kParameterCount, 1)];
+    for (int c = 0; c < Law::kParameterCount; ++c) own[c] = parameters[c];
+    if (!Shape::kSinglePoint && e.shares != nullptr) {
+      Law::take_shares(own, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
+    }
+    return Law::at(f, own);
+  }
+};
+
+/// What check_volume reads of a law: nothing.
+struct NoLaw {
+  static constexpr int kParameterCount = 0;
+};
 
 /// By how much the histories of elements are to move on: the length of the last step in the first evaluation of this
 /// one [s], then zero.
 template <class Real>
 TM_HOST_DEVICE Real history_step(const SceneView<Real>& s) {
   return s.newton == nullptr || s.newton->begins_step != 0 ? s.control->history_dt_s : Real(0);
-}
-
-/// What a point integrates of the law's moduli.
-template <class Lanes, class Shape, class Law, class Real, class T>
-TM_HOST_DEVICE void load_parameters(const ElementView<Real>& e, std::uint32_t point, std::uint32_t first,
-                                    T (&parameters)[Law::kParameterCount]) {
-  for (int c = 0; c < Law::kParameterCount; ++c) {
-    parameters[c] = Lanes::load(e.parameters + static_cast<std::size_t>(c) * e.count + first);
-  }
-  if (!Shape::kSinglePoint && e.shares != nullptr) {
-    Law::take_shares(parameters, T(e.shares[point].deviatoric), T(e.shares[point].volumetric));
-  }
 }
 
 /// The history of a point in a step of `dt_s` and, where history_dt_s is not zero, its move to the stress that the last
@@ -97,42 +155,34 @@ TM_HOST_DEVICE auto remember(const ElementView<Real>& e, std::uint32_t q, std::u
   return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
 }
 
-/// Calls visit(gradients, F, law's point, index of the point) for each quadrature point.
+/// Calls visit(gradients, F, law's point, index of the point) for each quadrature point. u: of the elements' nodes.
 template <class Lanes, class Shape, class Law, class Real, class Visit>
-TM_HOST_DEVICE void for_each_point(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
-                                   const Visit& visit) {
-  using T = typename Lanes::Scalar;
-  Vec3<T> u[Shape::kNodes];
-  load_displacement<Lanes, Shape>(s, e, first, u);
-  const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
+TM_HOST_DEVICE void for_each_point(const ElementView<Real>& e, std::uint32_t first,
+                                   const Vec3<typename Lanes::Scalar> (&u)[Shape::kNodes], const Visit& visit) {
   TM_UNROLL(1)
-  for (std::uint32_t q = 0; q < points; ++q) {
-    T parameters[Law::kParameterCount];
-    load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
-    const auto gradients = load_point<Lanes, Shape>(e, q, first);
-    const Mat3<T> f = gradients.deformation_gradient(u);
-    auto point = Law::at(f, parameters);
+  for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
+    const StoredPoint<Lanes, Shape, Law> stored(e, q, first);
+    const auto gradients = stored.gradients();
+    const Mat3<typename Lanes::Scalar> f = gradients.deformation_gradient(u);
+    auto point = stored.law_at(e, q, f);
     visit(gradients, f, point, q);
   }
 }
 
-/// Forces and stiffness of the elements at `first` go to `out` (physics::add_point). With `moves_history` the step's
-/// first evaluation also moves their memory.
-template <class Lanes, class Shape, class Law, class Real, class Out>
-TM_HOST_DEVICE void evaluate_elements(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t first,
-                                      bool moves_history, Out& out) {
-  const Real dt_s = s.control->dt_s, history_dt_s = moves_history ? history_step(s) : Real(0);
-  const auto kind = s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
-                                                                             : physics::Stiffness::kConsistent;
-  for_each_point<Lanes, Shape, Law>(
-      s, e, first, [&](const auto& gradients, const auto& f, auto& point, std::uint32_t q) {
-        if (e.prony_count == 0) {
-          physics::add_point<Shape, Law>(gradients, f, point, nullptr, kind, q == 0, out);
-        } else {
-          const auto viscous = remember<Lanes, Law>(e, q, first, point, dt_s, history_dt_s);
-          physics::add_point<Shape, Law>(gradients, f, point, &viscous, kind, q == 0, out);
-        }
-      });
+template <class Real>
+TM_HOST_DEVICE physics::Stiffness stiffness_kind(const SceneView<Real>& s) {
+  return s.newton == nullptr || s.newton->positive_stiffness != 0 ? physics::Stiffness::kPositive
+                                                                  : physics::Stiffness::kConsistent;
+}
+
+/// Calls add(memory of a point, or nullptr for a law without). history_dt_s as of remember.
+template <class Lanes, class Law, class Real, class Point, class Add>
+TM_HOST_DEVICE void with_memory(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t q,
+                                std::uint32_t first, const Point& point, Real history_dt_s, const Add& add) {
+  using Memory = physics::Viscous<typename Lanes::Scalar>;
+  if (e.prony_count == 0) return add(static_cast<const Memory*>(nullptr));
+  const Memory memory = remember<Lanes, Law>(e, q, first, point, s.control->dt_s, history_dt_s);
+  add(&memory);
 }
 
 /// Moves the memories of a group to the stress that the last step ended with: where several patches evaluate an
@@ -145,45 +195,37 @@ TM_HOST_DEVICE void move_histories(const Team& team, const SceneView<Real>& s, c
   if (!(history_dt_s > 0)) return;
   const ElementRange range = element_range(s, e, team.patch());
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
-    for_each_point<Lanes, Shape, Law>(s, e, first, [&](const auto&, const auto&, const auto& point, std::uint32_t q) {
+    Vec3<typename Lanes::Scalar> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
+    for_each_point<Lanes, Shape, Law>(e, first, u, [&](const auto&, const auto&, const auto& point, std::uint32_t q) {
       remember<Lanes, Law>(e, q, first, point, s.control->dt_s, history_dt_s);
     });
   });
 }
 
-/// Reads displacement, history; writes partials, history; with a matrix that stores edges, reads velocity and base
-/// fields, too, and adds to edges, diagonal, rhs, internal_force instead of partials.
+/// For a matrix that stores edges. Reads displacement, velocity, base fields, history; adds to edges, diagonal, rhs,
+/// internal_force; writes history.
 template <class Shape, class Law, class Team, class Real>
-TM_FLATTEN TM_HOST_DEVICE void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+TM_FLATTEN void element_pass(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
-  constexpr std::uint32_t kRecord = record_reals(Shape::kNodes);
   const ElementRange range = element_range(s, e, team.patch());
-  [[maybe_unused]] const Patch patch = patch_of(s, team.patch());
+  const Patch patch = patch_of(s, team.patch());
+  const Real history_dt_s = history_step(s);  // this evaluation moves the elements' memory
+  const physics::Stiffness kind = stiffness_kind(s);
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
-    if constexpr (requires { Team::kOneThread; }) {
-      if (stores_edges(s)) prefetch_elements<Lanes, Shape>(s, e, first);
-    }
+    prefetch_elements<Lanes, Shape>(s, e, first);
+    Vec3<T> u[Shape::kNodes];
+    load_displacement<Lanes, Shape>(s, e, first, u);
     physics::ElementTensors<Shape, T> tensors;
-    evaluate_elements<Lanes, Shape, Law>(s, e, first, true, tensors);
-    if constexpr (requires { Team::kOneThread; }) {
-      if (stores_edges(s)) {
-        const std::uint32_t left = range.end - first;
-        return add_to_edges<Lanes, Shape>(s, e, patch, first, left < Lanes::kWidth ? left : Lanes::kWidth, tensors);
-      }
-    }
-    T record[kRecord];
-    for (std::uint32_t k = 0; k < Shape::kNodes; ++k) {
-      for (std::uint32_t c = 0; c < 3; ++c) record[force_offset(k) + c] = tensors.force[k][c];
-    }
-    for (std::uint32_t pair = 0; pair < physics::kPairs<Shape::kNodes>; ++pair) {
-      for (std::uint32_t c = 0; c < 9; ++c) {
-        record[edge_offset(Shape::kNodes, pair) + c] = tensors.edge_stiffness[pair](c % 3, c / 3);
-      }
-    }
-    for (std::uint32_t c = edge_offset(Shape::kNodes, physics::kPairs<Shape::kNodes>); c < kRecord; ++c)
-      record[c] = T(0);
-    Lanes::scatter(s.partials + e.partial_begin + std::size_t{first} * kRecord, kRecord, record);
+    for_each_point<Lanes, Shape, Law>(
+        e, first, u, [&](const auto& gradients, const auto& f, auto& point, std::uint32_t q) {
+          with_memory<Lanes, Law>(s, e, q, first, point, history_dt_s, [&](const auto* memory) {
+            physics::add_point<Shape, Law>(gradients, f, point, memory, kind, q == 0, tensors);
+          });
+        });
+    const std::uint32_t left = range.end - first;
+    add_to_edges<Lanes, Shape>(s, e, patch, first, left < Lanes::kWidth ? left : Lanes::kWidth, tensors);
   });
 }
 
@@ -198,10 +240,10 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(s, e, first, u);
-    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
     TM_UNROLL(1)
-    for (std::uint32_t q = 0; q < points; ++q) {
-      const Mat3<T> f = load_point<Lanes, Shape>(e, q, first).deformation_gradient(u);  // of padding: the identity
+    for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
+      const StoredPoint<Lanes, Shape, NoLaw> stored(e, q, first);
+      const Mat3<T> f = stored.gradients().deformation_gradient(u);  // of padding: the identity
       compression = maximum(compression, T(-f.determinant()));
     }
   });
@@ -233,15 +275,9 @@ TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, c
     }
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(s, e, first, u);
-    const std::uint32_t points = Shape::kSinglePoint ? 1 : e.point_count;
-    TM_UNROLL(1)
-    for (std::uint32_t q = 0; q < points; ++q) {
-      T parameters[Law::kParameterCount];
-      load_parameters<Lanes, Shape, Law>(e, q, first, parameters);
-      const auto gradients = load_point<Lanes, Shape>(e, q, first);
-      const Mat3<T> f = gradients.deformation_gradient(u);  // of padding: the identity
-      // Padding has no parameters, and a law may have no energy without.
-      const T own = Law::energy(Law::at(f, parameters)) * gradients.weight;
+    for_each_point<Lanes, Shape, Law>(e, first, u, [&](const auto& gradients, const auto& f, const auto& point, auto) {
+      // Padding has no parameters, and a law may have no energy without; its F is the identity.
+      const T own = Law::energy(point) * gradients.weight;
       energy += counted * select_greater(gradients.weight, T(0), own, T(0));
       compression = maximum(compression, T(-f.determinant()));
       if constexpr (requires { Law::kLeastStretch; }) {
@@ -254,7 +290,7 @@ TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, c
       }
       const T x = f(2, 1) - f(1, 2), y = f(0, 2) - f(2, 0), z = f(1, 0) - f(0, 1);
       rotation = maximum(rotation, T((x * x + y * y + z * z) * T(0.25)));
-    }
+    });
   });
   const Real most[4] = {team.patch_max(Lanes::largest(compression)), team.patch_max(Lanes::largest(flattening)),
                         team.patch_max(Lanes::largest(strain)), team.patch_max(Lanes::largest(rotation))};
@@ -263,12 +299,6 @@ TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, c
   if (team.leads_patch()) {
     s.watch[e.watch_begin + team.patch()] = {-most[0], sqrt(most[2]), sqrt(most[3]), -most[1], sum[0]};
   }
-}
-
-/// The 3×3 block at `p`, column-major.
-template <class Real>
-TM_HOST_DEVICE Eigen::Map<const Mat3<Real>> dense(const Real* p) {
-  return Eigen::Map<const Mat3<Real>>(p);
 }
 
 /// What M and K are applied to in b, and what they are multiplied with in A. Neighbours of a row belong to the same
@@ -300,8 +330,9 @@ struct RowTerms {
 
 /// The part of A and b that is not refreshed: inertia and constant tensors. The element passes add theirs to it.
 /// Reads constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs, internal_force.
-template <bool HasConstant, class Real>
-void begin_edges(const SceneView<Real>& s, const Patch& patch) {
+template <bool HasConstant, class Team, class Real>
+void begin_edges(const Team& team, const SceneView<Real>& s) {
+  const Patch patch = patch_of(s, team.patch());
   for (std::uint32_t row = patch.row_begin; row < patch.row_end; ++row) {
     const RowTerms<Real> terms(s, row);
     store_symmetric<Real>(s.diagonal, row, Mat3<Real>::Identity() * (terms.mass * terms.mass_share()));
@@ -403,7 +434,9 @@ class RowAssembly {
         sums.vertex * terms_.stiffness_share() + Mat3<Real>::Identity() * (terms_.mass * terms_.mass_share());
     store_symmetric(s_.diagonal, row_, diagonal);
     const Vec3<Real> momentum = sums.momentum + terms_.momentum_gap(row_) * terms_.mass;
-    store3<Real>(s_.rhs, row_, (sums.force - sums.stiffness_ahead) * terms_.h + momentum);
+    Vec3<Real> force = sums.force - sums.stiffness_ahead;
+    if (s_.external != nullptr) force += load3<Real>(s_.external, row_);
+    store3<Real>(s_.rhs, row_, force * terms_.h + momentum);
     if (s_.internal_force != nullptr) store3<Real>(s_.internal_force, row_, sums.force);
   }
 
@@ -415,49 +448,13 @@ class RowAssembly {
   const Vec3<Real> displacement_, own_ahead_;
 };
 
-/// Gathers the tensors of each row in a fixed order and forms the row of A and b.
-/// Reads partials and constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs,
-/// internal_force.
-template <bool HasConstant, bool HasPartial, class Team, class Real>
-TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
-  const Patch patch = patch_of(s, team.patch());
-  if constexpr (requires { Team::kOneThread; }) {
-    if (stores_edges(s)) return begin_edges<HasConstant>(s, patch);
-  }
-  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const RowAssembly<HasConstant, Real> assembly(s, patch, row);
-    RowSums<Real> sums;
-    if constexpr (HasPartial) {
-      for (std::uint32_t i = s.force_gather_begin[row]; i < s.force_gather_begin[row + 1]; ++i) {
-        sums.force += Eigen::Map<const Vec3<Real>>(s.partials + s.force_gather[i]);
-      }
-    }
-    for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
-      Mat3<Real> edge = Mat3<Real>::Zero();
-      if constexpr (HasPartial) {
-        const std::uint32_t* begin = s.edge_gather_begin + 2 * slot;
-        Mat3<Real> transposed = Mat3<Real>::Zero();
-        for (std::uint32_t i = begin[0]; i < begin[1]; ++i) edge += dense(s.partials + s.edge_gather[i]);
-        for (std::uint32_t i = begin[1]; i < begin[2]; ++i) transposed += dense(s.partials + s.edge_gather[i]);
-        edge += transposed.transpose();
-      }
-      store_block<Real>(s.edges, slot, assembly.couple(slot, assembly.neighbour(column), edge, sums));
-    });
-    assembly.finish(sums);
-  });
-}
-
-/// Gravity and loads of a row.
-template <class Real>
-TM_HOST_DEVICE void add_external_force(const SceneView<Real>& s, std::uint32_t row) {
-  store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * step_size(s));
-}
-
-/// Adds constant forces: gravity and loads. Only scenes that name them have this stage.
+/// Adds constant forces, gravity and loads, to rows that store edges; others have them when they are finished.
 template <class Team, class Real>
 TM_HOST_DEVICE void add_external_forces(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());
-  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) { add_external_force(s, row); });
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    store3<Real>(s.rhs, row, load3<Real>(s.rhs, row) + load3<Real>(s.external, row) * step_size(s));
+  });
 }
 
 /// Pressure follows the surface; its change with the deformation stays out of the matrix, which it would make

@@ -1,6 +1,7 @@
 #include "tensor/layout.h"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <iterator>
 #include <numeric>
@@ -116,6 +117,55 @@ void number_rows(Layout& layout, const mesh::Partition& partition, const StoredE
   layout.row_count = layout.patch_rows.back();
 }
 
+/// Orders the neighbours of each row so that rows which a device reads at once, eight of them four numbers each, meet
+/// different banks of its memory: column modulo eight. Any order is as good otherwise. columns: of a slice,
+/// [width][kSliceRows]; ends: how many of each row are neighbours, the others padding.
+template <class Swap>
+void spread_over_banks(std::span<const std::uint32_t> columns, std::span<const std::uint32_t> ends, const Swap& swap) {
+  constexpr std::uint32_t kBanks = 8;
+  const auto width = static_cast<std::uint32_t>(columns.size()) / kSliceRows;
+  for (std::uint32_t first = 0; first < kSliceRows; first += kBanks) {
+    for (std::uint32_t j = 0; j < width; ++j) {
+      // What is left to be placed, by bank: the fullest first, or its rows would meet at the end.
+      std::array<std::uint32_t, kBanks> load{}, order{};
+      std::iota(order.begin(), order.end(), 0);
+      const auto column = [&](std::uint32_t i, std::uint32_t k) { return columns[k * kSliceRows + first + i]; };
+      for (std::uint32_t i = 0; i < kBanks; ++i) {
+        for (std::uint32_t k = j; k < ends[first + i]; ++k) ++load[column(i, k) % kBanks];
+      }
+      std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return load[a] > load[b]; });
+      const auto find = [&](std::uint32_t i, std::uint32_t bank) {
+        for (std::uint32_t k = j; k < ends[first + i]; ++k) {
+          if (column(i, k) % kBanks == bank) return k;
+        }
+        return width;
+      };
+      // A matching of banks and rows by augmenting paths.
+      constexpr std::uint32_t kFree = kBanks;
+      std::array<std::uint32_t, kBanks> bank_of_row{};
+      bank_of_row.fill(kFree);
+      std::array<bool, kBanks> seen{};
+      const auto match = [&](const auto& self, std::uint32_t bank) -> bool {
+        for (std::uint32_t i = 0; i < kBanks; ++i) {
+          if (seen[i] || find(i, bank) == width) continue;
+          seen[i] = true;
+          if (bank_of_row[i] != kFree && !self(self, bank_of_row[i])) continue;
+          bank_of_row[i] = bank;
+          return true;
+        }
+        return false;
+      };
+      for (const std::uint32_t bank : order) {
+        seen.fill(false);
+        match(match, bank);
+      }
+      for (std::uint32_t i = 0; i < kBanks; ++i) {
+        if (bank_of_row[i] != kFree) swap(first + i, j, find(i, bank_of_row[i]));
+      }
+    }
+  }
+}
+
 /// What a patch adds to the layout.
 struct PatchSlots {
   std::vector<std::uint32_t> columns, neighbour_rows, halo;
@@ -174,22 +224,22 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
     const auto first = [&](std::uint32_t i) { return offsets[i]; };
     const auto middle = [&](std::uint32_t i) { return middles[i]; };
     const auto last = [&](std::uint32_t i) { return offsets[i + 1]; };
+    const std::size_t begin_of_slice = out.columns.size();
     out.inner_widths.push_back(add(first, middle));
     out.widths.push_back(out.inner_widths.back() + add(middle, last));
+    if (layout.storage == Storage::kRows) {
+      std::array<std::uint32_t, kSliceRows> ends{};
+      for (std::uint32_t i = 0; i < kSliceRows; ++i) ends[i] = offsets[slice + i + 1] - offsets[slice + i];
+      spread_over_banks(std::span(out.columns).subspan(begin_of_slice), ends,
+                        [&](std::uint32_t lane, std::uint32_t j, std::uint32_t k) {
+                          const std::size_t a = begin_of_slice + j * kSliceRows + lane;
+                          const std::size_t b = begin_of_slice + k * kSliceRows + lane;
+                          std::swap(out.columns[a], out.columns[b]);
+                          std::swap(out.neighbour_rows[a], out.neighbour_rows[b]);
+                        });
+    }
   }
   return out;
-}
-
-/// Counts, then fills, so that each list comes in the order of the elements. fill(add) calls add(list, item).
-template <class Fill>
-void fill_lists(std::size_t list_count, std::vector<std::uint32_t>& begin, std::vector<std::uint32_t>& items,
-                const Fill& fill) {
-  begin.assign(list_count + 1, 0);
-  fill([&](std::uint32_t list, std::uint32_t) { ++begin[list + 1]; });
-  std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  items.resize(begin.back());
-  std::vector<std::uint32_t> next(begin.begin(), begin.end() - 1);
-  fill([&](std::uint32_t list, std::uint32_t item) { items[next[list]++] = item; });
 }
 
 }  // namespace
@@ -207,6 +257,12 @@ std::vector<std::uint32_t> Layout::patch_of_slice() const {
   return patches;
 }
 
+std::uint32_t Layout::widest_slice() const {
+  std::uint32_t widest = 0;
+  for (std::size_t i = 1; i < slice_begin.size(); ++i) widest = std::max(widest, slice_begin[i] - slice_begin[i - 1]);
+  return widest;
+}
+
 bool Layout::in_one_patch(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t patch = patch_of_row(row);
   return other >= patch_rows[patch] && other < patch_rows[patch + 1];
@@ -215,20 +271,25 @@ bool Layout::in_one_patch(std::uint32_t row, std::uint32_t other) const {
 std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t height = slice_rows(), slice = row / height;
   std::uint32_t low = slice_begin[slice], high = slice_begin[slice + 1];
-  if (storage == Storage::kEdges) (in_one_patch(row, other) ? high : low) = slice_halo[slice];
+  const std::uint32_t lane = row % height;
+  if (storage == Storage::kRows) {  // in the order of spread_over_banks
+    while (low < high && neighbour_rows[low * height + lane] != other) ++low;
+    assert(low < high);
+    return low < high ? low * height + lane : kNoPlace;
+  }
+  (in_one_patch(row, other) ? high : low) = slice_halo[slice];
   // Ascending neighbours, then padding, which as kNone is the largest: binary search holds.
   const std::uint32_t end = high;
   while (low < high) {
     const std::uint32_t middle = (low + high) / 2;
-    if (neighbour_rows[middle * height + row % height] < other) {
+    if (neighbour_rows[middle * height + lane] < other) {
       low = middle + 1;
     } else {
       high = middle;
     }
   }
-  const bool found = low < end && neighbour_rows[low * height + row % height] == other;
-  assert(found || storage == Storage::kEdges);
-  return found ? low * height + row % height : kNoPlace;
+  const bool found = low < end && neighbour_rows[low * height + lane] == other;
+  return found ? low * height + lane : kNoPlace;
 }
 
 Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage storage) {
@@ -340,38 +401,6 @@ std::vector<std::uint32_t> pair_places(const Layout& layout, const PatchElements
                     [&](std::size_t first, std::size_t last) { fill(patch, begin + first, begin + last); });
   }
   return places;
-}
-
-GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> groups) {
-  GatherMap map;
-  fill_lists(layout.row_count, map.force_begin, map.force, [&](const auto& add) {
-    for (const ElementRows& group : groups) {
-      for (std::uint32_t e = 0; e < group.element_count; ++e) {
-        const std::uint32_t record = group.partial_begin + e * record_reals(group.node_count);
-        for (std::uint32_t k = 0; k < group.node_count; ++k) {
-          add(group.rows[std::size_t{k} * group.stride + e], record + force_offset(k));
-        }
-      }
-    }
-  });
-  fill_lists(2 * std::size_t{layout.slot_count()}, map.edge_begin, map.edge, [&](const auto& add) {
-    for (const ElementRows& group : groups) {
-      for (std::uint32_t e = 0; e < group.element_count; ++e) {
-        const std::uint32_t record = group.partial_begin + e * record_reals(group.node_count);
-        std::uint32_t pair = 0;  // in the order of physics::pair_index
-        for (std::uint32_t k = 0; k < group.node_count; ++k) {
-          for (std::uint32_t l = k + 1; l < group.node_count; ++l, ++pair) {
-            const std::uint32_t row_k = group.rows[std::size_t{k} * group.stride + e];
-            const std::uint32_t row_l = group.rows[std::size_t{l} * group.stride + e];
-            const std::uint32_t block = record + edge_offset(group.node_count, pair);
-            add(2 * layout.slot(row_k, row_l), block);
-            add(2 * layout.slot(row_l, row_k) + 1, block);
-          }
-        }
-      }
-    }
-  });
-  return map;
 }
 
 }  // namespace tensormass::tensor

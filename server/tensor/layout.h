@@ -9,7 +9,7 @@
 #include "tensor/edges.h"
 #include "tensor/view.h"
 
-/// The host's side of tensor/view.h: rows, patches, the sliced matrix structure and the gather maps of a mesh.
+/// The host's side of tensor/view.h: rows, patches and the sliced matrix structure of a mesh.
 namespace tensormass::tensor {
 
 /// Where the blocks of the matrix off its diagonal are.
@@ -35,6 +35,7 @@ struct Layout {
   std::vector<std::uint32_t> patch_boundary;  ///< [patch_count + 1] of kEdges into boundary
   std::vector<std::uint32_t> boundary;        ///< patch-local rows that are in the halo of others, ascending in a patch
 
+  std::uint32_t widest_slice() const;  ///< in columns
   std::uint32_t slice_rows() const { return storage == Storage::kRows ? kSliceRows : kEdgeSliceRows; }
   std::uint32_t slot_count() const { return static_cast<std::uint32_t>(columns.size()); }
   std::uint32_t patch_of_row(std::uint32_t row) const;
@@ -55,24 +56,6 @@ struct Layout {
 };
 
 Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage storage = Storage::kRows);
-
-/// Where each row and slot finds its share of the records in `partials`.
-struct GatherMap {
-  std::vector<std::uint32_t> force_begin{0}, force;  ///< [row_count + 1] and offsets
-  /// [2 slot_count + 1] and offsets: of each slot first the blocks as they are, then those to be transposed.
-  std::vector<std::uint32_t> edge_begin{0}, edge;
-};
-
-/// Rows of the elements of one shape: rows[k][e] as in ElementView, of which the first `element_count` are real.
-struct ElementRows {
-  std::uint32_t node_count = 0;  ///< of the shape
-  std::uint32_t element_count = 0;
-  std::uint32_t stride = 0;
-  std::span<const std::uint32_t> rows;
-  std::uint32_t partial_begin = 0;
-};
-
-GatherMap make_gather_map(const Layout& layout, std::span<const ElementRows> groups);
 
 /// For kEdges: which elements a patch computes, namely all that touch its rows. Elements on the border of patches are
 /// computed by each of them, and no patch writes to another's rows.

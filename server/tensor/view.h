@@ -20,35 +20,17 @@ namespace tensormass::tensor {
 
 inline constexpr std::uint32_t kSliceRows = 32;
 
-/// An element's record in `partials`: f_k of each node, then K_kl of each pair, column-major, filled up to whole vector
-/// registers.
-TM_HOST_DEVICE constexpr std::uint32_t force_offset(std::uint32_t node) { return 3 * node; }
-TM_HOST_DEVICE constexpr std::uint32_t edge_offset(std::uint32_t nodes, std::uint32_t pair) {
-  return 3 * nodes + 9 * pair;
+/// An element's record, where elements are read one by one (Storage::kRows): the reals of each quadrature point, then
+/// the law's parameters. Records, and points if there are several, begin at multiples of four, which a device reads at
+/// once.
+TM_HOST_DEVICE constexpr std::uint32_t round_to_four(std::uint32_t reals) { return (reals + 3) / 4 * 4; }
+TM_HOST_DEVICE constexpr std::uint32_t point_stride(std::uint32_t rest_reals, std::uint32_t points) {
+  return points == 1 ? rest_reals : round_to_four(rest_reals);
 }
-TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t nodes) {
-  return (edge_offset(nodes, nodes * (nodes - 1) / 2) + 7) / 8 * 8;
+TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, std::uint32_t points,
+                                                    std::uint32_t parameters) {
+  return round_to_four(points * point_stride(rest_reals, points) + parameters);
 }
-
-/// A record as a tile holds it in shared memory: an odd stride, so that threads that write theirs meet no other's bank.
-TM_HOST_DEVICE constexpr std::uint32_t tile_record_reals(std::uint32_t nodes) {
-  return edge_offset(nodes, nodes * (nodes - 1) / 2) | 1;
-}
-/// Entries of a tile are 16 bits, one of which says that a block is to be transposed.
-inline constexpr std::uint32_t kMaxTileReals = 1u << 15;
-
-/// Elements of one group that a thread block evaluates at once, and the rows that it sums up from them (tiles.h).
-/// Entry lists: for each slot of the slices 2 · the place of an edge tensor in the records + 1 if transposed, then for
-/// each row the places of its forces. Lists, and entries, begin at multiples of kTileAlignment.
-inline constexpr std::uint32_t kTileAlignment = 8;  // of 16 bits: a device copies 16 bytes at once
-struct TilePart {
-  std::uint32_t slice_begin, slice_count;
-  std::uint32_t element_begin, element_count;  // in ElementView::tile_elements
-  std::uint32_t list_begin, list_count;        // in tile_list: where each list begins in the part's entries, and an end
-  std::uint32_t entry_begin, entry_count;      // in tile_entries
-  std::uint16_t adds;                          // 1: a part before it has written the rows
-  std::uint16_t finishes;                      // 1: forms the rows of A and b; 0: leaves K in edges and forces in rhs
-};
 
 /// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
 template <class Real>
@@ -72,27 +54,26 @@ struct PronyTerm {
 template <class Real>
 struct ElementView {
   std::uint32_t count;              // a multiple of kSliceRows
-  std::uint32_t partial_begin;      // where its records start in SceneView::partials
   std::uint32_t point_count;        // quadrature points of an element
   std::uint32_t watch_begin;        // of its patches in SceneView::watch
   const std::uint32_t* rows;        // [shape nodes][count]
-  const Real* rest;                 // [quadrature points][physics::kRestReals][count]
-  const Real* parameters;           // [law parameters][count]
+  const Real* rest;                 // [quadrature points][physics::kRestReals][count]; nullptr: in records
+  const Real* parameters;           // [law parameters][count]; nullptr: in records
   const PointShares<Real>* shares;  // [quadrature points]; nullptr: each integrates all moduli
   std::uint32_t prony_count;
   PronyTerm<Real> prony[physics::kMaxPronyTerms];
   Real* history;       // Γ_i [Pa] [quadrature points][prony_count][6][count]
   Real* kept_history;  // of the state to go back to
 
-  // -- tiles; only where a backend has them
-  std::uint32_t tile_count;
-  std::uint32_t tile_reals;         // of the largest part's records
-  std::uint32_t tile_lists;         // of the largest part's lists and entries together
-  const std::uint32_t* tile_parts;  // [tile_count + 1]
-  const TilePart* parts;
-  const std::uint32_t* tile_elements;
-  const std::uint16_t* tile_list;
-  const std::uint16_t* tile_entries;
+  // Only where rows evaluate their elements (tensor/rows.h):
+  std::uint32_t record_reals;
+  const Real* records;              // [count][record_reals], see tensor::record_reals
+  std::uint32_t slice_count;        // slices with elements of the group
+  const std::uint32_t* slices;      // [slice_count] 4 slice + 1 if rows have been begun + 2 if they are to be finished
+  const std::uint32_t* list_begin;  // [slice_count + 1] in columns of kSliceRows
+  const std::uint32_t* listed;      // [column][kSliceRows] element; kNoPlace: the row's list has ended
+  std::uint32_t place_bits;         // 8 or 16
+  const std::uint32_t* places;      // [column][words][kSliceRows], see tensor::Places
   // Only where the matrix stores edges (tensor/edges.h):
   const std::uint32_t* patch_elements;  // [patch_count, 2] begin and end of those that touch a patch; nullptr: shares
   const std::uint32_t* pair_places;     // [pairs][count] 2 slot + 1 if it holds the transposed block; kNoPlace: nowhere
@@ -223,7 +204,7 @@ struct SceneView {
   const std::uint32_t* patch_rows;      // [patch_count + 1]
   const std::uint32_t* patch_halo;      // [patch_count + 1] into halo
   const std::uint32_t* halo;            // global rows
-  const std::uint32_t* patch_of_slice;  // [row_count / 32]; only with tiles
+  const std::uint32_t* patch_of_slice;  // [row_count / 32]; only where rows evaluate their elements
 
   // -- matrix structure
   const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
@@ -237,16 +218,8 @@ struct SceneView {
   // -- constant tensors of the linear laws
   const Real* constant_edges;  // [slot] 3×3
 
-  // -- elements whose tensors are refreshed, and where each row finds them
-  Real* partials;                           // records, see record_reals
-  const std::uint32_t* force_gather;        // offsets of f_k in partials
-  const std::uint32_t* force_gather_begin;  // [row_count + 1]
-  const std::uint32_t* edge_gather;         // offsets of K_kl in partials
-  const std::uint32_t* edge_gather_begin;   // [2 slots + 1] of each slot the blocks as they are, then the transposed
-
-  // -- slices whose rows no tile finishes: twice the slice, + 1 if tiles left tensors in edges and forces in rhs
-  std::uint32_t open_slice_count;
-  const std::uint32_t* open_slices;
+  // -- only where groups leave rows to be finished (tensor/rows.h)
+  const std::uint8_t* begun_slices;  // [row_count / 32] 1: edges hold K and rhs forces of elements
 
   // -- state and fields of rows, [row_count, 4]
   Real* displacement;       // u [m]

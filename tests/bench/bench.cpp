@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
+#include <memory>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
@@ -186,13 +188,28 @@ Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& back
   return measured;
 }
 
-/// A scene at its own rate against the clock, its first tool going down to `press` and back every two seconds.
+/// Scenes at their own rate against the clock, the first tool of each going down to `press` and back every two seconds.
 struct RealTime {
   std::string scene_file;
-  double rate_hz = 0;  ///< 0: the scene's own
+  std::uint32_t copies = 0;  ///< of the block below, in place of a file
+  double rate_hz = 0;        ///< 0: the scene's own
   double seconds = 10;
   std::vector<double> press;
 };
+
+/// A trainer's station: 20,520 tetrahedra under a probe, St-Venant-Kirchhoff, a thousand steps a second.
+v1::Scene station() {
+  v1::Scene scene = tests::block_with_probe();
+  v1::Grid& grid = *scene.mutable_bodies(0)->mutable_mesh()->mutable_grid();
+  grid.set_cells_x(19);
+  grid.set_cells_y(10);
+  grid.set_cells_z(18);
+  scene.mutable_stepping()->set_rate_hz(1000);
+  scene.mutable_stepping()->set_dt_s(1e-3);
+  scene.mutable_solver()->set_cg_tolerance(1e-3);
+  return scene;
+}
+const std::vector<double> kStationPress{0.05, 0.053, 0.05};  // 7 mm into the tissue
 
 Result<v1::Scene> read_scene(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
@@ -205,7 +222,8 @@ Result<v1::Scene> read_scene(const std::string& path) {
 }
 
 /// The poses of the path, at 1 kHz like a haptic device's, until `end`.
-void press_and_lift(world::Runner& runner, const v1::Tool& tool, const RealTime& options, Clock::time_point end) {
+void press_and_lift(std::span<const std::unique_ptr<world::Runner>> runners, const v1::Tool& tool,
+                    const RealTime& options, Clock::time_point end) {
   const Clock::time_point begin = Clock::now();
   v1::ToolPose pose;
   for (std::uint64_t sequence = 1; Clock::now() < end; ++sequence) {
@@ -216,21 +234,29 @@ void press_and_lift(world::Runner& runner, const v1::Tool& tool, const RealTime&
     pose.set_client_id(1);
     tests::set(*pose.mutable_position_m(), mix(tool.position_m().x(), 0), mix(tool.position_m().y(), 1),
                mix(tool.position_m().z(), 2));
-    (void)runner.submit_pose(tool.name(), pose);
+    for (const auto& runner : runners) (void)runner->submit_pose(tool.name(), pose);
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
 }
 
 Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptions runner_options,
                                      const std::string& commit, const std::string& command) {
-  TM_TRY(scene, read_scene(options.scene_file));
+  v1::Scene scene = station();
+  if (options.copies == 0) {
+    TM_TRY(read, read_scene(options.scene_file));
+    scene = read;
+  }
   scene.mutable_stepping()->set_lockstep(false);
   if (options.rate_hz > 0) {
     scene.mutable_stepping()->set_rate_hz(options.rate_hz);
     scene.mutable_stepping()->set_dt_s(1 / options.rate_hz);
   }
   const Clock::time_point begin = Clock::now();
-  TM_TRY(runner, world::Runner::start(scene, runner_options));
+  std::vector<std::unique_ptr<world::Runner>> runners;
+  for (std::uint32_t i = 0; i < std::max(options.copies, 1u); ++i) {
+    TM_TRY(runner, world::Runner::start(scene, runner_options));
+    runners.push_back(std::move(runner));
+  }
   const double ready_s = std::chrono::duration<double>(Clock::now() - begin).count();
   const double dt_s = scene.stepping().has_dt_s() ? scene.stepping().dt_s() : 1.0 / 60;
   TM_TRY(description, world::describe_backend(runner_options.backend));
@@ -239,7 +265,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   double largest_force_n = 0;
   std::thread watcher([&] {
     while (Clock::now() < end) {
-      const v1::SceneStatus status = runner->status();
+      const v1::SceneStatus status = runners.front()->status();
       for (const v1::ToolFeedback& tool : status.tools()) {
         const v1::Vector3& f = tool.force_n();
         largest_force_n = std::max(largest_force_n, std::sqrt(f.x() * f.x() + f.y() * f.y() + f.z() * f.z()));
@@ -247,17 +273,28 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
       std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }
   });
-  if (scene.tools_size() > 0 && options.press.size() == 3) press_and_lift(*runner, scene.tools(0), options, end);
+  if (scene.tools_size() > 0 && options.press.size() == 3) press_and_lift(runners, scene.tools(0), options, end);
   watcher.join();
-  const v1::SceneStatus status = runner->status();
+  v1::SceneStatus status = runners.front()->status();  // of all together: sums, and the slowest
+  for (std::size_t i = 1; i < runners.size(); ++i) {
+    const v1::SceneStatus other = runners[i]->status();
+    status.set_step(status.step() + other.step());
+    status.set_missed_deadlines(status.missed_deadlines() + other.missed_deadlines());
+    status.set_reached_rate_hz(std::min(status.reached_rate_hz(), other.reached_rate_hz()));
+    status.set_step_time_p50_s(std::max(status.step_time_p50_s(), other.step_time_p50_s()));
+    status.set_step_time_p99_s(std::max(status.step_time_p99_s(), other.step_time_p99_s()));
+    status.set_step_time_max_s(std::max(status.step_time_max_s(), other.step_time_max_s()));
+    if (status.fault().empty()) status.set_fault(other.fault());
+  }
   return fmt::format(
-      R"({{"case":"real time: {}","backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
+      R"({{"case":"real time: {}","scenes":{},"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
       R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"step_ms_median":{:.4f},)"
       R"("step_ms_p99":{:.4f},"step_ms_max":{:.4f},"cg_iterations_last":{},"largest_force_n":{:.3f},"ready_s":{:.3f},"fault":"{}"}})",
-      scene.name(), description.backend, description.device, commit, command,
-      runner->report().bodies(0).element_count(), dt_s * 1e3, status.target_rate_hz(), status.reached_rate_hz(),
-      status.step(), status.missed_deadlines(), status.step_time_p50_s() * 1e3, status.step_time_p99_s() * 1e3,
-      status.step_time_max_s() * 1e3, status.cg_iterations(), largest_force_n, ready_s, status.fault());
+      scene.name(), runners.size(), description.backend, description.device, commit, command,
+      runners.front()->report().bodies(0).element_count(), dt_s * 1e3, status.target_rate_hz(),
+      status.reached_rate_hz(), status.step(), status.missed_deadlines(), status.step_time_p50_s() * 1e3,
+      status.step_time_p99_s() * 1e3, status.step_time_max_s() * 1e3, status.cg_iterations(), largest_force_n, ready_s,
+      status.fault());
 }
 
 std::string json(const Row& row, const std::string& commit, const std::string& command, double bandwidth) {
@@ -282,7 +319,7 @@ int main(int argc, char** argv) {
       "Milliseconds a step on beams that anyone can rebuild: 8 x 1 x 0.8 m, E 1 MPa, nu 0.4, 50 CG iterations."};
   std::string backend_name = "cpu", output, commit = "unknown";
   std::uint32_t steps = 100, threads = std::max(1u, std::thread::hardware_concurrency());
-  std::string suite = "beams";
+  std::string suite = "beams", only;
   bool small = false, of_family = false;
   app.add_option("--backend", backend_name, "cpu or cuda")->check(CLI::IsMember({"cpu", "cuda"}));
   app.add_option("--steps", steps, "measured steps of each case")->check(CLI::Range(1, 100000));
@@ -290,13 +327,15 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "written into the results");
   app.add_option("--json", output, "append one JSON line a case to this file");
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
+  app.add_option("--only", only, "cases whose names contain this");
   app.add_option("--suite", suite, "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz")
       ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest"}));
   app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+  app.add_option("--stations", real_time.copies, "as --scene: so many of 20,520 tetrahedra under a probe, 1 kHz each");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
-  app.add_option("--seconds", real_time.seconds, "with --scene")->check(CLI::Range(0.1, 3600.0));
+  app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
   app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
   CLI11_PARSE(app, argc, argv);
   std::string command = "tensormass-bench";  // without where its results go
@@ -308,7 +347,8 @@ int main(int argc, char** argv) {
     }
   }
 
-  if (!real_time.scene_file.empty()) {
+  if (real_time.copies > 0) real_time.press = kStationPress;
+  if (!real_time.scene_file.empty() || real_time.copies > 0) {
     const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
     const auto line = run_in_real_time(real_time, {choice, threads}, commit, command);
     if (!line) {
@@ -354,6 +394,7 @@ int main(int argc, char** argv) {
   std::printf("%-36s %9s %8s %10s %10s %10s %12s %8s %9s %s\n", "case", "elements", "patches", "median ms", "p99 ms",
               "floor ms", "us/iteration", "ready s", "B/element", "target ms");
   for (Case& one : cases) {
+    if (one.name.find(only) == std::string::npos) continue;
     Row row{.name = one.name, .backend = backend->name(), .device = backend->device(), .steps = steps};
     row.target_s = one.target_s;
     row.target_is_p99 = one.target_is_p99;

@@ -49,16 +49,13 @@ int main(int argc, char** argv) {
   tests::Beam beam{.cells_x = 160, .cells_y = 20, .cells_z = 16};
   std::uint32_t threads = std::max(1u, std::thread::hardware_concurrency());
   int repeats = 10;
-  bool rows = false;
   app.add_option("--threads", threads);
   app.add_option("--cells-x", beam.cells_x);
   app.add_option("--repeats", repeats, "the fastest counts");
   app.add_flag("--linear", beam.linear);
-  app.add_flag("--rows", rows, "with the matrix by rows, as CUDA has it");
   CLI11_PARSE(app, argc, argv);
 
-  tests::StagedScene<float> staged(tests::beam_scene(beam), threads,
-                                   rows ? tensor::Storage::kRows : tensor::Storage::kEdges);
+  tests::StagedScene<float> staged(tests::beam_scene(beam), threads);
   for (int i = 0; i < 3; ++i) staged.step();
   const double triad = triad_bytes_per_s(threads);
   const double slots = staged.model.layout.slot_count();

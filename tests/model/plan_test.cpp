@@ -42,12 +42,12 @@ const std::vector<std::string> kContactBuffers{"contact", "tool"};
 
 TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
   const v1::SceneReport report = plan(tests::block_with_probe());
-  EXPECT_EQ(stages(report),
-            (std::vector<std::string>{
-                "detect contact", "respond to contact", "element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
-                "external forces", "assemble contact", "factorize diagonal", "scale matrix", "conjugate gradients",
-                "advance", "measure contact", "check volume: tetrahedron, st_venant_kirchhoff",
-                "watch elements: tetrahedron, st_venant_kirchhoff"}));
+  EXPECT_EQ(
+      stages(report),
+      (std::vector<std::string>{
+          "detect contact", "respond to contact", "element tensors: tetrahedron, st_venant_kirchhoff",
+          "assemble contact", "factorize diagonal", "scale matrix", "conjugate gradients", "advance", "measure contact",
+          "check volume: tetrahedron, st_venant_kirchhoff", "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_TRUE(has_buffer(report, part)) << part;
   EXPECT_TRUE(has_buffer(report, "visible"));
   EXPECT_TRUE(has_buffer(report, "external"));
@@ -58,11 +58,10 @@ TEST(Plan, WithoutToolsHasNoContactStageAndNoContactBuffer) {
   v1::Scene scene = tests::block_with_probe();
   scene.clear_tools();
   const v1::SceneReport report = plan(scene);
-  EXPECT_EQ(stages(report),
-            (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff", "assemble",
-                                      "external forces", "factorize diagonal", "scale matrix", "conjugate gradients",
-                                      "advance", "check volume: tetrahedron, st_venant_kirchhoff",
-                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
+  EXPECT_EQ(stages(report), (std::vector<std::string>{"element tensors: tetrahedron, st_venant_kirchhoff",
+                                                      "factorize diagonal", "scale matrix", "conjugate gradients",
+                                                      "advance", "check volume: tetrahedron, st_venant_kirchhoff",
+                                                      "watch elements: tetrahedron, st_venant_kirchhoff"}));
   for (const std::string& part : kContactBuffers) EXPECT_FALSE(has_buffer(report, part)) << part;
   EXPECT_TRUE(says_not_modelled(report, "contact with tools"));
 }
@@ -94,8 +93,7 @@ TEST(Plan, WithoutFramesGathersNothing) {
 TEST(Plan, OfALinearSceneRefreshesNoElement) {
   const v1::SceneReport report = plan(tests::beam_scene({.linear = true}));
   EXPECT_EQ(stages(report).front(), "assemble");
-  EXPECT_FALSE(has_buffer(report, "element tensors"));
-  EXPECT_FALSE(has_buffer(report, "gather"));
+  EXPECT_FALSE(has_buffer(report, "element lists"));
   EXPECT_TRUE(has_buffer(report, "constant edge tensors"));
 }
 
@@ -123,7 +121,20 @@ TEST(Plan, NamesThePairsOfWedges) {
 TEST(Plan, OfANonLinearSceneStoresNoConstantTensors) {
   const v1::SceneReport report = plan(tests::beam_scene());
   EXPECT_FALSE(has_buffer(report, "constant"));
-  EXPECT_TRUE(has_buffer(report, "element tensors"));
+  EXPECT_TRUE(has_buffer(report, "element lists"));
+}
+
+TEST(Plan, OfAMatrixOfEdgesBeginsItBeforeElementsAddToIt) {
+  const v1::Scene scene = tests::beam_scene();
+  const auto model = compile(scene, {2, 1, tensor::Storage::kEdges});
+  ASSERT_TRUE(model);
+  const v1::SceneReport report = make_report(*model, {});
+  std::vector<std::string> names = stages(report);
+  names.resize(4);
+  EXPECT_EQ(names, (std::vector<std::string>{"assemble", "element tensors: tetrahedron, st_venant_kirchhoff",
+                                             "external forces", "factorize diagonal"}));
+  EXPECT_FALSE(has_buffer(report, "element lists"));
+  EXPECT_TRUE(has_buffer(report, "element places"));
 }
 
 TEST(Plan, CountsItsBytes) {

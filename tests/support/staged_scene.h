@@ -17,6 +17,7 @@
 #include "backend/stages.h"
 #include "model/bind.h"
 #include "model/compile.h"
+#include "support/host_rows.h"
 
 /// A compiled scene whose stages a test runs one by one on CPU teams, with every buffer in reach.
 namespace tensormass::tests {
@@ -64,6 +65,14 @@ class StagedScene {
       }
       for (std::thread& thread : threads) thread.join();
     };
+    if (model.layout.storage == tensor::Storage::kRows) {  // what a GPU does its own way
+      constexpr std::uint32_t kCapacity = 20;              // columns: most rows fit, some come in turns
+      if (stage.kind == model::StageKind::kElements) {
+        const model::ElementGroup& group = model.groups[stage.group];
+        return assemble_rows(group.shape, group.law, view, elements, kCapacity);
+      }
+      if (stage.kind == model::StageKind::kAssemble) return finish_rows(!model.constant_edges.empty(), view);
+    }
     if (stage.kind == model::StageKind::kElements) {
       const model::ElementGroup& group = model.groups[stage.group];
       const auto pass = backend::cpu::element_passes<Real>(group.shape, group.law).tensors;

@@ -91,15 +91,15 @@ INSTANTIATE_TEST_SUITE_P(
     });
 
 /// Every law in every shape, against the same sums over elements.
-class EveryEntry : public testing::TestWithParam<std::tuple<v1::Shape, std::string>> {};
+class EveryEntry : public testing::TestWithParam<std::tuple<v1::Shape, std::string, Storage>> {};
 
 TEST_P(EveryEntry, EqualsTheBruteForceSystem) {
-  const auto& [shape, law] = GetParam();
+  const auto& [shape, law, storage] = GetParam();
   v1::Scene source = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = true});
   source.mutable_bodies(0)->clear_fixed();
   source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
   *source.mutable_bodies(0)->mutable_law() = tests::law(law, 1e5, 0.4);
-  StagedScene<double> staged(source, 2);
+  StagedScene<double> staged(source, 2, storage);
   const Eigen::Index size = 3 * staged.node_count();
   const Eigen::VectorXd u = tests::random_field(size, 0.02, 1), v = tests::random_field(size, 0.5, 2);
   staged.put(staged.view.displacement, u);
@@ -113,9 +113,11 @@ TEST_P(EveryEntry, EqualsTheBruteForceSystem) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
-                         testing::Combine(testing::ValuesIn(tests::shapes()), testing::ValuesIn(tests::law_names())),
+                         testing::Combine(testing::ValuesIn(tests::shapes()), testing::ValuesIn(tests::law_names()),
+                                          testing::Values(Storage::kRows, Storage::kEdges)),
                          [](const auto& one) {
-                           return v1::Shape_Name(std::get<0>(one.param)) + "_" + std::get<1>(one.param);
+                           return v1::Shape_Name(std::get<0>(one.param)) + "_" + std::get<1>(one.param) +
+                                  (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
                          });
 
 /// What a consistent mass adds to the stiffness is ρ ∫ N_k N_l: symmetric, the same in all directions, exact for the

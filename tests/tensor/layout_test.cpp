@@ -1,6 +1,7 @@
 #include "tensor/layout.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <set>
 
@@ -249,57 +250,35 @@ TEST(Layout, IsTheSameForTheSameMesh) {
   EXPECT_EQ(a.columns, b.columns);
 }
 
-/// Each element's record is found once a node and twice a pair, by the rows and slots that it belongs to.
-TEST(GatherMap, EveryRecordIsFoundByItsRowsAndSlotsAndByNoOther) {
-  const mesh::Mesh mesh = mesh::testing::random_mesh(2, 5, 0.6);
-  const Layout layout = make_layout(mesh, 3);
-  const auto elements = mesh::element_nodes(mesh);
-  const auto count = static_cast<std::uint32_t>(elements.size());
-  const std::uint32_t stride = (count + kSliceRows - 1) / kSliceRows * kSliceRows, first = 416;
-  std::vector<std::uint32_t> rows(4 * std::size_t{stride}, 0);
-  for (std::uint32_t e = 0; e < count; ++e) {
-    for (std::uint32_t k = 0; k < 4; ++k) rows[k * stride + e] = layout.row_of_node[elements[e][k]];
-  }
-  const ElementRows group{4, count, stride, rows, first};
-  const GatherMap map = make_gather_map(layout, {&group, 1});
-  ASSERT_EQ(map.force_begin.size(), layout.row_count + 1u);
-  ASSERT_EQ(map.edge_begin.size(), 2 * layout.slot_count() + 1u);
-
-  using List = std::multiset<std::pair<std::uint32_t, std::uint32_t>>;  // (list, offset)
-  const auto unfold = [](const std::vector<std::uint32_t>& begin, const std::vector<std::uint32_t>& items) {
-    List out;
-    for (std::uint32_t list = 0; list + 1 < begin.size(); ++list) {
-      for (std::uint32_t i = begin[list]; i < begin[list + 1]; ++i) {
-        out.emplace(list, items[i]);
-        EXPECT_TRUE(i == begin[list] || items[i - 1] < items[i]) << "summed in the order of the elements";
-      }
-    }
-    return out;
-  };
-  List forces, edges;
-  for (std::uint32_t e = 0; e < count; ++e) {
-    const std::uint32_t record = first + e * record_reals(4);
-    std::uint32_t pair = 0;
-    for (std::uint32_t k = 0; k < 4; ++k) {
-      const std::uint32_t row_k = layout.row_of_node[elements[e][k]];
-      forces.emplace(row_k, record + force_offset(k));
-      for (std::uint32_t l = k + 1; l < 4; ++l, ++pair) {
-        const std::uint32_t row_l = layout.row_of_node[elements[e][l]];
-        edges.emplace(2 * layout.slot(row_k, row_l), record + edge_offset(4, pair));
-        edges.emplace(2 * layout.slot(row_l, row_k) + 1, record + edge_offset(4, pair));  // transposed
+/// Eight rows that a device reads at once, in each column: as few of them as can be share a bank.
+TEST(Layout, NeighboursAreSpreadOverBanks) {
+  const Layout layout = make_layout(mesh::testing::unit_grid(8), 2);
+  std::uint32_t reads = 0, together = 0;
+  for (std::uint32_t patch = 0, slice = 0; patch < layout.patch_count; ++patch) {
+    for (; slice < layout.patch_rows[patch + 1] / kSliceRows; ++slice) {
+      for (std::uint32_t j = layout.slice_begin[slice]; j < layout.slice_begin[slice + 1]; ++j) {
+        for (std::uint32_t first = 0; first < kSliceRows; first += 8) {
+          std::array<std::uint32_t, 8> count{};
+          for (std::uint32_t lane = first; lane < first + 8; ++lane) {
+            const std::uint32_t slot = j * kSliceRows + lane;
+            if (layout.neighbour_rows[slot] != mesh::kNone) ++count[layout.columns[slot] % 8];
+          }
+          ++reads;
+          together += *std::max_element(count.begin(), count.end());
+        }
       }
     }
   }
-  EXPECT_EQ(unfold(map.force_begin, map.force), forces);
-  EXPECT_EQ(unfold(map.edge_begin, map.edge), edges);
+  // At random the fullest of eight banks has 2.6 of eight reads.
+  EXPECT_LT(together, 1.7 * reads);
 }
 
-TEST(Records, DoNotOverlapAndFillVectorRegisters) {
-  for (const std::uint32_t nodes : {4u, 6u, 8u, 10u}) {
-    EXPECT_EQ(record_reals(nodes) % 8, 0u);
-    EXPECT_LE(force_offset(nodes - 1) + 3, edge_offset(nodes, 0));
-    EXPECT_LE(edge_offset(nodes, nodes * (nodes - 1) / 2 - 1) + 9, record_reals(nodes));
-  }
+TEST(Records, BeginAtMultiplesOfFourAndHoldPointsAndParameters) {
+  EXPECT_EQ(record_reals(10, 1, 2), 12u);
+  EXPECT_EQ(record_reals(10, 1, 3), 16u);
+  EXPECT_EQ(point_stride(10, 1), 10u);
+  EXPECT_EQ(point_stride(22, 8), 24u);
+  EXPECT_EQ(record_reals(22, 8, 2), 8 * 24u + 4);
 }
 
 TEST(Blocks, ComeBackAsTheyWereStored) {

@@ -22,6 +22,12 @@ class Arena {
     std::transform(items.begin(), items.end(), copy, [](U item) { return static_cast<T>(item); });
     return copy;
   }
+  template <class T, class Fill>
+  const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
+    T* items = zeros<T>(name, count);
+    if (count > 0) fill(items);
+    return items;
+  }
   template <class T>
   T* zeros(std::string_view /*name*/, std::size_t count) {
     if (count == 0) return nullptr;

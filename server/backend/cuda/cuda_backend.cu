@@ -9,8 +9,8 @@
 #include "backend/backend.h"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/launch.cuh"
+#include "backend/cuda/rows.cuh"
 #include "backend/cuda/solve_plan.cuh"
-#include "backend/cuda/tiles.cuh"
 #include "backend/newton.h"
 #include "backend/results.h"
 #include "backend/stages.h"
@@ -43,10 +43,17 @@ class DeviceArena {
 
   template <class T, class U>
   const T* constant(std::string_view name, const std::vector<U>& items) {
-    T* copy = zeros<T>(name, items.size());
-    if (items.empty()) return copy;
-    const std::vector<T> converted(items.begin(), items.end());
-    check(cudaMemcpy(copy, converted.data(), converted.size() * sizeof(T), cudaMemcpyHostToDevice), "upload");
+    return generated<T>(name, items.size(), [&](T* to) {
+      std::transform(items.begin(), items.end(), to, [](U item) { return static_cast<T>(item); });
+    });
+  }
+  template <class T, class Fill>
+  const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
+    T* copy = zeros<T>(name, count);
+    if (count == 0) return copy;
+    std::vector<T> items(count);
+    fill(items.data());
+    check(cudaMemcpy(copy, items.data(), count * sizeof(T), cudaMemcpyHostToDevice), "upload");
     return copy;
   }
   template <class T>
@@ -88,8 +95,9 @@ using cuda::run_stage;
 template <class Real>
 class CudaState final : public SceneState {
  public:
-  explicit CudaState(const model::Model& model)
+  CudaState(const model::Model& model, std::uint32_t processors)
       : model_(model),
+        processors_(processors),
         tools_(model.tools.size()),
         prescribed_(4 * model.prescribed.size()),
         control_(1),
@@ -285,26 +293,14 @@ class CudaState final : public SceneState {
   void launch_elements(const model::ElementGroup& group, const ElementView<Real>& elements) {
     const cuda::ElementKernels kernels = cuda::element_kernels<Real>(group.shape, group.law);
     if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements);
-    if (elements.tile_count == 0) return;
-    const std::size_t shared = cuda::tile_bytes(elements);
-    auto record_bytes = static_cast<std::uint32_t>(cuda::tile_record_bytes(elements));
-    check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(shared)),
+    cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), processors_);
+    check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                               static_cast<int>(rows.shared_bytes)),
           "shared memory of the element tensors");
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
-                         &record_bytes};
-    check(cudaLaunchKernel(kernels.assemble, elements.tile_count, kernels.threads, arguments, shared, stream_),
+                         &rows.capacity};
+    check(cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream_),
           "element tensors");
-  }
-
-  void finish_slices() {
-    if (view_.open_slice_count == 0) return;
-    constexpr unsigned kSlices = cuda::kFinishThreads / cuda::kWarp;
-    const unsigned blocks = (view_.open_slice_count + kSlices - 1) / kSlices;
-    void* arguments[] = {const_cast<SceneView<Real>*>(&view_)};
-    const auto kernel =
-        model_.constant_edges.empty() ? &cuda::finish_slices<false, Real> : &cuda::finish_slices<true, Real>;
-    check(cudaLaunchKernel(reinterpret_cast<const void*>(kernel), blocks, cuda::kFinishThreads, arguments, 0, stream_),
-          "rows without tiles");
   }
 
   void enqueue_phase(model::Phase phase) {
@@ -334,11 +330,6 @@ class CudaState final : public SceneState {
                groups_[stage.group]);
         continue;
       }
-      if (stage.kind == model::StageKind::kAssemble) {
-        finish_slices();
-        continue;
-      }
-      if (stage.kind == model::StageKind::kExternalForces) continue;  // tiles and finish_slices add them
       with_stage(model_, stage, [&](auto type) {
         launch<decltype(type)>(groups_.empty() ? ElementView<Real>{} : groups_[stage.group]);
       });
@@ -362,6 +353,7 @@ class CudaState final : public SceneState {
   }
 
   const model::Model& model_;
+  const std::uint32_t processors_;
   Pinned<tensor::ToolState<Real>> tools_;
   Pinned<Real> prescribed_;
   Pinned<tensor::StepControl<Real>> control_;
@@ -394,9 +386,7 @@ class CudaBackend final : public Backend {
   model::PatchPolicy patch_policy(const v1::Scene&) const override {
     // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others.
     constexpr std::uint32_t kMinNodesPerPatch = 96;
-    constexpr std::uint32_t kTileBytes = 100 << 10;  // two blocks a multiprocessor
-    return {static_cast<std::uint32_t>(properties_.multiProcessorCount), kMinNodesPerPatch, tensor::Storage::kRows,
-            kTileBytes};
+    return {processors(), kMinNodesPerPatch, tensor::Storage::kRows};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};
@@ -428,9 +418,9 @@ class CudaBackend final : public Backend {
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;
     if (model.double_precision) {
-      state = std::make_unique<CudaState<double>>(model);
+      state = std::make_unique<CudaState<double>>(model, processors());
     } else {
-      state = std::make_unique<CudaState<float>>(model);
+      state = std::make_unique<CudaState<float>>(model, processors());
     }
     return state;
   } catch (const CudaFailure& failure) {
@@ -439,6 +429,7 @@ class CudaBackend final : public Backend {
   }
 
  private:
+  std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
   const cudaDeviceProp properties_;
 };
 

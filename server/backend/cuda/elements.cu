@@ -1,7 +1,7 @@
 #include "backend/cuda/elements.h"
 
 #include "backend/cuda/launch.cuh"
-#include "backend/cuda/tiles.cuh"
+#include "backend/cuda/rows.cuh"
 
 // TM_LAW, an index into physics::Laws, comes from the build.
 namespace tensormass::backend::cuda {
@@ -29,8 +29,7 @@ ElementKernels element_kernels_of_law(int shape) {
     using Shape = typename decltype(shape_tag)::Type;
     using Of = physics::LawAt<Law>;
     if (index != shape) return;
-    kernels.assemble = reinterpret_cast<const void*>(&assemble_tiles<Shape, Of, Real>);
-    kernels.threads = kTileThreads<Shape>;
+    kernels.assemble = reinterpret_cast<const void*>(&assemble_rows<Shape, Of, Real>);
     kernels.move_histories = reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, Of>, Real, kStageThreads>);
     kernels.watch = reinterpret_cast<const void*>(&run_stage<Watch<Shape, Of>, Real>);
   });

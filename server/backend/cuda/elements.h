@@ -9,8 +9,7 @@
 namespace tensormass::backend::cuda {
 
 struct ElementKernels {
-  const void* assemble = nullptr;  ///< assemble_tiles (tiles.cuh), a block a tile
-  unsigned threads = 0;            ///< of assemble
+  const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
   // Of the signature of run_stage (launch.cuh):
   const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
   const void* watch = nullptr;           ///< tensor::watch_elements; reduces

@@ -47,29 +47,19 @@ class Exchange {
   __device__ void publish_sums(float x, float y, float z) const {
     store(sums_ + std::size_t{tag_ & 1} * patches_ + patch_, {x, y, z, tag_});
   }
-  __device__ Cell wait_for_sums(std::uint32_t patch) const {
-    return wait(sums_ + std::size_t{tag_ & 1} * patches_ + patch);
+  /// Sums of patches first, first + stride, .., as wait_for_rows.
+  template <int Count>
+  __device__ void wait_for_sums(std::uint32_t first, std::uint32_t stride, std::uint32_t count,
+                                Cell (&cells)[Count]) const {
+    wait_for(
+        sums_ + std::size_t{tag_ & 1} * patches_, first, stride, count, [](std::uint32_t i) { return i; }, cells);
   }
   /// Cells of rows [index(0)], [index(stride)], .. as many as `count` allows, at most Count; they are under way at
   /// once.
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
-    const Cell* place[Count];
-#pragma unroll
-    for (int i = 0; i < Count; ++i) {
-      // Beyond the end, the first one again.
-      const std::uint32_t item = first + i * stride < count ? first + i * stride : first;
-      place[i] = cells_ + std::size_t{tag_ & 1} * rows_ + index(item);
-    }
-    bool arrived;
-    do {
-      arrived = true;
-#pragma unroll
-      for (int i = 0; i < Count; ++i) cells[i] = load(place[i]);
-#pragma unroll
-      for (int i = 0; i < Count; ++i) arrived = arrived && cells[i].tag == tag_;
-    } while (!arrived);
+    wait_for(cells_ + std::size_t{tag_ & 1} * rows_, first, stride, count, index, cells);
   }
 
   /// Over a warp; each combination is commutative, so that all lanes have the same bits.
@@ -100,12 +90,23 @@ class Exchange {
         : "memory");
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
   }
-  __device__ Cell wait(const Cell* cell) const {
-    Cell value;
+  template <int Count, class Index>
+  __device__ void wait_for(const Cell* from, std::uint32_t first, std::uint32_t stride, std::uint32_t count,
+                           const Index& index, Cell (&cells)[Count]) const {
+    const Cell* place[Count];
+#pragma unroll
+    for (int i = 0; i < Count; ++i) {
+      // Beyond the end, the first one again.
+      place[i] = from + index(first + i * stride < count ? first + i * stride : first);
+    }
+    bool arrived;
     do {
-      value = load(cell);
-    } while (value.tag != tag_);
-    return value;
+      arrived = true;
+#pragma unroll
+      for (int i = 0; i < Count; ++i) cells[i] = load(place[i]);
+#pragma unroll
+      for (int i = 0; i < Count; ++i) arrived = arrived && cells[i].tag == tag_;
+    } while (!arrived);
   }
 
   Cell* const cells_;

@@ -16,48 +16,48 @@ namespace tensormass::backend::cuda {
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// The sums of all patches, in three turns around barriers of the block: a warp's, a patch's, which the first warp
-/// publishes, and those of all patches, for each of which one of `summers` threads waits. In a fixed order, and so the
-/// same to the last bit in every thread of every patch.
+/// The sums of all patches. Each warp leaves its own in shared memory and goes on; the last warp of the block adds them
+/// up, publishes them, waits for those of all patches and adds those up. In a fixed order, and so the same to the last
+/// bit in every patch.
 template <unsigned Threads>
 class PatchSums {
  public:
-  __device__ void add_warp(Exchange::Cell own) {
+  /// By all threads.
+  __device__ void exchange(const Exchange& exchange, std::uint32_t patches, Exchange::Cell own) {
+    const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
     own = Exchange::sum_warp(own);
-    if (threadIdx.x % kWarp == 0) warps_[threadIdx.x / kWarp] = own;
-    __syncthreads();
-  }
-  __device__ static std::uint32_t summers(std::uint32_t patches) { return (patches + kWarp - 1) / kWarp * kWarp; }
-  /// Only for threads below summers; the first ones publish.
-  __device__ void exchange(const Exchange& exchange, std::uint32_t patches) {
-    constexpr unsigned kWarps = Threads / kWarp;
-    const unsigned thread = threadIdx.x;
-    if (thread < kWarp) {
-      const Exchange::Cell mine = Exchange::sum_warp(thread < kWarps ? warps_[thread] : Exchange::Cell{0, 0, 0, 0});
-      if (thread == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
+    if (lane == 0) warps_[warp] = own;
+    if (warp + 1 < kWarps) {
+      asm volatile("bar.arrive 1, %0;" ::"n"(Threads) : "memory");
+      return;
     }
-    for (std::uint32_t first = 0; first < patches; first += Threads) {  // once, but for small blocks
-      const std::uint32_t patch = first + thread;
-      const Exchange::Cell one = patch < patches ? exchange.wait_for_sums(patch) : Exchange::Cell{0, 0, 0, 0};
-      const Exchange::Cell of_warp = Exchange::sum_warp(one);
-      if (thread % kWarp == 0 && patch < patches) all_[patch / kWarp] = of_warp;
+    asm volatile("bar.sync 1, %0;" ::"n"(Threads) : "memory");
+    const Exchange::Cell mine = Exchange::sum_warp(lane < kWarps ? warps_[lane] : Exchange::Cell{0, 0, 0, 0});
+    if (lane == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
+    Exchange::Cell sum{0, 0, 0, 0};
+    constexpr std::uint32_t kAtOnce = 5;  // 160 patches: one a multiprocessor
+    for (std::uint32_t first = lane; first < patches; first += kAtOnce * kWarp) {
+      Exchange::Cell cells[kAtOnce];
+      exchange.wait_for_sums(first, kWarp, patches, cells);
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        if (first + i * kWarp >= patches) break;
+        sum.x += cells[i].x;
+        sum.y += cells[i].y;
+        sum.z += cells[i].z;
+      }
     }
+    __syncwarp();
+    sum = Exchange::sum_warp(sum);
+    if (lane == 0) total_ = sum;
   }
   /// After a barrier.
-  __device__ Exchange::Cell total(std::uint32_t patches) const {
-    Exchange::Cell sum = all_[0];
-    for (std::uint32_t i = 1; i < (patches + kWarp - 1) / kWarp; ++i) {
-      sum.x += all_[i].x;
-      sum.y += all_[i].y;
-      sum.z += all_[i].z;
-    }
-    return sum;
-  }
+  __device__ Exchange::Cell total() const { return total_; }
 
  private:
-  static constexpr unsigned kMostPatches = 1024;
-  Exchange::Cell warps_[Threads / kWarp];
-  Exchange::Cell all_[kMostPatches / kWarp];
+  static constexpr unsigned kWarps = Threads / kWarp;
+  static_assert(kWarps <= kWarp);
+  Exchange::Cell warps_[kWarps];
+  Exchange::Cell total_;
 };
 
 /// Shared memory of resident_solve [bytes].
@@ -87,10 +87,8 @@ __global__ void __launch_bounds__(Threads, 1)
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
   const bool has_row = thread < own;
   const std::uint32_t row = patch.row_begin + (has_row ? thread : 0);
-  // Some warps wait for the sums, the others for the halo, if enough are left.
-  const std::uint32_t summers = PatchSums<Threads>::summers(s.patch_count);
-  const std::uint32_t halo_begin = summers + 2 * kWarp <= Threads ? summers : 0;
-  const std::uint32_t halo_stride = Threads - halo_begin;
+  // The last warp waits for sums, the others for the halo.
+  constexpr std::uint32_t kHaloThreads = Threads - kWarp;
 
   // b̂ and L⁻¹ of own rows and of the halo
   for (std::uint32_t i = thread; i < locals; i += Threads) {
@@ -122,30 +120,32 @@ __global__ void __launch_bounds__(Threads, 1)
 
   float held[Held][9];
   std::uint32_t held_columns[Held / 2];  // two 16-bit offsets into direction [bytes]
-#pragma unroll
-  for (int j = 0; j < Held; ++j) {
-    if (j % 2 == 0) held_columns[j / 2] = 0;
-    for (int c = 0; c < 9; ++c) held[j][c] = 0;
-  }
   {
     const Mat3<float> own_inverse = inverse_of(has_row ? thread : 0);
-    const auto scaled = [&](std::uint32_t j, std::uint32_t& column) -> Mat3<float> {
-      const std::size_t slot = (std::size_t{first} + j) * kSliceRows + lane;
-      column = s.columns[slot];
-      return own_inverse * tensor::load_block<float>(s.edges, slot) * inverse_of(column).transpose();
+    const auto slot_of = [first, lane](std::uint32_t j) { return (std::size_t{first} + j) * kSliceRows + lane; };
+    const auto scaled = [&](const Mat3<float>& block, std::uint32_t column) -> Mat3<float> {
+      return own_inverse * block * inverse_of(column).transpose();
     };
+    // All reads are under way before the first block is scaled. Beyond the width blocks are zero.
+    std::uint32_t column[Held];
 #pragma unroll
     for (int j = 0; j < Held; ++j) {
-      if (j < width) {
-        std::uint32_t column;
-        const Mat3<float> block = scaled(j, column);
-        for (int c = 0; c < 9; ++c) held[j][c] = block(c / 3, c % 3);
-        held_columns[j / 2] |= (column * 16) << (16 * (j % 2));
-      }
+      column[j] = j < width ? s.columns[slot_of(j)] : 0;
+      const float* block = s.edges + tensor::block_begin(slot_of(j));
+      for (int c = 0; c < 9; ++c) held[j][c] = j < width ? block[c * kSliceRows] : 0;
     }
+#pragma unroll
+    for (int j = 0; j < Held; ++j) {
+      Mat3<float> block;
+      for (int c = 0; c < 9; ++c) block(c / 3, c % 3) = held[j][c];
+      block = scaled(block, column[j]);
+      for (int c = 0; c < 9; ++c) held[j][c] = block(c / 3, c % 3);
+      held_columns[j / 2] = (j % 2 == 0 ? 0 : held_columns[j / 2]) | (column[j] * 16) << (16 * (j % 2));
+    }
+#pragma unroll 2
     for (std::uint32_t j = Held; j < width; ++j) {
-      std::uint32_t column;
-      const Mat3<float> block = scaled(j, column);
+      const std::uint32_t column = s.columns[slot_of(j)];
+      const Mat3<float> block = scaled(tensor::load_block<float>(s.edges, slot_of(j)), column);
       if (j - Held < shared_width) {
         const std::size_t place = shared_begin + j - Held;
         float* const to = blocks + place * (9 * kSliceRows);
@@ -154,15 +154,22 @@ __global__ void __launch_bounds__(Threads, 1)
         to[8 * kSliceRows + lane] = block(2, 2);
         columns[place * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
       } else {
-        tensor::store_block<float>(s.edges, (std::size_t{first} + j) * kSliceRows + lane, block);
+        tensor::store_block<float>(s.edges, slot_of(j), block);
       }
     }
   }
 
   const float4 start = has_row ? direction[thread] : float4{};
   Vec3<float> p(start.x, start.y, start.z), r = p, x = Vec3<float>::Zero();
+  // Rows of the halo that this thread waits for; a patch seldom has more than two a thread.
+  constexpr std::uint32_t kHaloAtOnce = 2;
+  std::uint32_t halo_rows[kHaloAtOnce];
+  for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
+    const std::uint32_t h = thread + i * kHaloThreads;
+    halo_rows[i] = h < patch.halo_count ? s.halo[patch.halo_begin + h] : 0;
+  }
   Exchange exchange(s, patch.index);
-  solver::Recurrence<float> recurrence;
+  solver::Recurrence<float> recurrence(s);
   do {
     exchange.begin();
     Vec3<float> q = p;
@@ -193,42 +200,43 @@ __global__ void __launch_bounds__(Threads, 1)
       add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
     }
     if (has_row) exchange.publish_row(row, q[0], q[1], q[2]);
-    sums.add_warp({p.dot(q), q.dot(q), r.dot(r), 0});
-    if (thread < summers) sums.exchange(exchange, s.patch_count);
-    if (thread >= halo_begin) {
-      constexpr int kAtOnce = 2;
-      for (std::uint32_t h = thread - halo_begin; h < patch.halo_count; h += kAtOnce * halo_stride) {
-        Exchange::Cell cells[kAtOnce];
+    sums.exchange(exchange, s.patch_count, {p.dot(q), q.dot(q), r.dot(r), 0});
+    if (thread < kHaloThreads) {
+      for (std::uint32_t h = thread; h < patch.halo_count; h += kHaloAtOnce * kHaloThreads) {
+        Exchange::Cell cells[kHaloAtOnce];
         exchange.wait_for_rows(
-            h, halo_stride, patch.halo_count, [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
-        for (int i = 0; i < kAtOnce; ++i) {
-          const std::uint32_t place = h + i * halo_stride;
+            h, kHaloThreads, patch.halo_count,
+            [&](std::uint32_t i) {
+              if (h == thread) return halo_rows[i == h ? 0 : 1];
+              return s.halo[patch.halo_begin + i];
+            },
+            cells);
+        for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
+          const std::uint32_t place = h + i * kHaloThreads;
           if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
         }
       }
     }
     __syncthreads();
-    const Exchange::Cell all = sums.total(s.patch_count);
+    const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
     x += p * alpha;
     r -= q * alpha;
     p = r + p * beta;
     if (has_row) direction[thread] = {p[0], p[1], p[2], 0};
-    if (thread >= halo_begin) {
-      for (std::uint32_t h = thread - halo_begin; h < patch.halo_count; h += halo_stride) {
-        const float4 hq = halo_product[h];
-        float4 hr = halo_residual[h], hp = direction[own + h];
-        hr.x -= alpha * hq.x;
-        hr.y -= alpha * hq.y;
-        hr.z -= alpha * hq.z;
-        hp = {hr.x + beta * hp.x, hr.y + beta * hp.y, hr.z + beta * hp.z, 0};
-        halo_residual[h] = hr;
-        direction[own + h] = hp;
-      }
+    for (std::uint32_t h = thread; h < patch.halo_count; h += Threads) {
+      const float4 hq = halo_product[h];
+      float4 hr = halo_residual[h], hp = direction[own + h];
+      hr.x -= alpha * hq.x;
+      hr.y -= alpha * hq.y;
+      hr.z -= alpha * hq.z;
+      hp = {hr.x + beta * hp.x, hr.y + beta * hp.y, hr.z + beta * hp.z, 0};
+      halo_residual[h] = hr;
+      direction[own + h] = hp;
     }
     __syncthreads();
-  } while (recurrence.goes_on(s));
+  } while (recurrence.goes_on());
 
   if (thread == 0) {
     exchange.remember();
@@ -267,7 +275,6 @@ __global__ void __launch_bounds__(Threads, 1)
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
-  const std::uint32_t summers = PatchSums<Threads>::summers(s.patch_count);
 
   std::size_t used = 0;
   const auto place = [&](std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
@@ -291,7 +298,7 @@ __global__ void __launch_bounds__(Threads, 1)
   __syncthreads();
 
   Exchange exchange(s, patch.index);
-  solver::Recurrence<float> recurrence;
+  solver::Recurrence<float> recurrence(s);
   bool scaled = false;
   do {
     exchange.begin();
@@ -332,10 +339,9 @@ __global__ void __launch_bounds__(Threads, 1)
       own_sums.z += residual.dot(residual);
     }
     scaled = true;
-    sums.add_warp(own_sums);
-    if (thread < summers) sums.exchange(exchange, s.patch_count);
+    sums.exchange(exchange, s.patch_count, own_sums);
     __syncthreads();
-    const Exchange::Cell all = sums.total(s.patch_count);
+    const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
     for (std::uint32_t local = thread; local < own; local += Threads) {
@@ -358,7 +364,7 @@ __global__ void __launch_bounds__(Threads, 1)
       }
     }
     __syncthreads();
-  } while (recurrence.goes_on(s));
+  } while (recurrence.goes_on());
 
   if (thread == 0) {
     exchange.remember();

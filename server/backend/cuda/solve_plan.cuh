@@ -61,6 +61,7 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   };
   consider.template operator()<256, 18>();
   consider.template operator()<384, 12>();
+  consider.template operator()<448, 8>();
   consider.template operator()<512, 8>();
   if (plan.kernel == nullptr) {
     constexpr unsigned kThreads = 512;

@@ -111,6 +111,36 @@ TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const M
   }
 }
 
+/// As add_point, but only what belongs to one node k: f_k and K_kl of the other nodes, to an `out` that has
+/// is_own(l), add_force(force), add_edge(l, block).
+template <class Shape, class Law, class T, class Out>
+TM_HOST_DEVICE void add_point_to_node(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
+                                      typename Law::template Point<T>& point,
+                                      std::type_identity_t<const Viscous<T>*> viscous, Stiffness kind, Out& out) {
+  if (kind == Stiffness::kPositive) Law::make_positive(point);
+  // Forces and stiffness are linear in the own gradient, which takes the weight along.
+  Vec3<T> own = gradients.a[0];
+  TM_UNROLL_ALL
+  for (int k = 1; k < Shape::kNodes; ++k) {
+    for (int c = 0; c < 3; ++c) own[c] = out.is_own(k) ? gradients.a[k][c] : own[c];
+  }
+  own *= gradients.weight;
+  Mat3<T> stress = Law::stress(point), memory;
+  if (viscous != nullptr) {
+    stress = viscous->template stress<Law>(f, stress);
+    memory = viscous->template geometric<Law>(kind == Stiffness::kPositive);
+  }
+  out.add_force(stress * -own);
+  const auto own_node = Law::at_node(point, viscous != nullptr ? Vec3<T>(own * viscous->instant) : own);
+  TM_UNROLL_ALL
+  for (int l = 0; l < Shape::kNodes; ++l) {
+    if (out.is_own(l)) continue;
+    Mat3<T> edge = Law::stiffness(point, own_node, Law::at_node(point, gradients.a[l]));
+    if (viscous != nullptr) edge += Mat3<T>::Identity() * own.dot(memory * gradients.a[l]);
+    out.add_edge(l, edge);
+  }
+}
+
 /// The rest points and shares of an element, as rest.h makes them.
 template <class Shape>
 struct ElementAtRest {

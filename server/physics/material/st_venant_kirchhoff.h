@@ -72,8 +72,12 @@ struct StVenantKirchhoff : LameParameters {
   /// (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
-    return (a.moved * b.moved.transpose()) * p.lambda + (b.moved * a.moved.transpose()) * p.mu +
-           p.left_cauchy_green * (p.mu * a.gradient.dot(b.gradient)) + Mat3<T>::Identity() * a.gradient.dot(b.stress);
+    const Vec3<T> dilated = a.moved * p.lambda, sheared = a.moved * p.mu;
+    Mat3<T> block = p.left_cauchy_green * (p.mu * a.gradient.dot(b.gradient));
+    block += dilated * b.moved.transpose();
+    block += b.moved * sheared.transpose();
+    block.diagonal().array() += a.stress.dot(b.gradient);
+    return block;
   }
 
   /// Compression makes the geometric term (a·S b) I indefinite, which conjugate gradients cannot take. It is shifted

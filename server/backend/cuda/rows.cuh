@@ -1,0 +1,151 @@
+#pragma once
+
+#include "backend/cuda/team.cuh"
+#include "tensor/rows.h"
+
+/// tensor/rows.h with a warp a slice: a thread a row, its blocks in shared memory.
+namespace tensormass::backend::cuda {
+
+using tensor::ElementView;
+using tensor::kSliceRows;
+using tensor::SceneView;
+
+/// A row's blocks and stretches, three quads a column: a thread reads four numbers at once, and meets no other's bank.
+/// Warps that share a slice have a copy each.
+template <class Real>
+class SharedBlocks {
+ public:
+  static constexpr std::size_t kBytesPerColumn = 12 * kSliceRows * sizeof(Real);
+
+  __device__ SharedBlocks(void* shared, std::uint32_t capacity)
+      : quads_(static_cast<Quad*>(shared) + lane()),
+        capacity_(capacity),
+        part_(threadIdx.x / kWarp),
+        parts_(blockDim.x / kWarp) {}
+
+  __device__ std::uint32_t parts() const { return parts_; }
+  __device__ std::uint32_t part() const { return part_; }
+  __device__ std::uint32_t begin(std::uint32_t column, std::uint32_t count) {
+    meet();  // what was held before has been used
+    first_ = column;
+    held_ = minimum(count, capacity_);
+    return held_;
+  }
+  __device__ bool holds(std::uint32_t place) const { return place - first_ < held_; }
+
+  __device__ void clear(std::uint32_t place, const Vec3<Real>& stretch) {
+    for (std::uint32_t part = 0; part < parts_; ++part) {
+      Quad* quads = at(place, part);
+      quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
+      quads[2 * kSliceRows] = {0, stretch[0], stretch[1], stretch[2]};
+    }
+  }
+  __device__ void add(std::uint32_t place, const Mat3<Real>& block) {
+    Quad* quads = at(place, part_);
+    Quad a = quads[0], b = quads[kSliceRows], c = quads[2 * kSliceRows];
+    a.x += block(0, 0);
+    a.y += block(1, 0);
+    a.z += block(2, 0);
+    a.w += block(0, 1);
+    b.x += block(1, 1);
+    b.y += block(2, 1);
+    b.z += block(0, 2);
+    b.w += block(1, 2);
+    c.x += block(2, 2);
+    quads[0] = a;
+    quads[kSliceRows] = b;
+    quads[2 * kSliceRows] = c;
+  }
+  __device__ Vec3<Real> stretch(std::uint32_t place) const {
+    const Quad c = at(place, part_)[2 * kSliceRows];
+    return {c.y, c.z, c.w};
+  }
+  __device__ void meet() const {
+    if (parts_ > 1) __syncthreads();
+  }
+  __device__ Mat3<Real> block(std::uint32_t place) const {
+    Mat3<Real> sum = of_part(place, 0);
+    for (std::uint32_t part = 1; part < parts_; ++part) sum += of_part(place, part);
+    return sum;
+  }
+  __device__ bool leads(tensor::RowSums<Real>& sums) const {
+    if (parts_ == 1) return true;
+    meet();  // the blocks have been read
+    const auto place = [&](std::uint32_t part) {
+      return reinterpret_cast<Real*>(&at(first_, part)->x - 4 * lane()) + lane();
+    };
+    Real* const mine = place(part_);
+    each(sums, [&](unsigned c, const Real& value) { mine[c * kSliceRows] = value; });
+    meet();
+    if (part_ != 0) return false;
+    for (std::uint32_t part = 1; part < parts_; ++part) {
+      const Real* other = place(part);
+      each(sums, [&](unsigned c, Real& value) { value += other[c * kSliceRows]; });
+    }
+    return true;
+  }
+
+ private:
+  struct alignas(16) Quad {
+    Real x, y, z, w;
+  };
+  __device__ static unsigned lane() { return threadIdx.x % kWarp; }
+  __device__ Quad* at(std::uint32_t place, std::uint32_t part) const {
+    return quads_ + std::size_t{part * capacity_ + place - first_} * (3 * kSliceRows);
+  }
+  /// Of the vertex tensor, which is symmetric, the upper triangle: 15 reals, which two columns have room for.
+  template <class Sums, class Visit>
+  __device__ static void each(Sums& sums, const Visit& visit) {
+    unsigned c = 0;
+    for (int i = 0; i < 3; ++i) {
+      visit(c++, sums.force[i]);
+      visit(c++, sums.stiffness_ahead[i]);
+      visit(c++, sums.momentum[i]);
+      for (int j = i; j < 3; ++j) visit(c++, sums.vertex(i, j));
+    }
+  }
+  __device__ Mat3<Real> of_part(std::uint32_t place, std::uint32_t part) const {
+    const Quad* quads = at(place, part);
+    const Quad a = quads[0], b = quads[kSliceRows], c = quads[2 * kSliceRows];
+    Mat3<Real> block;
+    block << a.x, a.w, b.z, a.y, b.x, b.w, a.z, b.y, c.x;
+    return block;
+  }
+
+  Quad* const quads_;
+  const std::uint32_t capacity_, part_, parts_;
+  std::uint32_t first_ = 0, held_ = 0;
+};
+
+/// Warps that share a slice: two, so that one's reads are hidden by the other's arithmetic; more where a small scene
+/// has too few slices for all processors.
+inline constexpr std::uint32_t kUsualParts = 2, kMostParts = 4;
+
+struct RowsLaunch {
+  std::uint32_t capacity;  ///< columns that a block keeps at once
+  unsigned threads;
+  std::size_t shared_bytes;
+};
+
+/// slices: of the group; widest: in columns.
+template <class Real>
+RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, std::uint32_t processors) {
+  constexpr std::size_t kMostBytes = 112 << 10;  // two blocks fit on a multiprocessor
+  constexpr std::uint32_t kWarpsPerProcessor = 16;
+  const auto most = static_cast<std::uint32_t>(kMostBytes / SharedBlocks<Real>::kBytesPerColumn);
+  const std::uint32_t capacity = maximum(2u, minimum(widest, most));
+  const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
+  const std::uint32_t parts = maximum(1u, minimum(minimum(wanted, kMostParts), most / capacity));
+  return {capacity, parts * kWarp, parts * capacity * SharedBlocks<Real>::kBytesPerColumn};
+}
+
+template <class Shape, class Law, class Real>
+__global__ void __launch_bounds__(kMostParts* kWarp)
+    assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
+                  std::uint32_t capacity) {
+  extern __shared__ float4 shared[];
+  SharedBlocks<Real> blocks(shared, capacity);
+  tensor::assemble_row<Shape, Law>(s, e, blockIdx.x, threadIdx.x % kWarp, blocks);
+}
+
+}  // namespace tensormass::backend::cuda

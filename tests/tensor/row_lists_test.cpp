@@ -1,0 +1,124 @@
+#include "tensor/row_lists.h"
+
+#include <array>
+#include <cmath>
+#include <map>
+#include <numbers>
+#include <tuple>
+
+#include <gtest/gtest.h>
+
+#include "mesh/random_mesh.h"
+#include "mesh/shapes.h"
+#include "tensor/rows.h"
+
+/// Lists of rows against the elements themselves: each node of each element is listed once, in its row, and knows the
+/// slots of the other nodes.
+namespace tensormass::tensor {
+namespace {
+
+constexpr std::uint32_t kNodes = 4;
+
+/// Tetrahedra of a mesh in two groups by turns, as ElementRows wants them.
+struct Groups {
+  explicit Groups(const mesh::Mesh& mesh, const Layout& layout) {
+    std::uint32_t turn = 0;
+    std::array<std::vector<std::array<std::uint32_t, kNodes>>, 2> elements;
+    for (const auto& nodes : mesh::element_nodes(mesh)) {
+      std::array<std::uint32_t, kNodes> element{};
+      for (std::uint32_t k = 0; k < kNodes; ++k) element[k] = layout.row_of_node[nodes[k]];
+      elements[turn++ % 3 == 0 ? 0 : 1].push_back(element);
+    }
+    for (std::size_t g = 0; g < 2; ++g) {
+      const auto count = static_cast<std::uint32_t>(elements[g].size());
+      rows[g].resize(std::size_t{kNodes} * count);
+      for (std::uint32_t e = 0; e < count; ++e) {
+        for (std::uint32_t k = 0; k < kNodes; ++k) rows[g][std::size_t{k} * count + e] = elements[g][e][k];
+      }
+      views.push_back({kNodes, count, count, rows[g]});
+    }
+  }
+  std::array<std::vector<std::uint32_t>, 2> rows;
+  std::vector<ElementRows> views;
+};
+
+void check(const mesh::Mesh& mesh, std::uint32_t patches, bool finishes, std::uint32_t place_bits) {
+  const Layout layout = make_layout(mesh, patches);
+  const Groups groups(mesh, layout);
+  const GroupRowLists lists = make_row_lists(layout, groups.views, finishes);
+  std::map<std::uint32_t, int> begun, finished;  // by slice
+  for (std::size_t g = 0; g < 2; ++g) {
+    const RowLists& group = lists.groups[g];
+    ASSERT_EQ(group.place_bits, place_bits);
+    ElementView<float> view{};
+    view.place_bits = group.place_bits;
+    view.places = group.places.data();
+    std::map<std::pair<std::uint32_t, std::uint32_t>, int> found;  // element, node
+    ASSERT_EQ(group.list_begin.size(), group.slices.size() + 1);
+    for (std::size_t i = 0; i < group.slices.size(); ++i) {
+      const std::uint32_t slice = group.slices[i] / 4;
+      EXPECT_EQ(group.slices[i] % 2, begun[slice] > 0 ? 1u : 0u) << "the first group assigns, the others add";
+      EXPECT_EQ(finished[slice], 0) << "nothing comes after the group that finishes";
+      ++begun[slice];
+      finished[slice] += static_cast<int>(group.slices[i] / 2 % 2);
+      for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
+        const std::uint32_t row = slice * kSliceRows + lane;
+        std::uint32_t before = 0;
+        for (std::uint32_t column = group.list_begin[i]; column < group.list_begin[i + 1]; ++column) {
+          const std::uint32_t element = group.listed[std::size_t{column} * kSliceRows + lane];
+          if (element == kNoPlace) {
+            before = kNoPlace;
+            continue;
+          }
+          ASSERT_NE(before, kNoPlace) << "a list has no gap";
+          EXPECT_TRUE(column == group.list_begin[i] || element > before) << "summed in the order of the elements";
+          before = element;
+          const Places<kNodes> places(Places<kNodes>::Packed::read(view, column, lane), view.place_bits);
+          std::uint32_t own = kNodes;
+          for (std::uint32_t l = 0; l < kNodes; ++l) {
+            const std::uint32_t other = groups.rows[g][std::size_t{l} * groups.views[g].stride + element];
+            if (places.of[l] == places.own) {
+              EXPECT_EQ(own, kNodes);
+              EXPECT_EQ(other, row);
+              own = l;
+            } else {
+              EXPECT_EQ((layout.slice_begin[slice] + places.of[l]) * kSliceRows + lane, layout.slot(row, other));
+            }
+          }
+          ++found[{element, own}];
+        }
+      }
+    }
+    for (std::uint32_t e = 0; e < groups.views[g].element_count; ++e) {
+      for (std::uint32_t k = 0; k < kNodes; ++k) EXPECT_EQ((found[{e, k}]), 1);
+    }
+  }
+  ASSERT_EQ(lists.begun_slices.size(), finishes ? 0 : layout.row_count / kSliceRows);
+  for (std::uint32_t slice = 0; slice < layout.row_count / kSliceRows; ++slice) {
+    EXPECT_EQ(finished[slice], finishes && begun[slice] > 0 ? 1 : 0);
+    if (!finishes) EXPECT_EQ(lists.begun_slices[slice], begun[slice] > 0 ? 1 : 0);
+  }
+}
+
+TEST(RowLists, EveryNodeOfEveryElementIsListedOnceWithItsPlaces) {
+  check(mesh::testing::random_mesh(3, 6, 0.7), 3, true, 8);
+  check(mesh::testing::random_mesh(3, 6, 0.7), 3, false, 8);
+}
+
+TEST(RowLists, PlacesOfVeryWideRowsHaveMoreBits) {
+  // An axis with as many neighbours as there are nodes around it.
+  constexpr std::uint32_t kAround = 300;
+  mesh::Mesh mesh;
+  mesh.nodes = {{0, 0, 0}, {0, 0, 1}};
+  mesh::ElementBlock block{mesh::Shape::kTetrahedron, {}};
+  for (std::uint32_t i = 0; i < kAround; ++i) {
+    const double angle = 2 * std::numbers::pi * i / kAround;
+    mesh.nodes.emplace_back(std::cos(angle), std::sin(angle), 0);
+    block.nodes.insert(block.nodes.end(), {0, 2 + i, 2 + (i + 1) % kAround, 1});
+  }
+  mesh.blocks.push_back(block);
+  check(mesh, 2, true, 16);
+}
+
+}  // namespace
+}  // namespace tensormass::tensor
