@@ -133,7 +133,7 @@ class CudaState final : public SceneState {
     }
     graph(model::Phase::kWatch) = record([&] { enqueue_phase(model::Phase::kWatch); });
     if (view_.visible_count > 0) gather_ = record([&] { enqueue_gather(); });
-    check(cudaDeviceSynchronize(), "start of the scene");
+    finish_copies("start of the scene");
   }
 
   ~CudaState() override {
@@ -198,7 +198,7 @@ class CudaState final : public SceneState {
     write_state(model_, view_, std::span<const ElementView<Real>>(groups_), state,
                 [&](Real* to, std::span<const double> from) { upload(to, from); });
     memory_.start_anew(state.history_dt_s);
-    check(cudaDeviceSynchronize(), "write");  // copies from pageable memory may still be under way
+    finish_copies("write");
   }
 
   // What newton_step needs of a device.
@@ -219,6 +219,9 @@ class CudaState final : public SceneState {
  private:
   void launch_graph(cudaGraphExec_t graph, const char* what) { check(cudaGraphLaunch(graph, stream_), what); }
   void wait(const char* what) { check(cudaStreamSynchronize(stream_), what); }
+  /// Copies from pageable memory and clearing are under way in a stream of their own. Not by waiting for the device:
+  /// other scenes may never leave it idle.
+  static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
   cudaGraphExec_t& graph(model::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
 
   std::vector<double> download(const Real* from, std::size_t count) {

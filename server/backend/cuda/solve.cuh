@@ -16,9 +16,9 @@ namespace tensormass::backend::cuda {
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// The sums of all patches. Each warp leaves its own in shared memory and goes on; the last warp of the block adds them
-/// up, publishes them, waits for those of all patches and adds those up. In a fixed order, and so the same to the last
-/// bit in every patch.
+/// The sums of all patches. Each warp leaves its own in shared memory; the last warp of the block adds them up,
+/// publishes them, waits for those of all patches and adds those up, while the other warps wait for the halo. In a
+/// fixed order, and so the same to the last bit in every patch.
 template <unsigned Threads>
 class PatchSums {
  public:
@@ -27,11 +27,8 @@ class PatchSums {
     const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
     own = Exchange::sum_warp(own);
     if (lane == 0) warps_[warp] = own;
-    if (warp + 1 < kWarps) {
-      asm volatile("bar.arrive 1, %0;" ::"n"(Threads) : "memory");
-      return;
-    }
-    asm volatile("bar.sync 1, %0;" ::"n"(Threads) : "memory");
+    __syncthreads();
+    if (warp + 1 < kWarps) return;
     const Exchange::Cell mine = Exchange::sum_warp(lane < kWarps ? warps_[lane] : Exchange::Cell{0, 0, 0, 0});
     if (lane == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
     Exchange::Cell sum{0, 0, 0, 0};
