@@ -14,12 +14,14 @@ from accuracy.problem import Problem, Support
 from .case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Group
 from .tissue import (
     CUBE_M,
+    NEWTON_SAYS,
     REAL_TIME_DT_S,
     SOFTENS,
     clamped,
     cube,
     distance,
     equilibrium,
+    law_says,
     nodal_weight,
     real_time,
     running,
@@ -91,7 +93,7 @@ def settle(
             scene_running.step(steps // LOOKS)
             now = scene_running.state()
             energies.append(now.elastic_energy_j + now.kinetic_energy_j - float((forces * now.displacement_m).sum()))
-        warnings = scene_running.warnings
+        warnings = scene_running.last_warnings
     rise = float(np.diff(energies).max() / work)
     return Found([distance(now.displacement_m, reference), Check("rise of energy", rise, FELT)], warnings)
 
@@ -117,6 +119,7 @@ def _step_cases() -> Iterator[Case]:
                             engine, law, shape, dt_s, newton
                         ),
                         expects=settles(law),
+                        names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "hexahedron" and dt_s == 1.0 and not newton,
                     )
 
@@ -172,6 +175,7 @@ def _load_cases() -> Iterator[Case]:
                         engine, law, shape, times, young_pa, newton
                     ),
                     expects=(HOLDS,) if young_pa > 1e9 else (HOLDS, CAUGHT),
+                    names=law_says(law) + (NEWTON_SAYS if newton else ()),
                     short={"": overshoot} if law == "ogden" and times == 1e2 and not newton else {},
                 )
     for law in LAWS:

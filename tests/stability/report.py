@@ -88,7 +88,8 @@ def page(runs: Sequence[Run]) -> str:
         "|---|---|",
         "| ✓ holds | every check of the case is within its bound |",
         "| refused | at load, with a message that names the field |",
-        "| caught | while running: a guard stopped the scene with a fault, or the status warned of what went wrong |",
+        "| caught | while running: a guard stopped the scene with a fault, or the status had the warning that names "
+        "what went wrong (any other counts for nothing) |",
         "| **short** | neither; the reason stands below the table |",
         "",
         "## What each law promises",
@@ -162,7 +163,7 @@ def _cell(rows: list[Row]) -> str:
 
 
 def _notes(cases: list[Case], rows: dict[str, list[Row]]) -> list[str]:
-    """What did not simply hold, grouped by what was said or why."""
+    """What did not simply hold, grouped by why, or by what was said."""
     groups: dict[tuple[str, str], list[str]] = {}
     for case in cases:
         for row in rows.get(case.key, []):
@@ -170,20 +171,29 @@ def _notes(cases: list[Case], rows: dict[str, list[Row]]) -> list[str]:
             if outcome == HOLDS:
                 continue
             member = f"{case.name}, {case.law}, {case.shape}, {row.precision}"
+            reason = case.reason(outcome, row.precision)
             if outcome == SHORT:
                 member += f" ({text})"
-                text = case.reason(row.precision) or "NOT EXPLAINED"
-            groups.setdefault((outcome, _without_numbers(text)), []).append(member)
+            elif outcome not in case.expects:
+                member += f" ({_first_sentence(text)})"
+            if outcome in case.expects:
+                reason = _without_numbers(_first_sentence(text))
+            groups.setdefault((outcome, reason or "NOT EXPLAINED"), []).append(member)
     lines = [""] if groups else []
     for (outcome, text), members in groups.items():
         more = f"; and {len(members) - 2} more" if len(members) > 2 else ""
-        lines.append(f"* {outcome}: {text} — {'; '.join(members[:2]).replace('_', ' ')}{more}")
+        lines.append(f"* {outcome}: {text} — {'; '.join(members[:2]).replace('_', ' ')}{more}".replace("|", r"\|"))
     return lines
+
+
+def _first_sentence(text: str) -> str:
+    """What went wrong, without what to do about it."""
+    return re.split(r"\. |; take |; give it more", text)[0]
 
 
 def _without_numbers(text: str) -> str:
     """So that the same words about another scene, body or step are the same."""
-    return re.sub(r"(?<![\w^])-?\d+(\.\d+)?(e[-+]?\d+)?", "…", re.sub(r"'[\w-]+'", "'…'", text)).replace("|", "\\|")
+    return re.sub(r"(?<![\w^])-?\d+(\.\d+)?(e[-+]?\d+)?", "…", re.sub(r"'[\w-]+'", "'…'", text))
 
 
 def unexplained_rows(run: Run) -> list[Row]:
