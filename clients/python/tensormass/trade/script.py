@@ -2,7 +2,7 @@
 
 The scene starts at rest and takes its loads at once. Where it has tools, the first of them then goes straight to the
 nearest point of the surface, presses in by half its radius, stays, and lifts off; the others stay where they are. (By a
-whole radius the demo's St-Venant-Kirchhoff liver turns elements inside out, and has no answer to converge to.) All
+whole radius the elements of a thin or coarse tissue may turn inside out, and there is no answer to converge to.) All
 settings see the same path and are looked at at the same times, in the same points: the nodes of the scene's own mesh.
 """
 
