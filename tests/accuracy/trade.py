@@ -113,7 +113,7 @@ def main() -> int:
 
 
 def _measure(scene: str, arguments: argparse.Namespace) -> None:
-    folder = _folder(scene, arguments.backend)
+    folder = folder_of(scene, arguments.backend)
     options = ["--tolerance", TOLERANCE, *SCENES[scene], *(["--quick"] if arguments.quick else [])]
     options += ["--reference-seconds", arguments.reference_seconds]
     content = _run(scene, arguments.backend, folder, options)
@@ -264,7 +264,8 @@ def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
     return lines + ["| " + " | ".join(cell.replace("_", " ") for cell in row) + " |" for row in rows]
 
 
-def _folder(scene: str, backend: str) -> Path:
+def folder_of(scene: str, backend: str) -> Path:
+    """Where a run is kept while it goes on, with the recording of its reference."""
     return BUILD_BIN.parent / "trade" / f"{scene}-{backend}"
 
 

@@ -7,19 +7,22 @@ that says the same and starts anew beside any other; journals that say the same 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-import accuracy
 from tensormass.processes import BUILD_BIN, find_program
 
+from . import cases
 from .case import Verdict
 from .report import Row
 
 FOLDER = BUILD_BIN.parent / "stability"
+_OURS = (__name__.partition(".")[0], "accuracy")
 # What two journals have in common whose rows go together.
 _SAME = ("backend", "device", "machine", "build", "cases")
 
@@ -38,12 +41,20 @@ def build() -> str:
 
 
 def cases_digest() -> str:
-    """Of all that a verdict depends on here: a changed case is run anew."""
+    """Of the modules that the cases are made of: a changed case is run anew."""
     digest = hashlib.sha256()
-    for folder in (Path(__file__).parent, Path(accuracy.__file__).parent):
-        for path in sorted(folder.glob("*.py")):
-            if not path.name.startswith(("test_", "__main__", "report", "journal", "run")):
-                digest.update(path.read_bytes())
+    seen, waiting = set[str](), [cases.__name__]
+    while waiting:
+        name = waiting.pop()
+        if name in seen or name.partition(".")[0] not in _OURS:
+            continue
+        seen.add(name)
+        module = sys.modules[name]
+        waiting += [
+            of.__name__ if inspect.ismodule(of) else getattr(of, "__module__", "") or "" for of in vars(module).values()
+        ]
+    for name in sorted(seen):
+        digest.update(Path(sys.modules[name].__file__ or "").read_bytes())
     return digest.hexdigest()[:12]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import queue
 import threading
 import time
@@ -40,6 +41,13 @@ class _Daemon:
             self._server = None
 
 
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # its daemon ends with it
+
+
 def run_case(case: Case, engine: Engine) -> Entry:
     began = time.monotonic()
     row = Row(case.key, engine.precision, judge(case, engine))
@@ -47,7 +55,8 @@ def run_case(case: Case, engine: Engine) -> Entry:
 
 
 def _work(backend: str, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue) -> None:
-    """Until a task is None."""
+    """Until a task is None, or whoever gives them is gone."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cases = {case.key: case for case in all_cases()}
     daemon = _Daemon(backend)
 

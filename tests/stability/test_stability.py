@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -154,3 +157,27 @@ def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
     assert {of.row.verdict.outcome for of in entries} == {HOLDS}
     run(wanted, backend="cpu", jobs=1, scenes=1, limit_s=0, take=entries.append)
     assert len(entries) == len(wanted)
+
+
+def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:
+    (tmp_path / "alone.py").write_text(
+        "import multiprocessing, sys, threading\n"
+        "from stability import run\n"
+        "def wait(told):\n"
+        "    threading.Thread(target=run._end_with_parent, daemon=True).start()\n"
+        "    told.send(multiprocessing.current_process().pid)\n"
+        "    threading.Event().wait()\n"
+        "if __name__ == '__main__':\n"
+        "    here, there = multiprocessing.get_context('spawn').Pipe()\n"
+        "    multiprocessing.get_context('spawn').Process(target=wait, args=(there,), daemon=True).start()\n"
+        "    print(here.recv(), flush=True)\n"
+        "    threading.Event().wait()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
+    parent = subprocess.Popen(
+        [sys.executable, tmp_path / "alone.py"], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert parent.stdout is not None
+    assert int(parent.stdout.readline()) > 0
+    parent.kill()
+    parent.communicate(timeout=30)  # the job has the other end of it open while it lives

@@ -189,7 +189,7 @@ class Recorder:
         volumes = [volume_mesh(body) for body in scene.bodies]
         self._points = [rest_nodes(body, volume.nodes) for body, volume in zip(scene.bodies, volumes, strict=True)]
         #: [body][point]: the volume that a point stands for [m³], for means.
-        self.weights = [_node_volumes(volume) for volume in volumes]
+        self.weights = [node_volumes(volume) for volume in volumes]
         self._interpolations: OrderedDict[str, list[Interpolation]] = OrderedDict()
         self._energy = EnergyMeter(wanted=server.version().backend == "cuda")
 
@@ -359,7 +359,7 @@ def _along_own_direction(means: list[FloatArray]) -> FloatArray:
     return path @ (mean / length) if length > 0 else np.zeros(len(path))
 
 
-def _node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
+def node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
     """[node_count] m³: each element's volume, divided among its nodes."""
     weights = np.zeros(len(mesh.nodes))
     first = 0
