@@ -40,7 +40,8 @@ LOAD = Group(
     "load",
     "Loads",
     "The same cube under a multiple of its weight. Must hold: the total energy never rises above that of the start; "
-    "after a reset the cube is as new.",
+    "after a reset the cube is as new. From 100 times on, a step of 1/60 s throws a soft cube farther than it is "
+    "large, which the guard does not publish.",
 )
 REST = Group(
     "rest",
@@ -61,6 +62,8 @@ SETTLED_S = 1.0
 STEPS_S = (1e-4, 1e-3, REAL_TIME_DT_S, 0.1, 1.0)
 NAMES = {1e-4: "0.1 ms", 1e-3: "1 ms", REAL_TIME_DT_S: "1/60 s", 0.1: "0.1 s", 1.0: "1 s"}
 LOOKS = 20
+# What gives way without end under ten times the weight: pressed to less than 1/√3, or stretched beyond e.
+_YIELDS = (*SOFTENS, "hencky")
 
 
 def step_cases() -> Iterator[Case]:
@@ -153,11 +156,9 @@ def _load_cases() -> Iterator[Case]:
         with running(engine, scene):
             raise AssertionError("it was admitted")
 
-    overshoot = (
-        "one linearized solve a step overshoots where the stiffness grows as the 12th power of the stretch, and gains "
-        "energy; Newton's method does not (next row)"
-    )
     for times, young_pa, newton, name in (
+        (1e1, 5e3, False, "10 × weight, 5 kPa"),
+        (1e1, 5e3, True, "10 × weight, 5 kPa, Newton"),
         (1e2, 5e3, False, "100 × weight, 5 kPa"),
         (1e2, 5e3, True, "100 × weight, 5 kPa, Newton"),
         (1e4, 5e3, False, "10⁴ × weight, 5 kPa"),
@@ -174,9 +175,8 @@ def _load_cases() -> Iterator[Case]:
                     lambda engine, law=law, shape=shape, times=times, young_pa=young_pa, newton=newton: run(
                         engine, law, shape, times, young_pa, newton
                     ),
-                    expects=(HOLDS,) if young_pa > 1e9 else (HOLDS, CAUGHT),
+                    expects=(HOLDS,) if young_pa > 1e9 or (times < 1e2 and law not in _YIELDS) else (HOLDS, CAUGHT),
                     names=law_says(law) + (NEWTON_SAYS if newton else ()),
-                    short={"": overshoot} if law == "ogden" and times == 1e2 and not newton else {},
                 )
     for law in LAWS:
         yield Case(
