@@ -245,7 +245,8 @@ def _confirmations(trade: Trade) -> list[str]:
     rows = []
     for name, plain in head["confirmed"].items():
         again, was = Measurement.from_plain({**plain, "machine": head["machine"]}), promised[name]
-        row = [what.get(name, f"preset {name}" if name != OWN else OWN), report.setting_text(was.setting)]
+        preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of this front"
+        row = [what.get(name, preset if name != OWN else OWN), report.setting_text(was.setting)]
         if was.errors and again.errors:
             row += [report.percent(was.errors.judged), report.percent(again.errors.judged)]
             row += [report.ms(was.cost_s), report.ms(again.cost_s)]

@@ -26,6 +26,7 @@ import numpy as np
 from tensormass import defaults
 from tensormass.meshes import VolumeMesh
 from tensormass.scene import SceneFile, volume_mesh
+from tensormass.trade import report, sweep
 from tensormass.trade.interpolation import Interpolation
 from tensormass.trade.knobs import Knobs
 from tensormass.trade.script import Recording, Script, node_volumes
@@ -248,6 +249,52 @@ def read() -> tuple[dict, list[dict]]:
         return {}, []
     head, *rows = (json.loads(line) for line in FILE.read_text().splitlines())
     return head, rows
+
+
+def section() -> list[str]:
+    """Of docs/accuracy.md: its front beside ours."""
+    head, rows = read()
+    ours = trade.Trade.read(SCENE, BACKEND)
+    if not rows or ours is None:
+        return []
+    solved = sorted((row for row in rows if "failure" not in row), key=lambda row: row["cost_s"])
+    front = {solved[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in solved])}
+    lines = [
+        "",
+        "### The beam's front beside another solver's",
+        "",
+        f"{head['solver']}, `{head['command']}`; {head['host']}; {head['date']}, commit `{head['commit']}`. Same beam, "
+        "law, weight, points, times and reference as above"
+        + ("" if head["reference"] == ours.head["reference"]["key"] else " (**of an earlier run**)")
+        + ". Its cost is all the time of the program, reading and writing with it, for as much as one step of the "
+        "scene simulates; it runs with its own defaults (implicit with α = −0.05, a direct solver in double precision, "
+        "its tolerances) on as many threads as the machine has. It is made for other things than this: what can be "
+        "read from the two curves is that both come to the same motion, and what an error costs in either.",
+        "",
+        "| of | setting | elements | displacement | worst node | cost | on its front |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in solved:
+        what = f"{ELEMENTS[row['element']][1]} ({row['element']}), {row['key'].split(', ', 1)[1].replace('_', ' ')}"
+        lines.append(
+            f"| CalculiX | {what} | {row['elements']} | {report.percent(row['displacement'])} "
+            f"| {report.percent(row['worst_node'])} | {report.ms(row['cost_s'])} "
+            f"| {'*' if row['key'] in front else ''} |"
+        )
+    for of in sweep.front(ours.measurements):
+        assert of.errors
+        lines.append(
+            f"| this server | {report.setting_text(of.setting).replace('_', ' ')} | {of.element_count} "
+            f"| {report.percent(of.errors.displacement)} | {report.percent(of.errors.worst_node)} "
+            f"| {report.ms(of.cost_s)} | * |"
+        )
+    failed = [f"{row['key']}: {row['failure'].splitlines()[0]}" for row in rows if "failure" in row]
+    lines += ["", *(f"* gave up: {text}" for text in failed)] if failed else []
+    return [
+        *lines,
+        "",
+        "SOFA's published scenes were not run: no binary of it was at hand on the machine that measured.",
+    ]
 
 
 if __name__ == "__main__":

@@ -44,6 +44,7 @@ def main() -> int:
         head, entries = journal.merged(arguments.merge)
         return _finish(head, entries, [case for case in all_cases() if head["long"] or not case.long])
     chosen = [case for case in all_cases() if arguments.only in case.key and (arguments.long or not case.long)]
+    chosen.sort(key=lambda case: case.long)  # a limit leaves out the long ones
     wanted = tasks_of(chosen, [arguments.precision] if arguments.precision else tuple(PRECISIONS))
     cases = {case.key: case for case in chosen}
     part = bool(arguments.only or arguments.precision)
@@ -107,7 +108,8 @@ def _head(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _finish(head: dict[str, Any], entries: dict[tuple[str, str], Entry], cases: list[Case]) -> int:
     """Writes the results, in the order of the page, and says what is missing; 1 if a row is unexplained."""
-    wanted = tasks_of(cases)
+    of_page = {key: place for place, key in enumerate(case.key for case in all_cases())}
+    wanted = sorted(tasks_of(cases), key=lambda task: of_page[task[0]])
     there = [entries[task] for task in wanted if task in entries]
     run_ = report.Run(
         **{name: head[name] for name in ("backend", "device", "machine", "commit", "command", "date")},

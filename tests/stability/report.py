@@ -114,10 +114,14 @@ def page(runs: Sequence[Run]) -> str:
     for run in runs:
         counts = [str(sum(row.verdict.outcome == outcome for row in run.rows)) for outcome in OUTCOMES[:4]]
         unexplained = len(unexplained_rows(run))
+        ran = {row.key for row in run.rows}
+        missing = sum(len(case.precisions) for case in cases if not case.long and case.key not in ran)
+        rows = f"{len(run.rows)}" + (f", {missing} not run" if missing else "")
         lines.append(
             f"| {run.backend} | {run.device} | {run.machine} | {run.date} | `{run.commit}` | `{run.command}` "
-            f"| {run.seconds} | {len(run.rows)} | " + " | ".join(counts) + f" | {unexplained} |"
+            f"| {run.seconds} | {rows} | " + " | ".join(counts) + f" | {unexplained} |"
         )
+    lines += ["", "s: of all rows together; those that ran side by side are added up."] if runs else []
     known = {run.backend for run in runs}
     lines += [f"\nNo results of the {backend} backend yet." for backend in BACKENDS if backend not in known]
     for group in dict.fromkeys(case.group for case in cases):
