@@ -50,13 +50,14 @@ class Run(record.Head):
     rows: list[Row]
 
     def write(self) -> Path:
-        """One line a case: of each precision the outcome, the share of the bound and the text."""
+        """One line a case and law: of each shape and precision the outcome, the share of the bound and the text."""
         path = FOLDER / f"{self.backend}.json"
         lines: dict[str, dict[str, Any]] = {}
         for row in self.rows:
             share = None if math.isnan(row.verdict.share) else float(f"{row.verdict.share:.3g}")
-            line = lines.setdefault(row.key, {"key": row.key})
-            line[row.precision] = [row.verdict.outcome, share, row.verdict.text]
+            case, shape = row.key.rsplit("/", 1)
+            line = lines.setdefault(case, {"case": case})
+            line.setdefault(shape, {})[row.precision] = [row.verdict.outcome, share, _kept(row.verdict)]
         record.write(path, self.head(), list(lines.values()))
         return path
 
@@ -68,9 +69,11 @@ class Run(record.Head):
         content = json.loads(path.read_text())
         rows = []
         for line in content["rows"]:
-            for precision in set(line) - {"key"}:
-                outcome, share, text = line[precision]
-                rows.append(Row(line["key"], precision, Verdict(outcome, math.nan if share is None else share, text)))
+            case = line.pop("case")
+            for shape, precisions in line.items():
+                for precision, (outcome, share, text) in precisions.items():
+                    verdict = Verdict(outcome, math.nan if share is None else share, text)
+                    rows.append(Row(f"{case}/{shape}", precision, verdict))
         return Run(**{**content, "rows": sorted(rows, key=lambda row: row.precision)})
 
 
@@ -188,6 +191,14 @@ def _notes(cases: list[Case], rows: dict[str, list[Row]]) -> list[str]:
         more = f"; and {len(members) - 2} more" if len(members) > 2 else ""
         lines.append(f"* {outcome}: {text} — {'; '.join(members[:2]).replace('_', ' ')}{more}".replace("|", r"\|"))
     return lines
+
+
+def _kept(verdict: Verdict) -> str:
+    """Of a fault or a warning what went wrong: in which scene, and what to do about it, is said thousands of times."""
+    if verdict.outcome != CAUGHT:
+        return verdict.text
+    missed = re.search(r" \([^()]*, bound [^()]*\)$", verdict.text)
+    return _first_sentence(re.sub(r"^scene '[\w-]+' is stopped: ", "", verdict.text)) + (missed[0] if missed else "")
 
 
 def _first_sentence(text: str) -> str:

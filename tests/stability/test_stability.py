@@ -181,3 +181,27 @@ def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:
     assert int(parent.stdout.readline()) > 0
     parent.kill()
     parent.communicate(timeout=30)  # the job has the other end of it open while it lives
+
+
+def test_results_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "FOLDER", tmp_path)
+    fault = "scene 'accuracy-7' is stopped: step 3 left its bounds: a node moved 2.5 m in it. 3 retries did not help"
+    rows = [
+        report.Row("group/1/60 s/hooke/wedge", "double", Verdict(HOLDS, 0.25)),
+        report.Row("group/1/60 s/hooke/pyramid", "double", Verdict(SHORT, math.inf, "distance nan, bound 1")),
+        report.Row("group/1/60 s/hooke/wedge", "float", Verdict(CAUGHT, math.nan, fault)),
+        report.Row(
+            "group/1/60 s/ogden/wedge", "float", Verdict(CAUGHT, 2, "an imbalance of 0.5; give it more (c 2, bound 1)")
+        ),
+    ]
+    head = dict.fromkeys(("backend", "device", "machine", "commit", "command", "date"), "x")
+    report.Run(**head, seconds=1, rows=rows).write()
+    found = report.Run.read("x")
+    assert found is not None
+    by_key = {(row.key, row.precision): row.verdict for row in found.rows}
+    assert by_key.keys() == {(row.key, row.precision) for row in rows}
+    assert by_key[rows[0].key, "double"] == rows[0].verdict
+    assert by_key[rows[1].key, "double"] == rows[1].verdict
+    # Without what to do about it, which every fault says.
+    assert by_key[rows[2].key, "float"].text == "step 3 left its bounds: a node moved 2.5 m in it"
+    assert by_key[rows[3].key, "float"].text == "an imbalance of 0.5 (c 2, bound 1)"
