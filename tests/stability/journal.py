@@ -69,6 +69,8 @@ class Journal:
             known, entries = read(path)
             if _same(known, head):
                 self.head, self.entries = known, entries
+                if head.get("long"):  # what goes on has more to do
+                    self.head |= {"long": True, "command": head["command"]}
         self._file: TextIO = path.open("w", encoding="utf-8")
         self._line(self.head)
         for entry in self.entries.values():

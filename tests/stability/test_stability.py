@@ -139,6 +139,10 @@ def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     again.add(entry("c"))
     again.close()
     assert len(journal.read(path)[1]) == 3
+    longer = Journal(path, {**head, "long": True, "command": "c --long"})
+    longer.close()
+    assert longer.head["command"] == "c --long"
+    assert len(longer.entries) == 3
     other = tmp_path / "other.jsonl"
     Journal(other, head).add(entry("b", HOLDS))
     _, rows = journal.merged([path, other])
