@@ -54,10 +54,12 @@ class State:
 class Engine:
     """A daemon and the precision of the scenes that it is given."""
 
+    # One daemon may have scenes of several engines at a time.
+    _numbers = itertools.count()
+
     def __init__(self, server: tm.Server, precision: str) -> None:
         self.server = server
         self.precision = precision
-        self._numbers = itertools.count()
 
     def scene(self, problem: Problem, dt_s: float = 1.0) -> scene_pb2.Scene:
         """The problem as a quasi-static scene in lockstep, supports moving over `increments` steps."""

@@ -11,7 +11,7 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import record, trade
+from . import record, trade, trade_calculix
 from .case import Case, Group, Outcome
 from .cases import all_cases
 
@@ -112,6 +112,7 @@ def page(runs: list[Run]) -> str:
     for group in groups:
         lines += _section(group, [case for case in cases if case.group is group], found, columns)
     lines += trade.section(BACKENDS)
+    lines += trade_calculix.section()
     return "\n".join(lines) + "\n"
 
 

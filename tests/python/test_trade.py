@@ -22,7 +22,7 @@ from tensormass.cli import main
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile
 from tensormass.shapes import SHAPES
-from tensormass.trade import command, reference, sweep
+from tensormass.trade import command, reference, report, sweep
 from tensormass.trade.command import parse_share, parse_time_s
 from tensormass.trade.interpolation import Interpolation
 from tensormass.trade.knobs import Knobs, Setting
@@ -239,11 +239,11 @@ def test_the_front_and_the_picks() -> None:
         measurement({"a": 4}, 0.0, 0.0, failure="refused"),
     ]
     assert [of.cost_s for of in sweep.front(measured)] == [1.0, 3.0, 9.0]
-    fastest, accurate = sweep.fastest_within(measured, 0.05), sweep.most_accurate_within(measured, 5.0)
+    fastest, accurate = sweep.fastest_within(measured, 0.05), sweep.most_accurate_within(measured, 5.0, 0.05)
     assert fastest is measured[0]
     assert accurate is measured[0]
     assert sweep.fastest_within(measured, 1e-4) is None
-    assert sweep.most_accurate_within(measured, 0.5) is None
+    assert sweep.most_accurate_within(measured, 0.5, 0.05) is None
 
 
 def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
@@ -265,6 +265,35 @@ def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
     assert possible == 2
     assert chosen == [{"resolution": 0.5, "cg_tolerance": 0.1}, {"resolution": 2.0, "cg_tolerance": 0.1}]
     assert sweep.combinations(knobs, measured, 0, tolerance=0.02) == ([], 2)
+
+
+def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
+    def of(setting: Setting, cost_s: float, error: float, moved: float) -> Measurement:
+        return replace(measurement(setting, cost_s, error), moved=moved)
+
+    own, like, unlike = (
+        of({}, 3.0, 0.01, 0),
+        of({"law": "like"}, 2.0, 0.01, 0.01),
+        of({"law": "unlike"}, 1.0, 0.01, 0.3),
+    )
+    # Cancels what the mesh does, for this load.
+    both = of({"law": "unlike", "resolution": 0.5}, 0.5, 0.001, 0.01)
+    measured = [own, like, unlike, both]
+    assert [sweep.is_same_tissue(one, measured, 0.02) for one in measured] == [True, True, False, False]
+    assert sweep.fastest_within(measured, 0.02) is like
+    assert sweep.most_accurate_within(measured, 5.0, 0.02) is like
+    assert sweep.fastest_within([own, unlike, both], 0.02) is own
+
+
+def test_a_law_that_moves_the_answer_is_not_combined(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    knobs.choose(["law", "cg_tolerance"])
+    measured = [measurement({}, 1.0, 0.03), measurement({"cg_tolerance": 0.1}, 0.5, 0.03)]
+    measured += [
+        replace(measurement({"law": law}, 0.5, 0.03), moved=moved) for law, moved in (("hooke", 0.3), ("hencky", 0.01))
+    ]
+    chosen, _ = sweep.combinations(knobs, measured, 10, tolerance=0.02)
+    assert chosen == [{"law": "hencky", "cg_tolerance": 0.1}]
 
 
 # --- store ------------------------------------------------------------------------------------------------------------
@@ -420,10 +449,13 @@ def test_a_run_is_resumed_and_reported(
     (out / "results.jsonl").write_text("".join((out / "results.jsonl").read_text().splitlines(keepends=True)[:-2]))
     assert main([*run, "--tolerance", "3%"]) == 0
     assert json.loads(capsys.readouterr().out) == first
-    assert formula.runs == runs + 2  # the two lines that were taken away
+    # The two lines that were taken away, and the two files that are always run again.
+    assert formula.runs == runs + 4
+    assert first["confirmed"].keys() == {"fastest", "most_accurate"}
+    assert first["confirmed"]["fastest"]["errors"] == first["fastest"]["errors"]
     monkeypatch.setattr(Machine, "of", lambda *_: replace(MACHINE, device="another"))
     assert main([*run, "--tolerance", "3%"]) == 0
-    assert formula.runs == 2 * runs + 2  # nothing is taken from another machine
+    assert formula.runs == 2 * runs + 4  # nothing is taken from another machine
     capsys.readouterr()
 
     page = (out / "report.html").read_text()
@@ -432,15 +464,28 @@ def test_a_run_is_resumed_and_reported(
     ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
     fastest = SceneFile.read(out / "fastest.yaml").scene().message
     assert fastest.tools == knobs.message.tools
-    assert main([*run[:-1], "--tolerance", "0.0001%"]) == 1
+    (tmp_path / "mine.yaml").write_text(BLOCK.replace("cells_x: 4", "cells_x: 2"))
+    assert main([*run[:-1], "--tolerance", "0.0001%", "--confirm", str(tmp_path / "mine.yaml")]) == 1
     printed = capsys.readouterr().out
+    assert "most_accurate.yaml, read and run again: confirmed: " in printed
+    assert "mine.yaml, read and run again: displacement " in printed  # of which nothing was promised
+    mine = json.loads((out / "trade.json").read_text())["confirmed"]["mine"]
+    assert mine["element_count"] == 2**3
+    assert mine["errors"]["displacement"] > 2 * first["measurements"][0]["errors"]["displacement"]
     assert "none is that accurate" in printed
     assert not (out / "fastest.yaml").exists()
 
 
+def test_what_a_file_does_not_reach_again_is_not_confirmed() -> None:
+    promised = measurement({"a": 1}, 1.0, 0.02)
+    assert report.is_confirmed(promised, measurement({}, 1.4, 0.0201))
+    assert not report.is_confirmed(promised, measurement({}, 1.6, 0.02))
+    assert not report.is_confirmed(promised, measurement({}, 0.5, 0.021))
+    assert not report.is_confirmed(promised, measurement({}, 0.0, 0.0, failure="stopped"))
+
+
 class FakeServer:
-    def inspect(self, path: Path) -> None:
-        tm.Scene.from_file(path)
+    """Only the recorder, which is `Formula`, would ask it."""
 
 
 def test_a_setting_that_breaks_is_a_result_too(

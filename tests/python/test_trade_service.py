@@ -82,7 +82,10 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert len(result["reference"]["levels"]) >= 2
     assert result["reference"]["force_error"] > 0
 
-    assert main(["inspect", str(tmp_path / "out" / "most_accurate.yaml"), "--backend", "cpu"]) == 0
+    # What is written was read and run again, and it is the same run.
+    again, promised = result["confirmed"]["most_accurate"], result["most_accurate"]
+    assert again["errors"] == promised["errors"]
+    assert "most_accurate.yaml, read and run again" in said.out
 
 
 def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,21 +1,31 @@
-"""Runs the cases against a daemon of its own and writes results/<backend>.json.
+"""Runs the cases against daemons of its own and writes results/<backend>.json.
 
-python -m stability [--backend cpu|cuda] [--long] [--only TEXT] [--precision double|float]
+python -m stability [--backend cpu|cuda] [--long] [--only TEXT] [--precision double|float] [--jobs N] [--scenes N]
+                    [--limit SECONDS] [--fresh]
+python -m stability --merge JOURNAL...      runs nothing: makes the results of journals that were written elsewhere
+
+A run that was stopped, or that `--limit` ended, goes on where it was: build/stability/<backend>.jsonl has its rows.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
+import os
 import sys
 import time
+from pathlib import Path
+from typing import Any
 
 import tensormass as tm
 from accuracy import record
-from accuracy.engine import PRECISIONS, Engine
+from accuracy.engine import PRECISIONS
 
-from . import report
-from .case import HOLDS, judge
+from . import journal, report
+from .case import HOLDS, Case
 from .cases import all_cases
+from .journal import Entry, Journal
+from .run import run, tasks_of
 
 
 def main() -> int:
@@ -24,39 +34,93 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="also 10⁶ steps, an hour, millions of elements")
     parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results")
     parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="daemons at a time; default: %(default)s")
+    parser.add_argument("--scenes", type=int, default=1, help="of each daemon at a time; default: %(default)s")
+    parser.add_argument("--limit", type=float, default=math.inf, metavar="SECONDS", help="begin no more after this")
+    parser.add_argument("--fresh", action="store_true", help="run all anew")
+    parser.add_argument("--merge", nargs="+", type=Path, metavar="JOURNAL", help="run nothing, put these together")
     arguments = parser.parse_args()
+    if arguments.merge:
+        head, entries = journal.merged(arguments.merge)
+        return _finish(head, entries, [case for case in all_cases() if head["long"] or not case.long])
     chosen = [case for case in all_cases() if arguments.only in case.key and (arguments.long or not case.long)]
-    rows: list[report.Row] = []
-    unexplained = 0
+    # A limit leaves out the long ones; of them the largest first, so that none runs alone in the end.
+    chosen.sort(key=lambda case: (case.long, case.group.name != "millions"))
+    wanted = tasks_of(chosen, [arguments.precision] if arguments.precision else tuple(PRECISIONS))
+    cases = {case.key: case for case in chosen}
+    part = bool(arguments.only or arguments.precision)
+    log = None if part else Journal(_path(arguments.backend), _head(arguments), arguments.fresh)
+    entries = log.entries if log else {}
+    missing = [task for task in wanted if task not in entries]
+    if len(missing) < len(wanted):
+        print(f"{len(wanted) - len(missing)} rows are there already; --fresh runs them anew", flush=True)
     start = time.monotonic()
+
+    def take(entry: Entry) -> None:
+        if log:
+            log.add(entry)
+        else:
+            entries[entry.row.key, entry.row.precision] = entry
+        row = entry.row
+        explained = cases[row.key].explains(row.verdict.outcome, row.precision)
+        if part or not explained:
+            print(row.line(explained, entry.seconds), flush=True)
+        if len(entries) % 500 == 0:
+            print(f"{len(entries)} of {len(wanted)} rows, {time.monotonic() - start:.0f} s", flush=True)
+
+    run(
+        missing,
+        backend=arguments.backend,
+        jobs=arguments.jobs,
+        scenes=arguments.scenes,
+        limit_s=arguments.limit,
+        take=take,
+    )
+    print(f"{time.monotonic() - start:.0f} s")
+    if log is None:
+        rows = [entry.row for entry in entries.values()]
+        held = sum(row.verdict.outcome == HOLDS for row in rows)
+        unexplained = sum(not cases[row.key].explains(row.verdict.outcome, row.precision) for row in rows)
+        print(f"{len(rows)} rows, {held} hold, {unexplained} unexplained")
+        return int(unexplained > 0)
+    log.close()
+    return _finish(log.head, entries, chosen)
+
+
+def _path(backend: str) -> Path:
+    return journal.FOLDER / f"{backend}.jsonl"
+
+
+def _head(arguments: argparse.Namespace) -> dict[str, Any]:
     with tm.launch(backend=arguments.backend, zenoh=False) as server:
         device = server.version().device
-        engines = {name: Engine(server, name) for name in PRECISIONS if arguments.precision in (None, name)}
-        for case in chosen:
-            for precision in case.precisions:
-                if precision not in engines:
-                    continue
-                began = time.monotonic()
-                row = report.Row(case.key, precision, judge(case, engines[precision]))
-                rows.append(row)
-                explained = case.explains(row.verdict.outcome, precision)
-                unexplained += not explained
-                if arguments.only or row.verdict.outcome != HOLDS:
-                    print(row.line(explained, time.monotonic() - began), flush=True)
-    print(f"{len(rows)} rows, {unexplained} unexplained, {time.monotonic() - start:.0f} s")
-    if not arguments.only and not arguments.precision:
-        run = report.Run(
-            backend=arguments.backend,
-            device=device,
-            machine=record.machine(),
-            commit=record.commit(),
-            command=f"python -m stability --backend {arguments.backend}" + (" --long" if arguments.long else ""),
-            date=time.strftime("%Y-%m-%d", time.gmtime()),
-            seconds=round(time.monotonic() - start),
-            rows=rows,
-        )
-        print(f"wrote {run.write()}")
-    return int(unexplained > 0)
+    return {
+        "backend": arguments.backend,
+        "device": device,
+        "machine": record.machine(),
+        "commit": record.commit(),
+        "command": f"python -m stability --backend {arguments.backend}" + (" --long" if arguments.long else ""),
+        "date": time.strftime("%Y-%m-%d", time.gmtime()),
+        "long": arguments.long,
+        "build": journal.build(),
+        "cases": journal.cases_digest(),
+    }
+
+
+def _finish(head: dict[str, Any], entries: dict[tuple[str, str], Entry], cases: list[Case]) -> int:
+    """Writes the results, in the order of the page, and says what is missing; 1 if a row is unexplained."""
+    of_page = {key: place for place, key in enumerate(case.key for case in all_cases())}
+    wanted = sorted(tasks_of(cases), key=lambda task: of_page[task[0]])
+    there = [entries[task] for task in wanted if task in entries]
+    run_ = report.Run(
+        **{name: head[name] for name in ("backend", "device", "machine", "commit", "command", "date")},
+        seconds=round(sum(entry.seconds for entry in there)),
+        rows=[entry.row for entry in there],
+    )
+    unexplained = report.unexplained_rows(run_)
+    print(f"{len(there)} of {len(wanted)} rows, {len(unexplained)} unexplained")
+    print(f"wrote {run_.write()}")
+    return int(bool(unexplained))
 
 
 if __name__ == "__main__":

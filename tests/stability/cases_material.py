@@ -13,15 +13,17 @@ from accuracy.meshes import SHAPES, Floats, Mesh, box
 from accuracy.problem import Problem, Support, node_areas
 from tensormass.v1 import scene_pb2
 
-from .case import FELT, REFUSED, Case, Check, Found, Group
+from .case import CURVATURE, FELT, REFUSED, Case, Check, Found, Group
 from .cases_steps import DAMPING_PER_S, settle, settles
 from .tissue import (
     CUBE_M,
     GRAVITY_M_PER_S2,
+    NEWTON_SAYS,
     REAL_TIME_DT_S,
     YOUNG_PA,
     clamped,
     cube,
+    law_says,
     nodal_weight,
     real_time,
     running,
@@ -83,6 +85,7 @@ def _stiffness_cases() -> Iterator[Case]:
                     shape,
                     lambda engine, law=law, shape=shape, young_pa=young_pa: run(engine, law, shape, young_pa),
                     expects=settles(law),
+                    names=law_says(law),
                     quick=shape == "tetrahedron" and young_pa in (10, 1e11),
                 )
 
@@ -123,7 +126,7 @@ def _jump_cases() -> Iterator[Case]:
             ours = scene_running.state().displacement_m
             bound = NEWTON_BOUND[engine.precision] if newton else FELT
             error = float(np.abs(ours - exact).max() / np.abs(exact).max())
-            return Found([Check("distance to the closed form", error, bound)], scene_running.warnings)
+            return Found([Check("distance to the closed form", error, bound)], scene_running.last_warnings)
 
     rounding = "float has 7 digits, and the jump takes 6: the step ends above its tolerance, and the status says so"
     names = (("halves", True), ("layers", True), ("halves, real time", False), ("layers, real time", False))
@@ -139,6 +142,7 @@ def _jump_cases() -> Iterator[Case]:
                         engine, name, law, shape, newton
                     ),
                     short={"float": rounding} if newton else {},
+                    names=NEWTON_SAYS if newton else (CURVATURE,),
                 )
 
 
@@ -176,7 +180,7 @@ def pull(engine: Engine, mesh: Mesh, law: Law) -> Found:
         Check("force", abs(stress_pa / force - 1), bound),
         Check("width", float(np.abs(narrower).max()) / (CUBE_M * (PULLED - 1)), bound),
     ]
-    return Found(checks, scene_running.warnings)
+    return Found(checks, scene_running.last_warnings)
 
 
 def _poisson_cases() -> Iterator[Case]:
@@ -199,6 +203,7 @@ def _poisson_cases() -> Iterator[Case]:
                     law,
                     shape,
                     lambda engine, law=law, shape=shape, poisson=poisson: run(engine, law, shape, poisson),
+                    names=NEWTON_SAYS,
                     quick=shape == "hexahedron" and poisson in (-0.5, 0.4999),
                 )
     for poisson in (-1.0, 0.5):

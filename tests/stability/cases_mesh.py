@@ -18,9 +18,11 @@ from .cases_steps import settle, settles
 from .tissue import (
     CUBE_M,
     GRAVITY_M_PER_S2,
+    NEWTON_SAYS,
     REAL_TIME_DT_S,
     clamped,
     cube,
+    law_says,
     nodal_weight,
     real_time,
     running,
@@ -98,7 +100,14 @@ def _thin_cases() -> Iterator[Case]:
 
     for law in LAWS:
         for shape in SHAPES:
-            yield Case(MESH, "plate", law, shape, lambda engine, law=law, shape=shape: plate(engine, law, shape))
+            yield Case(
+                MESH,
+                "plate",
+                law,
+                shape,
+                lambda engine, law=law, shape=shape: plate(engine, law, shape),
+                names=NEWTON_SAYS,
+            )
     for name in meshes:
         for law in LAWS:
             for shape in SHAPES:
@@ -109,6 +118,7 @@ def _thin_cases() -> Iterator[Case]:
                     shape,
                     lambda engine, name=name, law=law, shape=shape: run(engine, name, law, shape),
                     expects=settles(law),
+                    names=law_says(law),
                     quick=shape == "tetrahedron" and name == "0.1°",
                 )
     for law in LAWS:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from accuracy.cases_time import BAR_M, FLIGHT_LOOKS, watch_flight
+from accuracy.cases_time import BAR_M, FLIGHT_LOOKS, Flight, watch_flight
 from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, box
@@ -14,7 +14,7 @@ from accuracy.problem import Problem
 from tensormass.v1 import scene_pb2
 
 from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
-from .tissue import initial, real_time, running, tissue
+from .tissue import NEWTON_SAYS, initial, law_says, real_time, running, tissue
 
 MOTION = Group(
     "motion",
@@ -28,6 +28,12 @@ MOTION = Group(
 STEPS, DT_S = 1000, 1e-3
 AXIS = np.array([1, 2, 3]) / np.sqrt(14)
 VELOCITY_M_PER_S = np.array([0.3, 0.2, 0.1])
+
+
+def _spun_up(flight: Flight) -> float:
+    """The largest angular momentum of what began with none, against the momentum at the length of the bar."""
+    lever = np.linalg.norm(flight.momentum[0]) * max(BAR_M)
+    return float(np.linalg.norm(flight.angular_momentum, axis=1).max() / lever)
 
 
 def motion_cases() -> Iterator[Case]:
@@ -44,9 +50,14 @@ def motion_cases() -> Iterator[Case]:
         checks = []
         for name, (_, look, bounds) in FLIGHT_LOOKS.items():
             bound = bounds[engine.precision] if newton else FELT
-            checks.append(Check(name, look(flight).error, bound))
-        return Found(checks, scene_running.warnings)
+            error = _spun_up(flight) if name == "angular momentum" and spin_rad_per_s == 0 else look(flight).error
+            checks.append(Check(name, error, bound))
+        return Found(checks, scene_running.last_warnings)
 
+    rounding = (
+        "a false alarm: no force acts (by Hooke's law nor does a rotation make any at first), so that those of the "
+        "elements are rounding, and Newton's method measures its imbalance against them; what was published is right"
+    )
     for spin in (0.0, 10.0, 60.0):
         for newton in (True, False):
             for law in LAWS:
@@ -61,6 +72,8 @@ def motion_cases() -> Iterator[Case]:
                         lambda engine, law=law, shape=shape, spin=spin, newton=newton: run(
                             engine, law, shape, spin, newton
                         ),
-                        expects=(HOLDS, CAUGHT) if law == "hooke" and spin > 0 else (HOLDS,),
+                        expects=(HOLDS, CAUGHT) if law == "hooke" and spin > 0 and not newton else (HOLDS,),
+                        short={CAUGHT: rounding} if newton and (spin == 0 or law == "hooke") else {},
+                        names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "tetrahedron" and spin == 10 and not newton,
                     )

@@ -14,12 +14,14 @@ from accuracy.problem import Problem, Support
 from .case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Group
 from .tissue import (
     CUBE_M,
+    NEWTON_SAYS,
     REAL_TIME_DT_S,
     SOFTENS,
     clamped,
     cube,
     distance,
     equilibrium,
+    law_says,
     nodal_weight,
     real_time,
     running,
@@ -38,7 +40,8 @@ LOAD = Group(
     "load",
     "Loads",
     "The same cube under a multiple of its weight. Must hold: the total energy never rises above that of the start; "
-    "after a reset the cube is as new.",
+    "after a reset the cube is as new. From 100 times on, a step of 1/60 s throws a soft cube farther than it is "
+    "large, which the guard does not publish.",
 )
 REST = Group(
     "rest",
@@ -59,6 +62,8 @@ SETTLED_S = 1.0
 STEPS_S = (1e-4, 1e-3, REAL_TIME_DT_S, 0.1, 1.0)
 NAMES = {1e-4: "0.1 ms", 1e-3: "1 ms", REAL_TIME_DT_S: "1/60 s", 0.1: "0.1 s", 1.0: "1 s"}
 LOOKS = 20
+# What gives way without end under ten times the weight: pressed to less than 1/√3, or stretched beyond e.
+_YIELDS = (*SOFTENS, "hencky")
 
 
 def step_cases() -> Iterator[Case]:
@@ -91,7 +96,7 @@ def settle(
             scene_running.step(steps // LOOKS)
             now = scene_running.state()
             energies.append(now.elastic_energy_j + now.kinetic_energy_j - float((forces * now.displacement_m).sum()))
-        warnings = scene_running.warnings
+        warnings = scene_running.last_warnings
     rise = float(np.diff(energies).max() / work)
     return Found([distance(now.displacement_m, reference), Check("rise of energy", rise, FELT)], warnings)
 
@@ -117,6 +122,7 @@ def _step_cases() -> Iterator[Case]:
                             engine, law, shape, dt_s, newton
                         ),
                         expects=settles(law),
+                        names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "hexahedron" and dt_s == 1.0 and not newton,
                     )
 
@@ -150,11 +156,9 @@ def _load_cases() -> Iterator[Case]:
         with running(engine, scene):
             raise AssertionError("it was admitted")
 
-    overshoot = (
-        "one linearized solve a step overshoots where the stiffness grows as the 12th power of the stretch, and gains "
-        "energy; Newton's method does not (next row)"
-    )
     for times, young_pa, newton, name in (
+        (1e1, 5e3, False, "10 × weight, 5 kPa"),
+        (1e1, 5e3, True, "10 × weight, 5 kPa, Newton"),
         (1e2, 5e3, False, "100 × weight, 5 kPa"),
         (1e2, 5e3, True, "100 × weight, 5 kPa, Newton"),
         (1e4, 5e3, False, "10⁴ × weight, 5 kPa"),
@@ -171,8 +175,8 @@ def _load_cases() -> Iterator[Case]:
                     lambda engine, law=law, shape=shape, times=times, young_pa=young_pa, newton=newton: run(
                         engine, law, shape, times, young_pa, newton
                     ),
-                    expects=(HOLDS,) if young_pa > 1e9 else (HOLDS, CAUGHT),
-                    short={"": overshoot} if law == "ogden" and times == 1e2 and not newton else {},
+                    expects=(HOLDS,) if young_pa > 1e9 or (times < 1e2 and law not in _YIELDS) else (HOLDS, CAUGHT),
+                    names=law_says(law) + (NEWTON_SAYS if newton else ()),
                 )
     for law in LAWS:
         yield Case(

@@ -13,7 +13,7 @@ from accuracy.problem import Problem, Support
 from tensormass.v1 import scene_pb2
 
 from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
-from .tissue import CUBE_M, RECOVERS, at_rest_again, real_time, running, tissue
+from .tissue import CUBE_M, RECOVERS, at_rest_again, law_says, real_time, running, tissue
 
 TOOL = Group(
     "tool",
@@ -57,7 +57,9 @@ def tool_cases() -> Iterator[Case]:
             scene_running.step(300)
             force = float(np.linalg.norm(scene_running.handle.feedback("probe").force_n))
             found = scene_running.state()
-            return Found([*at_rest_again(found, problem.mesh), Check("force [N]", force, 0)], scene_running.warnings)
+            return Found(
+                [*at_rest_again(found, problem.mesh), Check("force [N]", force, 0)], scene_running.last_warnings
+            )
 
     def press(engine: Engine, law: str, shape: str, depth_m: float) -> Found:
         scene, problem = scene_of(engine, law, shape, 0.5)
@@ -81,7 +83,7 @@ def tool_cases() -> Iterator[Case]:
                     Check("swing of the force", swing, FELT),
                     Check("action − reaction", balance, FELT),
                 ],
-                scene_running.warnings,
+                scene_running.last_warnings,
             )
 
     tours = {
@@ -101,6 +103,7 @@ def tool_cases() -> Iterator[Case]:
                         engine, law, shape, speed, stops, each
                     ),
                     expects=(HOLDS,) if law in RECOVERS else (HOLDS, CAUGHT),
+                    names=law_says(law),
                     quick=shape == "tetrahedron" and law == "stable_neo_hookean",
                 )
             for depth_m in (0.01, 0.025, 0.05):
@@ -111,4 +114,5 @@ def tool_cases() -> Iterator[Case]:
                     shape,
                     lambda engine, law=law, shape=shape, depth_m=depth_m: press(engine, law, shape, depth_m),
                     expects=(HOLDS,) if depth_m < 0.02 and law != "hooke" else (HOLDS, CAUGHT),
+                    names=law_says(law),
                 )

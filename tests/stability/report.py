@@ -50,13 +50,14 @@ class Run(record.Head):
     rows: list[Row]
 
     def write(self) -> Path:
-        """One line a case: of each precision the outcome, the share of the bound and the text."""
+        """One line a case and law: of each shape and precision the outcome, the share of the bound and the text."""
         path = FOLDER / f"{self.backend}.json"
         lines: dict[str, dict[str, Any]] = {}
         for row in self.rows:
             share = None if math.isnan(row.verdict.share) else float(f"{row.verdict.share:.3g}")
-            line = lines.setdefault(row.key, {"key": row.key})
-            line[row.precision] = [row.verdict.outcome, share, row.verdict.text]
+            case, shape = row.key.rsplit("/", 1)
+            line = lines.setdefault(case, {"case": case})
+            line.setdefault(shape, {})[row.precision] = [row.verdict.outcome, share, _kept(row.verdict)]
         record.write(path, self.head(), list(lines.values()))
         return path
 
@@ -68,9 +69,11 @@ class Run(record.Head):
         content = json.loads(path.read_text())
         rows = []
         for line in content["rows"]:
-            for precision in set(line) - {"key"}:
-                outcome, share, text = line[precision]
-                rows.append(Row(line["key"], precision, Verdict(outcome, math.nan if share is None else share, text)))
+            case = line.pop("case")
+            for shape, precisions in line.items():
+                for precision, (outcome, share, text) in precisions.items():
+                    verdict = Verdict(outcome, math.nan if share is None else share, text)
+                    rows.append(Row(f"{case}/{shape}", precision, verdict))
         return Run(**{**content, "rows": sorted(rows, key=lambda row: row.precision)})
 
 
@@ -88,7 +91,8 @@ def page(runs: Sequence[Run]) -> str:
         "|---|---|",
         "| ✓ holds | every check of the case is within its bound |",
         "| refused | at load, with a message that names the field |",
-        "| caught | while running: a guard stopped the scene with a fault, or the status warned of what went wrong |",
+        "| caught | while running: a guard stopped the scene with a fault, or the status had the warning that names "
+        "what went wrong (any other counts for nothing) |",
         "| **short** | neither; the reason stands below the table |",
         "",
         "## What each law promises",
@@ -113,10 +117,14 @@ def page(runs: Sequence[Run]) -> str:
     for run in runs:
         counts = [str(sum(row.verdict.outcome == outcome for row in run.rows)) for outcome in OUTCOMES[:4]]
         unexplained = len(unexplained_rows(run))
+        ran = {row.key for row in run.rows}
+        missing = sum(len(case.precisions) for case in cases if not case.long and case.key not in ran)
+        rows = f"{len(run.rows)}" + (f", {missing} not run" if missing else "")
         lines.append(
             f"| {run.backend} | {run.device} | {run.machine} | {run.date} | `{run.commit}` | `{run.command}` "
-            f"| {run.seconds} | {len(run.rows)} | " + " | ".join(counts) + f" | {unexplained} |"
+            f"| {run.seconds} | {rows} | " + " | ".join(counts) + f" | {unexplained} |"
         )
+    lines += ["", "s: of all rows together; those that ran side by side are added up."] if runs else []
     known = {run.backend for run in runs}
     lines += [f"\nNo results of the {backend} backend yet." for backend in BACKENDS if backend not in known]
     for group in dict.fromkeys(case.group for case in cases):
@@ -162,7 +170,7 @@ def _cell(rows: list[Row]) -> str:
 
 
 def _notes(cases: list[Case], rows: dict[str, list[Row]]) -> list[str]:
-    """What did not simply hold, grouped by what was said or why."""
+    """What did not simply hold, grouped by why, or by what was said."""
     groups: dict[tuple[str, str], list[str]] = {}
     for case in cases:
         for row in rows.get(case.key, []):
@@ -170,20 +178,37 @@ def _notes(cases: list[Case], rows: dict[str, list[Row]]) -> list[str]:
             if outcome == HOLDS:
                 continue
             member = f"{case.name}, {case.law}, {case.shape}, {row.precision}"
+            reason = case.reason(outcome, row.precision)
             if outcome == SHORT:
                 member += f" ({text})"
-                text = case.reason(row.precision) or "NOT EXPLAINED"
-            groups.setdefault((outcome, _without_numbers(text)), []).append(member)
+            elif outcome not in case.expects:
+                member += f" ({_first_sentence(text)})"
+            if outcome in case.expects:
+                reason = _without_numbers(_first_sentence(text))
+            groups.setdefault((outcome, reason or "NOT EXPLAINED"), []).append(member)
     lines = [""] if groups else []
     for (outcome, text), members in groups.items():
         more = f"; and {len(members) - 2} more" if len(members) > 2 else ""
-        lines.append(f"* {outcome}: {text} — {'; '.join(members[:2]).replace('_', ' ')}{more}")
+        lines.append(f"* {outcome}: {text} — {'; '.join(members[:2]).replace('_', ' ')}{more}".replace("|", r"\|"))
     return lines
+
+
+def _kept(verdict: Verdict) -> str:
+    """Of a fault or a warning what went wrong: in which scene, and what to do about it, is said thousands of times."""
+    if verdict.outcome != CAUGHT:
+        return verdict.text
+    missed = re.search(r" \([^()]*, bound [^()]*\)$", verdict.text)
+    return _first_sentence(re.sub(r"^scene '[\w-]+' is stopped: ", "", verdict.text)) + (missed[0] if missed else "")
+
+
+def _first_sentence(text: str) -> str:
+    """What went wrong, without what to do about it."""
+    return re.split(r"\. |; take |; give it more", text)[0]
 
 
 def _without_numbers(text: str) -> str:
     """So that the same words about another scene, body or step are the same."""
-    return re.sub(r"(?<![\w^])-?\d+(\.\d+)?(e[-+]?\d+)?", "…", re.sub(r"'[\w-]+'", "'…'", text)).replace("|", "\\|")
+    return re.sub(r"(?<![\w^])-?\d+(\.\d+)?(e[-+]?\d+)?", "…", re.sub(r"'[\w-]+'", "'…'", text))
 
 
 def unexplained_rows(run: Run) -> list[Row]:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -11,10 +17,29 @@ from accuracy.engine import Engine
 from tensormass import processes
 from tensormass.v1 import scene_pb2
 
-from .case import HOLDS, SHORT, Case, Check, Found, Group, judge
+from . import journal, report
+from .case import (
+    BROKEN,
+    CAUGHT,
+    CURVATURE,
+    HOLDS,
+    IMBALANCE,
+    INVERTED,
+    OUT_OF_RANGE,
+    SHORT,
+    SOFTER,
+    Case,
+    Check,
+    Found,
+    Group,
+    Verdict,
+    judge,
+)
 from .cases import all_cases
 from .cases_input import places, real_fields, whole_scene
+from .journal import Entry, Journal
 from .promises import PROMISES
+from .run import run, tasks_of
 from .tissue import LAWS, tissue
 
 QUICK = [(case, precision) for case in all_cases() if case.quick for precision in case.precisions]
@@ -66,3 +91,121 @@ def test_a_number_that_is_none_does_not_hold() -> None:
     assert outcome(float("nan")) == (SHORT, False)
     assert outcome(1.1, float="because") == (SHORT, True)
     assert outcome(1.1, double="because") == (SHORT, False)
+
+
+def test_only_the_warning_that_names_what_went_wrong_counts() -> None:
+    group = Group("g", "G", "")
+
+    def outcome(*warnings: str) -> str:
+        run = lambda engine: Found([Check("c", 2.0, 1.0)], warnings)  # noqa: E731
+        case = Case(group, "n", "law", "shape", run, names=(INVERTED,))
+        return judge(case, Engine(None, "float")).outcome  # type: ignore[arg-type]
+
+    assert outcome() == SHORT
+    assert outcome("steps take 2 s of a budget of 1 s") == SHORT
+    assert outcome("steps take 2 s of a budget of 1 s", f"{INVERTED} (min det F -1)") == CAUGHT
+
+
+def test_the_warnings_that_are_looked_for_are_the_daemons() -> None:
+    source = (Path(__file__).parents[2] / "server" / "world" / "findings.cpp").read_text()
+    said = re.sub(r'"\s*\n\s*"', "", source)  # a literal goes on in the next line
+    for named in (SOFTER, INVERTED, IMBALANCE, CURVATURE, OUT_OF_RANGE):
+        assert named in said
+
+
+def test_a_reason_belongs_to_an_outcome() -> None:
+    case = Case(Group("g", "G", ""), "n", "law", "shape", lambda engine: Found([]), short={CAUGHT: "so"})
+    assert case.explains(CAUGHT, "float")
+    assert not case.explains(SHORT, "float")
+    assert not case.explains(BROKEN, "float")
+
+
+def entry(key: str, outcome: str = HOLDS, share: float = 0.5) -> Entry:
+    return Entry(report.Row(key, "float", Verdict(outcome, share, "said")), 1.5)
+
+
+def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    path = tmp_path / "cpu.jsonl"
+    head = dict.fromkeys(("backend", "device", "machine", "build", "cases"), "a")
+    first = Journal(path, head)
+    for one in (entry("a"), entry("b", SHORT, math.inf)):
+        first.add(one)
+    first.close()
+    with path.open("a") as file:
+        file.write('["c", "float", "hol')  # it was killed
+    again = Journal(path, {**head, "commit": "of later"})
+    assert list(again.entries.values()) == [entry("a"), entry("b", SHORT, math.inf)]
+    assert "commit" not in again.head  # the rows are those of the first
+    again.add(entry("c"))
+    again.close()
+    assert len(journal.read(path)[1]) == 3
+    longer = Journal(path, {**head, "long": True, "command": "c --long"})
+    longer.close()
+    assert longer.head["command"] == "c --long"
+    assert len(longer.entries) == 3
+    other = tmp_path / "other.jsonl"
+    Journal(other, head).add(entry("b", HOLDS))
+    _, rows = journal.merged([path, other])
+    assert [rows[key, "float"].row.verdict.outcome for key in "abc"] == [HOLDS] * 3
+    Journal(other, {**head, "build": "another"}).close()
+    with pytest.raises(ValueError, match="build a and another"):
+        journal.merged([path, other])
+    assert Journal(path, {**head, "cases": "changed"}).entries == {}
+
+
+def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
+    chosen = [case for case in all_cases() if case.key.startswith("input/pose")]
+    wanted, entries = tasks_of(chosen), list[Entry]()
+    run(wanted, backend="cpu", jobs=2, scenes=2, limit_s=600, take=entries.append)
+    assert {(of.row.key, of.row.precision) for of in entries} == set(wanted)
+    assert {of.row.verdict.outcome for of in entries} == {HOLDS}
+    run(wanted, backend="cpu", jobs=1, scenes=1, limit_s=0, take=entries.append)
+    assert len(entries) == len(wanted)
+
+
+def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:
+    (tmp_path / "alone.py").write_text(
+        "import multiprocessing, sys, threading\n"
+        "from stability import run\n"
+        "def wait(told):\n"
+        "    threading.Thread(target=run._end_with_parent, daemon=True).start()\n"
+        "    told.send(multiprocessing.current_process().pid)\n"
+        "    threading.Event().wait()\n"
+        "if __name__ == '__main__':\n"
+        "    here, there = multiprocessing.get_context('spawn').Pipe()\n"
+        "    multiprocessing.get_context('spawn').Process(target=wait, args=(there,), daemon=True).start()\n"
+        "    print(here.recv(), flush=True)\n"
+        "    threading.Event().wait()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
+    parent = subprocess.Popen(
+        [sys.executable, tmp_path / "alone.py"], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert parent.stdout is not None
+    assert int(parent.stdout.readline()) > 0
+    parent.kill()
+    parent.communicate(timeout=30)  # the job has the other end of it open while it lives
+
+
+def test_results_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "FOLDER", tmp_path)
+    fault = "scene 'accuracy-7' is stopped: step 3 left its bounds: a node moved 2.5 m in it. 3 retries did not help"
+    rows = [
+        report.Row("group/1/60 s/hooke/wedge", "double", Verdict(HOLDS, 0.25)),
+        report.Row("group/1/60 s/hooke/pyramid", "double", Verdict(SHORT, math.inf, "distance nan, bound 1")),
+        report.Row("group/1/60 s/hooke/wedge", "float", Verdict(CAUGHT, math.nan, fault)),
+        report.Row(
+            "group/1/60 s/ogden/wedge", "float", Verdict(CAUGHT, 2, "an imbalance of 0.5; give it more (c 2, bound 1)")
+        ),
+    ]
+    head = dict.fromkeys(("backend", "device", "machine", "commit", "command", "date"), "x")
+    report.Run(**head, seconds=1, rows=rows).write()
+    found = report.Run.read("x")
+    assert found is not None
+    by_key = {(row.key, row.precision): row.verdict for row in found.rows}
+    assert by_key.keys() == {(row.key, row.precision) for row in rows}
+    assert by_key[rows[0].key, "double"] == rows[0].verdict
+    assert by_key[rows[1].key, "double"] == rows[1].verdict
+    # Without what to do about it, which every fault says.
+    assert by_key[rows[2].key, "float"].text == "step 3 left its bounds: a node moved 2.5 m in it"
+    assert by_key[rows[3].key, "float"].text == "an imbalance of 0.5 (c 2, bound 1)"

@@ -15,7 +15,7 @@ from accuracy.meshes import Floats, Mesh, box
 from accuracy.problem import DENSITY_KG_PER_M3, Problem, Support
 from tensormass.v1 import scene_pb2
 
-from .case import FELT, Check
+from .case import CURVATURE, FELT, IMBALANCE, INVERTED, OUT_OF_RANGE, SOFTER, Check
 
 CUBE_M = 0.1
 YOUNG_PA = 5000.0
@@ -25,6 +25,9 @@ REAL_TIME_DT_S = 1 / 60
 # What a law makes of compression, turning inside out and rotation (promises.py).
 RECOVERS = ("corotational", "stable_neo_hookean")
 SOFTENS = ("st_venant_kirchhoff", "transversely_isotropic")
+
+# Of the outer iteration: an equilibrium that was not found is no answer of the law.
+NEWTON_SAYS = (IMBALANCE, CURVATURE)
 
 _OF_YOUNG_AND_POISSON = {
     "hooke": laws.hooke,
@@ -49,6 +52,13 @@ def tissue(law: str, young_modulus_pa: float = YOUNG_PA, poisson_ratio: float = 
     if law == "ogden":
         return laws.ogden(shear_pa / 6, 12, bulk_pa)
     raise KeyError(f"{law} is none of {', '.join(LAWS)}; add it here")
+
+
+def law_says(law: str) -> tuple[str, ...]:
+    """The warnings by which a law says that it was asked for more than it promises."""
+    if law == "hooke":
+        return (OUT_OF_RANGE,)  # it does not notice an inversion, and comes back from one
+    return (SOFTER, INVERTED) if law in SOFTENS else (INVERTED,)
 
 
 def cube(shape: str, cells: int = 2) -> Mesh:
@@ -77,16 +87,16 @@ def real_time(engine: Engine, problem: Problem, dt_s: float = REAL_TIME_DT_S) ->
 
 
 class Running:
-    """A loaded scene, and every warning that its status gave."""
+    """A loaded scene, every warning that its status gave, and those of its last status."""
 
     def __init__(self, handle: tm.SceneHandle) -> None:
         self.handle = handle
         self.warnings: list[str] = []
+        self.last_warnings: list[str] = []
 
     def step(self, count: int = 1) -> None:
-        for warning in self.handle.step(count).warnings:
-            if warning not in self.warnings:
-                self.warnings.append(warning)
+        self.last_warnings = list(self.handle.step(count).warnings)
+        self.warnings += [warning for warning in self.last_warnings if warning not in self.warnings]
 
     def state(self) -> State:
         return state(self.handle)

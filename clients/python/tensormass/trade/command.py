@@ -8,7 +8,7 @@ import re
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from tensormass.trade.measures import compare
 from tensormass.trade.reference import Reference
 from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script
 from tensormass.trade.store import Machine, Measurement, Store, key_of
+from tensormass.v1 import scene_pb2
 
 _COMBINATIONS = 24
 _QUICK_COMBINATIONS = 6
@@ -64,14 +65,22 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help=f"nearest values only, {_QUICK_COMBINATIONS} combinations, {_QUICK_REFERENCE_S:g} s for the reference",
     )
     parser.add_argument(
+        "--confirm",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="scene files to run through the same script in the end; the two that the command writes always are",
+    )
+    parser.add_argument(
         "-o", "--out", type=Path, metavar="FOLDER", help="for results and report; a run goes on where it was stopped"
     )
     parser.description = (
         "Runs a scene through a script over and over, with other meshes, laws, steps and solvers, and compares each "
         "run with the same scene refined until it no longer moves. Prints a table and writes report.html, trade.json "
         "and as scene files the fastest setting within the tolerance (fastest.yaml) and the most accurate one within "
-        "the budget (most_accurate.yaml). The error is that of displacement (L2) or of the tool's force, whichever is "
-        "larger."
+        "the budget (most_accurate.yaml), which it then reads and runs again. The error is that of displacement (L2) "
+        "or of the tool's force, whichever is larger."
     )
 
 
@@ -113,6 +122,8 @@ class Outcome:
     budget_s: float
     fastest: Measurement | None
     most_accurate: Measurement | None
+    #: What the written files do when they are read and run again, by name; then those of `--confirm`.
+    confirmed: dict[str, Measurement] = field(default_factory=dict)
 
     def to_plain(self) -> dict[str, Any]:
         def plain(of: Measurement | None) -> dict[str, Any] | None:
@@ -130,6 +141,7 @@ class Outcome:
             "combinations": {"measured": self.combinations, "possible": self.possible_combinations},
             "fastest": plain(self.fastest),
             "most_accurate": plain(self.most_accurate),
+            "confirmed": {name: of.to_plain() for name, of in self.confirmed.items()},
             "front": [of.key for of in sweep.front(self.measurements)],
             "measurements": [of.to_plain() for of in self.measurements],
         }
@@ -160,7 +172,9 @@ def run(args: argparse.Namespace) -> int:
     with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
         trade = _Trade(args, knobs, script, server, store)
         outcome = trade.measure(name)
-        written = _write(outcome, folder, server)
+        scenes = _write_scenes(outcome, folder)
+        outcome = replace(outcome, confirmed=trade.confirm([*scenes, *args.confirm]))
+    written = [*_write_report(outcome, folder), *scenes]
     print_json(outcome.to_plain()) if args.json else print(report.text(outcome, written))
     return 0 if outcome.fastest is not None and outcome.most_accurate is not None else 1
 
@@ -177,6 +191,7 @@ class _Trade:
         self._recorder = Recorder(server, knobs.message, script)
         self._dt_s = defaults.dt_s(knobs.message)
         self._began = time.monotonic()
+        self._compared_with: tuple[Reference, Recording]
 
     def measure(self, name: str) -> Outcome:
         args, knobs = self._args, self._knobs
@@ -194,6 +209,7 @@ class _Trade:
             say=self._say,
         )
         own = self._own_recording()
+        self._compared_with = found, own
         singles = sweep.one_at_a_time(knobs, args.quick)
         measured = self._all(singles, found, own, "one knob at a time")
         if measured[0].errors is None:
@@ -216,8 +232,17 @@ class _Trade:
             tolerance=tolerance,
             budget_s=budget_s,
             fastest=sweep.fastest_within(measured, tolerance),
-            most_accurate=sweep.most_accurate_within(measured, budget_s),
+            most_accurate=sweep.most_accurate_within(measured, budget_s, tolerance),
         )
+
+    def confirm(self, files: Sequence[Path]) -> dict[str, Measurement]:
+        """Runs scene files as they lie there, against the same reference; never what the store knows of them."""
+        found, own = self._compared_with
+        confirmed = {}
+        for path in files:
+            confirmed[path.stem] = of = self._measured(SceneFile.read(path).scene().message, {}, path.name, found, own)
+            self._say(f"{path.name}, run as it lies there: {of.failure or report.brief(of)}")
+        return confirmed
 
     def _own_recording(self) -> Recording:
         """Of the scene as it is: what a choice by itself changes is told against it."""
@@ -231,17 +256,25 @@ class _Trade:
     def _all(self, settings: Sequence[Setting], found: Reference, own: Recording, what: str) -> list[Measurement]:
         measured = []
         for number, setting in enumerate(settings, 1):
-            measurement = self._measured(setting, found, own)
+            measurement = self._of_setting(setting, found, own)
             measured.append(measurement)
             result = measurement.failure or report.brief(measurement)
             self._say(f"{what}, {number}/{len(settings)}: {report.setting_text(setting)}: {result}")
         return measured
 
-    def _measured(self, setting: Setting, found: Reference, own: Recording) -> Measurement:
+    def _of_setting(self, setting: Setting, found: Reference, own: Recording) -> Measurement:
+        """From the store, if it is there."""
         scene = self._knobs.apply(setting).scene().message
         key = key_of(scene, self._script, self._machine, f"{found.key} {dict(setting)}")
         if (known := self._store.get(key)) is not None:
             return known
+        measurement = self._measured(scene, setting, key, found, own)
+        self._store.put(measurement)
+        return measurement
+
+    def _measured(
+        self, scene: scene_pb2.Scene, setting: Setting, key: str, found: Reference, own: Recording
+    ) -> Measurement:
         try:
             recording = self._recorder.record(scene)
             if self._knobs.quasi_static and recording.unconverged_steps:
@@ -250,37 +283,32 @@ class _Trade:
         except UnavailableError:
             raise  # the daemon is gone: this says nothing about the setting
         except TensormassError as error:
-            measurement = Measurement(key, dict(setting), self._machine, failure=str(error))
-        else:
-            weights = self._recorder.weights
-            steps_of_own = 1.0 if self._script.one_step else self._dt_s / defaults.dt_s(scene)
-            measurement = Measurement(
-                key,
-                dict(setting),
-                self._machine,
-                element_count=recording.element_count,
-                errors=compare(recording, found.recording, weights),
-                costs=recording.costs,
-                moved=compare(recording, own, weights).displacement,
-                cost_s=recording.costs.step_p50_s * steps_of_own,
-                unconverged_steps=recording.unconverged_steps,
-                min_det_f=recording.min_det_f,
-                outside_share=recording.outside_share,
-                warnings=recording.warnings,
-            )
-        self._store.put(measurement)
-        return measurement
+            return Measurement(key, dict(setting), self._machine, failure=str(error))
+        weights = self._recorder.weights
+        steps_of_own = 1.0 if self._script.one_step else self._dt_s / defaults.dt_s(scene)
+        return Measurement(
+            key,
+            dict(setting),
+            self._machine,
+            element_count=recording.element_count,
+            errors=compare(recording, found.recording, weights),
+            costs=recording.costs,
+            moved=compare(recording, own, weights).displacement,
+            cost_s=recording.costs.step_p50_s * steps_of_own,
+            unconverged_steps=recording.unconverged_steps,
+            min_det_f=recording.min_det_f,
+            outside_share=recording.outside_share,
+            warnings=recording.warnings,
+        )
 
     def _say(self, text: str) -> None:
         minutes, seconds = divmod(int(time.monotonic() - self._began), 60)
         print(f"[{minutes:3d}:{seconds:02d}] {text}", file=sys.stderr, flush=True)
 
 
-def _write(outcome: Outcome, folder: Path, server: Server) -> list[Path]:
-    """Report, results and the two scenes, which are tried before they are promised."""
-    (folder / "trade.json").write_text(json.dumps(outcome.to_plain(), indent=1) + "\n", "utf-8")
-    (folder / "report.html").write_text(html.page(outcome), "utf-8")
-    written = [folder / "report.html", folder / "trade.json"]
+def _write_scenes(outcome: Outcome, folder: Path) -> list[Path]:
+    """The two settings asked for, as files."""
+    written = []
     limits = {
         "fastest": (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
         "most_accurate": (outcome.most_accurate, f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms"),
@@ -297,6 +325,11 @@ def _write(outcome: Outcome, folder: Path, server: Server) -> list[Path]:
             f"Measured on {outcome.machine.backend} ({outcome.machine.device})."
         )
         outcome.knobs.write(measurement.setting, path, comment)
-        server.inspect(path)
         written.append(path)
     return written
+
+
+def _write_report(outcome: Outcome, folder: Path) -> list[Path]:
+    (folder / "trade.json").write_text(json.dumps(outcome.to_plain(), indent=1) + "\n", "utf-8")
+    (folder / "report.html").write_text(html.page(outcome), "utf-8")
+    return [folder / "report.html", folder / "trade.json"]

@@ -46,6 +46,7 @@ def page(outcome: Outcome) -> str:
         f"<p>{escape(outcome.script.text())}. On {escape(machine.backend)} ({escape(machine.device)}), tensormassd "
         f"{escape(machine.version)}, build {escape(machine.build)}.</p>",
         f"<ul>{picks}</ul>",
+        _paragraphs(report.confirmations(outcome)),
         _paragraphs(report.findings(outcome), "warning"),
         _chart(outcome, front),
         f"<p>{len(outcome.measurements)} settings: single knobs, and {outcome.combinations} combinations of "

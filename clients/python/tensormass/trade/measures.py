@@ -44,7 +44,12 @@ class Errors:
     @property
     def judged(self) -> float:
         """What a tolerance is held against: what is seen or what is felt, whichever is worse."""
-        return max(self.displacement, self.force or 0.0)
+        return max(self.of_tolerance)
+
+    @property
+    def of_tolerance(self) -> tuple[float, ...]:
+        """What is seen and, where there is a tool, what is felt."""
+        return (self.displacement,) if self.force is None else (self.displacement, self.force)
 
 
 def compare(recording: Recording, reference: Recording, weights: Sequence[FloatArray]) -> Errors:

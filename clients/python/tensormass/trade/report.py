@@ -149,6 +149,29 @@ def findings(outcome: Outcome) -> list[str]:
     return lines
 
 
+# A time that is farther off than this in the second run is no time to promise; less is the scatter of a shared machine.
+_SAME_TIME = 1.5
+_SAME_ERROR = 1.01
+
+
+def is_confirmed(promised: Measurement, again: Measurement) -> bool:
+    """Whether a second run reaches what the first did: error to 1 %, time to half."""
+    if promised.errors is None or again.errors is None:
+        return False
+    return again.errors.judged <= _SAME_ERROR * promised.errors.judged and again.cost_s <= _SAME_TIME * promised.cost_s
+
+
+def confirmations(outcome: Outcome) -> list[str]:
+    """What the written files do when they are run."""
+    promised = {"fastest": outcome.fastest, "most_accurate": outcome.most_accurate}
+    lines = []
+    for name, again in outcome.confirmed.items():
+        was = promised.get(name)
+        verdict = "" if was is None else "confirmed: " if is_confirmed(was, again) else "NOT CONFIRMED: "
+        lines.append(f"{name}.yaml, read and run again: {verdict}{brief(again)}")
+    return lines
+
+
 def picks(outcome: Outcome) -> list[tuple[str, str]]:
     """The two settings asked for, and what they reach."""
     wanted = [
@@ -180,6 +203,6 @@ def text(outcome: Outcome, written: Sequence[Path]) -> str:
     ]
     if lines := findings(outcome):
         sections.append("warnings:\n" + "\n".join(f"  {line}" for line in lines))
-    sections.append("\n".join(f"{what}: {reached}" for what, reached in picks(outcome)))
+    sections.append("\n".join([*(f"{what}: {reached}" for what, reached in picks(outcome)), *confirmations(outcome)]))
     sections.append("written: " + ", ".join(map(str, written)))
     return "\n\n".join(sections)

@@ -2,7 +2,7 @@
 
 The scene starts at rest and takes its loads at once. Where it has tools, the first of them then goes straight to the
 nearest point of the surface, presses in by half its radius, stays, and lifts off; the others stay where they are. (By a
-whole radius the demo's St-Venant-Kirchhoff liver turns elements inside out, and has no answer to converge to.) All
+whole radius the elements of a thin or coarse tissue may turn inside out, and there is no answer to converge to.) All
 settings see the same path and are looked at at the same times, in the same points: the nodes of the scene's own mesh.
 """
 
@@ -189,7 +189,7 @@ class Recorder:
         volumes = [volume_mesh(body) for body in scene.bodies]
         self._points = [rest_nodes(body, volume.nodes) for body, volume in zip(scene.bodies, volumes, strict=True)]
         #: [body][point]: the volume that a point stands for [m³], for means.
-        self.weights = [_node_volumes(volume) for volume in volumes]
+        self.weights = [node_volumes(volume) for volume in volumes]
         self._interpolations: OrderedDict[str, list[Interpolation]] = OrderedDict()
         self._energy = EnergyMeter(wanted=server.version().backend == "cuda")
 
@@ -359,7 +359,7 @@ def _along_own_direction(means: list[FloatArray]) -> FloatArray:
     return path @ (mean / length) if length > 0 else np.zeros(len(path))
 
 
-def _node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
+def node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
     """[node_count] m³: each element's volume, divided among its nodes."""
     weights = np.zeros(len(mesh.nodes))
     first = 0

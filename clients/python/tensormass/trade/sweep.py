@@ -5,9 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from tensormass.meshes import FloatArray
 from tensormass.trade.knobs import Knobs, Setting, Value
 from tensormass.trade.store import Measurement
 
@@ -34,34 +36,39 @@ def combinations(
     """Settings of several knobs that promise most, at most `count`, and out of how many.
 
     What a knob did alone predicts what it does with others: factors of cost multiply, changes of error add. The
-    promising are the front of that prediction, then the front of the rest, and so on.
+    promising are the front of that prediction, then the front of the rest, and so on. Another law takes part where it
+    is as good as the same, see `is_same_tissue`.
     """
     by_setting = {_frozen(of.setting): of for of in measured if of.errors is not None}
     base = by_setting[_frozen({})]
     assert base.errors is not None
     base_error = base.errors.judged
     worth_at_most = max(_HOPELESS_TOLERANCES * tolerance, 1.5 * base_error)
-    choices: list[list[tuple[dict[str, Value], float, float]]] = []
+    base_errors = base.errors.of_tolerance
+    choices: list[list[_Turn]] = []
     for name, knob in knobs.knobs.items():
         alone = []
         for value in knob.others():
             of = by_setting.get(_frozen(knobs.canonical({name: value})))
-            if of is not None and of.errors is not None and of.errors.judged <= worth_at_most:
-                log_cost = math.log(of.cost_s / base.cost_s)
-                alone.append(({name: value}, log_cost, of.errors.judged - base_error))
+            if of is None or of.errors is None or of.errors.judged > worth_at_most:
+                continue
+            if not is_same_tissue(of, measured, tolerance):
+                continue
+            changes = np.subtract(of.errors.of_tolerance, base_errors)
+            alone.append(_Turn({name: value}, math.log(of.cost_s / base.cost_s), changes))
         # Useful is what is cheaper or more accurate than the scene.
-        alone = [of for of in alone if of[1] < 0 or of[2] < 0]
-        alone.sort(key=lambda of: min(of[1], 0.0) + min(of[2] / max(base_error, 1e-9), 0.0))
-        choices.append([({}, 0.0, 0.0), *alone[: _VALUES_A_KNOB - 1]])
+        alone = [of for of in alone if of.log_cost < 0 or of.changes.min() < 0]
+        alone.sort(key=lambda of: min(of.log_cost, 0.0) + min(float(of.changes.min()) / max(base_error, 1e-9), 0.0))
+        choices.append([_Turn({}, 0.0, np.zeros(len(base_errors))), *alone[: _VALUES_A_KNOB - 1]])
     while math.prod(len(of) for of in choices) > _PRODUCT_LIMIT:
         longest = max(choices, key=len)
         longest.pop()
     settings: dict[tuple[tuple[str, Value], ...], tuple[dict[str, Value], float, float]] = {}
     for parts in itertools.product(*choices):
-        setting = knobs.canonical({name: value for of, _, _ in parts for name, value in of.items()})
+        setting = knobs.canonical({name: value for of in parts for name, value in of.setting.items()})
         if len(setting) > 1 and _frozen(setting) not in by_setting:
-            error = max(base_error + sum(of[2] for of in parts), 0.0)
-            settings[_frozen(setting)] = (setting, sum(of[1] for of in parts), error)
+            error = max(float((np.sum([of.changes for of in parts], axis=0) + base_errors).max()), 0.0)
+            settings[_frozen(setting)] = (setting, sum(of.log_cost for of in parts), error)
     candidates = list(settings.values())
     total = len(candidates)
     chosen: list[dict[str, Value]] = []
@@ -71,6 +78,25 @@ def combinations(
         taken = set(front)
         candidates = [of for index, of in enumerate(candidates) if index not in taken]
     return chosen, total
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """One knob turned alone: logarithm of the factor of cost, changes of `Errors.of_tolerance`."""
+
+    setting: dict[str, Value]
+    log_cost: float
+    changes: FloatArray
+
+
+def is_same_tissue(of: Measurement, measured: Sequence[Measurement], tolerance: float) -> bool:
+    """Whether the setting's law, if it is another, moves the answer by less than the tolerance when it alone is
+    changed. An error that is small although the law moves more only cancels that of the mesh, for this load.
+    """
+    law = of.setting.get("law")
+    if law is None:
+        return True
+    return any(one.setting == {"law": law} and one.errors and one.moved <= tolerance for one in measured)
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -93,12 +119,14 @@ def front(measured: Sequence[Measurement]) -> list[Measurement]:
 
 def fastest_within(measured: Sequence[Measurement], tolerance: float) -> Measurement | None:
     """None: no setting is that accurate."""
-    return next((of for of in front(measured) if of.errors and of.errors.judged <= tolerance), None)
+    same = [of for of in measured if is_same_tissue(of, measured, tolerance)]
+    return next((of for of in front(same) if of.errors and of.errors.judged <= tolerance), None)
 
 
-def most_accurate_within(measured: Sequence[Measurement], budget_s: float) -> Measurement | None:
-    """None: no setting is that fast."""
-    return next((of for of in reversed(front(measured)) if of.cost_s <= budget_s), None)
+def most_accurate_within(measured: Sequence[Measurement], budget_s: float, tolerance: float) -> Measurement | None:
+    """None: no setting is that fast. `tolerance`: of what is another law."""
+    same = [of for of in measured if is_same_tissue(of, measured, tolerance)]
+    return next((of for of in reversed(front(same)) if of.cost_s <= budget_s), None)
 
 
 def _spread(indices: list[int], count: int) -> list[int]:

@@ -1,0 +1,301 @@
+"""The beam's motion by CalculiX: error against time of a solver that shares no line with us, beside our own front.
+
+python -m accuracy.trade_calculix [--fresh]     after `python -m accuracy.trade --scene beam`, on the same machine
+
+Same beam, law, weight and time; compared in the same points and times with the same reference (ours: that CalculiX's
+finest setting comes to it as well is shown by its error). Its cost is all the time that the program takes, in which
+reading and writing have a small part, for as much as one step of the scene simulates. It runs with its own defaults:
+direct solver, its damping of high frequencies (α = −0.05), its tolerances; with as many threads as the machine has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tensormass import defaults
+from tensormass.meshes import VolumeMesh
+from tensormass.scene import SceneFile, volume_mesh
+from tensormass.trade import report, sweep
+from tensormass.trade.interpolation import Interpolation
+from tensormass.trade.knobs import Knobs
+from tensormass.trade.script import Recording, Script, node_volumes
+from tensormass.trade.store import Store
+
+from . import calculix, record, trade
+from .meshes import Floats, Integers, box
+
+SCENE, BACKEND = "beam", "cpu"
+FILE = trade.FOLDER / "trade-beam-calculix.jsonl"
+LIMIT_S = 300.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """element: CalculiX's name. resolution: elements along an edge, against the scene's own."""
+
+    element: str
+    resolution: float
+    dt_s: float = 0.01
+
+    @property
+    def key(self) -> str:
+        return f"{self.element}, resolution {self.resolution:g}, dt_s {self.dt_s:g}"
+
+
+#: By CalculiX's name: how our meshes call the shape that it is made of, and what it is.
+ELEMENTS = {
+    "C3D4": ("tetrahedron", "linear tetrahedra"),
+    "C3D8": ("hexahedron", "hexahedra, full quadrature"),
+    "C3D8I": ("hexahedron", "hexahedra with incompatible modes"),
+    "C3D10": ("quadratic_tetrahedron", "quadratic tetrahedra"),
+    "C3D20R": ("hexahedron", "quadratic hexahedra, reduced quadrature"),
+}
+SETTINGS = (
+    *(Setting("C3D8I", resolution, dt_s) for resolution in (0.15, 0.25, 0.35, 0.5) for dt_s in (0.02, 0.01, 0.005)),
+    *(Setting("C3D20R", resolution, dt_s) for resolution in (0.1, 0.15, 0.25) for dt_s in (0.02, 0.01, 0.005)),
+    *(Setting("C3D20R", 0.35, dt_s) for dt_s in (0.02, 0.005)),
+    *(Setting("C3D4", resolution) for resolution in (0.35, 0.5)),
+    *(Setting("C3D8", resolution) for resolution in (0.25, 0.35)),
+    *(Setting("C3D10", resolution) for resolution in (0.15, 0.25)),
+)
+# Of a hexahedron, as CalculiX numbers the middles of its edges.
+_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+_CORNERS = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
+
+
+class Beam:
+    """The scene's beam, as the script of the trade has it."""
+
+    def __init__(self) -> None:
+        file = SceneFile.read(SCENE)
+        knobs = Knobs(file, Path())
+        self.message = knobs.message
+        (self.body,) = self.message.bodies
+        self.own_dt_s = defaults.dt_s(self.message)
+        mesh = volume_mesh(self.body)
+        self.points, self.weights = mesh.nodes, node_volumes(mesh)
+        grid = self.body.mesh.grid
+        self.cells = (grid.cells_x, grid.cells_y, grid.cells_z)
+        self.size_m = (grid.size_m.x, grid.size_m.y, grid.size_m.z)
+
+    def mesh(self, setting: Setting) -> tuple[Floats, Integers]:
+        """Nodes and elements."""
+        cells = tuple(max(1, math.floor(count * setting.resolution + 0.5)) for count in self.cells)
+        mesh = box(ELEMENTS[setting.element][0], cells, self.size_m)
+        ((_, elements),) = mesh.blocks
+        return quadratic(mesh.nodes, elements) if setting.element == "C3D20R" else (mesh.nodes, elements)
+
+    def taken(self, setting: Setting, nodes: Floats, elements: Integers, u: Floats) -> Floats:
+        """[sample, node, 3] -> [sample, point, 3]."""
+        if setting.element == "C3D20R":
+            at, weights = serendipity(nodes, elements, self.points)
+            return np.einsum("pk,spkc->spc", weights, u[:, elements[at]])
+        shape = ELEMENTS[setting.element][0]
+        of = Interpolation(VolumeMesh.from_arrays(nodes, [(shape, elements)]), self.points)
+        return np.stack([of(sample) for sample in u])
+
+    def error(self, ours: Floats, reference: Recording) -> tuple[float, float]:
+        """Relative L2 over volume and time, and the worst point, as `tensormass trade` has them."""
+        (exact,) = reference.displacement
+        off = (self.weights * ((ours - exact) ** 2).sum(axis=2)).sum()
+        whole = (self.weights * (exact**2).sum(axis=2)).sum()
+        worst = np.linalg.norm(ours - exact, axis=2).max() / np.linalg.norm(exact, axis=2).max()
+        return math.sqrt(off / whole), float(worst)
+
+
+def quadratic(nodes: Floats, hexahedra: Integers) -> tuple[Floats, Integers]:
+    """With a node in the middle of every edge."""
+    pairs = np.sort(hexahedra[:, _EDGES], axis=2)
+    edges, number = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    middles = len(nodes) + number.reshape(len(hexahedra), len(_EDGES))
+    return np.concatenate([nodes, nodes[edges].mean(axis=1)]), np.hstack([hexahedra, middles])
+
+
+def serendipity(nodes: Floats, elements: Integers, points: Floats) -> tuple[Integers, Floats]:
+    """Of each point the element, a box along the axes, and the weights of its 20 nodes."""
+    low, high = nodes[elements[:, 0]], nodes[elements[:, 6]]
+    local = (2 * points[:, None] - low - high) / (high - low)
+    at = np.abs(local).max(axis=2).argmin(axis=1)
+    x = np.take_along_axis(local, at[:, None, None], axis=1)[:, 0]
+    weights = np.empty((len(points), 20))
+    with_corner = x[:, None] * _CORNERS
+    weights[:, :8] = np.prod(1 + with_corner, axis=2) * (with_corner.sum(axis=2) - 2) / 8
+    for k, (a, b) in enumerate(_EDGES, 8):
+        middle = (_CORNERS[a] + _CORNERS[b]) / 2
+        factors = np.where(middle == 0, 1 - x**2, 1 + x * middle)
+        weights[:, k] = np.prod(factors, axis=1) / 4
+    return at, weights
+
+
+def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script: Script) -> str:
+    """The input file."""
+    law = beam.body.law.st_venant_kirchhoff
+    lines = ["*NODE, NSET=ALL"]
+    lines += [f"{i}, {x:.12E}, {y:.12E}, {z:.12E}" for i, (x, y, z) in enumerate(nodes, 1)]
+    lines.append(f"*ELEMENT, TYPE={setting.element}, ELSET=BODY")
+    for i, element in enumerate(elements, 1):
+        numbers = [i, *(node + 1 for node in element)]
+        lines += [", ".join(map(str, numbers[:16])) + ("," if len(numbers) > 16 else "")]
+        lines += [", ".join(map(str, numbers[16:]))] if len(numbers) > 16 else []
+    held = np.flatnonzero(nodes[:, 0] < 1e-9) + 1
+    lines += ["*NSET, NSET=WALL", *(f"{node}," for node in held), "*BOUNDARY", "WALL, 1, 3"]
+    lines += ["*MATERIAL, NAME=TISSUE", "*ELASTIC", f"{law.young_modulus_pa:g}, {law.poisson_ratio:g}"]
+    lines += ["*DENSITY", f"{beam.body.density_kg_per_m3:g}", "*SOLID SECTION, ELSET=BODY, MATERIAL=TISSUE"]
+    lines += ["*AMPLITUDE, NAME=AT_ONCE", f"0., 1., {2 * script.duration_s:g}, 1."]
+    lines += ["*STEP, NLGEOM, INC=100000", "*DYNAMIC, DIRECT", f"{setting.dt_s:.12E}, {script.duration_s:.12E}"]
+    gravity = -beam.message.gravity_m_per_s2.z
+    lines += ["*DLOAD, AMPLITUDE=AT_ONCE", f"BODY, GRAV, {gravity:g}, 0., 0., -1."]
+    lines += [f"*NODE PRINT, NSET=ALL, FREQUENCY={round(script.sample_s / setting.dt_s)}", "U", "*END STEP", ""]
+    return "\n".join(lines)
+
+
+def solve(text: str, sample_count: int) -> tuple[Floats, float]:
+    """Displacements [sample, node, 3] m, and how long the program took."""
+    environment = {**os.environ, "OMP_NUM_THREADS": str(os.cpu_count())}
+    with tempfile.TemporaryDirectory(prefix="accuracy-") as folder:
+        (Path(folder) / "case.inp").write_text(text)
+        began = time.monotonic()
+        done = subprocess.run(
+            [calculix.PROGRAM, "-i", "case"],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=LIMIT_S,
+        )
+        took_s = time.monotonic() - began
+        results = Path(folder) / "case.dat"
+        if done.returncode != 0 or not results.exists():
+            raise ArithmeticError(f"CalculiX gave up: {done.stdout[-300:]}")
+        tables = results.read_text().split("displacements")[1:]
+    if len(tables) != sample_count:
+        raise ArithmeticError(f"CalculiX made {len(tables)} of {sample_count} samples")
+    rows = [[line.split()[1:4] for line in table.splitlines()[1:] if line.strip()] for table in tables]
+    return np.array(rows, dtype=float), took_s
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m accuracy.trade_calculix", description=__doc__.splitlines()[0])
+    parser.add_argument("--fresh", action="store_true", help="run all anew")
+    arguments = parser.parse_args()
+    ours = trade.Trade.read(SCENE, BACKEND)
+    if not calculix.available() or ours is None:
+        sys.exit("it takes CalculiX (ccx) and the results of `python -m accuracy.trade --scene beam`")
+    reference = Store(trade.folder_of(SCENE, BACKEND)).recording(ours.head["reference"]["key"])
+    if reference is None:
+        sys.exit("the reference is not in build/trade any more; run `python -m accuracy.trade --scene beam` again")
+    beam = Beam()
+    _, seconds = trade.SCENES[SCENE]
+    script = Script.of(beam.message, float(seconds))
+    head = {
+        "scene": SCENE,
+        "solver": calculix.source(),
+        "command": "python -m accuracy.trade_calculix",
+        "date": time.strftime("%Y-%m-%d", time.gmtime()),
+        "commit": record.commit(),
+        "host": record.machine(),
+        "reference": ours.head["reference"]["key"],
+    }
+    known = {} if arguments.fresh else {row["key"]: row for row in read()[1]} if _goes_on(head) else {}
+    rows = []
+    for setting in SETTINGS:
+        row = known.get(setting.key) or _measure(beam, setting, reference, script)
+        print(f"{setting.key}: {row.get('failure') or _brief(row)}", flush=True)
+        rows.append(row)
+        FILE.write_text("".join(json.dumps(line, ensure_ascii=False) + "\n" for line in (head, *rows)))
+    print(f"wrote {FILE}")
+    return 0
+
+
+def _goes_on(head: dict) -> bool:
+    before = read()[0]
+    return all(before.get(name) == head[name] for name in ("solver", "host", "reference"))
+
+
+def _measure(beam: Beam, setting: Setting, reference: Recording, script: Script) -> dict:
+    nodes, elements = beam.mesh(setting)
+    row = {"key": setting.key, "element": setting.element, "elements": len(elements), "nodes": len(nodes)}
+    row |= {"resolution": setting.resolution, "dt_s": setting.dt_s}
+    try:
+        text = deck(beam, setting, nodes, elements, script)
+        displacement, took_s = solve(text, script.sample_count)
+    except (ArithmeticError, subprocess.TimeoutExpired) as failure:
+        return {**row, "failure": str(failure)}
+    error, worst = beam.error(beam.taken(setting, nodes, elements, displacement), reference)
+    numbers = {"displacement": error, "worst_node": worst, "wall_s": took_s}
+    numbers["cost_s"] = took_s * beam.own_dt_s / script.duration_s
+    return {**row, **{name: float(f"{value:.4g}") for name, value in numbers.items()}}
+
+
+def _brief(row: dict) -> str:
+    return f"displacement {100 * row['displacement']:.2g} %, {1e3 * row['cost_s']:.3g} ms a step of the scene"
+
+
+def read() -> tuple[dict, list[dict]]:
+    """Head and rows; empty without results."""
+    if not FILE.exists():
+        return {}, []
+    head, *rows = (json.loads(line) for line in FILE.read_text().splitlines())
+    return head, rows
+
+
+def section() -> list[str]:
+    """Of docs/accuracy.md: its front beside ours."""
+    head, rows = read()
+    ours = trade.Trade.read(SCENE, BACKEND)
+    if not rows or ours is None:
+        return []
+    solved = sorted((row for row in rows if "failure" not in row), key=lambda row: row["cost_s"])
+    front = {solved[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in solved])}
+    lines = [
+        "",
+        "### The beam's front beside another solver's",
+        "",
+        f"{head['solver']}, `{head['command']}`; {head['host']}; {head['date']}, commit `{head['commit']}`. Same beam, "
+        "law, weight, points, times and reference as above"
+        + ("" if head["reference"] == ours.head["reference"]["key"] else " (**of an earlier run**)")
+        + ". Its cost is all the time of the program, reading and writing with it, for as much as one step of the "
+        "scene simulates; it runs with its own defaults (implicit with α = −0.05, a direct solver in double precision, "
+        "its tolerances) on as many threads as the machine has. It is made for other things than this: what can be "
+        "read from the two curves is that both come to the same motion, and what an error costs in either.",
+        "",
+        "| of | setting | elements | displacement | worst node | cost | on its front |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in solved:
+        what = f"{ELEMENTS[row['element']][1]} ({row['element']}), {row['key'].split(', ', 1)[1].replace('_', ' ')}"
+        lines.append(
+            f"| CalculiX | {what} | {row['elements']} | {report.percent(row['displacement'])} "
+            f"| {report.percent(row['worst_node'])} | {report.ms(row['cost_s'])} "
+            f"| {'*' if row['key'] in front else ''} |"
+        )
+    for of in sweep.front(ours.measurements):
+        assert of.errors
+        lines.append(
+            f"| this server | {report.setting_text(of.setting).replace('_', ' ')} | {of.element_count} "
+            f"| {report.percent(of.errors.displacement)} | {report.percent(of.errors.worst_node)} "
+            f"| {report.ms(of.cost_s)} | * |"
+        )
+    failed = [f"{row['key']}: {row['failure'].splitlines()[0]}" for row in rows if "failure" in row]
+    lines += ["", *(f"* gave up: {text}" for text in failed)] if failed else []
+    return [
+        *lines,
+        "",
+        "SOFA's published scenes were not run: no binary of it was at hand on the machine that measured.",
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Cases side by side: each job a process with a daemon of its own, each scene a thread of it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import tensormass as tm
+from accuracy.engine import PRECISIONS, Engine
+
+from .case import BROKEN, Case, Verdict, judge
+from .cases import all_cases
+from .journal import Entry
+from .report import Row
+
+Task = tuple[str, str]  # key and precision
+
+
+class _Daemon:
+    """One at a time, anew when it is gone."""
+
+    def __init__(self, backend: str) -> None:
+        self._backend = backend
+        self._lock = threading.Lock()
+        self._server: tm.Server | None = None
+
+    def engine(self, precision: str) -> Engine:
+        with self._lock:
+            if self._server is None or self._server.process is None or not self._server.process.running:
+                self.close()
+                self._server = tm.launch(backend=self._backend, zenoh=False)
+            return Engine(self._server, precision)
+
+    def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # its daemon ends with it
+
+
+def run_case(case: Case, engine: Engine) -> Entry:
+    began = time.monotonic()
+    row = Row(case.key, engine.precision, judge(case, engine))
+    return Entry(row, time.monotonic() - began)
+
+
+def _work(backend: str, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue) -> None:
+    """Until a task is None, or whoever gives them is gone."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cases = {case.key: case for case in all_cases()}
+    daemon = _Daemon(backend)
+
+    def loop() -> None:
+        while (task := tasks.get()) is not None:
+            key, precision = task
+            try:
+                entry = run_case(cases[key], daemon.engine(precision))
+            except Exception as error:  # no daemon: a broken row, and the other jobs go on
+                entry = Entry(Row(key, precision, Verdict(BROKEN, text=f"{type(error).__name__}: {error}")), 0.0)
+            done.put(entry)
+
+    threads = [threading.Thread(target=loop) for _ in range(scenes)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    daemon.close()
+
+
+def run(
+    wanted: Sequence[Task],
+    *,
+    backend: str,
+    jobs: int,
+    scenes: int,
+    limit_s: float,
+    take: Callable[[Entry], None],
+) -> None:
+    """Gives each row to `take` when it is there; after `limit_s` no more are begun."""
+    began = time.monotonic()
+    context = multiprocessing.get_context("spawn")  # a fork would take the threads of a channel half
+    tasks, done = context.Queue(), context.Queue()
+    workers = [context.Process(target=_work, args=(backend, scenes, tasks, done), daemon=True) for _ in range(jobs)]
+    for worker in workers:
+        worker.start()
+    waiting = iter(wanted)
+    begun = 0
+
+    def feed() -> bool:
+        nonlocal begun
+        task = next(waiting, None) if time.monotonic() - began < limit_s else None
+        if task is not None:
+            tasks.put(task)
+            begun += 1
+        return task is not None
+
+    # One ahead of each thread, so that none waits and few are left at the limit.
+    for _ in range(2 * jobs * scenes):
+        feed()
+    taken = 0
+    while taken < begun:
+        try:
+            take(done.get(timeout=1.0))
+        except queue.Empty:
+            if not any(worker.is_alive() for worker in workers):
+                raise RuntimeError("all jobs ended; their last words are above") from None
+            continue
+        taken += 1
+        feed()
+    for _ in range(jobs * scenes):
+        tasks.put(None)
+    for worker in workers:
+        worker.join()
+
+
+def tasks_of(cases: Sequence[Case], precisions: Sequence[str] = tuple(PRECISIONS)) -> list[Task]:
+    return [(case.key, precision) for case in cases for precision in case.precisions if precision in precisions]
