@@ -90,7 +90,8 @@ stability: setup-test ## Proof of stability: results in tests/stability, page in
 
 trade: setup-test ## Measure the demo scenes' settings: results, presets, docs/accuracy.md (BACKEND=cuda); goes on if stopped
 	@$(MAKE) native python
-	@cd tests && python -m accuracy.trade --backend $(BACKEND) && python -m accuracy.report
+	@cd tests && python -m accuracy.trade --backend $(BACKEND) && \
+	  $(if $(filter cpu,$(BACKEND)),{ ! command -v ccx > /dev/null || python -m accuracy.trade_calculix; } &&) python -m accuracy.report
 
 asan: setup ## C++ tests under address and undefined-behaviour sanitizers
 	@$(MAKE) sanitized NAME=asan SANITIZE=address,undefined

@@ -17,7 +17,7 @@ from accuracy.engine import Engine
 from tensormass import processes
 from tensormass.v1 import scene_pb2
 
-from . import journal, report
+from . import cases_steps, journal, report
 from .case import (
     BROKEN,
     CAUGHT,
@@ -209,3 +209,16 @@ def test_results_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pyte
     # Without what to do about it, which every fault says.
     assert by_key[rows[2].key, "float"].text == "step 3 left its bounds: a node moved 2.5 m in it"
     assert by_key[rows[3].key, "float"].text == "an imbalance of 0.5 (c 2, bound 1)"
+
+
+def test_a_reference_that_fails_is_not_the_scene_that_is_caught(
+    server: tm.Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (case,) = (case for case in all_cases() if case.key == "step/1 s/corotational/hexahedron")
+    assert judge(case, Engine(server, "double")).outcome == HOLDS
+
+    def none(*_: object) -> None:
+        raise tm.FailedPreconditionError("it is stopped")
+
+    monkeypatch.setattr(cases_steps, "equilibrium", none)
+    assert judge(case, Engine(server, "double")).outcome == SHORT
