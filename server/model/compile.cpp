@@ -35,7 +35,7 @@ class Compiler {
     TM_CHECK(fill_supports_and_loads(c_));
     TM_CHECK(progress_.begin(LoadPart::kElements));
     TM_CHECK(group_elements(c_));
-    list_elements_of_rows(c_);
+    TM_CHECK(list_elements_of_rows(c_));
     TM_CHECK(progress_.begin(LoadPart::kSurfaces));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {

@@ -84,7 +84,7 @@ Result<void> fill_supports_and_loads(Compilation& c);
 Result<void> group_elements(Compilation& c);
 
 /// Where rows evaluate their elements: which.
-void list_elements_of_rows(Compilation& c);
+Result<void> list_elements_of_rows(Compilation& c);
 
 void make_contact_surface(Compilation& c);
 Result<void> make_visible_surface(Compilation& c);

@@ -11,6 +11,7 @@
 #include "model/scene_input.h"
 #include "model/wedge_pairs.h"
 #include "physics/element/element.h"
+#include "tensor/rows.h"
 
 namespace tensormass::model {
 
@@ -282,10 +283,16 @@ Result<void> group_elements(Compilation& c) {
   return {};
 }
 
-void list_elements_of_rows(Compilation& c) {
+Result<void> list_elements_of_rows(Compilation& c) {
   Model& model = c.model;
-  if (model.layout.storage == tensor::Storage::kEdges) return;  // elements write into the matrix
-  std::vector<tensor::ElementRows> rows;                        // the first groups, as those are refreshed
+  if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
+  if (const std::uint32_t widest = model.layout.widest_slice(); widest >= tensor::own_place(16)) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("a node has {} neighbours, and rows of the matrix hold fewer than {}; "
+                            "split the elements around it",
+                            widest, tensor::own_place(16)));
+  }
+  std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
     if (group.is_constant) continue;
     rows.push_back(
@@ -294,6 +301,7 @@ void list_elements_of_rows(Compilation& c) {
   tensor::GroupRowLists lists = tensor::make_row_lists(model.layout, rows, model.constant_edges.empty());
   for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);
   model.begun_slices = std::move(lists.begun_slices);
+  return {};
 }
 
 }  // namespace tensormass::model

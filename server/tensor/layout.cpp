@@ -117,6 +117,10 @@ void number_rows(Layout& layout, const mesh::Partition& partition, const StoredE
   layout.row_count = layout.patch_rows.back();
 }
 
+/// Wider slices keep their neighbours ascending: they would not fit into near memory anyway, and the order below takes
+/// the square of the width.
+constexpr std::uint32_t kMostSpreadColumns = 64;
+
 /// Orders the neighbours of each row so that rows which a device reads at once, eight of them four numbers each, meet
 /// different banks of its memory: column modulo eight. Any order is as good otherwise. columns: of a slice,
 /// [width][kSliceRows]; ends: how many of each row are neighbours, the others padding.
@@ -227,7 +231,7 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
     const std::size_t begin_of_slice = out.columns.size();
     out.inner_widths.push_back(add(first, middle));
     out.widths.push_back(out.inner_widths.back() + add(middle, last));
-    if (layout.storage == Storage::kRows) {
+    if (layout.storage == Storage::kRows && out.widths.back() <= kMostSpreadColumns) {
       std::array<std::uint32_t, kSliceRows> ends{};
       for (std::uint32_t i = 0; i < kSliceRows; ++i) ends[i] = offsets[slice + i + 1] - offsets[slice + i];
       spread_over_banks(std::span(out.columns).subspan(begin_of_slice), ends,
@@ -272,12 +276,12 @@ std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t height = slice_rows(), slice = row / height;
   std::uint32_t low = slice_begin[slice], high = slice_begin[slice + 1];
   const std::uint32_t lane = row % height;
-  if (storage == Storage::kRows) {  // in the order of spread_over_banks
+  if (storage == Storage::kRows && high - low <= kMostSpreadColumns) {
     while (low < high && neighbour_rows[low * height + lane] != other) ++low;
     assert(low < high);
     return low < high ? low * height + lane : kNoPlace;
   }
-  (in_one_patch(row, other) ? high : low) = slice_halo[slice];
+  if (storage == Storage::kEdges) (in_one_patch(row, other) ? high : low) = slice_halo[slice];
   // Ascending neighbours, then padding, which as kNone is the largest: binary search holds.
   const std::uint32_t end = high;
   while (low < high) {
@@ -289,6 +293,7 @@ std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
     }
   }
   const bool found = low < end && neighbour_rows[low * height + lane] == other;
+  assert(found || storage == Storage::kEdges);
   return found ? low * height + lane : kNoPlace;
 }
 
