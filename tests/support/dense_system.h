@@ -12,8 +12,8 @@
 #include "physics/element/element.h"
 #include "support/scenes.h"
 
-/// The system of one step straight from its definitions, densely and node by node: the oracle for layouts, gather maps,
-/// assembly and solver.
+/// The system of one step straight from its definitions, densely and node by node: the oracle for layouts, lists of
+/// elements, assembly and solver.
 namespace tensormass::tests {
 
 struct DenseSystem {
