@@ -1,10 +1,12 @@
 """Runs the cases against daemons of its own and writes results/<backend>.json.
 
 python -m stability [--backend cpu|cuda] [--long] [--only TEXT] [--precision double|float] [--jobs N] [--scenes N]
-                    [--limit SECONDS] [--fresh]
+                    [--devices A,B] [--limit SECONDS] [--fresh]
 python -m stability --merge JOURNAL...      runs nothing: makes the results of journals that were written elsewhere
 
-A run that was stopped, or that `--limit` ended, goes on where it was: build/stability/<backend>.jsonl has its rows.
+A run that was stopped, or that `--limit` ended, goes on where it was: build/stability/<backend>.jsonl has its rows;
+those that broke are run again. By default a GPU has one daemon of SCENES_OF_GPU scenes, the CPU one of a scene a
+processor.
 """
 
 from __future__ import annotations
@@ -27,6 +29,9 @@ from .cases import all_cases
 from .journal import Entry, Journal
 from .run import run, tasks_of
 
+# Side by side, of one daemon. A thread of the daemon's busily waits for each: more of them than processors hinder all.
+SCENES_OF_GPU = 14
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m stability", description=__doc__.splitlines()[0])
@@ -34,8 +39,9 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="also 10⁶ steps, an hour, millions of elements")
     parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results")
     parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="daemons at a time; default: %(default)s")
-    parser.add_argument("--scenes", type=int, default=1, help="of each daemon at a time; default: %(default)s")
+    parser.add_argument("--jobs", type=int, help="daemons at a time; default: one a processor, or one a device")
+    parser.add_argument("--scenes", type=int, help="of each daemon at a time; default: 1, or as many as a device likes")
+    parser.add_argument("--devices", default="", metavar="A,B", help="GPUs, as CUDA numbers them; default: the first")
     parser.add_argument("--limit", type=float, default=math.inf, metavar="SECONDS", help="begin no more after this")
     parser.add_argument("--fresh", action="store_true", help="run all anew")
     parser.add_argument("--merge", nargs="+", type=Path, metavar="JOURNAL", help="run nothing, put these together")
@@ -44,14 +50,16 @@ def main() -> int:
         head, entries = journal.merged(arguments.merge)
         return _finish(head, entries, [case for case in all_cases() if head["long"] or not case.long])
     chosen = [case for case in all_cases() if arguments.only in case.key and (arguments.long or not case.long)]
-    # A limit leaves out the long ones; of them the largest first, so that none runs alone in the end.
-    chosen.sort(key=lambda case: (case.long, case.group.name != "millions"))
+    # The few long ones first, so that none runs alone in the end; of the others a limit leaves out the dear ones.
+    chosen.sort(key=lambda case: (not case.long, case.solves))
+    devices = [device for device in arguments.devices.split(",") if device]
+    on_gpu = arguments.backend == "cuda"
     wanted = tasks_of(chosen, [arguments.precision] if arguments.precision else tuple(PRECISIONS))
     cases = {case.key: case for case in chosen}
     part = bool(arguments.only or arguments.precision)
     log = None if part else Journal(_path(arguments.backend), _head(arguments), arguments.fresh)
     entries = log.entries if log else {}
-    missing = [task for task in wanted if task not in entries]
+    missing = journal.missing(wanted, entries)
     if len(missing) < len(wanted):
         print(f"{len(wanted) - len(missing)} rows are there already; --fresh runs them anew", flush=True)
     start = time.monotonic()
@@ -71,8 +79,9 @@ def main() -> int:
     run(
         missing,
         backend=arguments.backend,
-        jobs=arguments.jobs,
-        scenes=arguments.scenes,
+        jobs=arguments.jobs or (max(1, len(devices)) if on_gpu else os.cpu_count() or 1),
+        scenes=arguments.scenes or (SCENES_OF_GPU if on_gpu else 1),
+        devices=devices,
         limit_s=arguments.limit,
         take=take,
     )

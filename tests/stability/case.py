@@ -73,7 +73,8 @@ class Case:
     by outcome; "" stands for all. names: the warnings that say what goes wrong here when a check fails; any other
     explains nothing.
 
-    long: only with --long. quick: also a test of `make test`.
+    long: only with --long. quick: also a test of `make test`. solves: about how many a row makes; those of few come
+    first, so that a limit of time leaves out few rows. together: cases of the same one, if any, look at the same run.
     """
 
     group: Group
@@ -86,6 +87,8 @@ class Case:
     names: tuple[str, ...] = ()
     long: bool = False
     quick: bool = False
+    solves: int = 1
+    together: str = ""
     precisions: tuple[str, ...] = ("double", "float")
 
     @property

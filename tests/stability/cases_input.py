@@ -287,6 +287,7 @@ def input_cases() -> Iterator[Case]:
             lambda engine, place=place: _spoil_scene(engine, place),
             precisions=("float",),
             quick=True,
+            solves=STEPS * (len(VALUES) + 1),
         )
     pose = stream_pb2.ToolPose(client_id=1, position_m=scene_pb2.Vector3(z=1), orientation=scene_pb2.Quaternion(w=1))
     for place in places(pose):
@@ -298,4 +299,5 @@ def input_cases() -> Iterator[Case]:
             lambda engine, place=place: _spoil_pose(engine, place, pose),
             precisions=("float",),
             quick=True,
+            solves=len(VALUES) + 1,
         )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from accuracy.cases_homogeneous import STEPS as PULLED_STEPS
 from accuracy.cases_homogeneous import free_sides_stretch, pulled
 from accuracy.engine import BODY, Engine, state
 from accuracy.laws import LAWS, Law
@@ -14,7 +15,7 @@ from accuracy.problem import Problem, Support, node_areas
 from tensormass.v1 import scene_pb2
 
 from .case import CURVATURE, FELT, REFUSED, Case, Check, Found, Group
-from .cases_steps import DAMPING_PER_S, settle, settles
+from .cases_steps import DAMPING_PER_S, NEWTON_SOLVES, settle, settles, settling_steps
 from .tissue import (
     CUBE_M,
     GRAVITY_M_PER_S2,
@@ -87,6 +88,7 @@ def _stiffness_cases() -> Iterator[Case]:
                     expects=settles(law),
                     names=law_says(law),
                     quick=shape == "tetrahedron" and young_pa in (10, 1e11),
+                    solves=settling_steps(REAL_TIME_DT_S),
                 )
 
 
@@ -143,6 +145,7 @@ def _jump_cases() -> Iterator[Case]:
                     ),
                     short={"float": rounding} if newton else {},
                     names=NEWTON_SAYS if newton else (CURVATURE,),
+                    solves=NEWTON_SOLVES if newton else 240,
                 )
 
 
@@ -205,6 +208,7 @@ def _poisson_cases() -> Iterator[Case]:
                     lambda engine, law=law, shape=shape, poisson=poisson: run(engine, law, shape, poisson),
                     names=NEWTON_SAYS,
                     quick=shape == "hexahedron" and poisson in (-0.5, 0.4999),
+                    solves=PULLED_STEPS * NEWTON_SOLVES,
                 )
     for poisson in (-1.0, 0.5):
         for law in LAWS:
@@ -270,4 +274,5 @@ def _density_cases() -> Iterator[Case]:
                         engine, law, shape, cg_tolerance
                     ),
                     short={"": drowns} if cg_tolerance is None else {"float": float_ends},
+                    solves=2 * looks,
                 )

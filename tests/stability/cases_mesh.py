@@ -13,8 +13,8 @@ from accuracy.problem import Problem
 from tensormass.v1 import scene_pb2
 
 from .case import FELT, REFUSED, Case, Check, Found, Group
-from .cases_material import pull
-from .cases_steps import settle, settles
+from .cases_material import PULLED_STEPS, pull
+from .cases_steps import NEWTON_SOLVES, settle, settles, settling_steps
 from .tissue import (
     CUBE_M,
     GRAVITY_M_PER_S2,
@@ -107,6 +107,7 @@ def _thin_cases() -> Iterator[Case]:
                 shape,
                 lambda engine, law=law, shape=shape: plate(engine, law, shape),
                 names=NEWTON_SAYS,
+                solves=PULLED_STEPS * NEWTON_SOLVES,
             )
     for name in meshes:
         for law in LAWS:
@@ -120,6 +121,7 @@ def _thin_cases() -> Iterator[Case]:
                     expects=settles(law),
                     names=law_says(law),
                     quick=shape == "tetrahedron" and name == "0.1°",
+                    solves=settling_steps(REAL_TIME_DT_S),
                 )
     for law in LAWS:
         yield Case(
@@ -154,4 +156,5 @@ def _million_cases() -> Iterator[Case]:
             lambda engine, shape=shape, cells=cells: run(engine, "stable_neo_hookean", shape, cells),
             precisions=("float",),
             long=True,
+            solves=steps,
         )

@@ -14,6 +14,7 @@ from accuracy.problem import Problem
 from tensormass.v1 import scene_pb2
 
 from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
+from .cases_steps import NEWTON_SOLVES
 from .tissue import NEWTON_SAYS, initial, law_says, real_time, running, tissue
 
 MOTION = Group(
@@ -76,4 +77,5 @@ def motion_cases() -> Iterator[Case]:
                         short={CAUGHT: rounding} if newton and (spin == 0 or law == "hooke") else {},
                         names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "tetrahedron" and spin == 10 and not newton,
+                        solves=STEPS * (NEWTON_SOLVES if newton else 1),
                     )

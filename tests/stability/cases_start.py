@@ -13,6 +13,7 @@ from accuracy.meshes import SHAPES, Floats
 from accuracy.problem import Problem
 
 from .case import CAUGHT, FELT, HOLDS, SHORT, Case, Check, Found, Group
+from .cases_steps import NEWTON_SOLVES
 from .tissue import (
     CUBE_M,
     RECOVERS,
@@ -149,4 +150,5 @@ def start_cases() -> Iterator[Case]:
                         short=reasons,
                         names=law_says(law),
                         quick=shape == "tetrahedron" and law in RECOVERS and not free and not newton,
+                        solves=NEWTON_STEPS * NEWTON_SOLVES if newton else STEPS,
                     )

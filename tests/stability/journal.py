@@ -11,6 +11,7 @@ import inspect
 import json
 import math
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -18,7 +19,7 @@ from typing import Any, TextIO
 from tensormass.processes import BUILD_BIN, find_program
 
 from . import cases
-from .case import Verdict
+from .case import BROKEN, Verdict
 from .report import Row
 
 FOLDER = BUILD_BIN.parent / "stability"
@@ -106,6 +107,11 @@ def read(path: Path) -> tuple[dict[str, Any], dict[tuple[str, str], Entry]]:
         key, precision, outcome, share, text, seconds = json.loads(line)
         entries[key, precision] = Entry(Row(key, precision, Verdict(outcome, float(share), text)), seconds)
     return json.loads(lines[0]), entries
+
+
+def missing(wanted: Sequence[tuple[str, str]], entries: Mapping[tuple[str, str], Entry]) -> list[tuple[str, str]]:
+    """What is still to be run: also what broke, as every row of a daemon that is gone does."""
+    return [of for of in wanted if of not in entries or entries[of].row.verdict.outcome == BROKEN]
 
 
 def merged(paths: list[Path]) -> tuple[dict[str, Any], dict[tuple[str, str], Entry]]:

@@ -1,10 +1,15 @@
-"""Cases side by side: each job a process with a daemon of its own, each scene a thread of it."""
+"""Cases side by side: each job a process with a daemon of its own, each scene a thread of it.
+
+On a GPU a step takes as long as its launches, however small the scene. The scenes of one daemon run side by side there,
+those of several take turns: one job a device, with many scenes.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -54,20 +59,27 @@ def run_case(case: Case, engine: Engine) -> Entry:
     return Entry(row, time.monotonic() - began)
 
 
-def _work(backend: str, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue) -> None:
-    """Until a task is None, or whoever gives them is gone."""
+def _work(
+    backend: str, device: str | None, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue
+) -> None:
+    """Until there are None for tasks, or whoever gives them is gone."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    sys.setswitchinterval(1e-3)  # a thread that has its answer does not wait long for one that computes
+    if device is not None:
+        os.environ["CUDA_VISIBLE_DEVICES"] = device
+    # A hardware queue for each scene's stream, or streams that share one wait for each other.
+    os.environ.setdefault("CUDA_DEVICE_MAX_CONNECTIONS", "32")
     cases = {case.key: case for case in all_cases()}
     daemon = _Daemon(backend)
 
     def loop() -> None:
-        while (task := tasks.get()) is not None:
-            key, precision = task
-            try:
-                entry = run_case(cases[key], daemon.engine(precision))
-            except Exception as error:  # no daemon: a broken row, and the other jobs go on
-                entry = Entry(Row(key, precision, Verdict(BROKEN, text=f"{type(error).__name__}: {error}")), 0.0)
-            done.put(entry)
+        while (together := tasks.get()) is not None:
+            for key, precision in together:
+                try:
+                    entry = run_case(cases[key], daemon.engine(precision))
+                except Exception as error:  # no daemon: a broken row, and the other jobs go on
+                    entry = Entry(Row(key, precision, Verdict(BROKEN, text=f"{type(error).__name__}: {error}")), 0.0)
+                done.put(entry)
 
     threads = [threading.Thread(target=loop) for _ in range(scenes)]
     for thread in threads:
@@ -85,42 +97,67 @@ def run(
     scenes: int,
     limit_s: float,
     take: Callable[[Entry], None],
+    devices: Sequence[str] = (),
 ) -> None:
-    """Gives each row to `take` when it is there; after `limit_s` no more are begun."""
+    """Gives each row to `take` when it is there; after `limit_s` no more are begun. devices: as CUDA numbers them, one
+    for each job, over and over; none leaves it to CUDA.
+    """
     began = time.monotonic()
     context = multiprocessing.get_context("spawn")  # a fork would take the threads of a channel half
     tasks, done = context.Queue(), context.Queue()
-    workers = [context.Process(target=_work, args=(backend, scenes, tasks, done), daemon=True) for _ in range(jobs)]
+    workers = [
+        context.Process(
+            target=_work,
+            args=(backend, devices[job % len(devices)] if devices else None, scenes, tasks, done),
+            daemon=True,
+        )
+        for job in range(jobs)
+    ]
     for worker in workers:
         worker.start()
-    waiting = iter(wanted)
-    begun = 0
+    waiting = iter(bundles_of(wanted))
+    begun = 0  # rows
 
-    def feed() -> bool:
+    ends = set[Task]()
+
+    def feed() -> None:
         nonlocal begun
-        task = next(waiting, None) if time.monotonic() - began < limit_s else None
-        if task is not None:
-            tasks.put(task)
-            begun += 1
-        return task is not None
+        together = next(waiting, None) if time.monotonic() - began < limit_s else None
+        if together is None:
+            return
+        tasks.put(together)
+        begun += len(together)
+        ends.add(together[-1])
 
-    # One ahead of each thread, so that none waits and few are left at the limit.
-    for _ in range(2 * jobs * scenes):
+    # A few ahead, so that no thread waits and few are left at the limit.
+    for _ in range(jobs * (scenes + 2)):
         feed()
     taken = 0
     while taken < begun:
         try:
-            take(done.get(timeout=1.0))
+            entry = done.get(timeout=1.0)
         except queue.Empty:
             if not any(worker.is_alive() for worker in workers):
                 raise RuntimeError("all jobs ended; their last words are above") from None
             continue
+        take(entry)
         taken += 1
-        feed()
+        if (entry.row.key, entry.row.precision) in ends:
+            feed()
     for _ in range(jobs * scenes):
         tasks.put(None)
     for worker in workers:
         worker.join()
+
+
+def bundles_of(tasks: Sequence[Task]) -> list[list[Task]]:
+    """What looks at one run (`Case.together`) is one thread's, where the first of it stands; any other row is alone."""
+    together_of = {case.key: case.together for case in all_cases()}
+    bundles: dict[tuple[str, ...], list[Task]] = {}
+    for key, precision in tasks:
+        together = together_of[key]
+        bundles.setdefault((together, precision) if together else (key, precision, ""), []).append((key, precision))
+    return list(bundles.values())
 
 
 def tasks_of(cases: Sequence[Case], precisions: Sequence[str] = tuple(PRECISIONS)) -> list[Task]:

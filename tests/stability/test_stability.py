@@ -39,8 +39,8 @@ from .cases import all_cases
 from .cases_input import places, real_fields, whole_scene
 from .journal import Entry, Journal
 from .promises import PROMISES
-from .run import run, tasks_of
-from .tissue import LAWS, tissue
+from .run import bundles_of, run, tasks_of
+from .tissue import LAWS, Shared, tissue
 
 QUICK = [(case, precision) for case in all_cases() if case.quick for precision in case.precisions]
 
@@ -156,11 +156,51 @@ def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
 def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
     chosen = [case for case in all_cases() if case.key.startswith("input/pose")]
     wanted, entries = tasks_of(chosen), list[Entry]()
-    run(wanted, backend="cpu", jobs=2, scenes=2, limit_s=600, take=entries.append)
+    run(wanted, backend="cpu", jobs=2, scenes=2, limit_s=600, take=entries.append, devices=("0", "1"))
     assert {(of.row.key, of.row.precision) for of in entries} == set(wanted)
     assert {of.row.verdict.outcome for of in entries} == {HOLDS}
     run(wanted, backend="cpu", jobs=1, scenes=1, limit_s=0, take=entries.append)
     assert len(entries) == len(wanted)
+
+
+def test_rows_of_one_run_are_one_threads() -> None:
+    cases = {case.key: case for case in all_cases()}
+    bundles = bundles_of(tasks_of(list(cases.values())))
+    assert sorted(task for bundle in bundles for task in bundle) == sorted(tasks_of(list(cases.values())))
+    many = [bundle for bundle in bundles if len(bundle) > 1]
+    assert {(cases[bundle[0][0]].together, bundle[0][1]) for bundle in many} == {
+        ("rest, 10⁶ steps", "double"),
+        ("rest, 10⁶ steps", "float"),
+        ("hour, an hour", "float"),
+    }
+    for bundle in many:
+        assert len({(cases[key].together, precision) for key, precision in bundle}) == 1
+    assert all(not cases[key].together for bundle in bundles if len(bundle) == 1 for key, _ in bundle)
+
+
+def test_a_shared_run_is_made_once_whatever_comes_of_it(server: tm.Server) -> None:
+    runs: list[str] = []
+
+    def run_once(engine: Engine) -> str:
+        runs.append(engine.precision)
+        if engine.precision == "double":
+            raise tm.FailedPreconditionError("it is stopped")
+        return "found"
+
+    shared = Shared(run_once)
+    for _ in range(2):
+        assert shared(Engine(server, "float")) == "found"
+        with pytest.raises(tm.FailedPreconditionError, match="it is stopped"):
+            shared(Engine(server, "double"))
+    assert runs == ["float", "double"]
+
+
+def test_what_broke_is_run_again() -> None:
+    entries = {("a", "float"): entry("a"), ("b", "float"): entry("b", BROKEN)}
+    assert journal.missing([("a", "float"), ("b", "float"), ("c", "float")], entries) == [
+        ("b", "float"),
+        ("c", "float"),
+    ]
 
 
 def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:

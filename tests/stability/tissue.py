@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -37,6 +38,9 @@ _OF_YOUNG_AND_POISSON = {
     "stable_neo_hookean": laws.stable_neo_hookean,
     "hencky": laws.hencky,
 }
+
+
+_Outcome = TypeVar("_Outcome")
 
 
 def tissue(law: str, young_modulus_pa: float = YOUNG_PA, poisson_ratio: float = POISSON) -> Law:
@@ -86,6 +90,19 @@ def real_time(engine: Engine, problem: Problem, dt_s: float = REAL_TIME_DT_S) ->
     return scene
 
 
+def side_by_side(scenes: Mapping[str, scene_pb2.Scene]) -> scene_pb2.Scene:
+    """One scene of the bodies of scenes that have one each and are alike otherwise, under these names."""
+    first, *_ = scenes.values()
+    out = scene_pb2.Scene()
+    out.CopyFrom(first)
+    del out.bodies[:]
+    for name, scene in scenes.items():
+        (body,) = scene.bodies
+        out.bodies.add().CopyFrom(body)
+        out.bodies[-1].name = name
+    return out
+
+
 class Running:
     """A loaded scene, every warning that its status gave, and those of its last status."""
 
@@ -101,11 +118,36 @@ class Running:
     def state(self) -> State:
         return state(self.handle)
 
+    def displacement_m(self, body: str) -> Floats:
+        return self.handle.fields(body, ("displacement",))["displacement"]
+
 
 @contextmanager
 def running(engine: Engine, scene: scene_pb2.Scene) -> Iterator[Running]:
     with engine.loaded(scene) as handle:
         yield Running(handle)
+
+
+class Shared(Generic[_Outcome]):
+    """A run that several cases look at (`Case.together`): made for the first of them, kept for the others, also what it
+    raised.
+    """
+
+    def __init__(self, run: Callable[[Engine], _Outcome]) -> None:
+        self._run = run
+        self._outcomes: dict[tuple[str, str], _Outcome | Exception] = {}
+
+    def __call__(self, engine: Engine) -> _Outcome:
+        key = engine.server.address, engine.precision
+        if key not in self._outcomes:
+            try:
+                self._outcomes[key] = self._run(engine)
+            except Exception as error:
+                self._outcomes[key] = error
+        outcome = self._outcomes[key]
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
 
 
 _equilibria: dict[str, State] = {}
