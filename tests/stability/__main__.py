@@ -68,7 +68,7 @@ def main() -> int:
         if log:
             log.add(entry)
         else:
-            entries[entry.row.key, entry.row.precision] = entry
+            entries[entry.row.task] = entry
         row = entry.row
         explained = cases[row.key].explains(row.verdict.outcome, row.precision)
         if part or not explained:

@@ -27,6 +27,8 @@ SOFTER = "gets softer where it is pressed"
 INVERTED = "elements are turned inside out"
 IMBALANCE = "ended with an imbalance of"
 CURVATURE = "direction of negative curvature"
+# A fault that is the machine's (server/world/runner.cpp).
+DEVICE_FAILED = "the device failed"
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,10 @@ def judge(case: Case, engine: Engine) -> Verdict:
     """Runs a case. Also one that breaks has a verdict, so that the others still run."""
     try:
         found = case.run(engine)
-    except (tm.InvalidArgumentError, tm.ResourceExhaustedError) as refusal:
+    except tm.InvalidArgumentError as refusal:
         return Verdict(REFUSED, text=str(refusal))
     except tm.FailedPreconditionError as fault:
-        return Verdict(CAUGHT, text=str(fault))
+        return Verdict(BROKEN if DEVICE_FAILED in str(fault) else CAUGHT, text=str(fault))
     except Exception as error:
         return Verdict(BROKEN, text=f"{type(error).__name__}: {error}")
     worst = max(found.checks, key=lambda check: check.share)

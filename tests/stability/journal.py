@@ -78,7 +78,7 @@ class Journal:
             self._entry(entry)
 
     def add(self, entry: Entry) -> None:
-        self.entries[entry.row.key, entry.row.precision] = entry
+        self.entries[entry.row.task] = entry
         self._entry(entry)
 
     def close(self) -> None:

@@ -35,6 +35,10 @@ class Row:
     precision: str
     verdict: Verdict
 
+    @property
+    def task(self) -> tuple[str, str]:
+        return self.key, self.precision
+
     def line(self, explained: bool, seconds: float) -> str:
         """For the terminal."""
         verdict = self.verdict

@@ -2,6 +2,8 @@
 
 On a GPU a step takes as long as its launches, however small the scene. The scenes of one daemon run side by side there,
 those of several take turns: one job a device, with many scenes.
+
+A row that breaks is run once more in the end, alone: a daemon that dies, or a device that fails, breaks all beside it.
 """
 
 from __future__ import annotations
@@ -12,12 +14,12 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import tensormass as tm
 from accuracy.engine import PRECISIONS, Engine
 
-from .case import BROKEN, Case, Verdict, judge
+from .case import BROKEN, DEVICE_FAILED, Case, Verdict, judge
 from .cases import all_cases
 from .journal import Entry
 from .report import Row
@@ -39,6 +41,12 @@ class _Daemon:
                 self.close()
                 self._server = tm.launch(backend=self._backend, zenoh=False)
             return Engine(self._server, precision)
+
+    def replace(self, engine: Engine) -> None:
+        """Its device has failed: nothing that comes from it is of use."""
+        with self._lock:
+            if self._server is engine.server:
+                self.close()
 
     def close(self) -> None:
         if self._server is not None:
@@ -76,7 +84,10 @@ def _work(
         while (together := tasks.get()) is not None:
             for key, precision in together:
                 try:
-                    entry = run_case(cases[key], daemon.engine(precision))
+                    engine = daemon.engine(precision)
+                    entry = run_case(cases[key], engine)
+                    if DEVICE_FAILED in entry.row.verdict.text:
+                        daemon.replace(engine)
                 except Exception as error:  # no daemon: a broken row, and the other jobs go on
                     entry = Entry(Row(key, precision, Verdict(BROKEN, text=f"{type(error).__name__}: {error}")), 0.0)
                 done.put(entry)
@@ -115,35 +126,43 @@ def run(
     ]
     for worker in workers:
         worker.start()
-    waiting = iter(bundles_of(wanted))
-    begun = 0  # rows
 
-    ends = set[Task]()
+    def entries_of(bundles: list[list[Task]], ahead: int) -> Iterator[Entry]:
+        """In any order; so many bundles are given away before they are asked for."""
+        waiting, ends = iter(bundles), {bundle[-1] for bundle in bundles}
+        rows = 0
 
-    def feed() -> None:
-        nonlocal begun
-        together = next(waiting, None) if time.monotonic() - began < limit_s else None
-        if together is None:
-            return
-        tasks.put(together)
-        begun += len(together)
-        ends.add(together[-1])
+        def feed() -> int:
+            bundle = next(waiting, []) if time.monotonic() - began < limit_s else []
+            if bundle:
+                tasks.put(bundle)
+            return len(bundle)
 
+        for _ in range(ahead):
+            rows += feed()
+        while rows > 0:
+            try:
+                entry = done.get(timeout=1.0)
+            except queue.Empty:
+                if not any(worker.is_alive() for worker in workers):
+                    raise RuntimeError("all jobs ended; their last words are above") from None
+                continue
+            rows += (feed() if entry.row.task in ends else 0) - 1
+            yield entry
+
+    broken: dict[Task, Entry] = {}
     # A few ahead, so that no thread waits and few are left at the limit.
-    for _ in range(jobs * (scenes + 2)):
-        feed()
-    taken = 0
-    while taken < begun:
-        try:
-            entry = done.get(timeout=1.0)
-        except queue.Empty:
-            if not any(worker.is_alive() for worker in workers):
-                raise RuntimeError("all jobs ended; their last words are above") from None
-            continue
+    for entry in entries_of(bundles_of(wanted), ahead=jobs * (scenes + 2)):
+        if entry.row.verdict.outcome == BROKEN:
+            print(f"to be run again, alone: {entry.row.line(False, entry.seconds)}", flush=True)
+            broken[entry.row.task] = entry
+        else:
+            take(entry)
+    for entry in entries_of(bundles_of(list(broken)), ahead=1):
+        del broken[entry.row.task]
         take(entry)
-        taken += 1
-        if (entry.row.key, entry.row.precision) in ends:
-            feed()
+    for entry in broken.values():
+        take(entry)
     for _ in range(jobs * scenes):
         tasks.put(None)
     for worker in workers:

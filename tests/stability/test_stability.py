@@ -22,6 +22,7 @@ from .case import (
     BROKEN,
     CAUGHT,
     CURVATURE,
+    DEVICE_FAILED,
     HOLDS,
     IMBALANCE,
     INVERTED,
@@ -161,6 +162,36 @@ def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
     assert {of.row.verdict.outcome for of in entries} == {HOLDS}
     run(wanted, backend="cpu", jobs=1, scenes=1, limit_s=0, take=entries.append)
     assert len(entries) == len(wanted)
+
+
+def test_what_breaks_is_run_again_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first two daemons end at once: what they were to run breaks.
+    real = processes.find_program("tensormassd", "TENSORMASSD")
+    daemon = tmp_path / "tensormassd"
+    daemon.write_text(
+        f'#!/bin/sh\ncd {tmp_path}\nmkdir a 2>/dev/null && exit 3\nmkdir b 2>/dev/null && exit 3\nexec {real} "$@"\n'
+    )
+    daemon.chmod(0o755)
+    monkeypatch.setenv("TENSORMASSD", str(daemon))
+    wanted, entries = tasks_of([case for case in all_cases() if case.key.startswith("input/pose")]), list[Entry]()
+    run(wanted, backend="cpu", jobs=1, scenes=2, limit_s=600, take=entries.append)
+    assert (tmp_path / "b").exists()
+    assert sorted(of.row.task for of in entries) == sorted(wanted)
+    assert {of.row.verdict.outcome for of in entries} == {HOLDS}
+
+
+def test_a_device_that_fails_is_no_answer_of_the_scene() -> None:
+    def outcome(fault: Exception) -> str:
+        def run(engine: Engine) -> Found:
+            raise fault
+
+        return judge(Case(Group("g", "G", ""), "n", "law", "shape", run), Engine(None, "float")).outcome  # type: ignore[arg-type]
+
+    source = (Path(__file__).parents[2] / "server" / "world" / "runner.cpp").read_text()
+    assert DEVICE_FAILED in source
+    assert outcome(tm.FailedPreconditionError("scene 'a' is stopped: step 3 left its bounds")) == CAUGHT
+    assert outcome(tm.FailedPreconditionError(f"scene 'a' is stopped: {DEVICE_FAILED} in step 3: it is hot")) == BROKEN
+    assert outcome(tm.ResourceExhaustedError("CUDA: device memory")) == BROKEN
 
 
 def test_rows_of_one_run_are_one_threads() -> None:
