@@ -29,8 +29,8 @@ from .cases import all_cases
 from .journal import Entry, Journal
 from .run import run, tasks_of
 
-# Side by side, of one daemon. A thread of the daemon's busily waits for each: more of them than processors hinder all.
-SCENES_OF_GPU = 14
+# Side by side, of one daemon, which waits for each busily: with more of them than processors all wait longer.
+SCENES_OF_GPU = max(2, min(14, (os.cpu_count() or 1) - 2))
 
 
 def main() -> int:
