@@ -34,7 +34,6 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
   s.halo = arena.template constant<uint32_t>("halo rows", layout.halo);
   const bool edges = layout.storage == tensor::Storage::kEdges;
-  if (!edges) s.patch_of_slice = arena.template constant<uint32_t>("patches of slices", layout.patch_of_slice());
   s.slice_begin = arena.template constant<uint32_t>("matrix slices", layout.slice_begin);
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
   s.slice_halo = arena.template constant<uint32_t>("matrix slices' halo", layout.slice_halo);
@@ -153,8 +152,7 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
                                                [&](Real* to) { write_records(group, to); });
     const tensor::RowLists& lists = group.row_lists;
     e.slice_count = static_cast<std::uint32_t>(lists.slices.size());
-    e.slices = arena.template constant<std::uint32_t>("slices of elements", lists.slices);
-    e.list_begin = arena.template constant<std::uint32_t>("element list offsets", lists.list_begin);
+    e.slices = arena.template constant<tensor::ListedSlice>("slices of elements", lists.slices);
     e.listed = arena.template constant<std::uint32_t>("element lists", lists.listed);
     e.place_bits = lists.place_bits;
     e.places = arena.template constant<std::uint32_t>("places of elements", lists.places);

@@ -237,7 +237,8 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
   using T = typename Lanes::Scalar;
   const ElementRange range = element_range(s, e, team.patch());
   T compression = T(-std::numeric_limits<Real>::max());  // −det F
-  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
+  constexpr int kAtOnce = 4;                             // nothing is written, and every turn waits for memory
+  team.template for_lanes<Lanes::kWidth, kAtOnce>(range.begin, range.end, [&](std::uint32_t first) {
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(s, e, first, u);
     TM_UNROLL(1)
@@ -392,7 +393,7 @@ struct RowSums {
 template <bool HasConstant, class Real>
 class RowAssembly {
  public:
-  TM_HOST_DEVICE RowAssembly(const SceneView<Real>& s, const Patch& patch, std::uint32_t row)
+  TM_HOST_DEVICE RowAssembly(const SceneView<Real>& s, const PatchColumns& patch, std::uint32_t row)
       : s_(s),
         patch_(patch),
         row_(row),
@@ -442,7 +443,7 @@ class RowAssembly {
 
  private:
   const SceneView<Real>& s_;
-  const Patch& patch_;
+  const PatchColumns& patch_;
   const std::uint32_t row_;
   const RowTerms<Real> terms_;
   const Vec3<Real> displacement_, own_ahead_;

@@ -81,23 +81,27 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
     }
   }
   std::vector<std::uint8_t> begun(slice_count, 0);
+  const std::vector<std::uint32_t> patch_of_slice = layout.patch_of_slice();
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
     RowLists& lists = out.groups.emplace_back();
     lists.place_bits = layout.widest_slice() < own_place(8) ? 8 : 16;
+    std::uint32_t columns = 0;
     for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
-      const std::uint32_t length = length_of(incidences[g], slice);
+      const std::uint32_t length = length_of(incidences[g], slice), patch = patch_of_slice[slice];
       if (length == 0) continue;
-      lists.slices.push_back(4 * slice + begun[slice] + (finishes && last_group[slice] == g ? 2 : 0));
-      lists.list_begin.push_back(lists.list_begin.back() + length);
+      lists.slices.push_back(
+          {4 * slice + begun[slice] + (finishes && last_group[slice] == g ? 2 : 0), layout.slice_begin[slice],
+           layout.slice_begin[slice + 1], columns, columns + length,
+           PatchColumns{layout.patch_rows[patch], layout.patch_rows[patch + 1], layout.patch_halo[patch]}});
+      columns += length;
       begun[slice] = 1;
     }
-    const std::size_t columns = lists.list_begin.back();
-    lists.listed.assign(columns * kSliceRows, kNoPlace);
-    lists.places.assign(columns * place_words(groups[g].node_count, lists.place_bits) * kSliceRows, 0);
+    lists.listed.assign(std::size_t{columns} * kSliceRows, kNoPlace);
+    lists.places.assign(std::size_t{columns} * place_words(groups[g].node_count, lists.place_bits) * kSliceRows, 0);
     constexpr std::size_t kGrain = 64;
     parallel_ranges(lists.slices.size(), kGrain, [&](std::size_t begin, std::size_t end) {
       for (std::size_t i = begin; i < end; ++i) {
-        fill_slice(layout, groups[g], incidences[g], lists.slices[i] / 4, lists.list_begin[i], lists);
+        fill_slice(layout, groups[g], incidences[g], lists.slices[i].slice(), lists.slices[i].list_begin, lists);
       }
     });
   }

@@ -11,8 +11,7 @@ namespace tensormass::tensor {
 
 /// Of a group, as ElementView has them.
 struct RowLists {
-  std::vector<std::uint32_t> slices;
-  std::vector<std::uint32_t> list_begin{0};
+  std::vector<ListedSlice> slices;
   std::vector<std::uint32_t> listed;
   std::uint32_t place_bits = 8;
   std::vector<std::uint32_t> places;

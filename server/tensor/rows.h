@@ -21,10 +21,8 @@ TM_HOST_DEVICE constexpr std::uint32_t place_words(std::uint32_t nodes, std::uin
 
 /// Where the blocks of an element belong in one of its rows.
 template <int Nodes>
-struct Places {
-  std::uint32_t of[Nodes];  // of node l
-  std::uint32_t own;        // the place of the row itself
-
+class Places {
+ public:
   /// As they are stored.
   struct Packed {
     std::uint32_t words[place_words(Nodes, 16)];
@@ -35,27 +33,37 @@ struct Places {
       const std::uint32_t* words = e.places + std::size_t{column} * count * kSliceRows + lane;
       TM_UNROLL_ALL
       for (std::uint32_t i = 0; i < place_words(Nodes, 16); ++i) {
-        packed.words[i] = i < count ? words[i * kSliceRows] : 0;
+        packed.words[i] = words[minimum(i, count - 1) * kSliceRows];
       }
       return packed;
     }
   };
 
-  TM_HOST_DEVICE Places(const Packed& packed, std::uint32_t bits) : own(own_place(bits)) {
-    if (bits == 8) {
-      unpack<8>(packed);
-    } else {
-      unpack<16>(packed);
+  Places() = default;
+  TM_HOST_DEVICE Places(const Packed& packed, std::uint32_t bits) {
+    const std::uint32_t own = own_place(bits);
+    bool before = true;
+    TM_UNROLL_ALL
+    for (std::uint32_t m = 0; m + 1 < Nodes; ++m) {
+      before = before && of_node(packed, bits, m) != own;
+      is_before_[m] = before;
+      others_[m] = before ? of_node(packed, bits, m) : of_node(packed, bits, m + 1);
     }
   }
 
+  /// Whether node m comes before the one that is the row.
+  TM_HOST_DEVICE bool is_before(int m) const { return is_before_[m]; }
+  /// Of the other nodes, in their order.
+  TM_HOST_DEVICE const std::uint32_t (&others() const)[Nodes - 1] { return others_; }
+
  private:
-  template <std::uint32_t Bits>
-  TM_HOST_DEVICE void unpack(const Packed& packed) {
-    constexpr std::uint32_t kInWord = 32 / Bits;
-    TM_UNROLL_ALL
-    for (std::uint32_t l = 0; l < Nodes; ++l) of[l] = packed.words[l / kInWord] >> (Bits * (l % kInWord)) & own;
+  TM_HOST_DEVICE static std::uint32_t of_node(const Packed& packed, std::uint32_t bits, std::uint32_t m) {
+    const std::uint32_t word = bits == 8 ? packed.words[m / 4] : packed.words[m / 2];
+    return word >> (bits == 8 ? 8 * (m % 4) : 16 * (m % 2)) & own_place(bits);
   }
+
+  bool is_before_[Nodes - 1];
+  std::uint32_t others_[Nodes - 1];
 };
 
 /// Calls use(j, load(j)) for every `step`-th column in [begin, end). Loads are under way eight at a time: each is a
@@ -75,19 +83,9 @@ TM_HOST_DEVICE void each_column(std::uint32_t begin, std::uint32_t end, std::uin
   }
 }
 
-/// What an element adds to one of its rows (physics::add_point_to_node).
-template <int Nodes, class Real, class Blocks>
-struct RowShare {
-  const Places<Nodes>& places;
-  Blocks& blocks;
-  RowSums<Real>& sums;
-
-  TM_HOST_DEVICE bool is_own(int l) const { return places.of[l] == places.own; }
-  TM_HOST_DEVICE void add_force(const Vec3<Real>& force) { sums.force += force; }
-  TM_HOST_DEVICE void add_edge(int l, const Mat3<Real>& block) {
-    if (blocks.holds(places.of[l])) blocks.add(places.of[l], block);
-  }
-};
+/// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
+template <class Shape>
+inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 
 /// The row `lane` of the slice at `index` of a group's slices: adds the group's elements and, if it is the last group
 /// there, forms the row of A and b. Several threads may share a row: then each has a part of its elements and, when
@@ -95,7 +93,9 @@ struct RowShare {
 ///   parts(), part()                     how many threads share the row, and which one this is
 ///   begin(column, count)                places are from `column` on, as far as they fit; returns how many
 ///   clear(place, stretch)               for all parts: no block yet
-///   holds(place), stretch(place), add(place, block)
+///   holds(place)
+///   stretch(place)                      any if it is not held
+///   add(places, blocks)                 different places; those that are not held are left out
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
 ///   leads(sums)                         adds up the sums of all parts; whether this part is to use them
@@ -105,12 +105,15 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
                                  std::uint32_t lane, Blocks& blocks) {
   using Lanes = SingleLane<Real>;
   using Stored = StoredPoint<Lanes, Shape, Law>;
-  const std::uint32_t slice = e.slices[index] / 4;
-  const bool begun = (e.slices[index] & 1) != 0, finishes = (e.slices[index] & 2) != 0;
-  const std::uint32_t row = slice * kSliceRows + lane, first = s.slice_begin[slice];
-  const std::uint32_t width = s.slice_begin[slice + 1] - first;
-  const std::uint32_t list_begin = e.list_begin[index] + blocks.part(), list_end = e.list_begin[index + 1];
-  const Patch patch = patch_of(s, s.patch_of_slice[slice]);
+  using Packed = typename Places<Shape::kNodes>::Packed;
+  constexpr std::uint32_t kAtOnce = kElementsAtOnce<Shape>;
+  constexpr int kOthers = Shape::kNodes - 1;
+  const ListedSlice slice = e.slices[index];
+  const bool begun = slice.is_begun(), finishes = slice.is_to_be_finished();
+  const std::uint32_t row = slice.slice() * kSliceRows + lane, first = slice.columns_begin;
+  const std::uint32_t width = slice.columns_end - first;
+  const std::uint32_t list_begin = slice.list_begin + blocks.part(), list_end = slice.list_end;
+  const PatchColumns& patch = slice.patch;
   const Vec3<Real> own_displacement = load3<Real>(s.displacement, row);
   const physics::Stiffness kind = stiffness_kind(s);
   const auto slot_of = [first, lane](std::uint32_t column) {
@@ -119,8 +122,22 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   const auto stretch_of = [&](std::uint32_t column) -> Vec3<Real> {
     return load3<Real>(s.displacement, global_row(s, patch, s.columns[slot_of(column)])) - own_displacement;
   };
-  const auto element_at = [&e, list_end, lane](std::uint32_t i) {
-    return i < list_end ? e.listed[std::size_t{i} * kSliceRows + lane] : kNoPlace;
+  // The list's columns of this part, round by round. Behind a list's end the first element of all is evaluated in vain.
+  const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
+    return list_begin + (round * kAtOnce + k) * parts;
+  };
+  const auto listed_at = [&e, list_end, lane](std::uint32_t column) {
+    return e.listed[std::size_t{minimum(column, list_end - 1)} * kSliceRows + lane];
+  };
+  const auto places_at = [&e, list_end, lane](std::uint32_t column) {
+    return Packed::read(e, minimum(column, list_end - 1), lane);
+  };
+  // What has been read is looked at where it is used, or that would wait for it.
+  const auto element_of = [column_of, list_end](std::uint32_t listed, std::uint32_t round, std::uint32_t k) {
+    return column_of(round, k) < list_end ? listed : kNoPlace;
+  };
+  const auto stored_at = [&e](std::uint32_t element, std::uint32_t q) {
+    return Stored(e, q, element != kNoPlace ? element : 0);
   };
   RowSums<Real> sums;
   for (std::uint32_t turn = 0; turn < width;) {
@@ -129,42 +146,86 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
                 [&](std::uint32_t j, const Vec3<Real>& stretch) { blocks.clear(j, stretch); });
     blocks.meet();
     sums.force.setZero();  // every turn has all of them
-    // What the next point needs is read ahead of the arithmetic of this one.
-    std::uint32_t element = element_at(list_begin), next = element_at(list_begin + blocks.parts());
-    Stored ahead;
-    typename Places<Shape::kNodes>::Packed packed{};
-    if (element != kNoPlace) {
-      packed = Places<Shape::kNodes>::Packed::read(e, list_begin, lane);
-      ahead = Stored(e, 0, element);
+    // What the next points need is read ahead of the arithmetic of these.
+    std::uint32_t now[kAtOnce], listed[kAtOnce];
+    Packed packed[kAtOnce];
+    Stored ahead[kAtOnce];
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      now[k] = element_of(listed_at(column_of(0, k)), 0, k);
+      listed[k] = listed_at(column_of(1, k));
+      packed[k] = places_at(column_of(0, k));
     }
-    for (std::uint32_t i = list_begin; element != kNoPlace; i += blocks.parts()) {
-      const std::uint32_t after_next = element_at(i + 2 * blocks.parts());
-      const Places<Shape::kNodes> places(packed, e.place_bits);
-      if (next != kNoPlace) packed = Places<Shape::kNodes>::Packed::read(e, i + blocks.parts(), lane);
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) ahead[k] = stored_at(now[k], 0);
+    for (std::uint32_t round = 0; now[0] != kNoPlace; ++round) {
+      std::uint32_t next[kAtOnce];
+      Places<Shape::kNodes> places[kAtOnce];
       // Against the row's own displacement, which F does not notice.
-      Vec3<Real> u[Shape::kNodes];
+      Vec3<Real> stretches[kAtOnce][kOthers];
       TM_UNROLL_ALL
-      for (int l = 0; l < Shape::kNodes; ++l) {
-        u[l] = Vec3<Real>::Zero();
-        if (places.of[l] != places.own) {
-          u[l] = blocks.holds(places.of[l]) ? blocks.stretch(places.of[l]) : stretch_of(places.of[l]);
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        next[k] = element_of(listed[k], round + 1, k);
+        places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
+        TM_UNROLL_ALL
+        for (int m = 0; m < kOthers; ++m) stretches[k][m] = blocks.stretch(places[k].others()[m]);
+      }
+      TM_UNROLL_ALL
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        listed[k] = listed_at(column_of(round + 2, k));
+        packed[k] = places_at(column_of(round + 1, k));
+      }
+      if (held < width) {
+        TM_UNROLL_ALL
+        for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+          TM_UNROLL_ALL
+          for (int m = 0; m < kOthers; ++m) {
+            const std::uint32_t place = places[k].others()[m];
+            if (!blocks.holds(place)) stretches[k][m] = stretch_of(place);
+          }
         }
       }
-      RowShare<Shape::kNodes, Real, Blocks> share{places, blocks, sums};
+      physics::NodeTensors<Shape, Real> tensors[kAtOnce];
       TM_UNROLL(1)
       for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
-        const Stored now = ahead;
         const bool ends = q + 1 == points_of<Shape>(e);
-        if (!ends || next != kNoPlace) ahead = Stored(e, ends ? 0 : q + 1, ends ? next : element);
-        const auto gradients = now.gradients();
-        const Mat3<Real> f = gradients.deformation_gradient(u);
-        auto point = now.law_at(e, q, f);
-        with_memory<Lanes, Law>(s, e, q, element, point, Real(0), [&](const auto* memory) {
-          physics::add_point_to_node<Shape, Law>(gradients, f, point, memory, kind, share);
-        });
+        physics::NodeGradients<Shape, Real> gradients[kAtOnce];
+        Mat3<Real> f[kAtOnce];
+        typename Law::template Point<Real> points[kAtOnce];
+        TM_UNROLL_ALL
+        for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+          gradients[k] = {ahead[k].gradients(), [&](int m) { return places[k].is_before(m); }};
+          f[k] = gradients[k].deformation_gradient(stretches[k]);
+          points[k] = ahead[k].law_at(e, q, f[k]);
+          ahead[k] = stored_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
+        }
+        if (kind == physics::Stiffness::kPositive) {
+          TM_UNROLL_ALL
+          for (std::uint32_t k = 0; k < kAtOnce; ++k) Law::make_positive(points[k]);
+        }
+        const auto add = [&](std::uint32_t k, const physics::Viscous<Real>* memory) {
+          physics::add_point_to_node<Shape, Law>(gradients[k], f[k], points[k], memory, kind, q == 0, tensors[k]);
+        };
+        if (e.prony_count == 0) {
+          TM_UNROLL_ALL
+          for (std::uint32_t k = 0; k < kAtOnce; ++k) add(k, nullptr);
+        } else {
+          TM_UNROLL_ALL
+          for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+            const std::uint32_t element = now[k] != kNoPlace ? now[k] : 0;
+            const auto memory = remember<Lanes, Law>(e, q, element, points[k], s.control->dt_s, Real(0));
+            add(k, &memory);
+          }
+        }
       }
-      element = next;
-      next = after_next;
+      TM_UNROLL_ALL
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        if (k == 0 || now[k] != kNoPlace) {
+          sums.force += tensors[k].force;
+          blocks.add(places[k].others(), tensors[k].stiffness);
+        }
+        now[k] = next[k];
+      }
     }
     blocks.meet();
     const RowAssembly<false, Real> assembly(s, patch, row);

@@ -50,6 +50,25 @@ struct PronyTerm {
   Real relaxation_time_s;
 };
 
+/// What patch-local columns stand for: own rows, then rows of the halo.
+struct PatchColumns {
+  std::uint32_t row_begin, row_end;
+  std::uint32_t halo_begin;
+  TM_HOST_DEVICE std::uint32_t own() const { return row_end - row_begin; }
+};
+
+/// A slice that has elements of a group. A device reads it at once: what it needs next is behind it.
+struct alignas(16) ListedSlice {
+  std::uint32_t slice_and_state;             // 4 slice + 1 if rows have been begun + 2 if they are to be finished
+  std::uint32_t columns_begin, columns_end;  // of slots
+  std::uint32_t list_begin, list_end;        // in columns of kSliceRows
+  PatchColumns patch;
+
+  TM_HOST_DEVICE std::uint32_t slice() const { return slice_and_state / 4; }
+  TM_HOST_DEVICE bool is_begun() const { return (slice_and_state & 1) != 0; }
+  TM_HOST_DEVICE bool is_to_be_finished() const { return (slice_and_state & 2) != 0; }
+};
+
 /// Elements of one (shape, law). Structures of arrays, padded to a multiple of kSliceRows with elements of zero weight.
 template <class Real>
 struct ElementView {
@@ -67,13 +86,12 @@ struct ElementView {
 
   // Only where rows evaluate their elements (tensor/rows.h):
   std::uint32_t record_reals;
-  const Real* records;              // [count][record_reals], see tensor::record_reals
-  std::uint32_t slice_count;        // slices with elements of the group
-  const std::uint32_t* slices;      // [slice_count] 4 slice + 1 if rows have been begun + 2 if they are to be finished
-  const std::uint32_t* list_begin;  // [slice_count + 1] in columns of kSliceRows
-  const std::uint32_t* listed;      // [column][kSliceRows] element; kNoPlace: the row's list has ended
-  std::uint32_t place_bits;         // 8 or 16
-  const std::uint32_t* places;      // [column][words][kSliceRows], see tensor::Places
+  const Real* records;          // [count][record_reals], see tensor::record_reals
+  std::uint32_t slice_count;    // slices with elements of the group
+  const ListedSlice* slices;    // [slice_count]
+  const std::uint32_t* listed;  // [column][kSliceRows] element; kNoPlace: the row's list has ended
+  std::uint32_t place_bits;     // 8 or 16
+  const std::uint32_t* places;  // [column][words][kSliceRows], see tensor::Places
   // Only where the matrix stores edges (tensor/edges.h):
   const std::uint32_t* patch_elements;  // [patch_count, 2] begin and end of those that touch a patch; nullptr: shares
   const std::uint32_t* pair_places;     // [pairs][count] 2 slot + 1 if it holds the transposed block; kNoPlace: nowhere
@@ -201,10 +219,9 @@ struct SceneView {
   Real cg_tolerance;
 
   // -- patches; rows and halo by offsets
-  const std::uint32_t* patch_rows;      // [patch_count + 1]
-  const std::uint32_t* patch_halo;      // [patch_count + 1] into halo
-  const std::uint32_t* halo;            // global rows
-  const std::uint32_t* patch_of_slice;  // [row_count / 32]; only where rows evaluate their elements
+  const std::uint32_t* patch_rows;  // [patch_count + 1]
+  const std::uint32_t* patch_halo;  // [patch_count + 1] into halo
+  const std::uint32_t* halo;        // global rows
 
   // -- matrix structure
   const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
@@ -299,23 +316,21 @@ inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
 inline constexpr std::uint32_t kNoPlace = 0xFFFFFFFFu;
 
 /// One patch's ranges.
-struct Patch {
+struct Patch : PatchColumns {
   std::uint32_t index;
-  std::uint32_t row_begin, row_end;
-  std::uint32_t halo_begin, halo_count;
+  std::uint32_t halo_count;
   std::size_t local_begin;  // of its own rows in residual and direction
-  TM_HOST_DEVICE std::uint32_t own() const { return row_end - row_begin; }
 };
 
 template <class Real>
 TM_HOST_DEVICE Patch patch_of(const SceneView<Real>& s, std::uint32_t index) {
   const std::uint32_t rows = s.patch_rows[index], halo = s.patch_halo[index];
-  return {index, rows, s.patch_rows[index + 1], halo, s.patch_halo[index + 1] - halo, std::size_t{rows} + halo};
+  return {{rows, s.patch_rows[index + 1], halo}, index, s.patch_halo[index + 1] - halo, std::size_t{rows} + halo};
 }
 
 /// The row of the scene behind a patch-local column.
 template <class Real>
-TM_HOST_DEVICE std::uint32_t global_row(const SceneView<Real>& s, const Patch& patch, std::uint32_t column) {
+TM_HOST_DEVICE std::uint32_t global_row(const SceneView<Real>& s, const PatchColumns& patch, std::uint32_t column) {
   return column < patch.own() ? patch.row_begin + column : s.halo[patch.halo_begin + column - patch.own()];
 }
 

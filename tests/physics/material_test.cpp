@@ -79,6 +79,18 @@ TYPED_TEST(EveryMaterial, StiffnessIsTheDerivativeOfTheStress) {
   }
 }
 
+TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientWhateverTheStiffness) {
+  const Vec3<double> a(0.3, -1.2, 0.7);
+  for (const Mat3<double>& f : this->states()) {
+    auto point = this->at(f);
+    const Vec3<double> expected = TypeParam::stress(point) * a;
+    const double scale = expected.norm() + 1e-3 * kYoungModulusPa;
+    EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
+    TypeParam::make_positive(point);
+    EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
+  }
+}
+
 /// To the last bit, so that what rests keeps resting; also in float.
 TYPED_TEST(EveryMaterial, RestIsFreeOfStressAndEnergy) {
   const Mat3<double> rest = Mat3<double>::Identity();

@@ -27,8 +27,13 @@ class HostBlocks {
   }
   bool holds(std::uint32_t place) const { return place - first_ < held_; }
   void clear(std::uint32_t place, const Vec3<Real>& stretch) { at(place) = {Mat3<Real>::Zero(), stretch}; }
-  void add(std::uint32_t place, const Mat3<Real>& block) { at(place).block += block; }
-  Vec3<Real> stretch(std::uint32_t place) { return at(place).stretch; }
+  template <std::size_t Count>
+  void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
+    for (std::size_t i = 0; i < Count; ++i) {
+      if (holds(places[i])) at(places[i]).block += blocks[i];
+    }
+  }
+  Vec3<Real> stretch(std::uint32_t place) { return at(holds(place) ? place : first_).stretch; }
   Mat3<Real> block(std::uint32_t place) { return at(place).block; }
   void meet() const {}
   bool leads(const tensor::RowSums<Real>&) const { return true; }

@@ -54,35 +54,42 @@ void check(const mesh::Mesh& mesh, std::uint32_t patches, bool finishes, std::ui
     view.place_bits = group.place_bits;
     view.places = group.places.data();
     std::map<std::pair<std::uint32_t, std::uint32_t>, int> found;  // element, node
-    ASSERT_EQ(group.list_begin.size(), group.slices.size() + 1);
-    for (std::size_t i = 0; i < group.slices.size(); ++i) {
-      const std::uint32_t slice = group.slices[i] / 4;
-      EXPECT_EQ(group.slices[i] % 2, begun[slice] > 0 ? 1u : 0u) << "the first group assigns, the others add";
+    std::uint32_t list_end = 0;
+    for (const ListedSlice& listed : group.slices) {
+      const std::uint32_t slice = listed.slice(), patch = layout.patch_of_row(slice * kSliceRows);
+      EXPECT_EQ(listed.list_begin, list_end);
+      list_end = listed.list_end;
+      EXPECT_EQ(listed.columns_begin, layout.slice_begin[slice]);
+      EXPECT_EQ(listed.columns_end, layout.slice_begin[slice + 1]);
+      EXPECT_EQ(listed.patch.row_begin, layout.patch_rows[patch]);
+      EXPECT_EQ(listed.patch.row_end, layout.patch_rows[patch + 1]);
+      EXPECT_EQ(listed.patch.halo_begin, layout.patch_halo[patch]);
+      EXPECT_EQ(listed.is_begun(), begun[slice] > 0) << "the first group assigns, the others add";
       EXPECT_EQ(finished[slice], 0) << "nothing comes after the group that finishes";
       ++begun[slice];
-      finished[slice] += static_cast<int>(group.slices[i] / 2 % 2);
+      finished[slice] += listed.is_to_be_finished() ? 1 : 0;
       for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
         const std::uint32_t row = slice * kSliceRows + lane;
         std::uint32_t before = 0;
-        for (std::uint32_t column = group.list_begin[i]; column < group.list_begin[i + 1]; ++column) {
+        for (std::uint32_t column = listed.list_begin; column < listed.list_end; ++column) {
           const std::uint32_t element = group.listed[std::size_t{column} * kSliceRows + lane];
           if (element == kNoPlace) {
             before = kNoPlace;
             continue;
           }
           ASSERT_NE(before, kNoPlace) << "a list has no gap";
-          EXPECT_TRUE(column == group.list_begin[i] || element > before) << "summed in the order of the elements";
+          EXPECT_TRUE(column == listed.list_begin || element > before) << "summed in the order of the elements";
           before = element;
           const Places<kNodes> places(Places<kNodes>::Packed::read(view, column, lane), view.place_bits);
-          std::uint32_t own = kNodes;
+          std::uint32_t own = 0;
+          while (own + 1 < kNodes && places.is_before(static_cast<int>(own))) ++own;
           for (std::uint32_t l = 0; l < kNodes; ++l) {
             const std::uint32_t other = groups.rows[g][std::size_t{l} * groups.views[g].stride + element];
-            if (places.of[l] == places.own) {
-              EXPECT_EQ(own, kNodes);
+            if (l == own) {
               EXPECT_EQ(other, row);
-              own = l;
             } else {
-              EXPECT_EQ((layout.slice_begin[slice] + places.of[l]) * kSliceRows + lane, layout.slot(row, other));
+              const std::uint32_t place = places.others()[l < own ? l : l - 1];
+              EXPECT_EQ((layout.slice_begin[slice] + place) * kSliceRows + lane, layout.slot(row, other));
             }
           }
           ++found[{element, own}];

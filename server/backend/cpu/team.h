@@ -55,7 +55,7 @@ class Team {
   void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; ++i) body(i);
   }
-  template <std::uint32_t Width, class Body>
+  template <std::uint32_t Width, int AtOnce = 1, class Body>
   void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; i += Width) body(i);
   }

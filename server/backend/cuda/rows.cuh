@@ -29,35 +29,30 @@ class SharedBlocks {
     meet();  // what was held before has been used
     first_ = column;
     held_ = minimum(count, capacity_);
+    holds_all_ = column == 0 && held_ == count;
     return held_;
   }
   __device__ bool holds(std::uint32_t place) const { return place - first_ < held_; }
 
   __device__ void clear(std::uint32_t place, const Vec3<Real>& stretch) {
+#pragma unroll 1
     for (std::uint32_t part = 0; part < parts_; ++part) {
       Quad* quads = at(place, part);
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
       quads[2 * kSliceRows] = {0, stretch[0], stretch[1], stretch[2]};
     }
   }
-  __device__ void add(std::uint32_t place, const Mat3<Real>& block) {
-    Quad* quads = at(place, part_);
-    Quad a = quads[0], b = quads[kSliceRows], c = quads[2 * kSliceRows];
-    a.x += block(0, 0);
-    a.y += block(1, 0);
-    a.z += block(2, 0);
-    a.w += block(0, 1);
-    b.x += block(1, 1);
-    b.y += block(2, 1);
-    b.z += block(0, 2);
-    b.w += block(1, 2);
-    c.x += block(2, 2);
-    quads[0] = a;
-    quads[kSliceRows] = b;
-    quads[2 * kSliceRows] = c;
+  template <int Count>
+  __device__ void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
+    // Only wide rows have to look.
+    if (holds_all_) {
+      add_where(places, blocks, [](std::uint32_t) { return true; });
+    } else {
+      add_where(places, blocks, [this](std::uint32_t place) { return holds(place); });
+    }
   }
   __device__ Vec3<Real> stretch(std::uint32_t place) const {
-    const Quad c = at(place, part_)[2 * kSliceRows];
+    const Quad c = at(first_ + minimum(place - first_, held_ - 1), part_)[2 * kSliceRows];
     return {c.y, c.z, c.w};
   }
   __device__ void meet() const {
@@ -65,6 +60,7 @@ class SharedBlocks {
   }
   __device__ Mat3<Real> block(std::uint32_t place) const {
     Mat3<Real> sum = of_part(place, 0);
+#pragma unroll 1
     for (std::uint32_t part = 1; part < parts_; ++part) sum += of_part(place, part);
     return sum;
   }
@@ -78,6 +74,7 @@ class SharedBlocks {
     each(sums, [&](unsigned c, const Real& value) { mine[c * kSliceRows] = value; });
     meet();
     if (part_ != 0) return false;
+#pragma unroll 1
     for (std::uint32_t part = 1; part < parts_; ++part) {
       const Real* other = place(part);
       each(sums, [&](unsigned c, Real& value) { value += other[c * kSliceRows]; });
@@ -92,6 +89,33 @@ class SharedBlocks {
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
   __device__ Quad* at(std::uint32_t place, std::uint32_t part) const {
     return quads_ + std::size_t{part * capacity_ + place - first_} * (3 * kSliceRows);
+  }
+  template <int Count, class IsHeld>
+  __device__ void add_where(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count],
+                            const IsHeld& is_held) {
+    // Reads are under way together, as they are not where a write is between.
+    constexpr int kAtOnce = 4;
+#pragma unroll
+    for (int first = 0; first < Count; first += kAtOnce) {
+      Quad a[kAtOnce], b[kAtOnce], c[kAtOnce];
+#pragma unroll
+      for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
+        if (!is_held(places[first + i])) continue;
+        const Quad* quads = at(places[first + i], part_);
+        a[i] = quads[0];
+        b[i] = quads[kSliceRows];
+        c[i] = quads[2 * kSliceRows];
+      }
+#pragma unroll
+      for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
+        if (!is_held(places[first + i])) continue;
+        const Mat3<Real>& block = blocks[first + i];
+        Quad* quads = at(places[first + i], part_);
+        quads[0] = {a[i].x + block(0, 0), a[i].y + block(1, 0), a[i].z + block(2, 0), a[i].w + block(0, 1)};
+        quads[kSliceRows] = {b[i].x + block(1, 1), b[i].y + block(2, 1), b[i].z + block(0, 2), b[i].w + block(1, 2)};
+        quads[2 * kSliceRows] = {c[i].x + block(2, 2), c[i].y, c[i].z, c[i].w};
+      }
+    }
   }
   /// Of the vertex tensor, which is symmetric, the upper triangle: 15 reals, which two columns have room for.
   template <class Sums, class Visit>
@@ -115,6 +139,7 @@ class SharedBlocks {
   Quad* const quads_;
   const std::uint32_t capacity_, part_, parts_;
   std::uint32_t first_ = 0, held_ = 0;
+  bool holds_all_ = false;
 };
 
 /// Warps that share a slice: two, so that one's reads are hidden by the other's arithmetic; more where a small scene

@@ -21,15 +21,17 @@ class Team {
   __device__ bool leads() const { return blockIdx.x == 0 && threadIdx.x == 0; }
   __device__ bool leads_patch() const { return threadIdx.x == 0; }
 
-  template <class Body>
+  /// AtOnce: bodies in flight, where they do nothing but read.
+  template <int AtOnce = 1, class Body>
   __device__ void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     const std::uint32_t stride = blockDim.x * gridDim.y;
+#pragma unroll AtOnce
     for (std::uint32_t i = begin + blockIdx.y * blockDim.x + threadIdx.x; i < end; i += stride) body(i);
   }
-  template <std::uint32_t Width, class Body>
+  template <std::uint32_t Width, int AtOnce = 1, class Body>
   __device__ void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     static_assert(Width == 1);
-    for_each(begin, end, body);
+    for_each<AtOnce>(begin, end, body);
   }
   __device__ void sync() const { __syncthreads(); }
 

@@ -111,33 +111,65 @@ TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const M
   }
 }
 
-/// As add_point, but only what belongs to one node k: f_k and K_kl of the other nodes, to an `out` that has
-/// is_own(l), add_force(force), add_edge(l, block).
-template <class Shape, class Law, class T, class Out>
-TM_HOST_DEVICE void add_point_to_node(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
-                                      typename Law::template Point<T>& point,
-                                      std::type_identity_t<const Viscous<T>*> viscous, Stiffness kind, Out& out) {
-  if (kind == Stiffness::kPositive) Law::make_positive(point);
-  // Forces and stiffness are linear in the own gradient, which takes the weight along.
-  Vec3<T> own = gradients.a[0];
-  TM_UNROLL_ALL
-  for (int k = 1; k < Shape::kNodes; ++k) {
-    for (int c = 0; c < 3; ++c) own[c] = out.is_own(k) ? gradients.a[k][c] : own[c];
+/// A quadrature point as one of its nodes sees it: its own gradient and those of the other nodes, in their order.
+template <class Shape, class T>
+struct NodeGradients {
+  static constexpr int kOthers = Shape::kNodes - 1;
+  Vec3<T> others[kOthers];  // ∇N_l [1/m]
+  Vec3<T> own;              // [1/m]
+  T weight;                 // [m³]
+
+  NodeGradients() = default;
+  /// is_before(m): whether node m comes before the own one.
+  template <class IsBefore>
+  TM_HOST_DEVICE NodeGradients(const PointGradients<Shape, T>& point, const IsBefore& is_before)
+      : own(point.a[0]), weight(point.weight) {
+    TM_UNROLL_ALL
+    for (int m = 0; m < kOthers; ++m) {
+      for (int c = 0; c < 3; ++c) {
+        others[m][c] = is_before(m) ? point.a[m][c] : point.a[m + 1][c];
+        own[c] = is_before(m) ? point.a[m + 1][c] : own[c];
+      }
+    }
   }
-  own *= gradients.weight;
-  Mat3<T> stress = Law::stress(point), memory;
+  /// displacement: of the other nodes against the own one.
+  TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[kOthers]) const {
+    Mat3<T> f = Mat3<T>::Identity();
+    TM_UNROLL_ALL
+    for (int m = 0; m < kOthers; ++m) f += displacement[m] * others[m].transpose();
+    return f;
+  }
+};
+
+/// What an element adds to one of its nodes.
+template <class Shape, class T>
+struct NodeTensors {
+  Vec3<T> force;                         // f_k [N]
+  Mat3<T> stiffness[Shape::kNodes - 1];  // K_kl of the other nodes l [N/m]
+};
+
+/// As add_point, but only what belongs to one node. point: Law::at(f), made positive if it is to be. The first
+/// contribution is assigned.
+template <class Shape, class Law, class T>
+TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, const Mat3<T>& f,
+                                      const typename Law::template Point<T>& point,
+                                      std::type_identity_t<const Viscous<T>*> viscous, Stiffness kind, bool first,
+                                      NodeTensors<Shape, T>& out) {
+  // Forces and stiffness are linear in the own gradient, which takes the weight along.
+  const Vec3<T> own = gradients.own * gradients.weight;
+  const auto own_node = Law::at_node(point, viscous != nullptr ? Vec3<T>(own * viscous->instant) : own);
+  Vec3<T> force = -Law::traction(point, own_node);
+  Mat3<T> memory;
   if (viscous != nullptr) {
-    stress = viscous->template stress<Law>(f, stress);
+    force += viscous->template relief<Law>(f, own);
     memory = viscous->template geometric<Law>(kind == Stiffness::kPositive);
   }
-  out.add_force(stress * -own);
-  const auto own_node = Law::at_node(point, viscous != nullptr ? Vec3<T>(own * viscous->instant) : own);
+  out.force = first ? force : Vec3<T>(out.force + force);
   TM_UNROLL_ALL
-  for (int l = 0; l < Shape::kNodes; ++l) {
-    if (out.is_own(l)) continue;
-    Mat3<T> edge = Law::stiffness(point, own_node, Law::at_node(point, gradients.a[l]));
-    if (viscous != nullptr) edge += Mat3<T>::Identity() * own.dot(memory * gradients.a[l]);
-    out.add_edge(l, edge);
+  for (int m = 0; m < Shape::kNodes - 1; ++m) {
+    Mat3<T> block = Law::stiffness(point, own_node, Law::at_node(point, gradients.others[m]));
+    if (viscous != nullptr) block += Mat3<T>::Identity() * own.dot(memory * gradients.others[m]);
+    out.stiffness[m] = first ? block : Mat3<T>(out.stiffness[m] + block);
   }
 }
 

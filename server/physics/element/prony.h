@@ -65,6 +65,13 @@ struct Viscous {
     if constexpr (Law::kConstantStiffness) return elastic * instant - memory;
     return elastic * instant - deformation_gradient * memory;
   }
+  /// What the memory takes off P a.
+  template <class Law>
+  TM_HOST_DEVICE Vec3<T> relief(const Mat3<T>& deformation_gradient, const Vec3<T>& a) const {
+    const Vec3<T> kept = memory * a;
+    if constexpr (Law::kConstantStiffness) return kept;
+    return deformation_gradient * kept;
+  }
   /// G of the geometric term (a·G b) I.
   template <class Law>
   TM_HOST_DEVICE Mat3<T> geometric(bool positive) const {

@@ -56,6 +56,11 @@ struct Hooke : LameParameters {
     return {gradient};
   }
 
+  template <class T>
+  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+    return stress(p) * a.gradient;
+  }
+
   /// λ a bᵀ + μ b aᵀ + μ (a·b) I.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& at_a, const Node<T>& at_b) {

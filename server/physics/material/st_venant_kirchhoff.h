@@ -69,6 +69,13 @@ struct StVenantKirchhoff : LameParameters {
     return {gradient, p.deformation_gradient * gradient, p.geometric_stress * gradient};
   }
 
+  /// F S a.
+  template <class T>
+  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+    const Vec3<T> pulled = p.second_piola * a.gradient;
+    return p.deformation_gradient * pulled;
+  }
+
   /// (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {

@@ -80,6 +80,11 @@ struct StretchLaw {
   }
 
   template <class T>
+  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+    return p.f.u * p.w.gradient.cwiseProduct(a.gradient);
+  }
+
+  template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
     const Vec3<T> same = (p.w.distortion + p.w.rotation) * T(0.5), across = (p.w.distortion - p.w.rotation) * T(0.5);
     const Mat3<T> ab = a.gradient * b.gradient.transpose();

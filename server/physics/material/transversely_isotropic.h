@@ -83,6 +83,11 @@ struct TransverselyIsotropic {
     return {Matrix::at_node(p.matrix, gradient), p.fibre.dot(gradient)};
   }
 
+  template <class T>
+  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+    return Matrix::traction(p.matrix, a.matrix) + p.moved_fibre * (p.tension * a.along);
+  }
+
   /// The matrix's + (a0·a) (a0·b) (2 (Δλ/2 + Δμ) (Fa0)(Fa0)ᵀ + tension I).
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
