@@ -106,7 +106,8 @@ class Backend {
 };
 
 std::unique_ptr<Backend> make_cpu_backend(std::uint32_t default_threads);
-/// Fails with kUnavailable, saying why, where there is no device or no CUDA in this build.
-Result<std::unique_ptr<Backend>> make_cuda_backend();
+/// scenes: how many are to step at the same time; each gets its share of the multiprocessors. Fails with kUnavailable,
+/// saying why, where there is no device or no CUDA in this build.
+Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes = 1);
 
 }  // namespace tensormass::backend

@@ -38,6 +38,8 @@ inline constexpr double kMinBudgetS = 1e-6;
 inline constexpr double kMaxBudgetS = 10.0;
 /// CPU threads of one scene.
 inline constexpr std::uint32_t kMaxCpuThreads = 256;
+/// Scenes that a daemon is told to make room for on one GPU.
+inline constexpr std::uint32_t kMaxGpuScenes = 4096;
 /// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
 inline constexpr double kMaxLength = 1e6;
 

@@ -113,6 +113,11 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option("--backend", backend, "auto takes a GPU if one answers, else the CPU")->check(CLI::IsMember(backends));
   app.add_option("--cpu-threads", config.cpu_threads, "Threads of a scene on the CPU that does not say")
       ->check(CLI::Range(1u, limits::kMaxCpuThreads));
+  app.add_option(
+         "--gpu-scenes", config.gpu_scenes,
+         "Scenes that are to keep their rates on one GPU at the same time; each takes its share of it and waits "
+         "without holding a processor. 1: a scene is as fast as it can be alone")
+      ->check(CLI::Range(1u, limits::kMaxGpuScenes));
   app.add_option("--server-name", config.server_name, "<server> in the keys of the data plane")
       ->check(check_server_name);
   app.add_option("--control", config.control, "gRPC: HOST:PORT; port 0 for a free one")->check(check_control);

@@ -13,6 +13,7 @@ namespace tensormass::daemon {
 struct Config {
   world::BackendChoice backend = world::BackendChoice::kAuto;
   std::uint32_t cpu_threads = 1;
+  std::uint32_t gpu_scenes = 1;
   std::string server_name = "local";
   std::string control = "127.0.0.1:50051";
   /// Empty (given as "off"): ZeroMQ is off; so for zenoh.

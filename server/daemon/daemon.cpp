@@ -38,7 +38,8 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
 }
 
 Daemon::Daemon(const Config& config, std::string backend, std::string device)
-    : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads}, [this] { wake_up_.signal(); }) {
+    : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads, .gpu_scenes = config.gpu_scenes},
+                [this] { wake_up_.signal(); }) {
   identity_.set_version(TENSORMASS_VERSION);
   identity_.set_server(config.server_name);
   identity_.set_backend(std::move(backend));

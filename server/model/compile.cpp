@@ -398,7 +398,9 @@ class Compiler {
 }  // namespace
 
 std::uint32_t PatchPolicy::count(std::uint32_t node_count) const {
-  return std::clamp(node_count / std::max(min_nodes_per_patch, 1u), 1u, std::max(max_patches, 1u));
+  const std::uint32_t most = node_count / std::max(min_nodes_per_patch, 1u);
+  const std::uint32_t least = (node_count - 1) / max_nodes_per_patch + 1;
+  return std::clamp(std::max(std::min(most, usual_patches), least), 1u, std::max(max_patches, 1u));
 }
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 
 #include "core/result.h"
 #include "model/model.h"
@@ -14,6 +15,9 @@ struct PatchPolicy {
   std::uint32_t max_patches = 1;
   std::uint32_t min_nodes_per_patch = 1;
   tensor::Storage storage = tensor::Storage::kRows;
+  /// As many as are wanted where the numbers of nodes leave a choice.
+  std::uint32_t usual_patches = std::numeric_limits<std::uint32_t>::max();
+  std::uint32_t max_nodes_per_patch = std::numeric_limits<std::uint32_t>::max();
   std::uint32_t count(std::uint32_t node_count) const;
 };
 

@@ -7,26 +7,26 @@ namespace tensormass::world {
 
 namespace {
 
-Result<std::unique_ptr<backend::Backend>> make_backend(BackendChoice choice, std::uint32_t cpu_threads) {
-  if (choice != BackendChoice::kCpu) {
-    auto cuda = backend::make_cuda_backend();
-    if (cuda || choice == BackendChoice::kCuda) return cuda;
+Result<std::unique_ptr<backend::Backend>> make_backend(const RunnerOptions& options) {
+  if (options.backend != BackendChoice::kCpu) {
+    auto cuda = backend::make_cuda_backend(options.gpu_scenes);
+    if (cuda || options.backend == BackendChoice::kCuda) return cuda;
   }
-  return backend::make_cpu_backend(cpu_threads);
+  return backend::make_cpu_backend(options.cpu_threads);
 }
 
 }  // namespace
 
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
                                     const model::Progress& progress) {
-  TM_TRY(backend, make_backend(options.backend, options.cpu_threads));
+  TM_TRY(backend, make_backend(options));
   TM_TRY(model, model::compile(scene, backend->patch_policy(scene), progress));
   v1::SceneReport report = model::make_report(model, backend->rates(scene));
   return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
 }
 
 Result<BackendDescription> describe_backend(BackendChoice choice) {
-  TM_TRY(backend, make_backend(choice, 1));
+  TM_TRY(backend, make_backend({.backend = choice}));
   return BackendDescription{backend->name(), backend->device()};
 }
 

@@ -22,6 +22,7 @@ enum class BackendChoice { kAuto, kCpu, kCuda };
 struct RunnerOptions {
   BackendChoice backend = BackendChoice::kAuto;
   std::uint32_t cpu_threads = 1;  ///< of a scene that does not say
+  std::uint32_t gpu_scenes = 1;   ///< that are to step on the GPU at the same time
 };
 
 /// One scene stepping on a thread of its own.

@@ -350,7 +350,7 @@ int main(int argc, char** argv) {
   if (real_time.copies > 0) real_time.press = kStationPress;
   if (!real_time.scene_file.empty() || real_time.copies > 0) {
     const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
-    const auto line = run_in_real_time(real_time, {choice, threads}, commit, command);
+    const auto line = run_in_real_time(real_time, {choice, threads, std::max(real_time.copies, 1u)}, commit, command);
     if (!line) {
       std::fprintf(stderr, "%s\n", line.error().message.c_str());
       return line.error().code == ErrorCode::kUnavailable ? 77 : 1;

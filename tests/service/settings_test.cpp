@@ -60,6 +60,7 @@ TEST(Settings, WhatIsWrongIsNamedAndRefused) {
       {{"--config", (folder / "none.toml").string()}, "none.toml"},
       {{"--backend", "tpu"}, "--backend"},
       {{"--cpu-threads", "0"}, "--cpu-threads"},
+      {{"--gpu-scenes", "0"}, "--gpu-scenes"},
       {{"--control", "localhost"}, "--control"},
       {{"--control", "127.0.0.1:65536"}, "--control"},
       {{"--zeromq-publish", "udp://127.0.0.1:1"}, "--zeromq-publish"},

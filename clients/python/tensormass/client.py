@@ -54,6 +54,7 @@ def launch(
     *,
     backend: str = "auto",
     cpu_threads: int | None = None,
+    gpu_scenes: int | None = None,
     control: str = "127.0.0.1:0",
     zenoh: bool = True,
     options: Sequence[str] = (),
@@ -64,6 +65,8 @@ def launch(
     Args:
         backend: "auto", "cpu" or "cuda".
         cpu_threads: threads of each scene that does not say; None leaves it to the daemon.
+        gpu_scenes: scenes that are to keep their rates on one GPU at the same time; None: each is to be as fast as it
+            can be alone.
         control: host:port to be controlled on; port 0: a free one. A named one lets clients find a daemon again.
         zenoh: whether the streams are offered over zenoh too.
         options: further flags of `tensormassd`.
@@ -81,6 +84,8 @@ def launch(
         args += ["--zenoh-listen", "tcp/127.0.0.1:0" if zenoh else "off", "--ready-file", ready_file]
         if cpu_threads is not None:
             args += ["--cpu-threads", str(cpu_threads)]
+        if gpu_scenes is not None:
+            args += ["--gpu-scenes", str(gpu_scenes)]
         with log_file.open("wb") as log:
             process = ChildProcess([*args, *options], output=log)
         undo.callback(process.stop)

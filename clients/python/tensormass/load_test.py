@@ -103,7 +103,9 @@ def load_test(args: argparse.Namespace) -> Json:
         )
     with contextlib.ExitStack() as undo:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-load-")))
-        server = undo.enter_context(connect(args.server) if args.server else launch(backend=args.backend))
+        server = undo.enter_context(
+            connect(args.server) if args.server else launch(backend=args.backend, gpu_scenes=args.scenes)
+        )
         test = _LoadTest(args, server, folder, undo)
         return test.run()
 

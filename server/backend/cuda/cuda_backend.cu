@@ -1,10 +1,13 @@
 #include <algorithm>
 #include <array>
+#include <cstddef>
+#include <ctime>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include <cuda_runtime.h>
+#include <sys/prctl.h>
 
 #include "backend/backend.h"
 #include "backend/cuda/elements.h"
@@ -31,7 +34,8 @@ void check(cudaError_t status, const char* what) {
   if (status != cudaSuccess) throw CudaFailure(std::string(what) + ": " + cudaGetErrorString(status));
 }
 
-/// Buffers of a scene in device memory.
+/// Buffers of a scene in device memory. Small ones share blocks of the size in which the driver gives memory: each
+/// allocation and each release may wait for what other scenes do.
 class DeviceArena {
  public:
   DeviceArena() = default;
@@ -59,15 +63,33 @@ class DeviceArena {
   template <class T>
   T* zeros(std::string_view, std::size_t count) {
     if (count == 0) return nullptr;
-    void* block = nullptr;
-    check(cudaMalloc(&block, count * sizeof(T)), "device memory of the scene's buffers");
-    blocks_.push_back(block);
-    check(cudaMemset(block, 0, count * sizeof(T)), "clear");
-    return static_cast<T*>(block);
+    return static_cast<T*>(take(count * sizeof(T)));
   }
 
  private:
+  /// Cleared, and aligned for every type.
+  void* take(std::size_t bytes) {
+    constexpr std::size_t kAlignment = 256, kBlockBytes = std::size_t{2} << 20;
+    bytes = (bytes + kAlignment - 1) / kAlignment * kAlignment;
+    if (bytes > left_) {
+      const std::size_t size = std::max(bytes, kBlockBytes);
+      void* block = nullptr;
+      check(cudaMalloc(&block, size), "device memory of the scene's buffers");
+      blocks_.push_back(block);
+      check(cudaMemset(block, 0, size), "clear");
+      if (size - bytes < left_) return block;  // what is left of the last one is more
+      next_ = static_cast<char*>(block);
+      left_ = size;
+    }
+    void* taken = next_;
+    next_ += bytes;
+    left_ -= bytes;
+    return taken;
+  }
+
   std::vector<void*> blocks_;
+  char* next_ = nullptr;
+  std::size_t left_ = 0;
 };
 
 /// Page-locked host memory, which copies beside the kernels.
@@ -90,17 +112,68 @@ class Pinned {
   T* data_ = nullptr;
 };
 
+/// What a step is told, in host memory and in the device's: one copy brings all of it.
+class StepInputs {
+ public:
+  template <class T>
+  struct Item {
+    T* host;
+    const T* device;
+  };
+  /// Of all items.
+  explicit StepInputs(std::size_t bytes, DeviceArena& arena)
+      : host_(bytes), device_(arena.zeros<std::byte>("what a step is told", bytes)) {}
+  template <class T>
+  static std::size_t bytes_of(std::size_t count) {
+    return (count * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment;
+  }
+  template <class T>
+  Item<T> add(std::size_t count) {
+    const std::size_t at = used_;
+    used_ += bytes_of<T>(count);
+    return {reinterpret_cast<T*>(host_.data() + at), reinterpret_cast<const T*>(device_ + at)};
+  }
+  cudaError_t upload(cudaStream_t stream) const {
+    return cudaMemcpyAsync(device_, host_.data(), host_.bytes(), cudaMemcpyHostToDevice, stream);
+  }
+
+ private:
+  static constexpr std::size_t kAlignment = 64;
+  Pinned<std::byte> host_;
+  std::byte* device_;
+  std::size_t used_ = 0;
+};
+
+/// Waits until a stream has done what it was given, without holding a processor: of many scenes only some could wait
+/// that way. An event that blocks would come 50 us late and make all scenes wait for a lock of the driver.
+cudaError_t wait_asleep(cudaStream_t stream) {
+  constexpr long kSleepNs = 20'000;
+  thread_local const bool precise = prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL) == 0;
+  static_cast<void>(precise);
+  for (;;) {
+    if (const cudaError_t status = cudaStreamQuery(stream); status != cudaErrorNotReady) return status;
+    const timespec sleep{0, kSleepNs};
+    nanosleep(&sleep, nullptr);
+  }
+}
+
 using cuda::run_stage;
 
 template <class Real>
 class CudaState final : public SceneState {
  public:
-  CudaState(const model::Model& model, std::uint32_t processors)
+  /// shares: other scenes step on the device at the same time.
+  CudaState(const model::Model& model, std::uint32_t processors, bool shares)
       : model_(model),
         processors_(processors),
-        tools_(model.tools.size()),
-        prescribed_(4 * model.prescribed.size()),
-        control_(1),
+        shares_(shares),
+        inputs_(StepInputs::bytes_of<tensor::ToolState<Real>>(model.tools.size()) +
+                    StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
+                    StepInputs::bytes_of<tensor::StepControl<Real>>(1),
+                arena_),
+        tools_(inputs_.add<tensor::ToolState<Real>>(model.tools.size())),
+        prescribed_(inputs_.add<Real>(4 * model.prescribed.size())),
+        control_(inputs_.add<tensor::StepControl<Real>>(1)),
         newton_(model.iterates() ? 1 : 0),
         solve_(1),
         patches_(model.layout.patch_count),
@@ -148,10 +221,10 @@ class CudaState final : public SceneState {
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
     for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
-      tools_.data()[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
+      tools_.host[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
-    write_prescribed(model_, input.end_time_s, prescribed_.data());
-    *control_.data() = memory_.begin(model_, input);
+    write_prescribed(model_, input.end_time_s, prescribed_.host);
+    *control_.host = memory_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
@@ -218,7 +291,7 @@ class CudaState final : public SceneState {
 
  private:
   void launch_graph(cudaGraphExec_t graph, const char* what) { check(cudaGraphLaunch(graph, stream_), what); }
-  void wait(const char* what) { check(cudaStreamSynchronize(stream_), what); }
+  void wait(const char* what) { check(shares_ ? wait_asleep(stream_) : cudaStreamSynchronize(stream_), what); }
   /// Copies from pageable memory and clearing are under way in a stream of their own. Not by waiting for the device:
   /// other scenes may never leave it idle.
   static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
@@ -237,6 +310,9 @@ class CudaState final : public SceneState {
   /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
   SceneView<Real> bind_view(const model::Model& model) {
     SceneView<Real> view = model::bind<Real>(model, arena_);
+    view.tools = tools_.device;
+    view.prescribed = prescribed_.device;
+    view.control = control_.device;
     view.solve_report = solve_.data();
     view.patch_reports = patches_.data();
     view.residuals = residuals_.data();
@@ -309,9 +385,7 @@ class CudaState final : public SceneState {
   void enqueue_phase(model::Phase phase) {
     using model::Phase;
     if (phase == Phase::kBegin) {
-      upload_pinned(view_.tools, tools_, "tools");
-      upload_pinned(view_.control, control_, "step control");
-      upload_pinned(view_.prescribed, prescribed_, "prescribed displacements");
+      check(inputs_.upload(stream_), "what the step is told");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
       upload_pinned(view_.newton, newton_, "outer iteration");
@@ -357,9 +431,12 @@ class CudaState final : public SceneState {
 
   const model::Model& model_;
   const std::uint32_t processors_;
-  Pinned<tensor::ToolState<Real>> tools_;
-  Pinned<Real> prescribed_;
-  Pinned<tensor::StepControl<Real>> control_;
+  const bool shares_;
+  DeviceArena arena_;
+  StepInputs inputs_;
+  const StepInputs::Item<tensor::ToolState<Real>> tools_;
+  const StepInputs::Item<Real> prescribed_;  // [.., 4]
+  const StepInputs::Item<tensor::StepControl<Real>> control_;
   Pinned<tensor::NewtonControl> newton_;
   Pinned<tensor::SolveReport<Real>> solve_;
   Pinned<tensor::PatchReport<Real>> patches_;
@@ -368,7 +445,6 @@ class CudaState final : public SceneState {
   Pinned<Real> min_det_f_;
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
-  DeviceArena arena_;
   const SceneView<Real> view_;
   std::vector<ElementView<Real>> groups_;
   unsigned threads_ = 0;
@@ -382,14 +458,15 @@ class CudaState final : public SceneState {
 
 class CudaBackend final : public Backend {
  public:
-  explicit CudaBackend(const cudaDeviceProp& properties) : properties_(properties) {}
+  CudaBackend(const cudaDeviceProp& properties, std::uint32_t scenes) : properties_(properties), scenes_(scenes) {}
 
   std::string name() const override { return "cuda"; }
   std::string device() const override { return properties_.name; }
   model::PatchPolicy patch_policy(const v1::Scene&) const override {
-    // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others.
-    constexpr std::uint32_t kMinNodesPerPatch = 96;
-    return {processors(), kMinNodesPerPatch, tensor::Storage::kRows};
+    // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others, more
+    // than that many do not fit on the chip.
+    constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416;
+    return {processors(), kMinNodesPerPatch, tensor::Storage::kRows, processors() / scenes_, kMaxNodesPerPatch};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};
@@ -421,9 +498,9 @@ class CudaBackend final : public Backend {
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;
     if (model.double_precision) {
-      state = std::make_unique<CudaState<double>>(model, processors());
+      state = std::make_unique<CudaState<double>>(model, processors(), scenes_ > 1);
     } else {
-      state = std::make_unique<CudaState<float>>(model, processors());
+      state = std::make_unique<CudaState<float>>(model, processors(), scenes_ > 1);
     }
     return state;
   } catch (const CudaFailure& failure) {
@@ -434,11 +511,12 @@ class CudaBackend final : public Backend {
  private:
   std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
   const cudaDeviceProp properties_;
+  const std::uint32_t scenes_;
 };
 
 }  // namespace
 
-Result<std::unique_ptr<Backend>> make_cuda_backend() {
+Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes) {
   int count = 0;
   if (const cudaError_t status = cudaGetDeviceCount(&count); status != cudaSuccess || count == 0) {
     return fail(ErrorCode::kUnavailable, std::string("no CUDA device answers: ") +
@@ -454,7 +532,7 @@ Result<std::unique_ptr<Backend>> make_cuda_backend() {
     return fail(ErrorCode::kUnavailable, std::string("this build has no code for ") + properties.name +
                                              "; configure with TENSORMASS_CUDA_ARCHITECTURES of its generation");
   }
-  return std::unique_ptr<Backend>(std::make_unique<CudaBackend>(properties));
+  return std::unique_ptr<Backend>(std::make_unique<CudaBackend>(properties, std::max(scenes, 1u)));
 }
 
 }  // namespace tensormass::backend
