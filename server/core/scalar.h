@@ -13,8 +13,8 @@
 #endif
 
 /// Inlines everything that a function calls. On packs of numbers the compiler otherwise leaves Eigen's small products
-/// as calls that pass vectors through memory.
-#if defined(__CUDACC__)
+/// as calls that pass vectors through memory. Not where each access is instrumented: that takes minutes a file.
+#if defined(__CUDACC__) || defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define TM_FLATTEN
 #else
 #define TM_FLATTEN [[gnu::flatten]]
