@@ -75,6 +75,16 @@ struct CheckVolume {
   }
 };
 
+/// Before kElements, for a group with decompositions.
+template <class Shape>
+struct Decompose {
+  static constexpr Communication kCommunication = Communication::kNone;
+  template <class Team, class Real>
+  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+    tensor::decompose<Shape>(team, s, e);
+  }
+};
+
 /// Calls visit(stage type) for a stage of a model. Not for kElements and kWatch, which are many: each backend compiles
 /// them law by law (elements.h of its folder).
 template <class Visit>

@@ -5,6 +5,7 @@
 
 #include "core/parallel.h"
 #include "model/model.h"
+#include "physics/lists.h"
 
 /// The one place that says which buffers a model needs. The same function fills a view in host memory, in device
 /// memory, or, with an arena that only counts, lists the buffers for the plan.
@@ -150,6 +151,9 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
     e.record_reals = group.record_reals();
     e.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
                                                [&](Real* to) { write_records(group, to); });
+    const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
+    e.decompositions = arena.template zeros<Real>(
+        "decompositions", decomposes ? std::size_t{e.count} * e.point_count * tensor::kDecompositionReals : 0);
     const tensor::RowLists& lists = group.row_lists;
     e.slice_count = static_cast<std::uint32_t>(lists.slices.size());
     e.slices = arena.template constant<tensor::ListedSlice>("slices of elements", lists.slices);

@@ -11,6 +11,7 @@
 #include "physics/material/corotational.h"
 #include "physics/material/hencky.h"
 #include "physics/material/hooke.h"
+#include "physics/material/law.h"
 #include "physics/material/mooney_rivlin.h"
 #include "physics/material/neo_hookean.h"
 #include "physics/material/ogden.h"
@@ -58,6 +59,13 @@ constexpr int index_of(TypeList<Types...>) {
   int index = 0;
   const bool found = ((std::is_same_v<T, Types> || (++index, false)) || ...);
   return found ? index : -1;
+}
+
+/// kDecomposes of the law at an index of the list.
+inline bool decomposes(int law) {
+  bool out = false;
+  for_each_type(Laws{}, [&](auto tag, int index) { out |= index == law && kDecomposes<typename decltype(tag)::Type>; });
+  return out;
 }
 
 /// Calls visit(shape tag, law tag) for the pair at these indices of the lists. The indices are checked when a scene

@@ -102,9 +102,9 @@ struct StoredPoint {
   TM_HOST_DEVICE auto gradients() const {
     return physics::PointGradients<Shape, T>::read([&](int c) { return reals[c]; });
   }
-  /// The law at F, with the part of its moduli that the point integrates.
-  template <class Real>
-  TM_HOST_DEVICE auto law_at(const ElementView<Real>& e, std::uint32_t q, const Mat3<T>& f) const {
+  /// The law at F, or at what F is decomposed to, with the part of its moduli that the point integrates.
+  template <class Real, class DeformationGradient>
+  TM_HOST_DEVICE auto law_at(const ElementView<Real>& e, std::uint32_t q, const DeformationGradient& f) const {
     T own[maximum(Law::kParameterCount, 1)];
     for (int c = 0; c < Law::kParameterCount; ++c) own[c] = parameters[c];
     if (!Shape::kSinglePoint && e.shares != nullptr) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "physics/material/law.h"
 #include "tensor/assembly.h"
 
 /// Elements to rows where a thread owns a row: it evaluates every element that the row touches and keeps what belongs
@@ -83,6 +84,55 @@ TM_HOST_DEVICE void each_column(std::uint32_t begin, std::uint32_t end, std::uin
   }
 }
 
+/// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements.
+template <class Real>
+struct Decomposition {
+  Real reals[kDecompositionReals];
+
+  TM_HOST_DEVICE Decomposition(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element) {
+    read_reals(place(e, q, element), reals);
+  }
+  TM_HOST_DEVICE static void keep(const physics::SignedSingularValues<Real>& f, const ElementView<Real>& e,
+                                  std::uint32_t q, std::uint32_t element) {
+    Real* to = place(e, q, element);
+    for (int c = 0; c < 9; ++c) {
+      to[c] = f.u(c / 3, c % 3);
+      to[9 + c] = f.v(c / 3, c % 3);
+    }
+    for (int c = 0; c < 3; ++c) to[18 + c] = f.sigma[c];
+  }
+  TM_HOST_DEVICE physics::SignedSingularValues<Real> values() const {
+    physics::SignedSingularValues<Real> f;
+    for (int c = 0; c < 9; ++c) {
+      f.u(c / 3, c % 3) = reals[c];
+      f.v(c / 3, c % 3) = reals[9 + c];
+    }
+    for (int c = 0; c < 3; ++c) f.sigma[c] = reals[18 + c];
+    return f;
+  }
+
+ private:
+  TM_HOST_DEVICE static Real* place(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element) {
+    return e.decompositions + (std::size_t{element} * e.point_count + q) * kDecompositionReals;
+  }
+};
+
+/// The first pass, for laws that want it (physics::kDecomposes): each point once.
+/// Reads displacement; writes decompositions.
+template <class Shape, class Team, class Real>
+TM_HOST_DEVICE void decompose(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
+  const ElementRange range = element_range(s, e, team.patch());
+  const std::uint32_t points = points_of<Shape>(e);
+  team.for_each(range.begin * points, range.end * points, [&](std::uint32_t i) {
+    const std::uint32_t element = i / points, q = i % points;
+    Vec3<Real> u[Shape::kNodes];
+    load_displacement<SingleLane<Real>, Shape>(s, e, element, u);
+    const StoredPoint<SingleLane<Real>, Shape, NoLaw> stored(e, q, element);
+    const Mat3<Real> f = stored.gradients().deformation_gradient(u);
+    Decomposition<Real>::keep(physics::signed_singular_values(f), e, q, element);
+  });
+}
+
 /// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
 template <class Shape>
 inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
@@ -99,7 +149,7 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
 ///   leads(sums)                         adds up the sums of all parts; whether this part is to use them
-/// Reads displacement, velocity, base fields, history; writes edges, diagonal, rhs, internal_force.
+/// Reads displacement, velocity, base fields, history, decompositions; writes edges, diagonal, rhs, internal_force.
 template <class Shape, class Law, class Real, class Blocks>
 TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t index,
                                  std::uint32_t lane, Blocks& blocks) {
@@ -196,7 +246,11 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
           gradients[k] = {ahead[k].gradients(), [&](int m) { return places[k].is_before(m); }};
           f[k] = gradients[k].deformation_gradient(stretches[k]);
-          points[k] = ahead[k].law_at(e, q, f[k]);
+          if constexpr (physics::kDecomposes<Law>) {
+            points[k] = ahead[k].law_at(e, q, Decomposition<Real>(e, q, now[k] != kNoPlace ? now[k] : 0).values());
+          } else {
+            points[k] = ahead[k].law_at(e, q, f[k]);
+          }
           ahead[k] = stored_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
         }
         if (kind == physics::Stiffness::kPositive) {

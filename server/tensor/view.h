@@ -32,6 +32,9 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, st
   return round_to_four(points * point_stride(rest_reals, points) + parameters);
 }
 
+/// Of a quadrature point F = U Σ Vᵀ: U, V, Σ and what fills up to a multiple of four.
+inline constexpr std::uint32_t kDecompositionReals = 24;
+
 /// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
 template <class Real>
 struct PointShares {
@@ -87,6 +90,7 @@ struct ElementView {
   // Only where rows evaluate their elements (tensor/rows.h):
   std::uint32_t record_reals;
   const Real* records;          // [count][record_reals], see tensor::record_reals
+  Real* decompositions;         // [count][quadrature points][kDecompositionReals]; nullptr: the law has no use for them
   std::uint32_t slice_count;    // slices with elements of the group
   const ListedSlice* slices;    // [slice_count]
   const std::uint32_t* listed;  // [column][kSliceRows] element; kNoPlace: the row's list has ended

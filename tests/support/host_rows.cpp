@@ -64,6 +64,9 @@ template <class Real>
 void assemble_rows(int shape, int law, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e,
                    std::uint32_t capacity) {
   physics::with_shape_and_law(shape, law, [&](auto shape_tag, auto law_tag) {
+    for (std::uint32_t patch = 0; e.decompositions != nullptr && patch < s.patch_count; ++patch) {
+      tensor::decompose<typename decltype(shape_tag)::Type>(RowTeam{patch}, s, e);
+    }
     for (std::uint32_t index = 0; index < e.slice_count; ++index) {
       for (std::uint32_t lane = 0; lane < tensor::kSliceRows; ++lane) {
         HostBlocks<Real> blocks(capacity);

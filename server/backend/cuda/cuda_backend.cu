@@ -163,9 +163,9 @@ template <class Real>
 class CudaState final : public SceneState {
  public:
   /// shares: other scenes step on the device at the same time.
-  CudaState(const model::Model& model, std::uint32_t processors, bool shares)
+  CudaState(const model::Model& model, const cudaDeviceProp& device, bool shares)
       : model_(model),
-        processors_(processors),
+        device_(device),
         shares_(shares),
         inputs_(StepInputs::bytes_of<tensor::ToolState<Real>>(model.tools.size()) +
                     StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
@@ -345,10 +345,12 @@ class CudaState final : public SceneState {
   }
 
   template <class StageType>
-  void launch(const ElementView<Real>& elements) {
-    launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements);
+  void launch(const ElementView<Real>& elements, std::uint32_t points = 1) {
+    launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements, points);
   }
-  void launch(Communication communication, const void* kernel, const ElementView<Real>& elements) {
+  /// points: of an element, if each of them is an item of its own.
+  void launch(Communication communication, const void* kernel, const ElementView<Real>& elements,
+              std::uint32_t points = 1) {
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
     if (communication == Communication::kExchanges) {
       int resident = 0, processors = 0, device = 0;
@@ -363,8 +365,8 @@ class CudaState final : public SceneState {
       check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "stage");
     } else {
       // A thread an item, about: elements are the most.
-      const std::uint32_t items = std::max({view_.row_count, elements.count, view_.visible_count}) / view_.patch_count;
-      const dim3 grid(view_.patch_count, items / cuda::kStageThreads + 1);
+      const std::uint32_t items = std::max({view_.row_count, elements.count * points, view_.visible_count});
+      const dim3 grid(view_.patch_count, items / view_.patch_count / cuda::kStageThreads + 1);
       check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream_), "stage");
     }
   }
@@ -372,7 +374,12 @@ class CudaState final : public SceneState {
   void launch_elements(const model::ElementGroup& group, const ElementView<Real>& elements) {
     const cuda::ElementKernels kernels = cuda::element_kernels<Real>(group.shape, group.law);
     if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements);
-    cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), processors_);
+    if (elements.decompositions != nullptr) {
+      physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+        if (index == group.shape) launch<Decompose<typename decltype(shape)::Type>>(elements, elements.point_count);
+      });
+    }
+    cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), device_);
     check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize,
                                static_cast<int>(rows.shared_bytes)),
           "shared memory of the element tensors");
@@ -430,7 +437,7 @@ class CudaState final : public SceneState {
   }
 
   const model::Model& model_;
-  const std::uint32_t processors_;
+  const cudaDeviceProp device_;
   const bool shares_;
   DeviceArena arena_;
   StepInputs inputs_;
@@ -498,9 +505,9 @@ class CudaBackend final : public Backend {
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;
     if (model.double_precision) {
-      state = std::make_unique<CudaState<double>>(model, processors(), scenes_ > 1);
+      state = std::make_unique<CudaState<double>>(model, properties_, scenes_ > 1);
     } else {
-      state = std::make_unique<CudaState<float>>(model, processors(), scenes_ > 1);
+      state = std::make_unique<CudaState<float>>(model, properties_, scenes_ > 1);
     }
     return state;
   } catch (const CudaFailure& failure) {

@@ -154,10 +154,13 @@ struct RowsLaunch {
 
 /// slices: of the group; widest: in columns.
 template <class Real>
-RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, std::uint32_t processors) {
-  constexpr std::size_t kMostBytes = 112 << 10;  // two blocks fit on a multiprocessor
+RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, const cudaDeviceProp& device) {
   constexpr std::uint32_t kWarpsPerProcessor = 16;
-  const auto most = static_cast<std::uint32_t>(kMostBytes / SharedBlocks<Real>::kBytesPerColumn);
+  const auto processors = static_cast<std::uint32_t>(device.multiProcessorCount);
+  // Two blocks fit on a multiprocessor.
+  const std::size_t most_bytes =
+      minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
+  const auto most = static_cast<std::uint32_t>(most_bytes / SharedBlocks<Real>::kBytesPerColumn);
   const std::uint32_t capacity = maximum(2u, minimum(widest, most));
   const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
   const std::uint32_t parts = maximum(1u, minimum(minimum(wanted, kMostParts), most / capacity));

@@ -3,6 +3,7 @@
 #include <concepts>
 
 #include "core/scalar.h"
+#include "physics/decomposition.h"
 #include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 
@@ -54,6 +55,13 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::stiffness(point, node, node) } -> std::convertible_to<Mat3<double>>;
   { L::traction(point, node) } -> std::convertible_to<Vec3<double>>;
   L::make_positive(point);
+};
+
+/// A law whose at() decomposes F, which costs more than all the rest, and takes a decomposition as well: where several
+/// threads evaluate an element it is made once.
+template <class L>
+inline constexpr bool kDecomposes = requires(const SignedSingularValues<double>& f, const double* p) {
+  L::template at<double>(f, p);
 };
 
 }  // namespace tensormass::physics

@@ -40,11 +40,12 @@ struct StretchLaw {
   };
 
   template <class T>
+  TM_HOST_DEVICE static Point<T> at(const SignedSingularValues<T>& deformation_gradient, const T* parameters) {
+    return {deformation_gradient, Derived::in_stretches(deformation_gradient.sigma, parameters)};
+  }
+  template <class T>
   TM_HOST_DEVICE static Point<T> at(const Mat3<T>& deformation_gradient, const T* parameters) {
-    Point<T> p;
-    p.f = signed_singular_values(deformation_gradient);
-    p.w = Derived::in_stretches(p.f.sigma, parameters);
-    return p;
+    return at(signed_singular_values(deformation_gradient), parameters);
   }
 
   template <class T>
