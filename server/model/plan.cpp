@@ -68,7 +68,9 @@ Cost cost(const Model& m, const Stage& stage) {
       const double nodes = static_cast<double>(g.rows.size()) / g.stride, points = g.stride * g.point_count;
       if (!edges) {  // every node's row evaluates the element and its own blocks; if caches hold, it is read once
         const double lists = static_cast<double>(g.row_lists.listed.size() + g.row_lists.places.size()) * 4;
-        return {rest + lists + slots * (9 * real + 4) + rows * (6 * 4 + 8) * real,
+        const double decompositions =
+            physics::decomposes(g.law) ? 2 * points * tensor::kDecompositionReals * real : 0;  // written and read
+        return {rest + lists + decompositions + slots * (9 * real + 4) + rows * (6 * 4 + 8) * real,
                 nodes * points * (120 + 60 * nodes + 60 * (nodes - 1))};
       }
       const double elements =
