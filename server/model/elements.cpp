@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <numeric>
 #include <tuple>
@@ -128,6 +129,9 @@ Result<void> fill_row_fields(Compilation& c) {
   c.model.rest.assign(4 * rows, 0);
   c.model.inertia.assign(4 * rows, 0);
   c.model.row_mass.assign(rows, 0);
+  for (std::size_t row = 0; row < rows; ++row) c.model.inertia[4 * row + 3] = 1;  // also of padding, to divide by
+  double densest = 0;
+  for (const ReadBody& body : c.bodies) densest = std::max(densest, body.density_kg_per_m3);
   bool consistent = false;
   for (std::size_t b = 0; b < c.bodies.size(); ++b) {
     const v1::Body& body = c.scene.bodies(static_cast<int>(b));
@@ -143,6 +147,7 @@ Result<void> fill_row_fields(Compilation& c) {
       if (!inertia) continue;
       c.model.inertia[4 * row + 1] = alpha;
       c.model.inertia[4 * row + 2] = beta;
+      c.model.inertia[4 * row + 3] = std::sqrt(densest / c.bodies[b].density_kg_per_m3);
     }
   }
   if (consistent) c.model.mass_edges.assign(layout.slot_count(), 0);

@@ -198,7 +198,7 @@ struct Model {
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
   std::vector<double> rest;                ///< [row_count, 4]
-  std::vector<double> inertia;             ///< [row_count, 4]
+  std::vector<double> inertia;             ///< [row_count, 4] as SceneView
   std::vector<double> row_mass;            ///< [row_count] kg, also where inertia leaves it out (quasi-static)
   std::vector<double> external;            ///< [row_count, 4]; empty without gravity and loads
   /// [row_count, 4] m, m/s; empty: at rest.

@@ -111,7 +111,7 @@ TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& 
 template <class Team, class Real>
 TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
   advance_by(team, s, [&](std::uint32_t row) -> Vec3<Real> {
-    return load_lower<Real>(s.diagonal, row).transpose() * tensor::load3<Real>(s.solution, row);
+    return unscaled(s, row, load_lower<Real>(s.diagonal, row), tensor::load3<Real>(s.solution, row));
   });
 }
 

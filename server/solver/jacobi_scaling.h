@@ -8,10 +8,15 @@
 /// Block-Jacobi preconditioning folded into the matrix: with the Cholesky factors D_i = L_i L_iᵀ of the diagonal
 /// blocks,
 ///
-///   Â_ij = L_i⁻¹ A_ij L_j⁻ᵀ,   b̂ = L⁻¹ b,   Δv = L⁻ᵀ x
+///   Â_ij = L_i⁻¹ A_ij L_j⁻ᵀ,   b̂_i = s_i L_i⁻¹ b_i,   Δv_i = L_i⁻ᵀ x_i / s_i
 ///
 /// has unit diagonal blocks: the iteration needs neither a diagonal nor a preconditioned residual. A fixed direction of
 /// a row gets zeros in L⁻¹, which takes its row, its column and its right-hand side out of the system without a branch.
+///
+/// s is one number for each body, whose rows nothing couples to those of another: Â does not know of it. The iteration
+/// ends at a share of ‖b̂‖, the residual's D⁻¹ norm, where a body counts by its mass, and a light one beside a heavy one
+/// would be left unsolved. With s² = (largest density of the scene) / (that of the body) it counts by its volume.
+/// Without inertia s = 1.
 namespace tensormass::solver {
 
 /// Inverse of the lower Cholesky factor of the block whose upper triangle is `d` (xx xy xz yy yz zz), as
@@ -47,6 +52,12 @@ TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
   return lower(diagonal + 8 * row);
 }
 
+/// s of a row, see above.
+template <class Real>
+TM_HOST_DEVICE Real body_weight(const tensor::SceneView<Real>& s, std::size_t row) {
+  return s.inertia[4 * row + 3];
+}
+
 /// L⁻¹ of a row whose diagonal block has the upper triangle `d`; zeros in the directions that are not free.
 template <class Real>
 TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real* out) {
@@ -61,6 +72,19 @@ TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real*
   out[5] *= z;
 }
 
+/// b̂ of a row whose L⁻¹ is `factor`.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> scaled_rhs(const tensor::SceneView<Real>& s, std::size_t row, const Mat3<Real>& factor) {
+  return factor * tensor::load3<Real>(s.rhs, row) * body_weight(s, row);
+}
+
+/// Δv of a row from its x.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> unscaled(const tensor::SceneView<Real>& s, std::size_t row, const Mat3<Real>& factor,
+                                   const Vec3<Real>& x) {
+  return factor.transpose() * x / body_weight(s, row);
+}
+
 /// Replaces diagonal by L⁻¹ and rhs by b̂.
 template <class Team, class Real>
 TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s) {
@@ -70,7 +94,7 @@ TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s
     Real inverse[6];
     inverse_factor(d, tensor::free_bits(s, row), inverse);
     for (int c = 0; c < 6; ++c) d[c] = inverse[c];
-    tensor::store3<Real>(s.rhs, row, load_lower<Real>(s.diagonal, row) * tensor::load3<Real>(s.rhs, row));
+    tensor::store3<Real>(s.rhs, row, scaled_rhs(s, row, lower(inverse)));
   });
 }
 

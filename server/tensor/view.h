@@ -246,7 +246,7 @@ struct SceneView {
   Real* displacement;       // u [m]
   Real* velocity;           // [m/s]
   const Real* rest;         // X [m], 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
-  const Real* inertia;      // mass [kg], Rayleigh α [1/s], Rayleigh β [s]
+  const Real* inertia;      // mass [kg], Rayleigh α [1/s], Rayleigh β [s], s of solver/jacobi_scaling.h
   const Real* external;     // constant force [N]
   Real* base_displacement;  // û; nullptr: displacement itself
   Real* base_velocity;      // v̂; nullptr: velocity itself
@@ -277,7 +277,7 @@ struct SceneView {
   const std::uint32_t* pressed_begin;    // [pressed row + 1] into pressed_corners
   const std::uint32_t* pressed_corners;  // [.., 2] face, corner
 
-  // -- the linear system of the step: A Δv = b, scaled to Â x = b̂ with Â = L⁻¹ A L⁻ᵀ
+  // -- the linear system of the step: A Δv = b, scaled to Â x = b̂ with Â = L⁻¹ A L⁻ᵀ, b̂ = s L⁻¹ b
   Real* edges;      // [slot] 3×3
   Real* diagonal;   // [row_count, 8]: upper triangle of A_ii, then (after factorize) L⁻¹; 6 used
   Real* rhs;        // [row_count, 4]

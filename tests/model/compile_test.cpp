@@ -119,6 +119,23 @@ TEST(Compile, EachBodyKeepsItsOwnDamping) {
   EXPECT_EQ(model.bodies[1].node_begin, 8u);
 }
 
+TEST(Compile, ALightBodyWeighsAsMuchInTheSolveAsAHeavyOneUnlessNothingHasInertia) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 1, .cells_y = 1, .cells_z = 1});
+  *scene.add_bodies() = scene.bodies(0);
+  scene.mutable_bodies(1)->set_name("light");
+  scene.mutable_bodies(1)->set_density_kg_per_m3(10);
+  const auto expect = [&](double light) {
+    const Model model = compiled(scene, {2, 1});
+    for (std::size_t row = 0; row < model.layout.row_count; ++row) {
+      const std::uint32_t node = model.layout.node_of_row[row];
+      EXPECT_EQ(model.inertia[4 * row + 3], node == mesh::kNone || node < 8 ? 1 : light);
+    }
+  };
+  expect(10);  // √(1000 / 10)
+  scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+  expect(1);
+}
+
 TEST(Compile, VisibleSurfaceIsTheBoundaryOfEachBody) {
   v1::Scene scene = tests::beam_scene({.cells_x = 3, .cells_y = 3, .cells_z = 3, .frame_rate_hz = 60});
   *scene.add_bodies() = scene.bodies(0);

@@ -115,6 +115,24 @@ TEST_P(Patches, RepeatBitwise) {
   }
 }
 
+/// Alone the heavy one would be solved in a few iterations; the light one counts as much.
+TEST_P(Patches, SolveALightBodyBesideAHeavyOne) {
+  tests::Beam beam = kBeam;
+  beam.young_modulus_pa = 1e5;
+  beam.cg_tolerance = 1e-3;
+  v1::Scene scene = tests::beam_scene(beam);
+  v1::Body& heavy = *scene.add_bodies() = scene.bodies(0);
+  heavy.set_name("heavy");
+  scene.mutable_bodies(0)->set_density_kg_per_m3(10);
+  heavy.set_density_kg_per_m3(1e6);
+  StagedScene<double> staged(scene, GetParam().patches, GetParam().storage);
+  staged.run_through(StageKind::kExternalForces);
+  const Eigen::VectorXd expected = dense_solution(staged), change = solve(staged);
+  const Eigen::Index half = expected.size() / 2;
+  EXPECT_LT((change - expected).head(half).norm(), 1e-2 * expected.head(half).norm());
+  EXPECT_LT((change - expected).tail(half).norm(), 1e-2 * expected.tail(half).norm());
+}
+
 TEST_P(Patches, ReportTheResidualThatIsLeft) {
   tests::Beam beam = kBeam;
   beam.cg_max_iterations = 12;

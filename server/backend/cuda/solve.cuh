@@ -93,7 +93,7 @@ __global__ void __launch_bounds__(Threads, 1)
     float factor[6];
     solver::inverse_factor(s.diagonal + std::size_t{8} * global, tensor::free_bits(s, global), factor);
     for (int c = 0; c < 6; ++c) inverse[c * locals + i] = factor[c];
-    const Vec3<float> b = solver::lower(factor) * tensor::load3<float>(s.rhs, global);
+    const Vec3<float> b = solver::scaled_rhs(s, global, solver::lower(factor));
     direction[i] = {b[0], b[1], b[2], 0};
     if (i >= own) halo_residual[i - own] = direction[i];
   }
@@ -239,7 +239,7 @@ __global__ void __launch_bounds__(Threads, 1)
     exchange.remember();
     if (patch.index == 0) recurrence.report(s);
   }
-  const Vec3<float> change = inverse_of(has_row ? thread : 0).transpose() * x;
+  const Vec3<float> change = solver::unscaled(s, row, inverse_of(has_row ? thread : 0), x);
   solver::advance_by(Team(), s, [&](std::uint32_t) { return change; });
 }
 
@@ -368,7 +368,7 @@ __global__ void __launch_bounds__(Threads, 1)
     if (patch.index == 0) recurrence.report(s);
   }
   solver::advance_by(Team(), s, [&](std::uint32_t row) -> Vec3<float> {
-    return solver::load_lower<float>(s.diagonal, row).transpose() * x[row - patch.row_begin];
+    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
   });
 }
 
