@@ -401,23 +401,30 @@ class RowAssembly {
         displacement_(load3<Real>(s.displacement, row)),
         own_ahead_(terms_.stretch_ahead(row)) {}
 
-  /// The row behind a slot, and how far it moves; read before the tensors, which takes as long.
+  /// The row behind a slot and how far it moves, and the slot's constant tensor; read before the refreshed tensors,
+  /// which takes as long.
   struct Neighbour {
     std::uint32_t row;
     Vec3<Real> ahead;
+    Vec3<Real> stretch;  // as the next only where there are constant tensors
+    Mat3<Real> constant;
   };
-  TM_HOST_DEVICE Neighbour neighbour(std::uint32_t column) const {
-    const std::uint32_t other = global_row(s_, patch_, column);
-    return {other, terms_.stretch_ahead(other)};
+  TM_HOST_DEVICE Neighbour neighbour(std::size_t slot) const {
+    Neighbour out;
+    out.row = global_row(s_, patch_, s_.columns[slot]);
+    out.ahead = terms_.stretch_ahead(out.row);
+    if constexpr (HasConstant) {
+      out.stretch = load3<Real>(s_.displacement, out.row) - displacement_;
+      out.constant = load_block(s_.constant_edges, slot);
+    }
+    return out;
   }
   /// edge: of the elements whose tensors are refreshed. Returns the block of A.
   TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, const Neighbour& neighbour, Mat3<Real> edge,
                                    RowSums<Real>& sums) const {
-    const std::uint32_t other = neighbour.row;
     if constexpr (HasConstant) {
-      const Mat3<Real> constant = load_block(s_.constant_edges, slot);
-      sums.force -= constant * (load3<Real>(s_.displacement, other) - displacement_);
-      edge += constant;
+      sums.force -= neighbour.constant * neighbour.stretch;
+      edge += neighbour.constant;
     }
     // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
     sums.vertex -= edge;
@@ -426,7 +433,7 @@ class RowAssembly {
     if (s_.mass_edges != nullptr) {
       const Real shared = s_.mass_edges[slot];
       edge += Mat3<Real>::Identity() * (shared * terms_.mass_share());
-      sums.momentum += terms_.momentum_gap(other) * shared;
+      sums.momentum += terms_.momentum_gap(neighbour.row) * shared;
     }
     return edge;
   }

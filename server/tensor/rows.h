@@ -67,12 +67,11 @@ class Places {
   std::uint32_t others_[Nodes - 1];
 };
 
-/// Calls use(j, load(j)) for every `step`-th column in [begin, end). Loads are under way eight at a time: each is a
+/// Calls use(j, load(j)) for every `step`-th column in [begin, end). Loads are under way several at a time: each is a
 /// chain of reads that depend on each other.
-template <class Load, class Use>
+template <std::uint32_t kAtOnce = 8, class Load, class Use>
 TM_HOST_DEVICE void each_column(std::uint32_t begin, std::uint32_t end, std::uint32_t step, const Load& load,
                                 const Use& use) {
-  constexpr std::uint32_t kAtOnce = 8;
   for (std::uint32_t first = begin; first < end; first += kAtOnce * step) {
     decltype(load(first)) loaded[kAtOnce];
     TM_UNROLL_ALL
@@ -285,7 +284,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
     const RowAssembly<false, Real> assembly(s, patch, row);
     each_column(
         turn + blocks.part(), turn + held, blocks.parts(),
-        [&](std::uint32_t j) { return assembly.neighbour(s.columns[slot_of(j)]); },
+        [&](std::uint32_t j) { return assembly.neighbour(slot_of(j)); },
         [&](std::uint32_t j, const auto& neighbour) {
           const std::size_t slot = slot_of(j);
           Mat3<Real> edge = blocks.block(j);
@@ -313,10 +312,19 @@ TM_HOST_DEVICE void finish_rows(const Team& team, const SceneView<Real>& s) {
     const RowAssembly<HasConstant, Real> assembly(s, patch, row);
     RowSums<Real> sums;
     if (begun) sums.force = load3<Real>(s.rhs, row);
-    for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
-      const Mat3<Real> edge = begun ? load_block<Real>(s.edges, slot) : Mat3<Real>(Mat3<Real>::Zero());
-      store_block<Real>(s.edges, slot, assembly.couple(slot, assembly.neighbour(column), edge, sums));
-    });
+    const std::uint32_t slice = row / kSliceRows;
+    const auto slot_of = [lane = row % kSliceRows](std::uint32_t column) {
+      return std::size_t{column} * kSliceRows + lane;
+    };
+    constexpr std::uint32_t kAtOnce = 4;  // a constant tensor takes nine registers
+    each_column<kAtOnce>(
+        s.slice_begin[slice], s.slice_begin[slice + 1], 1,
+        [&](std::uint32_t j) { return assembly.neighbour(slot_of(j)); },
+        [&](std::uint32_t j, const auto& neighbour) {
+          const std::size_t slot = slot_of(j);
+          const Mat3<Real> edge = begun ? load_block<Real>(s.edges, slot) : Mat3<Real>(Mat3<Real>::Zero());
+          store_block<Real>(s.edges, slot, assembly.couple(slot, neighbour, edge, sums));
+        });
     assembly.finish(sums);
   });
 }
