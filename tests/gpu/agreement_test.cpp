@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -106,6 +107,27 @@ TEST_P(CudaAgreement, RepeatsBitwise) {
   const Trajectory second = run(*cuda_, scene, 50, true);
   EXPECT_EQ(first.positions, second.positions);
   EXPECT_TRUE(std::equal(first.forces.begin(), first.forces.end(), second.forces.begin()));
+}
+
+/// Scenes that share the device come to the same bits side by side as one of them alone, and to the same state as a
+/// scene that has the device to itself, whose sums are ordered differently.
+TEST_P(CudaAgreement, ScenesSideBySideDoNotNoticeEachOther) {
+  constexpr int kScenes = 6, kSteps = 50;
+  auto shared = backend::make_cuda_backend(100);
+  ASSERT_TRUE(shared) << shared.error().message;
+  v1::Scene scene = tests::block_with_probe(GetParam().double_precision);
+  scene.mutable_solver()->set_cg_tolerance(GetParam().double_precision ? 1e-14 : 1e-6);
+  scene.mutable_solver()->set_cg_max_iterations(400);
+  const Trajectory rest = run(*cuda_, scene, 0, true);
+  const Trajectory whole = run(*cuda_, scene, kSteps, true), alone = run(**shared, scene, kSteps, true);
+  EXPECT_LT(alone.patches, whole.patches);
+  EXPECT_LT(relative_difference(whole.positions, alone.positions, rest.positions), tolerance());
+  std::vector<Trajectory> together(kScenes);
+  {
+    std::vector<std::jthread> threads;
+    for (Trajectory& one : together) threads.emplace_back([&] { one = run(**shared, scene, kSteps, true); });
+  }
+  for (const Trajectory& one : together) EXPECT_EQ(one.positions, alone.positions);
 }
 
 INSTANTIATE_TEST_SUITE_P(Laws, CudaAgreement,
