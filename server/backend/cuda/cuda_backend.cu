@@ -328,7 +328,14 @@ class CudaState final : public SceneState {
     cudaGraphExec_t executable = nullptr;
     // Thread-local capture: other scenes allocate and launch at the same time.
     check(cudaStreamBeginCapture(stream_, cudaStreamCaptureModeThreadLocal), "begin of the step's graph");
-    enqueue();
+    try {
+      enqueue();
+    } catch (...) {
+      // Else the thread could load no other scene: it would still be recording.
+      cudaStreamEndCapture(stream_, &graph);
+      if (graph) cudaGraphDestroy(graph);
+      throw;
+    }
     check(cudaStreamEndCapture(stream_, &graph), "end of the step's graph");
     const cudaError_t status = cudaGraphInstantiate(&executable, graph, 0);
     cudaGraphDestroy(graph);
@@ -380,9 +387,7 @@ class CudaState final : public SceneState {
       });
     }
     cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), device_);
-    check(cudaFuncSetAttribute(kernels.assemble, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                               static_cast<int>(rows.shared_bytes)),
-          "shared memory of the element tensors");
+    cuda::allow_all_shared_bytes(kernels.assemble);
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
                          &rows.capacity};
     check(cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream_),

@@ -18,14 +18,18 @@ struct SolvePlan {
   std::uint32_t argument = 0;  ///< column_capacity or capacity
 };
 
-/// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes].
-inline std::size_t max_shared_bytes(const void* kernel) {
+/// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes]. From now on it
+/// may: the limit belongs to the kernel and not to a launch, so that scenes which load at the same time must not lower
+/// it.
+inline std::size_t allow_all_shared_bytes(const void* kernel) {
   int device = 0, most = 0;
   cudaFuncAttributes attributes{};
   cudaGetDevice(&device);
   cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
   cudaFuncGetAttributes(&attributes, kernel);
-  return static_cast<std::size_t>(most) - attributes.sharedSizeBytes;
+  most -= static_cast<int>(attributes.sharedSizeBytes);
+  cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, most);
+  return static_cast<std::size_t>(most);
 }
 
 inline SolvePlan plan_solve(const tensor::Layout& layout) {
@@ -43,7 +47,7 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     if (plan.kernel != nullptr || most_rows > Threads) return;
     const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Held>);
     const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow + 16;
-    const std::size_t most = max_shared_bytes(kernel);
+    const std::size_t most = allow_all_shared_bytes(kernel);
     if (vectors > most || most_locals * 16 > 0xFFFF) return;
     std::uint32_t needed = 0;
     for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
@@ -69,10 +73,9 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     plan.threads = kThreads;
     const std::size_t wanted = most_locals * (kStreamedBytesPerDirection + kStreamedBytesPerVector) +
                                2 * most_rows * kStreamedBytesPerVector + 64;
-    plan.shared_bytes = std::min(wanted, max_shared_bytes(plan.kernel)) / 16 * 16;
+    plan.shared_bytes = std::min(wanted, allow_all_shared_bytes(plan.kernel)) / 16 * 16;
     plan.argument = static_cast<std::uint32_t>(plan.shared_bytes);
   }
-  cudaFuncSetAttribute(plan.kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(plan.shared_bytes));
   return plan;
 }
 
