@@ -10,7 +10,10 @@
 /// the row's list. Each element is evaluated once for each of its nodes, but of its tensors a node computes its own row
 /// only, and gathering takes as long as the arithmetic that this repeats.
 ///
-/// A row's blocks so far, and the displacements of its neighbours against its own, are in `Blocks`, which a device
+/// Each node's row finds the same F and the same stress to the last bit, or the forces of a stiff element would not
+/// balance, by as much as rounding leaves of its modulus.
+///
+/// A row's blocks so far, and the displacements of its neighbours, are in `Blocks`, which a device
 /// keeps in memory that is near. It holds `capacity()` columns at once; a wider row comes in turns.
 namespace tensormass::tensor {
 
@@ -45,12 +48,21 @@ class Places {
     const std::uint32_t own = own_place(bits);
     bool before = true;
     TM_UNROLL_ALL
+    for (std::uint32_t l = 0; l < Nodes; ++l) {
+      nodes_[l] = of_node(packed, bits, l);
+      is_own_[l] = nodes_[l] == own;
+    }
+    TM_UNROLL_ALL
     for (std::uint32_t m = 0; m + 1 < Nodes; ++m) {
-      before = before && of_node(packed, bits, m) != own;
+      before = before && !is_own_[m];
       is_before_[m] = before;
-      others_[m] = before ? of_node(packed, bits, m) : of_node(packed, bits, m + 1);
+      others_[m] = before ? nodes_[m] : nodes_[m + 1];
     }
   }
+
+  /// Whether node l is the row, and its place if it is not.
+  TM_HOST_DEVICE bool is_own(int l) const { return is_own_[l]; }
+  TM_HOST_DEVICE std::uint32_t of(int l) const { return nodes_[l]; }
 
   /// Whether node m comes before the one that is the row.
   TM_HOST_DEVICE bool is_before(int m) const { return is_before_[m]; }
@@ -63,8 +75,8 @@ class Places {
     return word >> (bits == 8 ? 8 * (m % 4) : 16 * (m % 2)) & own_place(bits);
   }
 
-  bool is_before_[Nodes - 1];
-  std::uint32_t others_[Nodes - 1];
+  bool is_own_[Nodes], is_before_[Nodes - 1];
+  std::uint32_t nodes_[Nodes], others_[Nodes - 1];
 };
 
 /// Calls use(j, load(j)) for every `step`-th column in [begin, end). Loads are under way several at a time: each is a
@@ -141,9 +153,9 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 /// their sums have been put together, of its columns. Blocks has
 ///   parts(), part()                     how many threads share the row, and which one this is
 ///   begin(column, count)                places are from `column` on, as far as they fit; returns how many
-///   clear(place, stretch)               for all parts: no block yet
+///   clear(place, displacement)          for all parts: no block yet
 ///   holds(place)
-///   stretch(place)                      any if it is not held
+///   displacement(place)                 any if it is not held
 ///   add(places, blocks)                 different places; those that are not held are left out
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
@@ -156,7 +168,6 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   using Stored = StoredPoint<Lanes, Shape, Law>;
   using Packed = typename Places<Shape::kNodes>::Packed;
   constexpr std::uint32_t kAtOnce = kElementsAtOnce<Shape>;
-  constexpr int kOthers = Shape::kNodes - 1;
   const ListedSlice slice = e.slices[index];
   const bool begun = slice.is_begun(), finishes = slice.is_to_be_finished();
   const std::uint32_t row = slice.slice() * kSliceRows + lane, first = slice.columns_begin;
@@ -168,8 +179,8 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   const auto slot_of = [first, lane](std::uint32_t column) {
     return (std::size_t{first} + column) * kSliceRows + lane;
   };
-  const auto stretch_of = [&](std::uint32_t column) -> Vec3<Real> {
-    return load3<Real>(s.displacement, global_row(s, patch, s.columns[slot_of(column)])) - own_displacement;
+  const auto displacement_of = [&](std::uint32_t column) -> Vec3<Real> {
+    return load3<Real>(s.displacement, global_row(s, patch, s.columns[slot_of(column)]));
   };
   // The list's columns of this part, round by round. Behind a list's end the first element of all is evaluated in vain.
   const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
@@ -191,8 +202,8 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   RowSums<Real> sums;
   for (std::uint32_t turn = 0; turn < width;) {
     const std::uint32_t held = blocks.begin(turn, width - turn);
-    each_column(turn + blocks.part(), turn + held, blocks.parts(), stretch_of,
-                [&](std::uint32_t j, const Vec3<Real>& stretch) { blocks.clear(j, stretch); });
+    each_column(turn + blocks.part(), turn + held, blocks.parts(), displacement_of,
+                [&](std::uint32_t j, const Vec3<Real>& displacement) { blocks.clear(j, displacement); });
     blocks.meet();
     sums.force.setZero();  // every turn has all of them
     // What the next points need is read ahead of the arithmetic of these.
@@ -210,14 +221,16 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
     for (std::uint32_t round = 0; now[0] != kNoPlace; ++round) {
       std::uint32_t next[kAtOnce];
       Places<Shape::kNodes> places[kAtOnce];
-      // Against the row's own displacement, which F does not notice.
-      Vec3<Real> stretches[kAtOnce][kOthers];
+      Vec3<Real> u[kAtOnce][Shape::kNodes];
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
         next[k] = element_of(listed[k], round + 1, k);
         places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
         TM_UNROLL_ALL
-        for (int m = 0; m < kOthers; ++m) stretches[k][m] = blocks.stretch(places[k].others()[m]);
+        for (int l = 0; l < Shape::kNodes; ++l) {
+          u[k][l] = blocks.displacement(places[k].of(l));
+          for (int c = 0; c < 3; ++c) u[k][l][c] = places[k].is_own(l) ? own_displacement[c] : u[k][l][c];
+        }
       }
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
@@ -228,11 +241,16 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         TM_UNROLL_ALL
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
           TM_UNROLL_ALL
-          for (int m = 0; m < kOthers; ++m) {
-            const std::uint32_t place = places[k].others()[m];
-            if (!blocks.holds(place)) stretches[k][m] = stretch_of(place);
+          for (int l = 0; l < Shape::kNodes; ++l) {
+            const std::uint32_t place = places[k].of(l);
+            if (!places[k].is_own(l) && !blocks.holds(place)) u[k][l] = displacement_of(place);
           }
         }
+      }
+      TM_UNROLL_ALL
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        TM_UNROLL_ALL
+        for (int l = 1; l < Shape::kNodes; ++l) u[k][l] -= u[k][0];
       }
       physics::NodeTensors<Shape, Real> tensors[kAtOnce];
       TM_UNROLL(1)
@@ -243,8 +261,9 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         typename Law::template Point<Real> points[kAtOnce];
         TM_UNROLL_ALL
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-          gradients[k] = {ahead[k].gradients(), [&](int m) { return places[k].is_before(m); }};
-          f[k] = gradients[k].deformation_gradient(stretches[k]);
+          const auto of_point = ahead[k].gradients();
+          gradients[k] = {of_point, [&](int m) { return places[k].is_before(m); }};
+          f[k] = of_point.deformation_gradient_against_first(u[k]);
           if constexpr (physics::kDecomposes<Law>) {
             points[k] = ahead[k].law_at(e, q, Decomposition<Real>(e, q, now[k] != kNoPlace ? now[k] : 0).values());
           } else {

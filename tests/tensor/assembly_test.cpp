@@ -120,6 +120,27 @@ INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
                                   (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
                          });
 
+/// The forces of an element balance to rounding of its stress. Rounding of its modulus is a million times that where a
+/// stiff body hardly strains; a soft one that hangs on it would feel the difference.
+TEST_P(EveryEntry, ForcesBalanceToRoundingOfTheStress) {
+  const auto& [shape, law, storage] = GetParam();
+  v1::Scene source = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2});
+  source.clear_gravity_m_per_s2();
+  source.mutable_bodies(0)->clear_fixed();
+  source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+  *source.mutable_bodies(0)->mutable_law() = tests::law(law, 1e5, 0.4);
+  StagedScene<float> staged(source, 2, storage);
+  const Eigen::Index size = 3 * staged.node_count();
+  Eigen::VectorXd u = tests::random_field(size, 1e-6, 1);
+  for (Eigen::Index i = 0; i < size; ++i) u[i] += 0.01 * static_cast<double>(i % 3 + 1);
+  staged.put(staged.view.displacement, u);
+  staged.run_through(StageKind::kExternalForces);
+  const Eigen::VectorXd forces = staged.by_node(staged.view.rhs);
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (Eigen::Index i = 0; i < size; i += 3) sum += forces.segment<3>(i);
+  EXPECT_LT(sum.norm(), 1e-5 * forces.norm());
+}
+
 /// What a consistent mass adds to the stiffness is ρ ∫ N_k N_l: symmetric, the same in all directions, exact for the
 /// kinetic energy of a linear velocity, where lumped mass is too heavy.
 TEST(Mass, ConsistentIsExactForLinearVelocities) {

@@ -10,8 +10,8 @@ using tensor::ElementView;
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// A row's blocks and stretches, three quads a column: a thread reads four numbers at once, and meets no other's bank.
-/// Warps that share a slice have a copy each.
+/// A row's blocks and its neighbours' displacements, three quads a column: a thread reads four numbers at once, and
+/// meets no other's bank. Warps that share a slice have a copy each.
 template <class Real>
 class SharedBlocks {
  public:
@@ -34,12 +34,12 @@ class SharedBlocks {
   }
   __device__ bool holds(std::uint32_t place) const { return place - first_ < held_; }
 
-  __device__ void clear(std::uint32_t place, const Vec3<Real>& stretch) {
+  __device__ void clear(std::uint32_t place, const Vec3<Real>& displacement) {
 #pragma unroll 1
     for (std::uint32_t part = 0; part < parts_; ++part) {
       Quad* quads = at(place, part);
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
-      quads[2 * kSliceRows] = {0, stretch[0], stretch[1], stretch[2]};
+      quads[2 * kSliceRows] = {0, displacement[0], displacement[1], displacement[2]};
     }
   }
   template <int Count>
@@ -51,7 +51,7 @@ class SharedBlocks {
       add_where(places, blocks, [this](std::uint32_t place) { return holds(place); });
     }
   }
-  __device__ Vec3<Real> stretch(std::uint32_t place) const {
+  __device__ Vec3<Real> displacement(std::uint32_t place) const {
     const Quad c = at(first_ + minimum(place - first_, held_ - 1), part_)[2 * kSliceRows];
     return {c.y, c.z, c.w};
   }

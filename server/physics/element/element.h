@@ -74,6 +74,13 @@ struct PointGradients {
     for (int k = 0; k < Shape::kNodes; ++k) f += displacement[k] * a[k].transpose();
     return f;
   }
+  /// Of displacements against that of node 0, which F does not notice.
+  TM_HOST_DEVICE Mat3<T> deformation_gradient_against_first(const Vec3<T> (&displacement)[Shape::kNodes]) const {
+    Mat3<T> f = Mat3<T>::Identity();
+    TM_UNROLL_ALL
+    for (int k = 1; k < Shape::kNodes; ++k) f += displacement[k] * a[k].transpose();
+    return f;
+  }
 };
 
 enum class Stiffness {
@@ -131,13 +138,6 @@ struct NodeGradients {
         own[c] = is_before(m) ? point.a[m + 1][c] : own[c];
       }
     }
-  }
-  /// displacement: of the other nodes against the own one.
-  TM_HOST_DEVICE Mat3<T> deformation_gradient(const Vec3<T> (&displacement)[kOthers]) const {
-    Mat3<T> f = Mat3<T>::Identity();
-    TM_UNROLL_ALL
-    for (int m = 0; m < kOthers; ++m) f += displacement[m] * others[m].transpose();
-    return f;
   }
 };
 
