@@ -101,6 +101,8 @@ def _short(name: str, law: str, free: bool, newton: bool) -> dict[str, str]:
         return {CAUGHT: _OGDEN}
     if law == "neo_hookean" and name == "stretched to 10×" and newton:
         return {CAUGHT: _SOFTENED, SHORT: _ELSEWHERE}
+    if name == "inverted" and free:
+        return {SHORT: _ELSEWHERE}
     if name not in (*FAR, "collapsed to a point"):
         return {}
     return {SHORT: _ELSEWHERE} if newton else {CAUGHT: _OVERSHOOTS, SHORT: _ELSEWHERE}
