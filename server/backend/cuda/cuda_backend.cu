@@ -144,8 +144,8 @@ class StepInputs {
   std::size_t used_ = 0;
 };
 
-/// Waits until a stream has done what it was given, without holding a processor: of many scenes only some could wait
-/// that way. An event that blocks would come 50 us late and make all scenes wait for a lock of the driver.
+/// Waits until a stream has done what it was given, without holding a processor: many scenes have more threads than a
+/// machine has processors. An event that blocks comes late, and makes all scenes meet at a lock of the driver.
 cudaError_t wait_asleep(cudaStream_t stream) {
   constexpr long kSleepNs = 20'000;
   thread_local const bool precise = prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL) == 0;
