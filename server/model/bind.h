@@ -37,6 +37,9 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   const bool edges = layout.storage == tensor::Storage::kEdges;
   s.slice_begin = arena.template constant<uint32_t>("matrix slices", layout.slice_begin);
   s.columns = arena.template constant<uint32_t>("matrix columns", layout.columns);
+  s.tile_rows = layout.tile_rows;
+  s.slice_read = arena.template constant<uint32_t>("matrix slices' columns to be read", layout.slice_read);
+  s.used_twice = arena.template constant<uint32_t>("matrix blocks of two rows", layout.used_twice);
   s.slice_halo = arena.template constant<uint32_t>("matrix slices' halo", layout.slice_halo);
   s.patch_boundary = arena.template constant<uint32_t>("boundary rows of patches", layout.patch_boundary);
   s.boundary = arena.template constant<uint32_t>("boundary rows", layout.boundary);

@@ -50,8 +50,8 @@ class Compiler {
   /// The pairs count as elements here only: the matrix couples all nodes of a pair.
   void make_layout() {
     merged_.blocks.push_back(wedge_pair_block(c_));
-    model_.layout =
-        tensor::make_layout(merged_, policy_.count(static_cast<std::uint32_t>(merged_.nodes.size())), policy_.storage);
+    const auto nodes = static_cast<std::uint32_t>(merged_.nodes.size());
+    model_.layout = tensor::make_layout(merged_, policy_.count(nodes), policy_.storage_of(nodes));
     merged_.blocks.pop_back();
   }
 
@@ -401,6 +401,11 @@ std::uint32_t PatchPolicy::count(std::uint32_t node_count) const {
   const std::uint32_t most = node_count / std::max(min_nodes_per_patch, 1u);
   const std::uint32_t least = (node_count - 1) / max_nodes_per_patch + 1;
   return std::clamp(std::max(std::min(most, usual_patches), least), 1u, std::max(max_patches, 1u));
+}
+
+tensor::Storage PatchPolicy::storage_of(std::uint32_t node_count) const {
+  const bool tiles = storage == tensor::Storage::kRows && (node_count - 1) / count(node_count) >= tiles_beyond_nodes;
+  return tiles ? tensor::Storage::kTiles : storage;
 }
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {

@@ -18,6 +18,9 @@ struct PatchPolicy {
   /// As many as are wanted where the numbers of nodes leave a choice.
   std::uint32_t usual_patches = std::numeric_limits<std::uint32_t>::max();
   std::uint32_t max_nodes_per_patch = std::numeric_limits<std::uint32_t>::max();
+  /// Patches of more nodes than this are kTiles in place of kRows.
+  std::uint32_t tiles_beyond_nodes = std::numeric_limits<std::uint32_t>::max();
+  tensor::Storage storage_of(std::uint32_t node_count) const;
   std::uint32_t count(std::uint32_t node_count) const;
 };
 

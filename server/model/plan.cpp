@@ -97,8 +97,10 @@ Cost cost(const Model& m, const Stage& stage) {
       return {rows * 2 * 12 * real, rows * 60};
     case StageKind::kScaleEdges:
       return {slots * (2 * 9 * real + 4), slots * 90};
-    case StageKind::kSolve:
-      return {slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+    case StageKind::kSolve: {
+      const double read = m.double_precision ? slots : m.layout.read_slot_count();  // tiles stream in single precision
+      return {read * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+    }
     case StageKind::kAdvance:
       return {rows * 9 * 4 * real, rows * 50};
     case StageKind::kBacktrack:

@@ -79,7 +79,7 @@ StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neig
   return stored;
 }
 
-/// Kind kRows: each node all of its edges, in one section.
+/// Kinds kRows and kTiles: each node all of its edges, in one section.
 StoredEdges whole_rows(const mesh::Rows& neighbours) {
   StoredEdges stored;
   stored.items = neighbours.items;
@@ -90,16 +90,37 @@ StoredEdges whole_rows(const mesh::Rows& neighbours) {
   return stored;
 }
 
-/// Numbers the nodes patch by patch.
-void number_rows(Layout& layout, const mesh::Partition& partition, const StoredEdges& stored) {
+/// [node] neighbours outside of the node's tile.
+std::vector<std::uint32_t> neighbours_beyond_tile(const mesh::Partition& partition, const mesh::Rows& neighbours,
+                                                  std::uint32_t tile_rows) {
+  std::vector<std::uint32_t> tile(partition.order.size()), beyond(partition.order.size(), 0);
+  for (std::uint32_t patch = 0, tiles = 0; patch + 1 < partition.offsets.size(); ++patch) {
+    const std::uint32_t begin = partition.offsets[patch], end = partition.offsets[patch + 1];
+    for (std::uint32_t i = begin; i < end; ++i) tile[partition.order[i]] = tiles + (i - begin) / tile_rows;
+    tiles += (end - begin) / tile_rows + 1;
+  }
+  for (std::uint32_t node = 0; node < beyond.size(); ++node) {
+    for (const std::uint32_t other : neighbours[node]) beyond[node] += tile[other] != tile[node] ? 1 : 0;
+  }
+  return beyond;
+}
+
+/// Numbers the nodes patch by patch. beyond_tile: of kTiles, by which rows of a length are sorted, so that those which
+/// share least with others come into the same slices.
+void number_rows(Layout& layout, const mesh::Partition& partition, const StoredEdges& stored,
+                 const std::vector<std::uint32_t>& beyond_tile) {
   layout.row_of_node.assign(partition.order.size(), 0);
   layout.patch_rows.assign(1, 0);
   std::vector<std::uint32_t> order = partition.order;
   for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
     const std::uint32_t begin = partition.offsets[patch], end = partition.offsets[patch + 1];
-    for (std::uint32_t window = begin; window < end; window += kSortWindowRows) {
-      std::stable_sort(order.begin() + window, order.begin() + std::min(window + kSortWindowRows, end),
+    const std::uint32_t window_rows = beyond_tile.empty() ? kSortWindowRows : layout.tile_rows;
+    for (std::uint32_t window = begin; window < end; window += window_rows) {
+      std::stable_sort(order.begin() + window, order.begin() + std::min(window + window_rows, end),
                        [&](std::uint32_t a, std::uint32_t b) {
+                         if (!beyond_tile.empty() && stored.all[a] == stored.all[b]) {
+                           return beyond_tile[a] > beyond_tile[b];
+                         }
                          const std::uint32_t outer_a = stored.all[a] - stored.inner[a];
                          const std::uint32_t outer_b = stored.all[b] - stored.inner[b];
                          return outer_a != outer_b ? outer_a > outer_b : stored.inner[a] > stored.inner[b];
@@ -174,7 +195,32 @@ void spread_over_banks(std::span<const std::uint32_t> columns, std::span<const s
 struct PatchSlots {
   std::vector<std::uint32_t> columns, neighbour_rows, halo;
   std::vector<std::uint32_t> inner_widths, widths;  // of slices
+  std::vector<std::uint32_t> read_widths;           // of kTiles: [slice]
+  std::vector<std::uint32_t> used_twice;            // of kTiles: [column]
 };
+
+/// Of kTiles: orders the neighbours in all rows.
+void order_tiles(const Layout& layout, PatchSlots& patch) {
+  const std::size_t slices = patch.widths.size(), tile_slices = layout.tile_rows / kSliceRows;
+  patch.read_widths = patch.widths;
+  patch.used_twice.assign(patch.columns.size() / kSliceRows, 0);
+  std::size_t column = 0;
+  for (std::size_t first = 0; first < slices; first += tile_slices) {
+    const auto widths =
+        std::span<const std::uint32_t>(patch.widths).subspan(first, std::min(tile_slices, slices - first));
+    const std::size_t columns = std::accumulate(widths.begin(), widths.end(), std::size_t{0});
+    if (*std::max_element(widths.begin(), widths.end()) <= kMostSpreadColumns) {
+      const auto slots = [&](std::vector<std::uint32_t>& items) {
+        return std::span(items).subspan(column * kSliceRows, columns * kSliceRows);
+      };
+      order_tile(
+          {static_cast<std::uint32_t>(first) * kSliceRows, widths, slots(patch.columns), slots(patch.neighbour_rows)},
+          std::span(patch.read_widths).subspan(first, widths.size()),
+          std::span(patch.used_twice).subspan(column, columns));
+    }
+    column += columns;
+  }
+}
 
 PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const StoredEdges& stored,
                        std::uint32_t patch) {
@@ -243,6 +289,7 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
                         });
     }
   }
+  if (layout.storage == Storage::kTiles) order_tiles(layout, out);
   return out;
 }
 
@@ -261,6 +308,13 @@ std::vector<std::uint32_t> Layout::patch_of_slice() const {
   return patches;
 }
 
+std::uint32_t Layout::read_slot_count() const {
+  if (storage != Storage::kTiles) return slot_count();
+  std::uint32_t columns = 0;
+  for (std::size_t slice = 0; slice < slice_read.size(); ++slice) columns += slice_read[slice] - slice_begin[slice];
+  return columns * kSliceRows;
+}
+
 std::uint32_t Layout::widest_slice() const {
   std::uint32_t widest = 0;
   for (std::size_t i = 1; i < slice_begin.size(); ++i) widest = std::max(widest, slice_begin[i] - slice_begin[i - 1]);
@@ -276,7 +330,7 @@ std::uint32_t Layout::slot(std::uint32_t row, std::uint32_t other) const {
   const std::uint32_t height = slice_rows(), slice = row / height;
   std::uint32_t low = slice_begin[slice], high = slice_begin[slice + 1];
   const std::uint32_t lane = row % height;
-  if (storage == Storage::kRows && high - low <= kMostSpreadColumns) {
+  if (storage != Storage::kEdges && high - low <= kMostSpreadColumns) {
     while (low < high && neighbour_rows[low * height + lane] != other) ++low;
     assert(low < high);
     return low < high ? low * height + lane : kNoPlace;
@@ -302,9 +356,14 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
   layout.storage = storage;
   layout.patch_count = patch_count;
   const mesh::Rows neighbours = mesh::node_neighbours(mesh);
-  const mesh::Partition partition = mesh::partition(mesh, patch_count, kSliceRows);
-  const StoredEdges stored = storage == Storage::kRows ? whole_rows(neighbours) : share_edges(partition, neighbours);
-  number_rows(layout, partition, stored);
+  if (storage == Storage::kTiles) {
+    layout.tile_rows = rows_of_tiles(static_cast<std::uint32_t>(mesh.nodes.size()) / patch_count + 1);
+  }
+  const mesh::Partition partition = mesh::partition(mesh, patch_count, std::max(layout.tile_rows, kSliceRows));
+  const StoredEdges stored = storage == Storage::kEdges ? share_edges(partition, neighbours) : whole_rows(neighbours);
+  number_rows(layout, partition, stored,
+              storage == Storage::kTiles ? neighbours_beyond_tile(partition, neighbours, layout.tile_rows)
+                                         : std::vector<std::uint32_t>{});
 
   std::vector<PatchSlots> patches(patch_count);
   parallel_for(patch_count, [&](std::size_t patch) {
@@ -316,10 +375,12 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
     for (std::size_t slice = 0; slice < patch.widths.size(); ++slice) {
       const std::uint32_t begin = layout.slice_begin.back();
       if (storage == Storage::kEdges) layout.slice_halo.push_back(begin + patch.inner_widths[slice]);
+      if (storage == Storage::kTiles) layout.slice_read.push_back(begin + patch.read_widths[slice]);
       layout.slice_begin.push_back(begin + patch.widths[slice]);
     }
     layout.columns.insert(layout.columns.end(), patch.columns.begin(), patch.columns.end());
     layout.neighbour_rows.insert(layout.neighbour_rows.end(), patch.neighbour_rows.begin(), patch.neighbour_rows.end());
+    layout.used_twice.insert(layout.used_twice.end(), patch.used_twice.begin(), patch.used_twice.end());
     layout.halo.insert(layout.halo.end(), patch.halo.begin(), patch.halo.end());
     layout.patch_halo.push_back(static_cast<std::uint32_t>(layout.halo.size()));
     patch = {};

@@ -7,6 +7,7 @@
 #include "mesh/adjacency.h"
 #include "mesh/mesh.h"
 #include "tensor/edges.h"
+#include "tensor/tiles.h"
 #include "tensor/view.h"
 
 /// The host's side of tensor/view.h: rows, patches and the sliced matrix structure of a mesh.
@@ -15,6 +16,7 @@ namespace tensormass::tensor {
 /// Where the blocks of the matrix off its diagonal are.
 enum class Storage : std::uint8_t {
   kRows,   ///< in each row all of its own: what a GPU thread walks (view.h)
+  kTiles,  ///< the same, with each row ordered for a warp that streams the matrix (tiles.h)
   kEdges,  ///< within a patch once for both rows: half of the memory, for one thread a patch (edges.h)
 };
 
@@ -29,6 +31,9 @@ struct Layout {
   std::vector<std::uint32_t> halo;            ///< rows of other patches, ascending within a patch
   std::vector<std::uint32_t> slice_begin;     ///< [row_count / slice_rows() + 1]
   std::vector<std::uint32_t> slice_halo;      ///< [row_count / slice_rows()] of kEdges where a slice's halo begins
+  std::uint32_t tile_rows = 0;                ///< of kTiles: of each tile but the last of a patch
+  std::vector<std::uint32_t> slice_read;      ///< [row_count / kSliceRows] of kTiles where what a slice reads ends
+  std::vector<std::uint32_t> used_twice;      ///< [column of slots] of kTiles, see order_tile
   std::vector<std::uint32_t> columns;         ///< [slot] patch-local
   std::vector<std::uint32_t> neighbour_rows;  ///< [slot] global row; mesh::kNone for a padding slot
 
@@ -36,8 +41,10 @@ struct Layout {
   std::vector<std::uint32_t> boundary;        ///< patch-local rows that are in the halo of others, ascending in a patch
 
   std::uint32_t widest_slice() const;  ///< in columns
-  std::uint32_t slice_rows() const { return storage == Storage::kRows ? kSliceRows : kEdgeSliceRows; }
+  std::uint32_t slice_rows() const { return storage == Storage::kEdges ? kEdgeSliceRows : kSliceRows; }
   std::uint32_t slot_count() const { return static_cast<std::uint32_t>(columns.size()); }
+  /// Slots whose blocks a solve has to read in each iteration.
+  std::uint32_t read_slot_count() const;
   std::uint32_t patch_of_row(std::uint32_t row) const;
   std::vector<std::uint32_t> patch_of_slice() const;  ///< [row_count / kSliceRows]
   bool in_one_patch(std::uint32_t row, std::uint32_t other) const;
@@ -51,7 +58,7 @@ struct Layout {
   }
   /// Where component `c` of a slot's block lies in an array of assembled blocks.
   std::size_t component(std::uint32_t slot, std::uint32_t c) const {
-    return storage == Storage::kRows ? block_begin(slot) + std::size_t{c} * kSliceRows : edge_begin(slot) + c;
+    return storage != Storage::kEdges ? block_begin(slot) + std::size_t{c} * kSliceRows : edge_begin(slot) + c;
   }
 };
 

@@ -230,6 +230,10 @@ struct SceneView {
   // -- matrix structure
   const std::uint32_t* slice_begin;  // [row_count / 32 + 1], in columns of slots
   const std::uint32_t* columns;      // [slot] patch-local: own rows, then halo; padding slots name the row itself
+  // Only with Storage::kTiles, else nullptr (tensor/tiles.h):
+  std::uint32_t tile_rows;
+  const std::uint32_t* slice_read;  // [row_count / 32] where the columns end that a solve has to read
+  const std::uint32_t* used_twice;  // [column] bits of the lanes whose block serves the row that it names, too
   // Only where the matrix stores edges, else nullptr (tensor/edges.h):
   const std::uint32_t* slice_halo;      // [row_count / 8] where the halo of a slice begins
   const std::uint32_t* patch_boundary;  // [patch_count + 1] into boundary

@@ -18,13 +18,17 @@ struct Trajectory {
   std::vector<double> positions;
   std::vector<Vec3<double>> forces;  // of each step
   std::uint32_t patches = 0;
+  tensor::Storage storage = tensor::Storage::kRows;
 };
 
-Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int steps, bool press) {
-  auto model = model::compile(scene, backend.patch_policy(scene));
+/// policy: in place of the backend's.
+Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int steps, bool press,
+               const model::PatchPolicy* policy = nullptr) {
+  auto model = model::compile(scene, policy != nullptr ? *policy : backend.patch_policy(scene));
   EXPECT_TRUE(model) << model.error().message;
   Trajectory out;
   out.patches = model->layout.patch_count;
+  out.storage = model->layout.storage;
   auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
   EXPECT_TRUE(world) << world.error().message;
   for (int i = 0; i < steps; ++i) {
@@ -128,6 +132,33 @@ TEST_P(CudaAgreement, ScenesSideBySideDoNotNoticeEachOther) {
     for (Trajectory& one : together) threads.emplace_back([&] { one = run(**shared, scene, kSteps, true); });
   }
   for (const Trajectory& one : together) EXPECT_EQ(one.positions, alone.positions);
+}
+
+/// Patches of more rows than a thread block has threads: tiles stream the matrix, and blocks serve two rows
+/// (tensor/tiles.h). All vectors near; q of a tile at a time; no room for most vectors.
+TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
+  constexpr int kSteps = 10;
+  struct Size {
+    std::uint32_t cells, patches;
+  };
+  for (const Size size : {Size{12, 3}, Size{12, 1}, Size{20, 1}}) {
+    SCOPED_TRACE(testing::Message() << size.cells << " cells across, " << size.patches << " patches");
+    tests::Beam beam;
+    beam.cells_y = beam.cells_z = size.cells;
+    beam.linear = GetParam().linear;
+    beam.double_precision = GetParam().double_precision;
+    beam.cg_max_iterations = 1000;
+    beam.cg_tolerance = beam.double_precision ? 1e-14 : 1e-6;
+    const v1::Scene scene = tests::beam_scene(beam);
+    model::PatchPolicy policy = cuda_->patch_policy(scene);
+    policy.max_patches = size.patches;
+    const Trajectory rest = run(*cpu_, scene, 0, false), cpu = run(*cpu_, scene, kSteps, false);
+    const Trajectory cuda = run(*cuda_, scene, kSteps, false, &policy);
+    const Trajectory again = run(*cuda_, scene, kSteps, false, &policy);
+    EXPECT_EQ(cuda.storage, tensor::Storage::kTiles) << "else this shows nothing";
+    EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
+    EXPECT_EQ(cuda.positions, again.positions);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(Laws, CudaAgreement,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <map>
 #include <set>
 
@@ -142,6 +143,39 @@ void check_edges(const mesh::Mesh& mesh, const Layout& layout) {
   EXPECT_EQ(boundary, expected) << "what one patch reads another publishes";
 }
 
+/// Storage::kTiles: what a solve reads gives it each block of the matrix once, and no two lanes add to one row at once.
+void check_tiles(const mesh::Mesh& mesh, const Layout& layout) {
+  const auto neighbours = neighbours_of(mesh);
+  ASSERT_EQ(layout.slice_read.size(), layout.row_count / kSliceRows);
+  ASSERT_EQ(layout.used_twice.size(), layout.slice_begin.back());
+  ASSERT_EQ(layout.tile_rows % kSliceRows, 0u);
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> given;  // (row, the neighbour whose block it gets)
+  for (std::uint32_t slice = 0; slice < layout.row_count / kSliceRows; ++slice) {
+    ASSERT_LE(layout.slice_read[slice], layout.slice_begin[slice + 1]);
+    const std::uint32_t patch_row = layout.patch_rows[layout.patch_of_row(slice * kSliceRows)];
+    const auto tile_of = [&](std::uint32_t row) { return (row - patch_row) / layout.tile_rows; };
+    for (std::uint32_t j = layout.slice_begin[slice]; j < layout.slice_begin[slice + 1]; ++j) {
+      std::set<std::uint32_t> added_to;
+      for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
+        const std::uint32_t row = slice * kSliceRows + lane, other = layout.neighbour_rows[j * kSliceRows + lane];
+        const bool read = j < layout.slice_read[slice], twice = (layout.used_twice[j] >> lane & 1) != 0;
+        if (read && other != mesh::kNone) ++given[{row, other}];
+        if (!twice) continue;
+        ASSERT_TRUE(read && other != mesh::kNone);
+        EXPECT_TRUE(layout.in_one_patch(row, other) && tile_of(row) == tile_of(other)) << "rows of one tile";
+        EXPECT_TRUE(added_to.insert(other).second) << "row " << other << " is added to by two lanes";
+        ++given[{other, row}];
+      }
+    }
+  }
+  for (std::uint32_t node = 0; node < mesh.nodes.size(); ++node) {
+    for (const std::uint32_t other : neighbours[node]) {
+      const auto once = given.find({layout.row_of_node[node], layout.row_of_node[other]});
+      EXPECT_TRUE(once != given.end() && once->second == 1) << "nodes " << node << " and " << other;
+    }
+  }
+}
+
 void check_halo(const mesh::Mesh& mesh, const Layout& layout) {
   const auto neighbours = neighbours_of(mesh);
   ASSERT_EQ(layout.patch_halo.size(), layout.patch_count + 1);
@@ -172,12 +206,40 @@ void check(const mesh::Mesh& mesh, std::uint32_t patches) {
   check_rows(mesh, edges);
   check_edges(mesh, edges);
   check_halo(mesh, edges);
+  const Layout tiles = make_layout(mesh, patches, Storage::kTiles);
+  check_rows(mesh, tiles);
+  check_slots(mesh, tiles);
+  check_tiles(mesh, tiles);
+  check_halo(mesh, tiles);
 }
 
 TEST(Layout, SharesEdgesOutSoThatSlicesHaveLittlePadding) {
   const Layout layout = make_layout(mesh::testing::unit_grid(16), 2, Storage::kEdges);
   const auto padding = std::count(layout.neighbour_rows.begin(), layout.neighbour_rows.end(), mesh::kNone);
   EXPECT_LT(static_cast<double>(padding), 0.05 * layout.slot_count());
+}
+
+/// A node that a hundred others surround: its slice keeps its order.
+TEST(Layout, RowsOfManyNeighboursAreReadWhole) {
+  constexpr std::uint32_t kRing = 100;
+  mesh::Mesh mesh;
+  mesh.nodes = {{0, 0, 0}, {0, 0, 1}};
+  mesh::ElementBlock block;
+  for (std::uint32_t i = 0; i < kRing; ++i) {
+    const double angle = 2 * 3.14159265358979 * i / kRing;
+    mesh.nodes.push_back({std::cos(angle), std::sin(angle), 0});
+    const std::uint32_t nodes[] = {0, 2 + i, 2 + (i + 1) % kRing, 1};
+    block.nodes.insert(block.nodes.end(), nodes, nodes + 4);
+  }
+  mesh.blocks.push_back(block);
+  check(mesh, 1);
+  check(mesh, 2);
+}
+
+TEST(Layout, TilesReadFiveBlocksForEight) {
+  const Layout layout = make_layout(mesh::testing::unit_grid(24), 4, Storage::kTiles);
+  EXPECT_EQ(layout.tile_rows, 256u);
+  EXPECT_LT(layout.read_slot_count(), 0.67 * layout.slot_count());
 }
 
 /// Each patch computes what touches its rows, finds each of its edges once, and nobody else's.

@@ -478,7 +478,8 @@ class CudaBackend final : public Backend {
     // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others, more
     // than that many do not fit on the chip.
     constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416;
-    return {processors(), kMinNodesPerPatch, tensor::Storage::kRows, processors() / scenes_, kMaxNodesPerPatch};
+    return {processors(),           kMinNodesPerPatch, tensor::Storage::kRows,
+            processors() / scenes_, kMaxNodesPerPatch, cuda::kMostResidentRows};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

@@ -15,7 +15,7 @@ struct SolvePlan {
   const void* kernel = nullptr;
   unsigned threads = 0;
   std::size_t shared_bytes = 0;
-  std::uint32_t argument = 0;  ///< column_capacity or capacity
+  std::uint32_t argument = 0;  ///< column_capacity or near_vectors
 };
 
 /// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes]. From now on it
@@ -66,15 +66,23 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   consider.template operator()<256, 18>();
   consider.template operator()<384, 12>();
   consider.template operator()<448, 8>();
-  consider.template operator()<512, 8>();
+  consider.template operator()<kMostResidentRows, 8>();
   if (plan.kernel == nullptr) {
-    constexpr unsigned kThreads = 512;
-    plan.kernel = reinterpret_cast<const void*>(&streamed_solve<kThreads>);
-    plan.threads = kThreads;
-    const std::size_t wanted = most_locals * (kStreamedBytesPerDirection + kStreamedBytesPerVector) +
-                               2 * most_rows * kStreamedBytesPerVector + 64;
-    plan.shared_bytes = std::min(wanted, allow_all_shared_bytes(plan.kernel)) / 16 * 16;
-    plan.argument = static_cast<std::uint32_t>(plan.shared_bytes);
+    plan.kernel = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads>);
+    plan.threads = kStreamedThreads;
+    const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : tensor::kMostTileRows;
+    plan.shared_bytes = std::min(most_rows, tensor::kTilesAtOnce * tile_rows) * kStreamedBytesPerCell;
+    // What stays free of shared memory is the cache of the rest.
+    const std::size_t most = allow_all_shared_bytes(plan.kernel);
+    const auto place = [&](StreamedVectors which, std::size_t bytes) {
+      bytes = (bytes + 15) / 16 * 16;
+      if (plan.shared_bytes + bytes > most) return;
+      plan.shared_bytes += bytes;
+      plan.argument |= which;
+    };
+    place(kNearDirection, most_locals * kStreamedBytesPerCell);
+    place(kNearResidual, most_locals * kStreamedBytesPerVector);
+    place(kNearSolution, most_rows * kStreamedBytesPerVector);
   }
   return plan;
 }
