@@ -200,8 +200,7 @@ def test_rows_of_one_run_are_one_threads() -> None:
     assert sorted(task for bundle in bundles for task in bundle) == sorted(tasks_of(list(cases.values())))
     many = [bundle for bundle in bundles if len(bundle) > 1]
     assert {(cases[bundle[0][0]].together, bundle[0][1]) for bundle in many} == {
-        ("rest, 10⁶ steps", "double"),
-        ("rest, 10⁶ steps", "float"),
+        *((f"rest, 10⁶ steps, {law}", precision) for law in LAWS for precision in ("double", "float")),
         ("hour, an hour", "float"),
     }
     for bundle in many:
