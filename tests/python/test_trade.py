@@ -386,7 +386,7 @@ class Formula:
         self._own_dt_s = script.sample_s / 2
         self._broken_law = broken_law
 
-    def record(self, scene: scene_pb2.Scene) -> Recording:
+    def record(self, scene: scene_pb2.Scene, *, energy: bool = False) -> Recording:
         self.runs += 1
         if scene.bodies[0].law.WhichOneof("kind") == self._broken_law:
             raise tm.FailedPreconditionError("left the numbers")

@@ -12,6 +12,7 @@ import tensormass as tm
 from tensormass.fields import Fields
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile, volume_mesh
+from tensormass.trade import script as script_module
 from tensormass.trade.script import Recorder, Script, rest_nodes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
@@ -60,7 +61,7 @@ class FormulaScene:
         self._scene = scene
         self._fault_at_step = fault_at_step
         self._step = 0
-        self.steps_ever = 0
+        self.steps_ever = self.most_steps = 0
         self._tool = self._start = np.array([scene.tools[0].position_m.z]) if scene.tools else np.zeros(1)
         self.unloaded = False
         self.report = control_pb2.SceneReport(bytes_total=1000)
@@ -76,9 +77,10 @@ class FormulaScene:
     def move_tool(self, name: str, position_m: FloatArray) -> None:
         self._tool = position_m[2:]
 
-    def step(self) -> stream_pb2.SceneStatus:
-        self._step += 1
-        self.steps_ever += 1
+    def step(self, count: int = 1) -> stream_pb2.SceneStatus:
+        self._step += count
+        self.steps_ever += count
+        self.most_steps = max(self.most_steps, self._step)
         status = stream_pb2.SceneStatus(step=self._step, step_time_p50_s=1e-3, step_time_p99_s=2e-3, min_det_f=1)
         status.unconverged_steps = 1
         if self._step == self._fault_at_step:
@@ -142,7 +144,7 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     assert got.min_det_f == pytest.approx(0.7)
     assert got.costs.step_count == round(0.4 / changed.stepping.dt_s)
     assert got.costs.frame_bytes == 60
-    assert got.costs.energy_j_per_step is None
+    assert got.costs.step_energy_j is None
     assert server.loaded[0].unloaded
 
 
@@ -152,6 +154,32 @@ def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
     got = record(scene_of(text), scene_of(text), Script.of(scene_of(text), None), server)
     assert got.displacement[0].shape[0] == got.costs.step_count == got.unconverged_steps == 1
     assert server.loaded[0].steps_ever == 5
+
+
+class Meter:
+    """0.3 J a step of the first scene; the counter shows whole multiples of 10 J."""
+
+    def __init__(self, server: FormulaServer) -> None:
+        self._server = server
+        self.readable = True
+
+    def read_j(self) -> float:
+        return 10.0 * (0.3 * self._server.loaded[0].steps_ever // 10)
+
+
+@pytest.mark.parametrize("one_step", [False, True])
+def test_energy_is_counted_over_steps_alone(monkeypatch: pytest.MonkeyPatch, one_step: bool) -> None:
+    server = FormulaServer()
+    monkeypatch.setattr(script_module, "EnergyMeter", lambda wanted: Meter(server))
+    monkeypatch.setattr(script_module, "_ENERGY_S", 0.05)
+    text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n" if one_step else SCENE
+    scene = scene_of(text)
+    script = Script.of(scene, None)
+    recorder = Recorder(server, scene, script)  # type: ignore[arg-type]
+    got = recorder.record(scene, energy=True)
+    assert got.costs.step_energy_j == pytest.approx(0.3, rel=0.2)
+    assert server.loaded[0].most_steps == got.costs.step_count  # never farther than the script goes
+    assert recorder.record(scene).costs.step_energy_j is None
 
 
 def test_a_scene_that_stops_is_an_error_and_is_unloaded() -> None:

@@ -276,7 +276,7 @@ class _Trade:
         self, scene: scene_pb2.Scene, setting: Setting, key: str, found: Reference, own: Recording
     ) -> Measurement:
         try:
-            recording = self._recorder.record(scene)
+            recording = self._recorder.record(scene, energy=True)
             if self._knobs.quasi_static and recording.unconverged_steps:
                 # As `tensormass solve` has it: what is no equilibrium is no result.
                 raise NotConvergedError("ended above newton_tolerance")

@@ -64,7 +64,7 @@ def cells(of: Measurement) -> list[str]:
     if of.errors is None or of.costs is None:
         return [setting_text(of.setting), *["–"] * (len(HEADS) - 1)]
     errors, costs = of.errors, of.costs
-    energy = costs.energy_j_per_step
+    energy = costs.step_energy_j
     return [
         setting_text(of.setting),
         str(of.element_count),
@@ -123,6 +123,7 @@ def words() -> list[str]:
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
         "cost: median time to compute as much as one step of the scene simulates; latency: pose to force over the "
         "control plane, in lockstep",
+        "energy: of the whole GPU for a step, while it makes one after the other; –: not counted",
         "moved: displacement against the scene as it is, what the choice by itself changes",
     ]
 

@@ -37,6 +37,9 @@ SAMPLE_STEPS = 2
 # Scenes of a step or two are stepped anew for a median, so often and for so long.
 _TIMED_STEPS = 5
 _TIMED_LIMIT_S = 5.0
+# Energy is counted for at least so long, and read so often: its counter moves about ten times a second.
+_ENERGY_S = 1.5
+_ENERGY_READ_S = 0.02
 _KEPT_INTERPOLATIONS = 4
 
 _Point = tuple[float, float, float]
@@ -152,8 +155,8 @@ class Costs:
     frame_bytes: int
     step_count: int
     wall_s: float
-    #: Of the GPU; None: not readable.
-    energy_j_per_step: float | None = None
+    #: Of the whole GPU while it makes one step after the other; None: not readable.
+    step_energy_j: float | None = None
 
 
 @dataclass(frozen=True)
@@ -193,8 +196,8 @@ class Recorder:
         self._interpolations: OrderedDict[str, list[Interpolation]] = OrderedDict()
         self._energy = EnergyMeter(wanted=server.version().backend == "cuda")
 
-    def record(self, scene: scene_pb2.Scene) -> Recording:
-        """Runs a scene.
+    def record(self, scene: scene_pb2.Scene, *, energy: bool = False) -> Recording:
+        """Runs a scene; `energy`: where it can be read, that of the steps besides.
 
         Raises:
             TensormassError: it was refused or stopped, and why.
@@ -204,7 +207,7 @@ class Recorder:
         message.name = "trade"
         handle = self._server.load(message, lockstep=True)
         try:
-            return _Run(self._script, handle, message, self).record()
+            return _Run(self._script, handle, message, self).record(energy and self._energy.readable)
         finally:
             handle.unload()
 
@@ -243,10 +246,9 @@ class _Run:
         self._dt_s = script.sample_s / self._steps_a_sample
         self._latencies_s: list[float] = []
 
-    def record(self) -> Recording:
+    def record(self, energy: bool) -> Recording:
         script = self._script
         began = time.monotonic()
-        energy_j = self._energy.read_j()
         samples: list[list[FloatArray]] = []
         volumes, forces, free, free_times = [], [], [], []
         work_j = work_most_j = 0.0
@@ -273,9 +275,10 @@ class _Run:
                 samples.append(taken)
                 forces.append(force)
                 volumes.append([self._volume_share(body, nodes) for body, nodes in enumerate(positions)])
-        energy_used_j = self._energy.read_j() - energy_j
         fields = [self._handle.fields(name) for name in self._names]
         status = self._timed(status)
+        wall_s = time.monotonic() - began
+        energy_j = self._energy_of_a_step(status.step_time_p50_s) if energy else None
         points = sum(len(weights) for weights in self._weights)
         return Recording(
             displacement=[np.stack(of_body) for of_body in zip(*samples, strict=True)],
@@ -288,7 +291,7 @@ class _Run:
             outside_share=sum(of.outside_count for of in self._interpolations) / points,
             unconverged_steps=status.unconverged_steps,
             min_det_f=min([status.min_det_f, *(of.min_det_f for of in fields)]),
-            costs=self._costs(status, energy_used_j, time.monotonic() - began),
+            costs=self._costs(status, energy_j, wall_s),
             warnings=list(status.warnings),
         )
 
@@ -314,7 +317,39 @@ class _Run:
         status.unconverged_steps = unconverged
         return status
 
-    def _costs(self, status: stream_pb2.SceneStatus, energy_j: float, wall_s: float) -> Costs:
+    def _energy_of_a_step(self, step_s: float) -> float | None:
+        """Of steps that follow each other with nothing between, the tool held where it presses most: [J], from the
+        first move of the counter to the last. None: it moved too seldom, or the scene was stopped."""
+        steps = self._steps_a_sample * self._script.sample_count
+        at_once = max(1, min(steps, round(_ENERGY_READ_S / max(step_s, 1e-9))))
+        moves: list[tuple[float, int]] = []
+        count = left = 0
+        last_j = self._energy.read_j()
+        began = time.monotonic()
+        while time.monotonic() < began + (_ENERGY_S if len(moves) > 1 else _TIMED_LIMIT_S):
+            if left == 0:  # no further than the script goes
+                self._handle.reset()
+                if self._script.tool is not None:
+                    deepest_s = _PATH_SHARES[1] * self._script.duration_s
+                    self._handle.move_tool(self._script.tool, self._script.pose(deepest_s))
+                left = steps
+            now = min(at_once, left)
+            try:
+                self._handle.step(now)
+            except FailedPreconditionError:
+                return None
+            left -= now
+            count += now
+            read_j = self._energy.read_j()
+            if read_j != last_j:
+                moves.append((read_j, count))
+                last_j = read_j
+        if len(moves) < 2:
+            return None
+        (first_j, first), (end_j, end) = moves[0], moves[-1]
+        return (end_j - first_j) / (end - first)
+
+    def _costs(self, status: stream_pb2.SceneStatus, energy_j: float | None, wall_s: float) -> Costs:
         report = self._handle.report
         assert report is not None
         topology = self._handle.topology()
@@ -327,7 +362,7 @@ class _Run:
             frame_bytes=sum(12 * body.vertex_count for body in topology.bodies),
             step_count=steps,
             wall_s=wall_s,
-            energy_j_per_step=energy_j / steps if self._energy.readable else None,
+            step_energy_j=energy_j,
         )
 
     def _mean(self, taken: list[FloatArray]) -> FloatArray:
