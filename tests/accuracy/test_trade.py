@@ -8,7 +8,7 @@ from tensormass.trade.measures import Errors
 from tensormass.trade.script import Costs
 from tensormass.trade.store import Machine, Measurement
 
-from .trade import OWN, Trade, _confirmations
+from .trade import OWN, Trade, _confirmations, _doubt
 
 MACHINE = Machine("cpu", "some processor", None, "1", "abc")
 
@@ -44,16 +44,29 @@ def test_a_preset_keeps_the_law_and_is_no_worse_in_what_is_seen_or_felt() -> Non
 
 def test_the_page_says_what_a_second_run_did() -> None:
     again = {OWN: MEASURED[0], "fast": replace(MEASURED[3], cost_s=7.0), "fastest": MEASURED[6]}
+    again["preset accurate"] = measurement({}, 25.0, 0.03, 0.1)  # another machine's
     head = {
         "machine": asdict(MACHINE),
         "tolerance": 0.2,
         "budget_s": 1.0,
         "fastest": MEASURED[6].key,
         "most_accurate": None,
+        "presets": {"accurate": {"dt_s": 0.005}},
         "confirmed": {name: {**of.to_plain(), "machine": None} for name, of in again.items()},
     }
     lines = _confirmations(Trade(head, MEASURED))
     assert any(line.startswith("| as it is | as it is | 40 % | 40 % |") and "| confirmed |" in line for line in lines)
     assert any(line.startswith("| preset fast | cg tolerance 0.1 |") and "**not confirmed**" in line for line in lines)
     assert any(line.startswith("| the fastest within 20 % | resolution 1.4 |") for line in lines)
+    (foreign,) = [line for line in lines if line.startswith("| preset accurate, of the cpu's front | dt s 0.005 |")]
+    assert "| 10 % |" in foreign
+    assert "2.50 times as long as the scene as it is" in foreign
     assert lines[-1].strip() == "The most accurate within 1e+03 ms: no setting."
+
+
+def test_the_page_says_which_errors_say_little() -> None:
+    reference = {"displacement_error": 0.02, "force_error": 0.2}
+    assert "displacement below 2 % and of force below 20 % say little" in _doubt(reference, 0.03)[-1]
+    (line,) = filter(None, _doubt({**reference, "force_error": None}, 0.03))
+    assert "force" not in line
+    assert _doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == []

@@ -20,7 +20,7 @@ from tensormass.cli import main as tensormass
 from tensormass.processes import BUILD_BIN
 from tensormass.scene import SceneFile
 from tensormass.trade import report, sweep
-from tensormass.trade.knobs import Knob, Knobs
+from tensormass.trade.knobs import Knob, Knobs, Setting
 from tensormass.trade.store import Measurement
 
 from . import record
@@ -35,6 +35,8 @@ PRESETS_BACKEND = "cpu"
 TOLERANCE = "2%"
 #: The name under which the scene as it is is run again, beside the presets.
 OWN = "as it is"
+#: Before the name of a preset that is run on another machine than that whose front it is a point of.
+_FOREIGN = "preset "
 #: Errors that differ by less are the same to anybody.
 SAME_ERROR = 1.05
 
@@ -52,11 +54,11 @@ class Trade:
         if not path.exists():
             return None
         head, *rows = (json.loads(line) for line in path.read_text().splitlines())
-        return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
-
         for of in [*rows, *head["confirmed"].values()]:
             # What an older run counted: the time beside it in which the client compared, too. It says nothing of steps.
             (of["costs"] or {}).pop("energy_j_per_step", None)
+        return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
+
     def chosen(self) -> dict[str, Measurement]:
         """What keeps the promises of the presets' names, in median and in 99th percentile; the first measurement, the
         scene as it is, does. None has another law, which would be another tissue."""
@@ -120,9 +122,11 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     options = ["--tolerance", TOLERANCE, *SCENES[scene], *(["--quick"] if arguments.quick else [])]
     options += ["--reference-seconds", arguments.reference_seconds]
     content = _run(scene, arguments.backend, folder, options)
-    # The presets of this front are run once more, as scene files; all else is there already.
+    # The presets, and what they would be by this front, are run once more as scene files; all else is there already.
     measurements = [Measurement.from_plain(row) for row in content["measurements"]]
-    files = _preset_files(scene, folder, Trade({}, measurements).chosen())
+    settings = {OWN: {}, **{name: of.setting for name, of in Trade({}, measurements).chosen().items()}}
+    foreign = presets.all_presets().get(scene, {}) if arguments.backend != PRESETS_BACKEND else {}
+    files = _scene_files(scene, folder, settings | {_FOREIGN + name: of for name, of in foreign.items()})
     content = _run(scene, arguments.backend, folder, [*options, "--confirm", *map(str, files)])
     rows = content.pop("measurements")
     for name in ("fastest", "most_accurate"):
@@ -136,6 +140,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
         "commit": record.commit(),
         "host": record.machine(),
+        "presets": foreign,
         **content,
     }
     lines = [head, *({name: of for name, of in row.items() if name != "machine"} for row in rows)]
@@ -154,10 +159,10 @@ def _run(scene: str, backend: str, folder: Path, options: list[str]) -> dict:
     return json.loads(result.read_text())
 
 
-def _preset_files(scene: str, folder: Path, chosen: dict[str, Measurement]) -> list[Path]:
+def _scene_files(scene: str, folder: Path, settings: dict[str, Setting]) -> list[Path]:
     knobs = Knobs(SceneFile.read(scene), folder / "meshes")
-    files = [folder / f"{OWN}.yaml", *(folder / f"{name}.yaml" for name in chosen)]
-    for file, setting in zip(files, [{}, *(of.setting for of in chosen.values())], strict=True):
+    files = [folder / f"{name}.yaml" for name in settings]
+    for file, setting in zip(files, settings.values(), strict=True):
         knobs.write(setting, file, f"{file.stem} of {scene}, to be run again")
     return files
 
@@ -202,6 +207,7 @@ def _scene(trade: Trade) -> list[str]:
     reference = head["reference"]
     force = "" if reference["force_error"] is None else f", of force {report.percent(reference['force_error'])}"
     finest = reference["levels"][-1]
+    where = "; ".join(dict.fromkeys((head["machine"]["device"], head["host"])))
     by_setting = {json.dumps(of.setting, sort_keys=True): of for of in trade.measurements}
     named: dict[str, list[str]] = {}
     for name, setting in presets.all_presets().get(head["scene"], {}).items():
@@ -211,14 +217,14 @@ def _scene(trade: Trade) -> list[str]:
         "",
         f"### {head['scene']}, {head['machine']['backend']}",
         "",
-        f"{head['script']}. {head['machine']['device']}; {head['host']}; {head['date']}, commit `{head['commit']}`, "
-        f"`{head['command']}`.",
+        f"{head['script']}. {where}; {head['date']}, commit `{head['commit']}`, `{head['command']}`.",
         "",
         f"Reference: {finest['element_count']} elements, {finest['step_count']} steps; its own error by Richardson "
         f"extrapolation of order {reference['order']:.2f}: of displacement "
         f"{report.percent(reference['displacement_error'])}{force}; {reference['ended']}. "
         f"{len(trade.measurements)} settings, {head['combinations']['measured']} of them combinations of "
         f"{head['combinations']['possible']} that are possible.",
+        *_doubt(reference, head["tolerance"]),
         "",
         "The scene as it is, the front, and the presets:",
         "",
@@ -235,11 +241,21 @@ def _scene(trade: Trade) -> list[str]:
     return lines
 
 
+def _doubt(reference: dict, tolerance: float) -> list[str]:
+    """Below which an error says nothing, where the reference could not be refined enough."""
+    known = [("displacement", reference["displacement_error"]), ("force", reference["force_error"] or 0.0)]
+    words = [f"of {what} below {report.percent(error)}" for what, error in known if error > tolerance / 3]
+    if not words:
+        return []
+    return ["", f"**The reference is known no better than this: errors {' and '.join(words)} say little.**"]
+
+
 def _confirmations(trade: Trade) -> list[str]:
     """What was recommended and then read from its file and run again, beside what it had promised."""
     head = trade.head
     by_key = {of.key: of for of in trade.measurements}
-    promised = {OWN: trade.measurements[0], **trade.chosen()}
+    own = trade.measurements[0]
+    promised = {OWN: own, **trade.chosen()}
     promised |= {name: by_key[head[name]] for name in ("fastest", "most_accurate") if head[name]}
     what = {
         "fastest": f"the fastest within {report.percent(head['tolerance'])}",
@@ -247,8 +263,11 @@ def _confirmations(trade: Trade) -> list[str]:
     }
     rows = []
     for name, plain in head["confirmed"].items():
-        again, was = Measurement.from_plain({**plain, "machine": head["machine"]}), promised[name]
+        again, was = Measurement.from_plain({**plain, "machine": head["machine"]}), promised.get(name)
         preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of this front"
+        if was is None:
+            rows.append(_foreign(name, head["presets"][name.removeprefix(_FOREIGN)], again, own))
+            continue
         row = [what.get(name, preset if name != OWN else OWN), report.setting_text(was.setting)]
         if was.errors and again.errors:
             row += [report.percent(was.errors.judged), report.percent(again.errors.judged)]
@@ -261,6 +280,15 @@ def _confirmations(trade: Trade) -> list[str]:
     missing = [what[name] for name in ("fastest", "most_accurate") if not head[name]]
     lines = ["", "What is recommended, written as a scene file, then read and run once more:", "", *_table(heads, rows)]
     return lines + [f"\n{text[0].upper()}{text[1:]}: no setting." for text in missing]
+
+
+def _foreign(name: str, setting: Setting, of: Measurement, own: Measurement) -> list[str]:
+    """A row for a preset that is no point of this front."""
+    start = [f"{name}, of the {PRESETS_BACKEND}'s front", report.setting_text(setting)]
+    if of.errors is None:
+        return [*start, *["–"] * 4, f"**{of.failure}**"]
+    times = f"{of.cost_s / own.cost_s:.2f} times as long as the scene as it is"
+    return [*start, "–", report.percent(of.errors.judged), "–", report.ms(of.cost_s), times]
 
 
 def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
@@ -282,7 +310,7 @@ def _rounded(value: object) -> object:
         return float(f"{value:.5g}")
     if isinstance(value, dict):
         # Settings are exact: they are written into scene files.
-        return {name: of if name in ("setting", "knobs") else _rounded(of) for name, of in value.items()}
+        return {name: of if name in ("setting", "knobs", "presets") else _rounded(of) for name, of in value.items()}
     return [_rounded(of) for of in value] if isinstance(value, list) else value
 
 
