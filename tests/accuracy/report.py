@@ -1,4 +1,4 @@
-"""Results as data (results/<backend>.json), and docs/accuracy.md made of them.
+"""Results as data (results/<backend>.json), and docs/accuracy.md with its pictures made of them.
 
 python -m accuracy.report
 """
@@ -11,7 +11,7 @@ import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import record, trade, trade_calculix
+from . import record, trade, trade_calculix, trade_plot
 from .case import Case, Group, Outcome
 from .cases import all_cases
 
@@ -189,7 +189,8 @@ def _error(row: Row | None) -> str:
 def main() -> int:
     runs = [run for backend in BACKENDS if (run := Run.read(backend))]
     PAGE.write_text(page(runs))
-    print(f"wrote {PAGE.relative_to(PAGE.parents[1])}")
+    for path in (PAGE, *trade_plot.write(BACKENDS)):
+        print(f"wrote {path.relative_to(PAGE.parents[1])}")
     return int(any(not row.passed for run in runs for row in run.rows))
 
 

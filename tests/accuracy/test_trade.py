@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from xml.etree import ElementTree
+
+import pytest
 
 from tensormass.trade.measures import Errors
 from tensormass.trade.script import Costs
 from tensormass.trade.store import Machine, Measurement
 
 from .trade import OWN, Trade, _confirmations, _doubt
+from .trade_plot import Curve, svg
 
 MACHINE = Machine("cpu", "some processor", None, "1", "abc")
 
@@ -70,3 +74,16 @@ def test_the_page_says_which_errors_say_little() -> None:
     (line,) = filter(None, _doubt({**reference, "force_error": None}, 0.03))
     assert "force" not in line
     assert _doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == []
+
+
+def test_the_picture_has_every_curve_and_what_its_reference_tells() -> None:
+    reference = {"displacement_error": 0.01, "force_error": 0.1}
+    ours = Curve.of("ours", Trade({"reference": reference}, MEASURED))
+    assert (ours.front[-1], ours.own, ours.known) == ((90e3, 5), (10e3, pytest.approx(40)), 10)
+    assert len(ours.front) + len(ours.others) == len(MEASURED)
+    picture = svg([ours, Curve("another's", [(5e3, 20.0), (9e4, 3.0)], [(1e9, 1.0)])])
+    drawn = ElementTree.fromstring(picture)
+    circles = [of for of in drawn if of.tag.endswith("circle")]
+    assert len(circles) == len(MEASURED) + 1 + 2  # the ring; what lies outside is left out
+    assert sum("stroke-dasharray" in of.attrib for of in drawn) == 1
+    assert "another's" in picture

@@ -197,9 +197,16 @@ def section(backends: tuple[str, ...]) -> list[str]:
         "",
         *(f"* {words}" for words in report.words()),
     ]
+    for scene in dict.fromkeys(trade.head["scene"] for trade in trades):
+        lines += ["", f"![Error against time, {scene}]({picture(scene)})"]
     for trade in trades:
         lines += _scene(trade)
     return lines
+
+
+def picture(scene: str) -> str:
+    """From docs/."""
+    return f"images/trade-{scene}.svg"
 
 
 def _scene(trade: Trade) -> list[str]:

@@ -251,14 +251,19 @@ def read() -> tuple[dict, list[dict]]:
     return head, rows
 
 
+def solved() -> list[dict]:
+    """The rows that have numbers, the cheapest first."""
+    return sorted((row for row in read()[1] if "failure" not in row), key=lambda row: row["cost_s"])
+
+
 def section() -> list[str]:
     """Of docs/accuracy.md: its front beside ours."""
     head, rows = read()
     ours = trade.Trade.read(SCENE, BACKEND)
     if not rows or ours is None:
         return []
-    solved = sorted((row for row in rows if "failure" not in row), key=lambda row: row["cost_s"])
-    front = {solved[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in solved])}
+    by_cost = solved()
+    front = {by_cost[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in by_cost])}
     lines = [
         "",
         "### The beam's front beside another solver's",
@@ -274,7 +279,7 @@ def section() -> list[str]:
         "| of | setting | elements | displacement | worst node | cost | on its front |",
         "|---|---|---|---|---|---|---|",
     ]
-    for row in solved:
+    for row in by_cost:
         what = f"{ELEMENTS[row['element']][1]} ({row['element']}), {row['key'].split(', ', 1)[1].replace('_', ' ')}"
         lines.append(
             f"| CalculiX | {what} | {row['elements']} | {report.percent(row['displacement'])} "
