@@ -267,6 +267,32 @@ def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
     assert sweep.combinations(knobs, measured, 0, tolerance=0.02) == ([], 2)
 
 
+def test_combinations_go_to_the_accurate_end_and_not_beyond_what_anybody_waits_for(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    knobs.choose(["resolution", "dt_s", "integrator"])
+    half = knobs.knobs["dt_s"].own / 2  # type: ignore[operator]
+    finer, shorter, second = {"resolution": 2.0}, {"dt_s": half}, {"integrator": "bdf2"}
+    # Each takes more than half of the error away: added up, any two would leave less than nothing.
+    measured = [measurement({}, 1.0, 0.03)]
+    measured += [measurement(of, cost, 0.01) for of, cost in ((finer, 8.0), (shorter, 2.0), (second, 1.0))]
+    chosen, possible = sweep.combinations(knobs, measured, 10, tolerance=0.02)
+    assert possible == len(chosen) == 4
+    assert chosen[:2] == [shorter | second, finer | shorter | second]
+    measured[1] = measurement(finer, 49.0, 0.01)
+    assert finer | shorter | second not in sweep.combinations(knobs, measured, 10, tolerance=0.02)[0]
+    assert finer | shorter | second in sweep.combinations(knobs, measured, 10, tolerance=0.02, budget_s=100.0)[0]
+
+
+def test_equilibria_are_not_asked_for_more_often_than_the_scene_does(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    knobs.choose(["dt_s", "integrator"])
+    own = knobs.knobs["dt_s"].own
+    measured = [measurement({}, 1.0, 0.03), measurement({"integrator": "quasi_static"}, 1.0, 0.01)]
+    measured += [measurement({"dt_s": own * factor}, 1 / factor, 0.02) for factor in (0.5, 2.0)]  # type: ignore[operator]
+    chosen, _ = sweep.combinations(knobs, measured, 10, tolerance=0.02)
+    assert chosen == [{"dt_s": 2 * own, "integrator": "quasi_static"}]  # type: ignore[operator]
+
+
 def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
     def of(setting: Setting, cost_s: float, error: float, moved: float) -> Measurement:
         return replace(measurement(setting, cost_s, error), moved=moved)
@@ -294,6 +320,9 @@ def test_a_law_that_moves_the_answer_is_not_combined(tmp_path: Path) -> None:
     ]
     chosen, _ = sweep.combinations(knobs, measured, 10, tolerance=0.02)
     assert chosen == [{"law": "hencky", "cg_tolerance": 0.1}]
+    # No faster, and closer to the reference by chance.
+    measured[-1] = replace(measurement({"law": "hencky"}, 0.99, 0.01), moved=0.01)
+    assert sweep.combinations(knobs, measured, 10, tolerance=0.02) == ([], 0)
 
 
 # --- store ------------------------------------------------------------------------------------------------------------

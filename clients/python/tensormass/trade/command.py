@@ -217,9 +217,9 @@ class _Trade:
         count = args.combinations
         if count is None:
             count = _QUICK_COMBINATIONS if args.quick else _COMBINATIONS
-        chosen, possible = sweep.combinations(knobs, measured, count, tolerance)
-        measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
         budget_s = args.budget or self._dt_s
+        chosen, possible = sweep.combinations(knobs, measured, count, tolerance, budget_s)
+        measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
         return Outcome(
             scene=name,
             knobs=knobs,

@@ -16,8 +16,12 @@ from tensormass.trade.store import Measurement
 # Of one knob, values that go into combinations: the scene's own and the best of the others.
 _VALUES_A_KNOB = 4
 _PRODUCT_LIMIT = 400_000
+# What takes longer than this many times the scene, and than the budget, is not measured.
+_DEAREST = 50.0
 # A value whose error is above this many tolerances is not promising at any price.
 _HOPELESS_TOLERANCES = 5.0
+# Times that differ by less are the same.
+_SCATTER = 0.02
 # A dearer point is on the front only if its error is below this share of that of the cheaper one: times scatter.
 _WORTHWHILE = 0.99
 
@@ -31,13 +35,14 @@ def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
 
 
 def combinations(
-    knobs: Knobs, measured: Sequence[Measurement], count: int, tolerance: float
+    knobs: Knobs, measured: Sequence[Measurement], count: int, tolerance: float, budget_s: float = 0.0
 ) -> tuple[list[dict[str, Value]], int]:
     """Settings of several knobs that promise most, at most `count`, and out of how many.
 
-    What a knob did alone predicts what it does with others: factors of cost multiply, changes of error add. The
-    promising are the front of that prediction, then the front of the rest, and so on. Another law takes part where it
-    is as good as the same, see `is_same_tissue`.
+    What a knob did alone predicts what it does with others: factors of cost multiply; what it adds to an error adds,
+    and of what it takes away each takes its share of what the others left. The promising are the front of that
+    prediction, then the front of the rest, and so on. Another law takes part where it is as good as the same, see
+    `is_same_tissue`, for its speed.
     """
     by_setting = {_frozen(of.setting): of for of in measured if of.errors is not None}
     base = by_setting[_frozen({})]
@@ -55,9 +60,11 @@ def combinations(
             if not is_same_tissue(of, measured, tolerance):
                 continue
             changes = np.subtract(of.errors.of_tolerance, base_errors)
+            if name == "law":
+                changes = np.maximum(changes, 0)  # closer to the reference is no merit of what it is not
             alone.append(_Turn({name: value}, math.log(of.cost_s / base.cost_s), changes))
         # Useful is what is cheaper or more accurate than the scene.
-        alone = [of for of in alone if of.log_cost < 0 or of.changes.min() < 0]
+        alone = [of for of in alone if of.log_cost < -_SCATTER or of.changes.min() < 0]
         alone.sort(key=lambda of: min(of.log_cost, 0.0) + min(float(of.changes.min()) / max(base_error, 1e-9), 0.0))
         choices.append([_Turn({}, 0.0, np.zeros(len(base_errors))), *alone[: _VALUES_A_KNOB - 1]])
     while math.prod(len(of) for of in choices) > _PRODUCT_LIMIT:
@@ -66,11 +73,12 @@ def combinations(
     settings: dict[tuple[tuple[str, Value], ...], tuple[dict[str, Value], float, float]] = {}
     for parts in itertools.product(*choices):
         setting = knobs.canonical({name: value for of in parts for name, value in of.setting.items()})
-        if len(setting) > 1 and _frozen(setting) not in by_setting:
-            error = max(float((np.sum([of.changes for of in parts], axis=0) + base_errors).max()), 0.0)
+        if len(setting) > 1 and _frozen(setting) not in by_setting and not _asks_equilibria_more_often(setting, knobs):
+            error = _together(base_errors, [of.changes for of in parts])
             settings[_frozen(setting)] = (setting, sum(of.log_cost for of in parts), error)
-    candidates = list(settings.values())
-    total = len(candidates)
+    total = len(settings)
+    dearest = math.log(max(_DEAREST, budget_s / base.cost_s))
+    candidates = [of for of in settings.values() if of[1] <= dearest]
     chosen: list[dict[str, Value]] = []
     while candidates and len(chosen) < count:
         front = _spread(pareto([(cost, error) for _, cost, error in candidates]), count - len(chosen))
@@ -87,6 +95,22 @@ class _Turn:
     setting: dict[str, Value]
     log_cost: float
     changes: FloatArray
+
+
+def _asks_equilibria_more_often(setting: Setting, knobs: Knobs) -> bool:
+    """Than the scene: one does not depend on the last, so that smaller steps only cost."""
+    if knobs.value(setting, "integrator") != "quasi_static" or "dt_s" not in setting:
+        return False
+    return float(setting["dt_s"]) < float(knobs.knobs["dt_s"].own)
+
+
+def _together(base: Sequence[float], changes: Sequence[FloatArray]) -> float:
+    """The worst error of turns made together. Were all changes added, errors would fall to nothing and below, and the
+    dearer settings promise no more than the cheap ones."""
+    each = np.stack(changes)
+    own = np.asarray(base)
+    left = own * np.prod(1 + np.minimum(each, 0) / np.maximum(own, 1e-300), axis=0)
+    return float((left + np.maximum(each, 0).sum(axis=0)).max())
 
 
 def is_same_tissue(of: Measurement, measured: Sequence[Measurement], tolerance: float) -> bool:
