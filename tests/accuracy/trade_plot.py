@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 from tensormass.trade import sweep
@@ -103,7 +104,8 @@ def svg(curves: Sequence[Curve]) -> str:
         if curve.own:
             x, y = place(curve.own)
             out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="{color}" stroke-width="2"/>')
-        out.append(f'<text x="{right + 10}" y="{_TOP + 14 + 20 * number}" fill="{color}">{curve.name}</text>')
+        name = escape(curve.name, quote=False)
+        out.append(f'<text x="{right + 10}" y="{_TOP + 14 + 20 * number}" fill="{color}">{name}</text>')
     return "\n".join([*out, "</svg>"]) + "\n"
 
 

@@ -13,7 +13,7 @@ from tensormass.trade.store import Measurement
 if TYPE_CHECKING:
     from tensormass.trade.command import Outcome
 
-_WIDTH, _HEIGHT, _MARGIN = 860, 460, 62
+_WIDTH, _HEIGHT, _MARGIN, _FOOT = 860, 430, 62, 32
 # Errors below this are drawn there: a logarithm needs a floor, and no reference is that good.
 _LEAST_ERROR = 1e-5
 
@@ -50,7 +50,7 @@ def page(outcome: Outcome) -> str:
         _paragraphs(report.findings(outcome), "warning"),
         _chart(outcome, front),
         f"<p>{len(outcome.measurements)} settings: single knobs, and {outcome.combinations} combinations of "
-        f"{outcome.possible_combinations} that are possible. Point at a dot for its numbers.</p>",
+        f"{outcome.possible_combinations} that are possible.</p>",
         "<h2>Reference</h2>",
         _paragraphs(outcome.reference.text()),
         "<h2>One knob at a time</h2>",
@@ -83,18 +83,18 @@ def _chart(outcome: Outcome, front: list[Measurement]) -> str:
     drawn = [of for of in outcome.measurements if of.errors is not None and math.isfinite(of.errors.judged)]
     costs = [1e3 * of.cost_s for of in drawn] + [1e3 * outcome.budget_s]
     errors = [_error(of) for of in drawn] + [outcome.tolerance]
-    x, y = _Axis(costs, _MARGIN, _WIDTH - 20), _Axis(errors, _HEIGHT - _MARGIN, 15)
+    x, y = _Axis(costs, _MARGIN, _WIDTH - 20), _Axis(errors, _HEIGHT - _FOOT, 15)
     parts = [f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="error against cost">']
     for value in x.marks():
         at = x(value)
-        parts.append(f'<line class="grid" x1="{at:.1f}" x2="{at:.1f}" y1="15" y2="{_HEIGHT - _MARGIN}"/>')
-        parts.append(f'<text x="{at:.1f}" y="{_HEIGHT - _MARGIN + 18}" text-anchor="middle">{value:g} ms</text>')
+        parts.append(f'<line class="grid" x1="{at:.1f}" x2="{at:.1f}" y1="15" y2="{_HEIGHT - _FOOT}"/>')
+        parts.append(f'<text x="{at:.1f}" y="{_HEIGHT - _FOOT + 18}" text-anchor="middle">{value:g} ms</text>')
     for value in y.marks():
         at = y(value)
         parts.append(f'<line class="grid" x1="{_MARGIN}" x2="{_WIDTH - 20}" y1="{at:.1f}" y2="{at:.1f}"/>')
         parts.append(f'<text x="{_MARGIN - 6}" y="{at + 4:.1f}" text-anchor="end">{100 * value:g} %</text>')
     budget, tolerance = x(1e3 * outcome.budget_s), y(outcome.tolerance)
-    parts.append(f'<line class="limit" x1="{budget:.1f}" x2="{budget:.1f}" y1="15" y2="{_HEIGHT - _MARGIN}"/>')
+    parts.append(f'<line class="limit" x1="{budget:.1f}" x2="{budget:.1f}" y1="15" y2="{_HEIGHT - _FOOT}"/>')
     parts.append(f'<line class="limit" x1="{_MARGIN}" x2="{_WIDTH - 20}" y1="{tolerance:.1f}" y2="{tolerance:.1f}"/>')
     points = " ".join(f"{x(1e3 * of.cost_s):.1f},{y(_error(of)):.1f}" for of in front)
     parts.append(f'<polyline class="line" points="{points}"/>')
@@ -109,11 +109,10 @@ def _chart(outcome: Outcome, front: list[Measurement]) -> str:
             f'<circle class="{kind}" {place} r="{6 if not of.setting else 4.5}"><title>{title}</title></circle>'
         )
     words = (
-        "error against the time to compute one step's worth of the scene; blue: the front, green: the scene as it is, "
-        "grey: one knob, orange: several, dashed: tolerance and budget"
+        "Error against the time to compute one step's worth of the scene. Blue: the front, green: the scene as it is, "
+        "grey: one knob, orange: several, dashed: tolerance and budget. Point at a dot for its numbers."
     )
-    parts.append(f'<text x="{_MARGIN}" y="{_HEIGHT - 14}">{words}</text></svg>')
-    return "".join(parts)
+    return "".join([*parts, f"</svg><p>{words}</p>"])
 
 
 def _error(of: Measurement) -> float:
