@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from tensormass.fields import Fields
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile, volume_mesh
 from tensormass.trade import script as script_module
+from tensormass.trade.energy import EnergyMeter
 from tensormass.trade.script import Recorder, Script, rest_nodes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
@@ -180,6 +183,19 @@ def test_energy_is_counted_over_steps_alone(monkeypatch: pytest.MonkeyPatch, one
     assert got.costs.step_energy_j == pytest.approx(0.3, rel=0.2)
     assert server.loaded[0].most_steps == got.costs.step_count  # never farther than the script goes
     assert recorder.record(scene).costs.step_energy_j is None
+
+
+def test_the_meter_reads_joules_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    nvml = types.SimpleNamespace(
+        nvmlInit=lambda: None,
+        nvmlDeviceGetHandleByIndex=lambda index: index,
+        nvmlDeviceGetTotalEnergyConsumption=lambda device: 2500,  # mJ
+    )
+    monkeypatch.setitem(sys.modules, "pynvml", nvml)
+    assert EnergyMeter(wanted=True).read_j() == 2.5
+    assert not EnergyMeter(wanted=False).readable
+    monkeypatch.setitem(sys.modules, "pynvml", None)  # no such package
+    assert not EnergyMeter(wanted=True).readable
 
 
 def test_a_scene_that_stops_is_an_error_and_is_unloaded() -> None:
