@@ -66,24 +66,22 @@ struct Assemble {
   }
 };
 
-template <class Shape>
-struct CheckVolume {
-  static constexpr Communication kCommunication = Communication::kReduces;
-  template <class Team, class Real>
-  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-    tensor::check_volume<Shape>(team, s, e);
+/// Of the elements of one shape.
+#define TM_STAGE_OF_SHAPE(Name, communication, call)                                                   \
+  template <class Shape>                                                                               \
+  struct Name {                                                                                        \
+    static constexpr Communication kCommunication = Communication::communication;                      \
+    template <class Team, class Real>                                                                  \
+    TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) { \
+      call<Shape>(team, s, e);                                                                         \
+    }                                                                                                  \
   }
-};
 
+TM_STAGE_OF_SHAPE(CheckVolume, kReduces, tensor::check_volume);
 /// Before kElements, for a group with decompositions.
-template <class Shape>
-struct Decompose {
-  static constexpr Communication kCommunication = Communication::kNone;
-  template <class Team, class Real>
-  TM_HOST_DEVICE static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-    tensor::decompose<Shape>(team, s, e);
-  }
-};
+TM_STAGE_OF_SHAPE(Decompose, kNone, tensor::decompose);
+
+#undef TM_STAGE_OF_SHAPE
 
 /// Calls visit(stage type) for a stage of a model. Not for kElements and kWatch, which are many: each backend compiles
 /// them law by law (elements.h of its folder).

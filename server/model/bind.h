@@ -15,8 +15,39 @@ namespace tensormass::model {
 ///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted by static_cast; nullptr for an empty vector
 ///   T* zeros<T>(name, count)                           zeroed memory; nullptr for no items
 ///   const T* generated<T>(name, count, fill)           what fill(T*) writes over zeros; nullptr for no items
+///
+/// What a step is told and what it reports. A device may have it elsewhere than its other buffers.
+template <class Real>
+struct StepExchange {
+  const tensor::StepControl<Real>* control;
+  const tensor::ToolState<Real>* tools;
+  const Real* prescribed;
+  tensor::SolveReport<Real>* solve_report;
+  tensor::PatchReport<Real>* patch_reports;
+  tensor::PatchResidual<Real>* residuals;
+  tensor::PatchWatch<Real>* watch;
+  Real* min_det_f;
+  tensor::ToolLoad<Real>* tool_loads;
+};
+
 template <class Real, class Arena>
-tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
+StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
+  const std::size_t patches = m.layout.patch_count, tools = m.tools.size(), groups = m.groups.size();
+  StepExchange<Real> e{};
+  e.control = arena.template zeros<tensor::StepControl<Real>>("step control", 1);
+  e.tools = arena.template zeros<tensor::ToolState<Real>>("tools", tools);
+  e.prescribed = arena.template zeros<Real>("prescribed displacements", 4 * m.prescribed.size());
+  e.solve_report = arena.template zeros<tensor::SolveReport<Real>>("solve report", 1);
+  e.patch_reports = arena.template zeros<tensor::PatchReport<Real>>("patch reports", patches);
+  e.residuals = arena.template zeros<tensor::PatchResidual<Real>>("residuals", m.iterates() ? patches : 0);
+  e.watch = arena.template zeros<tensor::PatchWatch<Real>>("watch", groups * patches);
+  e.min_det_f = arena.template zeros<Real>("volume check", m.checks_volume() ? groups * patches : 0);
+  e.tool_loads = arena.template zeros<tensor::ToolLoad<Real>>("tool loads", tools * patches);
+  return e;
+}
+
+template <class Real, class Arena>
+tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& exchange) {
   using std::uint32_t;
   const tensor::Layout& layout = m.layout;
   const std::size_t rows = layout.row_count, patches = layout.patch_count, tools = m.tools.size();
@@ -28,7 +59,15 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_count = layout.patch_count;
   s.tool_count = static_cast<uint32_t>(tools);
   s.triangle_count = m.contact.triangle_count();
-  s.control = arena.template zeros<tensor::StepControl<Real>>("step control", 1);
+  s.control = exchange.control;
+  s.tools = exchange.tools;
+  s.prescribed = exchange.prescribed;
+  s.solve_report = exchange.solve_report;
+  s.patch_reports = exchange.patch_reports;
+  s.residuals = exchange.residuals;
+  s.watch = exchange.watch;
+  s.min_det_f = exchange.min_det_f;
+  s.tool_loads = exchange.tool_loads;
   s.cg_tolerance = static_cast<Real>(m.cg_tolerance);
 
   s.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
@@ -69,11 +108,9 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.iterate = arena.template zeros<Real>("iterate", only_if(m.iterates(), 4 * rows));
   s.internal_force = arena.template zeros<Real>("internal forces", only_if(m.iterates(), 4 * rows));
   s.newton = arena.template zeros<tensor::NewtonControl>("outer iteration", only_if(m.iterates(), 1));
-  s.residuals = arena.template zeros<tensor::PatchResidual<Real>>("residuals", only_if(m.iterates(), patches));
 
   s.patch_driven = arena.template constant<uint32_t>("driven rows of patches", m.driven.patch_driven);
   s.driven = arena.template constant<uint32_t>("driven rows", m.driven.driven);
-  s.prescribed = arena.template zeros<Real>("prescribed displacements", 4 * m.prescribed.size());
 
   s.pressure_faces = arena.template constant<tensor::PressureFace<Real>>("pressure faces", m.pressure.faces);
   s.patch_pressed = arena.template constant<uint32_t>("pressed rows of patches", m.pressure.patch_pressed);
@@ -98,23 +135,23 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
   s.patch_surface = arena.template constant<uint32_t>("contact rows of patches", m.contact.patch_surface);
   s.incidence_begin = arena.template constant<uint32_t>("contact incidence offsets", m.contact.incidence_begin);
   s.incidence = arena.template constant<uint32_t>("contact incidence", m.contact.incidence);
-  s.tools = arena.template zeros<tensor::ToolState<Real>>("tools", tools);
   s.closest = arena.template zeros<tensor::ClosestTriangle<Real>>("contact closest", tools * patches);
   s.contacts = arena.template zeros<tensor::TriangleContact<Real>>("contacts", tools * triangles);
-  s.tool_loads = arena.template zeros<tensor::ToolLoad<Real>>("tool loads", tools * patches);
 
   s.visible_count = m.visible.count();
   s.visible_rows = arena.template constant<uint32_t>("visible rows", m.visible.rows);
   s.visible_weights = arena.template constant<Real>("visible weights", m.visible.weights);
   s.visible_positions = arena.template zeros<float>("visible positions", 3 * std::size_t{m.visible.count()});
 
-  s.patch_reports = arena.template zeros<tensor::PatchReport<Real>>("patch reports", patches);
-  s.solve_report = arena.template zeros<tensor::SolveReport<Real>>("solve report", 1);
-  s.watch = arena.template zeros<tensor::PatchWatch<Real>>("watch", m.groups.size() * patches);
-  s.min_det_f = arena.template zeros<Real>("volume check", only_if(m.checks_volume(), m.groups.size() * patches));
   s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * 4);
   s.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
   return s;
+}
+
+/// All of it from one arena.
+template <class Real, class Arena>
+tensor::SceneView<Real> bind(const Model& m, Arena& arena) {
+  return bind<Real>(m, arena, make_exchange<Real>(m, arena));
 }
 
 /// Rest shapes and parameters of a group, element by element (tensor::record_reals).

@@ -2,6 +2,7 @@
 #include <array>
 #include <cstddef>
 #include <ctime>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -144,6 +145,26 @@ class StepInputs {
   std::size_t used_ = 0;
 };
 
+/// A stream, at the end of which nothing of it is under way.
+struct EndStream {
+  void operator()(cudaStream_t stream) const {
+    cudaStreamSynchronize(stream);
+    cudaStreamDestroy(stream);
+  }
+};
+using Stream = std::unique_ptr<CUstream_st, EndStream>;
+
+Stream make_stream() {
+  cudaStream_t stream = nullptr;
+  check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "stream");
+  return Stream(stream);
+}
+
+struct DestroyGraph {
+  void operator()(cudaGraphExec_t graph) const { cudaGraphExecDestroy(graph); }
+};
+using Graph = std::unique_ptr<CUgraphExec_st, DestroyGraph>;
+
 /// Waits until a stream has done what it was given, without holding a processor: many scenes have more threads than a
 /// machine has processors. An event that blocks comes late, and makes all scenes meet at a lock of the driver.
 cudaError_t wait_asleep(cudaStream_t stream) {
@@ -182,7 +203,7 @@ class CudaState final : public SceneState {
         min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count : 0),
         loads_(model.tools.size() * model.layout.patch_count),
         visible_(3 * std::size_t{model.visible.count()}),
-        view_(bind_view(model)) {
+        view_(model::bind<Real>(model, arena_, exchange())) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     std::uint32_t largest = 0;
     for (std::uint32_t p = 0; p < view_.patch_count; ++p) {
@@ -190,7 +211,6 @@ class CudaState final : public SceneState {
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
     if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout);
-    check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "stream");
     if (model.iterates()) {
       for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
                                        model::Phase::kBacktrack, model::Phase::kEnd}) {
@@ -207,16 +227,6 @@ class CudaState final : public SceneState {
     graph(model::Phase::kWatch) = record([&] { enqueue_phase(model::Phase::kWatch); });
     if (view_.visible_count > 0) gather_ = record([&] { enqueue_gather(); });
     finish_copies("start of the scene");
-  }
-
-  ~CudaState() override {
-    cudaStreamSynchronize(stream_);
-    for (cudaGraphExec_t graph : phases_) {
-      if (graph) cudaGraphExecDestroy(graph);
-    }
-    if (step_) cudaGraphExecDestroy(step_);
-    if (gather_) cudaGraphExecDestroy(gather_);
-    cudaStreamDestroy(stream_);
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
@@ -245,7 +255,7 @@ class CudaState final : public SceneState {
     memory_.restore(
         model_, view_, std::span<const ElementView<Real>>(groups_), [&](const Real* from, std::size_t count, Real* to) {
           if (count == 0) return;
-          check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream_), "restore");
+          check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()), "restore");
         });
     wait("restore");  // reading back does not go by this stream
   }
@@ -290,12 +300,13 @@ class CudaState final : public SceneState {
   }
 
  private:
-  void launch_graph(cudaGraphExec_t graph, const char* what) { check(cudaGraphLaunch(graph, stream_), what); }
-  void wait(const char* what) { check(shares_ ? wait_asleep(stream_) : cudaStreamSynchronize(stream_), what); }
+  void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
+  void wait(const char* what) { check(shares_ ? wait_asleep(stream()) : cudaStreamSynchronize(stream()), what); }
+  cudaStream_t stream() const { return stream_.get(); }
   /// Copies from pageable memory and clearing are under way in a stream of their own. Not by waiting for the device:
   /// other scenes may never leave it idle.
   static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
-  cudaGraphExec_t& graph(model::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
+  Graph& graph(model::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
 
   std::vector<double> download(const Real* from, std::size_t count) {
     std::vector<Real> copy(count);
@@ -308,39 +319,37 @@ class CudaState final : public SceneState {
   }
 
   /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
-  SceneView<Real> bind_view(const model::Model& model) {
-    SceneView<Real> view = model::bind<Real>(model, arena_);
-    view.tools = tools_.device;
-    view.prescribed = prescribed_.device;
-    view.control = control_.device;
-    view.solve_report = solve_.data();
-    view.patch_reports = patches_.data();
-    view.residuals = residuals_.data();
-    view.watch = watch_.data();
-    view.min_det_f = min_det_f_.data();
-    view.tool_loads = loads_.data();
-    return view;
+  model::StepExchange<Real> exchange() const {
+    return {.control = control_.device,
+            .tools = tools_.device,
+            .prescribed = prescribed_.device,
+            .solve_report = solve_.data(),
+            .patch_reports = patches_.data(),
+            .residuals = residuals_.data(),
+            .watch = watch_.data(),
+            .min_det_f = min_det_f_.data(),
+            .tool_loads = loads_.data()};
   }
 
   template <class Enqueue>
-  cudaGraphExec_t record(const Enqueue& enqueue) {
+  Graph record(const Enqueue& enqueue) {
     cudaGraph_t graph = nullptr;
     cudaGraphExec_t executable = nullptr;
     // Thread-local capture: other scenes allocate and launch at the same time.
-    check(cudaStreamBeginCapture(stream_, cudaStreamCaptureModeThreadLocal), "begin of the step's graph");
+    check(cudaStreamBeginCapture(stream(), cudaStreamCaptureModeThreadLocal), "begin of the step's graph");
     try {
       enqueue();
     } catch (...) {
       // Else the thread could load no other scene: it would still be recording.
-      cudaStreamEndCapture(stream_, &graph);
+      cudaStreamEndCapture(stream(), &graph);
       if (graph) cudaGraphDestroy(graph);
       throw;
     }
-    check(cudaStreamEndCapture(stream_, &graph), "end of the step's graph");
+    check(cudaStreamEndCapture(stream(), &graph), "end of the step's graph");
     const cudaError_t status = cudaGraphInstantiate(&executable, graph, 0);
     cudaGraphDestroy(graph);
     check(status, "the step's graph");
-    return executable;
+    return Graph(executable);
   }
 
   /// Single precision has a kernel that does these stages in one.
@@ -367,14 +376,14 @@ class CudaState final : public SceneState {
       if (static_cast<std::uint64_t>(resident) * static_cast<std::uint64_t>(processors) < view_.patch_count) {
         throw CudaFailure("the scene's patches do not fit on the device at once");
       }
-      check(cudaLaunchCooperativeKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "solve");
+      check(cudaLaunchCooperativeKernel(kernel, view_.patch_count, threads_, arguments, 0, stream()), "solve");
     } else if (communication == Communication::kReduces) {
-      check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream_), "stage");
+      check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream()), "stage");
     } else {
       // A thread an item, about: elements are the most.
       const std::uint32_t items = std::max({view_.row_count, elements.count * points, view_.visible_count});
       const dim3 grid(view_.patch_count, items / view_.patch_count / cuda::kStageThreads + 1);
-      check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream_), "stage");
+      check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream()), "stage");
     }
   }
 
@@ -390,14 +399,15 @@ class CudaState final : public SceneState {
     cuda::allow_all_shared_bytes(kernels.assemble);
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
                          &rows.capacity};
-    check(cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream_),
-          "element tensors");
+    check(
+        cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream()),
+        "element tensors");
   }
 
   void enqueue_phase(model::Phase phase) {
     using model::Phase;
     if (phase == Phase::kBegin) {
-      check(inputs_.upload(stream_), "what the step is told");
+      check(inputs_.upload(stream()), "what the step is told");
     }
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
       upload_pinned(view_.newton, newton_, "outer iteration");
@@ -405,7 +415,7 @@ class CudaState final : public SceneState {
       if (stage.phase != phase || is_part_of_fast_solve(stage.kind)) continue;
       if constexpr (kSinglePrecision) {
         if (stage.kind == model::StageKind::kSolve) {
-          check(cuda::launch_solve(solve_plan_, view_, stream_), "solve");
+          check(cuda::launch_solve(solve_plan_, view_, stream()), "solve");
           continue;
         }
       }
@@ -433,12 +443,12 @@ class CudaState final : public SceneState {
   template <class T>
   void upload_pinned(const T* to, const Pinned<T>& from, const char* what) {
     if (from.size() == 0) return;
-    check(cudaMemcpyAsync(const_cast<T*>(to), from.data(), from.bytes(), cudaMemcpyHostToDevice, stream_), what);
+    check(cudaMemcpyAsync(const_cast<T*>(to), from.data(), from.bytes(), cudaMemcpyHostToDevice, stream()), what);
   }
   template <class T>
   void download_pinned(const Pinned<T>& to, const T* from) {
     if (to.size() == 0) return;
-    check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream_), "results");
+    check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream()), "results");
   }
 
   const model::Model& model_;
@@ -462,10 +472,10 @@ class CudaState final : public SceneState {
   unsigned threads_ = 0;
   cuda::SolvePlan solve_plan_;
   Memory<Real> memory_;
-  cudaStream_t stream_ = nullptr;
-  cudaGraphExec_t step_ = nullptr;
-  cudaGraphExec_t gather_ = nullptr;
-  std::array<cudaGraphExec_t, model::kPhases> phases_{};
+  const Stream stream_ = make_stream();  // behind all that its work reads and writes
+  Graph step_;
+  Graph gather_;
+  std::array<Graph, model::kPhases> phases_{};
 };
 
 class CudaBackend final : public Backend {
