@@ -415,7 +415,8 @@ __global__ void __launch_bounds__(Threads, 1)
       Vec3<float> direction[kRowsAtOnce], residual[kRowsAtOnce], product[kRowsAtOnce], solution[kRowsAtOnce];
 #pragma unroll
       for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
-        const std::uint32_t local = minimum(begin + i * Threads, own - 1);
+        // Beyond the end the thread's own first row again: others may be writing theirs.
+        const std::uint32_t local = begin + i * Threads < own ? begin + i * Threads : begin;
         direction[i] = p[local];
         residual[i] = r[local];
         product[i] = q[local];
