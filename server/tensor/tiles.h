@@ -8,8 +8,8 @@
 /// Two rows i and j of a tile are coupled by A_ij and by A_ji = A_ijᵀ, and a warp that has read one of them needs no
 /// other: it adds A_ij p_j to q_i and A_ijᵀ p_i to q_j. So a row's neighbours are ordered: first those that the warp
 /// reads, then those whose blocks it has from other rows. The matrix is assembled whole, and whoever wants full rows
-/// reads them as in Storage::kRows. A solve whose matrix comes from memory in each iteration reads five blocks for
-/// eight.
+/// reads them as in Storage::kRows. A solve whose matrix comes from memory in each iteration reads two blocks for
+/// three.
 ///
 /// What a warp adds to other rows is added column by column, to 32 different ones.
 namespace tensormass::tensor {

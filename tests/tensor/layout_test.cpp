@@ -236,7 +236,7 @@ TEST(Layout, RowsOfManyNeighboursAreReadWhole) {
   check(mesh, 2);
 }
 
-TEST(Layout, TilesReadFiveBlocksForEight) {
+TEST(Layout, TilesReadTwoBlocksForThree) {
   const Layout layout = make_layout(mesh::testing::unit_grid(24), 4, Storage::kTiles);
   EXPECT_EQ(layout.tile_rows, 256u);
   EXPECT_LT(layout.read_slot_count(), 0.67 * layout.slot_count());
