@@ -104,7 +104,8 @@ sanitized:
 	@cmake -S . -B build-$(NAME) -G Ninja -DTENSORMASS_CUDA=OFF -DTENSORMASS_SANITIZE=$(SANITIZE) --log-level=NOTICE \
 	  -DTENSORMASS_CARGO_TARGET_DIR=$(CURDIR)/$(BUILD)/server/bus/zenoh/cargo
 	@ninja -C build-$(NAME) -j $(JOBS)
-	@ctest --test-dir build-$(NAME) --output-on-failure
+	@TSAN_OPTIONS="suppressions=$(CURDIR)/tests/support/tsan_suppressions.txt ignore_noninstrumented_modules=1" \
+	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
 
 lint: setup-test python ## Format and static checks of every language
 	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
