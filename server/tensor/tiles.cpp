@@ -108,6 +108,13 @@ class TileOrder {
     return static_cast<std::uint32_t>(slice) * kSliceRows + slot % kSliceRows;
   }
   std::uint32_t width(std::uint32_t row) const { return tile_.widths[row / kSliceRows]; }
+  /// Calls visit(row, slot) for the slots of rows [first, last), row by row.
+  template <class Visit>
+  void for_each_slot(std::uint32_t first, std::uint32_t last, const Visit& visit) const {
+    for (std::uint32_t row = first; row < last; ++row) {
+      for (std::uint32_t j = 0; j < width(row); ++j) visit(row, slot(row, j));
+    }
+  }
   /// The tile's row behind a slot that is neither padding nor outer.
   std::uint32_t other(std::uint32_t slot) const { return tile_.columns[slot] - tile_.first_row; }
   std::uint32_t slot_of(std::uint32_t row, std::uint32_t other_row) const {
@@ -120,29 +127,23 @@ class TileOrder {
 
   void sort_out() {
     kinds_.resize(tile_.columns.size(), Kind::kPadding);
-    for (std::uint32_t row = 0; row < rows_; ++row) {
-      for (std::uint32_t j = 0; j < width(row); ++j) {
-        const std::uint32_t at = slot(row, j);
-        if (tile_.neighbour_rows[at] == mesh::kNone) continue;
-        const bool outer = other(at) >= rows_;
-        kinds_[at] = outer ? Kind::kOuter : Kind::kMirrored;
-        if (outer) ++read_[row];
-      }
-    }
+    for_each_slot(0, rows_, [&](std::uint32_t row, std::uint32_t at) {
+      if (tile_.neighbour_rows[at] == mesh::kNone) return;
+      const bool outer = other(at) >= rows_;
+      kinds_[at] = outer ? Kind::kOuter : Kind::kMirrored;
+      if (outer) ++read_[row];
+    });
   }
 
   /// Decides which row of each pair reads it: the one that reads less.
   void share_pairs() {
-    for (std::uint32_t row = 0; row < rows_; ++row) {
-      for (std::uint32_t j = 0; j < width(row); ++j) {
-        const std::uint32_t at = slot(row, j);
-        if (kinds_[at] != Kind::kMirrored || other(at) < row) continue;
-        const std::uint32_t partner = other(at);
-        const bool reads = read_[row] != read_[partner] ? read_[row] < read_[partner] : (row + partner) % 2 == 0;
-        kinds_[reads ? at : slot_of(partner, row)] = Kind::kRead;
-        ++read_[reads ? row : partner];
-      }
-    }
+    for_each_slot(0, rows_, [&](std::uint32_t row, std::uint32_t at) {
+      if (kinds_[at] != Kind::kMirrored || other(at) < row) return;
+      const std::uint32_t partner = other(at);
+      const bool reads = read_[row] != read_[partner] ? read_[row] < read_[partner] : (row + partner) % 2 == 0;
+      kinds_[reads ? at : slot_of(partner, row)] = Kind::kRead;
+      ++read_[reads ? row : partner];
+    });
     even_out();
     spread_pairs();
   }
@@ -151,11 +152,10 @@ class TileOrder {
   /// room for all pairs.
   std::vector<std::uint32_t> least_columns() const {
     std::vector<std::uint32_t> outer(tile_.widths.size(), 0);
-    for (std::uint32_t row = 0; row < rows_; ++row) {
-      std::uint32_t count = 0;
-      for (std::uint32_t j = 0; j < width(row); ++j) count += kinds_[slot(row, j)] == Kind::kOuter ? 1 : 0;
-      outer[row / kSliceRows] = std::max(outer[row / kSliceRows], count);
-    }
+    std::vector<std::uint32_t> count(rows_, 0);
+    for_each_slot(0, rows_, [&](std::uint32_t row, std::uint32_t at) {
+      if (kinds_[at] == Kind::kOuter) outer[row / kSliceRows] = std::max(outer[row / kSliceRows], ++count[row]);
+    });
     const std::uint32_t all = std::accumulate(read_.begin(), read_.end(), 0u);
     for (std::uint32_t least = 0;; ++least) {
       std::uint32_t room = 0;
@@ -171,28 +171,27 @@ class TileOrder {
   /// Hands pairs over along paths of rows, from rows that would make their slice wider to rows that have room.
   void even_out() {
     const std::vector<std::uint32_t> columns = least_columns();
-    constexpr std::uint32_t kNone = 0xFFFFFFFFu;
     std::vector<std::uint32_t> queue, through(rows_);  // the slot by which a row was found
     for (std::uint32_t row = 0; row < rows_; ++row) {
       bool found = true;
       while (read_[row] > columns[row / kSliceRows] && found) {
         found = false;
         queue.assign(1, row);
-        std::fill(through.begin(), through.end(), kNone);
+        std::fill(through.begin(), through.end(), kNoPlace);
         for (std::size_t i = 0; i < queue.size() && !found; ++i) {
           for (std::uint32_t j = 0; j < width(queue[i]) && !found; ++j) {
             const std::uint32_t at = slot(queue[i], j);
-            if (kinds_[at] != Kind::kRead || other(at) == row || through[other(at)] != kNone) continue;
+            if (kinds_[at] != Kind::kRead || other(at) == row || through[other(at)] != kNoPlace) continue;
             through[other(at)] = at;
             queue.push_back(other(at));
             found = read_[other(at)] < columns[other(at) / kSliceRows];
           }
         }
         if (!found) continue;
-        for (std::uint32_t at = through[queue.back()]; at != kNone;) {
+        for (std::uint32_t at = through[queue.back()]; at != kNoPlace;) {
           const std::uint32_t from = row_of(at);
           hand_over(from, at);
-          at = from == row ? kNone : through[from];
+          at = from == row ? kNoPlace : through[from];
         }
       }
     }
@@ -203,13 +202,9 @@ class TileOrder {
   void spread_pairs() {
     for (std::uint32_t first = 0; first < rows_; first += kSliceRows) {
       std::vector<std::uint32_t> meeting(rows_, 0);
-      for (std::uint32_t row = first; row < first + kSliceRows; ++row) {
-        for (std::uint32_t j = 0; j < width(row); ++j) {
-          const std::uint32_t at = slot(row, j);
-          if (kinds_[at] != Kind::kRead || ++meeting[other(at)] <= width(row)) continue;
-          hand_over(row, at);
-        }
-      }
+      for_each_slot(first, first + kSliceRows, [&](std::uint32_t row, std::uint32_t at) {
+        if (kinds_[at] == Kind::kRead && ++meeting[other(at)] > width(row)) hand_over(row, at);
+      });
     }
   }
   /// The pair of a slot, which the row reads, to the other row.
@@ -221,25 +216,19 @@ class TileOrder {
   }
 
   std::uint32_t order_slice(std::uint32_t slice, std::span<std::uint32_t> used_twice) {
-    const std::uint32_t first = slice * kSliceRows, width = tile_.widths[slice];
+    const std::uint32_t first = slice * kSliceRows, last = first + kSliceRows;
     // As many columns as the longest row reads, and as pairs meet in one other row.
     std::uint32_t columns = 0;
     std::vector<std::uint32_t> meeting(rows_, 0);
-    for (std::uint32_t row = first; row < first + kSliceRows; ++row) {
+    for_each_slot(first, last, [&](std::uint32_t row, std::uint32_t at) {
       columns = std::max(columns, read_[row]);
-      for (std::uint32_t j = 0; j < width; ++j) {
-        if (const std::uint32_t at = slot(row, j); kinds_[at] == Kind::kRead) {
-          columns = std::max(columns, ++meeting[other(at)]);
-        }
-      }
-    }
+      if (kinds_[at] == Kind::kRead) columns = std::max(columns, ++meeting[other(at)]);
+    });
     EdgeColours colours(kSliceRows, rows_, columns);
-    for (std::uint32_t row = first; row < first + kSliceRows; ++row) {
-      for (std::uint32_t j = 0; j < width; ++j) {
-        if (const std::uint32_t at = slot(row, j); kinds_[at] == Kind::kRead) colours.add(row - first, other(at));
-      }
-    }
-    for (std::uint32_t row = first; row < first + kSliceRows; ++row) order_row(row, columns, colours, used_twice);
+    for_each_slot(first, last, [&](std::uint32_t row, std::uint32_t at) {
+      if (kinds_[at] == Kind::kRead) colours.add(row - first, other(at));
+    });
+    for (std::uint32_t row = first; row < last; ++row) order_row(row, columns, colours, used_twice);
     return columns;
   }
 
