@@ -472,10 +472,10 @@ class CudaState final : public SceneState {
   unsigned threads_ = 0;
   cuda::SolvePlan solve_plan_;
   Memory<Real> memory_;
-  const Stream stream_ = make_stream();  // behind all that its work reads and writes
   Graph step_;
   Graph gather_;
   std::array<Graph, model::kPhases> phases_{};
+  const Stream stream_ = make_stream();  // last, so that its work has ended before anything that it uses goes
 };
 
 class CudaBackend final : public Backend {
