@@ -14,6 +14,7 @@ import tensormass as tm
 from tensormass.fields import Fields
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile, volume_mesh
+from tensormass.trade import energy
 from tensormass.trade import script as script_module
 from tensormass.trade.energy import EnergyMeter
 from tensormass.trade.script import Recorder, Script, rest_nodes
@@ -42,8 +43,9 @@ STIFFNESS_N_PER_M = 100.0
 class FormulaServer:
     """Stretches all bodies along z by 1 % · (1 − cos 2π 5 t); the tool hangs on a spring at its start."""
 
-    def __init__(self, fault_at_step: int = 0) -> None:
+    def __init__(self, fault_at_step: int = 0, step_s: float = 1e-3) -> None:
         self.fault_at_step = fault_at_step
+        self.step_s = step_s
         self.loaded: list[FormulaScene] = []
 
     def version(self) -> control_pb2.GetVersionResponse:
@@ -51,7 +53,7 @@ class FormulaServer:
 
     def load(self, scene: scene_pb2.Scene, *, lockstep: bool) -> FormulaScene:
         assert lockstep
-        self.loaded.append(FormulaScene(scene, self.fault_at_step))
+        self.loaded.append(FormulaScene(scene, self.fault_at_step, self.step_s))
         return self.loaded[-1]
 
 
@@ -60,11 +62,13 @@ def stretch(time_s: float) -> float:
 
 
 class FormulaScene:
-    def __init__(self, scene: scene_pb2.Scene, fault_at_step: int) -> None:
+    def __init__(self, scene: scene_pb2.Scene, fault_at_step: int, step_s: float) -> None:
         self._scene = scene
         self._fault_at_step = fault_at_step
+        self._step_s = step_s
         self._step = 0
         self.steps_ever = self.most_steps = 0
+        self.busy_s = 0.0
         self._tool = self._start = np.array([scene.tools[0].position_m.z]) if scene.tools else np.zeros(1)
         self.unloaded = False
         self.report = control_pb2.SceneReport(bytes_total=1000)
@@ -83,8 +87,9 @@ class FormulaScene:
     def step(self, count: int = 1) -> stream_pb2.SceneStatus:
         self._step += count
         self.steps_ever += count
+        self.busy_s += 1e-3 + count * self._step_s
         self.most_steps = max(self.most_steps, self._step)
-        status = stream_pb2.SceneStatus(step=self._step, step_time_p50_s=1e-3, step_time_p99_s=2e-3, min_det_f=1)
+        status = stream_pb2.SceneStatus(step=self._step, step_time_p50_s=self._step_s, min_det_f=1)
         status.unconverged_steps = 1
         if self._step == self._fault_at_step:
             status.fault = "left the numbers"
@@ -96,6 +101,7 @@ class FormulaScene:
 
     def reset(self) -> None:
         self._step = 0
+        self.busy_s += 0.05
 
     def topology(self) -> stream_pb2.Topology:
         return stream_pb2.Topology(bodies=[stream_pb2.BodySurface(vertex_count=5)])
@@ -159,30 +165,56 @@ def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
     assert server.loaded[0].steps_ever == 5
 
 
-class Meter:
-    """0.3 J a step of the first scene; the counter shows whole multiples of 10 J."""
+class Meter(EnergyMeter):
+    """100 W while the first scene is busy, whose time is the run's; the counter moves ten times a second."""
 
-    def __init__(self, server: FormulaServer) -> None:
+    def __init__(self, server: FormulaServer, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(wanted=False)
         self._server = server
-        self.readable = True
+        self.watts = 100.0
+        monkeypatch.setattr(energy, "time", types.SimpleNamespace(monotonic=lambda: server.loaded[0].busy_s))
+        monkeypatch.setattr(script_module, "EnergyMeter", lambda wanted: self)
+
+    @property
+    def readable(self) -> bool:
+        return True
 
     def read_j(self) -> float:
-        return 10.0 * (0.3 * self._server.loaded[0].steps_ever // 10)
+        return self.watts * 0.1 * (self._server.loaded[0].busy_s // 0.1)
 
 
 @pytest.mark.parametrize("one_step", [False, True])
-def test_energy_is_counted_over_steps_alone(monkeypatch: pytest.MonkeyPatch, one_step: bool) -> None:
-    server = FormulaServer()
-    monkeypatch.setattr(script_module, "EnergyMeter", lambda wanted: Meter(server))
-    monkeypatch.setattr(script_module, "_ENERGY_S", 0.05)
+def test_energy_is_counted_of_steps_alone(monkeypatch: pytest.MonkeyPatch, one_step: bool) -> None:
+    server = FormulaServer(step_s=0.1 if one_step else 1e-3)
+    meter = Meter(server, monkeypatch)
     text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n" if one_step else SCENE
     scene = scene_of(text)
-    script = Script.of(scene, None)
-    recorder = Recorder(server, scene, script)  # type: ignore[arg-type]
+    recorder = Recorder(server, scene, Script.of(scene, None))  # type: ignore[arg-type]
     got = recorder.record(scene, energy=True)
-    assert got.costs.step_energy_j == pytest.approx(0.3, rel=0.2)
+    # With the way back to the start it would be a third more, or half.
+    assert got.costs.step_energy_j == pytest.approx(100 * server.step_s, rel=0.1)
     assert server.loaded[0].most_steps == got.costs.step_count  # never farther than the script goes
     assert recorder.record(scene).costs.step_energy_j is None
+    server.loaded.clear()
+    meter.watts = 0.0
+    assert recorder.record(scene, energy=True).costs.step_energy_j is None
+
+
+def test_a_scene_that_stops_while_energy_is_counted_is_still_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = FormulaServer()
+    Meter(server, monkeypatch)
+    scene = scene_of()
+    step = FormulaScene.step
+
+    def stopping(self: FormulaScene, count: int = 1) -> stream_pb2.SceneStatus:
+        if count > 1:  # the script itself goes step by step
+            raise tm.FailedPreconditionError("left its bounds")
+        return step(self, count)
+
+    monkeypatch.setattr(FormulaScene, "step", stopping)
+    got = Recorder(server, scene, Script.of(scene, None)).record(scene, energy=True)  # type: ignore[arg-type]
+    assert got.costs.step_energy_j is None
+    assert got.costs.step_count == 160
 
 
 def test_the_meter_reads_joules_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:

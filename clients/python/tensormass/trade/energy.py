@@ -4,7 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
+
+# Counted for at least so long; given up if the counter has not moved twice by the other.
+_COUNT_S = 1.5
+_LIMIT_S = 5.0
+
+
+@dataclass(frozen=True)
+class Count:
+    """Between two moves of the counter."""
+
+    energy_j: float
+    runs: int
+    steps: int
 
 
 class EnergyMeter:
@@ -29,3 +45,23 @@ class EnergyMeter:
     def read_j(self) -> float:
         """Energy so far [J]; 0 if it cannot be read."""
         return float(self._nvml.nvmlDeviceGetTotalEnergyConsumption(self._device)) / 1e3 if self.readable else 0.0
+
+    def count(self, work: Iterable[tuple[int, int]]) -> Count | None:
+        """Of work without an end, from the counter's first move to the last; None: it moved too seldom.
+
+        Args:
+            work: yields how many runs and steps it has made, from time to time.
+        """
+        moves: list[Count] = []
+        last_j = self.read_j()
+        began = time.monotonic()
+        for runs, steps in work:
+            if (read_j := self.read_j()) != last_j:
+                moves.append(Count(read_j, runs, steps))
+                last_j = read_j
+            if time.monotonic() >= began + (_COUNT_S if len(moves) > 1 else _LIMIT_S):
+                break
+        if len(moves) < 2:
+            return None
+        first, end = moves[0], moves[-1]
+        return Count(end.energy_j - first.energy_j, end.runs - first.runs, end.steps - first.steps)

@@ -123,7 +123,8 @@ def words() -> list[str]:
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
         "cost: median time to compute as much as one step of the scene simulates; latency: pose to force over the "
         "control plane, in lockstep",
-        "energy: of the whole GPU for a step, while it makes one after the other; –: not counted",
+        "energy: of the whole GPU for a step, while it makes one after the other, the tool at its deepest: where "
+        "contact makes steps slow, of slower ones than the median; –: not counted",
         "moved: displacement against the scene as it is, what the choice by itself changes",
     ]
 

@@ -9,6 +9,7 @@ settings see the same path and are looked at at the same times, in the same poin
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import time
 from collections import OrderedDict
@@ -37,9 +38,9 @@ SAMPLE_STEPS = 2
 # Scenes of a step or two are stepped anew for a median, so often and for so long.
 _TIMED_STEPS = 5
 _TIMED_LIMIT_S = 5.0
-# Energy is counted for at least so long, and read so often: its counter moves about ten times a second.
-_ENERGY_S = 1.5
-_ENERGY_READ_S = 0.02
+# Steps go in calls of so long while energy is counted: what a call uses besides is small against it, and its counter,
+# which moves about ten times a second, is read in time.
+_ENERGY_CALL_S = 0.05
 _KEPT_INTERPOLATIONS = 4
 
 _Point = tuple[float, float, float]
@@ -155,7 +156,7 @@ class Costs:
     frame_bytes: int
     step_count: int
     wall_s: float
-    #: Of the whole GPU while it makes one step after the other; None: not readable.
+    #: Of the whole GPU while it makes one step after the other, the tool pressed in; None: not counted.
     step_energy_j: float | None = None
 
 
@@ -318,36 +319,39 @@ class _Run:
         return status
 
     def _energy_of_a_step(self, step_s: float) -> float | None:
-        """Of steps that follow each other with nothing between, the tool held where it presses most: [J], from the
-        first move of the counter to the last. None: it moved too seldom, or the scene was stopped."""
+        """Of steps that follow each other with nothing between, the tool held where it presses most [J]. None: the
+        counter moved too seldom, or the scene was stopped.
+
+        Runs go no further than the script does: farther on, a scene may leave its bounds. What it uses to get back to
+        the start is counted in runs of one step (of none, if the script is but one), and taken off."""
         steps = self._steps_a_sample * self._script.sample_count
-        at_once = max(1, min(steps, round(_ENERGY_READ_S / max(step_s, 1e-9))))
-        moves: list[tuple[float, int]] = []
-        count = left = 0
-        last_j = self._energy.read_j()
-        began = time.monotonic()
-        while time.monotonic() < began + (_ENERGY_S if len(moves) > 1 else _TIMED_LIMIT_S):
-            if left == 0:  # no further than the script goes
-                self._handle.reset()
-                if self._script.tool is not None:
-                    deepest_s = _PATH_SHARES[1] * self._script.duration_s
-                    self._handle.move_tool(self._script.tool, self._script.pose(deepest_s))
-                left = steps
-            now = min(at_once, left)
-            try:
-                self._handle.step(now)
-            except FailedPreconditionError:
-                return None
-            left -= now
-            count += now
-            read_j = self._energy.read_j()
-            if read_j != last_j:
-                moves.append((read_j, count))
-                last_j = read_j
-        if len(moves) < 2:
+        short_steps = min(1, steps - 1)
+        at_once = max(1, round(_ENERGY_CALL_S / max(step_s, 1e-9)))
+        try:
+            whole, short = (self._energy.count(self._runs(of, at_once)) for of in (steps, short_steps))
+        except FailedPreconditionError:
             return None
-        (first_j, first), (end_j, end) = moves[0], moves[-1]
-        return (end_j - first_j) / (end - first)
+        if whole is None or short is None:
+            return None
+        more_steps = whole.steps - whole.runs * short_steps
+        more_j = whole.energy_j - whole.runs * short.energy_j / short.runs
+        return more_j / more_steps if more_steps > 0 and more_j > 0 else None
+
+    def _runs(self, steps: int, at_once: int) -> Iterator[tuple[int, int]]:
+        """Goes back to the start and makes `steps`, for ever; how many runs were begun, how many steps made."""
+        made = 0
+        for runs in itertools.count(1):
+            self._handle.reset()
+            if self._script.tool is not None:
+                deepest_s = _PATH_SHARES[1] * self._script.duration_s
+                self._handle.move_tool(self._script.tool, self._script.pose(deepest_s))
+            if steps == 0:
+                yield runs, made
+            for first in range(0, steps, at_once):
+                now = min(at_once, steps - first)
+                self._handle.step(now)
+                made += now
+                yield runs, made
 
     def _costs(self, status: stream_pb2.SceneStatus, energy_j: float | None, wall_s: float) -> Costs:
         report = self._handle.report
