@@ -20,6 +20,7 @@ struct Imbalance {
   double imbalance_squared = 0;
   double force_squared = 0;
   double slope = 0;  ///< imbalance · increment: above zero the increment still leads downhill
+  double moved = 0;  ///< by the increment: the most that a node moved, relative to its own coordinates
 
   bool finite() const { return std::isfinite(imbalance_squared) && std::isfinite(force_squared); }
 };
@@ -36,6 +37,7 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
     sum.imbalance_squared += static_cast<double>(patch.imbalance_squared);
     sum.force_squared += static_cast<double>(patch.force_squared);
     sum.slope += static_cast<double>(patch.slope);
+    sum.moved = std::max(sum.moved, std::sqrt(static_cast<double>(patch.moved_squared)));
   }
   return sum;
 }
@@ -45,14 +47,19 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 ///   tensor::NewtonControl& control(), read by the next run
 ///   Imbalance imbalance() of the last evaluation, StepResult result() of the last solve or backtracking: wait for it
 /// positive: take the positive stiffness throughout. largest_force_squared: of all steps since the scene's start,
-/// updated. rounding_share: kRoundingShare.
-template <class Device>
+/// updated.
+///
+/// It ends where the imbalance is small, or where the increment of a solve no longer moves a node by more than its
+/// coordinates can tell: where nothing acts on a body, the forces of its elements are rounding, and so is any share of
+/// them.
+template <class Real, class Device>
 StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, bool positive,
-                       double rounding_share, double& largest_force_squared) {
+                       double& largest_force_squared) {
   using model::Phase;
   constexpr int kMaxHalvings = 10;
   constexpr double kMaxDetour = 0.25;
   constexpr int kMaxDetourIterations = 6;  // and what rounding leaves goes up and down for ever
+  constexpr double kTrustedResidual = 0.5;  // of a solve whose increment tells how far there is to go
   tensor::NewtonControl& control = device.control();
   const std::uint32_t usual_stiffness = positive ? 1 : 0;
   control = {.positive_stiffness = usual_stiffness, .begins_step = 1, .line_share = 1};
@@ -68,7 +75,8 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     return evaluate();
   };
   const auto relative = [&](const Imbalance& now) {
-    const double scale = std::max(now.force_squared, rounding_share * rounding_share * largest_force_squared);
+    constexpr double kShare = kRoundingShare<Real>;
+    const double scale = std::max(now.force_squared, kShare * kShare * largest_force_squared);
     return now.imbalance_squared == 0 ? 0 : std::sqrt(now.imbalance_squared / scale);
   };
 
@@ -119,6 +127,10 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     if (!total.finite) break;
     largest_force_squared = std::max(largest_force_squared, at.force_squared);
     total.newton_residual = relative(at);
+    const bool settled = share == 1 && !stalled && !solved.negative_curvature &&
+                         solved.cg_relative_residual < kTrustedResidual &&
+                         at.moved <= std::numeric_limits<Real>::epsilon();
+    if (settled) total.newton_residual = std::min(total.newton_residual, tolerance);
     total.converged = total.newton_residual <= tolerance;
     if (total.converged || stalled || since_best > kMaxDetourIterations) break;
   }

@@ -34,10 +34,10 @@ StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const ten
 template <class Real>
 double read_volume(const model::Model& m, std::span<const Real> min_det_f) {
   double least = m.checks_volume() ? std::numeric_limits<double>::infinity() : 1;
-  const std::size_t patches = m.layout.patch_count;
+  const std::size_t of_group = m.groups.empty() ? 0 : min_det_f.size() / m.groups.size();
   for (std::size_t group = 0; group < m.groups.size(); ++group) {
     if (!m.groups[group].checks_volume) continue;
-    for (const Real one : min_det_f.subspan(group * patches, patches))
+    for (const Real one : min_det_f.subspan(group * of_group, of_group))
       least = std::min(least, static_cast<double>(one));
   }
   return least;

@@ -21,8 +21,9 @@ using tensor::SceneView;
 /// What the patches of a stage do beyond their own loops.
 enum class Communication {
   kNone,
-  kReduces,    ///< a patch reduces over its own items
-  kExchanges,  ///< patches talk to each other while they run
+  kReduces,         ///< a patch reduces over its own items
+  kReducesInParts,  ///< as many times as the team has parts of a patch, over the items of each
+  kExchanges,       ///< patches talk to each other while they run
 };
 
 #define TM_STAGE(Name, communication, call)                                                          \
@@ -77,7 +78,7 @@ struct Assemble {
     }                                                                                                  \
   }
 
-TM_STAGE_OF_SHAPE(CheckVolume, kReduces, tensor::check_volume);
+TM_STAGE_OF_SHAPE(CheckVolume, kReducesInParts, tensor::check_volume);
 /// Before kElements, for a group with decompositions.
 TM_STAGE_OF_SHAPE(Decompose, kNone, tensor::decompose);
 

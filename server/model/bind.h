@@ -69,6 +69,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Re
   s.min_det_f = exchange.min_det_f;
   s.tool_loads = exchange.tool_loads;
   s.cg_tolerance = static_cast<Real>(m.cg_tolerance);
+  s.size_m = static_cast<Real>(m.size_m);
 
   s.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
   s.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
@@ -143,7 +144,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Re
   s.visible_weights = arena.template constant<Real>("visible weights", m.visible.weights);
   s.visible_positions = arena.template zeros<float>("visible positions", 3 * std::size_t{m.visible.count()});
 
-  s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * 4);
+  s.reduction = arena.template zeros<Real>("partial sums", 2 * patches * tensor::kPatchSums);
   s.exchange_tags = arena.template zeros<uint32_t>("exchange tags", patches);
   return s;
 }

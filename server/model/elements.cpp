@@ -130,6 +130,12 @@ Result<void> fill_row_fields(Compilation& c) {
   c.model.inertia.assign(4 * rows, 0);
   c.model.row_mass.assign(rows, 0);
   for (std::size_t row = 0; row < rows; ++row) c.model.inertia[4 * row + 3] = 1;  // also of padding, to divide by
+  Vec3<double> low = c.merged.nodes.front(), high = low;
+  for (const auto& node : c.merged.nodes) {
+    low = low.cwiseMin(node);
+    high = high.cwiseMax(node);
+  }
+  c.model.size_m = (high - low).norm();
   double densest = 0;
   for (const ReadBody& body : c.bodies) densest = std::max(densest, body.density_kg_per_m3);
   bool consistent = false;

@@ -197,6 +197,7 @@ struct Model {
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
+  double size_m = 0;                       ///< diagonal of the box around the scene at rest
   std::vector<double> rest;                ///< [row_count, 4]
   std::vector<double> inertia;             ///< [row_count, 4] as SceneView
   std::vector<double> row_mass;            ///< [row_count] kg, also where inertia leaves it out (quasi-static)

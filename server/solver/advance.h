@@ -125,12 +125,13 @@ TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s
   });
 }
 
-/// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment; writes
-/// residuals.
+/// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment, displacement;
+/// writes residuals.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   Real sums[3] = {0, 0, 0};
+  Real moved = 0;
   const Real h = tensor::step_size(s);
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> rhs = tensor::load3<Real>(s.rhs, row);
@@ -141,6 +142,8 @@ TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<R
       sums[0] += r * r;
       sums[2] += r * increment[c];
     }
+    const Vec3<Real> u = tensor::load3<Real>(s.displacement, row);
+    moved = maximum(moved, h * h * increment.dot(increment) / (u.dot(u) + s.size_m * s.size_m));
     Vec3<Real> force = tensor::load3<Real>(s.internal_force, row);
     sums[1] += force.dot(force) * (h * h);
     if (s.external != nullptr) {
@@ -149,7 +152,8 @@ TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<R
     }
   });
   team.patch_sum(sums);
-  if (team.leads_patch()) s.residuals[patch.index] = {sums[0], sums[1], sums[2]};
+  moved = team.patch_max(moved);
+  if (team.leads_patch()) s.residuals[patch.index] = {sums[0], sums[1], sums[2], moved};
 }
 
 }  // namespace tensormass::solver

@@ -176,6 +176,7 @@ struct PatchResidual {
   Real imbalance_squared;  // of rhs [N² s²]
   Real force_squared;      // of internal and external forces, held components included [N² s²]
   Real slope;              // rhs · increment
+  Real moved_squared;      // how far the increment moves a node, relative to |(u, size_m)|: the largest
 };
 
 /// What elements look like now; one for each group and patch.
@@ -221,6 +222,7 @@ struct SceneView {
   // -- numbers of the step
   const StepControl<Real>* control;  // [1]
   Real cg_tolerance;
+  Real size_m;  // diagonal of the box around the scene at rest
 
   // -- patches; rows and halo by offsets
   const std::uint32_t* patch_rows;  // [patch_count + 1]
@@ -315,11 +317,14 @@ struct SceneView {
   PatchReport<Real>* patch_reports;  // [patch_count]
   SolveReport<Real>* solve_report;   // [1]
   PatchWatch<Real>* watch;           // [group, patch_count]
-  Real* min_det_f;                   // [group, patch_count] of the groups whose volume each step checks
-  Real* reduction;                   // [2, patch_count, 4] partial sums of exchange, by parity
+  Real* min_det_f;                   // [group, patch_count, parts of a patch], of groups whose volume steps check
+  Real* reduction;                   // [2, patch_count, kPatchSums] partial sums of exchange, by parity
   std::uint32_t* exchange_tags;      // [patch_count] exchanges so far, where cells carry their number (backend/cuda)
 };
 
+/// Reals from the sums of one patch to those of the next, at most: every patch polls all of them, and what lies close
+/// together comes from few of a device's memory channels.
+inline constexpr std::uint32_t kPatchSums = 16;
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
 inline constexpr std::uint32_t kNoPlace = 0xFFFFFFFFu;
 

@@ -32,21 +32,15 @@ constexpr std::array<Retry, 4> kRetries{{
     {8, 4, true, Breach::kNone},
 }};
 
-/// Diagonal of the box around the scene at rest, and what displacements are prescribed beyond it.
+/// Of the scene at rest, and what displacements are prescribed beyond it.
 double size_of(const model::Model& m) {
-  Vec3<double> low = Vec3<double>::Constant(std::numeric_limits<double>::infinity()), high = -low;
-  for (const std::uint32_t row : m.layout.row_of_node) {
-    const Vec3<double> x = tensor::load3<double>(m.rest.data(), row);
-    low = low.cwiseMin(x);
-    high = high.cwiseMax(x);
-  }
   double prescribed = 0;
   for (const model::Prescribed& p : m.prescribed) {
     double largest = p.factor.empty() ? 1 : 0;
     for (const double factor : p.factor) largest = std::max(largest, std::abs(factor));
     prescribed = std::max(prescribed, largest * p.displacement_m.norm());
   }
-  return (high - low).norm() + 2 * prescribed;
+  return m.size_m + 2 * prescribed;
 }
 
 /// How far from rest a scene lets its nodes begin: it may spring back as far in a step.

@@ -17,6 +17,7 @@ namespace {
 struct Trajectory {
   std::vector<double> positions;
   std::vector<Vec3<double>> forces;  // of each step
+  double min_det_f = 1;  // of the last step
   std::uint32_t patches = 0;
   tensor::Storage storage = tensor::Storage::kRows;
 };
@@ -37,6 +38,7 @@ Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int step
     if (press) out.forces.push_back((*world)->readings()[0].force_n);
   }
   out.positions = (*world)->positions((*world)->model().bodies[0]);
+  out.min_det_f = (*world)->last().min_det_f;
   return out;
 }
 
@@ -87,6 +89,9 @@ TEST_P(CudaAgreement, BeamAfterAHundredSteps) {
   const double difference = relative_difference(cpu.positions, cuda.positions, rest.positions);
   RecordProperty("relative_difference", std::to_string(difference));
   EXPECT_LT(difference, tolerance());
+  // By other formulas: the CPU has the gradients at rest, CUDA the edges.
+  EXPECT_EQ(cpu.min_det_f < 1, !GetParam().linear);
+  EXPECT_NEAR(cpu.min_det_f, cuda.min_det_f, tolerance());
 }
 
 TEST_P(CudaAgreement, ProbePressedIntoABlock) {

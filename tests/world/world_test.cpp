@@ -51,6 +51,37 @@ TEST_P(Mechanics, FreeFallIsExact) {
   }
 }
 
+/// Where nothing acts, the forces of elements are what rounding leaves, and Newton's method is not to chase them: it is no
+/// fault, every step is converged, and the body flies as it was thrown.
+TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {
+  for (const bool double_precision : {false, true}) {
+    for (const v1::Shape shape : {v1::SHAPE_TETRAHEDRON, v1::SHAPE_HEXAHEDRON}) {
+      v1::Scene scene = tests::beam_scene(
+          {.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = double_precision, .dt_s = 1e-3});
+      v1::Body& body = *scene.mutable_bodies(0);
+      body.mutable_mesh()->mutable_grid()->set_shape(shape);
+      body.clear_fixed();
+      scene.clear_gravity_m_per_s2();
+      scene.mutable_solver()->set_newton_max_iterations(20);
+      scene.mutable_solver()->set_newton_tolerance(1e-6);
+      const Eigen::RowVector3d velocity(0.3, 0.2, 0.1);
+      const Eigen::MatrixX3d rest = positions(*start(scene));
+      const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> all = velocity.replicate(rest.rows(), 1);
+      body.set_initial_velocity_m_per_s(std::string(reinterpret_cast<const char*>(all.data()),
+                                                    sizeof(double) * static_cast<std::size_t>(all.size())));
+      const auto world = start(scene);
+      constexpr int kSteps = 300;
+      for (int i = 0; i < kSteps; ++i) {
+        ASSERT_TRUE(world->step(false)) << i;
+        ASSERT_EQ(world->guard_event(), nullptr) << to_text(*world->guard_event());
+        ASSERT_TRUE(world->last().converged) << i << " " << world->last().newton_residual;
+      }
+      const Eigen::RowVector3d moved = kSteps * 1e-3 * velocity;
+      EXPECT_LT(((positions(*world) - rest).rowwise() - moved).cwiseAbs().maxCoeff(), double_precision ? 1e-12 : 2e-5);
+    }
+  }
+}
+
 /// The α of Rayleigh's damping slows a free fall: v₁ = (v₀ + g dt) / (1 + α dt).
 TEST_P(Mechanics, MassDampingSlowsTheFall) {
   v1::Scene scene = tests::beam_scene({.cells_x = 2,

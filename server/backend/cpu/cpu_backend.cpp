@@ -53,8 +53,8 @@ class CpuState final : public SceneState {
     *control_ = memory_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
-                           kRoundingShare<Real>, memory_.largest_force_squared());
+      result = newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
+                                 memory_.largest_force_squared());
       if (input.gather_visible) gather_visible();
     } else {
       run_team(kWholeStep | (input.gather_visible ? kGather : 0));

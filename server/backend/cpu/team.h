@@ -50,6 +50,8 @@ class Team {
   std::uint32_t patch() const { return patch_; }
   bool leads() const { return patch_ == 0; }
   bool leads_patch() const { return true; }
+  std::uint32_t part() const { return 0; }
+  std::uint32_t parts() const { return 1; }
 
   template <class Body>
   void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {

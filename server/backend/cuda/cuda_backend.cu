@@ -200,7 +200,8 @@ class CudaState final : public SceneState {
         patches_(model.layout.patch_count),
         residuals_(model.iterates() ? model.layout.patch_count : 0),
         watch_(model.groups.size() * model.layout.patch_count),
-        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count : 0),
+        volume_parts_(parts_of(model)),
+        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0),
         loads_(model.tools.size() * model.layout.patch_count),
         visible_(3 * std::size_t{model.visible.count()}),
         view_(model::bind<Real>(model, arena_, exchange())) {
@@ -237,8 +238,8 @@ class CudaState final : public SceneState {
     *control_.host = memory_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
-                           kRoundingShare<Real>, memory_.largest_force_squared());
+      result = newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
+                                 memory_.largest_force_squared());
     } else {
       launch_graph(step_, "step");
     }
@@ -318,6 +319,16 @@ class CudaState final : public SceneState {
     check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
   }
 
+  /// Few elements a thread, and no more blocks than can run at once: each has a number to report.
+  static std::uint32_t parts_of(const model::Model& model) {
+    constexpr std::uint32_t kMostParts = 8;
+    std::uint32_t most = 0;
+    for (const model::ElementGroup& group : model.groups) {
+      if (group.checks_volume) most = std::max(most, group.element_count);
+    }
+    return std::clamp(most / model.layout.patch_count / cuda::kStageThreads, 1u, kMostParts);
+  }
+
   /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
   model::StepExchange<Real> exchange() const {
     return {.control = control_.device,
@@ -377,6 +388,9 @@ class CudaState final : public SceneState {
         throw CudaFailure("the scene's patches do not fit on the device at once");
       }
       check(cudaLaunchCooperativeKernel(kernel, view_.patch_count, threads_, arguments, 0, stream()), "solve");
+    } else if (communication == Communication::kReducesInParts) {
+      const dim3 grid(view_.patch_count, volume_parts_);
+      check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream()), "stage");
     } else if (communication == Communication::kReduces) {
       check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream()), "stage");
     } else {
@@ -464,6 +478,7 @@ class CudaState final : public SceneState {
   Pinned<tensor::PatchReport<Real>> patches_;
   Pinned<tensor::PatchResidual<Real>> residuals_;
   Pinned<tensor::PatchWatch<Real>> watch_;
+  const std::uint32_t volume_parts_;  // blocks of a patch in the stages that reduce in parts
   Pinned<Real> min_det_f_;
   Pinned<tensor::ToolLoad<Real>> loads_;
   Pinned<float> visible_;

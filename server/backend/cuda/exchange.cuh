@@ -45,34 +45,38 @@ class Exchange {
   __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
 
   __device__ void publish_sums(float x, float y, float z) const {
-    store(sums_ + std::size_t{tag_ & 1} * patches_ + patch_, {x, y, z, tag_});
+    store(sums_of(patch_), {x, y, z, tag_});
   }
   /// Sums of patches first, first + stride, .., as wait_for_rows.
   template <int Count>
   __device__ void wait_for_sums(std::uint32_t first, std::uint32_t stride, std::uint32_t count,
                                 Cell (&cells)[Count]) const {
-    wait_for(
-        sums_ + std::size_t{tag_ & 1} * patches_, first, stride, count, [](std::uint32_t i) { return i; }, cells);
+    wait_for(first, stride, count, [=, this](int i) { return sums_of(first + i * stride); }, cells);
   }
-  /// Cells of rows [index(0)], [index(stride)], .. as many as `count` allows, at most Count; they are under way at
-  /// once.
+  /// Cells of the rows index(0), index(1), .. that a thread waits for, as many of first, first + stride, .. as are below
+  /// `count`, at most Count; they are under way at once.
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
-    wait_for(cells_ + std::size_t{tag_ & 1} * rows_, first, stride, count, index, cells);
+    const Cell* from = cells_ + std::size_t{tag_ & 1} * rows_;
+    wait_for(first, stride, count, [&](int i) { return from + index(i); }, cells);
   }
 
-  /// Over a warp; each combination is commutative, so that all lanes have the same bits.
-  __device__ static Cell sum_warp(Cell value) {
-    for (unsigned mask = kWarp / 2; mask > 0; mask /= 2) {
-      value.x += __shfl_xor_sync(0xFFFFFFFFu, value.x, mask);
-      value.y += __shfl_xor_sync(0xFFFFFFFFu, value.y, mask);
-      value.z += __shfl_xor_sync(0xFFFFFFFFu, value.z, mask);
+  /// Over groups of `Lanes` lanes, a power of two; each combination is commutative, so that all lanes have the same bits.
+  template <unsigned Lanes = kWarp>
+  __device__ static Cell sum_lanes(Cell value) {
+    for (unsigned mask = Lanes / 2; mask > 0; mask /= 2) {
+      value.x += exchange_lanes(value.x, mask);
+      value.y += exchange_lanes(value.y, mask);
+      value.z += exchange_lanes(value.z, mask);
     }
     return value;
   }
 
  private:
+  __device__ static float exchange_lanes(float value, unsigned mask) {
+    return __shfl_xor_sync(0xFFFFFFFFu, value, mask);
+  }
   __device__ static void store(Cell* cell, const Cell& value) {
     asm volatile(
         "{ .reg .b128 q; .reg .b64 lo, hi; mov.b64 lo, {%1, %2}; mov.b64 hi, {%3, %4}; mov.b128 q, {lo, hi};"
@@ -90,14 +94,17 @@ class Exchange {
         : "memory");
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
   }
-  template <int Count, class Index>
-  __device__ void wait_for(const Cell* from, std::uint32_t first, std::uint32_t stride, std::uint32_t count,
-                           const Index& index, Cell (&cells)[Count]) const {
+  __device__ Cell* sums_of(std::uint32_t patch) const {
+    return sums_ + (std::size_t{tag_ & 1} * patches_ + patch) * (tensor::kPatchSums / 4);
+  }
+  template <int Count, class PlaceOf>
+  __device__ void wait_for(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const PlaceOf& place_of,
+                           Cell (&cells)[Count]) const {
     const Cell* place[Count];
 #pragma unroll
     for (int i = 0; i < Count; ++i) {
       // Beyond the end, the first one again.
-      place[i] = from + index(first + i * stride < count ? first + i * stride : first);
+      place[i] = first + i * stride < count ? place_of(i) : place_of(0);
     }
     bool arrived;
     do {

@@ -10,18 +10,22 @@ using tensor::ElementView;
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// A row's blocks and its neighbours' displacements, three quads a column: a thread reads four numbers at once, and
-/// meets no other's bank. Warps that share a slice have a copy each.
+/// A row's blocks, two quads and a real a column, and its neighbours' displacements: a thread reads four numbers at
+/// once, and meets no other's bank. Warps that share a slice have blocks of their own and displacements in common.
 template <class Real>
 class SharedBlocks {
  public:
-  static constexpr std::size_t kBytesPerColumn = 12 * kSliceRows * sizeof(Real);
+  static constexpr std::size_t bytes_per_column(std::uint32_t parts) {
+    return (9 * parts + 3) * kSliceRows * sizeof(Real);
+  }
 
   __device__ SharedBlocks(void* shared, std::uint32_t capacity)
-      : quads_(static_cast<Quad*>(shared) + lane()),
-        capacity_(capacity),
+      : capacity_(capacity),
         part_(threadIdx.x / kWarp),
-        parts_(blockDim.x / kWarp) {}
+        parts_(blockDim.x / kWarp),
+        quads_(static_cast<Quad*>(shared) + lane()),
+        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + parts_ * capacity * (2 * kSliceRows)) + lane()),
+        displacements_(singles_ + parts_ * capacity * kSliceRows) {}
 
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
@@ -37,10 +41,12 @@ class SharedBlocks {
   __device__ void clear(std::uint32_t place, const Vec3<Real>& displacement) {
 #pragma unroll 1
     for (std::uint32_t part = 0; part < parts_; ++part) {
-      Quad* quads = at(place, part);
+      Quad* quads = quads_at(place, part);
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
-      quads[2 * kSliceRows] = {0, displacement[0], displacement[1], displacement[2]};
+      single_at(place, part) = 0;
     }
+    Real* const to = displacements_ + (place - first_) * (3 * kSliceRows);
+    for (int c = 0; c < 3; ++c) to[c * kSliceRows] = displacement[c];
   }
   template <int Count>
   __device__ void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
@@ -52,8 +58,8 @@ class SharedBlocks {
     }
   }
   __device__ Vec3<Real> displacement(std::uint32_t place) const {
-    const Quad c = at(first_ + minimum(place - first_, held_ - 1), part_)[2 * kSliceRows];
-    return {c.y, c.z, c.w};
+    const Real* const from = displacements_ + minimum(place - first_, held_ - 1) * (3 * kSliceRows);
+    return {from[0], from[kSliceRows], from[2 * kSliceRows]};
   }
   __device__ void meet() const {
     if (parts_ > 1) __syncthreads();
@@ -68,7 +74,7 @@ class SharedBlocks {
     if (parts_ == 1) return true;
     meet();  // the blocks have been read
     const auto place = [&](std::uint32_t part) {
-      return reinterpret_cast<Real*>(&at(first_, part)->x - 4 * lane()) + lane();
+      return reinterpret_cast<Real*>(&quads_at(first_, part)->x - 4 * lane()) + lane();
     };
     Real* const mine = place(part_);
     each(sums, [&](unsigned c, const Real& value) { mine[c * kSliceRows] = value; });
@@ -87,8 +93,11 @@ class SharedBlocks {
     Real x, y, z, w;
   };
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
-  __device__ Quad* at(std::uint32_t place, std::uint32_t part) const {
-    return quads_ + std::size_t{part * capacity_ + place - first_} * (3 * kSliceRows);
+  __device__ Quad* quads_at(std::uint32_t place, std::uint32_t part) const {
+    return quads_ + (part * capacity_ + place - first_) * (2 * kSliceRows);
+  }
+  __device__ Real& single_at(std::uint32_t place, std::uint32_t part) const {
+    return singles_[(part * capacity_ + place - first_) * kSliceRows];
   }
   template <int Count, class IsHeld>
   __device__ void add_where(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count],
@@ -97,23 +106,24 @@ class SharedBlocks {
     constexpr int kAtOnce = 4;
 #pragma unroll
     for (int first = 0; first < Count; first += kAtOnce) {
-      Quad a[kAtOnce], b[kAtOnce], c[kAtOnce];
+      Quad a[kAtOnce], b[kAtOnce];
+      Real c[kAtOnce];
 #pragma unroll
       for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
         if (!is_held(places[first + i])) continue;
-        const Quad* quads = at(places[first + i], part_);
+        const Quad* quads = quads_at(places[first + i], part_);
         a[i] = quads[0];
         b[i] = quads[kSliceRows];
-        c[i] = quads[2 * kSliceRows];
+        c[i] = single_at(places[first + i], part_);
       }
 #pragma unroll
       for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
         if (!is_held(places[first + i])) continue;
         const Mat3<Real>& block = blocks[first + i];
-        Quad* quads = at(places[first + i], part_);
+        Quad* quads = quads_at(places[first + i], part_);
         quads[0] = {a[i].x + block(0, 0), a[i].y + block(1, 0), a[i].z + block(2, 0), a[i].w + block(0, 1)};
         quads[kSliceRows] = {b[i].x + block(1, 1), b[i].y + block(2, 1), b[i].z + block(0, 2), b[i].w + block(1, 2)};
-        quads[2 * kSliceRows] = {c[i].x + block(2, 2), c[i].y, c[i].z, c[i].w};
+        single_at(places[first + i], part_) = c[i] + block(2, 2);
       }
     }
   }
@@ -129,15 +139,17 @@ class SharedBlocks {
     }
   }
   __device__ Mat3<Real> of_part(std::uint32_t place, std::uint32_t part) const {
-    const Quad* quads = at(place, part);
-    const Quad a = quads[0], b = quads[kSliceRows], c = quads[2 * kSliceRows];
+    const Quad* quads = quads_at(place, part);
+    const Quad a = quads[0], b = quads[kSliceRows];
     Mat3<Real> block;
-    block << a.x, a.w, b.z, a.y, b.x, b.w, a.z, b.y, c.x;
+    block << a.x, a.w, b.z, a.y, b.x, b.w, a.z, b.y, single_at(place, part);
     return block;
   }
 
-  Quad* const quads_;
   const std::uint32_t capacity_, part_, parts_;
+  Quad* const quads_;           // [part][column][2][kSliceRows]
+  Real* const singles_;         // [part][column][kSliceRows]
+  Real* const displacements_;   // [column][3][kSliceRows]
   std::uint32_t first_ = 0, held_ = 0;
   bool holds_all_ = false;
 };
@@ -160,11 +172,14 @@ RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, const cudaDev
   // Two blocks fit on a multiprocessor.
   const std::size_t most_bytes =
       minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
-  const auto most = static_cast<std::uint32_t>(most_bytes / SharedBlocks<Real>::kBytesPerColumn);
-  const std::uint32_t capacity = maximum(2u, minimum(widest, most));
+  const auto room = [most_bytes](std::uint32_t parts) {
+    return static_cast<std::uint32_t>(most_bytes / SharedBlocks<Real>::bytes_per_column(parts));
+  };
+  const std::uint32_t capacity = maximum(2u, minimum(widest, room(1)));
   const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
-  const std::uint32_t parts = maximum(1u, minimum(minimum(wanted, kMostParts), most / capacity));
-  return {capacity, parts * kWarp, parts * capacity * SharedBlocks<Real>::kBytesPerColumn};
+  std::uint32_t parts = minimum(wanted, kMostParts);
+  while (parts > 1 && room(parts) < capacity) --parts;
+  return {capacity, parts * kWarp, capacity * SharedBlocks<Real>::bytes_per_column(parts)};
 }
 
 template <class Shape, class Law, class Real>

@@ -1,9 +1,14 @@
 #pragma once
 
+#include <bit>
+
+#include <cuda_pipeline.h>
+
 #include "backend/cuda/exchange.cuh"
 #include "solver/advance.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
+#include "tensor/rows.h"
 
 /// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
 /// solve. What differs is where numbers are kept and how patches exchange them (exchange.cuh).
@@ -25,11 +30,13 @@ class PatchSums {
   /// By all threads.
   __device__ void exchange(const Exchange& exchange, std::uint32_t patches, Exchange::Cell own) {
     const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
-    own = Exchange::sum_warp(own);
+    own = Exchange::sum_lanes(own);
     if (lane == 0) warps_[warp] = own;
     __syncthreads();
     if (warp + 1 < kWarps) return;
-    const Exchange::Cell mine = Exchange::sum_warp(lane < kWarps ? warps_[lane] : Exchange::Cell{0, 0, 0, 0});
+    constexpr unsigned kLanes = std::bit_ceil(kWarps);
+    const Exchange::Cell mine =
+        Exchange::sum_lanes<kLanes>(lane % kLanes < kWarps ? warps_[lane % kLanes] : Exchange::Cell{0, 0, 0, 0});
     if (lane == 0) exchange.publish_sums(mine.x, mine.y, mine.z);
     Exchange::Cell sum{0, 0, 0, 0};
     constexpr std::uint32_t kAtOnce = 5;  // 160 patches: one a multiprocessor
@@ -44,7 +51,7 @@ class PatchSums {
       }
     }
     __syncwarp();
-    sum = Exchange::sum_warp(sum);
+    sum = Exchange::sum_lanes(sum);
     if (lane == 0) total_ = sum;
   }
   /// After a barrier.
@@ -65,9 +72,9 @@ inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own or of th
 inline constexpr std::size_t kResidentBytesPerHaloRow = 2 * 16;  // residual, product
 inline constexpr std::size_t kResidentBytesPerColumn = kSliceRows * (9 * 4 + 2);
 
-/// `Held`: blocks of a row in registers. column_capacity: columns of a slice's further blocks that shared memory holds;
-/// what is left over is read from memory in each iteration.
-template <unsigned Threads, int Held>
+/// A thread has `Rows` rows, Threads apart. `Held`: blocks of a row in registers. column_capacity: columns of a slice's
+/// further blocks that shared memory holds; what is left over is read from memory in each iteration.
+template <unsigned Threads, int Rows, int Held>
 __global__ void __launch_bounds__(Threads, 1)
     resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
   static_assert(Held % 2 == 0);
@@ -79,90 +86,139 @@ __global__ void __launch_bounds__(Threads, 1)
   float4* const halo_residual = direction + locals;                                  // [halo]
   float4* const halo_product = halo_residual + patch.halo_count;                     // [halo]
   float* const inverse = reinterpret_cast<float*>(halo_product + patch.halo_count);  // [6][locals]
-  // [column] two float4 and a float of each row
-  float* const blocks =
-      reinterpret_cast<float*>((reinterpret_cast<std::size_t>(inverse + 6 * std::size_t{locals}) + 15) / 16 * 16);
-  auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * std::size_t{column_capacity});
+  float* const blocks = inverse + tensor::round_to_four(6 * locals);                 // [column][9][kSliceRows]
+  auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * column_capacity);
 
-  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp;
-  const bool has_row = thread < own;
-  const std::uint32_t row = patch.row_begin + (has_row ? thread : 0);
+  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
   // The last warp waits for sums, the others for the halo.
-  constexpr std::uint32_t kHaloThreads = Threads - kWarp;
+  constexpr std::uint32_t kWarps = Threads / kWarp, kHaloThreads = Threads - kWarp;
+
+  // Where the blocks of each row's slice are: from `first` on, `width` of them, of which shared memory has
+  // `shared_width` behind those that are held [columns]. A lane for each slice of the patch, then what is the warp's.
+  static_assert(kWarps * Rows <= kWarp && kSliceRows == kWarp);
+  bool has_row[Rows];
+  std::uint32_t row[Rows], first[Rows], width[Rows], shared_begin[Rows], shared_width[Rows];
+  {
+    const std::uint32_t slices = own / kSliceRows, slice = patch.row_begin / kSliceRows + minimum(lane, slices - 1);
+    const std::uint32_t begin = s.slice_begin[slice], columns = s.slice_begin[slice + 1] - begin;
+    const std::uint32_t further = lane < slices && columns > Held ? columns - Held : 0;
+    std::uint32_t up_to = further;
+    for (unsigned distance = 1; distance < kWarp; distance *= 2) {
+      const std::uint32_t before = __shfl_up_sync(0xFFFFFFFFu, up_to, distance);
+      if (lane >= distance) up_to += before;
+    }
+    const std::uint32_t place = minimum(up_to - further, column_capacity);
+    for (int k = 0; k < Rows; ++k) {
+      const std::uint32_t of = warp + k * kWarps;
+      has_row[k] = of < slices;
+      row[k] = patch.row_begin + (has_row[k] ? thread + k * Threads : 0);
+      first[k] = __shfl_sync(0xFFFFFFFFu, begin, of);
+      width[k] = __shfl_sync(0xFFFFFFFFu, lane < slices ? columns : 0, of);
+      shared_begin[k] = __shfl_sync(0xFFFFFFFFu, place, of);
+      shared_width[k] = minimum(width[k] > Held ? width[k] - Held : 0, column_capacity - shared_begin[k]);
+    }
+  }
+
+  // The matrix is on its way while the factors are computed. Beyond the width blocks are zero.
+  const auto slot_of = [&first, lane](int k, std::uint32_t j) {
+    return (std::size_t{first[k]} + j) * kSliceRows + lane;
+  };
+  // Of a column in shared memory each row has two float4 and a float.
+  constexpr std::uint32_t kColumnReals = 9 * kSliceRows;
+  const auto place_of = [lane](std::uint32_t c) { return c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane); };
+  float held[Rows][Held][9];
+  std::uint32_t held_column[Rows][Held];
+#pragma unroll
+  for (int k = 0; k < Rows; ++k) {
+    for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+      const float* from = s.edges + tensor::block_begin(slot_of(k, Held + j));
+      float* const to = blocks + (shared_begin[k] + j) * kColumnReals;
+      for (int c = 0; c < 9; ++c) __pipeline_memcpy_async(to + place_of(c), from + c * kSliceRows, sizeof(float));
+    }
+#pragma unroll
+    for (int j = 0; j < Held; ++j) {
+      held_column[k][j] = j < width[k] ? s.columns[slot_of(k, j)] : 0;
+      const float* block = s.edges + tensor::block_begin(slot_of(k, j));
+      for (int c = 0; c < 9; ++c) held[k][j][c] = j < width[k] ? block[c * kSliceRows] : 0;
+    }
+  }
+  __pipeline_commit();
 
   // b̂ and L⁻¹ of own rows and of the halo
-  for (std::uint32_t i = thread; i < locals; i += Threads) {
-    const std::uint32_t global = tensor::global_row(s, patch, i);
-    float factor[6];
-    solver::inverse_factor(s.diagonal + std::size_t{8} * global, tensor::free_bits(s, global), factor);
-    for (int c = 0; c < 6; ++c) inverse[c * locals + i] = factor[c];
-    const Vec3<float> b = solver::scaled_rhs(s, global, solver::lower(factor));
-    direction[i] = {b[0], b[1], b[2], 0};
-    if (i >= own) halo_residual[i - own] = direction[i];
-  }
+  struct Row {
+    std::uint32_t free_bits;
+    float diagonal[6], weight;
+    Vec3<float> rhs;
+  };
+  constexpr std::uint32_t kRowsAtOnce = 3;
+  tensor::each_column<kRowsAtOnce>(
+      thread, locals, Threads,
+      [&](std::uint32_t i) {
+        const std::uint32_t global = tensor::global_row(s, patch, i);
+        Row row;
+        row.free_bits = tensor::free_bits(s, global);
+        for (int c = 0; c < 6; ++c) row.diagonal[c] = s.diagonal[std::size_t{8} * global + c];
+        row.rhs = tensor::load3<float>(s.rhs, global);
+        row.weight = solver::body_weight(s, global);
+        return row;
+      },
+      [&](std::uint32_t i, const Row& row) {
+        float factor[6];
+        solver::inverse_factor(row.diagonal, row.free_bits, factor);
+        for (int c = 0; c < 6; ++c) inverse[c * locals + i] = factor[c];
+        const Vec3<float> b = solver::lower(factor) * row.rhs * row.weight;
+        direction[i] = {b[0], b[1], b[2], 0};
+        if (i >= own) halo_residual[i - own] = direction[i];
+      });
+  __pipeline_wait_prior(0);
   __syncthreads();
-  const auto inverse_of = [&](std::uint32_t local) {
-    float factor[6];
+  const auto read_inverse = [&](std::uint32_t local, float(&factor)[6]) {
     for (int c = 0; c < 6; ++c) factor[c] = inverse[c * locals + local];
-    return solver::lower(factor);
   };
 
-  // Where the slice's blocks are.
-  const std::uint32_t slice = row / kSliceRows;
-  const std::uint32_t first = s.slice_begin[slice], width = has_row ? s.slice_begin[slice + 1] - first : 0;
-  std::uint32_t shared_begin = 0, shared_width = 0;  // columns
-  for (std::uint32_t other = patch.row_begin / kSliceRows; other <= slice; ++other) {
-    const std::uint32_t rest = s.slice_begin[other + 1] - s.slice_begin[other];
-    shared_begin += shared_width;
-    shared_width = minimum(rest > Held ? rest - Held : 0, column_capacity - shared_begin);
-  }
-  if (!has_row) shared_width = 0;
-
-  float held[Held][9];
-  std::uint32_t held_columns[Held / 2];  // two 16-bit offsets into direction [bytes]
-  {
-    const Mat3<float> own_inverse = inverse_of(has_row ? thread : 0);
-    const auto slot_of = [first, lane](std::uint32_t j) { return (std::size_t{first} + j) * kSliceRows + lane; };
-    const auto scaled = [&](const Mat3<float>& block, std::uint32_t column) -> Mat3<float> {
-      return own_inverse * block * inverse_of(column).transpose();
+  std::uint32_t held_columns[Rows][Held / 2];  // two 16-bit offsets into direction [bytes]
+#pragma unroll
+  for (int k = 0; k < Rows; ++k) {
+    float own_inverse[6];
+    read_inverse(has_row[k] ? thread + k * Threads : 0, own_inverse);
+    const auto scale = [&](float(&block)[9], std::uint32_t column) {
+      float other[6];
+      read_inverse(column, other);
+      solver::scale_block(own_inverse, block, other);
     };
-    // All reads are under way before the first block is scaled. Beyond the width blocks are zero.
-    std::uint32_t column[Held];
 #pragma unroll
     for (int j = 0; j < Held; ++j) {
-      column[j] = j < width ? s.columns[slot_of(j)] : 0;
-      const float* block = s.edges + tensor::block_begin(slot_of(j));
-      for (int c = 0; c < 9; ++c) held[j][c] = j < width ? block[c * kSliceRows] : 0;
-    }
-#pragma unroll
-    for (int j = 0; j < Held; ++j) {
-      Mat3<float> block;
-      for (int c = 0; c < 9; ++c) block(c / 3, c % 3) = held[j][c];
-      block = scaled(block, column[j]);
-      for (int c = 0; c < 9; ++c) held[j][c] = block(c / 3, c % 3);
-      held_columns[j / 2] = (j % 2 == 0 ? 0 : held_columns[j / 2]) | (column[j] * 16) << (16 * (j % 2));
+      scale(held[k][j], held_column[k][j]);
+      held_columns[k][j / 2] =
+          (j % 2 == 0 ? 0 : held_columns[k][j / 2]) | (held_column[k][j] * 16) << (16 * (j % 2));
     }
 #pragma unroll 2
-    for (std::uint32_t j = Held; j < width; ++j) {
-      const std::uint32_t column = s.columns[slot_of(j)];
-      const Mat3<float> block = scaled(tensor::load_block<float>(s.edges, slot_of(j)), column);
-      if (j - Held < shared_width) {
-        const std::size_t place = shared_begin + j - Held;
-        float* const to = blocks + place * (9 * kSliceRows);
-        reinterpret_cast<float4*>(to)[lane] = {block(0, 0), block(0, 1), block(0, 2), block(1, 0)};
-        reinterpret_cast<float4*>(to)[kSliceRows + lane] = {block(1, 1), block(1, 2), block(2, 0), block(2, 1)};
-        to[8 * kSliceRows + lane] = block(2, 2);
-        columns[place * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
-      } else {
-        tensor::store_block<float>(s.edges, slot_of(j), block);
-      }
+    for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+      const std::uint32_t column = s.columns[slot_of(k, Held + j)], place = shared_begin[k] + j;
+      float* const at = blocks + place * kColumnReals;
+      float block[9];
+      for (int c = 0; c < 9; ++c) block[c] = at[place_of(c)];
+      scale(block, column);
+      for (int c = 0; c < 9; ++c) at[place_of(c)] = block[c];
+      columns[place * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
+    }
+    for (std::uint32_t j = Held + shared_width[k]; j < width[k]; ++j) {
+      float* const from = s.edges + tensor::block_begin(slot_of(k, j));
+      float block[9];
+      for (int c = 0; c < 9; ++c) block[c] = from[c * kSliceRows];
+      scale(block, s.columns[slot_of(k, j)]);
+      for (int c = 0; c < 9; ++c) from[c * kSliceRows] = block[c];
     }
   }
 
-  const float4 start = has_row ? direction[thread] : float4{};
-  Vec3<float> p(start.x, start.y, start.z), r = p, x = Vec3<float>::Zero();
-  // Rows of the halo that this thread waits for; a patch seldom has more than two a thread.
-  constexpr std::uint32_t kHaloAtOnce = 2;
+  Vec3<float> p[Rows], r[Rows], x[Rows], q[Rows];
+  for (int k = 0; k < Rows; ++k) {
+    const float4 start = has_row[k] ? direction[thread + k * Threads] : float4{};
+    p[k] = r[k] = Vec3<float>(start.x, start.y, start.z);
+    x[k].setZero();
+  }
+  // Rows of the halo that this thread waits for; a patch seldom has more than two for each of its own.
+  constexpr std::uint32_t kHaloAtOnce = 2 * Rows;
   std::uint32_t halo_rows[kHaloAtOnce];
   for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
     const std::uint32_t h = thread + i * kHaloThreads;
@@ -172,45 +228,51 @@ __global__ void __launch_bounds__(Threads, 1)
   solver::Recurrence<float> recurrence(s);
   do {
     exchange.begin();
-    Vec3<float> q = p;
-    const auto add = [&](const float* block, std::uint32_t stride, std::uint32_t offset) {
-      const float4 v = *reinterpret_cast<const float4*>(reinterpret_cast<const char*>(direction) + offset);
-      for (int i = 0; i < 3; ++i) {
-        q[i] += block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
+    Exchange::Cell own_sums{0, 0, 0, 0};
+#pragma unroll
+    for (int k = 0; k < Rows; ++k) {
+      q[k] = p[k];
+      const auto add = [&](const float* block, std::uint32_t stride, std::uint32_t offset) {
+        const float4 v = *reinterpret_cast<const float4*>(reinterpret_cast<const char*>(direction) + offset);
+        for (int i = 0; i < 3; ++i) {
+          q[k][i] +=
+              block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
+        }
+      };
+      // By fours without a branch between, so that reads are under way together; what is beyond the width is zero.
+#pragma unroll
+      for (int j = 0; j < Held; j += 4) {
+        if (j >= width[k]) break;
+#pragma unroll
+        for (int i = j; i < j + 4 && i < Held; ++i) {
+          add(held[k][i], 1, held_columns[k][i / 2] >> (16 * (i % 2)) & 0xFFFF);
+        }
       }
-    };
-    // By fours without a branch between, so that reads are under way together; what is beyond the width is zero.
-#pragma unroll
-    for (int j = 0; j < Held; j += 4) {
-      if (j >= width) break;
-#pragma unroll
-      for (int i = j; i < j + 4 && i < Held; ++i) add(held[i], 1, held_columns[i / 2] >> (16 * (i % 2)) & 0xFFFF);
-    }
 #pragma unroll 2
-    for (std::uint32_t j = 0; j < shared_width; ++j) {
-      const std::size_t place = shared_begin + j;
-      const float* from = blocks + place * (9 * kSliceRows);
-      const float4 a = reinterpret_cast<const float4*>(from)[lane],
-                   b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
-      const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
-      add(block, 1, columns[place * kSliceRows + lane]);
+      for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+        const std::uint32_t place = shared_begin[k] + j;
+        const float* from = blocks + place * kColumnReals;
+        const float4 a = reinterpret_cast<const float4*>(from)[lane],
+                     b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
+        const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
+        add(block, 1, columns[place * kSliceRows + lane]);
+      }
+      for (std::uint32_t j = Held + shared_width[k]; j < width[k]; ++j) {
+        const std::size_t slot = slot_of(k, j);
+        add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
+      }
+      if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
+      own_sums.x += p[k].dot(q[k]);
+      own_sums.y += q[k].dot(q[k]);
+      own_sums.z += r[k].dot(r[k]);
     }
-    for (std::uint32_t j = Held + shared_width; j < width; ++j) {
-      const std::size_t slot = (std::size_t{first} + j) * kSliceRows + lane;
-      add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
-    }
-    if (has_row) exchange.publish_row(row, q[0], q[1], q[2]);
-    sums.exchange(exchange, s.patch_count, {p.dot(q), q.dot(q), r.dot(r), 0});
+    sums.exchange(exchange, s.patch_count, own_sums);
     if (thread < kHaloThreads) {
       for (std::uint32_t h = thread; h < patch.halo_count; h += kHaloAtOnce * kHaloThreads) {
         Exchange::Cell cells[kHaloAtOnce];
         exchange.wait_for_rows(
             h, kHaloThreads, patch.halo_count,
-            [&](std::uint32_t i) {
-              if (h == thread) return halo_rows[i == h ? 0 : 1];
-              return s.halo[patch.halo_begin + i];
-            },
-            cells);
+            [&](int i) { return h == thread ? halo_rows[i] : s.halo[patch.halo_begin + h + i * kHaloThreads]; }, cells);
         for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
           const std::uint32_t place = h + i * kHaloThreads;
           if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
@@ -221,19 +283,34 @@ __global__ void __launch_bounds__(Threads, 1)
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
-    x += p * alpha;
-    r -= q * alpha;
-    p = r + p * beta;
-    if (has_row) direction[thread] = {p[0], p[1], p[2], 0};
-    for (std::uint32_t h = thread; h < patch.halo_count; h += Threads) {
-      const float4 hq = halo_product[h];
-      float4 hr = halo_residual[h], hp = direction[own + h];
-      hr.x -= alpha * hq.x;
-      hr.y -= alpha * hq.y;
-      hr.z -= alpha * hq.z;
-      hp = {hr.x + beta * hp.x, hr.y + beta * hp.y, hr.z + beta * hp.z, 0};
-      halo_residual[h] = hr;
-      direction[own + h] = hp;
+#pragma unroll
+    for (int k = 0; k < Rows; ++k) {
+      x[k] += p[k] * alpha;
+      r[k] -= q[k] * alpha;
+      p[k] = r[k] + p[k] * beta;
+      if (has_row[k]) direction[thread + k * Threads] = {p[k][0], p[k][1], p[k][2], 0};
+    }
+    // Two at a time, so that they do not wait for each other's reads.
+    constexpr std::uint32_t kUpdatesAtOnce = 2;
+    for (std::uint32_t h = thread; h < patch.halo_count; h += kUpdatesAtOnce * Threads) {
+      float4 hq[kUpdatesAtOnce], hr[kUpdatesAtOnce], hp[kUpdatesAtOnce];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kUpdatesAtOnce; ++i) {
+        const std::uint32_t place = h + i * Threads < patch.halo_count ? h + i * Threads : h;
+        hq[i] = halo_product[place];
+        hr[i] = halo_residual[place];
+        hp[i] = direction[own + place];
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kUpdatesAtOnce; ++i) {
+        const std::uint32_t place = h + i * Threads;
+        if (place >= patch.halo_count) break;
+        hr[i].x -= alpha * hq[i].x;
+        hr[i].y -= alpha * hq[i].y;
+        hr[i].z -= alpha * hq[i].z;
+        halo_residual[place] = hr[i];
+        direction[own + place] = {hr[i].x + beta * hp[i].x, hr[i].y + beta * hp[i].y, hr[i].z + beta * hp[i].z, 0};
+      }
     }
     __syncthreads();
   } while (recurrence.goes_on());
@@ -242,8 +319,17 @@ __global__ void __launch_bounds__(Threads, 1)
     exchange.remember();
     if (patch.index == 0) recurrence.report(s);
   }
-  const Vec3<float> change = solver::unscaled(s, row, inverse_of(has_row ? thread : 0), x);
-  solver::advance_by(Team(), s, [&](std::uint32_t) { return change; });
+  Vec3<float> change[Rows];
+  for (int k = 0; k < Rows; ++k) {
+    float factor[6];
+    read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
+    change[k] = solver::unscaled(s, row[k], solver::lower(factor), x[k]);
+  }
+  solver::advance_by(Team(), s, [&](std::uint32_t moved) -> Vec3<float> {
+    Vec3<float> of = change[0];
+    for (int k = 1; k < Rows; ++k) of = moved == row[k] ? change[k] : of;
+    return of;
+  });
 }
 
 /// A patch's vectors, in shared memory or in the scene's buffers, `stride` floats a row.
@@ -436,7 +522,7 @@ __global__ void __launch_bounds__(Threads, 1)
     for (std::uint32_t h = thread; h < patch.halo_count; h += kAtOnce * Threads) {
       Exchange::Cell cells[kAtOnce];
       exchange.wait_for_rows(
-          h, Threads, patch.halo_count, [&](std::uint32_t i) { return s.halo[patch.halo_begin + i]; }, cells);
+          h, Threads, patch.halo_count, [&](int i) { return s.halo[patch.halo_begin + h + i * Threads]; }, cells);
       for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
         const std::uint32_t local = own + h + i * Threads;
         const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;

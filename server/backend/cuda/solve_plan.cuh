@@ -43,9 +43,9 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   }
   SolvePlan plan;
   // Fewer rows leave more registers to each thread, and so more of the matrix.
-  const auto consider = [&]<unsigned Threads, int Held>() {
-    if (plan.kernel != nullptr || most_rows > Threads) return;
-    const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Held>);
+  const auto consider = [&]<unsigned Threads, int Rows, int Held>() {
+    if (plan.kernel != nullptr || most_rows > Threads * Rows) return;
+    const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held>);
     const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow + 16;
     const std::size_t most = allow_all_shared_bytes(kernel);
     if (vectors > most || most_locals * 16 > 0xFFFF) return;
@@ -63,10 +63,12 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     plan = {true, kernel, Threads, 0, std::min(needed, room)};
     plan.shared_bytes = vectors + plan.argument * kResidentBytesPerColumn;
   };
-  consider.template operator()<256, 18>();
-  consider.template operator()<384, 12>();
-  consider.template operator()<448, 8>();
-  consider.template operator()<kMostResidentRows, 8>();
+  consider.template operator()<128, 1, 18>();
+  consider.template operator()<256, 1, 18>();
+  consider.template operator()<384, 1, 12>();
+  // Two rows a thread: half as many warps to wait for.
+  consider.template operator()<224, 2, 8>();
+  consider.template operator()<kMostResidentRows / 2, 2, 8>();
   if (plan.kernel == nullptr) {
     plan.kernel = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads>);
     plan.threads = kStreamedThreads;

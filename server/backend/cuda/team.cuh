@@ -10,8 +10,8 @@ inline constexpr unsigned kMaxBlockThreads = 512;
 inline constexpr unsigned kWarp = 32;
 
 /// The thread blocks that run one patch; the counterpart of backend/cpu/team.h. A stage that reduces or exchanges has
-/// one block a patch (gridDim.y = 1); the others may share a patch's loops out among several. Reductions run in a fixed
-/// order.
+/// one block a patch (gridDim.y = 1), or its reductions are those of a part of the patch; the others may share a patch's
+/// loops out among several. Reductions run in a fixed order.
 class Team {
  public:
   template <class Real>
@@ -20,6 +20,9 @@ class Team {
   __device__ std::uint32_t patch() const { return blockIdx.x; }
   __device__ bool leads() const { return blockIdx.x == 0 && threadIdx.x == 0; }
   __device__ bool leads_patch() const { return threadIdx.x == 0; }
+  /// The block, of those that share the patch.
+  __device__ std::uint32_t part() const { return blockIdx.y; }
+  __device__ std::uint32_t parts() const { return gridDim.y; }
 
   /// AtOnce: bodies in flight, where they do nothing but read.
   template <int AtOnce = 1, class Body>
