@@ -229,8 +229,8 @@ TM_FLATTEN void element_pass(const Team& team, const SceneView<Real>& s, const E
   });
 }
 
-/// det F of a linear tetrahedron, from the edges of its first node now and at rest: of an element only the rows are read,
-/// 16 bytes for 64. Double, since edges of a sliver cancel. 1 for padding.
+/// det F of a linear tetrahedron, from the edges of its first node now and at rest: of an element only the rows are
+/// read, 16 bytes for 64. Double, since edges of a sliver cancel. 1 for padding.
 template <class Real>
 TM_HOST_DEVICE Real det_f_of_edges(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element) {
   Vec3<double> rest[4], now[4];
@@ -239,9 +239,7 @@ TM_HOST_DEVICE Real det_f_of_edges(const SceneView<Real>& s, const ElementView<R
     rest[k] = load3<Real>(s.rest, row).template cast<double>();
     now[k] = rest[k] + load3<Real>(s.displacement, row).template cast<double>();
   }
-  const auto volume = [](const Vec3<double>(&x)[4]) {
-    return (x[1] - x[0]).dot((x[2] - x[0]).cross(x[3] - x[0]));
-  };
+  const auto volume = [](const Vec3<double>(&x)[4]) { return (x[1] - x[0]).dot((x[2] - x[0]).cross(x[3] - x[0])); };
   const double at_rest = volume(rest);
   return at_rest != 0 ? static_cast<Real>(volume(now) / at_rest) : Real(1);
 }

@@ -9,6 +9,7 @@
 #include "core/parallel.h"
 #include "mesh/partition.h"
 #include "physics/element/element.h"
+#include "tensor/banks.h"
 
 namespace tensormass::tensor {
 
@@ -138,59 +139,6 @@ void number_rows(Layout& layout, const mesh::Partition& partition, const StoredE
   layout.row_count = layout.patch_rows.back();
 }
 
-/// Wider slices keep their neighbours ascending: they would not fit into near memory anyway, and the order below takes
-/// the square of the width.
-constexpr std::uint32_t kMostSpreadColumns = 64;
-
-/// Orders the neighbours of each row so that rows which a device reads at once, eight of them four numbers each, meet
-/// different banks of its memory: column modulo eight. Any order is as good otherwise. columns: of a slice,
-/// [width][kSliceRows]; ends: how many of each row are neighbours, the others padding.
-template <class Swap>
-void spread_over_banks(std::span<const std::uint32_t> columns, std::span<const std::uint32_t> ends, const Swap& swap) {
-  constexpr std::uint32_t kBanks = 8;
-  const auto width = static_cast<std::uint32_t>(columns.size()) / kSliceRows;
-  for (std::uint32_t first = 0; first < kSliceRows; first += kBanks) {
-    for (std::uint32_t j = 0; j < width; ++j) {
-      // What is left to be placed, by bank: the fullest first, or its rows would meet at the end.
-      std::array<std::uint32_t, kBanks> load{}, order{};
-      std::iota(order.begin(), order.end(), 0);
-      const auto column = [&](std::uint32_t i, std::uint32_t k) { return columns[k * kSliceRows + first + i]; };
-      for (std::uint32_t i = 0; i < kBanks; ++i) {
-        for (std::uint32_t k = j; k < ends[first + i]; ++k) ++load[column(i, k) % kBanks];
-      }
-      std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) { return load[a] > load[b]; });
-      const auto find = [&](std::uint32_t i, std::uint32_t bank) {
-        for (std::uint32_t k = j; k < ends[first + i]; ++k) {
-          if (column(i, k) % kBanks == bank) return k;
-        }
-        return width;
-      };
-      // A matching of banks and rows by augmenting paths.
-      constexpr std::uint32_t kFree = kBanks;
-      std::array<std::uint32_t, kBanks> bank_of_row{};
-      bank_of_row.fill(kFree);
-      std::array<bool, kBanks> seen{};
-      const auto match = [&](const auto& self, std::uint32_t bank) -> bool {
-        for (std::uint32_t i = 0; i < kBanks; ++i) {
-          if (seen[i] || find(i, bank) == width) continue;
-          seen[i] = true;
-          if (bank_of_row[i] != kFree && !self(self, bank_of_row[i])) continue;
-          bank_of_row[i] = bank;
-          return true;
-        }
-        return false;
-      };
-      for (const std::uint32_t bank : order) {
-        seen.fill(false);
-        match(match, bank);
-      }
-      for (std::uint32_t i = 0; i < kBanks; ++i) {
-        if (bank_of_row[i] != kFree) swap(first + i, j, find(i, bank_of_row[i]));
-      }
-    }
-  }
-}
-
 /// What a patch adds to the layout.
 struct PatchSlots {
   std::vector<std::uint32_t> columns, neighbour_rows, halo;
@@ -222,10 +170,53 @@ void order_tiles(const Layout& layout, PatchSlots& patch) {
   }
 }
 
-PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const StoredEdges& stored,
-                       std::uint32_t patch) {
+/// The nodes of other patches that a patch's rows name, ascending by row.
+std::vector<std::uint32_t> halo_of(const Layout& layout, const mesh::Rows& neighbours, const StoredEdges& stored,
+                                   std::uint32_t patch) {
   const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1];
-  const auto is_own = [&](std::uint32_t row) { return row >= begin && row < end; };
+  const auto row_of = [&](std::uint32_t node) { return layout.row_of_node[node]; };
+  std::vector<std::uint32_t> halo;
+  for (std::uint32_t row = begin; row < end; ++row) {
+    if (layout.node_of_row[row] == mesh::kNone) continue;
+    for (const std::uint32_t other : stored.of(neighbours, layout.node_of_row[row])) {
+      if (row_of(other) < begin || row_of(other) >= end) halo.push_back(other);
+    }
+  }
+  std::sort(halo.begin(), halo.end(), [&](std::uint32_t a, std::uint32_t b) { return row_of(a) < row_of(b); });
+  halo.erase(std::unique(halo.begin(), halo.end()), halo.end());
+  return halo;
+}
+
+/// Of kRows: exchanges a patch's rows, and the nodes of its halo. Leaves row_of_node as it is.
+void arrange_by_bank(Layout& layout, const mesh::Rows& neighbours, std::uint32_t patch,
+                     std::vector<std::uint32_t>& halo) {
+  const std::uint32_t begin = layout.patch_rows[patch], own = layout.patch_rows[patch + 1] - begin;
+  const std::span<std::uint32_t> own_nodes(layout.node_of_row.data() + begin, own);
+  const auto row_of = [&](std::uint32_t node) { return layout.row_of_node[node]; };
+  const auto column_of = [&](std::uint32_t node) {
+    if (row_of(node) >= begin && row_of(node) < begin + own) return row_of(node) - begin;
+    const auto place = std::lower_bound(halo.begin(), halo.end(), node,
+                                        [&](std::uint32_t a, std::uint32_t b) { return row_of(a) < row_of(b); });
+    return own + static_cast<std::uint32_t>(place - halo.begin());
+  };
+  mesh::Rows rows;
+  for (const std::uint32_t node : own_nodes) {
+    for (const std::uint32_t other : node != mesh::kNone ? neighbours[node] : std::span<const std::uint32_t>{}) {
+      rows.items.push_back(column_of(other));
+    }
+    rows.offsets.push_back(static_cast<std::uint32_t>(rows.items.size()));
+  }
+  const std::vector<std::uint32_t> places = places_by_bank(rows, own + static_cast<std::uint32_t>(halo.size()));
+  std::vector<std::uint32_t> nodes(own_nodes.begin(), own_nodes.end());
+  nodes.insert(nodes.end(), halo.begin(), halo.end());
+  for (std::uint32_t i = 0; i < nodes.size(); ++i) {
+    (places[i] < own ? own_nodes[places[i]] : halo[places[i] - own]) = nodes[i];
+  }
+}
+
+PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const StoredEdges& stored,
+                       std::uint32_t patch, std::span<const std::uint32_t> halo) {
+  const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1], count = end - begin;
   // Neighbours as rows, each section ascending.
   std::vector<std::uint32_t> offsets{0}, middles, rows;
   PatchSlots out;
@@ -243,11 +234,18 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
     middles.push_back(static_cast<std::uint32_t>(first + inner));
     offsets.push_back(static_cast<std::uint32_t>(rows.size()));
   }
-  std::copy_if(rows.begin(), rows.end(), std::back_inserter(out.halo), [&](std::uint32_t row) { return !is_own(row); });
-  std::sort(out.halo.begin(), out.halo.end());
-  out.halo.erase(std::unique(out.halo.begin(), out.halo.end()), out.halo.end());
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> outer;  // rows of the halo, ascending, and their columns
+  for (const std::uint32_t node : halo) {
+    out.halo.push_back(layout.row_of_node[node]);
+    outer.emplace_back(out.halo.back(), count + static_cast<std::uint32_t>(outer.size()));
+  }
+  std::sort(outer.begin(), outer.end());
+  const auto column_of = [&](std::uint32_t row) {
+    if (row >= begin && row < end) return row - begin;
+    return std::lower_bound(outer.begin(), outer.end(), std::pair{row, 0u})->second;
+  };
 
-  const std::uint32_t height = layout.slice_rows(), count = end - begin;
+  const std::uint32_t height = layout.slice_rows();
   for (std::uint32_t slice = 0; slice < count; slice += height) {
     // Section by section: what lies in [from(i), to(i)) of `rows`.
     const auto add = [&](const auto& from, const auto& to) {
@@ -261,11 +259,7 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
             continue;
           }
           const std::uint32_t other = rows[from(i) + j];
-          const auto column =
-              is_own(other) ? other - begin
-                            : count + static_cast<std::uint32_t>(
-                                          std::lower_bound(out.halo.begin(), out.halo.end(), other) - out.halo.begin());
-          out.columns.push_back(column);
+          out.columns.push_back(column_of(other));
           out.neighbour_rows.push_back(other);
         }
       }
@@ -280,13 +274,8 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
     if (layout.storage == Storage::kRows && out.widths.back() <= kMostSpreadColumns) {
       std::array<std::uint32_t, kSliceRows> ends{};
       for (std::uint32_t i = 0; i < kSliceRows; ++i) ends[i] = offsets[slice + i + 1] - offsets[slice + i];
-      spread_over_banks(std::span(out.columns).subspan(begin_of_slice), ends,
-                        [&](std::uint32_t lane, std::uint32_t j, std::uint32_t k) {
-                          const std::size_t a = begin_of_slice + j * kSliceRows + lane;
-                          const std::size_t b = begin_of_slice + k * kSliceRows + lane;
-                          std::swap(out.columns[a], out.columns[b]);
-                          std::swap(out.neighbour_rows[a], out.neighbour_rows[b]);
-                        });
+      order_by_bank(std::span(out.columns).subspan(begin_of_slice),
+                    std::span(out.neighbour_rows).subspan(begin_of_slice), ends);
     }
   }
   if (layout.storage == Storage::kTiles) order_tiles(layout, out);
@@ -365,9 +354,19 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
               storage == Storage::kTiles ? neighbours_beyond_tile(partition, neighbours, layout.tile_rows)
                                          : std::vector<std::uint32_t>{});
 
+  std::vector<std::vector<std::uint32_t>> halos(patch_count);
+  parallel_for(patch_count, [&](std::size_t i) {
+    const auto patch = static_cast<std::uint32_t>(i);
+    halos[patch] = halo_of(layout, neighbours, stored, patch);
+    if (storage == Storage::kRows) arrange_by_bank(layout, neighbours, patch, halos[patch]);
+  });
+  for (std::uint32_t row = 0; row < layout.row_count; ++row) {
+    if (layout.node_of_row[row] != mesh::kNone) layout.row_of_node[layout.node_of_row[row]] = row;
+  }
   std::vector<PatchSlots> patches(patch_count);
   parallel_for(patch_count, [&](std::size_t patch) {
-    patches[patch] = patch_slots(layout, neighbours, stored, static_cast<std::uint32_t>(patch));
+    patches[patch] = patch_slots(layout, neighbours, stored, static_cast<std::uint32_t>(patch), halos[patch]);
+    halos[patch] = {};
   });
   layout.patch_halo.assign(1, 0);
   layout.slice_begin.assign(1, 0);

@@ -15,7 +15,7 @@ namespace tensormass::tensor {
 
 /// Where the blocks of the matrix off its diagonal are.
 enum class Storage : std::uint8_t {
-  kRows,   ///< in each row all of its own: what a GPU thread walks (view.h)
+  kRows,   ///< in each row all of its own: what a GPU thread walks (view.h), in the order of banks.h
   kTiles,  ///< the same, with each row ordered for a warp that streams the matrix (tiles.h)
   kEdges,  ///< within a patch once for both rows: half of the memory, for one thread a patch (edges.h)
 };
@@ -28,7 +28,7 @@ struct Layout {
   std::vector<std::uint32_t> node_of_row;     ///< [row_count]; mesh::kNone for a padding row
   std::vector<std::uint32_t> patch_rows;      ///< [patch_count + 1]
   std::vector<std::uint32_t> patch_halo;      ///< [patch_count + 1]
-  std::vector<std::uint32_t> halo;            ///< rows of other patches, ascending within a patch
+  std::vector<std::uint32_t> halo;            ///< rows of other patches; but for kRows ascending within a patch
   std::vector<std::uint32_t> slice_begin;     ///< [row_count / slice_rows() + 1]
   std::vector<std::uint32_t> slice_halo;      ///< [row_count / slice_rows()] of kEdges where a slice's halo begins
   std::uint32_t tile_rows = 0;                ///< of kTiles: of each tile but the last of a patch

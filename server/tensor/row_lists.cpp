@@ -85,10 +85,15 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
     RowLists& lists = out.groups.emplace_back();
     lists.place_bits = layout.widest_slice() < own_place(8) ? 8 : 16;
-    std::uint32_t columns = 0;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> by_length;  // and the slice
     for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
-      const std::uint32_t length = length_of(incidences[g], slice), patch = patch_of_slice[slice];
-      if (length == 0) continue;
+      if (const std::uint32_t length = length_of(incidences[g], slice)) by_length.emplace_back(length, slice);
+    }
+    std::stable_sort(by_length.begin(), by_length.end(),
+                     [](const auto& a, const auto& b) { return a.first > b.first; });
+    std::uint32_t columns = 0;
+    for (const auto& [length, slice] : by_length) {
+      const std::uint32_t patch = patch_of_slice[slice];
       lists.slices.push_back(
           {4 * slice + begun[slice] + (finishes && last_group[slice] == g ? 2 : 0), layout.slice_begin[slice],
            layout.slice_begin[slice + 1], columns, columns + length,

@@ -11,6 +11,7 @@ namespace tensormass::tensor {
 
 /// Of a group, as ElementView has them.
 struct RowLists {
+  /// The longest lists first: a device begins them in this order, and what it begins last should not keep it waiting.
   std::vector<ListedSlice> slices;
   std::vector<std::uint32_t> listed;
   std::uint32_t place_bits = 8;

@@ -54,11 +54,13 @@ void check(const mesh::Mesh& mesh, std::uint32_t patches, bool finishes, std::ui
     view.place_bits = group.place_bits;
     view.places = group.places.data();
     std::map<std::pair<std::uint32_t, std::uint32_t>, int> found;  // element, node
-    std::uint32_t list_end = 0;
+    std::uint32_t list_end = 0, longest = kNoPlace;
     for (const ListedSlice& listed : group.slices) {
       const std::uint32_t slice = listed.slice(), patch = layout.patch_of_row(slice * kSliceRows);
       EXPECT_EQ(listed.list_begin, list_end);
       list_end = listed.list_end;
+      EXPECT_LE(listed.list_end - listed.list_begin, longest) << "what is begun last ends soonest";
+      longest = listed.list_end - listed.list_begin;
       EXPECT_EQ(listed.columns_begin, layout.slice_begin[slice]);
       EXPECT_EQ(listed.columns_end, layout.slice_begin[slice + 1]);
       EXPECT_EQ(listed.patch.row_begin, layout.patch_rows[patch]);
