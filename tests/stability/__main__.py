@@ -1,7 +1,7 @@
 """Runs the cases against daemons of its own and writes results/<backend>.json.
 
 python -m stability [--backend cpu|cuda] [--long] [--only TEXT] [--precision double|float] [--jobs N] [--scenes N]
-                    [--devices A,B] [--limit SECONDS] [--fresh]
+                    [--devices A,B] [--limit SECONDS] [--fresh] [--update]
 python -m stability --merge JOURNAL...      runs nothing: makes the results of journals that were written elsewhere
 
 A run that was stopped, or that `--limit` ended, goes on where it was: build/stability/<backend>.jsonl has its rows;
@@ -37,8 +37,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m stability", description=__doc__.splitlines()[0])
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--long", action="store_true", help="also 10⁶ steps, an hour, millions of elements")
-    parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results")
-    parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results")
+    parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results by itself")
+    parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results by itself")
+    parser.add_argument("--update", action="store_true", help="put the rows of --only in place of those in the results")
     parser.add_argument("--jobs", type=int, help="daemons at a time; default: one a processor, or one a device")
     parser.add_argument("--scenes", type=int, help="of each daemon at a time; default: 1, or as many as a device likes")
     parser.add_argument("--devices", default="", metavar="A,B", help="GPUs, as CUDA numbers them; default: the first")
@@ -90,6 +91,8 @@ def main() -> int:
         rows = [entry.row for entry in entries.values()]
         held = sum(row.verdict.outcome == HOLDS for row in rows)
         unexplained = sum(not cases[row.key].explains(row.verdict.outcome, row.precision) for row in rows)
+        if arguments.update:
+            print(f"wrote {report.updated(_head(arguments), arguments.only, rows).write()}")
         print(f"{len(rows)} rows, {held} hold, {unexplained} unexplained")
         return int(unexplained > 0)
     log.close()

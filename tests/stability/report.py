@@ -9,8 +9,8 @@ import json
 import math
 import re
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,19 @@ class Run(record.Head):
                     verdict = Verdict(outcome, math.nan if share is None else share, text)
                     rows.append(Row(f"{case}/{shape}", precision, verdict))
         return Run(**{**content, "rows": sorted(rows, key=lambda row: row.precision)})
+
+
+def updated(head: Mapping[str, Any], only: str, rows: Sequence[Row]) -> Run:
+    """The results of a backend with these rows in place of their own, and the commit of either.
+
+    Raises:
+        ValueError: there are none, or they are of another device.
+    """
+    run = Run.read(head["backend"])
+    if run is None or run.device != head["device"]:
+        raise ValueError(f"no results of {head['device']} to update: {run.device if run else 'none'}")
+    of_task = {row.task: row for row in [*run.rows, *rows]}
+    return replace(run, rows=list(of_task.values()), commit=f"{run.commit}; {only}: {head['commit']}")
 
 
 def page(runs: Sequence[Run]) -> str:

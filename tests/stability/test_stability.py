@@ -292,3 +292,22 @@ def test_a_reference_that_fails_is_not_the_scene_that_is_caught(
 
     monkeypatch.setattr(cases_steps, "equilibrium", none)
     assert judge(case, Engine(server, "double")).outcome == SHORT
+
+
+def test_rows_of_a_group_take_the_place_of_those_in_the_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report, "FOLDER", tmp_path)
+    head = {"backend": "cpu", "device": "CPU", "commit": "new"}
+    with pytest.raises(ValueError, match="no results"):
+        report.updated(head, "motion", [])
+    rows = [entry("motion/a/law/shape").row, entry("step/a/law/shape").row]
+    report.Run("cpu", "CPU", "m", "old", "command", "day", 1, rows).write()
+    run = report.updated(head, "motion", [entry("motion/a/law/shape", SHORT).row])
+    assert [(row.key, row.verdict.outcome) for row in run.rows] == [
+        ("motion/a/law/shape", SHORT),
+        ("step/a/law/shape", HOLDS),
+    ]
+    assert run.commit == "old; motion: new"
+    with pytest.raises(ValueError, match="no results of GPU"):
+        report.updated({**head, "device": "GPU"}, "motion", [])
