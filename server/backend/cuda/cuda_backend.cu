@@ -183,7 +183,7 @@ using cuda::run_stage;
 template <class Real>
 class CudaState final : public SceneState {
  public:
-  /// shares: other scenes step on the device at the same time.
+  /// device: what the scene has of it. shares: other scenes step on the device at the same time.
   CudaState(const model::Model& model, const cudaDeviceProp& device, bool shares)
       : model_(model),
         device_(device),
@@ -501,10 +501,11 @@ class CudaBackend final : public Backend {
   std::string device() const override { return properties_.name; }
   model::PatchPolicy patch_policy(const v1::Scene&) const override {
     // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others, more
-    // than that many do not fit on the chip.
-    constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416;
+    // than that many do not fit on the chip. Scenes that share the device take as few multiprocessors as will do.
+    constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416, kMaxNodesIfShared = 480;
+    const std::uint32_t max_nodes = scenes_ > 1 ? kMaxNodesIfShared : kMaxNodesPerPatch;
     return {processors(),           kMinNodesPerPatch, tensor::Storage::kRows,
-            processors() / scenes_, kMaxNodesPerPatch, cuda::kMostResidentRows};
+            processors() / scenes_, max_nodes,         cuda::kMostResidentRows};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};
@@ -536,9 +537,9 @@ class CudaBackend final : public Backend {
   Result<std::unique_ptr<SceneState>> create(const model::Model& model) const override try {
     std::unique_ptr<SceneState> state;
     if (model.double_precision) {
-      state = std::make_unique<CudaState<double>>(model, properties_, scenes_ > 1);
+      state = std::make_unique<CudaState<double>>(model, share(), scenes_ > 1);
     } else {
-      state = std::make_unique<CudaState<float>>(model, properties_, scenes_ > 1);
+      state = std::make_unique<CudaState<float>>(model, share(), scenes_ > 1);
     }
     return state;
   } catch (const CudaFailure& failure) {
@@ -548,6 +549,13 @@ class CudaBackend final : public Backend {
 
  private:
   std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
+  /// What a scene has of the device, so that it does not spread its work out over processors that others need: that
+  /// takes longer in all.
+  cudaDeviceProp share() const {
+    cudaDeviceProp share = properties_;
+    share.multiProcessorCount = static_cast<int>(std::max(1u, processors() / scenes_));
+    return share;
+  }
   const cudaDeviceProp properties_;
   const std::uint32_t scenes_;
 };
