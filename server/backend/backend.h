@@ -48,10 +48,9 @@ struct StepResult {
   /// Of the elements that are checked in each step; 1 where none is.
   double min_det_f = 1;
   std::uint32_t newton_iterations = 1;
-  /// Imbalance relative to the forces at work, at most the tolerance where what is left moves nothing; 0 in a step that
-  /// is linearized once.
-  double newton_residual = 0;
-  bool converged = true;       ///< false: the outer iteration ended before its tolerance
+  double newton_residual = 0;  ///< imbalance relative to the forces at work; 0 in a step that is linearized once
+  /// False: the outer iteration ended before its tolerance, and what is left would have moved something.
+  bool converged = true;
 };
 
 /// What elements of a group look like (tensor::PatchWatch).

@@ -58,7 +58,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
   using model::Phase;
   constexpr int kMaxHalvings = 10;
   constexpr double kMaxDetour = 0.25;
-  constexpr int kMaxDetourIterations = 6;  // and what rounding leaves goes up and down for ever
+  constexpr int kMaxDetourIterations = 6;   // and what rounding leaves goes up and down for ever
   constexpr double kTrustedResidual = 0.5;  // of a solve whose increment tells how far there is to go
   tensor::NewtonControl& control = device.control();
   const std::uint32_t usual_stiffness = positive ? 1 : 0;
@@ -130,8 +130,7 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     const bool settled = share == 1 && !stalled && !solved.negative_curvature &&
                          solved.cg_relative_residual < kTrustedResidual &&
                          at.moved <= std::numeric_limits<Real>::epsilon();
-    if (settled) total.newton_residual = std::min(total.newton_residual, tolerance);
-    total.converged = total.newton_residual <= tolerance;
+    total.converged = total.newton_residual <= tolerance || settled;
     if (total.converged || stalled || since_best > kMaxDetourIterations) break;
   }
   total.cg_iterations = cg_iterations;

@@ -125,8 +125,8 @@ TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s
   });
 }
 
-/// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment, displacement;
-/// writes residuals.
+/// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment,
+/// displacement; writes residuals.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());

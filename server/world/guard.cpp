@@ -145,7 +145,9 @@ Verdict Guard::judge(const backend::StepResult& result, const StepEnergy& energy
   if (!(result.max_move_m <= max_move_m_)) return {Breach::kMove, result.max_move_m, max_move_m_};
   if (!(result.max_distance_m <= max_distance_m_)) return {Breach::kDistance, result.max_distance_m, max_distance_m_};
   if (!(result.min_det_f > 0)) return {Breach::kVolume, result.min_det_f, 0};
-  if (!(result.newton_residual <= kMaxImbalance)) return {Breach::kImbalance, result.newton_residual, kMaxImbalance};
+  if (!result.converged && !(result.newton_residual <= kMaxImbalance)) {
+    return {Breach::kImbalance, result.newton_residual, kMaxImbalance};
+  }
   if (!(result.cg_relative_residual <= max_residual_)) {
     return {Breach::kResidual, result.cg_relative_residual, max_residual_};
   }

@@ -304,8 +304,8 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   if (scene.tools_size() > 0 && options.press.size() == 3) press_and_lift(runners, scene.tools(0), options, end);
   watcher.join();
   const v1::SceneStatus status = of_all(runners);
-  // Else each scene that ends competes with all that still step for the driver's lock: with a device that is behind, for
-  // minutes.
+  // Else each scene that ends competes with all that still step for the driver's lock: with a device that is behind,
+  // for minutes.
   for (const auto& runner : runners) TM_CHECK(runner->pause());
   return fmt::format(
       R"({{"case":"real time: {}","scenes":{},"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"

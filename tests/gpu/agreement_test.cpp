@@ -17,7 +17,7 @@ namespace {
 struct Trajectory {
   std::vector<double> positions;
   std::vector<Vec3<double>> forces;  // of each step
-  double min_det_f = 1;  // of the last step
+  double min_det_f = 1;              // of the last step
   std::uint32_t patches = 0;
   tensor::Storage storage = tensor::Storage::kRows;
 };

@@ -14,7 +14,7 @@ namespace {
 class FindingsOf : public tests::OnBackend {
  protected:
   /// A bar whose end is moved by `turn` in z and `press` in x, at equilibrium, with what is found of it.
-  v1::SceneStatus after(const std::string& law, double turn, double press, double tolerance = 1e-6) {
+  v1::SceneStatus after(const std::string& law, double turn, double press, std::uint32_t newton_max_iterations = 50) {
     v1::Scene scene = tests::beam_scene({.cells_x = 6,
                                          .cells_y = 2,
                                          .cells_z = 2,
@@ -26,7 +26,8 @@ class FindingsOf : public tests::OnBackend {
                                          .cg_tolerance = 1e-8});
     scene.clear_gravity_m_per_s2();
     scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
-    scene.mutable_solver()->set_newton_tolerance(tolerance);
+    scene.mutable_solver()->set_newton_tolerance(1e-6);
+    scene.mutable_solver()->set_newton_max_iterations(newton_max_iterations);
     v1::Body& body = *scene.mutable_bodies(0);
     *body.mutable_law() = tests::law(law, 1e5, 0.3);
     v1::PrescribedDisplacement& end = *body.add_prescribed();
@@ -72,7 +73,7 @@ TEST_P(FindingsOf, InvertedElementsAreNamed) {
 }
 
 TEST_P(FindingsOf, AStepThatDidNotConvergeIsNamedAndCounted) {
-  const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 1e-300);
+  const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 2);
   EXPECT_EQ(status.unconverged_steps(), 1u);
   EXPECT_GT(status.newton_residual(), 0);
   EXPECT_TRUE(says(status, "newton_max_iterations"));

@@ -268,9 +268,17 @@ TEST(GuardBounds, AreEachAsked) {
   const model::Model model = model_of(scene);
   const Guard guard(model);
   const StepEnergy energy{.available_j = 1};
-  const backend::StepResult good{
-      .max_move_m = 0.14, .max_distance_m = 1.4, .kinetic_energy_j = 3.9, .min_det_f = 1e-6, .newton_residual = 0.9};
+  const backend::StepResult good{.max_move_m = 0.14,
+                                 .max_distance_m = 1.4,
+                                 .kinetic_energy_j = 3.9,
+                                 .min_det_f = 1e-6,
+                                 .newton_residual = 0.9,
+                                 .converged = false};
   EXPECT_TRUE(guard.judge(good, energy).good()) << to_text(guard.judge(good, energy));
+  backend::StepResult at_rest = good;
+  at_rest.newton_residual = 1.1;
+  at_rest.converged = true;
+  EXPECT_TRUE(guard.judge(at_rest, energy).good()) << "what is left of forces that are rounding moves nothing";
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const auto breach = [&](auto member, auto value) {
     backend::StepResult bad = good;

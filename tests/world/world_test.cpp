@@ -51,8 +51,8 @@ TEST_P(Mechanics, FreeFallIsExact) {
   }
 }
 
-/// Where nothing acts, the forces of elements are what rounding leaves, and Newton's method is not to chase them: it is no
-/// fault, every step is converged, and the body flies as it was thrown.
+/// Where nothing acts, the forces of elements are what rounding leaves, and Newton's method is not to chase them: it is
+/// no fault, every step is converged, and the body flies as it was thrown.
 TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {
   for (const bool double_precision : {false, true}) {
     for (const v1::Shape shape : {v1::SHAPE_TETRAHEDRON, v1::SHAPE_HEXAHEDRON}) {

@@ -212,6 +212,7 @@ class _Solution:
         self._kinetic_share = 1.0
         #: False: it had to come to rest and did not.
         self.at_rest = True
+        self._unconverged_steps = 0
 
     def compute(self) -> dict[str, Any]:
         """Makes the steps, writes, and returns the summary.
@@ -301,7 +302,8 @@ class _Solution:
         solver = self._solver
         if defaults.newton_max_iterations(solver) > 1:
             tolerance = defaults.newton_tolerance(solver)
-            if status.newton_residual > tolerance:
+            before, self._unconverged_steps = self._unconverged_steps, status.unconverged_steps
+            if status.unconverged_steps > before:
                 single = solver.precision != scene_pb2.Solver.PRECISION_DOUBLE
                 self._did_not_converge(
                     f"{where} did not converge: an imbalance of {status.newton_residual:.1e} of the forces after "

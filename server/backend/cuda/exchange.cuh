@@ -44,25 +44,26 @@ class Exchange {
   /// The cells of rows in this exchange, four floats each.
   __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
 
-  __device__ void publish_sums(float x, float y, float z) const {
-    store(sums_of(patch_), {x, y, z, tag_});
-  }
+  __device__ void publish_sums(float x, float y, float z) const { store(sums_of(patch_), {x, y, z, tag_}); }
   /// Sums of patches first, first + stride, .., as wait_for_rows.
   template <int Count>
   __device__ void wait_for_sums(std::uint32_t first, std::uint32_t stride, std::uint32_t count,
                                 Cell (&cells)[Count]) const {
-    wait_for(first, stride, count, [=, this](int i) { return sums_of(first + i * stride); }, cells);
+    wait_for(
+        first, stride, count, [=, this](int i) { return sums_of(first + i * stride); }, cells);
   }
-  /// Cells of the rows index(0), index(1), .. that a thread waits for, as many of first, first + stride, .. as are below
-  /// `count`, at most Count; they are under way at once.
+  /// Cells of the rows index(0), index(1), .. that a thread waits for, as many of first, first + stride, .. as are
+  /// below `count`, at most Count; they are under way at once.
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
     const Cell* from = cells_ + std::size_t{tag_ & 1} * rows_;
-    wait_for(first, stride, count, [&](int i) { return from + index(i); }, cells);
+    wait_for(
+        first, stride, count, [&](int i) { return from + index(i); }, cells);
   }
 
-  /// Over groups of `Lanes` lanes, a power of two; each combination is commutative, so that all lanes have the same bits.
+  /// Over groups of `Lanes` lanes, a power of two; each combination is commutative, so that all lanes have the same
+  /// bits.
   template <unsigned Lanes = kWarp>
   __device__ static Cell sum_lanes(Cell value) {
     for (unsigned mask = Lanes / 2; mask > 0; mask /= 2) {

@@ -147,9 +147,9 @@ class SharedBlocks {
   }
 
   const std::uint32_t capacity_, part_, parts_;
-  Quad* const quads_;           // [part][column][2][kSliceRows]
-  Real* const singles_;         // [part][column][kSliceRows]
-  Real* const displacements_;   // [column][3][kSliceRows]
+  Quad* const quads_;          // [part][column][2][kSliceRows]
+  Real* const singles_;        // [part][column][kSliceRows]
+  Real* const displacements_;  // [column][3][kSliceRows]
   std::uint32_t first_ = 0, held_ = 0;
   bool holds_all_ = false;
 };

@@ -125,7 +125,9 @@ __global__ void __launch_bounds__(Threads, 1)
   };
   // Of a column in shared memory each row has two float4 and a float.
   constexpr std::uint32_t kColumnReals = 9 * kSliceRows;
-  const auto place_of = [lane](std::uint32_t c) { return c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane); };
+  const auto place_of = [lane](std::uint32_t c) {
+    return c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane);
+  };
   float held[Rows][Held][9];
   std::uint32_t held_column[Rows][Held];
 #pragma unroll
@@ -189,8 +191,7 @@ __global__ void __launch_bounds__(Threads, 1)
 #pragma unroll
     for (int j = 0; j < Held; ++j) {
       scale(held[k][j], held_column[k][j]);
-      held_columns[k][j / 2] =
-          (j % 2 == 0 ? 0 : held_columns[k][j / 2]) | (held_column[k][j] * 16) << (16 * (j % 2));
+      held_columns[k][j / 2] = (j % 2 == 0 ? 0 : held_columns[k][j / 2]) | (held_column[k][j] * 16) << (16 * (j % 2));
     }
 #pragma unroll 2
     for (std::uint32_t j = 0; j < shared_width[k]; ++j) {

@@ -10,8 +10,8 @@ inline constexpr unsigned kMaxBlockThreads = 512;
 inline constexpr unsigned kWarp = 32;
 
 /// The thread blocks that run one patch; the counterpart of backend/cpu/team.h. A stage that reduces or exchanges has
-/// one block a patch (gridDim.y = 1), or its reductions are those of a part of the patch; the others may share a patch's
-/// loops out among several. Reductions run in a fixed order.
+/// one block a patch (gridDim.y = 1), or its reductions are those of a part of the patch; the others may share a
+/// patch's loops out among several. Reductions run in a fixed order.
 class Team {
  public:
   template <class Real>
