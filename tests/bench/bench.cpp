@@ -339,11 +339,12 @@ int main(int argc, char** argv) {
   CLI::App app{
       "Milliseconds a step on beams that anyone can rebuild: 8 x 1 x 0.8 m, E 1 MPa, nu 0.4, 50 CG iterations."};
   std::string backend_name = "cpu", output, commit = "unknown";
-  std::uint32_t steps = 100, threads = std::max(1u, std::thread::hardware_concurrency());
+  std::uint32_t steps = 0, threads = std::max(1u, std::thread::hardware_concurrency());
   std::string suite = "beams", only;
   bool small = false, of_family = false;
   app.add_option("--backend", backend_name, "cpu or cuda")->check(CLI::IsMember({"cpu", "cuda"}));
-  app.add_option("--steps", steps, "measured steps of each case")->check(CLI::Range(1, 100000));
+  app.add_option("--steps", steps, "measured steps of each case; default: 500 with --suite gpu, else 100")
+      ->check(CLI::Range(1, 100000));
   app.add_option("--threads", threads, "CPU threads of a scene");
   app.add_option("--commit", commit, "written into the results");
   app.add_option("--json", output, "append one JSON line a case to this file");
@@ -360,6 +361,7 @@ int main(int argc, char** argv) {
   app.add_flag("--together", real_time.together, "with --stations: they step only when all are loaded");
   app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
   CLI11_PARSE(app, argc, argv);
+  if (steps == 0) steps = suite == "gpu" ? 500 : 100;
   std::string command = "tensormass-bench";  // without where its results go
   for (int i = 1; i < argc; ++i) {
     if (std::string_view(argv[i]) == "--json") {
