@@ -143,7 +143,10 @@ def page(runs: Sequence[Run]) -> str:
         )
     lines += ["", "s: of all rows together; those that ran side by side are added up."] if runs else []
     if any(";" in run.commit for run in runs):
-        lines += ["", "Commits: of all rows; behind the semicolon of those whose cases hold that text, which were run again."]
+        lines += [
+            "",
+            "Commits: of all rows; behind the semicolon of those whose cases hold that text, which were run again.",
+        ]
     known = {run.backend for run in runs}
     lines += [f"\nNo results of the {backend} backend yet." for backend in BACKENDS if backend not in known]
     for group in dict.fromkeys(case.group for case in cases):
