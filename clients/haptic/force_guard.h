@@ -22,6 +22,7 @@ class ForceGuard {
   ForceGuard(const ForceGuard&) = delete;
   ForceGuard& operator=(const ForceGuard&) = delete;
 
+  const DeviceInfo& info() const { return device_.info(); }
   Result<DevicePose> read();
   Result<void> write(const Eigen::Vector3d& force_n);
   /// Zero now, and every later write is refused.

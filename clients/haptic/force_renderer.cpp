@@ -9,7 +9,7 @@ namespace {
 
 Eigen::Vector3d shortened_to(const Eigen::Vector3d& v, double length) {
   const double norm = v.norm();
-  return norm > length ? Eigen::Vector3d(v * (length / norm)) : v;
+  return norm <= length ? v : Eigen::Vector3d(v * (length / norm));
 }
 
 }  // namespace
@@ -41,7 +41,8 @@ Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector
                             const ForceLimits& limits) {
   if (!wanted_n.allFinite()) return Eigen::Vector3d::Zero();
   const Eigen::Vector3d change = shortened_to(wanted_n - applied_n, limits.max_slew_n_per_s * dt_s);
-  return shortened_to(applied_n + change, limits.max_force_n);
+  const Eigen::Vector3d limited = shortened_to(applied_n + change, limits.max_force_n);
+  return limited.allFinite() ? limited : Eigen::Vector3d::Zero();
 }
 
 }  // namespace tensormass::haptic

@@ -57,7 +57,7 @@ struct ForceLimits {
 };
 
 /// `wanted_n` with its change from `applied_n` limited to the slew of `dt_s` and then its magnitude to the maximum.
-/// A force that is not finite becomes zero at once.
+/// A force that is not finite becomes zero at once; so does every force if a limit is not a number.
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,
                             const ForceLimits& limits);
 

@@ -1,11 +1,29 @@
 #include "haptic/loop.h"
 
 #include <algorithm>
+#include <cmath>
+#include <random>
 
 namespace tensormass::haptic {
 namespace {
 
 constexpr std::int64_t kDrainPollNs = 1'000'000;
+
+std::uint64_t random_client_id() {
+  std::random_device random;
+  // Never zero, which stands for "no pose yet".
+  return std::uniform_int_distribution<std::uint64_t>(1)(random);
+}
+
+/// fmin: of a number that is none, the device's holds.
+LoopOptions within(const DeviceInfo& info, LoopOptions options) {
+  const auto bind = [](double& asked, double device) { asked = std::fmin(asked, device); };
+  bind(options.limits.max_force_n, info.max_force_n);
+  bind(options.renderer.max_stiffness_n_per_m, info.max_stiffness_n_per_m);
+  bind(options.passivity.max_damping_n_s_per_m, info.max_damping_n_s_per_m);
+  if (options.client_id == 0) options.client_id = random_client_id();
+  return options;
+}
 
 }  // namespace
 
@@ -13,10 +31,10 @@ Loop::Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& optio
     : guard_(guard),
       link_(link),
       clock_(clock),
-      options_(options),
-      period_s_(1.0 / options.rate_hz),
-      renderer_(options.renderer),
-      passivity_(options.passivity) {}
+      options_(within(guard.info(), options)),
+      period_s_(1.0 / options_.rate_hz),
+      renderer_(options_.renderer),
+      passivity_(options_.passivity) {}
 
 Result<LoopReport> Loop::run(const std::atomic<bool>& stop) {
   const auto period_ns = static_cast<std::int64_t>(kNsPerS / options_.rate_hz);

@@ -20,7 +20,7 @@ struct LoopOptions {
   double duration_s = std::numeric_limits<double>::infinity();
   /// After the end, with the force already at zero: how long to wait for the echo of the last pose.
   double drain_s = 1.0;
-  /// At random, one for each run.
+  /// 0: at random, one for each loop.
   std::uint64_t client_id = 0;
   ForceRendererOptions renderer;
   ForceLimits limits;
@@ -69,7 +69,7 @@ struct LoopReport {
 /// never enters the loop. Nothing in a tick waits for the network.
 class Loop {
  public:
-  /// All outlive the loop; the guard's device is open.
+  /// All outlive the loop; the guard's device is open. What its DeviceInfo says binds whatever the options say.
   Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& options);
 
   /// Runs for duration_s or until `stop`, releases the guard (zero force) and drains. The error is the device's.

@@ -11,13 +11,14 @@
 #include <fstream>
 #include <iostream>
 #include <memory>
-#include <random>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include <spdlog/fmt/fmt.h>
 #include <CLI/CLI.hpp>
 
+#include "core/limits.h"
 #include "haptic/checks.h"
 #include "haptic/discovery.h"
 #include "haptic/force_guard.h"
@@ -32,6 +33,7 @@ namespace tensormass::haptic {
 namespace {
 
 constexpr int kExitFailed = 1;
+constexpr int kExitOptions = 2;
 constexpr int kExitNoFeedback = 3;
 
 /// Part of the surface's extent that a press goes deep, and the circles go wide, unless told otherwise.
@@ -79,18 +81,32 @@ class SignalFlag {
   std::jthread thread_;
 };
 
+/// A finite number from least to most; CLI::Range lets what is not a number pass.
+struct Within : CLI::Validator {
+  Within(double least, double most) {
+    name_ = "WITHIN";
+    desc_function_ = [=] { return fmt::format("FLOAT in [{:g} - {:g}]", least, most); };
+    func_ = [=](const std::string& text) {
+      double value = 0;
+      const bool good = CLI::detail::lexical_cast(text, value) && value >= least && value <= most;
+      return good ? std::string() : fmt::format("{} is not in [{:g} - {:g}]", text, least, most);
+    };
+  }
+};
+
 void add_options(CLI::App& app, Options& o) {
+  const Within anywhere(-limits::kMaxLength, limits::kMaxLength), positive(1e-6, 1e6);
   app.add_option("--server", o.server, "The server's control endpoint, host:port")->capture_default_str();
   app.add_option("--scene", o.scene, "Name of the loaded scene")->capture_default_str();
   app.add_option("--tool", o.tool, "Name of the tool in it")->capture_default_str();
   app.add_option("--transport", o.transport)->check(CLI::IsMember({"zeromq", "zenoh"}))->capture_default_str();
   app.add_option("--connect-timeout", o.connect_timeout_s, "Wait so long for the server [s]")
-      ->check(CLI::Range(0.1, 600.0))
+      ->check(Within(0.1, 600.0))
       ->capture_default_str();
   app.add_option("--seconds", o.loop.duration_s, "Run so long [s]; without it until SIGINT or SIGTERM")
-      ->check(CLI::Range(0.001, 1e9));
+      ->check(Within(0.001, 1e9));
   app.add_option("--rate", o.loop.rate_hz, "Rate of the loop [Hz]")
-      ->check(CLI::Range(10.0, 10'000.0))
+      ->check(Within(10.0, 10'000.0))
       ->capture_default_str();
   app.add_option("--json", o.json_path, "Write the report to this file as JSON; - for standard output");
 
@@ -99,44 +115,55 @@ void add_options(CLI::App& app, Options& o) {
                  "Where the tool's origin first touches, x,y,z [m]; default: at the surface nearest to the tool")
       ->delimiter(',')
       ->expected(3)
+      ->check(anywhere)
       ->group(hand);
   app.add_option("--direction", o.direction, "Into the tissue, x,y,z; default: from the tool to the nearest surface")
       ->delimiter(',')
       ->expected(3)
+      ->check(anywhere)
       ->group(hand);
   app.add_option("--depth", o.depth_m, "Depth of the press [m]; default: 5 % of the surface's extent")
-      ->check(CLI::Range(0.0, 1e3))
+      ->check(Within(0.0, 1e3))
       ->group(hand);
   app.add_option("--circle-radius", o.hand.circle_radius_m, "Of the palpation [m]; default: 4 % of the extent")
-      ->check(CLI::Range(0.0, 1e3))
+      ->check(Within(0.0, 1e3))
       ->group(hand);
   app.add_option("--circles", o.hand.circle_count, "Circles in a cycle")
-      ->check(CLI::Range(0.0, 1e3))
+      ->check(Within(0.0, 1e3))
       ->capture_default_str()
       ->group(hand);
   app.add_option("--period", o.hand.period_s, "Of a cycle: approach, press, circles, lift, rest [s]")
-      ->check(CLI::Range(0.1, 3600.0))
+      ->check(Within(0.1, 3600.0))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "[N/m]")->capture_default_str()->group(hand);
-  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "[N s/m]")->capture_default_str()->group(hand);
-  app.add_option("--mass", o.device.mass_kg, "Of device and hand [kg]")->capture_default_str()->group(hand);
+  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "[N/m]")
+      ->check(positive)
+      ->capture_default_str()
+      ->group(hand);
+  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "[N s/m]")
+      ->check(Within(0.0, 1e6))
+      ->capture_default_str()
+      ->group(hand);
+  app.add_option("--mass", o.device.mass_kg, "Of device and hand [kg]")
+      ->check(positive)
+      ->capture_default_str()
+      ->group(hand);
 
   const std::string force = "Force";
   app.add_option("--max-force", o.loop.limits.max_force_n, "Clamp [N]")
-      ->check(CLI::Range(0.001, 1e3))
+      ->check(Within(0.001, 1e3))
       ->capture_default_str()
       ->group(force);
   app.add_option("--max-slew", o.loop.limits.max_slew_n_per_s, "Fastest change of the force [N/s]")
-      ->check(CLI::Range(0.1, 1e6))
+      ->check(Within(0.1, 1e6))
       ->capture_default_str()
       ->group(force);
   app.add_option("--fade", o.loop.renderer.fade_s, "A stale force falls to zero in this time [s]")
-      ->check(CLI::Range(0.001, 1.0))
+      ->check(Within(0.001, 1.0))
       ->capture_default_str()
       ->group(force);
   app.add_option("--watchdog", o.watchdog_s, "Zero force when the loop stalls for longer [s]")
-      ->check(CLI::Range(0.002, 1.0))
+      ->check(Within(0.002, 1.0))
       ->capture_default_str()
       ->group(force);
 }
@@ -159,12 +186,6 @@ Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool)
   hand.depth_m = options.depth_m >= 0.0 ? options.depth_m : kDefaultDepth * aim.extent_m;
   if (hand.circle_radius_m < 0.0) hand.circle_radius_m = kDefaultCircleRadius * aim.extent_m;
   return HandScript::create(hand);
-}
-
-std::uint64_t random_client_id() {
-  std::random_device random;
-  // Never zero, which stands for "no pose yet".
-  return std::uniform_int_distribution<std::uint64_t>(1)(random);
 }
 
 Result<void> write_json(const std::string& path, const std::string& json) {
@@ -196,13 +217,6 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   SimulatedDevice device(options.device, *script, clock);
   if (const auto opened = device.open(); !opened) return tl::make_unexpected(opened.error());
 
-  // A device's own limits bind whatever was asked for.
-  const DeviceInfo& info = device.info();
-  options.loop.client_id = random_client_id();
-  options.loop.limits.max_force_n = std::min(options.loop.limits.max_force_n, info.max_force_n);
-  options.loop.renderer.max_stiffness_n_per_m = info.max_stiffness_n_per_m;
-  options.loop.passivity.max_damping_n_s_per_m = info.max_damping_n_s_per_m;
-
   static_cast<void>(request_realtime(kLoopPriority));
   ForceGuard guard(device, clock, options.watchdog_s);
   Result<LoopReport> report;
@@ -213,7 +227,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   device.close();
   if (!report) return tl::make_unexpected(report.error());
 
-  const RunLabel label{options.server, options.scene, options.tool, options.transport, info.name};
+  const RunLabel label{options.server, options.scene, options.tool, options.transport, device.info().name};
   std::cerr << to_text(*report, label);
   if (!options.json_path.empty()) {
     if (const auto written = write_json(options.json_path, to_json(*report, label)); !written) {
@@ -237,11 +251,16 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
+    return app.exit(error) == 0 ? 0 : kExitOptions;
+  }
+  if (options.watchdog_s * options.loop.rate_hz < 2) {
+    std::cerr << fmt::format("tensormass-haptic: --watchdog: {:g} s are less than two periods of --rate {:g}\n",
+                             options.watchdog_s, options.loop.rate_hz);
+    return kExitOptions;
   }
   const SignalFlag signals;
   const auto result = run(std::move(options), signals.raised());
   if (result) return *result;
   std::cerr << "tensormass-haptic: " << result.error().message << '\n';
-  return kExitFailed;
+  return result.error().code == tensormass::ErrorCode::kInvalidArgument ? kExitOptions : kExitFailed;
 }

@@ -113,5 +113,12 @@ TEST(LimitForce, WhatIsNotFiniteBecomesZeroAtOnce) {
   }
 }
 
+TEST(LimitForce, ALimitThatIsNotANumberLetsNothingThrough) {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  for (const ForceLimits& limits : {ForceLimits{kNan, 100.0}, ForceLimits{5.0, kNan}}) {
+    expect_near(limit_force({0.0, 0.0, 1.0}, {0.0, 0.0, 2.0}, 1e-3, limits), Eigen::Vector3d::Zero());
+  }
+}
+
 }  // namespace
 }  // namespace tensormass::haptic

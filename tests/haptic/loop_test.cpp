@@ -60,6 +60,25 @@ TEST(Loop, SendsAPoseEachTickAndRendersTheAnswer) {
   EXPECT_DOUBLE_EQ(report.max_force_n, 1.0);
 }
 
+TEST(Loop, StaysWithinItsDeviceWhateverItIsAsked) {
+  for (const double asked : {1e3, std::numeric_limits<double>::infinity(), std::numeric_limits<double>::quiet_NaN()}) {
+    Bench bench;
+    bench.answer_with({0.0, 0.0, 50.0});
+    LoopOptions o = options(0.1);
+    o.limits.max_force_n = asked;
+    EXPECT_DOUBLE_EQ(bench.run(o).value().max_force_n, bench.device.info().max_force_n);
+  }
+}
+
+TEST(Loop, TakesAClientIdOfItsOwn) {
+  Bench bench;
+  LoopOptions o = options(0.01);
+  o.client_id = 0;
+  ASSERT_TRUE(bench.run(o));
+  ASSERT_FALSE(bench.link.sent.empty());
+  EXPECT_NE(bench.link.sent[0].client_id, 0u);
+}
+
 TEST(Loop, EndsWithoutForce) {
   Bench bench;
   bench.answer_with({0.0, 0.0, 1.0});

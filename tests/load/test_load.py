@@ -132,6 +132,26 @@ def test_what_cannot_be_set_up_is_one_line(server: tm.Server, capsys: pytest.Cap
     assert "no-such-scene.yaml" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--max-force", "nan"),
+        ("--max-slew", "nan"),
+        ("--rate", "inf"),
+        ("--depth", "-1"),
+        ("--hand-stiffness", "0"),
+        ("--press-at", "0,nan,0"),
+        ("--rate", "10"),  # a watchdog of 50 ms would take the force off in every period
+    ],
+)
+def test_a_haptic_client_refuses_wrong_options_before_it_connects(
+    haptic_program: Path, options: tuple[str, str]
+) -> None:
+    done = subprocess.run([haptic_program, *options], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 2
+    assert options[0] in done.stderr
+
+
 def test_a_haptic_client_that_is_terminated_drains_and_reports(
     server: tm.Server, haptic_program: Path, scene_file: Path, tmp_path: Path
 ) -> None:
