@@ -51,7 +51,8 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 ///
 /// It ends where the imbalance is small, or where the increment of a solve no longer moves a node by more than its
 /// coordinates can tell: where nothing acts on a body, the forces of its elements are rounding, and so is any share of
-/// them.
+/// them. Not where it begins: the first solve also takes the step's inertia along, by which a body turns or meets a
+/// tool without any increment.
 template <class Real, class Device>
 StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, bool positive,
                        double& largest_force_squared) {
@@ -109,12 +110,15 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
       if (iterations == 1 || next.imbalance_squared < at.imbalance_squared) return false;
       return !(next.slope > 0 && next.imbalance_squared < kMaxDetour * kMaxDetour * next.force_squared);
     };
+    const bool settled = iterations > 1 && next.finite() && device.result().finite && !solved.negative_curvature &&
+                         solved.cg_relative_residual < kTrustedResidual &&
+                         next.moved <= std::numeric_limits<Real>::epsilon();
     double share = 1;
-    for (int halving = 0; halving < kMaxHalvings && too_long(); ++halving) {
+    for (int halving = 0; halving < kMaxHalvings && !settled && too_long(); ++halving) {
       share /= 2;
       next = take_share(share);
     }
-    const bool stalled = too_long();
+    const bool stalled = !settled && too_long();
     at = next;
     since_best = at.imbalance_squared < best ? 0 : since_best + 1;
     best = std::min(best, at.imbalance_squared);
@@ -127,9 +131,6 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     if (!total.finite) break;
     largest_force_squared = std::max(largest_force_squared, at.force_squared);
     total.newton_residual = relative(at);
-    const bool settled = share == 1 && !stalled && !solved.negative_curvature &&
-                         solved.cg_relative_residual < kTrustedResidual &&
-                         at.moved <= std::numeric_limits<Real>::epsilon();
     total.converged = total.newton_residual <= tolerance || settled;
     if (total.converged || stalled || since_best > kMaxDetourIterations) break;
   }

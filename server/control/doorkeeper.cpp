@@ -25,6 +25,8 @@ using Clock = std::chrono::steady_clock;
 constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// For the preface to arrive.
 constexpr std::chrono::seconds kPatience{3};
+/// After it could not take anybody in.
+constexpr std::chrono::milliseconds kPause{100};
 /// Connections that have not said anything yet; when more come, the one that waited longest goes.
 constexpr std::size_t kMaxVisitors = 64;
 constexpr int kBacklog = 128;
@@ -112,10 +114,12 @@ void Doorkeeper::open(Admit admit, Refuse refuse) {
 void Doorkeeper::run() {
   std::vector<pollfd> items;
   while (true) {
-    items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), POLLIN, 0}});
+    const bool accepts = Clock::now() >= accepts_again_;
+    items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), static_cast<short>(accepts ? POLLIN : 0), 0}});
     for (const Visitor& visitor : visitors_) items.push_back({visitor.socket.get(), POLLIN, 0});
     const int patience_ms = static_cast<int>(std::chrono::milliseconds(kPatience).count());
-    poll(items.data(), items.size(), visitors_.empty() ? -1 : patience_ms);
+    const int pause_ms = static_cast<int>(std::chrono::milliseconds(kPause).count());
+    poll(items.data(), items.size(), !accepts ? pause_ms : visitors_.empty() ? -1 : patience_ms);
     if (items[0].revents != 0) return;
     const Clock::time_point now = Clock::now();
     // Backwards, so that what is erased does not move what is still to be looked at.
@@ -124,14 +128,17 @@ void Doorkeeper::run() {
         visitors_.erase(visitors_.begin() + static_cast<std::ptrdiff_t>(i));
       }
     }
-    if (items[1].revents != 0) accept_visitors();
+    if (items[1].revents != 0) accept_visitors(now);
   }
 }
 
-void Doorkeeper::accept_visitors() {
+void Doorkeeper::accept_visitors(Clock::time_point now) {
   while (true) {
     Descriptor socket(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-    if (socket.get() < 0) return;
+    if (socket.get() < 0) {
+      if (errno != EAGAIN && errno != ECONNABORTED && errno != EINTR) accepts_again_ = now + kPause;
+      return;
+    }
     // Wakes us when the whole preface is there, or when nothing more comes.
     set_option(socket.get(), SOL_SOCKET, SO_RCVLOWAT, static_cast<int>(kPreface.size()));
     if (visitors_.size() >= kMaxVisitors) {

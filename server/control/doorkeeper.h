@@ -51,7 +51,8 @@ class Doorkeeper {
 
   Doorkeeper(Descriptor listener, std::string endpoint);
   void run();
-  void accept_visitors();
+  /// Takes in who waits. If it cannot, for lack of descriptors, it looks away for a while: poll would not wait.
+  void accept_visitors(std::chrono::steady_clock::time_point now);
   /// True if the visitor is done with, one way or the other.
   bool look_at(Visitor& visitor, bool has_something, std::chrono::steady_clock::time_point now);
 
@@ -61,6 +62,7 @@ class Doorkeeper {
   Admit admit_;
   Refuse refuse_;
   std::vector<Visitor> visitors_;
+  std::chrono::steady_clock::time_point accepts_again_{};
   std::thread thread_;
 };
 

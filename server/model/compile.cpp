@@ -62,8 +62,8 @@ class Compiler {
     TM_TRY(dt, read_number(stepping.has_dt_s() ? stepping.dt_s() : 1.0 / 60, limits::kMinTimeStepS,
                            limits::kMaxTimeStepS, "scene.stepping.dt_s"));
     model_.dt_s = dt;
-    TM_TRY(rate, read_number(stepping.has_rate_hz() ? stepping.rate_hz() : std::min(1 / dt, limits::kMaxRateHz), 1e-3,
-                             limits::kMaxRateHz, "scene.stepping.rate_hz"));
+    TM_TRY(rate, read_number(stepping.has_rate_hz() ? stepping.rate_hz() : std::min(1 / dt, limits::kMaxRateHz),
+                             limits::kMinRateHz, limits::kMaxRateHz, "scene.stepping.rate_hz"));
     model_.rate_hz = rate;
     model_.lockstep = stepping.lockstep();
 
@@ -95,11 +95,11 @@ class Compiler {
     }
 
     const v1::Streams& streams = scene_.streams();
-    TM_TRY(frames, read_number(streams.has_frame_rate_hz() ? streams.frame_rate_hz() : 60, 0, limits::kMaxRateHz,
-                               "scene.streams.frame_rate_hz"));
+    TM_TRY(frames,
+           read_rate(streams.has_frame_rate_hz() ? streams.frame_rate_hz() : 60, "scene.streams.frame_rate_hz"));
     model_.frame_rate_hz = frames;
-    TM_TRY(status, read_number(streams.has_status_rate_hz() ? streams.status_rate_hz() : 4, 0, limits::kMaxRateHz,
-                               "scene.streams.status_rate_hz"));
+    TM_TRY(status,
+           read_rate(streams.has_status_rate_hz() ? streams.status_rate_hz() : 4, "scene.streams.status_rate_hz"));
     model_.status_rate_hz = status;
 
     TM_TRY(gravity, read_vector(scene_.gravity_m_per_s2(), "scene.gravity_m_per_s2"));

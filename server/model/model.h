@@ -74,7 +74,7 @@ struct ElementGroup {
   std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
   std::vector<double> rest;             ///< [point_count][rest reals][stride]
   std::vector<double> parameters;       ///< [law parameters][stride]
-  tensor::RowLists row_lists;           ///< only with Storage::kRows, of refreshed tensors
+  tensor::RowLists row_lists;           ///< but for Storage::kEdges, of refreshed tensors
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
@@ -193,7 +193,7 @@ struct Model {
   std::vector<std::string> warnings;
 
   tensor::Layout layout;
-  std::vector<std::uint8_t> begun_slices;  ///< see SceneView; only with Storage::kRows
+  std::vector<std::uint8_t> begun_slices;  ///< see SceneView; but for Storage::kEdges
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
@@ -214,11 +214,10 @@ struct Model {
 
   /// More than one linearized solve a step.
   bool iterates() const { return newton_max_iterations > 1; }
-  /// Implicit Euler linearized once: needs no û and no v̂, unless nodes with a consistent mass are driven, whose own
-  /// velocity then differs from the v̂ that their neighbours feel.
-  bool is_plain() const {
-    return integrator == Integrator::kImplicitEuler && !iterates() && (mass_edges.empty() || driven.driven.empty());
-  }
+  /// Implicit Euler linearized once: needs no û and no v̂, unless nodes are driven. Their own velocity then differs from
+  /// the v̂ that neighbours with a consistent mass feel, and is written before the end of a plain step would put the
+  /// state that it began with aside.
+  bool is_plain() const { return integrator == Integrator::kImplicitEuler && !iterates() && driven.driven.empty(); }
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

@@ -154,6 +154,13 @@ Result<double> read_number(double value, double low, double high, std::string_vi
   return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));
 }
 
+Result<double> read_rate(double value_hz, std::string_view where) {
+  if (value_hz == 0) return 0.0;
+  if (value_hz >= limits::kMinRateHz && value_hz <= limits::kMaxRateHz) return value_hz;
+  return invalid(fmt::format("{}: {} is neither 0 nor within [{:g}, {:g}]", where, value_hz, limits::kMinRateHz,
+                             limits::kMaxRateHz));
+}
+
 Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where) {
   TM_TRY(placement, read_placement(body.mesh(), where));
   return read_source(body.mesh(), where).map([&](mesh::Mesh mesh) {
@@ -187,15 +194,22 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
   for (int i = 0; i < body.sets_size(); ++i) {
     const std::string at = fmt::format("{}.sets[{}]", where, i);
     TM_CHECK(check_name(body.sets(i).name(), at + ".name"));
-    std::vector<std::uint32_t> all;
-    if (body.sets(i).regions().empty()) return invalid(fmt::format("{}: no region; give the nodes of the set", at));
-    for (int r = 0; r < body.sets(i).regions_size(); ++r) {
+    const int regions = body.sets(i).regions_size();
+    if (regions == 0) return invalid(fmt::format("{}: no region; give the nodes of the set", at));
+    if (static_cast<std::size_t>(regions) > limits::kMaxRegionsOfSet) {
+      return fail(ErrorCode::kResourceExhausted, fmt::format("{}.regions: {} exceed limits::kMaxRegionsOfSet = {}", at,
+                                                             regions, limits::kMaxRegionsOfSet));
+    }
+    std::vector<bool> is_in(nodes.size(), false);
+    for (int r = 0; r < regions; ++r) {
       // The sets before this one may be parts of it.
       TM_TRY(some, read_region(body.sets(i).regions(r), nodes, sets, fmt::format("{}.regions[{}]", at, r)));
-      all.insert(all.end(), some.begin(), some.end());
+      for (const std::uint32_t node : some) is_in[node] = true;
     }
-    std::sort(all.begin(), all.end());
-    all.erase(std::unique(all.begin(), all.end()), all.end());
+    std::vector<std::uint32_t> all;
+    for (std::uint32_t node = 0; node < nodes.size(); ++node) {
+      if (is_in[node]) all.push_back(node);
+    }
     if (!sets.emplace(body.sets(i).name(), std::move(all)).second) {
       return invalid(fmt::format("{}: the name '{}' is taken by another set", at, body.sets(i).name()));
     }

@@ -28,6 +28,8 @@ Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::str
 
 /// A number in [low, high]; NaN is in no range.
 Result<double> read_number(double value, double low, double high, std::string_view where);
+/// Of a stream, 0 for none [Hz].
+Result<double> read_rate(double value_hz, std::string_view where);
 
 /// The body's mesh, scaled and moved, not yet admitted.
 Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where);

@@ -29,6 +29,7 @@ Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& messag
     return tl::make_unexpected(std::move(error));
   };
   const std::string where = fmt::format("pose of tool '{}'", tool);
+  if (!message.has_position_m()) return refuse({ErrorCode::kInvalidArgument, where + ": give position_m"});
   const auto position = model::read_vector(message.position_m(), where + ".position_m");
   if (!position) return refuse(position.error());
   const auto orientation = model::read_orientation(message.orientation(), where + ".orientation");

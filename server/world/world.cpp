@@ -149,7 +149,8 @@ Verdict World::retry(const Verdict& first) {
 /// back to.
 Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool keeps, bool gather_visible) {
   tools_work_j_ = 0;
-  std::uint32_t iterations = 0;
+  backend::StepResult before;  // of the parts so far
+  before.newton_iterations = 0;
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {before_[i].center_m, before_[i].force_n};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
@@ -164,8 +165,6 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
                           .careful = how.careful,
                           .gather_visible = gather_visible},
                          forces_);
-    iterations += last_.cg_iterations;
-    last_.cg_iterations = iterations;
     StepEnergy energy{.available_j = energy_.available_j()};
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const Vec3<double> force = forces_[i].force_n;
@@ -175,6 +174,12 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
     }
     energy.tools_work_j = tools_work_j_;
     const Verdict verdict = guard_.judge(last_, energy);
+    last_.cg_iterations += before.cg_iterations;
+    last_.newton_iterations += before.newton_iterations;
+    last_.converged = last_.converged && before.converged;
+    last_.newton_residual = std::max(last_.newton_residual, before.newton_residual);
+    last_.cg_relative_residual = std::max(last_.cg_relative_residual, before.cg_relative_residual);
+    before = last_;
     if (!verdict.good()) return verdict;
   }
   return {};

@@ -177,12 +177,14 @@ TEST(CpuTeams, AgreeAndRepeat) {
   beam.double_precision = true;
   beam.cg_max_iterations = 400;
   beam.cg_tolerance = 1e-14;
+  beam.cells_y = beam.cells_z = 8;
   const v1::Scene scene = tests::beam_scene(beam);
   const auto one = backend::make_cpu_backend(1), three = backend::make_cpu_backend(3);
   const Trajectory rest = run(*one, scene, 0, false);
-  // 625 nodes on three threads want a finer mesh than the policy's; two patches are what it gives.
   const Trajectory single = run(*one, scene, 30, false), team = run(*three, scene, 30, false),
                    again = run(*three, scene, 30, false);
+  EXPECT_EQ(single.patches, 1u);
+  EXPECT_EQ(team.patches, 3u) << "else this shows nothing";
   EXPECT_EQ(team.positions, again.positions);
   EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);
 }

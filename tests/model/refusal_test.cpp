@@ -103,6 +103,9 @@ std::vector<Refusal> header_refusals() {
       {"NegativeFrameRate",
        [](auto& s) { s.mutable_streams()->set_frame_rate_hz(-1); },
        {"scene.streams.frame_rate_hz"}},
+      {"StatusOnceInAges",
+       [](auto& s) { s.mutable_streams()->set_status_rate_hz(1e-12); },
+       {"scene.streams.status_rate_hz", "neither 0 nor"}},
       {"NanStatusRate",
        [](auto& s) { s.mutable_streams()->set_status_rate_hz(kNan); },
        {"scene.streams.status_rate_hz"}},
@@ -397,6 +400,14 @@ std::vector<Refusal> support_refusals() {
          }
        },
        {"body 'beam'.sets[1]", "'top' is taken"}},
+      {"SetOfTooManyRegions",
+       [](auto& s) {
+         v1::NamedSet& set = *body(s).add_sets();
+         set.set_name("all");
+         for (std::size_t i = 0; i <= limits::kMaxRegionsOfSet; ++i) set.add_regions()->mutable_nodes()->add_indices(0);
+       },
+       {"body 'beam'.sets[0].regions", "kMaxRegionsOfSet"},
+       ErrorCode::kResourceExhausted},
       {"SetOfNothing", [](auto& s) { body(s).add_sets()->set_name("top"); }, {"body 'beam'.sets[0]", "no region"}},
       {"DrivenNowhere", [](auto& s) { drive_top(s, 0).clear_y_m(); }, {"body 'beam'.prescribed[0]", "x_m, y_m or z_m"}},
       {"DrivenToTwoPlaces",

@@ -72,8 +72,11 @@ TEST(PoseInbox, RefusesWhatIsNoPose) {
     turned.mutable_orientation()->set_w(value);
     EXPECT_FALSE(inbox.submit("probe", turned));
   }
+  v1::ToolPose nowhere = pose(7, 1);
+  nowhere.clear_position_m();
+  EXPECT_FALSE(inbox.submit("probe", nowhere)) << "and not the origin";
   EXPECT_EQ(inbox.take(), nullptr);
-  EXPECT_EQ(inbox.rejected(), 6u);
+  EXPECT_EQ(inbox.rejected(), 7u);
   EXPECT_TRUE(inbox.submit("probe", pose(7, 1))) << "a refused pose leaves its sequence unused";
 }
 

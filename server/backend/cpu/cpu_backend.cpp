@@ -1,10 +1,14 @@
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <fstream>
 #include <memory>
 #include <new>
+#include <system_error>
 #include <thread>
 #include <vector>
+
+#include <fmt/format.h>
 
 #include "backend/backend.h"
 #include "backend/cpu/arena.h"
@@ -34,9 +38,16 @@ class CpuState final : public SceneState {
       groups_.push_back(model::bind<Real>(model, g, arena_));
       passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
     }
-    for (std::uint32_t patch = 1; patch < view_.patch_count; ++patch) {
-      workers_.emplace_back([this, patch] { work(patch); });
+    try {
+      for (std::uint32_t patch = 1; patch < view_.patch_count; ++patch) {
+        workers_.emplace_back([this, patch] { work(patch); });
+      }
+    } catch (...) {
+      open_gate(Gate::kTooFew);
+      for (std::thread& worker : workers_) worker.join();
+      throw;
     }
+    open_gate(Gate::kAllThere);
   }
 
   ~CpuState() override {
@@ -114,7 +125,16 @@ class CpuState final : public SceneState {
     run_patch(0, what);
   }
 
+  /// Behind it the team meets at its barrier, which wants all of them.
+  enum class Gate : std::uint8_t { kClosed, kAllThere, kTooFew };
+  void open_gate(Gate gate) {
+    gate_ = gate;
+    gate_.notify_all();
+  }
+
   void work(std::uint32_t patch) {
+    gate_.wait(Gate::kClosed);
+    if (gate_ == Gate::kTooFew) return;
     for (;;) {
       barrier_.arrive_and_wait();
       const Command what = command_;  // the caller may write the next one as soon as the last barrier is passed
@@ -156,6 +176,7 @@ class CpuState final : public SceneState {
   cpu::Barrier barrier_;
   Command command_ = 0;
   Memory<Real> memory_;
+  std::atomic<Gate> gate_{Gate::kClosed};
   std::vector<std::thread> workers_;
 };
 
@@ -217,6 +238,10 @@ class CpuBackend final : public Backend {
     return state;
   } catch (const std::bad_alloc&) {
     return fail(ErrorCode::kResourceExhausted, "not enough host memory for the scene's buffers; use a coarser mesh");
+  } catch (const std::system_error& error) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("cannot start {} threads: {}; lower scene.solver.cpu_threads", model.layout.patch_count,
+                            error.code().message()));
   }
 
  private:

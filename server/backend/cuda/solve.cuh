@@ -13,7 +13,7 @@
 /// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
 /// solve. What differs is where numbers are kept and how patches exchange them (exchange.cuh).
 ///
-///   resident_solve   a thread a row: matrix, vectors and direction stay in registers and shared memory
+///   resident_solve   one or two rows a thread: matrix, vectors and direction stay in registers and shared memory
 ///   streamed_solve   more rows than threads: the matrix comes from memory in each iteration, vectors stay as near as
 ///                    they fit
 namespace tensormass::backend::cuda {
@@ -64,7 +64,7 @@ class PatchSums {
   Exchange::Cell total_;
 };
 
-/// Rows of a patch in resident_solve, at most: it has a thread for each.
+/// Rows of a patch in resident_solve, at most.
 inline constexpr std::uint32_t kMostResidentRows = 512;
 
 /// Shared memory of resident_solve [bytes].
