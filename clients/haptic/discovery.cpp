@@ -18,6 +18,16 @@ constexpr double kNoDistanceM = 1e-6;
 
 Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
 
+/// The host of a gRPC target that ends in host:port; an IPv6 one keeps its brackets.
+std::string host_of(const std::string& target) {
+  const std::size_t open = target.rfind('['), close = target.rfind(']');
+  if (open != std::string::npos && close != std::string::npos && open < close) {
+    return target.substr(open, close - open + 1);
+  }
+  const std::string host = target.substr(0, target.rfind(':'));
+  return host.substr(host.find_last_of("/:") + 1);
+}
+
 /// Calls of one discovery: they share a deadline.
 class Caller {
  public:
@@ -92,15 +102,27 @@ Result<DiscoveredTool> discover_tool(const std::string& control, const std::stri
   DiscoveredTool found;
   found.address.pose_key = bus::pose_key(version->server(), scene, tool);
   found.address.feedback_key = bus::feedback_key(version->server(), scene, tool);
-  found.address.zeromq_pose_endpoint = version->zeromq_pose_endpoint();
-  found.address.zeromq_publish_endpoint = version->zeromq_publish_endpoint();
-  found.address.zenoh_locator = version->zenoh_locator();
+  found.address.zeromq_pose_endpoint = reached_endpoint(version->zeromq_pose_endpoint(), control);
+  found.address.zeromq_publish_endpoint = reached_endpoint(version->zeromq_publish_endpoint(), control);
+  found.address.zenoh_locator = reached_endpoint(version->zenoh_locator(), control);
   found.server = std::move(*version);
   found.tool_position_m = to_eigen(feedback->feedback().position_m());
   found.radius_m = shape->radius_m();
   found.tip_offset_m = to_eigen(shape->tip_offset_m());
   found.surface_positions = std::move(*frame->mutable_frame()->mutable_positions());
   return found;
+}
+
+std::string reached_endpoint(const std::string& endpoint, const std::string& control) {
+  // tcp://host:port of ZeroMQ, tcp/host:port of zenoh.
+  const std::size_t slash = endpoint.find('/'), colon = endpoint.rfind(':');
+  if (slash == std::string::npos || colon == std::string::npos) return endpoint;
+  const std::size_t begin = endpoint.compare(slash, 2, "//") == 0 ? slash + 2 : slash + 1;
+  if (colon < begin) return endpoint;
+  const std::string host = endpoint.substr(begin, colon - begin);
+  if (host != "0.0.0.0" && host != "[::]" && host != "*") return endpoint;
+  const std::string reached = host_of(control);
+  return reached.empty() ? endpoint : endpoint.substr(0, begin) + reached + endpoint.substr(colon);
 }
 
 Result<Aim> aim_at_nearest_surface(const DiscoveredTool& tool) {

@@ -30,6 +30,11 @@ struct DiscoveredTool {
 Result<DiscoveredTool> discover_tool(const std::string& control, const std::string& scene, const std::string& tool,
                                      double timeout_s);
 
+/// A data endpoint (tcp://host:port, tcp/host:port) as a client connects to it that reached the server at `control`
+/// (host:port). A server that listens on every interface (0.0.0.0, [::], *) does not know which of them leads to the
+/// client: it is reached where its control plane was. Every other endpoint stays as it is.
+std::string reached_endpoint(const std::string& endpoint, const std::string& control);
+
 /// Where and how to press so that the nearest tissue is hit.
 struct Aim {
   /// The tool's origin when its sphere first touches.

@@ -52,6 +52,17 @@ def test_every_code_is_an_exception_with_the_daemons_message(
     assert type(error.value) is kind
 
 
+def test_endpoints_of_every_interface_are_those_of_the_host_that_answered(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    fake.replies["GetVersion"] = control_pb2.GetVersionResponse(
+        zeromq_publish_endpoint="tcp://0.0.0.0:1", zeromq_pose_endpoint="tcp://192.0.2.9:2", zenoh_locator="tcp/[::]:3"
+    )
+    version = server.version()
+    assert version.zeromq_publish_endpoint == "tcp://127.0.0.1:1"
+    assert version.zeromq_pose_endpoint == "tcp://192.0.2.9:2"
+    assert version.zenoh_locator == "tcp/127.0.0.1:3"
+
+
 def test_load_sends_the_scene_and_leaves_the_callers_alone(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
     fake.replies["LoadScene"] = control_pb2.LoadSceneResponse(report=control_pb2.SceneReport(scene="other"))

@@ -547,10 +547,10 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
     with command("run", str(scene_file), *options) as process:
         try:
             assert process.stdout is not None
-            for line in process.stdout:
-                said = json.loads(line)
-                if said["status"]["step"] > 20:
-                    break
+            lines = map(json.loads, process.stdout)
+            with tm.connect(next(lines)["control"]) as client:
+                assert [status.scene for status in client.scenes()] == ["block"]
+            said = next(said for said in lines if said["status"]["step"] > 20)
             assert said["status"]["scene"] == "block"
             assert said["status"]["state"] == "STATE_RUNNING"
             children = children_of(process.pid)

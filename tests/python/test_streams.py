@@ -13,7 +13,14 @@ import zenoh
 import zmq
 
 import tensormass as tm
-from tensormass.streams import DataPlane, PoseSequence, Transport, stream_key
+from tensormass.streams import (
+    DataPlane,
+    PoseSequence,
+    Transport,
+    reached_endpoint,
+    reached_endpoints,
+    stream_key,
+)
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
@@ -170,6 +177,62 @@ def test_a_pose_that_is_none_is_not_sent(position: tuple[float, ...], orientatio
     with pytest.raises(tm.InvalidArgumentError, match=message):
         sequence.next(position, orientation)  # type: ignore[arg-type]
     assert sequence.last == 0
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "reached"),
+    [
+        ("tcp://0.0.0.0:1", "tcp://trainer:1"),
+        ("tcp://*:1", "tcp://trainer:1"),
+        ("tcp://[::]:1", "tcp://trainer:1"),
+        ("tcp/0.0.0.0:1", "tcp/trainer:1"),
+        ("tcp/[::]:1", "tcp/trainer:1"),
+        ("udp/0.0.0.0:1", "udp/trainer:1"),
+        # What names a host is meant.
+        ("tcp://127.0.0.1:1", "tcp://127.0.0.1:1"),
+        ("tcp://10.0.0.0:1", "tcp://10.0.0.0:1"),
+        ("tcp://[::1]:1", "tcp://[::1]:1"),
+        ("tcp/192.0.2.7:1", "tcp/192.0.2.7:1"),
+        ("ipc:///run/0.0.0.0:1", "ipc:///run/0.0.0.0:1"),
+        ("", ""),
+    ],
+)
+def test_a_wildcard_is_reached_where_control_is(endpoint: str, reached: str) -> None:
+    assert reached_endpoint(endpoint, "trainer:50051") == reached
+
+
+@pytest.mark.parametrize(
+    ("control", "host"),
+    [
+        ("192.0.2.7:50051", "192.0.2.7"),
+        ("[2001:db8::7]:50051", "[2001:db8::7]"),
+        ("dns:///trainer.example:50051", "trainer.example"),
+        ("ipv6:[::1]:50051", "[::1]"),
+        ("trainer", "trainer"),
+    ],
+)
+def test_the_host_of_control_is_found(control: str, host: str) -> None:
+    assert reached_endpoint("tcp/[::]:7447", control) == f"tcp/{host}:7447"
+
+
+def test_all_endpoints_of_an_answer_are_reached() -> None:
+    version = control_pb2.GetVersionResponse(
+        server="s",
+        malformed_messages=3,
+        zeromq_publish_endpoint="tcp://0.0.0.0:1",
+        zeromq_pose_endpoint="tcp://192.0.2.9:2",
+        zenoh_locator="tcp/[::]:3",
+    )
+    reached = reached_endpoints(version, "trainer:50051")
+    assert reached == control_pb2.GetVersionResponse(
+        server="s",
+        malformed_messages=3,
+        zeromq_publish_endpoint="tcp://trainer:1",
+        zeromq_pose_endpoint="tcp://192.0.2.9:2",
+        zenoh_locator="tcp/trainer:3",
+    )
+    off = control_pb2.GetVersionResponse(server="s")
+    assert reached_endpoints(off, "trainer:50051") == off
 
 
 def test_a_transport_that_is_off_is_said() -> None:

@@ -29,6 +29,7 @@ from tensormass.streams import (
     Transport,
     find_body,
     frame_size_bytes,
+    reached_endpoints,
 )
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
@@ -163,8 +164,8 @@ class Server(Closing):
         return self._data_plane
 
     def version(self) -> control_pb2.GetVersionResponse:
-        """Version, backend, device, data endpoints and counters of malformed input."""
-        return self._call("GetVersion", control_pb2.GetVersionRequest())
+        """Version, backend, device, data endpoints as they are reached from here, and counters of malformed input."""
+        return reached_endpoints(self._call("GetVersion", control_pb2.GetVersionRequest()), self.address)
 
     def load(
         self,
@@ -363,7 +364,7 @@ class SceneHandle:
         return self._server.data_plane.pose_sender(self.name, name, transport)
 
     def feedbacks(self, name: str, transport: Transport = "zeromq") -> Subscription[stream_pb2.ToolFeedback]:
-        """Subscribes to a tool's feedback, one message a step."""
+        """Subscribes to a tool's feedback: the newest after each step."""
         stream = f"tool/{name}/feedback"
         return self._server.data_plane.subscribe(self.name, stream, stream_pb2.ToolFeedback, transport)
 

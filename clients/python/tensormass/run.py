@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
     gateway.add_arguments(parser)
     parser.add_argument(
-        "--json", action="store_true", help="one JSON object a line: where the viewer is, then statuses"
+        "--json", action="store_true", help="one JSON object a line: where control and viewer are, then statuses"
     )
 
 
@@ -74,6 +74,8 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         if args.verbose and handle.report is not None:
             _say(args, report_text(handle.report))
         viewer = None if args.no_viewer else await parts.enter_async_context(_viewer(args, server))
+        if args.json:
+            print_json({"control": server.address, **({"viewer": viewer.url} if viewer is not None else {})})
         hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
         await _report_until(stop, args, server, handle, viewer, hands)
         _say(args, "ending")
@@ -87,10 +89,7 @@ async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[gat
         async with gateway.serve(gateway.options_from(args, server.address)) as running:
             if args.gateway_ready_file is not None:
                 gateway.write_ready_file(args.gateway_ready_file, running)
-            if args.json:
-                print_json({"viewer": running.url, "control": server.address})
-            else:
-                print(f"\n  viewer: {running.url}\n", flush=True)
+            _say(args, f"\n  viewer: {running.url}\n")
             yield running
     except FileNotFoundError as error:
         raise UnavailableError(f"{error}; or run with --no-viewer") from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import secrets
 import threading
 import time
@@ -39,6 +40,32 @@ def stream_key(server: str, scene: str, stream: str) -> str:
     return f"tensormass/{server}/{scene}/{stream}"
 
 
+# An address of every interface: a daemon binds it, a client has to connect to one of them.
+_WILDCARD = re.compile(r"(?P<scheme>\w+(?:://|/))(?:0\.0\.0\.0|\[::\]|\*)(?P<port>:\d+)")
+# The host of a gRPC target that ends in host:port; an IPv6 one keeps its brackets.
+_HOST = re.compile(r"(\[[^]]*\]|[^/:]+)(?::\d+)?$")
+
+
+def reached_endpoint(endpoint: str, control: str) -> str:
+    """A data endpoint (tcp://host:port, tcp/host:port) as a client connects to it that reached the daemon at `control`.
+
+    A daemon that listens on every interface does not know which of them leads to the client; the client does: it goes
+    to the host at which it reached the control plane (host:port). Every other endpoint stays as it is.
+    """
+    wildcard, host = _WILDCARD.fullmatch(endpoint), _HOST.search(control)
+    return f"{wildcard['scheme']}{host[1]}{wildcard['port']}" if wildcard and host else endpoint
+
+
+def reached_endpoints(version: control_pb2.GetVersionResponse, control: str) -> control_pb2.GetVersionResponse:
+    """A daemon's answer with each of its endpoints as `reached_endpoint` says."""
+    reached = control_pb2.GetVersionResponse()
+    reached.CopyFrom(version)
+    reached.zeromq_publish_endpoint = reached_endpoint(version.zeromq_publish_endpoint, control)
+    reached.zeromq_pose_endpoint = reached_endpoint(version.zeromq_pose_endpoint, control)
+    reached.zenoh_locator = reached_endpoint(version.zenoh_locator, control)
+    return reached
+
+
 @dataclass(frozen=True)
 class Feedback:
     """What a tool feels. See `ToolFeedback` in stream.proto."""
@@ -57,7 +84,7 @@ class Feedback:
     force_n: npt.NDArray[np.float64]
     #: [3] N m, about the tool's position.
     torque_n_m: npt.NDArray[np.float64]
-    #: [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after the step.
+    #: [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` from its arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
     valid_for_s: float
 
@@ -145,7 +172,7 @@ class Closing(ABC):
 
 
 class DataPlane(Closing):
-    """Where a daemon's streams are (from `GetVersion`); opens the transports on first use."""
+    """Where a daemon's streams are (from `Server.version`); opens the transports on first use."""
 
     def __init__(self, version: control_pb2.GetVersionResponse) -> None:
         self.server = version.server
