@@ -22,6 +22,7 @@ from tensormass.gateway import GatewayOptions, serve
 from tensormass.v1 import scene_pb2
 
 DEADLINE_S = 30.0
+MAX_BROWSERS = 2
 
 
 class Stack:
@@ -40,7 +41,7 @@ class Stack:
         self.scenes[name] = self.server.load(scene, name=name)
         return self._vertex_count(name)
 
-    def load_grid(self, name: str, cells: int) -> int:
+    def load_grid(self, name: str, cells: int, frame_rate_hz: float = 60.0, budget_s: float | None = None) -> int:
         """Loads a cube of `cells` a side under `name`; the number of vertices that a viewer shows."""
         one = scene_pb2.Vector3(x=1, y=1, z=1)
         body = scene_pb2.Body(
@@ -49,8 +50,14 @@ class Stack:
             law=scene_pb2.Law(hooke=scene_pb2.IsotropicElastic(young_modulus_pa=1e5, poisson_ratio=0.3)),
             density_kg_per_m3=1000,
         )
-        self.scenes[name] = self.server.load(scene_pb2.Scene(name=name, bodies=[body]))
+        streams = scene_pb2.Streams(frame_rate_hz=frame_rate_hz)
+        solver = None if budget_s is None else scene_pb2.Solver(budget_s=budget_s, floor_cg_iterations=1)
+        scene = scene_pb2.Scene(name=name, bodies=[body], streams=streams, solver=solver)
+        self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)
+
+    def pause(self, name: str) -> None:
+        self.scenes[name].pause()
 
     def unload(self, name: str) -> None:
         self.scenes.pop(name).unload()
@@ -116,7 +123,11 @@ async def main() -> None:
     stack = Stack(parser.parse_args().viewer)
     try:
         options = GatewayOptions(
-            control=stack.server.address, viewer=stack.viewer, poll_interval_s=0.2, allow_poses=True
+            control=stack.server.address,
+            viewer=stack.viewer,
+            poll_interval_s=0.2,
+            allow_poses=True,
+            max_browsers=MAX_BROWSERS,
         )
         async with serve(options) as gateway:
             answer({"url": gateway.url})

@@ -129,6 +129,94 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const wrong = new URL(url);
     wrong.searchParams.set("token", "another");
     viewer = await browser.open(wrong.href);
-    await viewer.says("#notice", /the token is missing or wrong/);
+    await viewer.says("#notice", /Not let in.*the token is missing or wrong/s);
+    await viewer.says("#link", /Refused/);
+  });
+
+  it("says that its origin is not let in", async () => {
+    const named = new URL(url);
+    named.hostname = "viewer.localhost"; // found without DNS, and none of the gateway's own names
+    viewer = await browser.open(named.href);
+    await viewer.says("#notice", /Origin http:\/\/viewer\.localhost:\d+ is not let in; allow it with --origin/);
+  });
+
+  it("says that the gateway is full, and is let in when it is not", async () => {
+    const others = [await browser.open(url), await browser.open(url)];
+    for (const other of others) {
+      await other.says("#link", /No scene/);
+    }
+    viewer = await browser.open(url);
+    await viewer.says("#notice", /2 browsers are connected/);
+    await others[0]!.close();
+    await viewer.says("#link", /No scene/);
+    await others[1]!.close();
+  });
+
+  it("is live only while frames come", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
+    await stack.ask("load_grid", { name: "blind", cells: 2, frame_rate_hz: 0 });
+    const page = await open("scene=cube");
+    await page.shows(vertexCount);
+    await page.says("#link", /Live/);
+    await stack.ask("pause", { name: "cube" });
+    await page.says("#link", /Paused/);
+    await page.page.locator("#scene").selectOption("blind");
+    await page.says("#notice", /sends no frames/);
+    await page.says("#link", /No frames/);
+    await stack.ask("unload", { name: "blind" });
+    await stack.ask("unload", { name: "cube" });
+  });
+
+  it("shows the scene's warnings on request", async () => {
+    // No step takes so little time.
+    await stack.ask("load_grid", { name: "hasty", cells: 2, budget_s: 1e-6 });
+    const page = await open("scene=hasty");
+    await page.says("#warnings-count", /^[12] warnings?$/);
+    expect(await page.page.locator("#warnings-list").isVisible()).toBe(false);
+    await page.page.locator("#warnings-count").click();
+    await page.says("#warnings-list", /steps take [\d.e-]+ s of a budget of 1e-06 s/);
+    await stack.ask("unload", { name: "hasty" });
+    await page.page.locator("#warnings").waitFor({ state: "hidden" });
+  });
+
+  it.each([
+    { width: 420, height: 800 },
+    { width: 420, height: 320 },
+    { width: 960, height: 640 },
+  ])("keeps everything in sight in a window of $width x $height", async (size) => {
+    const names = ["a", "b"].map((letter) => letter.repeat(64));
+    for (const name of names) {
+      await stack.ask("load_grid", { name, cells: 2 });
+    }
+    const page = await open(`scene=${names[0]!}`);
+    await page.page.setViewportSize(size);
+    await page.says("#link", /Live/);
+    // At once: the page writes the notice anew a few times a second.
+    const { link, picker, panel, tools, notice, scrolls } = await page.page.evaluate(() => {
+      const shown = document.querySelector<HTMLElement>("#notice")!;
+      shown.hidden = false;
+      shown.querySelector("#notice-detail")!.textContent = "the fault of a scene in many words ".repeat(20);
+      const box = (selector: string) => document.querySelector(selector)!.getBoundingClientRect();
+      return {
+        link: box("#link"),
+        picker: box("#scene"),
+        panel: box("aside"),
+        tools: box("#tools"),
+        notice: box("#notice"),
+        scrolls: shown.scrollHeight > shown.clientHeight,
+      };
+    });
+    expect(link.right).toBeLessThanOrEqual(size.width);
+    expect(picker.width).toBeGreaterThan(40);
+    expect(picker.right).toBeLessThanOrEqual(link.left);
+    expect(tools.top).toBeGreaterThanOrEqual(link.bottom);
+    expect(tools.left >= panel.right || tools.bottom <= panel.top).toBe(true);
+    expect(notice.width).toBeCloseTo(Math.min(520, size.width - 44));
+    expect(notice.top).toBeGreaterThanOrEqual(link.bottom);
+    expect(notice.bottom).toBeLessThanOrEqual(size.height);
+    expect(scrolls).toBe(size.height < 400);
+    for (const name of names) {
+      await stack.ask("unload", { name });
+    }
   });
 });

@@ -5,39 +5,27 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import functools
 import json
 import os
+import platform
 import signal
 import stat
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
+from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, FakeDaemon, fake_daemon, frame_of, triangle_topology
 
-from tensormass.feeds import Outbox, ProtocolError, Stream
+from tensormass.feeds import Stream
 from tensormass.gateway import Gateway, GatewayOptions, add_arguments, serve
 from tensormass.v1 import stream_pb2
 
-DEADLINE_S = 20.0
 TOKEN = "a-token"
-
-
-def asynchronous(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
-    @functools.wraps(test)
-    def run(*args: object, **kwargs: object) -> None:
-        async def within_deadline() -> None:
-            async with asyncio.timeout(DEADLINE_S):
-                await test(*args, **kwargs)
-
-        asyncio.run(within_deadline())
-
-    return run
 
 
 @pytest.fixture
@@ -94,7 +82,7 @@ class Page:
         return not self._binaries
 
     async def replaced(self, count: int) -> None:
-        """Waits until so many messages were replaced in the slots of this browser."""
+        """Waits until so many frames were replaced in the slot of this browser."""
         while True:
             await self.send(type="clock", client_time_ms=1)
             if (await self.text(lambda message: message["type"] == "clock"))["replaced"] >= count:
@@ -146,45 +134,6 @@ async def publish(daemon: FakeDaemon, topology: stream_pb2.Topology, sequence: i
     return frame
 
 
-# --- slots -----------------------------------------------------------------------------------------------------------
-
-
-@asynchronous
-async def test_outbox_keeps_the_newest_of_each_stream_and_sends_one_at_a_time() -> None:
-    outbox = Outbox()
-    for number in range(1000):
-        outbox.offer(Stream.FRAME, b"%d" % number)
-    outbox.offer(Stream.STATUS, b"status")
-    assert [await outbox.take(), await outbox.take()] == [b"status", b"999"]
-    assert outbox.replaced == 999
-
-    outbox.offer(Stream.FRAME, b"next")
-    waiting = asyncio.ensure_future(outbox.take())
-    await asyncio.sleep(0)
-    assert not waiting.done()
-    outbox.acknowledge(Stream.FRAME)
-    assert await waiting == b"next"
-
-
-@asynchronous
-async def test_outbox_drops_the_frame_that_belongs_to_the_topology_before() -> None:
-    outbox = Outbox()
-    outbox.offer(Stream.FRAME, b"old")
-    outbox.offer(Stream.TOPOLOGY, b"topology")
-    assert await outbox.take() == b"topology"
-    waiting = asyncio.ensure_future(outbox.take())
-    await asyncio.sleep(0)
-    assert not waiting.done()
-    outbox.offer(Stream.FRAME, b"new")
-    assert await waiting == b"new"
-
-
-@asynchronous
-async def test_outbox_refuses_an_acknowledgement_of_nothing() -> None:
-    with pytest.raises(ProtocolError, match="none is on its way"):
-        Outbox().acknowledge(Stream.FRAME)
-
-
 # --- who is let in ---------------------------------------------------------------------------------------------------
 
 
@@ -220,6 +169,61 @@ async def test_page_from_elsewhere_is_refused(viewer: Path, foreign: str | None)
     async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:
         with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
             await session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=foreign)
+
+
+@pytest.mark.parametrize(
+    "host", ["192.168.7.7:8000", "[fd00::7]:8000", "10.0.0.7", "localhost:9000", f"{platform.node().lower()}:8000"]
+)
+@pytest.mark.parametrize("scheme", ["http", "https"])
+@asynchronous
+async def test_own_page_is_let_in_by_whatever_address_it_was_opened(viewer: Path, scheme: str, host: str) -> None:
+    async with (
+        serve(options(viewer)) as gateway,
+        aiohttp.ClientSession(headers={"Host": host}) as session,
+        session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=f"{scheme}://{host}") as socket,
+    ):
+        assert "no daemon" in (await socket.receive_json())["problem"]
+
+
+@pytest.mark.parametrize(
+    ("host", "claimed"),
+    [
+        ("evil.example:8000", "http://evil.example:8000"),  # a name that was rebound to this machine
+        ("192.168.7.7:8000", "http://192.168.7.7:9000"),
+        ("192.168.7.7:8000", "http://192.168.7.8:8000"),
+        ("192.168.7.7:8000", "ftp://192.168.7.7:8000"),
+        ("[:8000", "http://[:8000"),
+    ],
+)
+@asynchronous
+async def test_name_that_may_be_rebound_and_other_addresses_are_refused(viewer: Path, host: str, claimed: str) -> None:
+    async with serve(options(viewer)) as gateway, aiohttp.ClientSession(headers={"Host": host}) as session:
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+            await session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=claimed)
+
+
+@asynchronous
+async def test_page_can_ask_why_its_websocket_is_refused(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, max_browsers=1)) as gateway:
+
+        async def ask(token: str = TOKEN, page: str = origin(gateway)) -> tuple[int, str]:
+            async with (
+                aiohttp.ClientSession(headers={"Origin": page}) as session,
+                session.post(f"{origin(gateway)}/stream", params={"token": token}) as reply,
+            ):
+                return reply.status, await reply.text()
+
+        assert await ask() == (204, "")
+        assert await ask(token="another") == (
+            403,
+            "the token is missing or wrong; use the address that was printed\n",
+        )
+        assert await ask(page="http://evil.example") == (
+            403,
+            "Origin http://evil.example is not let in; allow it with --origin\n",
+        )
+        async with browse(gateway):
+            assert await ask() == (503, "1 browsers are connected (--max-browsers)\n")
 
 
 @asynchronous
@@ -280,9 +284,9 @@ async def test_next_frame_leaves_only_after_the_acknowledgement_and_is_the_newes
                 # The quick one is not held up by the slow one.
                 assert await quick.take(Stream.FRAME) == newest
             assert await slow.nothing_pending()
-            await slow.replaced(8)
             await slow.send(type="ack", stream="frame")
             assert await slow.binary() == ("frame", newest)
+            await slow.replaced(8)
 
 
 @asynchronous
@@ -322,7 +326,7 @@ async def test_frame_that_overtakes_its_topology_waits_for_it(viewer: Path) -> N
 
 
 @asynchronous
-async def test_scene_loaded_anew_under_the_same_version_is_noticed(viewer: Path) -> None:
+async def test_sequence_that_falls_back_makes_the_topology_asked_for_anew(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         before = load(daemon)
         async with browse(gateway, "liver") as page:
@@ -497,6 +501,24 @@ async def test_allowed_poses_reach_the_daemon(viewer: Path) -> None:
             assert [pose.sequence for _, pose in poses] == [1, 2]
             assert [pose.position_m.x for _, pose in poses] == [0.5, 0.25]
             assert poses[0][1].client_id == poses[1][1].client_id != 0
+
+
+@asynchronous
+async def test_pose_that_crosses_a_new_topology_costs_nothing(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.take(Stream.TOPOLOGY)
+            await daemon.wait_subscribed("liver", "topology")
+            other = triangle_topology("liver", version=2)
+            other.tools[0].name = "saw"
+            await daemon.publish("liver", "topology", other.SerializeToString())
+            assert await page.binary() == ("topology", other.SerializeToString())
+            await page.send(type="pose", tool="probe", position_m=[0, 0, 0])
+            await page.send(type="ack", stream="topology")
+            await page.send(type="pose", tool="saw", position_m=[0, 0, 0])
+            key, _ = await daemon.next_pose()
+            assert key == "tensormass/fake/liver/tool/saw/pose"
 
 
 @pytest.mark.parametrize(

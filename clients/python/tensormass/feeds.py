@@ -21,6 +21,7 @@ import zmq
 import zmq.asyncio
 from google.protobuf.message import DecodeError, Message
 
+from tensormass.streams import reached_endpoints
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
 log = logging.getLogger(__name__)
@@ -47,24 +48,32 @@ class Outbox:
 
     def __init__(self) -> None:
         self.replaced = 0
-        """Messages that a newer one replaced before they left."""
+        """Frames of this scene that a newer one replaced between two that left: those that the browser misses too."""
+        self._replaced_since_frame = 0
+        self._frame_left = False
         self._waiting: dict[Stream, bytes] = {}
         self._on_the_way: set[Stream] = set()
         self._changed = asyncio.Event()
 
+    @property
+    def topology_known(self) -> bool:
+        """Whether the browser has acknowledged the newest topology."""
+        return Stream.TOPOLOGY not in self._waiting and Stream.TOPOLOGY not in self._on_the_way
+
     def offer(self, stream: Stream, message: bytes) -> None:
         """Puts `message` into its slot; what waited there is replaced."""
         if stream is Stream.TOPOLOGY:
-            # A frame that waits belongs to the topology before.
-            self._waiting.pop(Stream.FRAME, None)
-        if stream in self._waiting:
-            self.replaced += 1
+            self._drop_frame()
+        if stream is Stream.FRAME and stream in self._waiting:
+            self._replaced_since_frame += 1
         self._waiting[stream] = message
         self._changed.set()
 
     def clear(self) -> None:
-        """Forgets what waits, when the browser turns to another scene."""
+        """Forgets what waits and what was counted, when the browser turns to another scene."""
         self._waiting.clear()
+        self._drop_frame()
+        self.replaced = 0
 
     def acknowledge(self, stream: Stream) -> None:
         """Lets the next message of `stream` leave. Raises ProtocolError if none is on its way."""
@@ -77,11 +86,30 @@ class Outbox:
         """Waits for a message that may leave."""
         while True:
             for stream in Stream:
-                if stream in self._waiting and stream not in self._on_the_way:
+                if self._may_leave(stream):
                     self._on_the_way.add(stream)
+                    if stream is Stream.FRAME:
+                        self._count_frame()
                     return self._waiting.pop(stream)
             self._changed.clear()
             await self._changed.wait()
+
+    def _may_leave(self, stream: Stream) -> bool:
+        # While a topology waits for an acknowledgement, the frames behind it wait too.
+        held_back = stream is Stream.FRAME and Stream.TOPOLOGY in self._waiting
+        return stream in self._waiting and stream not in self._on_the_way and not held_back
+
+    def _count_frame(self) -> None:
+        if self._frame_left:
+            self.replaced += self._replaced_since_frame
+        self._replaced_since_frame = 0
+        self._frame_left = True
+
+    def _drop_frame(self) -> None:
+        """A frame that waits belongs to the topology before, and so does the count of those before it."""
+        self._waiting.pop(Stream.FRAME, None)
+        self._replaced_since_frame = 0
+        self._frame_left = False
 
 
 class Watcher:
@@ -186,8 +214,8 @@ class Feed:
 
     async def _on_frame(self, payload: bytes) -> None:
         frame = stream_pb2.Frame.FromString(payload)
-        # Each stream has a socket of its own, so a frame may overtake its topology. A sequence that does not rise is a
-        # scene that was loaded anew and may look different under the same version.
+        # Each stream has a socket of its own, so a frame may overtake its topology. Every load has a new version; if a
+        # sequence does not rise under the same one, something began anew all the same and may look different.
         known = self.topology is not None and self.topology.version == frame.topology_version
         if not known or frame.sequence <= self._last_sequence:
             await self._fetch_topology()
@@ -237,7 +265,8 @@ class Daemon:
         """Keeps `version` and `scenes` true until cancelled."""
         while True:
             try:
-                version = await self.control.GetVersion(control_pb2.GetVersionRequest(), timeout=RPC_TIMEOUT_S)
+                answer = await self.control.GetVersion(control_pb2.GetVersionRequest(), timeout=RPC_TIMEOUT_S)
+                version = reached_endpoints(answer, self._address)
                 reply = await self.control.ListScenes(control_pb2.ListScenesRequest(), timeout=RPC_TIMEOUT_S)
             except grpc.aio.AioRpcError as error:
                 self._lose(f"no daemon answers on {self._address}: {error.details()}")
@@ -280,7 +309,8 @@ class Daemon:
     def move_tool(self, watcher: Watcher, tool: str, position_m: tuple[float, float, float]) -> None:
         """Sends a pose on behalf of `watcher`. Raises ProtocolError on an unknown tool."""
         feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
-        if feed is None or feed.topology is None or self.problem:
+        # Before it has the newest topology, a browser may mean a tool of the one before.
+        if feed is None or feed.topology is None or not watcher.outbox.topology_known or self.problem:
             return
         if tool not in {shape.name for shape in feed.topology.tools}:
             raise ProtocolError(f"scene {feed.scene!r} has no tool {tool!r}")

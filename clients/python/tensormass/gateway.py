@@ -11,13 +11,14 @@ On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (k
 Text messages are JSON objects with a `type`:
 
     gateway -> browser   daemon  problem (empty: none), server, backend, device, version, scenes, poses_allowed
-                         clock   client_time_ms (as asked), gateway_time_ms, replaced (messages replaced in the slots)
+                         clock   client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
     browser -> gateway   watch   scene
                          ack     stream
                          clock   client_time_ms
                          pose    tool, position_m [3]     (only with --allow-poses)
 
-Who may connect: whoever knows the token, from a page of this gateway (Origin), up to a number of browsers.
+Who may connect: whoever knows the token, from a page of this gateway (Origin), up to a number of browsers. A browser
+hides from its page why a WebSocket was refused; POST on the same address tells.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ import argparse
 import asyncio
 import contextlib
 import hmac
+import ipaddress
 import json
 import math
 import os
+import platform
 import secrets
 import signal
 import sys
@@ -38,6 +41,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
@@ -75,7 +79,7 @@ class GatewayOptions:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     max_browsers: int = 16
     origins: tuple[str, ...] = ()
-    """Origins let in beside the gateway's own address."""
+    """Origins let in beside those of the gateway's own pages."""
     allow_poses: bool = False
     viewer: Path = DEFAULT_VIEWER
     poll_interval_s: float = 1.0
@@ -123,7 +127,7 @@ class Gateway:
         self.closed_for_errors = 0
         self._browsers: set[Browser] = set()
         self._daemon = Daemon(options.control, options.poll_interval_s, self._announce)
-        self._origins: frozenset[str] = frozenset()
+        self._own_names = frozenset({options.host.lower(), "localhost", platform.node().lower()})
         self._runner: web.AppRunner | None = None
         self._follower: asyncio.Task[None] | None = None
 
@@ -157,6 +161,7 @@ class Gateway:
             [
                 web.get("/", self._page),
                 web.get("/stream", self._stream),
+                web.post("/stream", self._admission),
                 web.get("/status", self._status),
                 web.static("/assets", self.options.viewer / "assets"),
             ]
@@ -165,8 +170,6 @@ class Gateway:
         await self._runner.setup()
         await web.TCPSite(self._runner, self.options.host, self.options.port).start()
         self.port = self._runner.addresses[0][1]
-        own = (self.options.host, "localhost", "127.0.0.1", "[::1]")
-        self._origins = frozenset({f"http://{host}:{self.port}" for host in own} | set(self.options.origins))
         self._follower = background(self._daemon.follow())
 
     async def stop(self) -> None:
@@ -186,17 +189,12 @@ class Gateway:
         self._check_token(request)
         return web.json_response(self.stats(), headers={"Cache-Control": "no-store"})
 
+    async def _admission(self, request: web.Request) -> web.Response:
+        self._check_admission(request)
+        return web.Response(status=204)
+
     async def _stream(self, request: web.Request) -> web.StreamResponse:
-        self._check_token(request)
-        # A page elsewhere could make a browser that knows the token connect; that browser names the page here.
-        if request.headers.get("Origin") not in self._origins:
-            self._refuse(web.HTTPForbidden(text="Origin is not let in; allow it with --origin\n"))
-        if len(self._browsers) >= self.options.max_browsers:
-            self._refuse(
-                web.HTTPServiceUnavailable(
-                    text=f"{self.options.max_browsers} browsers are connected (--max-browsers)\n"
-                )
-            )
+        self._check_admission(request)
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
         browser = Browser(socket)
         # Counted before the handshake waits, so that no burst passes the limit.
@@ -263,6 +261,33 @@ class Gateway:
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
+    def _check_admission(self, request: web.Request) -> None:
+        self._check_token(request)
+        # A page elsewhere could make a browser that knows the token connect; that browser names the page here.
+        origin = request.headers.get("Origin", "")
+        if origin not in self.options.origins and not self._is_own(origin, request.host):
+            self._refuse(web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
+        if len(self._browsers) >= self.options.max_browsers:
+            self._refuse(
+                web.HTTPServiceUnavailable(
+                    text=f"{self.options.max_browsers} browsers are connected (--max-browsers)\n"
+                )
+            )
+
+    def _is_own(self, origin: str, host: str) -> bool:
+        """Whether a page of `origin` came from here, where the browser calls this place `host`."""
+        if origin not in (f"http://{host}", f"https://{host}"):
+            return False
+        # That they agree proves nothing of a name: who serves a page can let its name point here afterwards (DNS
+        # rebinding) and then try tokens. An address cannot be rebound, and our own names are nobody else's.
+        try:
+            name = urlsplit(origin).hostname or ""
+            if name not in self._own_names:
+                ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
     def _check_token(self, request: web.Request) -> None:
         given = request.query.get("token", "")
         if not hmac.compare_digest(given.encode(), self.options.token.encode()):
@@ -305,7 +330,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="URL",
-        help="let in pages of this origin too, such as http://viewer.example:8000 (repeatable)",
+        help="let in pages of this origin too, such as http://viewer.example:8000: needed where a page's address is a "
+        "name other than localhost and this machine's (repeatable)",
     )
     parser.add_argument("--allow-poses", action="store_true", help="let browsers move tools (default: they only look)")
     parser.add_argument("--viewer", type=Path, default=DEFAULT_VIEWER, help="folder of the built viewer")

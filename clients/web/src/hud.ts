@@ -1,19 +1,19 @@
 // The numbers beside the picture. Written a few times a second: digits that change faster cannot be read.
 import { find } from "./dom";
+import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
-import { SceneState, type Status } from "./stream/decode";
+import type { Status } from "./stream/decode";
 import type { Counters } from "./stream/store";
 
 export interface Readings {
   readonly status: Status | null;
+  readonly warnings: readonly string[];
   readonly counters: Counters;
   readonly drawRateHz: number | null;
   readonly ageMs: number | null;
   readonly ageUncertaintyMs: number | null;
   readonly replaced: number;
 }
-
-export type Notice = { readonly tone: "quiet" | "warning"; readonly title: string; readonly detail: string } | null;
 
 export interface Actions {
   readonly pickScene: (scene: string) => void;
@@ -53,20 +53,13 @@ export class Hud {
     this.#device.textContent = parts.filter(Boolean).join(" · ");
   }
 
-  showLink(tone: "good" | "waiting" | "bad", text: string): void {
+  show({ tone, text, notice }: Situation): void {
     this.#pill.dataset.tone = tone;
-    this.#pill.textContent = text;
+    write("link", text);
+    this.#showNotice(notice);
   }
 
-  showNotice(notice: Notice): void {
-    this.#notice.hidden = notice === null;
-    if (notice !== null) {
-      this.#notice.dataset.tone = notice.tone;
-      this.#notice.replaceChildren(paragraph("title", notice.title), paragraph("detail", notice.detail));
-    }
-  }
-
-  showReadings({ status, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced }: Readings): void {
+  showReadings({ status, warnings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced }: Readings): void {
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", status ? `of ${trim(status.targetRateHz)} Hz` : "Hz");
     write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
@@ -78,22 +71,33 @@ export class Hud {
     write("missed", status ? String(status.missedDeadlines) : UNKNOWN);
     write("iterations", status ? String(status.cgIterations) : UNKNOWN);
     write("residual", status ? `res. ${status.cgRelativeResidual.toExponential(0)}` : "");
+    const lawRangeUsed = status?.lawRangeUsed ?? 0;
+    element("law-range-row").hidden = lawRangeUsed === 0;
+    write("law-range", (100 * lawRangeUsed).toFixed(0));
+    element("law-range").dataset.tone = lawRangeUsed > 1 ? "warning" : "";
+    this.#showWarnings(warnings);
     element("refused").hidden = counters.refused === 0;
     write("refused-count", String(counters.refused));
     element("refused").title = counters.lastRefusal ?? "";
     element("missed").dataset.tone = status && status.missedDeadlines > 0n ? "warning" : "";
   }
-}
 
-/** What a viewer should say instead of, or above, the picture. */
-export function sceneNotice(status: Status | null): Notice {
-  switch (status?.state) {
-    case SceneState.FAULTED:
-      return { tone: "warning", title: "Scene stopped", detail: status.fault };
-    case SceneState.PAUSED:
-      return { tone: "quiet", title: "Paused", detail: "" };
-    default:
-      return null;
+  #showNotice(notice: Notice): void {
+    this.#notice.hidden = notice === null;
+    if (notice !== null) {
+      this.#notice.dataset.tone = notice.tone;
+      write("notice-title", notice.title);
+      write("notice-detail", notice.detail);
+    }
+  }
+
+  #showWarnings(texts: readonly string[]): void {
+    element("warnings").hidden = texts.length === 0;
+    write("warnings-count", texts.length === 1 ? "1 warning" : `${texts.length} warnings`);
+    const list = element("warnings-list");
+    if ([...list.children].map((item) => item.textContent).join("\n") !== texts.join("\n")) {
+      list.replaceChildren(...texts.map(listItem));
+    }
   }
 }
 
@@ -108,9 +112,8 @@ function write(id: string, text: string): void {
   }
 }
 
-function paragraph(className: string, text: string): HTMLElement {
-  const result = document.createElement("p");
-  result.className = className;
+function listItem(text: string): HTMLElement {
+  const result = document.createElement("li");
   result.textContent = text;
   return result;
 }

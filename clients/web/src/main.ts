@@ -5,9 +5,10 @@
 import "./style.css";
 
 import { find } from "./dom";
-import { Hud, sceneNotice } from "./hud";
+import { Hud } from "./hud";
+import { linkSituation, sceneSituation } from "./situation";
 import { GatewayClock } from "./stream/clock";
-import { Connection, type DaemonState, type LinkState } from "./stream/connection";
+import { Connection, type ClockReply, type DaemonState, type Diagnosis, type LinkState } from "./stream/connection";
 import { decodeFrame, decodeStatus, decodeTopology, splitMessage, type StreamName, type Vector } from "./stream/decode";
 import { SceneStore } from "./stream/store";
 import { chooseQuality } from "./view/quality";
@@ -24,6 +25,7 @@ const clock = new GatewayClock();
 let wanted = address.searchParams.get("scene");
 let watched: string | null = null;
 let daemon: DaemonState | null = null;
+let watchedSinceMs = 0;
 let replaced = 0;
 let drawn: { atMs: number; ageMs: number | null }[] = [];
 
@@ -40,8 +42,9 @@ const hud = new Hud({
 
 const viewer = openViewer();
 
+const streamAddress = `//${address.host}/stream?token=${encodeURIComponent(token)}`;
 const connection = new Connection({
-  url: `${address.protocol === "https:" ? "wss:" : "ws:"}//${address.host}/stream?token=${encodeURIComponent(token)}`,
+  url: `${address.protocol === "https:" ? "wss:" : "ws:"}${streamAddress}`,
   events: { onLink, onDaemon, onMessage, onClock },
   diagnose,
 });
@@ -76,21 +79,21 @@ function openViewer(): Viewer {
       },
     });
   } catch (error) {
-    hud.showLink("bad", "No WebGL");
     const detail = "This browser draws no WebGL 2; enable hardware acceleration or take another browser.";
-    hud.showNotice({ tone: "warning", title: "Nothing can be drawn", detail });
+    const notice = { tone: "warning", title: "Nothing can be drawn", detail } as const;
+    hud.show({ tone: "bad", text: "No WebGL", notice });
     throw error;
   }
 }
 
 function onLink(state: LinkState): void {
-  if (state.kind === "open") {
-    hud.showLink("waiting", "Connected");
-  } else if (state.kind === "lost") {
+  if (state.kind === "lost" || state.kind === "refused") {
     forget();
     daemon = null;
-    hud.showLink("bad", "Disconnected");
-    hud.showNotice({ tone: "warning", title: "Connection lost, trying again", detail: state.reason });
+  }
+  const situation = linkSituation(state);
+  if (situation !== null) {
+    hud.show(situation);
   }
 }
 
@@ -115,6 +118,7 @@ function chooseScene(): void {
   } else if (target !== watched) {
     forget();
     watched = target;
+    watchedSinceMs = performance.now();
     connection.watch(target);
   }
   hud.showScenes(daemon, watched ?? wanted);
@@ -124,26 +128,13 @@ function chooseScene(): void {
 /** What comes back under the same name, after a reload or a restart, may be another scene. */
 function forget(): void {
   watched = null;
+  replaced = 0;
   store.clear();
 }
 
 function showState(): void {
-  if (daemon === null) {
-    return;
-  }
-  if (daemon.problem !== "") {
-    hud.showLink("bad", "No daemon");
-    hud.showNotice({ tone: "warning", title: "Waiting for the daemon", detail: daemon.problem });
-  } else if (watched === null) {
-    hud.showLink("waiting", "No scene");
-    const detail = wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`;
-    hud.showNotice({ tone: "quiet", title: "Waiting for a scene", detail });
-  } else if (store.frame === null) {
-    hud.showLink("waiting", "Loading");
-    hud.showNotice(null);
-  } else {
-    hud.showLink("good", "Live");
-    hud.showNotice(sceneNotice(store.status));
+  if (daemon !== null) {
+    hud.show(sceneSituation(daemon, wanted, watched, store));
   }
 }
 
@@ -176,18 +167,24 @@ function onMessage(data: ArrayBuffer): void {
   }
 }
 
-function onClock(reply: { clientTimeMs: number; gatewayTimeMs: number; replaced: number }, receivedMs: number): void {
+function onClock(reply: ClockReply, receivedMs: number): void {
   clock.add(reply.clientTimeMs, receivedMs, reply.gatewayTimeMs);
-  replaced = reply.replaced;
+  // What was asked before the scene was changed counts the frames of the scene before.
+  if (watched !== null && reply.clientTimeMs >= watchedSinceMs) {
+    replaced = reply.replaced;
+  }
 }
 
-/** A WebSocket that was refused says no reason; the gateway's status page does. */
-async function diagnose(): Promise<string> {
+/** A WebSocket that was refused says no reason; the gateway tells it to who asks by POST. */
+async function diagnose(): Promise<Diagnosis> {
   try {
-    const reply = await fetch(`/status?token=${encodeURIComponent(token)}`);
-    return reply.ok ? "" : await reply.text();
+    const reply = await fetch(streamAddress, { method: "POST" });
+    if (reply.ok) {
+      return { reason: "the gateway answers, but no WebSocket gets through to it", final: false };
+    }
+    return { reason: await reply.text(), final: reply.status === 403 };
   } catch {
-    return "";
+    return { reason: "the gateway does not answer", final: false };
   }
 }
 
@@ -197,11 +194,13 @@ function showReadings(): void {
   const ages = drawn.flatMap(({ ageMs }) => ageMs ?? []).sort((a, b) => a - b);
   hud.showReadings({
     status: store.status,
+    warnings: store.warnings.texts(),
     counters: store.counters,
     drawRateHz: store.topology === null ? null : drawn.length / (RATE_WINDOW_MS / 1000),
     ageMs: ages[Math.floor(ages.length / 2)] ?? null,
     ageUncertaintyMs: clock.uncertaintyMs(),
-    replaced,
+    // A frame before which the gateway replaced some may not be drawn yet.
+    replaced: Math.min(replaced, store.counters.dropped),
   });
   showState();
 }

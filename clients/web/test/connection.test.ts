@@ -60,7 +60,7 @@ describe("Connection", () => {
     onMessage: vi.fn<ConnectionEvents["onMessage"]>(),
     onClock: vi.fn<ConnectionEvents["onClock"]>(),
   };
-  const diagnose = vi.fn(() => Promise.resolve("the token is wrong"));
+  const diagnose = vi.fn(() => Promise.resolve({ reason: "full", final: false }));
   let connection: Connection;
 
   beforeEach(() => {
@@ -94,7 +94,7 @@ describe("Connection", () => {
     expect(events.onLink.mock.calls.map(([state]) => state)).toEqual([
       { kind: "connecting" },
       { kind: "open" },
-      { kind: "lost", reason: "bye" },
+      { kind: "lost", everOpened: true, reason: "bye" },
       { kind: "connecting" },
       { kind: "open" },
     ]);
@@ -121,10 +121,20 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(count + 1);
   });
 
-  it("asks why a connection never opened", async () => {
+  it("asks why a connection never opened, and tries again", async () => {
     FakeSocket.last.fail("");
     await vi.advanceTimersByTimeAsync(0);
-    expect(events.onLink).toHaveBeenCalledWith({ kind: "lost", reason: "the token is wrong" });
+    expect(events.onLink).toHaveBeenLastCalledWith({ kind: "lost", everOpened: false, reason: "full" });
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    expect(FakeSocket.opened).toHaveLength(2);
+  });
+
+  it("stops trying where that is of no use", async () => {
+    diagnose.mockResolvedValueOnce({ reason: "the token is wrong", final: true });
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(10 * LAST_RETRY_MS);
+    expect(events.onLink).toHaveBeenLastCalledWith({ kind: "refused", reason: "the token is wrong" });
+    expect(FakeSocket.opened).toHaveLength(1);
   });
 
   it("owes acknowledgements while nobody looks, one for each stream", () => {

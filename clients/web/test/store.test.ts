@@ -1,5 +1,7 @@
+import { create } from "@bufbuild/protobuf";
 import { beforeEach, describe, expect, it } from "vitest";
 
+import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { SceneStore } from "../src/stream/store";
 import { f32, frameBytes, topologyBytes } from "./messages";
@@ -65,7 +67,10 @@ describe("SceneStore", () => {
     store.setFrame(frame(5n));
     store.takeFrame();
     store.refuse("why");
+    store.setStatus(create(SceneStatusSchema, { warnings: ["too fast"] }));
+    expect(store.warnings.texts()).toEqual(["too fast"]);
     store.clear();
+    expect(store.warnings.texts()).toEqual([]);
     expect([store.topology, store.frame, store.status, store.takeFrame()]).toEqual([null, null, null, null]);
     expect(store.counters).toEqual({ drawn: 0, dropped: 0, refused: 0, lastRefusal: null });
     expect(() => store.setFrame(frame(6n))).toThrow(/on show is none/);

@@ -16,15 +16,24 @@ export interface DaemonState {
 export interface ClockReply {
   readonly clientTimeMs: number;
   readonly gatewayTimeMs: number;
-  /** Messages that the gateway replaced by newer ones before this browser took them. */
+  /** Frames of the watched scene that the gateway replaced by newer ones. */
   readonly replaced: number;
 }
 
 export type LinkState =
   | { readonly kind: "connecting" }
   | { readonly kind: "open" }
-  /** The connection was lost and is tried again. */
-  | { readonly kind: "lost"; readonly reason: string };
+  /** The connection was lost, or never came about, and is tried again. */
+  | { readonly kind: "lost"; readonly everOpened: boolean; readonly reason: string }
+  /** The gateway does not let this page in; trying again would not change that. */
+  | { readonly kind: "refused"; readonly reason: string };
+
+/** Why a connection did not come about. */
+export interface Diagnosis {
+  readonly reason: string;
+  /** Trying again is of no use. */
+  readonly final: boolean;
+}
 
 export interface ConnectionEvents {
   onLink(state: LinkState): void;
@@ -37,8 +46,8 @@ export interface ConnectionOptions {
   readonly url: string;
   readonly events: ConnectionEvents;
   readonly WebSocket?: typeof WebSocket;
-  /** Why the gateway may have refused; asked when a connection never opened. */
-  readonly diagnose?: () => Promise<string>;
+  /** Asked when a connection did not open. */
+  readonly diagnose: () => Promise<Diagnosis>;
 }
 
 export const FIRST_RETRY_MS = 250;
@@ -52,6 +61,7 @@ export class Connection {
   #retryMs = FIRST_RETRY_MS;
   #retry: ReturnType<typeof setTimeout> | undefined;
   #clock: ReturnType<typeof setInterval> | undefined;
+  #everOpened = false;
   #paused = false;
   readonly #owed = new Set<StreamName>();
 
@@ -106,6 +116,7 @@ export class Connection {
     let opened = false;
     socket.onopen = () => {
       opened = true;
+      this.#everOpened = true;
       this.#owed.clear();
       this.#options.events.onLink({ kind: "open" });
       this.#askClock();
@@ -116,20 +127,39 @@ export class Connection {
       clearInterval(this.#clock);
       if (this.#socket === socket) {
         this.#socket = null;
-        void this.#lost(opened, event.reason);
+        this.#retryLater();
+        if (opened) {
+          this.#tellLost(event.reason || "the gateway does not answer");
+        } else {
+          void this.#diagnose();
+        }
       }
     };
   }
 
-  async #lost(opened: boolean, reason: string): Promise<void> {
+  #retryLater(): void {
     // Some jitter, so that the viewers of a restarted gateway do not come back in step.
     const wait = this.#retryMs * (0.8 + 0.4 * Math.random());
     this.#retryMs = Math.min(LAST_RETRY_MS, 2 * this.#retryMs);
     this.#retry = setTimeout(() => this.#open(), wait);
-    const why = opened ? reason : await this.#options.diagnose?.();
-    if (this.#socket === null) {
-      this.#options.events.onLink({ kind: "lost", reason: why || "the gateway does not answer" });
+  }
+
+  async #diagnose(): Promise<void> {
+    const { reason, final } = await this.#options.diagnose();
+    // Meanwhile the next try may be under way; what comes of it is newer.
+    if (this.#socket !== null) {
+      return;
     }
+    if (final) {
+      clearTimeout(this.#retry);
+      this.#options.events.onLink({ kind: "refused", reason });
+    } else {
+      this.#tellLost(reason);
+    }
+  }
+
+  #tellLost(reason: string): void {
+    this.#options.events.onLink({ kind: "lost", everOpened: this.#everOpened, reason });
   }
 
   #receive(data: ArrayBuffer | string): void {

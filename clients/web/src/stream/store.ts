@@ -1,6 +1,7 @@
 // What is known of the scene on show: its topology, its newest frame and status, and what was lost on the way.
 // Frames that do not fit the topology are refused here, so that drawing needs no checks.
 import { DecodeError, type Frame, type Status, type Topology } from "./decode";
+import { Warnings } from "./warnings";
 
 export interface Counters {
   drawn: number;
@@ -16,6 +17,7 @@ export class SceneStore {
   topology: Topology | null = null;
   frame: Frame | null = null;
   status: Status | null = null;
+  readonly warnings = new Warnings();
   /** Rises with everything that changes which objects are drawn. */
   topologyRevision = 0;
   readonly counters: Counters = { drawn: 0, dropped: 0, refused: 0, lastRefusal: null };
@@ -28,6 +30,7 @@ export class SceneStore {
     this.topology = null;
     this.frame = null;
     this.status = null;
+    this.warnings.clear();
     this.topologyRevision += 1;
     Object.assign(this.counters, { drawn: 0, dropped: 0, refused: 0, lastRefusal: null } satisfies Counters);
     this.#fresh = false;
@@ -62,6 +65,7 @@ export class SceneStore {
 
   setStatus(status: Status): void {
     this.status = status;
+    this.warnings.update(status.warnings, Number(status.serverTimeNs) / 1e6);
   }
 
   refuse(reason: string): void {

@@ -6,7 +6,7 @@ import type { Vector } from "../stream/decode";
 import type { Studio } from "./studio";
 
 export interface DragTarget {
-  /** The spheres that can be taken; their `name` is the tool's. */
+  /** The spheres that can be taken; their `name` is the tool's. What is not among them any more is let go. */
   spheres(): THREE.Object3D[];
   /** The sphere's centre was dragged to this place [m]. */
   onMove(tool: string, centerM: Vector): void;
@@ -16,7 +16,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
   const caster = new THREE.Raycaster();
   const plane = new THREE.Plane();
   const hit = new THREE.Vector3();
-  let held: string | null = null;
+  let held: THREE.Object3D | null = null;
 
   const aim = (event: PointerEvent) => {
     const box = canvas.getBoundingClientRect();
@@ -31,7 +31,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
       aim(event);
       const taken = event.button === 0 ? caster.intersectObjects(target.spheres(), false)[0] : undefined;
       if (taken !== undefined) {
-        held = taken.object.name;
+        held = taken.object;
         plane.setFromNormalAndCoplanarPoint(
           studio.camera.getWorldDirection(new THREE.Vector3()),
           taken.object.getWorldPosition(hit),
@@ -43,19 +43,22 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
     // Before the orbit controls see it.
     { capture: true },
   );
-  canvas.addEventListener("pointermove", (event) => {
-    if (held !== null) {
-      aim(event);
-      if (caster.ray.intersectPlane(plane, hit) !== null) {
-        const { x, y, z } = studio.world.worldToLocal(hit.clone());
-        target.onMove(held, [x, y, z]);
-      }
-    }
-  });
   const release = () => {
     held = null;
     studio.controls.enabled = true;
   };
+  canvas.addEventListener("pointermove", (event) => {
+    if (held !== null && !target.spheres().includes(held)) {
+      release();
+    }
+    if (held !== null) {
+      aim(event);
+      if (caster.ray.intersectPlane(plane, hit) !== null) {
+        const { x, y, z } = studio.world.worldToLocal(hit.clone());
+        target.onMove(held.name, [x, y, z]);
+      }
+    }
+  });
   canvas.addEventListener("pointerup", release);
   canvas.addEventListener("pointercancel", release);
 }

@@ -3,7 +3,8 @@
 import * as THREE from "three";
 
 import type { SceneStore } from "../stream/store";
-import type { Vector } from "../stream/decode";
+import type { Frame, Vector } from "../stream/decode";
+import { sceneBounds } from "./bounds";
 import { enableDrag } from "./drag";
 import { Instruments, type ForceLabel } from "./instruments";
 import type { Quality } from "./quality";
@@ -71,7 +72,7 @@ export class Viewer {
   resetView(): void {
     const { topology, frame } = this.#store;
     if (topology !== null && frame !== null) {
-      this.#studio.frame(new THREE.Box3().setFromArray(frame.positions), topology.up);
+      this.#studio.frame(sceneBounds(topology, frame), topology.up);
       this.#dirty = true;
     }
   }
@@ -92,10 +93,16 @@ export class Viewer {
     if (!this.#dragEnabled) {
       this.#dragEnabled = true;
       enableDrag(this.#canvas, this.#studio, {
-        spheres: () => this.#instruments?.spheres() ?? [],
+        spheres: () => this.#spheres(),
         onMove: (tool, center) => this.#events.onToolMoved(tool, center),
       });
     }
+  }
+
+  /** None once the topology has changed, though the old ones stay until the next picture. */
+  #spheres(): THREE.Object3D[] {
+    const current = this.#revision === this.#store.topologyRevision;
+    return current && this.#instruments !== null ? this.#instruments.spheres() : [];
   }
 
   #update(nowMs: number): void {
@@ -107,7 +114,7 @@ export class Viewer {
     const frame = this.#store.takeFrame();
     if (frame !== null && this.#store.topology !== null) {
       if (this.#tissue === null) {
-        this.#build(frame.positions);
+        this.#build(frame);
       }
       this.#tissue?.update(frame.positions);
       this.#forces = this.#instruments?.update(frame) ?? [];
@@ -129,14 +136,14 @@ export class Viewer {
     }
   }
 
-  #build(positions: Float32Array): void {
+  #build(frame: Frame): void {
     const topology = this.#store.topology!;
-    const bounds = new THREE.Box3().setFromArray(positions);
-    const radiusM = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
-    this.#tissue = new Tissue(topology, positions, radiusM, this.#quality);
+    const tissue = new THREE.Box3().setFromArray(frame.positions);
+    const radiusM = Math.max(tissue.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
+    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#quality);
     this.#instruments = new Instruments(topology, radiusM, this.#quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
-    this.#studio.frame(bounds, topology.up);
+    this.#studio.frame(sceneBounds(topology, frame), topology.up);
   }
 
   #clear(): void {

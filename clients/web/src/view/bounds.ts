@@ -1,0 +1,27 @@
+// What a view of the whole scene has to hold.
+import * as THREE from "three";
+
+import type { Frame, Topology } from "../stream/decode";
+
+/** A tool farther off [radii of the tissue] is out of use; holding it too would make the tissue a speck. */
+const REACH = 5;
+
+/** The tissue and the spheres of the tools within reach of it [m]. */
+export function sceneBounds(topology: Topology, frame: Frame): THREE.Box3 {
+  const bounds = new THREE.Box3().setFromArray(frame.positions);
+  const tissue = bounds.getBoundingSphere(new THREE.Sphere());
+  for (const { name, positionM, orientationWxyz } of frame.tools) {
+    const shape = topology.tools.find((tool) => tool.name === name);
+    if (shape === undefined) {
+      continue;
+    }
+    const [w, x, y, z] = orientationWxyz;
+    const center = new THREE.Vector3(...shape.tipOffsetM)
+      .applyQuaternion(new THREE.Quaternion(x, y, z, w))
+      .add(new THREE.Vector3(...positionM));
+    if (center.distanceTo(tissue.center) < REACH * tissue.radius) {
+      bounds.union(new THREE.Sphere(center, shape.radiusM).getBoundingBox(new THREE.Box3()));
+    }
+  }
+  return bounds;
+}

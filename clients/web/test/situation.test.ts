@@ -1,0 +1,64 @@
+import { create } from "@bufbuild/protobuf";
+import { describe, expect, it } from "vitest";
+
+import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
+import { linkSituation, sceneSituation, type Scene } from "../src/situation";
+import { SceneState, decodeFrame, decodeTopology } from "../src/stream/decode";
+import { frameBytes, topologyBytes } from "./messages";
+
+const DAEMON = {
+  problem: "",
+  server: "s",
+  version: "1",
+  backend: "cpu",
+  device: "d",
+  posesAllowed: false,
+  scenes: ["liver"],
+};
+const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null };
+
+function inState(state: SceneState, scene: Partial<Scene> = {}) {
+  const status = create(SceneStatusSchema, { state, fault: "det F is 0" });
+  return sceneSituation(DAEMON, null, "liver", { ...SHOWN, status, ...scene });
+}
+
+describe("sceneSituation", () => {
+  it("is live only while the scene is", () => {
+    expect(inState(SceneState.RUNNING)).toEqual({ tone: "good", text: "Live", notice: null });
+    expect(inState(SceneState.LOCKSTEP).text).toBe("Live");
+    expect(inState(SceneState.PAUSED)).toMatchObject({ tone: "warning", text: "Paused", notice: { title: "Paused" } });
+    expect(inState(SceneState.FAULTED)).toMatchObject({
+      tone: "bad",
+      text: "Stopped",
+      notice: { tone: "warning", detail: "det F is 0" },
+    });
+  });
+
+  it("waits for the first frame", () => {
+    expect(inState(SceneState.RUNNING, { frame: null })).toEqual({ tone: "waiting", text: "Loading", notice: null });
+  });
+
+  it("says that a scene sends no frames, unless it has stopped", () => {
+    const withoutFrames = { topology: decodeTopology(topologyBytes({ bodies: [] })), frame: null };
+    expect(inState(SceneState.RUNNING, withoutFrames)).toMatchObject({
+      text: "No frames",
+      notice: { detail: "The scene sends no frames (streams.frame_rate_hz is 0)." },
+    });
+    expect(inState(SceneState.PAUSED, withoutFrames).text).toBe("Paused");
+    expect(inState(SceneState.FAULTED, withoutFrames).notice?.detail).toBe("det F is 0");
+  });
+
+  it("names what is missing", () => {
+    expect(sceneSituation(DAEMON, "kidney", null, SHOWN).notice?.detail).toMatch(/no scene "kidney"/);
+    expect(sceneSituation({ ...DAEMON, problem: "gone" }, null, null, SHOWN).notice?.detail).toBe("gone");
+  });
+});
+
+describe("linkSituation", () => {
+  it("tells a lost connection from one that never was and from a refusal", () => {
+    const title = (link: Parameters<typeof linkSituation>[0]) => linkSituation(link)?.notice?.title;
+    expect(title({ kind: "lost", everOpened: true, reason: "" })).toBe("Connection lost, trying again");
+    expect(title({ kind: "lost", everOpened: false, reason: "" })).toBe("No connection, trying again");
+    expect(title({ kind: "refused", reason: "" })).toBe("Not let in");
+  });
+});
