@@ -67,6 +67,7 @@ def test_every_haptic_client_gets_a_tool_of_its_own() -> None:
         (["--haptic", "-1"], "not in 0 to"),
         (["--seconds", "nan"], "not in 0 to"),
         (["--seconds", "0"], "not in 0 to"),
+        (["--max-missed", "nan"], "not in 0 to 100 %"),
         (["--viewers", "many"], "invalid count value"),
     ],
 )
@@ -83,12 +84,18 @@ def test_options_out_of_range_are_refused(options: list[str], message: str, caps
     [
         (["--stop-viewer", "1", "--viewers", "0"], "needs a viewer"),
         (["--scenes", "1", "--haptic", "17"], "at most 16 tools"),
+        (["--json", "/nonexistent/x.json"], "--json /nonexistent/x.json: no folder that can be written to"),
     ],
 )
-def test_options_that_contradict_each_other_are_refused(
-    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_done_is_refused_before_anything_starts(options: list[str], message: str) -> None:
     parser = argparse.ArgumentParser()
     load_test.add_arguments(parser)
-    assert load_test.run(parser.parse_args(options)) == 1
-    assert message in capsys.readouterr().err
+    with pytest.raises(InvalidArgumentError, match=message):
+        load_test.run(parser.parse_args(options))
+
+
+def test_missed_deadlines_fail_only_above_what_is_allowed() -> None:
+    scenes = [{"scene": "late", "missed_fraction": 0.051}, {"scene": "in-time", "missed_fraction": 0.05}]
+    assert load_report.above_max_missed(scenes, 5.0) == [
+        "scene late missed 5.10 % of its deadlines, above --max-missed 5"
+    ]

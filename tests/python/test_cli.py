@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
+import contextlib
 import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import meshio
@@ -12,9 +21,10 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass import mesh_files, meshes
+from tensormass import mesh_files, meshes, run
 from tensormass.cli import main, parse_length_m
 from tensormass.output import status_line, to_plain
+from tensormass.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 STATUS = stream_pb2.SceneStatus(
@@ -119,6 +129,134 @@ def test_run_refuses_a_wrong_scene_before_anything_starts(
     scene.write_text("name: s\nbody: []\n")
     assert main(["run", str(scene)]) == 1
     assert "Scene has no field 'body'; did you mean 'bodies'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "view"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--port", "99999"], "--port 99999: must be 0 (a free one) to 65535"),
+        (["--port", "-1"], "--port -1: must be 0 (a free one) to 65535"),
+        (["--max-browsers", "0"], "--max-browsers 0: at least one browser must be let in"),
+        (["--gateway-ready-file", "/nonexistent/x"], "--gateway-ready-file /nonexistent/x: no folder that can be "),
+    ],
+)
+def test_a_gateway_that_cannot_start_is_refused_before_anything_starts(
+    command: str,
+    options: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent")
+    assert main([command, *options]) == 1
+    assert capsys.readouterr().err.startswith(f"tensormass: {message}")
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-5"])
+def test_run_refuses_seconds_that_never_or_already_end(
+    seconds: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent")
+    assert main(["run", "--seconds", seconds]) == 1
+    assert capsys.readouterr().err == f"tensormass: --seconds {seconds}: must be positive and finite\n"
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        (["--host", "127.0.0.1", "--port", "{taken}"], "already in use"),
+        (["--host", "256.0.0.1"], "--host 256.0.0.1 --port 0: no viewer can be served: "),
+    ],
+)
+def test_run_says_where_no_viewer_can_be_served(
+    recorder: tuple[Recorder, tm.Server], where: list[str], message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "index.html").touch()
+    (tmp_path / "assets").mkdir()
+    parser = argparse.ArgumentParser()
+    run.add_arguments(parser)
+
+    async def serve(options: list[str]) -> None:
+        async with run._viewer(parser.parse_args(["--viewer", str(tmp_path), *options]), recorder[1]):
+            pytest.fail("it listens")
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        options = [option.format(taken=taken.getsockname()[1]) for option in where]
+        with pytest.raises(tm.UnavailableError, match=message):
+            asyncio.run(serve(options))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["solve", "beam", "--out", "x.vtu", "--cpu-threads", "-7"], "argument --cpu-threads: -7 is not in 1 to 256"),
+        (["solve", "beam", "--out", "x.vtu", "--server", "a:1", "--cpu-threads", "2"], "are for a daemon to start"),
+        (["inspect", "beam", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
+        (["load-test", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
+    ],
+)
+def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as usage:
+        main(options)
+    assert usage.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    tidied = []
+
+    @contextlib.contextmanager
+    def connect(address: str) -> Iterator[None]:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+            yield
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)  # a second one
+            tidied.append(address)
+
+    monkeypatch.setattr("tensormass.cli.connect", connect)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["list", "--server", "a:1"]) == 143
+    assert tidied == ["a:1"]
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(
+    ("redirection", "words"),
+    [
+        (">/dev/full", "tensormass: standard output: No space left on device\n"),
+        (">&-", "tensormass: standard output is closed\n"),
+    ],
+)
+def test_output_that_is_lost_is_one_line(redirection: str, words: str) -> None:
+    script = f'exec "{sys.executable}" -m tensormass --help {redirection}'
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(["/bin/sh", "-c", script], env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, words)
+
+
+def test_a_daemon_of_ones_own_that_ended_is_said_with_its_log(tmp_path: Path) -> None:
+    log = tmp_path / "daemon.log"
+    log.write_text("last words\n")
+    daemon = ChildProcess(["sleep", "60"], output=subprocess.DEVNULL)
+    try:
+        with (
+            pytest.raises(tm.UnavailableError, match=r"^Connection refused$"),
+            end_explained(daemon, log),
+        ):
+            raise tm.UnavailableError("Connection refused")  # by another one: this daemon runs
+        daemon.process.kill()
+        with (
+            pytest.raises(tm.UnavailableError, match=r"^the daemon ended, by SIGKILL; its log ends:\nlast words$"),
+            end_explained(daemon, log),
+        ):
+            raise tm.InternalError("Stream removed")
+    finally:
+        daemon.stop()
 
 
 def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

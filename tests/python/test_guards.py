@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import tensormass as tm
 from tensormass import processes
+from tensormass.cli import main
 from tensormass.output import state_name
 
 try:
@@ -30,6 +33,8 @@ bodies:
     fixed:
       - box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}
 """
+
+Ran = tuple[int, list[dict[str, Any]]]
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +57,45 @@ def test_a_guard_stops_a_scene_at_its_last_good_state(server: tm.Server, tmp_pat
     assert handle.frame().step == 0
     with pytest.raises(tm.InvalidArgumentError, match="npz"):
         handle.write_report(tmp_path / "stopped.txt")
+    with pytest.raises(tm.InvalidArgumentError, match=r"stopped\.npz: cannot be written: No such file or directory"):
+        handle.write_report(tmp_path / "none" / "stopped.npz")
     with np.load(handle.write_report(tmp_path / "stopped.npz")) as report:
         assert json.loads(str(report["status"]))["fault"] == status.fault
         assert report["tissue/displacement"].shape == (6 * 6 * 4, 3)
         assert not report["tissue/displacement"].any()
         assert not report["tissue/velocity"].any()
     assert state_name(handle.reset()) == "lockstep"
+
+
+def run_without_devices(scene: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float) -> Ran:
+    """`tensormass run` of a scene's text for so long."""
+    (tmp_path / "scene.yaml").write_text(scene)
+    options = ("--backend", "cpu", "--no-viewer", "--no-haptic", "--json", "--seconds", str(seconds))
+    status = main(["run", str(tmp_path / "scene.yaml"), *options])
+    return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_run_for_some_seconds_fails_as_soon_as_its_scene_is_stopped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = BLOCK + "solver: {cg_max_iterations: 1, cg_tolerance: 1.0e-9, floor_tolerance: 1.0e-9}\n"
+    status, (*_, last, error) = run_without_devices(stopped, tmp_path, capsys, 100)
+    assert (status, last["status"]["state"]) == (1, "STATE_FAULTED")
+    assert error["kind"] == "FailedPreconditionError"
+    assert error["error"] == f"scene 'block' is stopped: {last['status']['fault']}"
+
+
+def test_a_run_counts_its_seconds_from_where_the_scene_steps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def launch_late(**options: Any) -> tm.Server:  # noqa: ANN401
+        time.sleep(1.0)
+        return tm.launch(**options)
+
+    monkeypatch.setattr("tensormass.run.launch", launch_late)
+    status, said = run_without_devices(BLOCK, tmp_path, capsys, 0.9)
+    assert status == 0
+    assert said[-1]["status"]["step"] > 50, "of 180 in that time"
 
 
 def test_status_says_where_energy_went(server: tm.Server) -> None:

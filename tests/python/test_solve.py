@@ -328,6 +328,43 @@ def test_a_linear_solve_that_was_cut_off_is_refused_too(solve: Callable[..., Sol
     assert "after 3 conjugate-gradient iterations, above cg_tolerance 1e-05; raise cg" in refused.said["error"]
 
 
+def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: Callable[..., Solved]) -> None:
+    text = (BAR % (TRACTION, "", "")).replace("quasi_static", "implicit_euler")
+    refused = solve(text.replace("cg_max_iterations: 2000", "cg_max_iterations: 3"), "--steps", "5", "--every", "1")
+    listing = refused.out.with_suffix(".pvd")
+    assert f". {listing} lists 1 state before it, --out is not written; with --all" in refused.said["error"]
+    assert listing.exists()
+    assert not refused.out.exists()
+
+
+@pytest.mark.parametrize(("preset", "limit"), [("fast", "cg_max_iterations"), ("accurate", "newton_max_iterations")])
+def test_the_limits_of_a_preset_are_no_failure_and_said(
+    solve: Callable[..., Solved], preset: str, limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tensormass.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
+    solved = solve("beam", "--steps", "2", "--preset", preset)
+    assert (solved.status, solved.said["unconverged_steps"]) == (0, 2)
+    (warning,) = (text for text in solved.said["warnings"] if "did not converge" in text)
+    assert f"--preset {preset} asks for no more: {limit} 2 (1 more steps like this, " in warning
+    assert solved.out.exists()
+
+
+def test_a_grid_beyond_the_limits_is_refused_by_the_daemon_and_not_cut_here(solve: Callable[..., Solved]) -> None:
+    refused = solve((BAR % (TRACTION, "", "")).replace("cells_x: 20", "cells_x: 4000000000"))
+    assert refused.status == 1
+    assert "limits::kMaxNodes is" in refused.said["error"]
+
+
+def test_a_series_that_cannot_be_listed_is_refused_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent")
+    listing = tmp_path / "result.pvd"
+    listing.mkdir()
+    assert main(["solve", "cantilever", "--out", str(tmp_path / "result.vtu"), "--every", "1"]) == 1
+    assert capsys.readouterr().err == f"tensormass: --every {listing}: is no file that can be written\n"
+
+
 def test_a_law_out_of_its_range_is_said(solve: Callable[..., Solved]) -> None:
     text = (BAR % (TRACTION.replace("-10", "-1000"), "", "")).replace("neo_hookean", "hooke")
     solved = solve(text)
@@ -340,9 +377,10 @@ def test_a_law_out_of_its_range_is_said(solve: Callable[..., Solved]) -> None:
     [
         (["--out", "result.vtk"], "--out result.vtk: must end in .vtu"),
         (["--out", "none/result.vtu"], "--out none/result.vtu: no folder that can be written to"),
-        (["--steps", "0"], "--steps 0: must be positive"),
-        (["--seconds", "nan"], "--seconds nan: must be positive"),
-        (["--every", "-1"], "--every -1: must be positive"),
+        (["--steps", "0"], "--steps 0: must be positive and at most 1e+09"),
+        (["--seconds", "nan"], "--seconds nan: must be positive and at most 1e+09"),
+        (["--seconds", "inf"], "--seconds inf: must be positive and at most 1e+09"),
+        (["--every", "-1"], "--every -1: must be positive and at most 1e+09"),
         (["--fields", "stress"], "unknown field 'stress'; did you mean 'cauchy_stress'?"),
     ],
 )

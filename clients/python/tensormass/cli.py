@@ -1,19 +1,24 @@
-"""The command `tensormass`. Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage."""
+"""The command `tensormass`. Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 130 after
+Ctrl-C and 143 after SIGTERM (0 for `run` and `view`, whose end that is)."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import FrameType
 
 from tensormass import gateway, load_test, mesh_files, meshes, run, solve
 from tensormass.client import DEFAULT_ADDRESS, connect, launch
 from tensormass.demo import builtin_scenes
 from tensormass.errors import TensormassError
 from tensormass.output import load_line, print_json, quality_text, report_text, state_name, status_line, to_plain
+from tensormass.processes import end_explained
 from tensormass.trade import command as trade
 
 _LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
@@ -21,22 +26,74 @@ _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _SCENE_HELP = f"a scene file (.yaml), a mesh file, or a built-in scene ({', '.join(builtin_scenes())})"
 
 
+# The daemon's own limit (server/core/limits.h).
+_MAX_CPU_THREADS = 256
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came; what Ctrl-C tidies up, it does too."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
-    args = _parser().parse_args(argv)
+    if sys.stdout is None:  # `>&-`
+        print("tensormass: standard output is closed", file=sys.stderr)
+        return 1
+    try:
+        try:
+            return _run_command(argv)
+        finally:
+            sys.stdout.flush()  # what cannot be written is said here, and not by the interpreter when it ends
+    except BrokenPipeError:  # `tensormass list | head`
+        _output_is_lost()
+        return 1
+    except OSError as error:
+        where = error.filename or ("standard output" if _output_is_lost() else None)
+        print(f"tensormass: {where}: {error.strerror}" if where else f"tensormass: {error}", file=sys.stderr)
+        return 1
+
+
+def _run_command(argv: Sequence[str] | None) -> int:
+    parser = _parser()
+    args = parser.parse_args(argv)
+    _check_usage(parser, args)
+    handler = signal.signal(signal.SIGTERM, _terminate)
     try:
         return int(args.command(args))
     except TensormassError as error:
-        if getattr(args, "json", False) is True:
+        if getattr(args, "json", None) in (True, "-"):  # load-test names a file
             print_json({"error": str(error), "kind": type(error).__name__})
         else:
             print(f"tensormass: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:  # `tensormass list | head`
-        sys.stderr.close()
-        return 1
+    except KeyboardInterrupt as interrupt:
+        return 143 if isinstance(interrupt, _Terminated) else 130
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the tidying up short
+    raise _Terminated
+
+
+def _check_usage(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """What options mean together, for every command that has them."""
+    threads = getattr(args, "cpu_threads", None)
+    if threads is not None and not 1 <= threads <= _MAX_CPU_THREADS:
+        parser.error(f"argument --cpu-threads: {threads} is not in 1 to {_MAX_CPU_THREADS}")
+    if getattr(args, "server", None) and (threads is not None or getattr(args, "backend", "auto") != "auto"):
+        parser.error("--backend and --cpu-threads are for a daemon to start; the one at --server has its own")
+
+
+def _output_is_lost() -> bool:
+    """Whether standard output takes nothing more. If so, the interpreter's last try goes nowhere and says nothing."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
 
 
 def parse_length_m(text: str) -> float:
@@ -123,7 +180,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = commands.add_parser("view", parents=[server, json_option], help="viewer for a running daemon")
     gateway.add_arguments(sub)
-    sub.set_defaults(command=gateway.run)
+    sub.set_defaults(command=_view)
 
     sub = commands.add_parser("load-test", help="drive a daemon with real clients and measure")
     load_test.add_arguments(sub)
@@ -183,10 +240,18 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _inspect(args: argparse.Namespace) -> int:
-    with connect(args.server) if args.server else launch(backend=args.backend, zenoh=False) as server:
+    with (
+        connect(args.server) if args.server else launch(backend=args.backend, zenoh=False) as server,
+        end_explained(server.process, server.log_file),
+    ):
         report = server.inspect(args.scene)
     print_json(to_plain(report)) if args.json else print(report_text(report))
     return 0
+
+
+def _view(args: argparse.Namespace) -> int:
+    run.check_gateway_options(args)
+    return gateway.run(args)
 
 
 def _mesh(args: argparse.Namespace) -> int:

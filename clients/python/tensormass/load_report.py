@@ -71,6 +71,16 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
     }
 
 
+def above_max_missed(scenes: Iterable[Mapping[str, Any]], max_missed_percent: float) -> list[str]:
+    """What is wrong with scenes that missed more of their deadlines than they may."""
+    return [
+        f"scene {scene['scene']} missed {100 * scene['missed_fraction']:.2f} % of its deadlines, above --max-missed "
+        f"{max_missed_percent:g}"
+        for scene in scenes
+        if 100 * scene["missed_fraction"] > max_missed_percent
+    ]
+
+
 def step_times(status: stream_pb2.SceneStatus) -> Json:
     """Percentiles over the last up to 1024 steps, as the server has them."""
     return {

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from google.protobuf.message import Message
 
+from tensormass.errors import InvalidArgumentError
 from tensormass.meshes import MeshQuality
 from tensormass.v1 import control_pb2, stream_pb2
 
@@ -40,6 +43,15 @@ def print_json(value: object) -> None:
     print(json.dumps(value), flush=True)
 
 
+def check_writable(option: str, path: Path) -> None:
+    """Refuses a file that cannot be written, before the work whose result it is to hold."""
+    if os.path.exists(path):
+        if path.is_dir() or not os.access(path, os.W_OK):
+            raise InvalidArgumentError(f"{option} {path}: is no file that can be written")
+    elif not os.access(path.resolve().parent, os.W_OK):
+        raise InvalidArgumentError(f"{option} {path}: no folder that can be written to")
+
+
 def state_name(status: stream_pb2.SceneStatus) -> str:
     """`running`, `paused`, `lockstep` or `faulted`."""
     return stream_pb2.SceneStatus.State.Name(status.state).removeprefix("STATE_").lower()
@@ -56,6 +68,10 @@ def load_line(*, quiet: bool = False) -> Callable[[str, float], None] | None:
         print(f"\r{text[:width]:<{width}}", end="" if part else "\r", flush=True)
 
     return write
+
+
+def load_silently(_part: str, _fraction: float) -> None:
+    """Shows nothing. A load whose progress is asked for ends with whoever asks; one without stays behind, complete."""
 
 
 def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:

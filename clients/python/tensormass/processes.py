@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from tensormass.errors import NotFoundError
+from tensormass.errors import InternalError, NotFoundError, UnavailableError
 
 # In a checkout: clients/python/tensormass/processes.py -> build/bin.
 BUILD_BIN = Path(__file__).resolve().parents[3] / "build" / "bin"
@@ -18,6 +19,9 @@ BUILD_BIN = Path(__file__).resolve().parents[3] / "build" / "bin"
 # Reads until the parent's end of the pipe is gone, then ends the child, woken if it was stopped. The kernel closes that
 # end whatever happens to the parent; PR_SET_PDEATHSIG would also fire when only the thread ends that started the child.
 _WATCHDOG = 'read -r _; kill -TERM "$0" 2>/dev/null; kill -CONT "$0" 2>/dev/null'
+
+# A connection breaks shortly before the process that held it can be seen to have ended.
+_END_S = 0.5
 
 
 def find_program(name: str, variable: str) -> Path:
@@ -88,3 +92,30 @@ class ChildProcess:
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
+
+
+def log_tail(file: Path) -> str:
+    """The last lines of a log; empty if there is none."""
+    with contextlib.suppress(OSError):
+        return "\n".join(file.read_text(errors="replace").splitlines()[-15:])
+    return ""
+
+
+@contextlib.contextmanager
+def end_explained(daemon: ChildProcess | None, log_file: Path | None) -> Iterator[None]:
+    """While a command uses a daemon: if it is the command's own and ended, a failure within says how, with its log.
+
+    The call that was under way knows only that its connection broke.
+    """
+    try:
+        yield
+    except (UnavailableError, InternalError) as error:
+        if daemon is None:
+            raise
+        try:
+            status = daemon.process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            raise error from None
+        how = f"by {signal.Signals(-status).name}" if status < 0 else f"with status {status}"
+        log = log_tail(log_file) if log_file is not None else ""
+        raise UnavailableError(f"the daemon ended, {how}; its log ends:\n{log}") from error

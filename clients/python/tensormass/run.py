@@ -1,6 +1,10 @@
 """`tensormass run`: a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway, as one thing.
 
 Everything runs until Ctrl-C (or SIGTERM, or --seconds) and then ends in the order in which it depends on each other.
+
+A scene that a guard stops ends a run of --seconds, which nobody watches, at once. Without --seconds the run goes on:
+whoever watches may look at the scene where it stands, and reset it over the control address. A run that ends with its
+scene stopped has failed either way.
 """
 
 from __future__ import annotations
@@ -8,6 +12,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import math
 import shutil
 import signal
 import sys
@@ -17,14 +22,23 @@ from pathlib import Path
 
 from tensormass import gateway, presets
 from tensormass.client import SceneHandle, Server, launch
-from tensormass.errors import InvalidArgumentError, UnavailableError
-from tensormass.output import Warnings, load_line, print_json, report_text, status_line, to_plain
-from tensormass.processes import ChildProcess, find_program
+from tensormass.errors import FailedPreconditionError, InvalidArgumentError, UnavailableError
+from tensormass.output import (
+    Warnings,
+    check_writable,
+    load_line,
+    print_json,
+    report_text,
+    status_line,
+    to_plain,
+)
+from tensormass.processes import ChildProcess, end_explained, find_program, log_tail
 from tensormass.scene import Scene
 
 _STATUS_PERIOD_S = 0.5
 # Lines that nobody watches live are fewer.
 _LOG_PERIOD_S = 5.0
+_MAX_PORT = 65_535
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
     parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
     parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
-    parser.add_argument("--seconds", type=float, metavar="T", help="end by itself after so long")
+    parser.add_argument("--seconds", type=float, metavar="T", help="end by itself after stepping so long")
     parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
     gateway.add_arguments(parser)
     parser.add_argument(
@@ -49,7 +63,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs until told to end; 0 if everything ran and ended as it should."""
-    # Read first: a mistake in the file is said before anything starts.
+    # Mistakes are said before anything starts.
+    if args.seconds is not None and not 0 < args.seconds < math.inf:
+        raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
+    if not args.no_viewer:
+        check_gateway_options(args)
     scene = presets.read_scene(args.scene, args.preset)
     if args.rate is not None:
         if not args.rate > 0:
@@ -59,16 +77,27 @@ def run(args: argparse.Namespace) -> int:
     return asyncio.run(_run(args, scene))
 
 
+def check_gateway_options(args: argparse.Namespace) -> None:
+    """Refuses values with which no viewer's gateway could start."""
+    if not 0 <= args.port <= _MAX_PORT:
+        raise InvalidArgumentError(f"--port {args.port}: must be 0 (a free one) to {_MAX_PORT}")
+    if args.max_browsers < 1:
+        raise InvalidArgumentError(f"--max-browsers {args.max_browsers}: at least one browser must be let in")
+    if args.gateway_ready_file is not None:
+        check_writable("--gateway-ready-file", args.gateway_ready_file)
+
+
 async def _run(args: argparse.Namespace, scene: Scene) -> int:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    if args.seconds is not None:
-        asyncio.get_running_loop().call_later(args.seconds, stop.set)
     async with contextlib.AsyncExitStack() as parts:
         server = await asyncio.to_thread(launch, backend=args.backend, cpu_threads=args.cpu_threads)
         parts.callback(server.close)
+        parts.enter_context(end_explained(server.process, server.log_file))
         handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
+        if args.seconds is not None:
+            asyncio.get_running_loop().call_later(args.seconds, stop.set)
         version = server.version()
         _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
         if args.verbose and handle.report is not None:
@@ -85,14 +114,19 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
 
 @contextlib.asynccontextmanager
 async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[gateway.Gateway]:
-    try:
-        async with gateway.serve(gateway.options_from(args, server.address)) as running:
-            if args.gateway_ready_file is not None:
-                gateway.write_ready_file(args.gateway_ready_file, running)
-            _say(args, f"\n  viewer: {running.url}\n")
-            yield running
-    except FileNotFoundError as error:
-        raise UnavailableError(f"{error}; or run with --no-viewer") from error
+    async with contextlib.AsyncExitStack() as parts:
+        try:
+            running = await parts.enter_async_context(gateway.serve(gateway.options_from(args, server.address)))
+        except FileNotFoundError as error:
+            raise UnavailableError(f"{error}; or run with --no-viewer") from error
+        except (OSError, UnicodeError) as error:  # the latter: a host's name that cannot be one
+            reason = getattr(error, "strerror", None) or error
+            where = f"--host {args.host} --port {args.port}"
+            raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
+        if args.gateway_ready_file is not None:
+            gateway.write_ready_file(args.gateway_ready_file, running)
+        _say(args, f"\n  viewer: {running.url}\n")
+        yield running
 
 
 def _start_hands(
@@ -123,15 +157,13 @@ async def _report_until(
     live = sys.stdout.isatty() and not args.json
     period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
     warnings = Warnings()
+    fault = ""
     while True:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(stop.wait(), period_s)
         for hand, log_file in hands:
             if not hand.running:
-                raise UnavailableError(f"a haptic device ended by itself:\n{_tail(log_file)}")
-        if server.process is not None and not server.process.running:
-            log = _tail(server.log_file) if server.log_file is not None else ""
-            raise UnavailableError(f"the daemon ended by itself; its log ends:\n{log}")
+                raise UnavailableError(f"a haptic device ended by itself:\n{log_tail(log_file)}")
         status = await asyncio.to_thread(handle.status)
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
         width = shutil.get_terminal_size().columns - 1
@@ -144,16 +176,17 @@ async def _report_until(
             print(f"\r{status_line(status, clients)[:width]:<{width}}", end="", flush=True)
         else:
             print(status_line(status, clients), flush=True)
-        if stop.is_set():
-            if live:
-                print()
+        ends = stop.is_set() or (args.seconds is not None and status.fault != "")
+        if ends and live:
+            print()
+        if ends and status.fault:
+            raise FailedPreconditionError(f"scene {handle.name!r} is stopped: {status.fault}")
+        if ends:
             return
-
-
-def _tail(file: Path) -> str:
-    with contextlib.suppress(OSError):
-        return "\n".join(file.read_text(errors="replace").splitlines()[-15:])
-    return ""
+        if status.fault and status.fault != fault:
+            still = f"scene {handle.name!r} stands still until it is reset (control {server.address})"
+            _say(args, f"\n{still}: {status.fault}" if live else still)
+        fault = status.fault
 
 
 def _say(args: argparse.Namespace, text: str) -> None:

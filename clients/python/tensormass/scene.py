@@ -6,6 +6,7 @@ positions are sent as the file has them; `Mesh.scale` and `Mesh.translation_m` t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -403,6 +404,8 @@ def _checked_fields(content: object, descriptor: Descriptor, where: str, path: s
                 items.append(_checked_fields(item, field.message_type, where, place))
             elif isinstance(item, dict | list | None):
                 raise InvalidArgumentError(f"{where}: {place}: expected one value, found {item!r}")
+            elif isinstance(item, float) and not math.isfinite(item):
+                raise InvalidArgumentError(f"{where}: {place}: expected a finite number, found {item!r}")
             else:
                 items.append(
                     _enum_number(field.enum_type, item, f"{where}: {place}") if field.enum_type is not None else item

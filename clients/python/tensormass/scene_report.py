@@ -24,7 +24,7 @@ def write_report(scene: SceneHandle, path: str | Path) -> Path:
     `<body>/velocity` [node_count, 3] m/s, in the order of its mesh, as .npz.
 
     Raises:
-        InvalidArgumentError: the path does not end in .npz.
+        InvalidArgumentError: the path does not end in .npz, or cannot be written.
         FailedPreconditionError: the device failed; there is no state to trust.
     """
     path = Path(path)
@@ -36,5 +36,8 @@ def write_report(scene: SceneHandle, path: str | Path) -> Path:
         arrays[f"{body.name}/displacement"] = fields["displacement"]
         arrays[f"{body.name}/velocity"] = fields["velocity"]
     status = np.array(json.dumps(to_plain(scene.status())))
-    np.savez_compressed(path, status=status, **arrays)  # type: ignore[arg-type]
+    try:
+        np.savez_compressed(path, status=status, **arrays)  # type: ignore[arg-type]
+    except OSError as error:
+        raise InvalidArgumentError(f"{path}: cannot be written: {error.strerror}") from error
     return path

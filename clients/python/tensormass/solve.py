@@ -3,6 +3,7 @@
 A quasi-static scene makes one step, or as many as its schedules take. A dynamic one goes on until it is at rest: the
 kinetic energy at each of the last looks is below a share of its peak. One look alone would take the turning point of an
 oscillation for rest. Every step is checked: a result of steps that missed their tolerance is not written unless asked.
+Only a preset that itself says how many iterations a step may take is taken at its word, and the residuals are said.
 Where a scene does not say, the precision is double here, which tight tolerances need, and conjugate gradients go on
 until they reach theirs: there is no real time to keep up with.
 """
@@ -29,8 +30,9 @@ from tensormass import defaults, mesh_files, meshes, presets
 from tensormass.client import SceneHandle, Server, connect, launch
 from tensormass.errors import InvalidArgumentError, NotConvergedError
 from tensormass.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields, field_numbers
-from tensormass.output import Warnings, load_line, print_json, table
-from tensormass.scene import pack_mesh, volume_mesh
+from tensormass.output import Warnings, check_writable, load_line, load_silently, print_json, table
+from tensormass.processes import end_explained
+from tensormass.scene import volume_mesh
 from tensormass.v1 import scene_pb2, stream_pb2
 
 # At rest: so many looks, so many steps apart, all below this share of the largest kinetic energy seen.
@@ -44,6 +46,10 @@ _LOG_PERIOD_S = 5.0
 
 # Of conjugate-gradient iterations, where the scene names none.
 _CG_LIMIT = 10_000
+# The knobs by which a preset ends a step before its tolerance.
+_PRESET_LIMITS = ("cg_max_iterations", "newton_max_iterations")
+# More steps or seconds than these are a slip.
+_MOST = 1e9
 
 _QUASI_STATIC = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
 _INTEGRATORS = {
@@ -82,8 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         "Computes a scene in lockstep and writes displacements, forces and stresses. A quasi-static scene makes one "
         "step, or as many as its schedules take; a dynamic one goes on until it is at rest (kinetic energy below "
         f"{_REST_SHARE:g} of its peak at {_REST_LOOKS} looks {_REST_LOOK_STEPS} steps apart), for {_REST_LIMIT_S:g} s "
-        "at most. Exit status 1 if a step did not converge, and nothing is written then; and if a scene is not at rest "
-        "at that limit, whose last state is written."
+        "at most. Exit status 1 if a step did not converge, and --out is not written then, only what --every wrote "
+        "before; and if a scene is not at rest at that limit, whose last state is written. A --preset that sets "
+        f"{' or '.join(_PRESET_LIMITS)} asks for steps that end there: those above their tolerance are written, "
+        "warned of and counted, and are no failure."
     )
 
 
@@ -92,12 +100,13 @@ def run(args: argparse.Namespace) -> int:
     # Mistakes are said before anything starts.
     if args.out.suffix != ".vtu":
         raise InvalidArgumentError(f"--out {args.out}: must end in .vtu")
-    if not os.access(args.out.resolve().parent, os.W_OK):
-        raise InvalidArgumentError(f"--out {args.out}: no folder that can be written to")
+    check_writable("--out", args.out)
+    if args.every is not None:
+        check_writable("--every", args.out.with_suffix(".pvd"))
     for option in ("steps", "seconds", "every"):
         value = getattr(args, option)
-        if value is not None and not value > 0:
-            raise InvalidArgumentError(f"--{option} {value:g}: must be positive")
+        if value is not None and not 0 < value <= _MOST:
+            raise InvalidArgumentError(f"--{option} {value}: must be positive and at most {_MOST:g}")
     names = list(FIELD_NAMES) if args.fields is None else [name.strip() for name in args.fields.split(",")]
     field_numbers(names)
 
@@ -108,12 +117,14 @@ def run(args: argparse.Namespace) -> int:
         solver.precision = scene_pb2.Solver.PRECISION_FLOAT if single else scene_pb2.Solver.PRECISION_DOUBLE
     if not solver.HasField("cg_max_iterations"):
         solver.cg_max_iterations = _CG_LIMIT
-    volumes = _explicit_meshes(scene.message)
-    with _server(args) as server:
+    with _server(args) as server, end_explained(server.process, server.log_file):
         # A daemon of others may have a scene of this name.
         name = f"{scene.name[:40]}-solve-{os.getpid()}" if args.server else None
-        handle = server.load(scene, lockstep=True, name=name, progress=load_line(quiet=args.json))
+        progress = load_line(quiet=args.json) or load_silently
+        handle = server.load(scene, lockstep=True, name=name, progress=progress)
         try:
+            # Grids are cut here only now, when the daemon has found them to be of a size that can be.
+            volumes = [volume_mesh(body) for body in scene.message.bodies]
             writer = _Writer(args.out, handle, volumes, names)
             solution = _Solution(args, scene.message, handle, writer)
             summary = solution.compute()
@@ -131,14 +142,12 @@ def _server(args: argparse.Namespace) -> Server:
     return launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False)
 
 
-def _explicit_meshes(scene: scene_pb2.Scene) -> list[meshes.VolumeMesh]:
-    """The elements of each body. A grid becomes the mesh that it stands for, so that they are known here."""
-    volumes = []
-    for body in scene.bodies:
-        volumes.append(volume_mesh(body))
-        if body.mesh.WhichOneof("source") == "grid":
-            body.mesh.packed.CopyFrom(pack_mesh(volumes[-1]))
-    return volumes
+def _preset_limits(args: argparse.Namespace) -> str:
+    """The limits of iterations that the preset sets, for people; empty: none."""
+    if args.preset is None:
+        return ""
+    setting = presets.all_presets()[args.scene][args.preset]
+    return ", ".join(f"{knob} {setting[knob]}" for knob in _PRESET_LIMITS if knob in setting)
 
 
 class _Writer:
@@ -185,7 +194,19 @@ class _Writer:
         for at_s, file in self._series:
             ElementTree.SubElement(collection, "DataSet", timestep=repr(at_s), part="0", file=file.name)
         ElementTree.indent(root)
-        ElementTree.ElementTree(root).write(self._out.with_suffix(".pvd"), encoding="utf-8", xml_declaration=True)
+        listing = self._out.with_suffix(".pvd")
+        try:
+            ElementTree.ElementTree(root).write(listing, encoding="utf-8", xml_declaration=True)
+        except OSError as error:
+            raise InvalidArgumentError(f"{listing}: cannot be written: {error.strerror}") from error
+
+    @property
+    def so_far(self) -> str:
+        """What there is before the last step."""
+        if not self._series:
+            return "Nothing is written"
+        states = "1 state" if len(self._series) == 1 else f"{len(self._series)} states"
+        return f"{self._out.with_suffix('.pvd')} lists {states} before it, --out is not written"
 
     @property
     def files(self) -> list[str]:
@@ -207,8 +228,10 @@ class _Solution:
         self._dt_s = defaults.dt_s(scene)
         self._scheduled_s = defaults.scheduled_s(scene)
         self._warnings = Warnings()
+        self._preset_limits = _preset_limits(args)
         self._unconverged_count = 0
         self._unconverged = ""
+        self._worst_residual = 0.0
         self._kinetic_share = 1.0
         #: False: it had to come to rest and did not.
         self.at_rest = True
@@ -245,6 +268,7 @@ class _Solution:
             "wall_time_s": time.monotonic() - began,
             "newton_iterations": newton,
             "newton_residual": residual,
+            "unconverged_steps": self._unconverged_count,
             "cg_iterations": cg,
             "cg_relative_residual": status.cg_relative_residual,
             "bodies": [
@@ -307,31 +331,37 @@ class _Solution:
                 single = solver.precision != scene_pb2.Solver.PRECISION_DOUBLE
                 self._did_not_converge(
                     f"{where} did not converge: an imbalance of {status.newton_residual:.1e} of the forces after "
-                    f"{status.newton_iterations} Newton iterations, above newton_tolerance {tolerance:g}; "
-                    + ("take --precision double, or " if single else "")
-                    + "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps"
+                    f"{status.newton_iterations} Newton iterations, above newton_tolerance {tolerance:g}",
+                    status.newton_residual,
+                    ("take --precision double, or " if single else "")
+                    + "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
                 )
             return
         tolerance = defaults.cg_tolerance(solver)
         if tolerance > 0 and status.cg_relative_residual > tolerance:
             self._did_not_converge(
                 f"{where} did not converge: a residual of {status.cg_relative_residual:.1e} after "
-                f"{status.cg_iterations} conjugate-gradient iterations, above cg_tolerance {tolerance:g}; raise "
-                "cg_max_iterations"
+                f"{status.cg_iterations} conjugate-gradient iterations, above cg_tolerance {tolerance:g}",
+                status.cg_relative_residual,
+                "raise cg_max_iterations",
             )
 
-    def _did_not_converge(self, what: str) -> None:
-        if not self._args.allow_unconverged:
-            raise NotConvergedError(f"{what}. Nothing is written; with --allow-unconverged it is")
+    def _did_not_converge(self, what: str, residual: float, remedy: str) -> None:
+        if self._preset_limits:
+            remedy = f"--preset {self._args.preset} asks for no more: {self._preset_limits}"
+        elif not self._args.allow_unconverged:
+            raise NotConvergedError(f"{what}; {remedy}. {self._writer.so_far}; with --allow-unconverged it is")
         self._unconverged_count += 1
-        self._unconverged = self._unconverged or what
+        self._unconverged = self._unconverged or f"{what}; {remedy}"
+        self._worst_residual = max(self._worst_residual, residual)
 
     def _findings(self, status: stream_pb2.SceneStatus, measured: list[Fields]) -> list[str]:
         """What the user should know of the result."""
         findings = []
         if self._unconverged:
             others = self._unconverged_count - 1
-            findings.append(self._unconverged + (f" ({others} more steps like this)" if others > 0 else ""))
+            more = f" ({others} more steps like this, {self._worst_residual:.1e} at most)" if others > 0 else ""
+            findings.append(self._unconverged + more)
         if not self.at_rest:
             findings.append(
                 f"not at rest after {status.simulated_time_s:g} s, the kinetic energy is {self._kinetic_share:.1e} of "
