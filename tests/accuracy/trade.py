@@ -128,6 +128,8 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     foreign = presets.all_presets().get(scene, {}) if arguments.backend != PRESETS_BACKEND else {}
     files = _scene_files(scene, folder, settings | {_FOREIGN + name: of for name, of in foreign.items()})
     content = _run(scene, arguments.backend, folder, [*options, "--confirm", *map(str, files)])
+    if not {file.stem for file in files} <= content["confirmed"].keys():  # it ended before; why has been said
+        sys.exit(1)
     rows = content.pop("measurements")
     for name in ("fastest", "most_accurate"):
         content[name] = content[name] and content[name]["key"]

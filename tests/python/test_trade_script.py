@@ -17,7 +17,7 @@ from tensormass.scene import SceneFile, volume_mesh
 from tensormass.trade import energy
 from tensormass.trade import script as script_module
 from tensormass.trade.energy import EnergyMeter
-from tensormass.trade.script import Recorder, Script, rest_nodes
+from tensormass.trade.script import Recorder, Script, check_same_scene, rest_nodes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 SCENE = """
@@ -127,6 +127,31 @@ def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
     turned = scene_of(SCENE + "    orientation: {w: 0.7071067811865476, x: 0, y: 0.7071067811865476, z: 0}\n")
     # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
     assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("dt_s: 0.01", "dt_s: 0.5", "0.5 does not divide the 0.02 s"),
+        ("dt_s: 0.01", "dt_s: 0.012", "0.012 does not divide"),  # 0.024 s would be taken for 0.02
+        ("- name: block", "- name: other", "bodies are other, those of the scene that is measured block"),
+        ("- name: probe", "- name: needle", "has no 'probe'"),
+    ],
+)
+def test_another_scene_is_not_put_through_the_script(old: str, new: str, said: str) -> None:
+    own = scene_of()
+    with pytest.raises(tm.InvalidArgumentError, match=said):
+        check_same_scene(scene_of(SCENE.replace(old, new)), own, Script.of(own))
+    for dt_s in ("0.02", "0.0066667"):
+        check_same_scene(scene_of(SCENE.replace("dt_s: 0.01", f"dt_s: {dt_s}")), own, Script.of(own))
+
+
+def test_a_motion_is_not_put_through_a_script_of_one_step() -> None:
+    moving = SCENE[: SCENE.index("tools:")]
+    own = scene_of(moving + "solver: {integrator: quasi_static}\n")
+    check_same_scene(own, own, Script.of(own))
+    with pytest.raises(tm.InvalidArgumentError, match="take quasi_static"):
+        check_same_scene(scene_of(moving), own, Script.of(own))
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,36 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main(["solve", str(fastest), "--out", str(out), "--backend", "cpu", "--cpu-threads", "1"]) == 0
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("dt_s: 0.01", "dt_s: 0", "scene.stepping.dt_s: 0 is not within"),
+        ("dt_s: 0.01", 'dt_s: "NaN"', "scene.stepping.dt_s: nan is not within"),
+        ("    mesh: {", "    # mesh: {", "body 'tissue'.mesh: no source"),
+        (BLOCK[BLOCK.index("bodies:") :], "", "scene.bodies: a scene needs at least one body"),
+        ("tools:", "solver: {budget_s: 1, floor_cg_iterations: 1000}\ntools:", "scene.solver.floor_cg_iterations: "),
+        # What is written takes the name over, and has to run as it is.
+        ("name: block", "name: my tiny", "scene.name: the name must be"),
+        ("name: block", "", "scene.name: the name must be"),
+        ("name: block", "name: ../x", "scene.name: the name must be"),
+    ],
+)
+def test_what_the_daemon_refuses_is_refused_first(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    old: str,
+    new: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.yaml").write_text(BLOCK.replace(old, new, 1))
+    assert main(["trade", "scene.yaml", "--backend", "cpu"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"tensormass: {said}")
+    assert list(tmp_path.iterdir()) == [tmp_path / "scene.yaml"]
+
+
 def test_a_daemon_of_another_build_is_another_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     with tm.launch(backend="cpu", zenoh=False) as server:
         machine = Machine.of(server, None)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +24,7 @@ from tensormass.trade import html, reference, report, sweep
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import compare
 from tensormass.trade.reference import Reference
-from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script
+from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script, check_same_scene
 from tensormass.trade.store import Machine, Measurement, Store, key_of
 from tensormass.v1 import scene_pb2
 
@@ -30,11 +33,16 @@ _QUICK_COMBINATIONS = 6
 _REFERENCE_S = 600.0
 _QUICK_REFERENCE_S = 60.0
 _TIMES_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+# Of the options that are numbers; beyond it nothing is meant, and nothing would end.
+_MOST = 1e6
+# What the command writes, and runs once more.
+_FASTEST, _MOST_ACCURATE = "fastest", "most_accurate"
 
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     """The options of `tensormass trade`."""
-    parser.add_argument("scene", help=scene_help)
+    # A bare mesh, which other commands take, does not say what happens to it.
+    parser.add_argument("scene", help=scene_help.replace(" a mesh file,", ""))
     parser.add_argument(
         "--budget", type=parse_time_s, metavar="TIME", help="for each step of the scene, as 1ms; default: its dt"
     )
@@ -43,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     )
     parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
     parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
-    parser.add_argument("--seconds", type=float, metavar="T", help="simulated time of the test run")
+    parser.add_argument("--seconds", type=parse_number, metavar="T", help="simulated time of the test run")
     parser.add_argument(
         "--press",
-        type=float,
+        type=parse_number,
         default=PRESS_RADII,
         metavar="RADII",
         help="how deep the tool presses, against its radius; default: %(default)s",
@@ -55,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     parser.add_argument("--combinations", type=int, metavar="N", help=f"of several knobs; default: {_COMBINATIONS}")
     parser.add_argument(
         "--reference-seconds",
-        type=float,
+        type=parse_number,
         metavar="T",
         help=f"refine the reference no longer than this; default: {_REFERENCE_S:g}",
     )
@@ -87,21 +95,27 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
 def parse_time_s(text: str) -> float:
     """`1ms`, `500us`, `0.001s` -> seconds."""
     match = re.fullmatch(r"([0-9.eE+-]+?)\s*(us|ms|s)", text.strip())
-    return _positive(match[1] if match else "", text, "a time such as 1ms") * (_TIMES_S[match[2]] if match else 0)
+    number, unit_s = (match[1], _TIMES_S[match[2]]) if match else ("", 0.0)
+    return _positive(number, unit_s, text, "a time such as 1ms")
 
 
 def parse_share(text: str) -> float:
     """`2%`, `0.02` -> 0.02."""
     stripped = text.strip()
-    return _positive(stripped.removesuffix("%"), text, "a share such as 2%") * (0.01 if stripped.endswith("%") else 1)
+    return _positive(stripped.removesuffix("%"), 0.01 if stripped.endswith("%") else 1.0, text, "a share such as 2%")
 
 
-def _positive(number: str, text: str, what: str) -> float:
+def parse_number(text: str) -> float:
+    """`0.5` -> 0.5."""
+    return _positive(text, 1.0, text, f"a number above 0 and below {_MOST:g}")
+
+
+def _positive(number: str, unit: float, text: str, what: str) -> float:
     try:
-        value = float(number)
+        value = float(number) * unit
     except ValueError:
         value = 0.0
-    if not 0 < value < 1e6:
+    if not 0 < value < _MOST:
         raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
     return value
 
@@ -149,34 +163,80 @@ class Outcome:
 
 def run(args: argparse.Namespace) -> int:
     """Measures, prints and writes; 0 if a setting is within the tolerance and one within the budget."""
-    for option in ("seconds", "press", "reference_seconds"):
-        value = getattr(args, option)
-        if value is not None and not value > 0:
-            raise InvalidArgumentError(f"--{option.replace('_', '-')} {value:g}: must be positive")
     if args.combinations is not None and args.combinations < 0:
         raise InvalidArgumentError(f"--combinations {args.combinations}: must not be negative")
     if is_mesh_file(args.scene):
         raise InvalidArgumentError(f"{args.scene}: a bare mesh; write a scene file that says what happens to it")
     file = SceneFile.read(args.scene)
-    name = file.scene().name
-    folder = args.out or Path(f"trade-{name}")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        store = Store(folder)
-    except OSError as error:
-        raise InvalidArgumentError(f"--out {folder}: {error}") from error
-    knobs = Knobs(file, folder / "meshes")
-    if args.knobs is not None:
-        knobs.choose(name.strip() for name in args.knobs.split(","))
-    script = Script.of(knobs.message, args.seconds, args.press)
+    message = file.scene().message
+    folder = args.out or Path(f"trade-{message.name}")
+    others = _read_others(args.confirm, folder)
     with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
-        trade = _Trade(args, knobs, script, server, store)
-        outcome = trade.measure(name)
-        scenes = _write_scenes(outcome, folder)
-        outcome = replace(outcome, confirmed=trade.confirm([*scenes, *args.confirm]))
-    written = [*_write_report(outcome, folder), *scenes]
+        # What the daemon checks, everything from here on takes for granted.
+        server.inspect(message)
+        knobs = Knobs(file, folder / "meshes")
+        if args.knobs is not None:
+            knobs.choose(name.strip() for name in args.knobs.split(","))
+        script = Script.of(message, args.seconds, args.press)
+        for path, other in others.items():
+            with _naming(f"--confirm {path}"):
+                server.inspect(other)
+                check_same_scene(other, message, script)
+        with _writing_to(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            trade = _Trade(args, knobs, script, server, Store(folder))
+            outcome = trade.measure(message.name)
+            scenes = _write_scenes(outcome, folder)
+            # Now already: what was measured is kept, whatever becomes of the runs that follow.
+            written = [*_write_report(outcome, folder), *scenes]
+            again = {path.stem: SceneFile.read(path).scene().message for path in scenes}
+            outcome = replace(outcome, confirmed=trade.confirm(again | _by_name(others)))
+            _write_report(outcome, folder)
     print_json(outcome.to_plain()) if args.json else print(report.text(outcome, written))
     return 0 if outcome.fastest is not None and outcome.most_accurate is not None else 1
+
+
+def _read_others(files: Sequence[Path], folder: Path) -> dict[Path, scene_pb2.Scene]:
+    """The scenes of `--confirm`."""
+    own = [(folder / f"{stem}.yaml").resolve() for stem in (_FASTEST, _MOST_ACCURATE)]
+    others = {}
+    for path in files:
+        if path.resolve() in own:
+            raise InvalidArgumentError(
+                f"--confirm {path}: the command writes this file itself and runs it in any case; leave it out"
+            )
+        with _naming("--confirm"):
+            others[path] = SceneFile.read(path).scene().message
+    return others
+
+
+def _by_name(others: Mapping[Path, scene_pb2.Scene]) -> dict[str, scene_pb2.Scene]:
+    """By the stems of their files; where two have the same, or that of a file of the command's own, by whole paths."""
+    stems = Counter([_FASTEST, _MOST_ACCURATE, *(path.stem for path in others)])
+    return {path.stem if stems[path.stem] == 1 else str(path.resolve()): scene for path, scene in others.items()}
+
+
+@contextlib.contextmanager
+def _naming(where: str) -> Iterator[None]:
+    """Puts the option in front of what is wrong with it."""
+    try:
+        yield
+    except TensormassError as error:
+        raise type(error)(f"{where}: {error}") from error
+
+
+@contextlib.contextmanager
+def _writing_to(folder: Path) -> Iterator[None]:
+    """A full disk, or a folder of somebody else's, in words."""
+    try:
+        yield
+    except (TensormassError, BrokenPipeError):
+        raise  # some of ours are OSErrors too; a pipe is none of the folder's
+    except OSError as error:
+        raise InvalidArgumentError(
+            f"--out {folder}: cannot be written to: {error.strerror or error}; make room or name another folder; in "
+            "this one the same command goes on where it was stopped"
+        ) from error
 
 
 class _Trade:
@@ -198,6 +258,7 @@ class _Trade:
         tolerance: float = args.tolerance
         limit_s = args.reference_seconds or (_QUICK_REFERENCE_S if args.quick else _REFERENCE_S)
         self._say(f"{name}: {self._script.text()}, on {self._machine.backend} ({self._machine.device})")
+        own = self._own_recording()  # first: a scene that cannot be run needs no reference
         found = reference.find(
             knobs,
             self._script,
@@ -208,7 +269,8 @@ class _Trade:
             limit_s=limit_s,
             say=self._say,
         )
-        own = self._own_recording()
+        for line in report.not_felt(self._script, found):
+            self._say(f"warning: {line}")
         self._compared_with = found, own
         singles = sweep.one_at_a_time(knobs, args.quick)
         measured = self._all(singles, found, own, "one knob at a time")
@@ -235,13 +297,13 @@ class _Trade:
             most_accurate=sweep.most_accurate_within(measured, budget_s, tolerance),
         )
 
-    def confirm(self, files: Sequence[Path]) -> dict[str, Measurement]:
-        """Runs scene files as they lie there, against the same reference; never what the store knows of them."""
+    def confirm(self, scenes: Mapping[str, scene_pb2.Scene]) -> dict[str, Measurement]:
+        """Runs scenes as their files have them, against the same reference; never what the store knows of them."""
         found, own = self._compared_with
         confirmed = {}
-        for path in files:
-            confirmed[path.stem] = of = self._measured(SceneFile.read(path).scene().message, {}, path.name, found, own)
-            self._say(f"{path.name}, run as it lies there: {of.failure or report.brief(of)}")
+        for name, scene in scenes.items():
+            confirmed[name] = of = self._measured(scene, {}, name, found, own)
+            self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
         return confirmed
 
     def _own_recording(self) -> Recording:
@@ -310,8 +372,8 @@ def _write_scenes(outcome: Outcome, folder: Path) -> list[Path]:
     """The two settings asked for, as files."""
     written = []
     limits = {
-        "fastest": (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
-        "most_accurate": (outcome.most_accurate, f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms"),
+        _FASTEST: (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
+        _MOST_ACCURATE: (outcome.most_accurate, f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms"),
     }
     for name, (measurement, what) in limits.items():
         path = folder / f"{name}.yaml"
@@ -330,6 +392,10 @@ def _write_scenes(outcome: Outcome, folder: Path) -> list[Path]:
 
 
 def _write_report(outcome: Outcome, folder: Path) -> list[Path]:
-    (folder / "trade.json").write_text(json.dumps(outcome.to_plain(), indent=1) + "\n", "utf-8")
-    (folder / "report.html").write_text(html.page(outcome), "utf-8")
-    return [folder / "report.html", folder / "trade.json"]
+    texts = {"report.html": html.page(outcome), "trade.json": json.dumps(outcome.to_plain(), indent=1) + "\n"}
+    for name, text in texts.items():
+        # Written aside, so that a disk that is full by now leaves the report that is there.
+        half = folder / f"{name}.part"
+        half.write_text(text, "utf-8")
+        os.replace(half, folder / name)
+    return [folder / name for name in texts]

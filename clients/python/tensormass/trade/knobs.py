@@ -9,10 +9,11 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import yaml
+from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
 from tensormass import defaults, mesh_files
 from tensormass.errors import InvalidArgumentError
@@ -64,15 +65,15 @@ class Knobs:
     """The choices of one scene.
 
     Args:
-        file: the scene; a built-in organ is meshed anew for each resolution.
+        file: the scene, one that the daemon accepts; a built-in organ is meshed anew for each resolution.
         mesh_folder: where those meshes go.
     """
 
     def __init__(self, file: SceneFile, mesh_folder: Path) -> None:
-        self.file = file
+        self.message = file.scene().message
+        self.file = replace(file, fields=_with_numbers(file.fields, cast(Descriptor, self.message.DESCRIPTOR)))
         self._mesh_folder = mesh_folder
         self._made: set[Path] = set()
-        self.message = file.scene().message
         self.quasi_static = self.message.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
         #: By name.
         self.knobs: dict[str, Knob] = {}
@@ -291,6 +292,26 @@ class Knobs:
             }
 
 
+def _with_numbers(fields: Mapping[str, Any], descriptor: Descriptor) -> dict[str, Any]:
+    """A copy in which what the schema has as numbers is numbers: to YAML `1e-2` and `"4"` are texts, and protobuf takes
+    them all the same. Nothing is shared in it either, as YAML's aliases are: each body is edited by itself."""
+
+    def read(value: Any, field: FieldDescriptor) -> Any:  # noqa: ANN401
+        if isinstance(value, list):
+            return [read(item, field) for item in value]
+        if field.message_type is not None:
+            return _with_numbers(value, field.message_type)
+        if not isinstance(value, str) or field.cpp_type not in _NUMBERS:
+            return value
+        number = float(value)
+        if not math.isfinite(number):
+            return value  # only as a text does it get through protobuf
+        return number if field.cpp_type == FieldDescriptor.CPPTYPE_DOUBLE else int(number)
+
+    return {name: read(value, descriptor.fields_by_name[name]) for name, value in fields.items()}
+
+
+_NUMBERS = (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_UINT32)
 _MASSES = ("lumped", "consistent")
 _SOLVER_FIELDS = (
     "integrator",

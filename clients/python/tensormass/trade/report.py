@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from tensormass.output import table
 from tensormass.trade import sweep
 from tensormass.trade.knobs import Knob, Setting
+from tensormass.trade.reference import Reference
+from tensormass.trade.script import Script
 from tensormass.trade.store import Measurement
 
 if TYPE_CHECKING:
@@ -129,10 +131,21 @@ def words() -> list[str]:
     ]
 
 
+def not_felt(script: Script, reference: Reference) -> list[str]:
+    """A warning where the tool never touches: nothing is judged of what it is there for."""
+    if script.tool is None or reference.recording.force.any():
+        return []
+    return [
+        f"{script.tool!r} touches nothing in the reference: there is no force to compare, and every error is that of "
+        "displacement alone; press deeper (--press), give it more time (--seconds) or speed (max_speed_m_per_s), or "
+        "let it start closer"
+    ]
+
+
 def findings(outcome: Outcome) -> list[str]:
     """What the user should know of the result."""
-    lines = []
     reference = outcome.reference
+    lines = not_felt(outcome.script, reference)
     if reference.error > outcome.tolerance / 3:
         lines.append(
             f"the reference itself may be off by {percent(reference.error)}: errors of that size say little; give it "
@@ -163,6 +176,11 @@ def is_confirmed(promised: Measurement, again: Measurement) -> bool:
     return again.errors.judged <= _SAME_ERROR * promised.errors.judged and again.cost_s <= _SAME_TIME * promised.cost_s
 
 
+def file_of(name: str) -> str:
+    """The scene file of a confirmation, by its stem or its whole path."""
+    return name if Path(name).is_absolute() else f"{name}.yaml"
+
+
 def confirmations(outcome: Outcome) -> list[str]:
     """What the written files do when they are run."""
     promised = {"fastest": outcome.fastest, "most_accurate": outcome.most_accurate}
@@ -170,7 +188,7 @@ def confirmations(outcome: Outcome) -> list[str]:
     for name, again in outcome.confirmed.items():
         was = promised.get(name)
         verdict = "" if was is None else "confirmed: " if is_confirmed(was, again) else "NOT CONFIRMED: "
-        lines.append(f"{name}.yaml, read and run again: {verdict}{brief(again)}")
+        lines.append(f"{file_of(name)}, read and run again: {verdict}{brief(again)}")
     return lines
 
 

@@ -42,6 +42,8 @@ _TIMED_LIMIT_S = 5.0
 # which moves about ten times a second, is read in time.
 _ENERGY_CALL_S = 0.05
 _KEPT_INTERPOLATIONS = 4
+# Of a step, as somebody writes it in a file.
+_ROUNDING = 1e-3
 
 _Point = tuple[float, float, float]
 
@@ -114,6 +116,33 @@ class Script:
                 f"{leave:.2g} s, and is back at {back:.2g} s"
             )
         return what
+
+
+def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Script) -> None:
+    """Whether a scene is `own` with other choices, so far that it can be put through the script of that.
+
+    Raises:
+        InvalidArgumentError: it is another one, and in what.
+    """
+    named, wanted = ([body.name for body in of.bodies] for of in (scene, own))
+    if named != wanted:
+        raise InvalidArgumentError(
+            f"bodies are {', '.join(named)}, those of the scene that is measured {', '.join(wanted)}; give that scene "
+            "with other choices"
+        )
+    if script.tool is not None and script.tool not in [tool.name for tool in scene.tools]:
+        raise InvalidArgumentError(f"tools: has no {script.tool!r}, which moves in the test run; leave it in")
+    if script.one_step:
+        if scene.solver.integrator != scene_pb2.Solver.INTEGRATOR_QUASI_STATIC:
+            raise InvalidArgumentError("solver.integrator: the test run is one step to equilibrium; take quasi_static")
+        return
+    dt_s = defaults.dt_s(scene)
+    steps = script.sample_s / dt_s
+    if abs(steps - round(steps)) > _ROUNDING * steps:
+        raise InvalidArgumentError(
+            f"stepping.dt_s: {dt_s:g} does not divide the {script.sample_s:g} s after which results are compared; take "
+            f"{script.sample_s:g} s or a whole part of it"
+        )
 
 
 def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> tuple[_Point, _Point]:
