@@ -2,56 +2,28 @@
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import errno
 import itertools
-import json
 import math
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import ANY
 
 import numpy as np
 import pytest
 import yaml
+from trade_parts import BLOCK, COSTS, MACHINE, knobs_of, measurement
 
 import tensormass as tm
 from tensormass import meshes, presets
-from tensormass.cli import main
 from tensormass.meshes import FloatArray
 from tensormass.scene import SceneFile
 from tensormass.shapes import SHAPES
-from tensormass.trade import command, reference, report, sweep
-from tensormass.trade.command import parse_share, parse_time_s
+from tensormass.trade import sweep
 from tensormass.trade.interpolation import Interpolation
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import Errors, compare, oscillation, richardson
-from tensormass.trade.script import Costs, Recording, Script
-from tensormass.trade.store import Machine, Measurement, Store, key_of
+from tensormass.trade.script import Recording, Script
+from tensormass.trade.store import Measurement, Store, key_of
 from tensormass.v1 import scene_pb2
-
-BLOCK = """
-name: block
-gravity_m_per_s2: {z: -9.81}
-bodies:
-  - name: block
-    mesh: {grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 4, cells_y: 4, cells_z: 3, shape: hexahedron}}
-    law: {neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}, prony: [{share: 0.2, relaxation_time_s: 0.1}]}
-    density_kg_per_m3: 1000
-    quadrature: selective
-    fixed: [{box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}}]
-tools:
-  - {name: probe, spherical_probe: {radius_m: 0.01}, position_m: {x: 0.05, y: 0.05, z: 0.08}}
-solver: {cg_tolerance: 0.01}
-"""
-MACHINE = Machine("cpu", "some processor", None, "1", "abc")
-COSTS = Costs(1e-3, 2e-3, 3e-3, 10, 20, 5, 0.1)
-
-
-def knobs_of(text: str, folder: Path) -> Knobs:
-    return Knobs(SceneFile.parse(text, folder, "scene.yaml"), folder / "meshes")
 
 
 # --- knobs ------------------------------------------------------------------------------------------------------------
@@ -248,13 +220,6 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
 # --- which settings ---------------------------------------------------------------------------------------------------
 
 
-def measurement(setting: Setting, cost_s: float, error: float, failure: str = "") -> Measurement:
-    errors = None if failure else Errors(error, error, 0)
-    return Measurement(
-        repr(setting), dict(setting), MACHINE, 6, errors, None if failure else COSTS, cost_s=cost_s, failure=failure
-    )
-
-
 def test_the_front_and_the_picks() -> None:
     measured = [
         measurement({}, 3.0, 0.03),
@@ -393,38 +358,7 @@ def test_a_key_holds_scene_script_and_machine(tmp_path: Path) -> None:
     assert key != key_of(scene, script, MACHINE, "r")
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
-def test_times_and_shares() -> None:
-    assert parse_time_s("1ms") == pytest.approx(1e-3)
-    assert parse_time_s("500us") == pytest.approx(5e-4)
-    assert parse_share("2%") == pytest.approx(0.02)
-    assert parse_share("0.02") == pytest.approx(0.02)
-    for text in ("1", "-1ms", "ms", "nanms"):
-        with pytest.raises(argparse.ArgumentTypeError, match="not a time"):
-            parse_time_s(text)
-    with pytest.raises(argparse.ArgumentTypeError, match="not a share"):
-        parse_share("two")
-
-
-@pytest.mark.parametrize("option", ["--seconds", "--press", "--reference-seconds", "--budget", "--tolerance"])
-@pytest.mark.parametrize("value", ["inf", "nan", "0", "-1", "1e308", "1e-400", "much"])
-def test_options_that_are_no_positive_numbers_are_refused(
-    option: str, value: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["trade", "none.yaml", f"{option}={value}" + ("s" if option == "--budget" else "")])
-    assert ended.value.code == 2
-    assert f"argument {option}: '{value}" in capsys.readouterr().err
-
-
-def test_the_help_names_only_scenes_that_are_taken(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["trade", "--help"])
-    help_text = " ".join(capsys.readouterr().out.split())
-    assert "scene a scene file (.yaml), or a built-in scene (beam, " in help_text
-    assert "mesh file" not in help_text
+# --- presets ----------------------------------------------------------------------------------------------------------
 
 
 def test_presets_apply_and_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -444,291 +378,3 @@ def test_the_committed_presets_are_settings_of_their_scenes(tmp_path: Path) -> N
         knobs = Knobs(SceneFile.read(scene), tmp_path)
         for setting in of_scene.values():
             assert knobs.canonical(setting) == setting
-
-
-# --- the whole, with a daemon of one formula --------------------------------------------------------------------------
-
-
-class Formula:
-    """Stands for a recorder: displacement (1 + error) u, error = (h² + dt²) / 100, both against the scene's own."""
-
-    def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
-        self.weights = [np.ones(2)]
-        self.runs = 0
-        #: The run that ends the daemon.
-        self.last_run = 0
-        self.felt = True
-        self._cells = scene.bodies[0].mesh.grid.cells_x
-        self._own_dt_s = script.sample_s / 2
-        self._broken_law = broken_law
-
-    def record(self, scene: scene_pb2.Scene, *, energy: bool = False) -> Recording:
-        self.runs += 1
-        if self.runs == self.last_run:
-            raise tm.UnavailableError("the daemon is gone")
-        if scene.bodies[0].law.WhichOneof("kind") == self._broken_law:
-            raise tm.FailedPreconditionError("left the numbers")
-        cells = scene.bodies[0].mesh.grid.cells_x
-        dt = (scene.stepping.dt_s or self._own_dt_s) / self._own_dt_s
-        error = 0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2
-        costs = replace(COSTS, step_p50_s=1e-3 * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt)
-        u = (1 + error) * np.ones((2, 2, 3))
-        force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
-        empty = np.empty(0)
-        return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
-
-
-def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
-    knobs = knobs_of(BLOCK.replace("cells_x: 4", "cells_x: 40"), tmp_path)
-    script = Script.of(knobs.message, None)
-    formula, said = Formula(knobs.message, script), list[str]()
-
-    def find(tolerance: float, limit_s: float) -> reference.Reference:
-        return reference.find(
-            knobs, script, formula, Store(tmp_path), MACHINE, tolerance=tolerance, limit_s=limit_s, say=said.append
-        )  # type: ignore[arg-type]
-
-    found = find(0.02, 1e9)
-    assert found.ended == "below a third of the tolerance"
-    assert found.order == pytest.approx(2, abs=0.2)
-    true_error = found.recording.displacement[0].max() - 1
-    assert found.displacement_error == pytest.approx(true_error, rel=0.25)
-    assert found.displacement_error < 0.02 / 3
-    assert len(said) == len(found.levels) == formula.runs
-    before = formula.runs
-    assert find(0.02, 1e9) == replace(found, recording=ANY)  # taken from the folder
-    assert formula.runs == before
-    finer = find(0.002, 1e9)
-    assert len(finer.levels) > len(found.levels)
-    assert formula.runs == len(finer.levels)
-    limited = find(1e-9, 30.0)
-    assert "--reference-seconds 30" in limited.ended
-    assert limited.error > 1e-9
-
-
-class FakeServer:
-    """Accepts every scene; all else only the recorder, which is `Formula`, would ask it."""
-
-    def inspect(self, scene: scene_pb2.Scene) -> None:
-        pass
-
-
-def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, broken_law: str = "") -> Formula:
-    """In place of a daemon; the scene is in block.yaml."""
-    (folder / "block.yaml").write_text(BLOCK)
-    scene = knobs_of(BLOCK, folder).message
-    formula = Formula(scene, Script.of(scene, None), broken_law)
-    monkeypatch.setattr(command, "launch", lambda **_: contextlib.nullcontext(FakeServer()))
-    monkeypatch.setattr(command, "Recorder", lambda *_: formula)
-    monkeypatch.setattr(Machine, "of", lambda *_: MACHINE)
-    return formula
-
-
-def run_on(folder: Path, *options: str) -> int:
-    """A short run; results in out/."""
-    short = ["--knobs", "dt_s", "--combinations", "0", "--tolerance", "5%"]
-    return main(["trade", str(folder / "block.yaml"), "--out", str(folder / "out"), *short, *options])
-
-
-def test_a_run_is_resumed_and_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-    out = tmp_path / "out"
-    run = ["trade", str(tmp_path / "block.yaml"), "--out", str(out), "--knobs", "resolution,dt_s", "--json"]
-    assert main([*run, "--tolerance", "3%"]) == 0
-    first = json.loads(capsys.readouterr().out)
-    assert {tuple(of["setting"]) for of in first["measurements"]} >= {(), ("resolution",), ("resolution", "dt_s")}
-    assert first["not_varied"]["law"] == "not asked for"
-    assert first["fastest"]["errors"]["displacement"] <= 0.03
-    assert first["fastest"]["cost_s"] < first["measurements"][0]["cost_s"] * 4
-    runs = formula.runs
-    (out / "results.jsonl").write_text("".join((out / "results.jsonl").read_text().splitlines(keepends=True)[:-2]))
-    assert main([*run, "--tolerance", "3%"]) == 0
-    assert json.loads(capsys.readouterr().out) == first
-    # The two lines that were taken away, and the two files that are always run again.
-    assert formula.runs == runs + 4
-    assert first["confirmed"].keys() == {"fastest", "most_accurate"}
-    assert first["confirmed"]["fastest"]["errors"] == first["fastest"]["errors"]
-    monkeypatch.setattr(Machine, "of", lambda *_: replace(MACHINE, device="another"))
-    assert main([*run, "--tolerance", "3%"]) == 0
-    assert formula.runs == 2 * runs + 4  # nothing is taken from another machine
-    capsys.readouterr()
-
-    page = (out / "report.html").read_text()
-    assert page.count("<circle") == len(first["measurements"])
-    assert "http" not in page  # nothing is fetched
-    ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
-    fastest = SceneFile.read(out / "fastest.yaml").scene().message
-    assert fastest.tools == knobs_of(BLOCK, tmp_path).message.tools
-    (tmp_path / "mine.yaml").write_text(BLOCK.replace("cells_x: 4", "cells_x: 2"))
-    assert main([*run[:-1], "--tolerance", "0.0001%", "--confirm", str(tmp_path / "mine.yaml")]) == 1
-    printed = capsys.readouterr().out
-    assert "most_accurate.yaml, read and run again: confirmed: " in printed
-    assert "mine.yaml, read and run again: displacement " in printed  # of which nothing was promised
-    mine = json.loads((out / "trade.json").read_text())["confirmed"]["mine"]
-    assert mine["element_count"] == 2**3
-    assert mine["errors"]["displacement"] > 2 * first["measurements"][0]["errors"]["displacement"]
-    assert "none is that accurate" in printed
-    assert not (out / "fastest.yaml").exists()
-
-
-def test_what_a_file_does_not_reach_again_is_not_confirmed() -> None:
-    promised = measurement({"a": 1}, 1.0, 0.02)
-    assert report.is_confirmed(promised, measurement({}, 1.4, 0.0201))
-    assert not report.is_confirmed(promised, measurement({}, 1.6, 0.02))
-    assert not report.is_confirmed(promised, measurement({}, 0.5, 0.021))
-    assert not report.is_confirmed(promised, measurement({}, 0.0, 0.0, failure="stopped"))
-
-
-def test_a_setting_that_breaks_is_a_result_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stand_in(tmp_path, monkeypatch, broken_law="hencky")
-    options = ["--knobs", "law", "--combinations", "0", "--reference-seconds", "1", "--tolerance", "5%"]
-    main(["trade", str(tmp_path / "block.yaml"), "--out", str(tmp_path / "out"), *options])
-    assert "law hencky could not be run: left the numbers" in capsys.readouterr().out
-
-
-def test_the_scene_as_it_is_is_run_before_its_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-    formula.last_run = 1
-    monkeypatch.delattr(reference, "find")
-    assert run_on(tmp_path) == 1
-
-
-def test_a_refused_scene_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-
-    def refuse(_self: FakeServer, scene: scene_pb2.Scene) -> None:
-        raise tm.InvalidArgumentError(f"scene.name: {scene.name} is none")
-
-    monkeypatch.setattr(FakeServer, "inspect", refuse)
-    (tmp_path / "block.yaml").write_text(BLOCK.replace("name: block\ngravity", "name: ../../x\ngravity"))
-    inner = tmp_path / "a" / "b"
-    inner.mkdir(parents=True)
-    monkeypatch.chdir(inner)
-    assert main(["trade", str(tmp_path / "block.yaml")]) == 1
-    assert "scene.name: ../../x is none" in capsys.readouterr().err
-    assert sorted(of.name for of in tmp_path.rglob("*")) == ["a", "b", "block.yaml"]
-    assert formula.runs == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("none.yaml", None, "none.yaml: no such file"),
-        ("long.yaml", BLOCK + "stepping: {dt_s: 0.5}\n", "long.yaml: stepping.dt_s: 0.5 does not divide"),
-        ("two.yaml", BLOCK.replace("- name: block", "- name: other"), "two.yaml: bodies are other, those of"),
-        ("out/fastest.yaml", None, "fastest.yaml: the command writes this file itself"),
-    ],
-)
-def test_what_is_to_be_confirmed_is_read_first(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    text: str | None,
-    said: str,
-) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-    if text is not None:
-        (tmp_path / name).write_text(text)
-    assert run_on(tmp_path, "--confirm", str(tmp_path / name)) == 1
-    error = capsys.readouterr().err
-    assert "--confirm" in error
-    assert said in error
-    assert formula.runs == 0
-    assert not (tmp_path / "out").exists()
-
-
-def test_what_the_daemon_refuses_to_confirm_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stand_in(tmp_path, monkeypatch)
-    (tmp_path / "mine.yaml").write_text(BLOCK.replace("name: block\ngravity", "name: mine\ngravity"))
-
-    def refuse_mine(_self: FakeServer, scene: scene_pb2.Scene) -> None:
-        if scene.name == "mine":
-            raise tm.InvalidArgumentError("scene.solver: no")
-
-    monkeypatch.setattr(FakeServer, "inspect", refuse_mine)
-    assert run_on(tmp_path, "--confirm", str(tmp_path / "mine.yaml")) == 1
-    assert f"--confirm {tmp_path / 'mine.yaml'}: scene.solver: no" in capsys.readouterr().err
-
-
-def test_files_of_the_same_name_are_kept_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stand_in(tmp_path, monkeypatch)
-    files = [tmp_path / folder / "fastest.yaml" for folder in ("a", "b")]
-    for cells, file in enumerate(files, 1):
-        file.parent.mkdir()
-        file.write_text(BLOCK.replace("cells_x: 4", f"cells_x: {cells}"))
-    assert run_on(tmp_path, "--confirm", *map(str, files)) == 0
-    confirmed = json.loads((tmp_path / "out" / "trade.json").read_text())["confirmed"]
-    counts = {name: of["element_count"] for name, of in confirmed.items()}
-    assert counts == {"fastest": 64, "most_accurate": 64, str(files[0]): 1, str(files[1]): 8}
-    printed = capsys.readouterr().out
-    assert "\nfastest.yaml, read and run again: confirmed: " in printed
-    assert f"\n{files[0]}, read and run again: displacement " in printed
-
-
-def test_what_was_measured_is_reported_though_the_daemon_ends_while_it_is_confirmed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-    assert run_on(tmp_path) == 0
-    result = json.loads((tmp_path / "out" / "trade.json").read_text())
-    (tmp_path / "out" / "trade.json").unlink()
-    (tmp_path / "out" / "report.html").unlink()
-    formula.last_run = formula.runs + 1  # all but the confirmation is there
-    assert run_on(tmp_path) == 1
-    kept = json.loads((tmp_path / "out" / "trade.json").read_text())
-    assert kept == {**result, "confirmed": {}}
-    assert "One knob at a time" in (tmp_path / "out" / "report.html").read_text()
-
-
-def test_a_tool_that_touches_nothing_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
-    assert run_on(tmp_path) == 0
-    said = "touches nothing in the reference"
-    assert said not in "".join(capsys.readouterr())
-    formula.felt = False
-    assert run_on(tmp_path, "--press", "0.4") == 0  # another script: measured anew
-    printed, error = capsys.readouterr()
-    assert f"warning: 'probe' {said}" in error
-    assert f"  'probe' {said}" in printed
-    assert said in (tmp_path / "out" / "report.html").read_text()
-
-
-def test_a_full_disk_is_said_in_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stand_in(tmp_path, monkeypatch)
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(np, "savez_compressed", full)
-        assert run_on(tmp_path) == 1
-    assert f"--out {tmp_path / 'out'}: cannot be written to: No space left" in capsys.readouterr().err
-    assert run_on(tmp_path) == 0
-    before = (tmp_path / "out" / "trade.json").read_text()
-    write_text = Path.write_text
-
-    def full_at_the_end(path: Path, text: str, encoding: str) -> None:
-        write_text(path, text[:10], encoding)
-        if "trade.json" in path.name:
-            full()
-        write_text(path, text, encoding)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Path, "write_text", full_at_the_end)
-        assert run_on(tmp_path) == 1
-    assert (tmp_path / "out" / "trade.json").read_text() == before  # not half of another
