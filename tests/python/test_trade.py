@@ -25,7 +25,6 @@ from tensormass.trade.script import Recording, Script
 from tensormass.trade.store import Measurement, Store, key_of
 from tensormass.v1 import scene_pb2
 
-
 # --- knobs ------------------------------------------------------------------------------------------------------------
 
 
