@@ -22,7 +22,7 @@ TM_HOST_DEVICE void keep(const tensor::SceneView<Real>& s, std::uint32_t row, co
 
 /// û and v̂ of the step, from the last two; the solve starts at v̂.
 /// Reads displacement, velocity; writes base_displacement, base_velocity, previous_displacement, previous_velocity,
-/// velocity, kept fields. Only for scenes that are not implicit Euler linearized once.
+/// velocity, kept fields. Only for scenes that are not plain (Model::is_plain).
 template <class Team, class Real>
 TM_HOST_DEVICE void predict(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
