@@ -50,6 +50,57 @@ TM_HOST_DEVICE Vec3<Real> read3(const Real* p) {
   return {p[0], p[1], p[2]};
 }
 
+/// As read3; may overwrite the fourth.
+template <class Real>
+TM_HOST_DEVICE void write3(Real* p, const Vec3<Real>& v) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) {
+    *reinterpret_cast<float4*>(p) = {v[0], v[1], v[2], 0};
+    return;
+  }
+#endif
+  p[0] = v[0];
+  p[1] = v[1];
+  p[2] = v[2];
+}
+
+/// What a step reads once. A device's outer cache, which holds less than large scenes have, is to keep what is read
+/// again.
+template <class T>
+TM_HOST_DEVICE T read_once(const T* p) {
+#if defined(__CUDA_ARCH__)
+  std::uint64_t first_to_go;
+  asm("createpolicy.fractional.L2::evict_first.b64 %0, 1.0;" : "=l"(first_to_go));
+  static_assert(sizeof(T) == 4 || sizeof(T) == 8 || sizeof(T) == 16);
+  union {
+    std::uint32_t words[sizeof(T) / 4];
+    T value;
+  } read;
+  if constexpr (sizeof(T) == 4) {
+    asm("ld.global.L2::cache_hint.b32 %0, [%1], %2;" : "=r"(read.words[0]) : "l"(p), "l"(first_to_go));
+  } else if constexpr (sizeof(T) == 8) {
+    asm("ld.global.L2::cache_hint.v2.b32 {%0, %1}, [%2], %3;"
+        : "=r"(read.words[0]), "=r"(read.words[1])
+        : "l"(p), "l"(first_to_go));
+  } else {
+    asm("ld.global.L2::cache_hint.v4.b32 {%0, %1, %2, %3}, [%4], %5;"
+        : "=r"(read.words[0]), "=r"(read.words[1]), "=r"(read.words[2]), "=r"(read.words[3])
+        : "l"(p), "l"(first_to_go));
+  }
+  return read.value;
+#else
+  return *p;
+#endif
+}
+
+/// Asks a device's outer cache for what is to be read later.
+template <class T>
+TM_HOST_DEVICE void expect([[maybe_unused]] const T* p) {
+#if defined(__CUDA_ARCH__)
+  asm volatile("prefetch.global.L2 [%0];" ::"l"(p));
+#endif
+}
+
 /// Elementary functions by overload, so that formulas are written once for numbers and for packs of numbers
 /// (core/pack.h adds the overloads for packs).
 template <class Real>
@@ -72,6 +123,24 @@ TM_HOST_DEVICE constexpr Real select_greater(Real a, Real b, Real x, Real y) {
 template <class Real>
 TM_HOST_DEVICE Real square_root(Real a) {
   return std::sqrt(a);
+}
+/// a / b, in single precision on a device to two units in the last place: its exact division is a function call, and
+/// two of them stand in the chain of every iteration of a solve.
+template <class Real>
+TM_HOST_DEVICE Real quotient(Real a, Real b) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) return __fdividef(a, b);
+#endif
+  return a / b;
+}
+/// 1 / √a, on a device to two units in the last place for the same reason.
+template <class Real>
+TM_HOST_DEVICE Real inverse_square_root(Real a) {
+#if defined(__CUDA_ARCH__)
+  return rsqrt(a);
+#else
+  return 1 / std::sqrt(a);
+#endif
 }
 template <class Real>
 TM_HOST_DEVICE Real exponential(Real a) {
@@ -100,10 +169,7 @@ struct SingleLane {
     return read3(vectors + std::size_t{4} * first);
   }
   TM_HOST_DEVICE static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
-    Real* p = vectors + std::size_t{4} * first;
-    p[0] = value[0];
-    p[1] = value[1];
-    p[2] = value[2];
+    write3(vectors + std::size_t{4} * first, value);
   }
   TM_HOST_DEVICE static Vec3<Scalar> gather3(const Real* vectors, const std::uint32_t* index) {
     return load3(vectors, *index);

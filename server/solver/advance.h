@@ -59,35 +59,59 @@ TM_HOST_DEVICE void drive(const Team& team, const tensor::SceneView<Real>& s) {
   });
 }
 
-/// Moves the rows of a patch to the velocities that `velocity_of(row)` says, u = û + h v, and reports on them.
-template <class Team, class Real, class Velocity>
-TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s, const Velocity& velocity_of) {
+/// Has what move_rows reads of a row brought near. A solve takes long enough for caches to lose it.
+template <class Real>
+TM_HOST_DEVICE void expect_move(const tensor::SceneView<Real>& s, std::uint32_t row) {
+  const std::size_t at = std::size_t{4} * row;
+  expect(s.velocity + at);
+  expect((s.base_displacement != nullptr ? s.base_displacement : s.displacement) + at);
+  expect(s.kept_displacement + at);
+  expect(s.inertia + at);
+  if (s.external != nullptr) expect(s.external + at);
+}
+
+/// Moves the rows of a patch to velocities v, u = û + h v, and reports on them. read(row): what v is made of;
+/// velocity_of(row, that): v. keeps: this puts aside where a row is before, which is then û, and read(row) its
+/// velocity.
+template <class Team, class Real, class Read, class Velocity>
+TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s, bool keeps, const Read& read,
+                              const Velocity& velocity_of) {
   using std::sqrt;
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   const Real* base = s.base_displacement != nullptr ? s.base_displacement : s.displacement;
   const Real h = tensor::step_size(s);
-  Real speed = 0, move = 0, distance = 0;  // squares
-  Real sums[3] = {0, 0, 0};                // rows that are no numbers, twice the kinetic energy, work
-  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const Vec3<Real> v = velocity_of(row);
-    const Vec3<Real> u = tensor::load3<Real>(base, row) + v * h;
-    const Vec3<Real> moved = u - tensor::load3<Real>(s.kept_displacement, row);
-    tensor::store3<Real>(s.velocity, row, v);
-    tensor::store3<Real>(s.displacement, row, u);
-    speed = maximum(speed, v.dot(v));
-    move = maximum(move, moved.dot(moved));
-    distance = maximum(distance, u.dot(u));
-    if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
-    sums[1] += s.inertia[std::size_t{4} * row] * v.dot(v);
-    if (s.external != nullptr) sums[2] += tensor::load3<Real>(s.external, row).dot(moved);
-  });
-  speed = team.patch_max(speed);
-  move = team.patch_max(move);
-  distance = team.patch_max(distance);
-  team.patch_sum(sums);
+  Real maxima[3] = {0, 0, 0};  // squares of speed, move and distance
+  Real sums[3] = {0, 0, 0};    // rows that are no numbers, twice the kinetic energy, work
+  struct Before {
+    Vec3<Real> of_velocity, base, kept, external;
+    Real mass;
+  };
+  constexpr int kAtOnce = 2;
+  team.template for_each<kAtOnce>(
+      patch.row_begin, patch.row_end,
+      [&](std::uint32_t row) -> Before {
+        return {read(row), tensor::load3<Real>(base, row), tensor::load3<Real>(s.kept_displacement, row),
+                s.external != nullptr ? tensor::load3<Real>(s.external, row) : Vec3<Real>(Vec3<Real>::Zero()),
+                s.inertia[std::size_t{4} * row]};
+      },
+      [&](std::uint32_t row, const Before& before) {
+        const Vec3<Real> v = velocity_of(row, before.of_velocity);
+        const Vec3<Real> u = before.base + v * h;
+        const Vec3<Real> moved = u - (keeps ? before.base : before.kept);
+        if (keeps) keep(s, row, before.base, before.of_velocity);
+        tensor::store3<Real>(s.velocity, row, v);
+        tensor::store3<Real>(s.displacement, row, u);
+        maxima[0] = maximum(maxima[0], v.dot(v));
+        maxima[1] = maximum(maxima[1], moved.dot(moved));
+        maxima[2] = maximum(maxima[2], u.dot(u));
+        if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
+        sums[1] += before.mass * v.dot(v);
+        sums[2] += before.external.dot(moved);
+      });
+  team.patch_reduce(maxima, sums);
   if (team.leads_patch()) {
     s.patch_reports[patch.index] = {
-        sqrt(speed), sums[0] == 0 ? Real(1) : Real(0), sqrt(move), sqrt(distance), sums[1] / 2, sums[2]};
+        sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2]};
   }
 }
 
@@ -95,16 +119,17 @@ TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s
 /// Writes velocity, displacement, iterate, increment, patch_reports, kept fields.
 template <class Team, class Real, class Change>
 TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& s, const Change& change_of) {
-  move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
-    const Vec3<Real> change = change_of(row);
-    const Vec3<Real> v = tensor::load3<Real>(s.velocity, row);
-    if (s.base_displacement == nullptr) keep(s, row, tensor::load3<Real>(s.displacement, row), v);  // else: predict has
-    if (s.increment != nullptr) {
-      tensor::store3<Real>(s.increment, row, change);
-      tensor::store3<Real>(s.iterate, row, v);
-    }
-    return v + change;
-  });
+  const bool keeps = s.base_displacement == nullptr && s.control->keeps != 0;  // else: predict has
+  move_rows(
+      team, s, keeps, [&](std::uint32_t row) { return tensor::load3<Real>(s.velocity, row); },
+      [&](std::uint32_t row, const Vec3<Real>& v) -> Vec3<Real> {
+        const Vec3<Real> change = change_of(row);
+        if (s.increment != nullptr) {
+          tensor::store3<Real>(s.increment, row, change);
+          tensor::store3<Real>(s.iterate, row, v);
+        }
+        return v + change;
+      });
 }
 
 /// Reads solution, diagonal; writes what advance_by does.
@@ -120,9 +145,12 @@ TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) 
 template <class Team, class Real>
 TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s) {
   const Real share = static_cast<Real>(s.newton->line_share);
-  move_rows(team, s, [&](std::uint32_t row) -> Vec3<Real> {
-    return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
-  });
+  move_rows(
+      team, s, false,
+      [&](std::uint32_t row) -> Vec3<Real> {
+        return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
+      },
+      [](std::uint32_t, const Vec3<Real>& v) { return v; });
 }
 
 /// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment,
@@ -131,7 +159,7 @@ template <class Team, class Real>
 TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<Real>& s) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   Real sums[3] = {0, 0, 0};
-  Real moved = 0;
+  Real moved[1] = {0};
   const Real h = tensor::step_size(s);
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
     const Vec3<Real> rhs = tensor::load3<Real>(s.rhs, row);
@@ -143,7 +171,7 @@ TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<R
       sums[2] += r * increment[c];
     }
     const Vec3<Real> u = tensor::load3<Real>(s.displacement, row);
-    moved = maximum(moved, h * h * increment.dot(increment) / (u.dot(u) + s.size_m * s.size_m));
+    moved[0] = maximum(moved[0], h * h * increment.dot(increment) / (u.dot(u) + s.size_m * s.size_m));
     Vec3<Real> force = tensor::load3<Real>(s.internal_force, row);
     sums[1] += force.dot(force) * (h * h);
     if (s.external != nullptr) {
@@ -151,9 +179,8 @@ TM_HOST_DEVICE void measure_residual(const Team& team, const tensor::SceneView<R
       sums[1] += force.dot(force) * (h * h);
     }
   });
-  team.patch_sum(sums);
-  moved = team.patch_max(moved);
-  if (team.leads_patch()) s.residuals[patch.index] = {sums[0], sums[1], sums[2], moved};
+  team.patch_reduce(moved, sums);
+  if (team.leads_patch()) s.residuals[patch.index] = {sums[0], sums[1], sums[2], moved[0]};
 }
 
 }  // namespace tensormass::solver

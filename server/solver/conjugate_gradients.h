@@ -16,16 +16,6 @@
 /// Sums run in a fixed order: results repeat bitwise for the same number of patches.
 namespace tensormass::solver {
 
-/// a / b, in single precision on a device to two units in the last place: its exact division is a function call, and
-/// two of them stand in the chain of every iteration.
-template <class Real>
-TM_HOST_DEVICE Real quotient(Real a, Real b) {
-#if defined(__CUDA_ARCH__)
-  if constexpr (sizeof(Real) == 4) return __fdividef(a, b);
-#endif
-  return a / b;
-}
-
 /// r·r and what follows from it; the same in every patch.
 template <class Real>
 class Recurrence {

@@ -23,9 +23,10 @@ namespace tensormass::solver {
 /// (00, 10, 11, 20, 21, 22). A pivot that rounding made non-positive is replaced by the block's scale.
 template <class Real>
 TM_HOST_DEVICE void inverse_cholesky(const Real* d, Real* out) {
-  using std::sqrt;
   const Real floor = (d[0] + d[3] + d[5]) * Real(1e-7);
-  const auto pivot = [&](Real value) { return 1 / sqrt(value > floor ? value : (floor > 0 ? floor : Real(1))); };
+  const auto pivot = [&](Real value) {
+    return inverse_square_root(value > floor ? value : (floor > 0 ? floor : Real(1)));
+  };
   const Real i0 = pivot(d[0]);
   const Real l10 = d[1] * i0, l20 = d[2] * i0;
   const Real i1 = pivot(d[3] - l10 * l10);
@@ -82,7 +83,9 @@ TM_HOST_DEVICE Vec3<Real> scaled_rhs(const tensor::SceneView<Real>& s, std::size
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> unscaled(const tensor::SceneView<Real>& s, std::size_t row, const Mat3<Real>& factor,
                                    const Vec3<Real>& x) {
-  return factor.transpose() * x / body_weight(s, row);
+  const Real weight = body_weight(s, row);
+  const Vec3<Real> weighted = factor.transpose() * x;
+  return {quotient(weighted[0], weight), quotient(weighted[1], weight), quotient(weighted[2], weight)};
 }
 
 /// Replaces diagonal by L⁻¹ and rhs by b̂.

@@ -41,15 +41,16 @@ TM_HOST_DEVICE void load_displacement(const SceneView<Real>& s, const ElementVie
   }
 }
 
-/// Reals that lie together and begin at a multiple of four, as many as fill up to one.
-template <std::uint32_t Count, class Real>
+/// Reals that lie together and begin at a multiple of four, as many as fill up to one. Once: see read_once.
+template <bool Once = false, std::uint32_t Count, class Real>
 TM_HOST_DEVICE void read_reals(const Real* from, Real (&to)[Count]) {
   static_assert(Count % 4 == 0);
 #if defined(__CUDA_ARCH__)
   if constexpr (sizeof(Real) == 4) {
     TM_UNROLL_ALL
     for (std::uint32_t c = 0; c < Count; c += 4) {
-      const float4 v = *reinterpret_cast<const float4*>(from + c);
+      const auto* p = reinterpret_cast<const float4*>(from + c);
+      const float4 v = Once ? read_once(p) : *p;
       to[c] = v.x;
       to[c + 1] = v.y;
       to[c + 2] = v.z;
@@ -87,8 +88,16 @@ struct StoredPoint {
     if constexpr (kReadsRecords<Lanes>) {
       const std::uint32_t points = points_of<Shape>(e), stride = point_stride(kReals, points);
       const Real* record = e.records + std::size_t{first} * e.record_reals;
-      read_reals(record + q * stride, reals);
-      for (int c = 0; c < Law::kParameterCount; ++c) parameters[c] = record[points * stride + c];
+      // Of a single point the rows that read it lie in a few slices, which a device evaluates at about the same time.
+      read_reals<Shape::kSinglePoint>(record + q * stride, reals);
+      // Of a single point the first parameters have come with what fills up its reals.
+      constexpr int kParameters = Law::kParameterCount;
+      constexpr int kFilling = static_cast<int>(round_to_four(kReals) - kReals);
+      constexpr int kRead = Shape::kSinglePoint ? minimum(kFilling, kParameters) : 0;
+      TM_UNROLL_ALL
+      for (int c = 0; c < kRead; ++c) parameters[c] = reals[kReals + c];
+      TM_UNROLL_ALL
+      for (int c = kRead; c < kParameters; ++c) parameters[c] = record[points * stride + c];
     } else {
       const Real* rest = e.rest + std::size_t{q} * kReals * e.count + first;
       TM_UNROLL_ALL
@@ -313,10 +322,10 @@ TM_HOST_DEVICE void watch_elements(const Team& team, const SceneView<Real>& s, c
       rotation = maximum(rotation, T((x * x + y * y + z * z) * T(0.25)));
     });
   });
-  const Real most[4] = {team.patch_max(Lanes::largest(compression)), team.patch_max(Lanes::largest(flattening)),
-                        team.patch_max(Lanes::largest(strain)), team.patch_max(Lanes::largest(rotation))};
+  Real most[4] = {Lanes::largest(compression), Lanes::largest(flattening), Lanes::largest(strain),
+                  Lanes::largest(rotation)};
   Real sum[1] = {Lanes::sum(energy)};
-  team.patch_sum(sum);
+  team.patch_reduce(most, sum);
   if (team.leads_patch()) {
     s.watch[e.watch_begin + team.patch()] = {-most[0], sqrt(most[2]), sqrt(most[3]), -most[1], sum[0]};
   }
@@ -413,13 +422,16 @@ struct RowSums {
 template <bool HasConstant, class Real>
 class RowAssembly {
  public:
+  /// Reads what is needed of the row itself, so that nothing has to wait for it later.
   TM_HOST_DEVICE RowAssembly(const SceneView<Real>& s, const PatchColumns& patch, std::uint32_t row)
       : s_(s),
         patch_(patch),
         row_(row),
         terms_(s, row),
         displacement_(load3<Real>(s.displacement, row)),
-        own_ahead_(terms_.stretch_ahead(row)) {}
+        own_ahead_(terms_.stretch_ahead(row)),
+        momentum_gap_(terms_.momentum_gap(row)),
+        external_(s.external != nullptr ? load3<Real>(s.external, row) : Vec3<Real>(Vec3<Real>::Zero())) {}
 
   /// The row behind a slot and how far it moves, and the slot's constant tensor; read before the refreshed tensors,
   /// which takes as long.
@@ -435,8 +447,16 @@ class RowAssembly {
     out.ahead = terms_.stretch_ahead(out.row);
     if constexpr (HasConstant) {
       out.stretch = load3<Real>(s_.displacement, out.row) - displacement_;
-      out.constant = load_block(s_.constant_edges, slot);
+      out.constant = load_block_once(s_.constant_edges, slot);
     }
+    return out;
+  }
+  /// The same where it is known how far the row behind the slot moves, and there are no constant tensors.
+  TM_HOST_DEVICE Neighbour neighbour(std::size_t slot, const Vec3<Real>& ahead) const {
+    static_assert(!HasConstant);
+    Neighbour out;
+    out.row = s_.mass_edges != nullptr ? global_row(s_, patch_, s_.columns[slot]) : 0;
+    out.ahead = ahead;
     return out;
   }
   /// edge: of the elements whose tensors are refreshed. Returns the block of A.
@@ -461,9 +481,8 @@ class RowAssembly {
     const Mat3<Real> diagonal =
         sums.vertex * terms_.stiffness_share() + Mat3<Real>::Identity() * (terms_.mass * terms_.mass_share());
     store_symmetric(s_.diagonal, row_, diagonal);
-    const Vec3<Real> momentum = sums.momentum + terms_.momentum_gap(row_) * terms_.mass;
-    Vec3<Real> force = sums.force - sums.stiffness_ahead;
-    if (s_.external != nullptr) force += load3<Real>(s_.external, row_);
+    const Vec3<Real> momentum = sums.momentum + momentum_gap_ * terms_.mass;
+    const Vec3<Real> force = sums.force - sums.stiffness_ahead + external_;
     store3<Real>(s_.rhs, row_, force * terms_.h + momentum);
     if (s_.internal_force != nullptr) store3<Real>(s_.internal_force, row_, sums.force);
   }
@@ -473,7 +492,7 @@ class RowAssembly {
   const PatchColumns& patch_;
   const std::uint32_t row_;
   const RowTerms<Real> terms_;
-  const Vec3<Real> displacement_, own_ahead_;
+  const Vec3<Real> displacement_, own_ahead_, momentum_gap_, external_;
 };
 
 /// Adds constant forces, gravity and loads, to rows that store edges; others have them when they are finished.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "core/strided.h"
 #include "physics/material/law.h"
 #include "tensor/assembly.h"
 
@@ -13,7 +14,7 @@
 /// Each node's row finds the same F and the same stress to the last bit, or the forces of a stiff element would not
 /// balance, by as much as rounding leaves of its modulus.
 ///
-/// A row's blocks so far, and the displacements of its neighbours, are in `Blocks`, which a device
+/// A row's blocks so far, and where its neighbours are and how far they move, are in `Blocks`, which a device
 /// keeps in memory that is near. It holds `capacity()` columns at once; a wider row comes in turns.
 namespace tensormass::tensor {
 
@@ -37,7 +38,7 @@ class Places {
       const std::uint32_t* words = e.places + std::size_t{column} * count * kSliceRows + lane;
       TM_UNROLL_ALL
       for (std::uint32_t i = 0; i < place_words(Nodes, 16); ++i) {
-        packed.words[i] = words[minimum(i, count - 1) * kSliceRows];
+        packed.words[i] = read_once(words + minimum(i, count - 1) * kSliceRows);
       }
       return packed;
     }
@@ -78,22 +79,6 @@ class Places {
   bool is_own_[Nodes], is_before_[Nodes - 1];
   std::uint32_t nodes_[Nodes], others_[Nodes - 1];
 };
-
-/// Calls use(j, load(j)) for every `step`-th column in [begin, end). Loads are under way several at a time: each is a
-/// chain of reads that depend on each other.
-template <std::uint32_t kAtOnce = 8, class Load, class Use>
-TM_HOST_DEVICE void each_column(std::uint32_t begin, std::uint32_t end, std::uint32_t step, const Load& load,
-                                const Use& use) {
-  for (std::uint32_t first = begin; first < end; first += kAtOnce * step) {
-    decltype(load(first)) loaded[kAtOnce];
-    TM_UNROLL_ALL
-    for (std::uint32_t i = 0; i < kAtOnce; ++i) loaded[i] = load(first + i * step < end ? first + i * step : first);
-    TM_UNROLL_ALL
-    for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-      if (first + i * step < end) use(first + i * step, loaded[i]);
-    }
-  }
-}
 
 /// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements.
 template <class Real>
@@ -144,6 +129,17 @@ TM_HOST_DEVICE void decompose(const Team& team, const SceneView<Real>& s, const 
   });
 }
 
+/// What a row needs of the row behind a slot: where it is and how far it moves (RowTerms::stretch_ahead) [m].
+template <class Real>
+struct RowNeighbour {
+  Vec3<Real> displacement, ahead;
+};
+
+/// Whether a row keeps how far its neighbours move until its elements have been evaluated, or reads it then. Rows of
+/// linear tetrahedra are narrow; of others, what this takes would leave near memory for fewer rows at once.
+template <class Shape>
+inline constexpr bool kKeepsAhead = Shape::kSinglePoint;
+
 /// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
 template <class Shape>
 inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
@@ -153,9 +149,10 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 /// their sums have been put together, of its columns. Blocks has
 ///   parts(), part()                     how many threads share the row, and which one this is
 ///   begin(column, count)                places are from `column` on, as far as they fit; returns how many
-///   clear(place, displacement)          for all parts: no block yet
+///   clear(place, neighbour)             for all parts: no block yet
 ///   holds(place)
 ///   displacement(place)                 any if it is not held
+///   ahead(place)                        as clear had it; only with kKeepsAhead
 ///   add(places, blocks)                 different places; those that are not held are left out
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
@@ -175,19 +172,18 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   const std::uint32_t list_begin = slice.list_begin + blocks.part(), list_end = slice.list_end;
   const PatchColumns& patch = slice.patch;
   const Vec3<Real> own_displacement = load3<Real>(s.displacement, row);
+  const RowTerms<Real> terms(s, row);
   const physics::Stiffness kind = stiffness_kind(s);
   const auto slot_of = [first, lane](std::uint32_t column) {
     return (std::size_t{first} + column) * kSliceRows + lane;
   };
-  const auto displacement_of = [&](std::uint32_t column) -> Vec3<Real> {
-    return load3<Real>(s.displacement, global_row(s, patch, s.columns[slot_of(column)]));
-  };
+  const auto row_of = [&](std::uint32_t column) { return global_row(s, patch, s.columns[slot_of(column)]); };
   // The list's columns of this part, round by round. Behind a list's end the first element of all is evaluated in vain.
   const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
     return list_begin + (round * kAtOnce + k) * parts;
   };
   const auto listed_at = [&e, list_end, lane](std::uint32_t column) {
-    return e.listed[std::size_t{minimum(column, list_end - 1)} * kSliceRows + lane];
+    return read_once(e.listed + std::size_t{minimum(column, list_end - 1)} * kSliceRows + lane);
   };
   const auto places_at = [&e, list_end, lane](std::uint32_t column) {
     return Packed::read(e, minimum(column, list_end - 1), lane);
@@ -202,29 +198,38 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   RowSums<Real> sums;
   for (std::uint32_t turn = 0; turn < width;) {
     const std::uint32_t held = blocks.begin(turn, width - turn);
-    each_column(turn + blocks.part(), turn + held, blocks.parts(), displacement_of,
-                [&](std::uint32_t j, const Vec3<Real>& displacement) { blocks.clear(j, displacement); });
-    blocks.meet();
     sums.force.setZero();  // every turn has all of them
-    // What the next points need is read ahead of the arithmetic of these.
+    // What the next points need is read ahead of the arithmetic of these, what the first need beside the neighbours.
     std::uint32_t now[kAtOnce], listed[kAtOnce];
     Packed packed[kAtOnce];
     Stored ahead[kAtOnce];
     TM_UNROLL_ALL
     for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-      now[k] = element_of(listed_at(column_of(0, k)), 0, k);
+      now[k] = listed_at(column_of(0, k));
       listed[k] = listed_at(column_of(1, k));
       packed[k] = places_at(column_of(0, k));
     }
+    for_each_strided(
+        turn + blocks.part(), turn + held, blocks.parts(),
+        [&](std::uint32_t j) -> RowNeighbour<Real> {
+          const std::uint32_t other = row_of(j);
+          const Vec3<Real> displacement = load3<Real>(s.displacement, other);
+          if constexpr (!kKeepsAhead<Shape>) return {displacement, {}};
+          return {displacement, terms.stretch_ahead(other)};
+        },
+        [&](std::uint32_t j, const RowNeighbour<Real>& neighbour) { blocks.clear(j, neighbour); });
     TM_UNROLL_ALL
-    for (std::uint32_t k = 0; k < kAtOnce; ++k) ahead[k] = stored_at(now[k], 0);
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      now[k] = element_of(now[k], 0, k);
+      ahead[k] = stored_at(now[k], 0);
+    }
+    blocks.meet();
     for (std::uint32_t round = 0; now[0] != kNoPlace; ++round) {
-      std::uint32_t next[kAtOnce];
+      std::uint32_t next[kAtOnce] = {};
       Places<Shape::kNodes> places[kAtOnce];
       Vec3<Real> u[kAtOnce][Shape::kNodes];
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        next[k] = element_of(listed[k], round + 1, k);
         places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
         TM_UNROLL_ALL
         for (int l = 0; l < Shape::kNodes; ++l) {
@@ -232,18 +237,14 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
           for (int c = 0; c < 3; ++c) u[k][l][c] = places[k].is_own(l) ? own_displacement[c] : u[k][l][c];
         }
       }
-      TM_UNROLL_ALL
-      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        listed[k] = listed_at(column_of(round + 2, k));
-        packed[k] = places_at(column_of(round + 1, k));
-      }
       if (held < width) {
         TM_UNROLL_ALL
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
           TM_UNROLL_ALL
           for (int l = 0; l < Shape::kNodes; ++l) {
             const std::uint32_t place = places[k].of(l);
-            if (!places[k].is_own(l) && !blocks.holds(place)) u[k][l] = displacement_of(place);
+            if (places[k].is_own(l) || blocks.holds(place)) continue;
+            u[k][l] = load3<Real>(s.displacement, row_of(place));
           }
         }
       }
@@ -268,6 +269,12 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
             points[k] = ahead[k].law_at(e, q, Decomposition<Real>(e, q, now[k] != kNoPlace ? now[k] : 0).values());
           } else {
             points[k] = ahead[k].law_at(e, q, f[k]);
+          }
+          if (ends) {
+            // All at once and not before: to wait for the neighbours would be to wait for these, too.
+            next[k] = element_of(listed[k], round + 1, k);
+            listed[k] = listed_at(column_of(round + 2, k));
+            packed[k] = places_at(column_of(round + 1, k));
           }
           ahead[k] = stored_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
         }
@@ -299,11 +306,17 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         now[k] = next[k];
       }
     }
-    blocks.meet();
     const RowAssembly<false, Real> assembly(s, patch, row);
-    each_column(
+    blocks.meet();
+    for_each_strided<kKeepsAhead<Shape> ? 1 : 8>(
         turn + blocks.part(), turn + held, blocks.parts(),
-        [&](std::uint32_t j) { return assembly.neighbour(slot_of(j)); },
+        [&](std::uint32_t j) {
+          if constexpr (kKeepsAhead<Shape>) {
+            return assembly.neighbour(slot_of(j), blocks.ahead(j));
+          } else {
+            return assembly.neighbour(slot_of(j));
+          }
+        },
         [&](std::uint32_t j, const auto& neighbour) {
           const std::size_t slot = slot_of(j);
           Mat3<Real> edge = blocks.block(j);
@@ -311,13 +324,13 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
           store_block<Real>(s.edges, slot, finishes ? assembly.couple(slot, neighbour, edge, sums) : edge);
         });
     turn += held;
-  }
-  if (!blocks.leads(sums)) return;
-  if (begun) sums.force += load3<Real>(s.rhs, row);
-  if (finishes) {
-    RowAssembly<false, Real>(s, patch, row).finish(sums);
-  } else {
-    store3<Real>(s.rhs, row, sums.force);
+    if (turn < width || !blocks.leads(sums)) continue;  // what has elements has columns: there is a last turn
+    if (begun) sums.force += load3<Real>(s.rhs, row);
+    if (finishes) {
+      assembly.finish(sums);
+    } else {
+      store3<Real>(s.rhs, row, sums.force);
+    }
   }
 }
 
@@ -336,7 +349,7 @@ TM_HOST_DEVICE void finish_rows(const Team& team, const SceneView<Real>& s) {
       return std::size_t{column} * kSliceRows + lane;
     };
     constexpr std::uint32_t kAtOnce = 4;  // a constant tensor takes nine registers
-    each_column<kAtOnce>(
+    for_each_strided<kAtOnce>(
         s.slice_begin[slice], s.slice_begin[slice + 1], 1,
         [&](std::uint32_t j) { return assembly.neighbour(slot_of(j)); },
         [&](std::uint32_t j, const auto& neighbour) {

@@ -358,6 +358,14 @@ TM_HOST_DEVICE Mat3<Real> load_block(const Real* blocks, std::size_t slot) {
   for (int c = 0; c < 9; ++c) m(c / 3, c % 3) = p[c * kSliceRows];
   return m;
 }
+/// As load_block, of what a step reads once.
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> load_block_once(const Real* blocks, std::size_t slot) {
+  const Real* p = blocks + block_begin(slot);
+  Mat3<Real> m;
+  for (int c = 0; c < 9; ++c) m(c / 3, c % 3) = read_once(p + c * kSliceRows);
+  return m;
+}
 template <class Real>
 TM_HOST_DEVICE void store_block(Real* blocks, std::size_t slot, const Mat3<Real>& m) {
   Real* p = blocks + block_begin(slot);
@@ -380,15 +388,19 @@ TM_HOST_DEVICE Vec3<Real> load3(const Real* vectors, std::size_t row) {
 }
 template <class Real>
 TM_HOST_DEVICE void store3(Real* vectors, std::size_t row, const Vec3<Real>& v) {
-  Real* p = vectors + 4 * row;
-  p[0] = v[0];
-  p[1] = v[1];
-  p[2] = v[2];
+  write3(vectors + 4 * row, v);
 }
 /// Upper triangle of a symmetric block, 8 reals a row: xx xy xz yy yz zz.
 template <class Real>
 TM_HOST_DEVICE void store_symmetric(Real* diagonal, std::uint32_t row, const Mat3<Real>& m) {
   Real* p = diagonal + std::size_t{8} * row;
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) {
+    reinterpret_cast<float4*>(p)[0] = {m(0, 0), m(0, 1), m(0, 2), m(1, 1)};
+    reinterpret_cast<float2*>(p)[2] = {m(1, 2), m(2, 2)};
+    return;
+  }
+#endif
   p[0] = m(0, 0);
   p[1] = m(0, 1);
   p[2] = m(0, 2);

@@ -26,14 +26,17 @@ class HostBlocks {
     return held_;
   }
   bool holds(std::uint32_t place) const { return place - first_ < held_; }
-  void clear(std::uint32_t place, const Vec3<Real>& displacement) { at(place) = {Mat3<Real>::Zero(), displacement}; }
+  void clear(std::uint32_t place, const tensor::RowNeighbour<Real>& neighbour) {
+    at(place) = {Mat3<Real>::Zero(), neighbour};
+  }
   template <std::size_t Count>
   void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
     for (std::size_t i = 0; i < Count; ++i) {
       if (holds(places[i])) at(places[i]).block += blocks[i];
     }
   }
-  Vec3<Real> displacement(std::uint32_t place) { return at(holds(place) ? place : first_).displacement; }
+  Vec3<Real> displacement(std::uint32_t place) { return at(holds(place) ? place : first_).neighbour.displacement; }
+  Vec3<Real> ahead(std::uint32_t place) { return at(place).neighbour.ahead; }
   Mat3<Real> block(std::uint32_t place) { return at(place).block; }
   void meet() const {}
   bool leads(const tensor::RowSums<Real>&) const { return true; }
@@ -41,7 +44,7 @@ class HostBlocks {
  private:
   struct Column {
     Mat3<Real> block;
-    Vec3<Real> displacement;
+    tensor::RowNeighbour<Real> neighbour;
   };
   Column& at(std::uint32_t place) { return columns_.at(place - first_); }
   std::vector<Column> columns_;

@@ -57,6 +57,11 @@ class Team {
   void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; ++i) body(i);
   }
+  /// use(i, read(i)) for all; up to AtOnce may be read before the first is used.
+  template <int AtOnce, class Read, class Use>
+  void for_each(std::uint32_t begin, std::uint32_t end, const Read& read, const Use& use) const {
+    for (std::uint32_t i = begin; i < end; ++i) use(i, read(i));
+  }
   template <std::uint32_t Width, int AtOnce = 1, class Body>
   void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; i += Width) body(i);
@@ -71,6 +76,9 @@ class Team {
   void patch_argmin(Real&, std::uint32_t&) const {}
   template <class Real, std::size_t Count>
   void patch_sum(Real (&)[Count]) const {}
+  /// The largest of some numbers and the sums of others, at once.
+  template <class Real, std::size_t Maxima, std::size_t Sums>
+  void patch_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
 
   /// Sums over all patches in their order, and makes what each patch wrote before visible to all.
   /// scratch: [patch_count, 4], not the one of the exchange before.

@@ -372,12 +372,12 @@ class CudaState final : public SceneState {
   }
 
   template <class StageType>
-  void launch(const ElementView<Real>& elements, std::uint32_t points = 1) {
-    launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements, points);
+  void launch(const ElementView<Real>& elements, std::uint32_t items = 0) {
+    launch(StageType::kCommunication, reinterpret_cast<const void*>(&run_stage<StageType, Real>), elements, items);
   }
-  /// points: of an element, if each of them is an item of its own.
+  /// items: how many the stage has in all, a thread for each; 0: as many as rows, or as the surface has triangles.
   void launch(Communication communication, const void* kernel, const ElementView<Real>& elements,
-              std::uint32_t points = 1) {
+              std::uint32_t items = 0) {
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements)};
     if (communication == Communication::kExchanges) {
       int resident = 0, processors = 0, device = 0;
@@ -394,8 +394,7 @@ class CudaState final : public SceneState {
     } else if (communication == Communication::kReduces) {
       check(cudaLaunchKernel(kernel, view_.patch_count, threads_, arguments, 0, stream()), "stage");
     } else {
-      // A thread an item, about: elements are the most.
-      const std::uint32_t items = std::max({view_.row_count, elements.count * points, view_.visible_count});
+      if (items == 0) items = std::max(view_.row_count, view_.triangle_count);
       const dim3 grid(view_.patch_count, items / view_.patch_count / cuda::kStageThreads + 1);
       check(cudaLaunchKernel(kernel, grid, cuda::kStageThreads, arguments, 0, stream()), "stage");
     }
@@ -403,13 +402,15 @@ class CudaState final : public SceneState {
 
   void launch_elements(const model::ElementGroup& group, const ElementView<Real>& elements) {
     const cuda::ElementKernels kernels = cuda::element_kernels<Real>(group.shape, group.law);
-    if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements);
+    if (!group.prony.empty()) launch(Communication::kNone, kernels.move_histories, elements, elements.count);
     if (elements.decompositions != nullptr) {
       physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
-        if (index == group.shape) launch<Decompose<typename decltype(shape)::Type>>(elements, elements.point_count);
+        if (index != group.shape) return;
+        launch<Decompose<typename decltype(shape)::Type>>(elements, elements.count * elements.point_count);
       });
     }
-    cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), device_);
+    cuda::RowsLaunch rows =
+        cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), kernels.keeps_ahead, device_);
     cuda::allow_all_shared_bytes(kernels.assemble);
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
                          &rows.capacity};
@@ -450,7 +451,7 @@ class CudaState final : public SceneState {
   }
 
   void enqueue_gather() {
-    launch<GatherVisible>({});
+    launch<GatherVisible>({}, view_.visible_count);
     download_pinned(visible_, view_.visible_positions);
   }
 

@@ -10,22 +10,21 @@ using tensor::ElementView;
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// A row's blocks, two quads and a real a column, and its neighbours' displacements: a thread reads four numbers at
-/// once, and meets no other's bank. Warps that share a slice have blocks of their own and displacements in common.
-template <class Real>
+/// Reals of a neighbour.
+__host__ __device__ constexpr std::uint32_t neighbour_reals(bool keeps_ahead) { return keeps_ahead ? 6 : 3; }
+
+/// A row's blocks, two quads and a real a column, and what it needs of its neighbours: a thread reads four numbers at
+/// once, and meets no other's bank. Warps that share a slice have blocks of their own and neighbours in common.
+template <class Real, bool KeepsAhead>
 class SharedBlocks {
  public:
-  static constexpr std::size_t bytes_per_column(std::uint32_t parts) {
-    return (9 * parts + 3) * kSliceRows * sizeof(Real);
-  }
-
   __device__ SharedBlocks(void* shared, std::uint32_t capacity)
       : capacity_(capacity),
         part_(threadIdx.x / kWarp),
         parts_(blockDim.x / kWarp),
         quads_(static_cast<Quad*>(shared) + lane()),
         singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + parts_ * capacity * (2 * kSliceRows)) + lane()),
-        displacements_(singles_ + parts_ * capacity * kSliceRows) {}
+        neighbours_(singles_ + parts_ * capacity * kSliceRows) {}
 
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
@@ -38,15 +37,18 @@ class SharedBlocks {
   }
   __device__ bool holds(std::uint32_t place) const { return place - first_ < held_; }
 
-  __device__ void clear(std::uint32_t place, const Vec3<Real>& displacement) {
+  __device__ void clear(std::uint32_t place, const tensor::RowNeighbour<Real>& neighbour) {
 #pragma unroll 1
     for (std::uint32_t part = 0; part < parts_; ++part) {
       Quad* quads = quads_at(place, part);
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
       single_at(place, part) = 0;
     }
-    Real* const to = displacements_ + (place - first_) * (3 * kSliceRows);
-    for (int c = 0; c < 3; ++c) to[c * kSliceRows] = displacement[c];
+    Real* const to = neighbours_ + (place - first_) * (kNeighbourReals * kSliceRows);
+    for (int c = 0; c < 3; ++c) {
+      to[c * kSliceRows] = neighbour.displacement[c];
+      if (KeepsAhead) to[(3 + c) * kSliceRows] = neighbour.ahead[c];
+    }
   }
   template <int Count>
   __device__ void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
@@ -58,9 +60,9 @@ class SharedBlocks {
     }
   }
   __device__ Vec3<Real> displacement(std::uint32_t place) const {
-    const Real* const from = displacements_ + minimum(place - first_, held_ - 1) * (3 * kSliceRows);
-    return {from[0], from[kSliceRows], from[2 * kSliceRows]};
+    return of_neighbour(minimum(place - first_, held_ - 1), 0);
   }
+  __device__ Vec3<Real> ahead(std::uint32_t place) const { return of_neighbour(place - first_, 3); }
   __device__ void meet() const {
     if (parts_ > 1) __syncthreads();
   }
@@ -92,7 +94,12 @@ class SharedBlocks {
   struct alignas(16) Quad {
     Real x, y, z, w;
   };
+  static constexpr std::uint32_t kNeighbourReals = neighbour_reals(KeepsAhead);
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
+  __device__ Vec3<Real> of_neighbour(std::uint32_t column, std::uint32_t first) const {
+    const Real* const from = neighbours_ + (column * kNeighbourReals + first) * kSliceRows;
+    return {from[0], from[kSliceRows], from[2 * kSliceRows]};
+  }
   __device__ Quad* quads_at(std::uint32_t place, std::uint32_t part) const {
     return quads_ + (part * capacity_ + place - first_) * (2 * kSliceRows);
   }
@@ -147,9 +154,9 @@ class SharedBlocks {
   }
 
   const std::uint32_t capacity_, part_, parts_;
-  Quad* const quads_;          // [part][column][2][kSliceRows]
-  Real* const singles_;        // [part][column][kSliceRows]
-  Real* const displacements_;  // [column][3][kSliceRows]
+  Quad* const quads_;       // [part][column][2][kSliceRows]
+  Real* const singles_;     // [part][column][kSliceRows]
+  Real* const neighbours_;  // [column][kNeighbourReals][kSliceRows]
   std::uint32_t first_ = 0, held_ = 0;
   bool holds_all_ = false;
 };
@@ -164,22 +171,25 @@ struct RowsLaunch {
   std::size_t shared_bytes;
 };
 
-/// slices: of the group; widest: in columns.
+/// slices: of the group; widest: in columns; keeps_ahead: of its shape (tensor::kKeepsAhead).
 template <class Real>
-RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, const cudaDeviceProp& device) {
+RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ahead, const cudaDeviceProp& device) {
   constexpr std::uint32_t kWarpsPerProcessor = 16;
   const auto processors = static_cast<std::uint32_t>(device.multiProcessorCount);
   // Two blocks fit on a multiprocessor.
   const std::size_t most_bytes =
       minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
-  const auto room = [most_bytes](std::uint32_t parts) {
-    return static_cast<std::uint32_t>(most_bytes / SharedBlocks<Real>::bytes_per_column(parts));
+  const auto bytes_per_column = [keeps_ahead](std::uint32_t parts) {
+    return (9 * parts + neighbour_reals(keeps_ahead)) * kSliceRows * sizeof(Real);
+  };
+  const auto room = [=](std::uint32_t parts) {
+    return static_cast<std::uint32_t>(most_bytes / bytes_per_column(parts));
   };
   const std::uint32_t capacity = maximum(2u, minimum(widest, room(1)));
   const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
   std::uint32_t parts = minimum(wanted, kMostParts);
   while (parts > 1 && room(parts) < capacity) --parts;
-  return {capacity, parts * kWarp, capacity * SharedBlocks<Real>::bytes_per_column(parts)};
+  return {capacity, parts * kWarp, capacity * bytes_per_column(parts)};
 }
 
 template <class Shape, class Law, class Real>
@@ -187,7 +197,7 @@ __global__ void __launch_bounds__(kMostParts* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];
-  SharedBlocks<Real> blocks(shared, capacity);
+  SharedBlocks<Real, tensor::kKeepsAhead<Shape>> blocks(shared, capacity);
   tensor::assemble_row<Shape, Law>(s, e, blockIdx.x, threadIdx.x % kWarp, blocks);
 }
 

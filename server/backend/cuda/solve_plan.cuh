@@ -4,7 +4,8 @@
 
 #include <cuda_runtime.h>
 
-#include "backend/cuda/solve.cuh"
+#include "backend/cuda/resident_solve.cuh"
+#include "backend/cuda/streamed_solve.cuh"
 #include "tensor/layout.h"
 
 /// Which of the solves a scene gets, and its launch.
@@ -45,9 +46,10 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   // Fewer rows leave more registers to each thread, and so more of the matrix.
   const auto consider = [&]<unsigned Threads, int Rows, int Held>() {
     if (plan.kernel != nullptr || most_rows > Threads * Rows) return;
-    const auto kernel = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held>);
+    const auto whole = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held, true>);
+    const auto partly = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held, false>);
     const std::size_t vectors = most_locals * kResidentBytesPerRow + most_halo * kResidentBytesPerHaloRow + 16;
-    const std::size_t most = allow_all_shared_bytes(kernel);
+    const std::size_t most = minimum(allow_all_shared_bytes(whole), allow_all_shared_bytes(partly));
     if (vectors > most || most_locals * 16 > 0xFFFF) return;
     std::uint32_t needed = 0;
     for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
@@ -60,7 +62,7 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
       needed = std::max(needed, columns);
     }
     const auto room = static_cast<std::uint32_t>((most - vectors) / kResidentBytesPerColumn);
-    plan = {true, kernel, Threads, 0, std::min(needed, room)};
+    plan = {true, needed <= room ? whole : partly, Threads, 0, std::min(needed, room)};
     plan.shared_bytes = vectors + plan.argument * kResidentBytesPerColumn;
   };
   consider.template operator()<128, 1, 18>();

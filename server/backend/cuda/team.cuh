@@ -2,7 +2,7 @@
 
 #include <cooperative_groups.h>
 
-#include "core/scalar.h"
+#include "core/strided.h"
 
 namespace tensormass::backend::cuda {
 
@@ -31,6 +31,11 @@ class Team {
 #pragma unroll AtOnce
     for (std::uint32_t i = begin + blockIdx.y * blockDim.x + threadIdx.x; i < end; i += stride) body(i);
   }
+  template <int AtOnce, class Read, class Use>
+  __device__ void for_each(std::uint32_t begin, std::uint32_t end, const Read& read, const Use& use) const {
+    const std::uint32_t first = begin + blockIdx.y * blockDim.x + threadIdx.x;
+    for_each_strided<AtOnce>(first, end, blockDim.x * gridDim.y, read, use);
+  }
   template <std::uint32_t Width, int AtOnce = 1, class Body>
   __device__ void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     static_assert(Width == 1);
@@ -46,6 +51,18 @@ class Team {
   __device__ void patch_sum(Real (&values)[Count]) const {
     const Sums<Real, Count> total = reduce(gather(values), add<Real, Count>);
     for (std::size_t i = 0; i < Count; ++i) values[i] = total.value[i];
+  }
+  template <class Real, std::size_t MaximumCount, std::size_t SumCount>
+  __device__ void patch_reduce(Real (&maxima)[MaximumCount], Real (&sums)[SumCount]) const {
+    using Both = MaximaAndSums<Real, MaximumCount, SumCount>;
+    const Both total = reduce(Both{gather(maxima), gather(sums)}, [](const Both& a, const Both& b) {
+      Both both{a.maxima, add(a.sums, b.sums)};
+      for (std::size_t i = 0; i < MaximumCount; ++i)
+        both.maxima.value[i] = maximum(both.maxima.value[i], b.maxima.value[i]);
+      return both;
+    });
+    for (std::size_t i = 0; i < MaximumCount; ++i) maxima[i] = total.maxima.value[i];
+    for (std::size_t i = 0; i < SumCount; ++i) sums[i] = total.sums.value[i];
   }
   /// The smallest value with its index, the lowest index among equals; in every thread.
   template <class Real>
@@ -87,6 +104,12 @@ class Team {
     Real value[Count];
   };
 
+  template <class Real, std::size_t MaximumCount, std::size_t SumCount>
+  struct MaximaAndSums {
+    Sums<Real, MaximumCount> maxima;
+    Sums<Real, SumCount> sums;
+  };
+
   template <class Real, std::size_t Count>
   __device__ static Sums<Real, Count> gather(const Real (&values)[Count]) {
     Sums<Real, Count> sums;
@@ -113,6 +136,12 @@ class Team {
     Sums<Real, Count> out;
     for (std::size_t i = 0; i < Count; ++i) out.value[i] = shuffle(sums.value[i], mask);
     return out;
+  }
+
+  template <class Real, std::size_t MaximumCount, std::size_t SumCount>
+  __device__ static MaximaAndSums<Real, MaximumCount, SumCount> shuffle(
+      const MaximaAndSums<Real, MaximumCount, SumCount>& both, unsigned mask) {
+    return {shuffle(both.maxima, mask), shuffle(both.sums, mask)};
   }
 
   /// Over a warp; the result is in every lane, the same to the last bit, since each combination is commutative.

@@ -1,0 +1,340 @@
+#pragma once
+
+#include <cuda_pipeline.h>
+
+#include "backend/cuda/patch_sums.cuh"
+#include "core/strided.h"
+#include "solver/advance.h"
+#include "solver/conjugate_gradients.h"
+#include "solver/jacobi_scaling.h"
+
+/// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
+/// solve and has one or two rows a thread: matrix, vectors and direction stay in registers and shared memory. What
+/// differs is where numbers are kept and how patches exchange them (exchange.cuh). streamed_solve.cuh is for larger
+/// patches.
+namespace tensormass::backend::cuda {
+
+using tensor::kSliceRows;
+using tensor::SceneView;
+
+/// Rows of a patch in resident_solve, at most.
+inline constexpr std::uint32_t kMostResidentRows = 512;
+
+/// Shared memory of resident_solve [bytes].
+inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own or of the halo: direction, L⁻¹
+inline constexpr std::size_t kResidentBytesPerHaloRow = 2 * 16;  // residual, product
+inline constexpr std::size_t kResidentBytesPerColumn = kSliceRows * (9 * 4 + 2);
+
+/// Hides how a number came about. To have a register less in use, the compiler would compute it again in each
+/// iteration.
+__device__ inline std::uint32_t computed_once(std::uint32_t value) {
+  asm volatile("" : "+r"(value));
+  return value;
+}
+
+/// A thread has `Rows` rows, Threads apart. `Held`: blocks of a row in registers. column_capacity: columns of a slice's
+/// further blocks that shared memory holds. Whole: that is all of them; else what is left over is read from memory in
+/// each iteration.
+template <unsigned Threads, int Rows, int Held, bool Whole>
+__global__ void __launch_bounds__(Threads, 1)
+    resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
+  static_assert(Held % 2 == 0);
+  extern __shared__ float4 shared[];
+  __shared__ PatchSums<Threads> sums;
+  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
+  float4* const direction = shared;                                        // [locals]
+  float4* const halo_residual = direction + locals;                        // [halo]
+  float4* const halo_product = halo_residual + patch.halo_count;           // [halo]
+  float4* const inverse = halo_product + patch.halo_count;                 // [locals] of L⁻¹ four reals
+  auto* const inverse_rest = reinterpret_cast<float2*>(inverse + locals);  // [locals] and the other two
+  float* const blocks =
+      reinterpret_cast<float*>(inverse_rest) + tensor::round_to_four(2 * locals);  // [column][9][kSliceRows]
+  auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * column_capacity);
+
+  const std::uint32_t thread = computed_once(threadIdx.x), lane = thread % kWarp, warp = thread / kWarp;
+  // The last warp waits for sums, the others for the halo.
+  constexpr std::uint32_t kWarps = Threads / kWarp, kHaloThreads = Threads - kWarp;
+
+  // Where the blocks of each row's slice are: from `first` on, `width` of them, of which shared memory has
+  // `shared_width` behind those that are held [columns]. A lane for each slice of the patch, then what is the warp's.
+  static_assert(kWarps * Rows <= kWarp && kSliceRows == kWarp);
+  bool has_row[Rows];
+  std::uint32_t row[Rows], first[Rows], width[Rows], shared_begin[Rows], shared_width[Rows];
+  {
+    const std::uint32_t slices = own / kSliceRows, slice = patch.row_begin / kSliceRows + minimum(lane, slices - 1);
+    const std::uint32_t begin = s.slice_begin[slice], columns = s.slice_begin[slice + 1] - begin;
+    const std::uint32_t further = lane < slices && columns > Held ? columns - Held : 0;
+    std::uint32_t up_to = further;
+    for (unsigned distance = 1; distance < kWarp; distance *= 2) {
+      const std::uint32_t before = __shfl_up_sync(0xFFFFFFFFu, up_to, distance);
+      if (lane >= distance) up_to += before;
+    }
+    const std::uint32_t place = minimum(up_to - further, column_capacity);
+    for (int k = 0; k < Rows; ++k) {
+      const std::uint32_t of = warp + k * kWarps;
+      has_row[k] = of < slices;
+      row[k] = patch.row_begin + (has_row[k] ? thread + k * Threads : 0);
+      first[k] = __shfl_sync(0xFFFFFFFFu, begin, of);
+      width[k] = __shfl_sync(0xFFFFFFFFu, lane < slices ? columns : 0, of);
+      shared_begin[k] = computed_once(__shfl_sync(0xFFFFFFFFu, place, of));
+      shared_width[k] =
+          computed_once(minimum(width[k] > Held ? width[k] - Held : 0, column_capacity - shared_begin[k]));
+    }
+  }
+
+  // Of a column in shared memory each row has two float4 and a float.
+  constexpr std::uint32_t kColumnReals = 9 * kSliceRows;
+  const auto slot_of = [&first, lane](int k, std::uint32_t j) {
+    return (std::size_t{first[k]} + j) * kSliceRows + lane;
+  };
+  const auto read_shared = [blocks, lane](std::uint32_t place, float(&block)[9]) {
+    const float* const from = blocks + place * kColumnReals;
+    const float4 a = reinterpret_cast<const float4*>(from)[lane],
+                 b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
+    block[0] = a.x, block[1] = a.y, block[2] = a.z, block[3] = a.w;
+    block[4] = b.x, block[5] = b.y, block[6] = b.z, block[7] = b.w;
+    block[8] = from[8 * kSliceRows + lane];
+  };
+
+  // b̂ and L⁻¹ of own rows and of the halo. What shared memory holds of the matrix is on its way meanwhile.
+  struct Row {
+    std::uint32_t free_bits;
+    float diagonal[6], weight;
+    Vec3<float> rhs;
+  };
+  const auto read_row = [&](std::uint32_t local) {
+    const std::uint32_t global = tensor::global_row(s, patch, local);
+    const auto* diagonal = reinterpret_cast<const float4*>(s.diagonal + std::size_t{8} * global);
+    const float4 a = diagonal[0], b = diagonal[1];
+    return Row{tensor::free_bits(s, global),
+               {a.x, a.y, a.z, a.w, b.x, b.y},
+               solver::body_weight(s, global),
+               tensor::load3<float>(s.rhs, global)};
+  };
+  const auto factorize = [&](std::uint32_t local, const Row& row) {
+    float factor[6];
+    solver::inverse_factor(row.diagonal, row.free_bits, factor);
+    inverse[local] = {factor[0], factor[1], factor[2], factor[3]};
+    inverse_rest[local] = {factor[4], factor[5]};
+    const Vec3<float> b = solver::lower(factor) * row.rhs * row.weight;
+    direction[local] = {b[0], b[1], b[2], 0};
+    if (local >= own) halo_residual[local - own] = direction[local];
+  };
+  constexpr std::uint32_t kRowsAtOnce = 2 * Rows;  // all of most patches
+  Row rows[kRowsAtOnce];
+#pragma unroll
+  for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) rows[i] = read_row(minimum(thread + i * Threads, locals - 1));
+  for (int k = 0; k < Rows; ++k) {
+    for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+      const float* from = s.edges + tensor::block_begin(slot_of(k, Held + j));
+      float* const to = blocks + (shared_begin[k] + j) * kColumnReals;
+      for (std::uint32_t c = 0; c < 9; ++c) {
+        const std::uint32_t place = c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane);
+        __pipeline_memcpy_async(to + place, from + c * kSliceRows, sizeof(float));
+      }
+    }
+  }
+  __pipeline_commit();
+  for (int k = 0; k < Rows; ++k) {
+    for_each_strided(
+        0, shared_width[k], 1, [&](std::uint32_t j) { return s.columns[slot_of(k, Held + j)]; },
+        [&](std::uint32_t j, std::uint32_t column) {
+          columns[(shared_begin[k] + j) * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
+        });
+  }
+#pragma unroll
+  for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
+    if (thread + i * Threads < locals) factorize(thread + i * Threads, rows[i]);
+  }
+  for_each_strided<2>(thread + kRowsAtOnce * Threads, locals, Threads, read_row, factorize);
+  __syncthreads();
+
+  const auto read_inverse = [&](std::uint32_t local, float(&factor)[6]) {
+    const float4 a = inverse[local];
+    const float2 b = inverse_rest[local];
+    factor[0] = a.x, factor[1] = a.y, factor[2] = a.z, factor[3] = a.w, factor[4] = b.x, factor[5] = b.y;
+  };
+  const auto scale = [&](int k, float(&block)[9], std::uint32_t column) {
+    float own_inverse[6], other[6];
+    read_inverse(has_row[k] ? thread + k * Threads : 0, own_inverse);
+    read_inverse(column, other);
+    solver::scale_block(own_inverse, block, other);
+  };
+
+  // What registers hold: some blocks are scaled while the next are on their way. Beyond the width blocks are zero.
+  float held[Rows][Held][9];
+  std::uint32_t held_columns[Rows][Held / 2];  // two 16-bit offsets into direction [bytes]
+  {
+    constexpr int kAtOnce = 4, kBlocks = Rows * Held;
+    std::uint32_t column[kBlocks];
+    const auto load_some = [&](int begin) {
+#pragma unroll
+      for (int i = begin; i < begin + kAtOnce; ++i) {
+        if (i >= kBlocks) break;
+        const int k = i / Held, j = i % Held;
+        column[i] = j < width[k] ? s.columns[slot_of(k, j)] : 0;
+        const float* block = s.edges + tensor::block_begin(slot_of(k, j));
+        for (int c = 0; c < 9; ++c) held[k][j][c] = j < width[k] ? block[c * kSliceRows] : 0;
+      }
+    };
+    load_some(0);
+#pragma unroll
+    for (int begin = 0; begin < kBlocks; begin += kAtOnce) {
+      load_some(begin + kAtOnce);
+#pragma unroll
+      for (int i = begin; i < begin + kAtOnce; ++i) {
+        if (i >= kBlocks) break;
+        const int k = i / Held, j = i % Held;
+        scale(k, held[k][j], column[i]);
+        held_columns[k][j / 2] = (j % 2 == 0 ? 0 : held_columns[k][j / 2]) | (column[i] * 16) << (16 * (j % 2));
+      }
+    }
+  }
+
+  // What shared memory holds, of which each thread has copied its own, and what neither does.
+  __pipeline_wait_prior(0);
+  for (int k = 0; k < Rows; ++k) {
+#pragma unroll 2
+    for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+      const std::uint32_t place = shared_begin[k] + j;
+      float block[9];
+      read_shared(place, block);
+      scale(k, block, columns[place * kSliceRows + lane] / 16);
+      float* const to = blocks + place * kColumnReals;
+      reinterpret_cast<float4*>(to)[lane] = {block[0], block[1], block[2], block[3]};
+      reinterpret_cast<float4*>(to)[kSliceRows + lane] = {block[4], block[5], block[6], block[7]};
+      to[8 * kSliceRows + lane] = block[8];
+    }
+    for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
+      float* const from = s.edges + tensor::block_begin(slot_of(k, j));
+      float block[9];
+      for (int c = 0; c < 9; ++c) block[c] = from[c * kSliceRows];
+      scale(k, block, s.columns[slot_of(k, j)]);
+      for (int c = 0; c < 9; ++c) from[c * kSliceRows] = block[c];
+    }
+  }
+
+  Vec3<float> p[Rows], r[Rows], x[Rows], q[Rows];
+  for (int k = 0; k < Rows; ++k) {
+    const float4 start = has_row[k] ? direction[thread + k * Threads] : float4{};
+    p[k] = r[k] = Vec3<float>(start.x, start.y, start.z);
+    x[k].setZero();
+    solver::expect_move(s, row[k]);
+  }
+  // Rows of the halo that this thread waits for; a patch seldom has more than two for each of its own.
+  constexpr std::uint32_t kHaloAtOnce = 2 * Rows;
+  std::uint32_t halo_rows[kHaloAtOnce];
+  for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
+    const std::uint32_t h = thread + i * kHaloThreads;
+    halo_rows[i] = h < patch.halo_count ? s.halo[patch.halo_begin + h] : 0;
+  }
+  Exchange exchange(s, patch.index);
+  solver::Recurrence<float> recurrence(s);
+  do {
+    exchange.begin();
+    Exchange::Cell own_sums{0, 0, 0, 0};
+#pragma unroll
+    for (int k = 0; k < Rows; ++k) {
+      q[k] = p[k];
+      const auto add = [&](const float* block, std::uint32_t stride, std::uint32_t offset) {
+        const float4 v = *reinterpret_cast<const float4*>(reinterpret_cast<const char*>(direction) + offset);
+        for (int i = 0; i < 3; ++i) {
+          q[k][i] +=
+              block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
+        }
+      };
+      // By fours without a branch between, so that reads are under way together; what is beyond the width is zero.
+#pragma unroll
+      for (int j = 0; j < Held; j += 4) {
+        if (j >= width[k]) break;
+#pragma unroll
+        for (int i = j; i < j + 4 && i < Held; ++i) {
+          add(held[k][i], 1, held_columns[k][i / 2] >> (16 * (i % 2)) & 0xFFFF);
+        }
+      }
+#pragma unroll 2
+      for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
+        const std::uint32_t place = shared_begin[k] + j;
+        const float* from = blocks + place * kColumnReals;
+        const float4 a = reinterpret_cast<const float4*>(from)[lane],
+                     b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
+        const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
+        add(block, 1, columns[place * kSliceRows + lane]);
+      }
+      for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
+        const std::size_t slot = slot_of(k, j);
+        add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
+      }
+      if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
+      own_sums.x += p[k].dot(q[k]);
+      own_sums.y += q[k].dot(q[k]);
+      own_sums.z += r[k].dot(r[k]);
+    }
+    sums.exchange(exchange, s.patch_count, own_sums);
+    if (thread < kHaloThreads) {
+      for (std::uint32_t h = thread; h < patch.halo_count; h += kHaloAtOnce * kHaloThreads) {
+        Exchange::Cell cells[kHaloAtOnce];
+        exchange.wait_for_rows(
+            h, kHaloThreads, patch.halo_count,
+            [&](int i) { return h == thread ? halo_rows[i] : s.halo[patch.halo_begin + h + i * kHaloThreads]; }, cells);
+        for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
+          const std::uint32_t place = h + i * kHaloThreads;
+          if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
+        }
+      }
+    }
+    __syncthreads();
+    const Exchange::Cell all = sums.total();
+    if (!recurrence.take(all.x, all.y, all.z)) break;
+    const float alpha = recurrence.alpha(), beta = recurrence.beta();
+#pragma unroll
+    for (int k = 0; k < Rows; ++k) {
+      x[k] += p[k] * alpha;
+      r[k] -= q[k] * alpha;
+      p[k] = r[k] + p[k] * beta;
+      if (has_row[k]) direction[thread + k * Threads] = {p[k][0], p[k][1], p[k][2], 0};
+    }
+    // Two at a time, so that they do not wait for each other's reads.
+    constexpr std::uint32_t kUpdatesAtOnce = 2;
+    for (std::uint32_t h = thread; h < patch.halo_count; h += kUpdatesAtOnce * Threads) {
+      float4 hq[kUpdatesAtOnce], hr[kUpdatesAtOnce], hp[kUpdatesAtOnce];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kUpdatesAtOnce; ++i) {
+        const std::uint32_t place = h + i * Threads < patch.halo_count ? h + i * Threads : h;
+        hq[i] = halo_product[place];
+        hr[i] = halo_residual[place];
+        hp[i] = direction[own + place];
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kUpdatesAtOnce; ++i) {
+        const std::uint32_t place = h + i * Threads;
+        if (place >= patch.halo_count) break;
+        hr[i].x -= alpha * hq[i].x;
+        hr[i].y -= alpha * hq[i].y;
+        hr[i].z -= alpha * hq[i].z;
+        halo_residual[place] = hr[i];
+        direction[own + place] = {hr[i].x + beta * hp[i].x, hr[i].y + beta * hp[i].y, hr[i].z + beta * hp[i].z, 0};
+      }
+    }
+    __syncthreads();
+  } while (recurrence.goes_on());
+
+  if (thread == 0) {
+    exchange.remember();
+    if (patch.index == 0) recurrence.report(s);
+  }
+  Vec3<float> change[Rows];
+  for (int k = 0; k < Rows; ++k) {
+    float factor[6];
+    read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
+    change[k] = solver::unscaled(s, row[k], solver::lower(factor), x[k]);
+  }
+  solver::advance_by(Team(), s, [&](std::uint32_t moved) -> Vec3<float> {
+    Vec3<float> of = change[0];
+    for (int k = 1; k < Rows; ++k) of = moved == row[k] ? change[k] : of;
+    return of;
+  });
+}
+
+}  // namespace tensormass::backend::cuda

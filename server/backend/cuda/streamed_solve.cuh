@@ -1,0 +1,227 @@
+#pragma once
+
+#include "backend/cuda/patch_sums.cuh"
+#include "solver/advance.h"
+#include "solver/conjugate_gradients.h"
+#include "solver/jacobi_scaling.h"
+#include "tensor/tiles.h"
+
+/// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
+/// solve and has more rows than threads: the matrix comes from memory in each iteration, vectors stay as near as they
+/// fit. resident_solve.cuh is for smaller patches.
+namespace tensormass::backend::cuda {
+
+using tensor::kSliceRows;
+using tensor::SceneView;
+
+/// A patch's vectors, in shared memory or in the scene's buffers, `stride` floats a row.
+struct Vectors {
+  float* data;
+  std::uint32_t stride;
+  __device__ Vec3<float> operator[](std::uint32_t local) const {
+    const float* v = data + std::size_t{local} * stride;
+    return {v[0], v[1], v[2]};
+  }
+  __device__ void set(std::uint32_t local, const Vec3<float>& value) const {
+    float* v = data + std::size_t{local} * stride;
+    v[0] = value[0];
+    v[1] = value[1];
+    v[2] = value[2];
+  }
+};
+
+/// Shared memory of streamed_solve [bytes], and its threads: a warp a tile at once.
+inline constexpr std::size_t kStreamedBytesPerCell = 16, kStreamedBytesPerVector = 12;
+inline constexpr unsigned kStreamedThreads = tensor::kTilesAtOnce * kWarp;
+
+/// Where the columns of a slice begin, and where those end that a solve reads.
+struct ReadColumns {
+  std::uint32_t begin, end;
+  __device__ ReadColumns(const SceneView<float>& s, std::uint32_t slice)
+      : begin(s.slice_begin[slice]), end(s.slice_read != nullptr ? s.slice_read[slice] : s.slice_begin[slice + 1]) {}
+};
+
+/// Â for A in what is read of a tile's rows. By its warp.
+__device__ inline void scale_tile(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t first,
+                                  std::uint32_t last) {
+  for (std::uint32_t row = patch.row_begin + first + threadIdx.x % kWarp; row < patch.row_begin + last; row += kWarp) {
+    const ReadColumns columns(s, row / kSliceRows);
+    const Mat3<float> own = solver::load_lower<float>(s.diagonal, row);
+#pragma unroll 2
+    for (std::uint32_t j = columns.begin; j < columns.end; ++j) {
+      const std::size_t slot = std::size_t{j} * kSliceRows + row % kSliceRows;
+      const auto other = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, s.columns[slot]));
+      const Mat3<float> block = own * tensor::load_block<float>(s.edges, slot) * other.transpose();
+      tensor::store_block<float>(s.edges, slot, block);
+    }
+  }
+}
+
+/// q = Â p on a tile's rows, all of it: what other tiles' rows have to do with them is read here (tensor/tiles.h). By
+/// its warp. p: of the patch; q: of the tile, in shared memory; four floats a row.
+__device__ inline void multiply_tile(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t first,
+                                     std::uint32_t last, const float4* p, float4* q) {
+  constexpr std::uint32_t kAtOnce = 5;  // two rounds for most rows
+  const unsigned lane = threadIdx.x % kWarp;
+  for (std::uint32_t local = first + lane; local < last; local += kWarp) q[local - first] = p[local];  // unit diagonal
+  __syncwarp();
+#pragma unroll 1
+  for (std::uint32_t local = first + lane; local < last; local += kWarp) {
+    const ReadColumns columns(s, (patch.row_begin + local) / kSliceRows);
+    const float4 own = p[local];
+    Vec3<float> sum = Vec3<float>::Zero();
+#pragma unroll 1
+    for (std::uint32_t begin = columns.begin; begin < columns.end; begin += kAtOnce) {
+      float block[kAtOnce][9];
+      std::uint32_t column[kAtOnce], twice[kAtOnce];
+      // Reads are under way together.
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        const std::uint32_t j = begin + i;
+        column[i] = j < columns.end ? s.columns[std::size_t{j} * kSliceRows + lane] : 0;
+        twice[i] = j < columns.end && s.used_twice != nullptr ? s.used_twice[j] : 0;
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        // The matrix passes by in every iteration: it is not to drive out of the cache what stays.
+        const float* from = s.edges + tensor::block_begin(std::size_t{begin + i} * kSliceRows + lane);
+        for (int c = 0; c < 9; ++c) block[i][c] = begin + i < columns.end ? __ldcs(from + c * kSliceRows) : 0;
+      }
+      float4 direction[kAtOnce];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) direction[i] = p[column[i]];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        const float* a = block[i];
+        const float4 v = direction[i];
+        for (int c = 0; c < 3; ++c) sum[c] += a[3 * c] * v.x + a[3 * c + 1] * v.y + a[3 * c + 2] * v.z;
+        if ((twice[i] >> lane & 1) != 0) {
+          float4& other = q[column[i] - first];
+          const float4 before = other;
+          other = {before.x + a[0] * own.x + a[3] * own.y + a[6] * own.z,
+                   before.y + a[1] * own.x + a[4] * own.y + a[7] * own.z,
+                   before.z + a[2] * own.x + a[5] * own.y + a[8] * own.z, 0};
+        }
+        __syncwarp();  // the next column adds to the same rows
+      }
+    }
+    float4& mine = q[local - first];
+    const float4 before = mine;
+    mine = {before.x + sum[0], before.y + sum[1], before.z + sum[2], 0};
+    __syncwarp();
+  }
+}
+
+/// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Beside them tiles add up their q
+/// there (kStreamedBytesPerCell a row): all of q where each warp has one tile.
+enum StreamedVectors : std::uint32_t { kNearDirection = 1, kNearResidual = 2, kNearSolution = 4 };
+
+/// Factors L⁻¹ and b̂ are in `diagonal` and `rhs` (solver::factorize).
+template <unsigned Threads>
+__global__ void __launch_bounds__(Threads, 1)
+    streamed_solve(const __grid_constant__ SceneView<float> s, std::uint32_t near_vectors) {
+  extern __shared__ float4 shared[];
+  __shared__ PatchSums<Threads> sums;
+  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
+  const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
+  const std::uint32_t tile_rows = s.tile_rows != 0 ? s.tile_rows : tensor::kMostTileRows;
+
+  constexpr std::uint32_t kWarps = Threads / kWarp;
+  static_assert(kWarps == tensor::kTilesAtOnce);
+  const std::uint32_t held_rows = minimum(own, kWarps * tile_rows);
+  float4* const tile = shared + std::size_t{warp} * tile_rows;
+  float* next = &shared[held_rows].x;
+  const auto place = [&](StreamedVectors which, std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
+    if ((near_vectors & which) == 0) return Vectors{otherwise, 4};
+    float* const begin = next;
+    next += (bytes_per_row * rows + 15) / 16 * 4;
+    return Vectors{begin, static_cast<std::uint32_t>(bytes_per_row / 4)};
+  };
+  const Vectors p = place(kNearDirection, kStreamedBytesPerCell, locals, s.direction + 4 * patch.local_begin);
+  const Vectors r = place(kNearResidual, kStreamedBytesPerVector, locals, s.residual + 4 * patch.local_begin);
+  const Vectors x = place(kNearSolution, kStreamedBytesPerVector, own, s.solution + std::size_t{4} * patch.row_begin);
+
+  for (std::uint32_t i = thread; i < locals; i += Threads) {
+    const Vec3<float> b = tensor::load3<float>(s.rhs, tensor::global_row(s, patch, i));
+    p.set(i, b);
+    r.set(i, b);
+    if (i < own) x.set(i, Vec3<float>::Zero());
+  }
+  __syncthreads();
+
+  Exchange exchange(s, patch.index);
+  solver::Recurrence<float> recurrence(s);
+  for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
+    scale_tile(s, patch, first, minimum(first + tile_rows, own));
+  }
+  do {
+    exchange.begin();
+    // Without room for it, q is read back from the cells that this patch has just published.
+    const Vectors q = held_rows == own ? Vectors{&shared->x, 4} : Vectors{exchange.rows(patch.row_begin), 4};
+    Exchange::Cell own_sums{0, 0, 0, 0};
+    for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
+      const std::uint32_t last = minimum(first + tile_rows, own);
+      multiply_tile(s, patch, first, last, reinterpret_cast<const float4*>(p.data), tile);
+      for (std::uint32_t local = first + lane; local < last; local += kWarp) {
+        const float4 sum = tile[local - first];
+        const Vec3<float> product(sum.x, sum.y, sum.z), residual = r[local];
+        exchange.publish_row(patch.row_begin + local, product[0], product[1], product[2]);
+        own_sums.x += p[local].dot(product);
+        own_sums.y += product.dot(product);
+        own_sums.z += residual.dot(residual);
+      }
+      __syncwarp();  // the next tile is added up in the same place
+    }
+    sums.exchange(exchange, s.patch_count, own_sums);
+    __syncthreads();
+    const Exchange::Cell all = sums.total();
+    if (!recurrence.take(all.x, all.y, all.z)) break;
+    const float alpha = recurrence.alpha(), beta = recurrence.beta();
+    constexpr std::uint32_t kRowsAtOnce = 4;
+    for (std::uint32_t begin = thread; begin < own; begin += kRowsAtOnce * Threads) {
+      Vec3<float> direction[kRowsAtOnce], residual[kRowsAtOnce], product[kRowsAtOnce], solution[kRowsAtOnce];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
+        // Beyond the end the thread's own first row again: others may be writing theirs.
+        const std::uint32_t local = begin + i * Threads < own ? begin + i * Threads : begin;
+        direction[i] = p[local];
+        residual[i] = r[local];
+        product[i] = q[local];
+        solution[i] = x[local];
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
+        const std::uint32_t local = begin + i * Threads;
+        if (local >= own) break;
+        residual[i] -= product[i] * alpha;
+        x.set(local, solution[i] + direction[i] * alpha);
+        r.set(local, residual[i]);
+        p.set(local, residual[i] + direction[i] * beta);
+      }
+    }
+    constexpr int kAtOnce = 4;
+    for (std::uint32_t h = thread; h < patch.halo_count; h += kAtOnce * Threads) {
+      Exchange::Cell cells[kAtOnce];
+      exchange.wait_for_rows(
+          h, Threads, patch.halo_count, [&](int i) { return s.halo[patch.halo_begin + h + i * Threads]; }, cells);
+      for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
+        const std::uint32_t local = own + h + i * Threads;
+        const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;
+        r.set(local, residual);
+        p.set(local, residual + p[local] * beta);
+      }
+    }
+    __syncthreads();
+  } while (recurrence.goes_on());
+
+  if (thread == 0) {
+    exchange.remember();
+    if (patch.index == 0) recurrence.report(s);
+  }
+  solver::advance_by(Team(), s, [&](std::uint32_t row) -> Vec3<float> {
+    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
+  });
+}
+
+}  // namespace tensormass::backend::cuda
