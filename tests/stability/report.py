@@ -91,7 +91,8 @@ def updated(head: Mapping[str, Any], only: str, rows: Sequence[Row]) -> Run:
     if run is None or run.device != head["device"]:
         raise ValueError(f"no results of {head['device']} to update: {run.device if run else 'none'}")
     of_task = {row.task: row for row in [*run.rows, *rows]}
-    return replace(run, rows=list(of_task.values()), commit=f"{run.commit}; {only}: {head['commit']}")
+    others = [commit for commit in run.commit.split("; ") if not commit.startswith(f"{only}: ")]
+    return replace(run, rows=list(of_task.values()), commit="; ".join([*others, f"{only}: {head['commit']}"]))
 
 
 def page(runs: Sequence[Run]) -> str:
@@ -219,8 +220,10 @@ def _kept(verdict: Verdict) -> str:
     """Of a fault or a warning what went wrong: in which scene, and what to do about it, is said thousands of times."""
     if verdict.outcome != CAUGHT:
         return verdict.text
-    missed = re.search(r" \([^()]*, bound [^()]*\)$", verdict.text)
-    return _first_sentence(re.sub(r"^scene '[\w-]+' is stopped: ", "", verdict.text)) + (missed[0] if missed else "")
+    # What results have had once already, an update writes again: it must come out the same.
+    missed = re.search(r"( \([^()]*, bound [^()]*\))+$", verdict.text)
+    said = verdict.text[: missed.start()] if missed else verdict.text
+    return _first_sentence(re.sub(r"^scene '[\w-]+' is stopped: ", "", said)) + (missed[1] if missed else "")
 
 
 def _first_sentence(text: str) -> str:

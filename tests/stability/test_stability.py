@@ -294,6 +294,17 @@ def test_a_reference_that_fails_is_not_the_scene_that_is_caught(
     assert judge(case, Engine(server, "double")).outcome == SHORT
 
 
+def test_results_that_are_written_again_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "FOLDER", tmp_path)
+    text = "scene 'x' is stopped: far off. Give it less (distance 0.3, bound 0.01)"
+    row = report.Row("jump/a/law/shape", "float", Verdict(CAUGHT, 26.3, text))
+    written = report.Run("cpu", "CPU", "m", "old", "command", "day", 1, [row]).write().read_text()
+    assert "far off (distance 0.3, bound 0.01)" in written
+    run = report.Run.read("cpu")
+    assert run is not None
+    assert run.write().read_text() == written
+
+
 def test_rows_of_a_group_take_the_place_of_those_in_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,5 +320,7 @@ def test_rows_of_a_group_take_the_place_of_those_in_the_results(
         ("step/a/law/shape", HOLDS),
     ]
     assert run.commit == "old; motion: new"
+    run.write()
+    assert report.updated({**head, "commit": "newer"}, "motion", []).commit == "old; motion: newer"
     with pytest.raises(ValueError, match="no results of GPU"):
         report.updated({**head, "device": "GPU"}, "motion", [])
