@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 import grpc
 
 
@@ -43,6 +46,15 @@ class NotConvergedError(TensormassError):
 
 class InternalError(TensormassError):
     """The daemon failed in a way that is not the caller's fault."""
+
+
+@contextlib.contextmanager
+def naming(where: str) -> Iterator[None]:
+    """Puts the place, or the option, in front of what is wrong there."""
+    try:
+        yield
+    except TensormassError as error:
+        raise type(error)(f"{where}: {error}") from error
 
 
 _BY_CODE: dict[grpc.StatusCode, type[TensormassError]] = {

@@ -20,7 +20,7 @@ from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor, EnumDescriptor
 
 from tensormass import demo, mesh_files, meshes
-from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.errors import InvalidArgumentError, NotFoundError, naming
 from tensormass.names import as_name, suggestion
 from tensormass.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2
@@ -435,28 +435,14 @@ def _enum_prefix(enum: EnumDescriptor) -> str:
 def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
     for index, body in enumerate(scene.bodies):
         at = f"{where}: bodies[{index}]"
-        with _naming(f"{at}.mesh.file"):
+        with naming(f"{at}.mesh.file"):
             if body.mesh.WhichOneof("source") == "file":
                 mesh = mesh_files.read_mesh(directory / body.mesh.file)
                 body.mesh.packed.CopyFrom(pack_mesh(mesh))
                 _add_what_the_mesh_carries(body, mesh, f"{at}.sets")
-        with _naming(f"{at}.skin.file"):
+        with naming(f"{at}.skin.file"):
             if body.skin.WhichOneof("source") == "file":
                 body.skin.packed.CopyFrom(pack_triangles(mesh_files.read_surface(directory / body.skin.file)))
-
-
-class _naming:  # noqa: N801  (reads as a statement)
-    """Puts the place in front of the message of an error of the SDK."""
-
-    def __init__(self, where: str) -> None:
-        self._where = where
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _trace: object) -> None:
-        if isinstance(error, NotFoundError | InvalidArgumentError):
-            raise type(error)(f"{self._where}: {error}") from error
 
 
 class _StrictLoader(yaml.SafeLoader):

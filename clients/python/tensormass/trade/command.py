@@ -17,7 +17,7 @@ from typing import Any
 
 from tensormass import defaults
 from tensormass.client import Server, launch
-from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, UnavailableError
+from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, UnavailableError, naming
 from tensormass.output import print_json
 from tensormass.scene import SceneFile, is_mesh_file
 from tensormass.trade import html, reference, report, sweep
@@ -179,7 +179,7 @@ def run(args: argparse.Namespace) -> int:
             knobs.choose(name.strip() for name in args.knobs.split(","))
         script = Script.of(message, args.seconds, args.press)
         for path, other in others.items():
-            with _naming(f"--confirm {path}"):
+            with naming(f"--confirm {path}"):
                 server.inspect(other)
                 check_same_scene(other, message, script)
         with _writing_to(folder):
@@ -205,7 +205,7 @@ def _read_others(files: Sequence[Path], folder: Path) -> dict[Path, scene_pb2.Sc
             raise InvalidArgumentError(
                 f"--confirm {path}: the command writes this file itself and runs it in any case; leave it out"
             )
-        with _naming("--confirm"):
+        with naming("--confirm"):
             others[path] = SceneFile.read(path).scene().message
     return others
 
@@ -214,15 +214,6 @@ def _by_name(others: Mapping[Path, scene_pb2.Scene]) -> dict[str, scene_pb2.Scen
     """By the stems of their files; where two have the same, or that of a file of the command's own, by whole paths."""
     stems = Counter([_FASTEST, _MOST_ACCURATE, *(path.stem for path in others)])
     return {path.stem if stems[path.stem] == 1 else str(path.resolve()): scene for path, scene in others.items()}
-
-
-@contextlib.contextmanager
-def _naming(where: str) -> Iterator[None]:
-    """Puts the option in front of what is wrong with it."""
-    try:
-        yield
-    except TensormassError as error:
-        raise type(error)(f"{where}: {error}") from error
 
 
 @contextlib.contextmanager
