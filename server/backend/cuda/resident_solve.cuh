@@ -256,6 +256,7 @@ __global__ void __launch_bounds__(Threads, 1)
 #pragma unroll 2
       for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
         const std::uint32_t place = shared_begin[k] + j;
+        // As read_shared does it, which called from here made the loop 34 instructions longer.
         const float* from = blocks + place * kColumnReals;
         const float4 a = reinterpret_cast<const float4*>(from)[lane],
                      b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
