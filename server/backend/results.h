@@ -19,6 +19,7 @@ StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const ten
   result.cg_relative_residual = static_cast<double>(solve.relative_residual);
   result.negative_curvature = solve.negative_curvature != 0;
   result.finite = std::isfinite(solve.relative_residual);
+  result.min_det_f = std::numeric_limits<double>::infinity();
   for (const auto& patch : patches) {
     result.finite = result.finite && patch.finite == 1;
     result.max_speed_m_per_s = std::max(result.max_speed_m_per_s, static_cast<double>(patch.max_speed_m_per_s));
@@ -26,15 +27,18 @@ StepResult read_step(const tensor::SolveReport<Real>& solve, std::span<const ten
     result.max_distance_m = std::max(result.max_distance_m, static_cast<double>(patch.max_distance_m));
     result.kinetic_energy_j += static_cast<double>(patch.kinetic_energy_j);
     result.work_j += static_cast<double>(patch.work_j);
+    result.min_det_f = std::min(result.min_det_f, static_cast<double>(patch.min_det_f));
   }
   return result;
 }
 
-/// min_det_f: [group_count, patch_count]; empty: no group is checked
+/// StepResult::min_det_f. of_solve: what the solve has found (read_step); min_det_f: [group_count, ..] what stages
+/// have, infinity for groups that the solve checks.
 template <class Real>
-double read_volume(const model::Model& m, std::span<const Real> min_det_f) {
-  double least = m.checks_volume() ? std::numeric_limits<double>::infinity() : 1;
-  const std::size_t of_group = m.groups.empty() ? 0 : min_det_f.size() / m.groups.size();
+double read_volume(const model::Model& m, double of_solve, std::span<const Real> min_det_f) {
+  if (!m.checks_volume()) return 1;
+  double least = of_solve;
+  const std::size_t of_group = min_det_f.size() / m.groups.size();
   for (std::size_t group = 0; group < m.groups.size(); ++group) {
     if (!m.groups[group].checks_volume) continue;
     for (const Real one : min_det_f.subspan(group * of_group, of_group))

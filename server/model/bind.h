@@ -119,6 +119,9 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Re
   s.pressed_begin = arena.template constant<uint32_t>("pressed corner offsets", m.pressure.pressed_begin);
   s.pressed_corners = arena.template constant<uint32_t>("pressed corners", m.pressure.pressed_corners);
 
+  s.patch_tetrahedra = arena.template constant<uint32_t>("checked tetrahedra of patches", m.checked.begin);
+  s.tetrahedron_rows = arena.template constant<std::uint16_t>("checked tetrahedra", m.checked.rows);
+
   s.edges = arena.template zeros<Real>("matrix", 9 * std::size_t{layout.slot_count()});
   s.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
   s.rhs = arena.template zeros<Real>("right-hand side", 4 * rows);

@@ -89,6 +89,10 @@ std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& 
   return out;
 }
 
+tensor::ElementRows rows_of(const ElementGroup& group) {
+  return {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows};
+}
+
 /// Adds the element's tensors, which for a linear law are those at rest, to the constant edges.
 template <class Shape>
 void add_constant_tensors(Compilation& c, const Material& material, std::span<const std::uint32_t> nodes,
@@ -294,6 +298,25 @@ Result<void> group_elements(Compilation& c) {
   return {};
 }
 
+void let_solve_check_volumes(Compilation& c, std::uint32_t most_rows) {
+  Model& model = c.model;
+  const tensor::Layout& layout = model.layout;
+  // A solve of many in a step does not know where the step ends.
+  if (layout.storage == tensor::Storage::kEdges || model.double_precision || model.iterates()) return;
+  for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
+    const std::uint32_t halo = layout.patch_halo[p + 1] - layout.patch_halo[p];
+    if (layout.patch_rows[p + 1] - layout.patch_rows[p] + halo > std::min(most_rows, 0xFFFFu)) return;
+  }
+  std::vector<tensor::ElementRows> tetrahedra;
+  for (ElementGroup& group : model.groups) {
+    if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
+      continue;
+    group.solve_checks_volume = true;
+    tetrahedra.push_back(rows_of(group));
+  }
+  if (!tetrahedra.empty()) model.checked = tensor::share_out_tetrahedra(layout, tetrahedra);
+}
+
 Result<void> list_elements_of_rows(Compilation& c) {
   Model& model = c.model;
   if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
@@ -305,9 +328,7 @@ Result<void> list_elements_of_rows(Compilation& c) {
   }
   std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
-    if (group.is_constant) continue;
-    rows.push_back(
-        {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows});
+    if (!group.is_constant) rows.push_back(rows_of(group));
   }
   tensor::GroupRowLists lists = tensor::make_row_lists(model.layout, rows, model.constant_edges.empty());
   for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);

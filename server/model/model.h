@@ -10,6 +10,7 @@
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "tensor/layout.h"
+#include "tensor/patch_tetrahedra.h"
 #include "tensor/row_lists.h"
 
 /// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
@@ -80,6 +81,7 @@ struct ElementGroup {
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
   /// Its law does not recover from inversion; a pair of wedges is looked at by its wedges.
   bool checks_volume = false;
+  bool solve_checks_volume = false;  ///< with Model::checked, in place of a stage
 
   /// Of an element's record (tensor::record_reals).
   std::uint32_t record_reals() const {
@@ -195,6 +197,7 @@ struct Model {
   tensor::Layout layout;
   std::vector<std::uint8_t> begun_slices;  ///< see SceneView; but for Storage::kEdges
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
+  tensor::PatchTetrahedra checked;         ///< by the solve; empty: stages check
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
   double size_m = 0;                       ///< diagonal of the box around the scene at rest

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 
 #include "solver/jacobi_scaling.h"
 
@@ -70,57 +71,79 @@ TM_HOST_DEVICE void expect_move(const tensor::SceneView<Real>& s, std::uint32_t 
   if (s.external != nullptr) expect(s.external + at);
 }
 
-/// Moves the rows of a patch to velocities v, u = û + h v, and reports on them. read(row): what v is made of;
-/// velocity_of(row, that): v. keeps: this puts aside where a row is before, which is then û, and read(row) its
-/// velocity.
-template <class Team, class Real, class Read, class Velocity>
-TM_HOST_DEVICE void move_rows(const Team& team, const tensor::SceneView<Real>& s, bool keeps, const Read& read,
-                              const Velocity& velocity_of) {
+/// What a thread has seen of the rows that it moved.
+template <class Real>
+struct Motion {
+  /// Squares of speed, move and distance; −det F of what is inside out.
+  Real maxima[4] = {0, 0, 0, -std::numeric_limits<Real>::infinity()};
+  Real sums[3] = {0, 0, 0};  // rows that are no numbers, twice the kinetic energy, work
+};
+
+/// Of all threads of a patch.
+template <class Team, class Real>
+TM_HOST_DEVICE void report(const Team& team, const tensor::SceneView<Real>& s, Motion<Real> motion) {
   using std::sqrt;
+  auto& [maxima, sums] = motion;
+  team.patch_reduce(maxima, sums);
+  if (team.leads_patch()) {
+    s.patch_reports[team.patch()] = {
+        sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2],
+        -maxima[3]};
+  }
+}
+
+/// Moves the rows of a patch to velocities v, u = û + h v. read(row): what v is made of; velocity_of(row, that): v.
+/// keeps: this puts aside where a row is before, which is then û, and read(row) its velocity. moved(row, u,
+/// moved.read(row)) is called for each.
+template <class Team, class Real, class Read, class Velocity, class Moved>
+TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const tensor::SceneView<Real>& s, bool keeps, const Read& read,
+                                      const Velocity& velocity_of, const Moved& moved) {
   const tensor::Patch patch = tensor::patch_of(s, team.patch());
   const Real* base = s.base_displacement != nullptr ? s.base_displacement : s.displacement;
   const Real h = tensor::step_size(s);
-  Real maxima[3] = {0, 0, 0};  // squares of speed, move and distance
-  Real sums[3] = {0, 0, 0};    // rows that are no numbers, twice the kinetic energy, work
+  Motion<Real> motion;
+  auto& [maxima, sums] = motion;
   struct Before {
     Vec3<Real> of_velocity, base, kept, external;
     Real mass;
+    decltype(moved.read(0)) of_moved;
   };
   constexpr int kAtOnce = 2;
   team.template for_each<kAtOnce>(
       patch.row_begin, patch.row_end,
       [&](std::uint32_t row) -> Before {
-        return {read(row), tensor::load3<Real>(base, row), tensor::load3<Real>(s.kept_displacement, row),
+        return {read(row),
+                tensor::load3<Real>(base, row),
+                tensor::load3<Real>(s.kept_displacement, row),
                 s.external != nullptr ? tensor::load3<Real>(s.external, row) : Vec3<Real>(Vec3<Real>::Zero()),
-                s.inertia[std::size_t{4} * row]};
+                s.inertia[std::size_t{4} * row],
+                moved.read(row)};
       },
       [&](std::uint32_t row, const Before& before) {
         const Vec3<Real> v = velocity_of(row, before.of_velocity);
         const Vec3<Real> u = before.base + v * h;
-        const Vec3<Real> moved = u - (keeps ? before.base : before.kept);
+        const Vec3<Real> move = u - (keeps ? before.base : before.kept);
         if (keeps) keep(s, row, before.base, before.of_velocity);
         tensor::store3<Real>(s.velocity, row, v);
         tensor::store3<Real>(s.displacement, row, u);
+        moved(row, u, before.of_moved);
         maxima[0] = maximum(maxima[0], v.dot(v));
-        maxima[1] = maximum(maxima[1], moved.dot(moved));
+        maxima[1] = maximum(maxima[1], move.dot(move));
         maxima[2] = maximum(maxima[2], u.dot(u));
         if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
         sums[1] += before.mass * v.dot(v);
-        sums[2] += before.external.dot(moved);
+        sums[2] += before.external.dot(move);
       });
-  team.patch_reduce(maxima, sums);
-  if (team.leads_patch()) {
-    s.patch_reports[patch.index] = {
-        sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2]};
-  }
+  return motion;
 }
 
-/// By the change of velocity that `change_of(row)` says.
-/// Writes velocity, displacement, iterate, increment, patch_reports, kept fields.
-template <class Team, class Real, class Change>
-TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& s, const Change& change_of) {
+/// By the change of velocity that `change_of(row)` says; moved as above.
+/// Writes velocity, displacement, iterate, increment, kept fields.
+template <class Team, class Real, class Change, class Moved>
+TM_HOST_DEVICE Motion<Real> advance_by(const Team& team, const tensor::SceneView<Real>& s, const Change& change_of,
+                                       const Moved& moved) {
   const bool keeps = s.base_displacement == nullptr && s.control->keeps != 0;  // else: predict has
-  move_rows(
+  return move_rows(
       team, s, keeps, [&](std::uint32_t row) { return tensor::load3<Real>(s.velocity, row); },
       [&](std::uint32_t row, const Vec3<Real>& v) -> Vec3<Real> {
         const Vec3<Real> change = change_of(row);
@@ -129,15 +152,25 @@ TM_HOST_DEVICE void advance_by(const Team& team, const tensor::SceneView<Real>& 
           tensor::store3<Real>(s.iterate, row, v);
         }
         return v + change;
-      });
+      },
+      moved);
 }
 
-/// Reads solution, diagonal; writes what advance_by does.
+/// Nobody asks where rows have moved to.
+struct Unasked {
+  struct Nothing {};
+  TM_HOST_DEVICE Nothing read(std::uint32_t) const { return {}; }
+  template <class Vector>
+  TM_HOST_DEVICE void operator()(std::uint32_t, const Vector&, Nothing) const {}
+};
+
+/// Reads solution, diagonal; writes what advance_by does, and patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
-  advance_by(team, s, [&](std::uint32_t row) -> Vec3<Real> {
+  const auto change_of = [&](std::uint32_t row) -> Vec3<Real> {
     return unscaled(s, row, load_lower<Real>(s.diagonal, row), tensor::load3<Real>(s.solution, row));
-  });
+  };
+  report(team, s, advance_by(team, s, change_of, Unasked{}));
 }
 
 /// Takes a share of the last increment in place of the whole.
@@ -145,12 +178,13 @@ TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) 
 template <class Team, class Real>
 TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s) {
   const Real share = static_cast<Real>(s.newton->line_share);
-  move_rows(
+  const auto motion = move_rows(
       team, s, false,
       [&](std::uint32_t row) -> Vec3<Real> {
         return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
       },
-      [](std::uint32_t, const Vec3<Real>& v) { return v; });
+      [](std::uint32_t, const Vec3<Real>& v) { return v; }, Unasked{});
+  report(team, s, motion);
 }
 
 /// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment,

@@ -238,19 +238,18 @@ TM_FLATTEN void element_pass(const Team& team, const SceneView<Real>& s, const E
   });
 }
 
-/// det F of a linear tetrahedron, from the edges of its first node now and at rest: of an element only the rows are
-/// read, 16 bytes for 64. Double, since edges of a sliver cancel. 1 for padding.
+/// det F of a linear tetrahedron, from where its nodes are at rest and how far they have moved: of an element only the
+/// rows are read, 16 bytes for 64. 1 for padding. Edges are differences of what was given, so that it is known to a few
+/// roundings in |edges|³ / (6 V), as well as F itself.
 template <class Real>
-TM_HOST_DEVICE Real det_f_of_edges(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element) {
-  Vec3<double> rest[4], now[4];
-  for (int k = 0; k < 4; ++k) {
-    const std::uint32_t row = e.rows[k * std::size_t{e.count} + element];
-    rest[k] = load3<Real>(s.rest, row).template cast<double>();
-    now[k] = rest[k] + load3<Real>(s.displacement, row).template cast<double>();
+TM_HOST_DEVICE Real det_f_of_nodes(const Vec3<Real> (&rest)[4], const Vec3<Real> (&displacement)[4]) {
+  Vec3<Real> at_rest[3], now[3];
+  for (int k = 0; k < 3; ++k) {
+    at_rest[k] = rest[k + 1] - rest[0];
+    now[k] = at_rest[k] + (displacement[k + 1] - displacement[0]);
   }
-  const auto volume = [](const Vec3<double>(&x)[4]) { return (x[1] - x[0]).dot((x[2] - x[0]).cross(x[3] - x[0])); };
-  const double at_rest = volume(rest);
-  return at_rest != 0 ? static_cast<Real>(volume(now) / at_rest) : Real(1);
+  const Real before = at_rest[0].dot(at_rest[1].cross(at_rest[2])), after = now[0].dot(now[1].cross(now[2]));
+  return before != 0 ? quotient(after, before) : Real(1);
 }
 
 /// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
@@ -264,8 +263,13 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
   constexpr int kAtOnce = 4;                             // nothing is written, and every turn waits for memory
   team.template for_lanes<Lanes::kWidth, kAtOnce>(range.begin, range.end, [&](std::uint32_t first) {
     if constexpr (kReadsRecords<Lanes> && Shape::kSinglePoint && Shape::kNodes == 4) {
-      const Real det_f = det_f_of_edges(s, e, first);
-      compression = maximum(compression, T(-det_f));
+      Vec3<Real> rest[4], displacement[4];
+      for (int k = 0; k < 4; ++k) {
+        const std::uint32_t row = e.rows[k * std::size_t{e.count} + first];
+        rest[k] = load3<Real>(s.rest, row);
+        displacement[k] = load3<Real>(s.displacement, row);
+      }
+      compression = maximum(compression, T(-det_f_of_nodes(rest, displacement)));
     } else {
       Vec3<T> u[Shape::kNodes];
       load_displacement<Lanes, Shape>(s, e, first, u);

@@ -134,6 +134,7 @@ struct PatchReport {
   Real max_distance_m;    // from rest
   Real kinetic_energy_j;  // of the masses of nodes
   Real work_j;            // of gravity and loads since the kept state
+  Real min_det_f;         // of tetrahedra that the solve has found inside out; infinity: none
 };
 
 /// What the solve says of itself.
@@ -282,6 +283,10 @@ struct SceneView {
   const std::uint32_t* pressed_rows;     // rows of pressure faces, grouped by patch
   const std::uint32_t* pressed_begin;    // [pressed row + 1] into pressed_corners
   const std::uint32_t* pressed_corners;  // [.., 2] face, corner
+
+  // -- tetrahedra whose volume the solve checks where it ends (tensor/patch_tetrahedra.h); nullptr: none
+  const std::uint32_t* patch_tetrahedra;  // [2 patch_count + 1] into tetrahedron_rows
+  const std::uint16_t* tetrahedron_rows;  // [.., 4] patch-local
 
   // -- the linear system of the step: A Δv = b, scaled to Â x = b̂ with Â = L⁻¹ A L⁻ᵀ, b̂ = s L⁻¹ b
   Real* edges;      // [slot] 3×3

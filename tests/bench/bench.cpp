@@ -32,6 +32,7 @@ struct Case {
   v1::Scene scene;
   double target_s = 0;         ///< of a step; 0: none is set
   bool target_is_p99 = false;  ///< else the median
+  bool checks_volume = true;   ///< false: as if its law came back from inversion
 };
 
 /// Exactly 50 CG iterations a step.
@@ -91,6 +92,19 @@ std::vector<Case> gpu_suite() {
           {"51200 hexahedra, StVK", hexahedra("st_venant_kirchhoff"), 0.3e-3}};
 }
 
+/// What the check of volumes costs: each case with it and without it, in turns, as machines drift.
+std::vector<Case> guards() {
+  std::vector<Case> cases;
+  for (const Case& one : gpu_suite()) {
+    if (one.name.find("StVK") == std::string::npos) continue;
+    for (int turn = 1; turn <= 3; ++turn) {
+      cases.push_back({fmt::format("{}, checked {}", one.name, turn), one.scene});
+      cases.push_back({fmt::format("{}, unchecked {}", one.name, turn), one.scene, 0, false, false});
+    }
+  }
+  return cases;
+}
+
 /// Step time against elements.
 std::vector<Case> sizes() {
   std::vector<Case> cases;
@@ -144,9 +158,17 @@ struct Row {
   bool meets_target() const { return (target_is_p99 ? step.p99_s : step.median_s) <= target_s; }
 };
 
-Result<Measured> time_steps(const v1::Scene& scene, const backend::Backend& backend, std::uint32_t steps, Row& row) {
+void leave_volumes_unchecked(model::Model& model) {
+  for (model::ElementGroup& group : model.groups) group.checks_volume = group.solve_checks_volume = false;
+  model.checked = {};
+  std::erase_if(model.stages, [](const model::Stage& stage) { return stage.kind == model::StageKind::kCheckVolume; });
+}
+
+Result<Measured> time_steps(const Case& one, const backend::Backend& backend, std::uint32_t steps, Row& row) {
+  const v1::Scene& scene = one.scene;
   const Clock::time_point begin = Clock::now();
   TM_TRY(model, model::compile(scene, backend.patch_policy(scene)));
+  if (!one.checks_volume) leave_volumes_unchecked(model);
   const v1::SceneReport report = model::make_report(model, backend.rates(scene));
   row.elements = model.bodies[0].element_count;
   row.nodes = model.bodies[0].node_count;
@@ -350,8 +372,10 @@ int main(int argc, char** argv) {
   app.add_option("--json", output, "append one JSON line a case to this file");
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
   app.add_option("--only", only, "cases whose names contain this");
-  app.add_option("--suite", suite, "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz")
-      ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest"}));
+  app.add_option("--suite", suite,
+                 "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz; guards: "
+                 "what the check of volumes costs")
+      ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
   app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
@@ -406,6 +430,7 @@ int main(int argc, char** argv) {
   if (suite == "gpu") cases = gpu_suite();
   if (suite == "sizes") cases = sizes();
   if (suite == "largest") cases = largest();
+  if (suite == "guards") cases = guards();
   for (const Size size : {Size{40, 9, 9}, Size{60, 12, 10}, Size{160, 20, 16}}) {
     if (!beams || (small && size.x > 60)) continue;
     const std::uint32_t count = size.x * size.y * size.z * 6;
@@ -423,7 +448,7 @@ int main(int argc, char** argv) {
     row.target_s = one.target_s;
     row.target_is_p99 = one.target_is_p99;
     if (backend->name() == "cpu") row.steps = std::max(10u, steps / 5);
-    const auto measured = time_steps(one.scene, *backend, row.steps, row);
+    const auto measured = time_steps(one, *backend, row.steps, row);
     if (!measured) {
       std::fprintf(stderr, "%s: %s\n", one.name.c_str(), measured.error().message.c_str());
       return 1;

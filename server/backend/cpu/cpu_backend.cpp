@@ -72,7 +72,8 @@ class CpuState final : public SceneState {
       result = this->result();
     }
     read_forces<Real>({view_.tool_loads, std::size_t{view_.tool_count} * view_.patch_count}, forces);
-    result.min_det_f = read_volume<Real>(model_, {view_.min_det_f, model_.groups.size() * view_.patch_count});
+    result.min_det_f =
+        read_volume<Real>(model_, result.min_det_f, {view_.min_det_f, model_.groups.size() * view_.patch_count});
     memory_.end(input);
     return result;
   }

@@ -2,6 +2,7 @@
 #include <array>
 #include <cstddef>
 #include <ctime>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -97,8 +98,9 @@ class DeviceArena {
 template <class T>
 class Pinned {
  public:
-  explicit Pinned(std::size_t count) : count_(count) {
+  explicit Pinned(std::size_t count, const T& value = {}) : count_(count) {
     if (count > 0) check(cudaMallocHost(&data_, count * sizeof(T)), "page-locked host memory");
+    std::fill_n(data_, count, value);
   }
   Pinned(const Pinned&) = delete;
   Pinned& operator=(const Pinned&) = delete;
@@ -201,7 +203,8 @@ class CudaState final : public SceneState {
         residuals_(model.iterates() ? model.layout.patch_count : 0),
         watch_(model.groups.size() * model.layout.patch_count),
         volume_parts_(parts_of(model)),
-        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0),
+        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0,
+                   std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
         visible_(3 * std::size_t{model.visible.count()}),
         view_(model::bind<Real>(model, arena_, exchange())) {
@@ -211,7 +214,7 @@ class CudaState final : public SceneState {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
-    if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout);
+    if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout, !model.checked.begin.empty());
     if (model.iterates()) {
       for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
                                        model::Phase::kBacktrack, model::Phase::kEnd}) {
@@ -247,7 +250,7 @@ class CudaState final : public SceneState {
     wait("step");
     read_forces<Real>(loads_.span(), forces);
     if (!model_.iterates()) result = this->result();
-    result.min_det_f = read_volume<Real>(model_, min_det_f_.span());
+    result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
     memory_.end(input);
     return result;
   }
@@ -324,7 +327,7 @@ class CudaState final : public SceneState {
     constexpr std::uint32_t kMostParts = 8;
     std::uint32_t most = 0;
     for (const model::ElementGroup& group : model.groups) {
-      if (group.checks_volume) most = std::max(most, group.element_count);
+      if (group.checks_volume && !group.solve_checks_volume) most = std::max(most, group.element_count);
     }
     return std::clamp(most / model.layout.patch_count / cuda::kStageThreads, 1u, kMostParts);
   }
@@ -365,10 +368,11 @@ class CudaState final : public SceneState {
 
   /// Single precision has a kernel that does these stages in one.
   static constexpr bool kSinglePrecision = std::is_same_v<Real, float>;
-  bool is_part_of_fast_solve(model::StageKind kind) const {
+  bool is_part_of_fast_solve(const model::Stage& stage) const {
     if (!kSinglePrecision) return false;
-    return kind == model::StageKind::kScaleEdges || kind == model::StageKind::kAdvance ||
-           (kind == model::StageKind::kFactorize && solve_plan_.resident);
+    return stage.kind == model::StageKind::kScaleEdges || stage.kind == model::StageKind::kAdvance ||
+           (stage.kind == model::StageKind::kFactorize && solve_plan_.resident) ||
+           (stage.kind == model::StageKind::kCheckVolume && model_.groups[stage.group].solve_checks_volume);
   }
 
   template <class StageType>
@@ -427,7 +431,7 @@ class CudaState final : public SceneState {
     if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
       upload_pinned(view_.newton, newton_, "outer iteration");
     for (const model::Stage& stage : model_.stages) {
-      if (stage.phase != phase || is_part_of_fast_solve(stage.kind)) continue;
+      if (stage.phase != phase || is_part_of_fast_solve(stage)) continue;
       if constexpr (kSinglePrecision) {
         if (stage.kind == model::StageKind::kSolve) {
           check(cuda::launch_solve(solve_plan_, view_, stream()), "solve");
@@ -505,8 +509,13 @@ class CudaBackend final : public Backend {
     // than that many do not fit on the chip. Scenes that share the device take as few multiprocessors as will do.
     constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416, kMaxNodesIfShared = 480;
     const std::uint32_t max_nodes = scenes_ > 1 ? kMaxNodesIfShared : kMaxNodesPerPatch;
-    return {processors(),           kMinNodesPerPatch, tensor::Storage::kRows,
-            processors() / scenes_, max_nodes,         cuda::kMostResidentRows};
+    return {processors(),
+            kMinNodesPerPatch,
+            tensor::Storage::kRows,
+            processors() / scenes_,
+            max_nodes,
+            cuda::kMostResidentRows,
+            cuda::most_checked_rows(properties_)};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

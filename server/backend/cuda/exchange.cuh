@@ -44,6 +44,9 @@ class Exchange {
   /// The cells of rows in this exchange, four floats each.
   __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
 
+  /// What has been published of a row, and waited for, in this exchange.
+  __device__ Cell row(std::uint32_t row) const { return load(cells_ + std::size_t{tag_ & 1} * rows_ + row); }
+
   __device__ void publish_sums(float x, float y, float z) const { store(sums_of(patch_), {x, y, z, tag_}); }
   /// Sums of patches first, first + stride, .., as wait_for_rows.
   template <int Count>

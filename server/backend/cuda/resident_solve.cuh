@@ -3,6 +3,7 @@
 #include <cuda_pipeline.h>
 
 #include "backend/cuda/patch_sums.cuh"
+#include "backend/cuda/patch_volume.cuh"
 #include "core/strided.h"
 #include "solver/advance.h"
 #include "solver/conjugate_gradients.h"
@@ -222,6 +223,7 @@ __global__ void __launch_bounds__(Threads, 1)
     x[k].setZero();
     solver::expect_move(s, row[k]);
   }
+  if (s.patch_tetrahedra != nullptr) PatchVolume<Threads>::expect(s, patch);
   // Rows of the halo that this thread waits for; a patch seldom has more than two for each of its own.
   constexpr std::uint32_t kHaloAtOnce = 2 * Rows;
   std::uint32_t halo_rows[kHaloAtOnce];
@@ -321,17 +323,15 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
-  if (thread == 0) {
-    exchange.remember();
-    if (patch.index == 0) recurrence.report(s);
-  }
+  if (thread == 0 && patch.index == 0) recurrence.report(s);
   Vec3<float> change[Rows];
   for (int k = 0; k < Rows; ++k) {
     float factor[6];
     read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
     change[k] = solver::unscaled(s, row[k], solver::lower(factor), x[k]);
   }
-  solver::advance_by(Team(), s, [&](std::uint32_t moved) -> Vec3<float> {
+  __syncthreads();  // all factors have been read
+  end_solve<Threads>(s, patch, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {
     Vec3<float> of = change[0];
     for (int k = 1; k < Rows; ++k) of = moved == row[k] ? change[k] : of;
     return of;

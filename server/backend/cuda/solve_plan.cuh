@@ -33,7 +33,14 @@ inline std::size_t allow_all_shared_bytes(const void* kernel) {
   return static_cast<std::size_t>(most);
 }
 
-inline SolvePlan plan_solve(const tensor::Layout& layout) {
+/// Rows of a patch, own and of its halo, for which a solve has room to check the volume of tetrahedra.
+inline std::uint32_t most_checked_rows(const cudaDeviceProp& device) {
+  constexpr std::size_t kStaticBytes = 2048;  // what the kernels declare themselves, at most
+  return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / kVolumeBytesPerRow);
+}
+
+/// checks_volume: SceneView has tetrahedra for that.
+inline SolvePlan plan_solve(const tensor::Layout& layout, bool checks_volume) {
   std::uint32_t most_rows = 0, most_locals = 0, most_halo = 0;
   for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
     const std::uint32_t rows = layout.patch_rows[p + 1] - layout.patch_rows[p];
@@ -88,6 +95,7 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     place(kNearResidual, most_locals * kStreamedBytesPerVector);
     place(kNearSolution, most_rows * kStreamedBytesPerVector);
   }
+  if (checks_volume) plan.shared_bytes = std::max(plan.shared_bytes, most_locals * kVolumeBytesPerRow);
   return plan;
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "backend/cuda/patch_sums.cuh"
+#include "backend/cuda/patch_volume.cuh"
 #include "solver/advance.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
@@ -215,12 +216,12 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
-  if (thread == 0) {
-    exchange.remember();
-    if (patch.index == 0) recurrence.report(s);
-  }
-  solver::advance_by(Team(), s, [&](std::uint32_t row) -> Vec3<float> {
-    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
+  if (thread == 0 && patch.index == 0) recurrence.report(s);
+  // Out of shared memory, which has another use now. A thread reads what it has written.
+  for (std::uint32_t i = thread; i < own; i += Threads) tensor::store3<float>(s.solution, patch.row_begin + i, x[i]);
+  __syncthreads();
+  end_solve<Threads>(s, patch, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
+    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), tensor::load3<float>(s.solution, row));
   });
 }
 
