@@ -195,6 +195,15 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
     e.record_reals = group.record_reals();
     e.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
                                                [&](Real* to) { write_records(group, to); });
+    physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+      using Shape = typename decltype(shape)::Type;
+      // One point of several nodes' mean gradients is no point of the reference shape.
+      const bool is_mean = group.point_count == 1 && !Shape::kSinglePoint;
+      if (index != group.shape || !group.checks_volume || group.solve_checks_volume || is_mean) return;
+      const std::vector<double> gradients = physics::reference_gradients<Shape>();
+      e.reference_points = static_cast<std::uint32_t>(gradients.size() / (3 * Shape::kNodes));
+      e.reference_gradients = arena.template constant<Real>("reference gradients", gradients);
+    });
     const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
     e.decompositions = arena.template zeros<Real>(
         "decompositions", decomposes ? std::size_t{e.count} * e.point_count * tensor::kDecompositionReals : 0);

@@ -89,7 +89,10 @@ struct ElementView {
 
   // Only where rows evaluate their elements (tensor/rows.h):
   std::uint32_t record_reals;
-  const Real* records;          // [count][record_reals], see tensor::record_reals
+  const Real* records;  // [count][record_reals], see tensor::record_reals
+  // For the check of volumes, see physics::reference_gradients; nullptr: none, or of mean gradients.
+  std::uint32_t reference_points;
+  const Real* reference_gradients;
   Real* decompositions;         // [count][quadrature points][kDecompositionReals]; nullptr: the law has no use for them
   std::uint32_t slice_count;    // slices with elements of the group
   const ListedSlice* slices;    // [slice_count]

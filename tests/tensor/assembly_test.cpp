@@ -120,6 +120,36 @@ INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
                                   (std::get<2>(one.param) == Storage::kRows ? "_rows" : "_edges");
                          });
 
+/// From where nodes are, and from the shapes at rest that the law reads.
+TEST(LeastDetF, IsTheSameByEitherFormula) {
+  for (const v1::Shape shape : tests::shapes()) {
+    v1::Scene source = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = true});
+    source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+    StagedScene<double> staged(source, 2, Storage::kRows);
+    staged.put(staged.view.displacement, tests::random_field(3 * staged.node_count(), 1, 4));
+    backend::cpu::Arena arena;
+    const auto e = model::bind<double>(staged.model, 0, arena);
+    ASSERT_NE(e.reference_gradients, nullptr) << v1::Shape_Name(shape);
+    double least_of_all = 1;
+    physics::for_each_type(physics::Shapes{}, [&](auto tag, int index) {
+      using Shape = typename decltype(tag)::Type;
+      if (index != staged.model.groups[0].shape) return;
+      for (std::uint32_t element = 0; element < e.count; ++element) {
+        Vec3<double> u[Shape::kNodes];
+        load_displacement<SingleLane<double>, Shape>(staged.view, e, element, u);
+        double least = std::numeric_limits<double>::max();
+        for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
+          const StoredPoint<SingleLane<double>, Shape, NoLaw> stored(e, q, element);
+          least = std::min(least, stored.gradients().deformation_gradient(u).determinant());
+        }
+        EXPECT_NEAR(least_det_f<Shape>(staged.view, e, element), least, 1e-12) << v1::Shape_Name(shape);
+        least_of_all = std::min(least_of_all, least);
+      }
+    });
+    EXPECT_LT(least_of_all, 0) << "else this shows less than it should";
+  }
+}
+
 /// The forces of an element balance to rounding of its stress. Rounding of its modulus is a million times that where a
 /// stiff body hardly strains; a soft one that hangs on it would feel the difference.
 TEST_P(EveryEntry, ForcesBalanceToRoundingOfTheStress) {

@@ -53,7 +53,7 @@ class PatchVolume {
     positions_[row - patch_.row_begin] = position(rest, u);
   }
 
-  /// By all threads, after that; of the thread's tetrahedra those that look inside out. Infinity: none does.
+  /// By all threads, after that: of some of the patch's tetrahedra that look inside out. Infinity: none of these does.
   __device__ float least_det_f() {
     bool inside_out = false;
     std::uint32_t t = begin_ + threadIdx.x, end = halo_begin_;
@@ -78,7 +78,7 @@ class PatchVolume {
       place_halo();
     }
     float least = std::numeric_limits<float>::infinity();
-    if (!inside_out) return least;
+    if (__syncthreads_or(inside_out ? 1 : 0) == 0) return least;
 #pragma unroll 1
     for (t = begin_ + threadIdx.x; t < end_; t += Threads) {
       if (!has_volume(tetrahedra_[t])) least = fminf(least, det_f(tetrahedra_[t]));

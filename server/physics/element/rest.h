@@ -40,6 +40,18 @@ Mat3<double> jacobian(const Vec3<double> (&x)[Shape::kNodes], const Vec3<double>
   return j;
 }
 
+/// ∂N_k/∂r at the points of the full rule, [point][node][3]: of the reference shape, and so the same for all elements.
+template <class Shape>
+std::vector<double> reference_gradients() {
+  std::vector<double> out;
+  for (const QuadraturePoint& point : Shape::full_rule()) {
+    Vec3<double> dn[Shape::kNodes];
+    Shape::gradients(point.at, dn);
+    for (const Vec3<double>& gradient : dn) out.insert(out.end(), gradient.begin(), gradient.end());
+  }
+  return out;
+}
+
 /// [point][kRestReals], the points as point_shares counts them.
 template <class Shape>
 std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double> (&x)[Shape::kNodes],
