@@ -126,8 +126,8 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Re
   s.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
   s.rhs = arena.template zeros<Real>("right-hand side", 4 * rows);
   s.solution = arena.template zeros<Real>("solution", 4 * rows);
-  s.residual = arena.template zeros<Real>("residual", 4 * local);
-  s.direction = arena.template zeros<Real>("direction", 4 * local);
+  s.residual = arena.template zeros<Real>("residual", only_if(!m.solve_keeps_vectors, 4 * local));
+  s.direction = arena.template zeros<Real>("direction", only_if(!m.solve_keeps_vectors, 4 * local));
   s.product = arena.template zeros<Real>("product", 2 * 4 * rows);
 
   s.triangle_rows = arena.template constant<uint32_t>("contact triangles", m.contact.triangle_rows);

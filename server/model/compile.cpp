@@ -36,7 +36,7 @@ class Compiler {
     TM_CHECK(progress_.begin(LoadPart::kElements));
     TM_CHECK(group_elements(c_));
     TM_CHECK(list_elements_of_rows(c_));
-    let_solve_check_volumes(c_, policy_.solve_checks_rows);
+    equip_solve(c_, policy_);
     TM_CHECK(progress_.begin(LoadPart::kSurfaces));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {

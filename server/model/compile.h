@@ -20,9 +20,9 @@ struct PatchPolicy {
   std::uint32_t max_nodes_per_patch = std::numeric_limits<std::uint32_t>::max();
   /// Patches of more nodes than this are kTiles in place of kRows.
   std::uint32_t tiles_beyond_nodes = std::numeric_limits<std::uint32_t>::max();
-  /// A solve in single precision can check the volume of tetrahedra if no patch has more rows than this, those of its
-  /// halo included.
-  std::uint32_t solve_checks_rows = 0;
+  /// In single precision a solve has its vectors near, in no buffer of the scene, and can check the volume of
+  /// tetrahedra, if no patch has more rows than this, those of its halo included.
+  std::uint32_t solve_keeps_rows = 0, solve_checks_rows = 0;
   tensor::Storage storage_of(std::uint32_t node_count) const;
   std::uint32_t count(std::uint32_t node_count) const;
 };

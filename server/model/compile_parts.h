@@ -86,8 +86,8 @@ Result<void> group_elements(Compilation& c);
 /// Where rows evaluate their elements: which.
 Result<void> list_elements_of_rows(Compilation& c);
 
-/// Which volumes the solve checks, if patches of so many rows, their halo included, let it.
-void let_solve_check_volumes(Compilation& c, std::uint32_t most_rows);
+/// What the solve does itself if patches are small enough: where its vectors are, and which volumes it checks.
+void equip_solve(Compilation& c, const PatchPolicy& policy);
 
 void make_contact_surface(Compilation& c);
 Result<void> make_visible_surface(Compilation& c);

@@ -298,15 +298,13 @@ Result<void> group_elements(Compilation& c) {
   return {};
 }
 
-void let_solve_check_volumes(Compilation& c, std::uint32_t most_rows) {
+void equip_solve(Compilation& c, const PatchPolicy& policy) {
   Model& model = c.model;
-  const tensor::Layout& layout = model.layout;
+  if (model.layout.storage == tensor::Storage::kEdges || model.double_precision) return;
+  const std::uint32_t rows = model.layout.largest_patch();
+  model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;
   // A solve of many in a step does not know where the step ends.
-  if (layout.storage == tensor::Storage::kEdges || model.double_precision || model.iterates()) return;
-  for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
-    const std::uint32_t halo = layout.patch_halo[p + 1] - layout.patch_halo[p];
-    if (layout.patch_rows[p + 1] - layout.patch_rows[p] + halo > std::min(most_rows, 0xFFFFu)) return;
-  }
+  if (model.iterates() || rows > std::min(policy.solve_checks_rows, 0xFFFFu)) return;
   std::vector<tensor::ElementRows> tetrahedra;
   for (ElementGroup& group : model.groups) {
     if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
@@ -314,7 +312,7 @@ void let_solve_check_volumes(Compilation& c, std::uint32_t most_rows) {
     group.solve_checks_volume = true;
     tetrahedra.push_back(rows_of(group));
   }
-  if (!tetrahedra.empty()) model.checked = tensor::share_out_tetrahedra(layout, tetrahedra);
+  if (!tetrahedra.empty()) model.checked = tensor::share_out_tetrahedra(model.layout, tetrahedra);
 }
 
 Result<void> list_elements_of_rows(Compilation& c) {

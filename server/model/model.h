@@ -197,6 +197,7 @@ struct Model {
   tensor::Layout layout;
   std::vector<std::uint8_t> begun_slices;  ///< see SceneView; but for Storage::kEdges
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
+  bool solve_keeps_vectors = false;        ///< near, in no buffer
   tensor::PatchTetrahedra checked;         ///< by the solve; empty: stages check
   std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
   std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass

@@ -284,6 +284,14 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
 
 }  // namespace
 
+std::uint32_t Layout::largest_patch() const {
+  std::uint32_t largest = 0;
+  for (std::uint32_t patch = 0; patch < patch_count; ++patch) {
+    largest = std::max(largest, patch_rows[patch + 1] - patch_rows[patch] + patch_halo[patch + 1] - patch_halo[patch]);
+  }
+  return largest;
+}
+
 std::uint32_t Layout::patch_of_row(std::uint32_t row) const {
   return static_cast<std::uint32_t>(std::upper_bound(patch_rows.begin(), patch_rows.end(), row) - patch_rows.begin()) -
          1;

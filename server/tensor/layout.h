@@ -40,7 +40,8 @@ struct Layout {
   std::vector<std::uint32_t> patch_boundary;  ///< [patch_count + 1] of kEdges into boundary
   std::vector<std::uint32_t> boundary;        ///< patch-local rows that are in the halo of others, ascending in a patch
 
-  std::uint32_t widest_slice() const;  ///< in columns
+  std::uint32_t widest_slice() const;   ///< in columns
+  std::uint32_t largest_patch() const;  ///< in rows, its halo's included
   std::uint32_t slice_rows() const { return storage == Storage::kEdges ? kEdgeSliceRows : kSliceRows; }
   std::uint32_t slot_count() const { return static_cast<std::uint32_t>(columns.size()); }
   /// Slots whose blocks a solve has to read in each iteration.

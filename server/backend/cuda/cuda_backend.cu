@@ -215,6 +215,7 @@ class CudaState final : public SceneState {
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
     if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout, !model.checked.begin.empty());
+    if (model.solve_keeps_vectors && !solve_plan_.keeps_vectors()) throw CudaFailure("no room for the solve's vectors");
     if (model.iterates()) {
       for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
                                        model::Phase::kBacktrack, model::Phase::kEnd}) {
@@ -327,7 +328,8 @@ class CudaState final : public SceneState {
     constexpr std::uint32_t kMostParts = 8;
     std::uint32_t most = 0;
     for (const model::ElementGroup& group : model.groups) {
-      if (group.checks_volume && !group.solve_checks_volume) most = std::max(most, group.element_count);
+      if (!group.checks_volume || group.solve_checks_volume) continue;
+      most = std::max(most, group.element_count * std::min(group.point_count, tensor::kThreadsOfPoints));
     }
     return std::clamp(most / model.layout.patch_count / cuda::kStageThreads, 1u, kMostParts);
   }
@@ -515,7 +517,8 @@ class CudaBackend final : public Backend {
             processors() / scenes_,
             max_nodes,
             cuda::kMostResidentRows,
-            cuda::most_checked_rows(properties_)};
+            cuda::most_kept_rows(properties_),
+            cuda::most_rows_of(properties_, cuda::kVolumeBytesPerRow)};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

@@ -17,6 +17,12 @@ struct SolvePlan {
   unsigned threads = 0;
   std::size_t shared_bytes = 0;
   std::uint32_t argument = 0;  ///< column_capacity or near_vectors
+
+  /// Direction and residual are in no buffer of the scene.
+  bool keeps_vectors() const {
+    constexpr std::uint32_t kBoth = kNearDirection | kNearResidual;
+    return resident || (argument & kBoth) == kBoth;
+  }
 };
 
 /// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes]. From now on it
@@ -33,10 +39,14 @@ inline std::size_t allow_all_shared_bytes(const void* kernel) {
   return static_cast<std::size_t>(most);
 }
 
-/// Rows of a patch, own and of its halo, for which a solve has room to check the volume of tetrahedra.
-inline std::uint32_t most_checked_rows(const cudaDeviceProp& device) {
+/// Rows of a patch, own and of its halo, for which a solve has room, at so many bytes a row.
+inline std::uint32_t most_rows_of(const cudaDeviceProp& device, std::size_t bytes_per_row) {
   constexpr std::size_t kStaticBytes = 2048;  // what the kernels declare themselves, at most
-  return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / kVolumeBytesPerRow);
+  return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / bytes_per_row);
+}
+/// For which direction and residual surely stay in shared memory, beside q of tiles where the matrix is streamed.
+inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
+  return most_rows_of(device, 2 * kStreamedBytesPerCell + kStreamedBytesPerVector);
 }
 
 /// checks_volume: SceneView has tetrahedra for that.
