@@ -251,15 +251,10 @@ TM_HOST_DEVICE Real det_f_of_nodes(const Vec3<Real> (&rest)[4], const Vec3<Real>
   return before != 0 ? quotient(after, before) : Real(1);
 }
 
-/// Threads that share the points of an element in check_volume, where it has several.
-inline constexpr std::uint32_t kThreadsOfPoints = 4;
-
-/// The smallest det F of every `step`-th of an element's quadrature points: det J of where its nodes are over det J of
-/// where they rest, J = Σ x_k ⊗ ∂N_k/∂r. Rest shapes are left alone, 64 bytes of a tetrahedron for 16, 850 of a
-/// hexahedron for 32.
+/// The smallest det F of an element's quadrature points: det J of where its nodes are over det J of where they rest,
+/// J = Σ x_k ⊗ ∂N_k/∂r. Rest shapes are left alone, 64 bytes of a tetrahedron for 16, 850 of a hexahedron for 32.
 template <class Shape, class Real>
-TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element,
-                                std::uint32_t first_point = 0, std::uint32_t step = 1) {
+TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element) {
   constexpr int kNodes = Shape::kNodes;
   Vec3<Real> rest[kNodes], displacement[kNodes];
   TM_UNROLL_ALL
@@ -278,7 +273,7 @@ TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real
     }
     Real least = std::numeric_limits<Real>::max();
     TM_UNROLL(1)
-    for (std::uint32_t q = first_point; q < e.reference_points; q += step) {
+    for (std::uint32_t q = 0; q < e.reference_points; ++q) {
       const Real* gradients = e.reference_gradients + std::size_t{3} * kNodes * q;
       Mat3<Real> before = Mat3<Real>::Zero(), after = Mat3<Real>::Zero();
       TM_UNROLL_ALL
@@ -303,7 +298,14 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
   using T = typename Lanes::Scalar;
   const ElementRange range = element_range(s, e, team.patch());
   T compression = T(-std::numeric_limits<Real>::max());  // −det F
-  const auto check_elements = [&](std::uint32_t first) {
+  constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;   // nothing is written, and every turn waits for memory
+  team.template for_lanes<Lanes::kWidth, kAtOnce>(range.begin, range.end, [&](std::uint32_t first) {
+    if constexpr (kReadsRecords<Lanes>) {
+      if (e.reference_gradients != nullptr) {
+        compression = maximum(compression, T(-least_det_f<Shape>(s, e, first)));
+        return;
+      }
+    }
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(s, e, first, u);
     TM_UNROLL(1)
@@ -312,19 +314,7 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
       const Mat3<T> f = stored.gradients().deformation_gradient(u);  // of padding: the identity
       compression = maximum(compression, T(-f.determinant()));
     }
-  };
-  bool checked = false;
-  if constexpr (kReadsRecords<Lanes>) {
-    if (e.reference_gradients != nullptr) {
-      constexpr std::uint32_t kThreads = Shape::kSinglePoint ? 1 : kThreadsOfPoints;
-      constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;  // nothing is written, and every turn waits for memory
-      team.template for_each<kAtOnce>(kThreads * range.begin, kThreads * range.end, [&](std::uint32_t i) {
-        compression = maximum(compression, T(-least_det_f<Shape>(s, e, i / kThreads, i % kThreads, kThreads)));
-      });
-      checked = true;
-    }
-  }
-  if (!checked) team.template for_lanes<Lanes::kWidth>(range.begin, range.end, check_elements);
+  });
   const Real worst = team.patch_max(Lanes::largest(compression));
   if (team.leads_patch()) s.min_det_f[(e.watch_begin + team.patch()) * team.parts() + team.part()] = -worst;
 }

@@ -328,8 +328,7 @@ class CudaState final : public SceneState {
     constexpr std::uint32_t kMostParts = 8;
     std::uint32_t most = 0;
     for (const model::ElementGroup& group : model.groups) {
-      if (!group.checks_volume || group.solve_checks_volume) continue;
-      most = std::max(most, group.element_count * std::min(group.point_count, tensor::kThreadsOfPoints));
+      if (group.checks_volume && !group.solve_checks_volume) most = std::max(most, group.element_count);
     }
     return std::clamp(most / model.layout.patch_count / cuda::kStageThreads, 1u, kMostParts);
   }

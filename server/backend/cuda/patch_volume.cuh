@@ -53,14 +53,15 @@ class PatchVolume {
     positions_[row - patch_.row_begin] = position(rest, u);
   }
 
-  /// By all threads, a barrier after that: of the patch's tetrahedra that look inside out. Infinity: none does.
-  __device__ float least_det_f(const Team& team) {
+  /// By all threads, after that: of some of the patch's tetrahedra that look inside out. Infinity: none of these does.
+  __device__ float least_det_f() {
     bool inside_out = false;
     std::uint32_t t = begin_ + threadIdx.x, end = halo_begin_;
     // First what needs no row of the halo, which is on its way meanwhile. Both by the same instructions: what runs once
     // waits for them.
 #pragma unroll 1
     for (bool ends = false;; ends = true) {
+      __syncthreads();
 #pragma unroll 1
       for (; t < end; t += kAtOnce * Threads) {
         uint2 nodes[kAtOnce];
@@ -75,15 +76,14 @@ class PatchVolume {
       end = end_;
       read_ahead(t, end);
       place_halo();
-      __syncthreads();
     }
     float least = std::numeric_limits<float>::infinity();
-    if (__syncthreads_or(inside_out ? 1 : 0) == 0) return least;  // which is where nearly all steps end
+    if (__syncthreads_or(inside_out ? 1 : 0) == 0) return least;
 #pragma unroll 1
     for (t = begin_ + threadIdx.x; t < end_; t += Threads) {
       if (!has_volume(tetrahedra_[t])) least = fminf(least, det_f(tetrahedra_[t]));
     }
-    return -team.patch_max(-least);
+    return least;
   }
 
  private:
@@ -183,8 +183,9 @@ __device__ void end_solve(const tensor::SceneView<float>& s, const tensor::Patch
     solver::report(team, s, solver::advance_by(team, s, change_of, solver::Unasked{}));
   } else {
     PatchVolume<Threads> volume(s, patch, exchange, shared);
-    const solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
-    solver::report(team, s, motion, [&] { return volume.least_det_f(team); });
+    solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
+    motion.maxima[3] = -volume.least_det_f();
+    solver::report(team, s, motion);
   }
   if (threadIdx.x == 0) exchange.remember();
 }
