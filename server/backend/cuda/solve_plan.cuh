@@ -51,13 +51,13 @@ inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
 
 /// checks_volume: SceneView has tetrahedra for that.
 inline SolvePlan plan_solve(const tensor::Layout& layout, bool checks_volume) {
-  std::uint32_t most_rows = 0, most_locals = 0, most_halo = 0;
+  const std::uint32_t most_locals = layout.largest_patch();
+  std::uint32_t most_rows = 0, most_halo = 0;
   for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
     const std::uint32_t rows = layout.patch_rows[p + 1] - layout.patch_rows[p];
     const std::uint32_t halo = layout.patch_halo[p + 1] - layout.patch_halo[p];
     most_rows = std::max(most_rows, rows);
     most_halo = std::max(most_halo, halo);
-    most_locals = std::max(most_locals, rows + halo);
   }
   SolvePlan plan;
   // Fewer rows leave more registers to each thread, and so more of the matrix.
