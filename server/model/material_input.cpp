@@ -1,5 +1,7 @@
 #include "model/material_input.h"
 
+#include <cmath>
+
 #include <fmt/format.h>
 
 #include "model/scene_input.h"
@@ -81,6 +83,13 @@ struct MessageOf<physics::TransverselyIsotropic> {
   using Type = v1::TransverselyIsotropic;
 };
 
+/// What an element's own values are written over: not used, and yet no number that is none.
+Result<void> check_shadowed(double value, std::string_view where, const char* name) {
+  if (std::isfinite(value)) return {};
+  return invalid(
+      fmt::format("{}.{}: {} is not finite; element_fields stand in its place, leave it out", where, name, value));
+}
+
 /// Writes an element's own values over the law's message.
 Result<void> override_values(google::protobuf::Message& constants, const ElementValues& values,
                              std::string_view where) {
@@ -92,15 +101,20 @@ Result<void> override_values(google::protobuf::Message& constants, const Element
   };
   if (values.young_modulus_pa) {
     TM_TRY(young, field("young_modulus_pa"));
+    TM_CHECK(check_shadowed(reflection->GetDouble(constants, young), where, "young_modulus_pa"));
     reflection->SetDouble(&constants, young, *values.young_modulus_pa);
   }
   if (values.poisson_ratio) {
     TM_TRY(poisson, field("poisson_ratio"));
+    TM_CHECK(check_shadowed(reflection->GetDouble(constants, poisson), where, "poisson_ratio"));
     reflection->SetDouble(&constants, poisson, *values.poisson_ratio);
   }
   if (values.fibre_direction) {
     TM_TRY(direction, field("fibre_direction"));
     auto& vector = static_cast<v1::Vector3&>(*reflection->MutableMessage(&constants, direction));
+    for (const double component : {vector.x(), vector.y(), vector.z()}) {
+      TM_CHECK(check_shadowed(component, where, "fibre_direction"));
+    }
     vector.set_x((*values.fibre_direction)[0]);
     vector.set_y((*values.fibre_direction)[1]);
     vector.set_z((*values.fibre_direction)[2]);

@@ -375,6 +375,21 @@ std::vector<Refusal> law_refusals() {
       {"FieldOutOfRange",
        [=](auto& s) { body(s).mutable_element_fields()->set_poisson_ratio(fields(192, 0.5)); },
        {"body 'beam'.element_fields, element 0", "poisson_ratio"}},
+      {"NanModulusUnderAField",
+       [=](auto& s) {
+         body(s).mutable_law()->mutable_st_venant_kirchhoff()->set_young_modulus_pa(kNan);
+         body(s).mutable_element_fields()->set_young_modulus_pa(fields(192, 1e4));
+       },
+       {"st_venant_kirchhoff.young_modulus_pa", "not finite"}},
+      {"NanFibreUnderAField",
+       [=](auto& s) {
+         v1::TransverselyIsotropic& law = *body(s).mutable_law()->mutable_transversely_isotropic();
+         law.set_young_modulus_pa(1e4);
+         law.set_poisson_ratio(0.4);
+         law.mutable_fibre_direction()->set_z(kNan);
+         body(s).mutable_element_fields()->set_fibre_directions(fields(3 * 192, 1));
+       },
+       {"transversely_isotropic.fibre_direction", "not finite"}},
       {"FieldThatTheLawLacks",
        [=](auto& s) { body(s).mutable_element_fields()->set_fibre_directions(fields(3 * 192, 1)); },
        {"st_venant_kirchhoff", "no fibre_direction"}},
