@@ -75,8 +75,9 @@ $(VIEWER): $(VIEWER_SOURCES)
 	@cd clients/web && npm run --silent build -- --logLevel warn
 	@touch $@
 
-bench: build ## Measure this machine; results in tests/bench/results
+bench: build ## Measure this machine: beams, then each stage of a step beside the memory's rate
 	@$(BUILD)/bin/tensormass-bench
+	@$(BUILD)/bin/tensormass-bench-stages
 
 accuracy: setup-test ## Proof of accuracy: results in tests/accuracy, table in docs/accuracy.md (BACKEND=cuda, REFERENCES=1)
 	@$(MAKE) native python

@@ -22,7 +22,7 @@ struct PatchPolicy {
   std::uint32_t tiles_beyond_nodes = std::numeric_limits<std::uint32_t>::max();
   /// In single precision a solve has its vectors near, in no buffer of the scene, and can check the volume of
   /// tetrahedra, if no patch has more rows than this, those of its halo included.
-  std::uint32_t solve_keeps_rows = 0, solve_checks_rows = 0;
+  std::uint32_t solve_keeps_rows = 0;
   tensor::Storage storage_of(std::uint32_t node_count) const;
   std::uint32_t count(std::uint32_t node_count) const;
 };

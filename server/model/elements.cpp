@@ -304,7 +304,7 @@ void equip_solve(Compilation& c, const PatchPolicy& policy) {
   const std::uint32_t rows = model.layout.largest_patch();
   model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;
   // A solve of many in a step does not know where the step ends.
-  if (model.iterates() || rows > std::min(policy.solve_checks_rows, 0xFFFFu)) return;
+  if (model.iterates() || rows > std::min(policy.solve_keeps_rows, 0xFFFFu)) return;
   std::vector<tensor::ElementRows> tetrahedra;
   for (ElementGroup& group : model.groups) {
     if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))

@@ -74,22 +74,33 @@ TM_HOST_DEVICE void expect_move(const tensor::SceneView<Real>& s, std::uint32_t 
 /// What a thread has seen of the rows that it moved.
 template <class Real>
 struct Motion {
-  /// Squares of speed, move and distance; −det F of what is inside out.
-  Real maxima[4] = {0, 0, 0, -std::numeric_limits<Real>::infinity()};
-  Real sums[3] = {0, 0, 0};  // rows that are no numbers, twice the kinetic energy, work
+  Real maxima[3] = {0, 0, 0};  // squares of speed, move and distance
+  Real sums[3] = {0, 0, 0};    // rows that are no numbers, twice the kinetic energy, work
 };
 
-/// Of all threads of a patch.
-template <class Team, class Real>
-TM_HOST_DEVICE void report(const Team& team, const tensor::SceneView<Real>& s, Motion<Real> motion) {
+/// Of all threads of a patch. least_det_f(): PatchReport::min_det_f, which who leads the patch has to know; the
+/// patch's threads meet there at least once.
+template <class Team, class Real, class LeastDetF>
+TM_HOST_DEVICE void report(const Team& team, const tensor::SceneView<Real>& s, Motion<Real> motion,
+                           const LeastDetF& least_det_f) {
   using std::sqrt;
   auto& [maxima, sums] = motion;
-  team.patch_reduce(maxima, sums);
-  if (team.leads_patch()) {
-    s.patch_reports[team.patch()] = {
-        sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2],
-        -maxima[3]};
-  }
+  team.begin_reduce(maxima, sums);
+  const Real min_det_f = least_det_f();
+  if (!team.leads_patch()) return;
+  team.end_reduce(maxima, sums);
+  s.patch_reports[team.patch()] = {
+      sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2],
+      min_det_f};
+}
+
+/// Where nobody looks at volumes, or a stage of their own does.
+template <class Team, class Real>
+TM_HOST_DEVICE void report(const Team& team, const tensor::SceneView<Real>& s, const Motion<Real>& motion) {
+  report(team, s, motion, [&] {
+    team.sync();
+    return std::numeric_limits<Real>::infinity();
+  });
 }
 
 /// Moves the rows of a patch to velocities v, u = û + h v. read(row): what v is made of; velocity_of(row, that): v.

@@ -251,11 +251,17 @@ TM_HOST_DEVICE Real det_f_of_nodes(const Vec3<Real> (&rest)[4], const Vec3<Real>
   return before != 0 ? quotient(after, before) : Real(1);
 }
 
-/// The smallest det F of an element's quadrature points: det J of where its nodes are over det J of where they rest,
-/// J = Σ x_k ⊗ ∂N_k/∂r. Rest shapes are left alone, 64 bytes of a tetrahedron for 16, 850 of a hexahedron for 32.
+/// Threads that share the points of an element in check_volume, where it has several.
+inline constexpr std::uint32_t kThreadsOfPoints = 2;
+
+/// The smallest det F of those of an element's quadrature points that look inside out; infinity: none does.
+/// det J of where its nodes are over det J of where they rest, J = Σ x_k ⊗ ∂N_k/∂r. Rest shapes are left alone, 64
+/// bytes of a tetrahedron for 16, 850 of a hexahedron for 32. Of points first_point, first_point + step, ..
 template <class Shape, class Real>
-TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element) {
+TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t element,
+                                std::uint32_t first_point = 0, std::uint32_t step = 1) {
   constexpr int kNodes = Shape::kNodes;
+  constexpr Real kNone = std::numeric_limits<Real>::infinity();
   Vec3<Real> rest[kNodes], displacement[kNodes];
   TM_UNROLL_ALL
   for (int k = 0; k < kNodes; ++k) {
@@ -264,48 +270,59 @@ TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real
     displacement[k] = load3<Real>(s.displacement, row);
   }
   if constexpr (Shape::kSinglePoint) {
-    return det_f_of_nodes(rest, displacement);
+    const Real det_f = det_f_of_nodes(rest, displacement);
+    return det_f > 0 ? kNone : det_f;
   } else {
+    Vec3<Real> now[kNodes];
     TM_UNROLL_ALL
     for (int k = 1; k < kNodes; ++k) {  // against the first node, as gradients add up to zero
       rest[k] -= rest[0];
-      displacement[k] = rest[k] + (displacement[k] - displacement[0]);
+      now[k] = rest[k] + (displacement[k] - displacement[0]);
     }
-    Real least = std::numeric_limits<Real>::max();
-    TM_UNROLL(1)
-    for (std::uint32_t q = 0; q < e.reference_points; ++q) {
+    const auto det_j = [&e](const Vec3<Real>(&nodes)[kNodes], std::uint32_t q) {
       const Real* gradients = e.reference_gradients + std::size_t{3} * kNodes * q;
-      Mat3<Real> before = Mat3<Real>::Zero(), after = Mat3<Real>::Zero();
+      Mat3<Real> j = Mat3<Real>::Zero();
       TM_UNROLL_ALL
       for (int k = 1; k < kNodes; ++k) {
-        for (int c = 0; c < 3; ++c) {
-          before.col(c) += rest[k] * gradients[3 * k + c];
-          after.col(c) += displacement[k] * gradients[3 * k + c];
-        }
+        for (int c = 0; c < 3; ++c) j.col(c) += nodes[k] * gradients[3 * k + c];
       }
-      const Real at_rest = before.determinant();
-      least = minimum(least, at_rest != 0 ? quotient(after.determinant(), at_rest) : Real(1));
+      return j.determinant();
+    };
+    Real least = kNone;
+    TM_UNROLL(1)
+    for (std::uint32_t q = first_point; q < e.reference_points; q += step) {
+      const Real after = det_j(now, q);
+      if (after > 0) continue;
+      const Real before = det_j(rest, q);
+      if (before != 0) least = minimum(least, quotient(after, before));  // else: padding
     }
     return least;
   }
 }
 
 /// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
-/// Reads displacement; writes min_det_f.
+/// Reads displacement; writes min_det_f, infinity where nothing looks inside out.
 template <class Shape, class Team, class Real>
 TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
   const ElementRange range = element_range(s, e, team.patch());
-  T compression = T(-std::numeric_limits<Real>::max());  // −det F
-  constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;   // nothing is written, and every turn waits for memory
-  team.template for_lanes<Lanes::kWidth, kAtOnce>(range.begin, range.end, [&](std::uint32_t first) {
-    if constexpr (kReadsRecords<Lanes>) {
-      if (e.reference_gradients != nullptr) {
-        compression = maximum(compression, T(-least_det_f<Shape>(s, e, first)));
-        return;
-      }
+  T compression = T(-std::numeric_limits<Real>::infinity());  // −det F
+  const auto report = [&] {
+    const Real worst = team.patch_max(Lanes::largest(compression));
+    if (team.leads_patch()) s.min_det_f[(e.watch_begin + team.patch()) * team.parts() + team.part()] = -worst;
+  };
+  if constexpr (kReadsRecords<Lanes>) {
+    if (e.reference_gradients != nullptr) {
+      constexpr std::uint32_t kThreads = Shape::kSinglePoint ? 1 : kThreadsOfPoints;
+      constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;  // nothing is written, and every turn waits for memory
+      team.template for_each<kAtOnce>(kThreads * range.begin, kThreads * range.end, [&](std::uint32_t i) {
+        compression = maximum(compression, T(-least_det_f<Shape>(s, e, i / kThreads, i % kThreads, kThreads)));
+      });
+      return report();
     }
+  }
+  team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     Vec3<T> u[Shape::kNodes];
     load_displacement<Lanes, Shape>(s, e, first, u);
     TM_UNROLL(1)
@@ -315,8 +332,7 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
       compression = maximum(compression, T(-f.determinant()));
     }
   });
-  const Real worst = team.patch_max(Lanes::largest(compression));
-  if (team.leads_patch()) s.min_det_f[(e.watch_begin + team.patch()) * team.parts() + team.part()] = -worst;
+  report();
 }
 
 /// How far the elements of a group are from rest, and the energy that is in them; only now and then.

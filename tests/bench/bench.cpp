@@ -105,7 +105,7 @@ std::vector<Case> guards() {
   return cases;
 }
 
-/// Step time against elements.
+/// Step time against elements, up to the most that a scene may have (core/limits.h).
 std::vector<Case> sizes() {
   std::vector<Case> cases;
   for (const std::array<std::uint32_t, 3> cells : {std::array{24u, 3u, 2u},
@@ -114,7 +114,9 @@ std::vector<Case> sizes() {
                                                    {100u, 12u, 10u},
                                                    {160u, 20u, 16u},
                                                    {236u, 30u, 24u},
-                                                   {320u, 40u, 32u}}) {
+                                                   {320u, 40u, 32u},
+                                                   {590u, 73u, 58u},
+                                                   {880u, 110u, 86u}}) {
     const std::uint32_t count = cells[0] * cells[1] * cells[2] * 6;
     cases.push_back({fmt::format("size {} StVK", count), beam(cells[0], cells[1], cells[2], false, false)});
   }
@@ -155,6 +157,7 @@ struct Row {
   bool target_is_p99 = false;
   Measured step{};
 
+  double times_floor() const { return step.median_s / floor_s; }
   bool meets_target() const { return (target_is_p99 ? step.p99_s : step.median_s) <= target_s; }
 };
 
@@ -344,12 +347,12 @@ std::string json(const Row& row, const std::string& commit, const std::string& c
   return fmt::format(
       R"({{"case":"{}","backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"nodes":{},"patches":{},)"
       R"("steps":{},"restarts":{},"cg_iterations":{},"step_ms_median":{:.4f},"step_ms_p99":{:.4f},"step_ms_min":{:.4f},)"
-      R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"ratio_to_floor":{:.2f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},)"
-      R"("bytes_per_element":{:.0f},"target_ms":{:.3f},"target_met":{}}})",
+      R"("cg_iteration_us":{:.3f},"floor_ms":{:.4f},"ratio_to_floor":{:.2f},"achieved_gb_per_s":{:.1f},"bandwidth_gb_per_s":{:.1f},"ready_s":{:.3f},)"
+      R"("bytes_per_element":{:.1f},"target_ms":{:.3f},"target_met":{}}})",
       row.name, row.backend, row.device, commit, command, row.elements, row.nodes, row.patches, row.steps, row.restarts,
       row.iterations, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.step.min_s * 1e3, row.iteration_s * 1e6,
-      row.floor_s * 1e3, row.step.median_s / row.floor_s, bandwidth / 1e9, row.compile_s, row.bytes_per_element,
-      row.target_s * 1e3,
+      row.floor_s * 1e3, row.times_floor(), bandwidth / row.times_floor() / 1e9, bandwidth / 1e9, row.compile_s,
+      row.bytes_per_element, row.target_s * 1e3,
       row.target_s == 0    ? "null"
       : row.meets_target() ? "true"
                            : "false");
@@ -360,16 +363,20 @@ std::string json(const Row& row, const std::string& commit, const std::string& c
 int main(int argc, char** argv) {
   CLI::App app{
       "Milliseconds a step on beams that anyone can rebuild: 8 x 1 x 0.8 m, E 1 MPa, nu 0.4, 50 CG iterations."};
-  std::string backend_name = "cpu", output, commit = "unknown";
+  std::string backend_name, output, commit = "unknown";
   std::uint32_t steps = 0, threads = std::max(1u, std::thread::hardware_concurrency());
   std::string suite = "beams", only;
   bool small = false, of_family = false;
-  app.add_option("--backend", backend_name, "cpu or cuda")->check(CLI::IsMember({"cpu", "cuda"}));
-  app.add_option("--steps", steps, "measured steps of each case; default: 500 with --suite gpu, else 100")
+  app.add_option("--backend", backend_name, "cpu or cuda; default: cuda with --suite gpu, else cpu")
+      ->check(CLI::IsMember({"cpu", "cuda"}));
+  app.add_option("--steps", steps, "measured steps of each case; default: 500 with --suite gpu and largest, else 100")
       ->check(CLI::Range(1, 100000));
   app.add_option("--threads", threads, "CPU threads of a scene");
   app.add_option("--commit", commit, "written into the results");
-  app.add_option("--json", output, "append one JSON line a case to this file");
+  const auto* const wants_json =
+      app.add_option("--json", output,
+                     "one JSON line a case, appended to this file; without one, in place of the table")
+          ->expected(0, 1);
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
   app.add_option("--only", only, "cases whose names contain this");
   app.add_option("--suite", suite,
@@ -378,33 +385,42 @@ int main(int argc, char** argv) {
       ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
   app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
-  app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+  auto* const scene_file =
+      app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+  bool unpaced = false;
+  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, as the beams")->needs(scene_file);
   app.add_option("--stations", real_time.copies, "as --scene: so many of 20,520 tetrahedra under a probe, 1 kHz each");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
   app.add_flag("--together", real_time.together, "with --stations: they step only when all are loaded");
   app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
   CLI11_PARSE(app, argc, argv);
-  if (steps == 0) steps = suite == "gpu" ? 500 : 100;
+  if (steps == 0) steps = suite == "gpu" || suite == "largest" ? 500 : 100;
+  if (backend_name.empty()) backend_name = suite == "gpu" ? "cuda" : "cpu";
+  const bool prints_table = wants_json->count() == 0 || !output.empty();
+  const auto write_line = [&](const std::string& line) {
+    if (!prints_table) std::printf("%s\n", line.c_str());
+    if (!output.empty()) std::ofstream(output, std::ios::app) << line << '\n';
+  };
   std::string command = "tensormass-bench";  // without where its results go
   for (int i = 1; i < argc; ++i) {
     if (std::string_view(argv[i]) == "--json") {
-      ++i;
+      i += output.empty() ? 0 : 1;
     } else {
       command += std::string(" ") + argv[i];
     }
   }
 
   if (real_time.copies > 0) real_time.press = kStationPress;
-  if (!real_time.scene_file.empty() || real_time.copies > 0) {
+  if ((!real_time.scene_file.empty() && !unpaced) || real_time.copies > 0) {
     const auto choice = backend_name == "cuda" ? world::BackendChoice::kCuda : world::BackendChoice::kCpu;
     const auto line = run_in_real_time(real_time, {choice, threads, std::max(real_time.copies, 1u)}, commit, command);
     if (!line) {
       std::fprintf(stderr, "%s\n", line.error().message.c_str());
       return line.error().code == ErrorCode::kUnavailable ? 77 : 1;
     }
-    std::printf("%s\n", line->c_str());
-    if (!output.empty()) std::ofstream(output, std::ios::app) << *line << '\n';
+    if (prints_table) std::printf("%s\n", line->c_str());
+    write_line(*line);
     return 0;
   }
 
@@ -425,7 +441,15 @@ int main(int argc, char** argv) {
     std::uint32_t x, y, z;
   };
   std::vector<Case> cases;
-  const bool beams = suite == "beams" && !of_family;
+  if (unpaced) {
+    auto scene = read_scene(real_time.scene_file);
+    if (!scene) {
+      std::fprintf(stderr, "%s\n", scene.error().message.c_str());
+      return 1;
+    }
+    cases.push_back({scene->name(), std::move(*scene)});
+  }
+  const bool beams = suite == "beams" && !of_family && !unpaced;
   if (of_family) cases = family();
   if (suite == "gpu") cases = gpu_suite();
   if (suite == "sizes") cases = sizes();
@@ -439,9 +463,11 @@ int main(int argc, char** argv) {
   }
   if (beams) cases.push_back({"beam 43200 StVK double", beam(60, 12, 10, false, true)});
 
-  std::printf("%s on %s, %.0f GB/s\n", backend->name().c_str(), backend->device().c_str(), bandwidth / 1e9);
-  std::printf("%-36s %9s %8s %10s %10s %10s %12s %8s %9s %s\n", "case", "elements", "patches", "median ms", "p99 ms",
-              "floor ms", "us/iteration", "ready s", "B/element", "target ms");
+  if (prints_table) {
+    std::printf("%s on %s, %.0f GB/s\n", backend->name().c_str(), backend->device().c_str(), bandwidth / 1e9);
+    std::printf("%-36s %9s %8s %10s %10s %10s %8s %8s %12s %8s %9s %s\n", "case", "elements", "patches", "median ms",
+                "p99 ms", "floor ms", "x floor", "GB/s", "us/iteration", "ready s", "B/element", "target ms");
+  }
   for (Case& one : cases) {
     if (one.name.find(only) == std::string::npos) continue;
     Row row{.name = one.name, .backend = backend->name(), .device = backend->device(), .steps = steps};
@@ -457,11 +483,14 @@ int main(int argc, char** argv) {
     row.floor_s /= bandwidth;
     const std::string target =
         row.target_s == 0 ? "" : fmt::format("{:.2f} {}", row.target_s * 1e3, row.meets_target() ? "met" : "missed");
-    std::printf("%-36s %9lu %8u %10.3f %10.3f %10.3f %12.2f %8.2f %9.0f %s\n", row.name.c_str(), row.elements,
-                row.patches, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.floor_s * 1e3, row.iteration_s * 1e6,
-                row.compile_s, row.bytes_per_element, target.c_str());
+    if (prints_table) {
+      std::printf("%-36s %9lu %8u %10.3f %10.3f %10.3f %8.2f %8.0f %12.2f %8.2f %9.1f %s\n", row.name.c_str(),
+                  row.elements, row.patches, row.step.median_s * 1e3, row.step.p99_s * 1e3, row.floor_s * 1e3,
+                  row.times_floor(), bandwidth / row.times_floor() / 1e9, row.iteration_s * 1e6, row.compile_s,
+                  row.bytes_per_element, target.c_str());
+    }
+    write_line(json(row, commit, command, bandwidth));
     std::fflush(stdout);
-    if (!output.empty()) std::ofstream(output, std::ios::app) << json(row, commit, command, bandwidth) << '\n';
   }
   return 0;
 }

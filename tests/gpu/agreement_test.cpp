@@ -8,6 +8,7 @@
 #include <gtest/gtest.h>
 
 #include "model/compile.h"
+#include "support/laws.h"
 #include "support/scenes.h"
 #include "world/world.h"
 
@@ -163,10 +164,27 @@ TEST_P(CudaAgreement, WhatIsInsideOutIsSeenWhereverItIs) {
 
 TEST_P(CudaAgreement, RepeatsBitwise) {
   v1::Scene scene = tests::block_with_probe(GetParam().double_precision);
+  if (GetParam().linear) *scene.mutable_bodies(0)->mutable_law() = tests::law("hooke", 5e3, 0.4);
   const Trajectory first = run(*cuda_, scene, 50, true);
   const Trajectory second = run(*cuda_, scene, 50, true);
   EXPECT_EQ(first.positions, second.positions);
   EXPECT_TRUE(std::equal(first.forces.begin(), first.forces.end(), second.forces.begin()));
+}
+
+/// The beams of docs/performance.md, which have the whole device.
+TEST_P(CudaAgreement, LargeBeamsRepeatBitwise) {
+  constexpr int kSteps = 3;
+  for (const v1::Shape shape : {v1::SHAPE_TETRAHEDRON, v1::SHAPE_HEXAHEDRON}) {
+    v1::Scene scene = tests::beam_scene({.cells_x = 160,
+                                         .cells_y = 20,
+                                         .cells_z = 16,
+                                         .linear = GetParam().linear,
+                                         .double_precision = GetParam().double_precision});
+    scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
+    const Trajectory first = run(*cuda_, scene, kSteps, false), second = run(*cuda_, scene, kSteps, false);
+    EXPECT_EQ(first.patches, cuda_->patch_policy(scene).max_patches) << "else this shows less than it should";
+    EXPECT_EQ(first.positions, second.positions) << v1::Shape_Name(shape);
+  }
 }
 
 /// Scenes that share the device come to the same bits side by side as one of them alone, and to the same state as a

@@ -79,6 +79,11 @@ class Team {
   /// The largest of some numbers and the sums of others, at once.
   template <class Real, std::size_t Maxima, std::size_t Sums>
   void patch_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
+  /// In two halves, once in a stage, with a sync between; the second is for whoever asks.
+  template <class Real, std::size_t Maxima, std::size_t Sums>
+  void begin_reduce(const Real (&)[Maxima], const Real (&)[Sums]) const {}
+  template <class Real, std::size_t Maxima, std::size_t Sums>
+  void end_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
 
   /// Sums over all patches in their order, and makes what each patch wrote before visible to all.
   /// scratch: [patch_count, 4], not the one of the exchange before.

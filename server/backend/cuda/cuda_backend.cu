@@ -214,7 +214,7 @@ class CudaState final : public SceneState {
       largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
     }
     threads_ = std::clamp(largest, 128u, cuda::kMaxBlockThreads) / cuda::kWarp * cuda::kWarp;
-    if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout, !model.checked.begin.empty());
+    if constexpr (kSinglePrecision) solve_plan_ = cuda::plan_solve(model.layout);
     if (model.solve_keeps_vectors && !solve_plan_.keeps_vectors()) throw CudaFailure("no room for the solve's vectors");
     if (model.iterates()) {
       for (const model::Phase phase : {model::Phase::kBegin, model::Phase::kEvaluate, model::Phase::kSolve,
@@ -323,14 +323,16 @@ class CudaState final : public SceneState {
     check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
   }
 
-  /// Few elements a thread, and no more blocks than can run at once: each has a number to report.
+  /// Few elements a thread, and few blocks: each has a number to report.
   static std::uint32_t parts_of(const model::Model& model) {
-    constexpr std::uint32_t kMostParts = 8;
+    constexpr std::uint32_t kMostParts = 8, kItemsOfThread = 2;
     std::uint32_t most = 0;
     for (const model::ElementGroup& group : model.groups) {
-      if (group.checks_volume && !group.solve_checks_volume) most = std::max(most, group.element_count);
+      if (!group.checks_volume || group.solve_checks_volume) continue;
+      most = std::max(most, group.element_count * std::min(group.point_count, tensor::kThreadsOfPoints));
     }
-    return std::clamp(most / model.layout.patch_count / cuda::kStageThreads, 1u, kMostParts);
+    const std::uint32_t of_part = model.layout.patch_count * cuda::kStageThreads * kItemsOfThread;
+    return std::clamp((most + of_part - 1) / of_part, 1u, kMostParts);
   }
 
   /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
@@ -510,14 +512,8 @@ class CudaBackend final : public Backend {
     // than that many do not fit on the chip. Scenes that share the device take as few multiprocessors as will do.
     constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416, kMaxNodesIfShared = 480;
     const std::uint32_t max_nodes = scenes_ > 1 ? kMaxNodesIfShared : kMaxNodesPerPatch;
-    return {processors(),
-            kMinNodesPerPatch,
-            tensor::Storage::kRows,
-            processors() / scenes_,
-            max_nodes,
-            cuda::kMostResidentRows,
-            cuda::most_kept_rows(properties_),
-            cuda::most_rows_of(properties_, cuda::kVolumeBytesPerRow)};
+    return {processors(), kMinNodesPerPatch,       tensor::Storage::kRows,           processors() / scenes_,
+            max_nodes,    cuda::kMostResidentRows, cuda::most_kept_rows(properties_)};
   }
   model::MachineRates rates(const v1::Scene&) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};

@@ -10,9 +10,6 @@
 
 namespace tensormass::backend::cuda {
 
-/// Shared memory of PatchVolume [bytes].
-inline constexpr std::size_t kVolumeBytesPerRow = 16;  // own or of the halo: where it is
-
 /// Looks for tetrahedra of a patch (tensor/patch_tetrahedra.h) that are turned inside out where a solve ends: patches
 /// tell each other how far their rows have moved, and each looks at its own tetrahedra in shared memory. A kernel of
 /// its own takes longer to begin and to be waited for than this takes in all.
@@ -53,8 +50,8 @@ class PatchVolume {
     positions_[row - patch_.row_begin] = position(rest, u);
   }
 
-  /// By all threads, after that: of some of the patch's tetrahedra that look inside out. Infinity: none of these does.
-  __device__ float least_det_f() {
+  /// By all threads, after that: whether one of the tetrahedra that the thread looks at seems inside out.
+  __device__ bool finds() {
     bool inside_out = false;
     std::uint32_t t = begin_ + threadIdx.x, end = halo_begin_;
     // First what needs no row of the halo, which is on its way meanwhile. Both by the same instructions: what runs once
@@ -71,19 +68,23 @@ class PatchVolume {
 #pragma unroll
         for (std::uint32_t i = 0; i < kAtOnce; ++i) inside_out |= !has_volume(nodes[i]);
       }
-      if (ends) break;
+      if (ends) return inside_out;
       t = halo_begin_ + threadIdx.x;
       end = end_;
       read_ahead(t, end);
       place_halo();
     }
+  }
+  /// By all threads, which meet here: of the patch's tetrahedra that seem inside out; infinity where no thread has
+  /// found one, as in nearly all steps.
+  __device__ float least_det_f(const Team& team, bool found) const {
     float least = std::numeric_limits<float>::infinity();
-    if (__syncthreads_or(inside_out ? 1 : 0) == 0) return least;
+    if (__syncthreads_or(found ? 1 : 0) == 0) return least;
 #pragma unroll 1
-    for (t = begin_ + threadIdx.x; t < end_; t += Threads) {
+    for (std::uint32_t t = begin_ + threadIdx.x; t < end_; t += Threads) {
       if (!has_volume(tetrahedra_[t])) least = fminf(least, det_f(tetrahedra_[t]));
     }
-    return least;
+    return -team.patch_max(-least);
   }
 
  private:
@@ -164,7 +165,7 @@ class PatchVolume {
   const tensor::SceneView<float>& s_;
   const tensor::Patch& patch_;
   Exchange& exchange_;
-  float4* const positions_;  // [own and halo]
+  float4* const positions_;  // [own and halo], where q and direction have been
   const uint2* const tetrahedra_;
   const std::uint32_t begin_, halo_begin_, end_;  // tetrahedra of own rows only, then the others
   const Vec3<float> origin_;
@@ -183,9 +184,9 @@ __device__ void end_solve(const tensor::SceneView<float>& s, const tensor::Patch
     solver::report(team, s, solver::advance_by(team, s, change_of, solver::Unasked{}));
   } else {
     PatchVolume<Threads> volume(s, patch, exchange, shared);
-    solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
-    motion.maxima[3] = -volume.least_det_f();
-    solver::report(team, s, motion);
+    const solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
+    const bool found = volume.finds();
+    solver::report(team, s, motion, [&] { return volume.least_det_f(team, found); });
   }
   if (threadIdx.x == 0) exchange.remember();
 }

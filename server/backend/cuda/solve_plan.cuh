@@ -39,18 +39,15 @@ inline std::size_t allow_all_shared_bytes(const void* kernel) {
   return static_cast<std::size_t>(most);
 }
 
-/// Rows of a patch, own and of its halo, for which a solve has room, at so many bytes a row.
-inline std::uint32_t most_rows_of(const cudaDeviceProp& device, std::size_t bytes_per_row) {
-  constexpr std::size_t kStaticBytes = 2048;  // what the kernels declare themselves, at most
-  return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / bytes_per_row);
-}
-/// For which direction and residual surely stay in shared memory, beside q of tiles where the matrix is streamed.
+/// Rows of a patch, own and of its halo, for which direction and residual surely stay in shared memory, beside q of
+/// tiles where the matrix is streamed. PatchVolume has room there, too.
 inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
-  return most_rows_of(device, 2 * kStreamedBytesPerCell + kStreamedBytesPerVector);
+  constexpr std::size_t kStaticBytes = 2048;  // what the kernels declare themselves, at most
+  constexpr std::size_t kBytesPerRow = 2 * kStreamedBytesPerCell + kStreamedBytesPerVector;
+  return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / kBytesPerRow);
 }
 
-/// checks_volume: SceneView has tetrahedra for that.
-inline SolvePlan plan_solve(const tensor::Layout& layout, bool checks_volume) {
+inline SolvePlan plan_solve(const tensor::Layout& layout) {
   const std::uint32_t most_locals = layout.largest_patch();
   std::uint32_t most_rows = 0, most_halo = 0;
   for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
@@ -105,7 +102,6 @@ inline SolvePlan plan_solve(const tensor::Layout& layout, bool checks_volume) {
     place(kNearResidual, most_locals * kStreamedBytesPerVector);
     place(kNearSolution, most_rows * kStreamedBytesPerVector);
   }
-  if (checks_volume) plan.shared_bytes = std::max(plan.shared_bytes, most_locals * kVolumeBytesPerRow);
   return plan;
 }
 

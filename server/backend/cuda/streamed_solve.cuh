@@ -15,21 +15,23 @@ namespace tensormass::backend::cuda {
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// A patch's vectors, in shared memory or in the scene's buffers, `stride` floats a row.
+/// A patch's vector, in shared memory or in a buffer of the scene: three floats a row.
 struct Vectors {
   float* data;
-  std::uint32_t stride;
   __device__ Vec3<float> operator[](std::uint32_t local) const {
-    const float* v = data + std::size_t{local} * stride;
+    const float* v = data + std::size_t{3} * local;
     return {v[0], v[1], v[2]};
   }
   __device__ void set(std::uint32_t local, const Vec3<float>& value) const {
-    float* v = data + std::size_t{local} * stride;
+    float* v = data + std::size_t{3} * local;
     v[0] = value[0];
     v[1] = value[1];
     v[2] = value[2];
   }
 };
+__device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
+/// Whole, as memory that is written in part is read first.
+__device__ inline float4 cell_of(const Vec3<float>& v) { return {v[0], v[1], v[2], 0}; }
 
 /// Shared memory of streamed_solve [bytes], and its threads: a warp a tile at once.
 inline constexpr std::size_t kStreamedBytesPerCell = 16, kStreamedBytesPerVector = 12;
@@ -48,70 +50,144 @@ __device__ inline void scale_tile(const SceneView<float>& s, const tensor::Patch
   for (std::uint32_t row = patch.row_begin + first + threadIdx.x % kWarp; row < patch.row_begin + last; row += kWarp) {
     const ReadColumns columns(s, row / kSliceRows);
     const Mat3<float> own = solver::load_lower<float>(s.diagonal, row);
-#pragma unroll 2
-    for (std::uint32_t j = columns.begin; j < columns.end; ++j) {
-      const std::size_t slot = std::size_t{j} * kSliceRows + row % kSliceRows;
-      const auto other = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, s.columns[slot]));
-      const Mat3<float> block = own * tensor::load_block<float>(s.edges, slot) * other.transpose();
-      tensor::store_block<float>(s.edges, slot, block);
+    // Some at once, as each waits for memory twice.
+    constexpr std::uint32_t kAtOnce = 3;
+#pragma unroll 1
+    for (std::uint32_t begin = columns.begin; begin < columns.end; begin += kAtOnce) {
+      std::uint32_t other[kAtOnce];
+      Mat3<float> block[kAtOnce], factor[kAtOnce];
+      const auto slot_of = [&](std::uint32_t i) {
+        return std::size_t{minimum(begin + i, columns.end - 1)} * kSliceRows + row % kSliceRows;
+      };
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) other[i] = s.columns[slot_of(i)];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) block[i] = tensor::load_block<float>(s.edges, slot_of(i));
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        factor[i] = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, other[i]));
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        if (begin + i >= columns.end) break;
+        const Mat3<float> scaled = own * block[i] * factor[i].transpose();
+        tensor::store_block<float>(s.edges, slot_of(i), scaled);
+      }
     }
   }
 }
 
-/// q = Â p on a tile's rows, all of it: what other tiles' rows have to do with them is read here (tensor/tiles.h). By
-/// its warp. p: of the patch; q: of the tile, in shared memory; four floats a row.
-__device__ inline void multiply_tile(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t first,
-                                     std::uint32_t last, const float4* p, float4* q) {
-  constexpr std::uint32_t kAtOnce = 5;  // two rounds for most rows
-  const unsigned lane = threadIdx.x % kWarp;
-  for (std::uint32_t local = first + lane; local < last; local += kWarp) q[local - first] = p[local];  // unit diagonal
-  __syncwarp();
-#pragma unroll 1
-  for (std::uint32_t local = first + lane; local < last; local += kWarp) {
-    const ReadColumns columns(s, (patch.row_begin + local) / kSliceRows);
-    const float4 own = p[local];
-    Vec3<float> sum = Vec3<float>::Zero();
-#pragma unroll 1
-    for (std::uint32_t begin = columns.begin; begin < columns.end; begin += kAtOnce) {
-      float block[kAtOnce][9];
-      std::uint32_t column[kAtOnce], twice[kAtOnce];
-      // Reads are under way together.
-#pragma unroll
-      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-        const std::uint32_t j = begin + i;
-        column[i] = j < columns.end ? s.columns[std::size_t{j} * kSliceRows + lane] : 0;
-        twice[i] = j < columns.end && s.used_twice != nullptr ? s.used_twice[j] : 0;
-      }
-#pragma unroll
-      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-        // The matrix passes by in every iteration: it is not to drive out of the cache what stays.
-        const float* from = s.edges + tensor::block_begin(std::size_t{begin + i} * kSliceRows + lane);
-        for (int c = 0; c < 9; ++c) block[i][c] = begin + i < columns.end ? __ldcs(from + c * kSliceRows) : 0;
-      }
-      float4 direction[kAtOnce];
-#pragma unroll
-      for (std::uint32_t i = 0; i < kAtOnce; ++i) direction[i] = p[column[i]];
-#pragma unroll
-      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-        const float* a = block[i];
-        const float4 v = direction[i];
-        for (int c = 0; c < 3; ++c) sum[c] += a[3 * c] * v.x + a[3 * c + 1] * v.y + a[3 * c + 2] * v.z;
-        if ((twice[i] >> lane & 1) != 0) {
-          float4& other = q[column[i] - first];
-          const float4 before = other;
-          other = {before.x + a[0] * own.x + a[3] * own.y + a[6] * own.z,
-                   before.y + a[1] * own.x + a[4] * own.y + a[7] * own.z,
-                   before.z + a[2] * own.x + a[5] * own.y + a[8] * own.z, 0};
-        }
-        __syncwarp();  // the next column adds to the same rows
-      }
-    }
-    float4& mine = q[local - first];
-    const float4 before = mine;
-    mine = {before.x + sum[0], before.y + sum[1], before.z + sum[2], 0};
-    __syncwarp();
+/// A warp's way through its tiles, over and over: the columns that it multiplies next are on their way from memory,
+/// also while patches exchange.
+template <unsigned Warps>
+class TileWalk {
+ public:
+  /// A warp that has no tile is not to multiply.
+  __device__ TileWalk(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t tile_rows)
+      : s_(s), patch_(patch), tile_rows_(tile_rows), own_(patch.own()), begin_(threadIdx.x / kWarp * tile_rows) {
+    if (begin_ >= own_) return;
+    begin_tile(begin_);
+    load();
   }
-}
+
+  /// q = Â p on the rows of the tile at hand, all of it: what other tiles' rows have to do with them is read here
+  /// (tensor/tiles.h). Then the warp's next tile is at hand. p: of the patch; q: of the tile, in shared memory; four
+  /// floats a row.
+  __device__ void multiply(const float4* p, float4* q) {
+    const std::uint32_t first = first_, last = minimum(first + tile_rows_, own_);
+    for (std::uint32_t local = first + lane(); local < last; local += kWarp)
+      q[local - first] = p[local];  // unit diagonal
+    __syncwarp();
+#pragma unroll 1
+    for (std::uint32_t local = first + lane(); local < last; local += kWarp) {
+      const float4 own = p[local];
+      Vec3<float> sum = Vec3<float>::Zero();
+      bool ends = false;
+#pragma unroll 1
+      do {
+        float4 direction[kAtOnce];
+#pragma unroll
+        for (std::uint32_t i = 0; i < kAtOnce; ++i) direction[i] = p[column_[i]];
+#pragma unroll
+        for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+          const float* a = block_[i];
+          const float4 v = direction[i];
+          for (int c = 0; c < 3; ++c) sum[c] += a[3 * c] * v.x + a[3 * c + 1] * v.y + a[3 * c + 2] * v.z;
+          if ((twice_[i] >> lane() & 1) != 0) {
+            float4& other = q[column_[i] - first];
+            const float4 before = other;
+            other = {before.x + a[0] * own.x + a[3] * own.y + a[6] * own.z,
+                     before.y + a[1] * own.x + a[4] * own.y + a[7] * own.z,
+                     before.z + a[2] * own.x + a[5] * own.y + a[8] * own.z, 0};
+          }
+          __syncwarp();  // the next column adds to the same rows
+        }
+        next_ += kAtOnce;
+        ends = next_ >= end_;
+        if (ends) next_slice();
+        load();
+      } while (!ends);
+      float4& mine = q[local - first];
+      const float4 before = mine;
+      mine = {before.x + sum[0], before.y + sum[1], before.z + sum[2], 0};
+      __syncwarp();
+    }
+  }
+
+ private:
+  static constexpr std::uint32_t kAtOnce = 5;  // two rounds for most rows
+
+  __device__ static unsigned lane() { return threadIdx.x % kWarp; }
+  /// A lane for each of its slices.
+  __device__ void begin_tile(std::uint32_t first) {
+    first_ = first;
+    slice_ = 0;
+    const std::uint32_t last = minimum(first + tile_rows_, own_);
+    slices_ = (last - first) / kSliceRows;
+    const std::uint32_t slice = (patch_.row_begin + first) / kSliceRows + minimum(lane(), slices_ - 1);
+    const ReadColumns columns(s_, slice);
+    begin_of_ = columns.begin;
+    end_of_ = columns.end;
+    begin_slice();
+  }
+  __device__ void begin_slice() {
+    next_ = __shfl_sync(0xFFFFFFFFu, begin_of_, slice_);
+    end_ = __shfl_sync(0xFFFFFFFFu, end_of_, slice_);
+  }
+  __device__ void next_slice() {
+    if (++slice_ < slices_) return begin_slice();
+    std::uint32_t next = first_ + Warps * tile_rows_;
+    if (next >= own_) next = begin_;
+    if (next != first_) return begin_tile(next);
+    slice_ = 0;
+    begin_slice();
+  }
+  /// Reads are under way together.
+  __device__ void load() {
+#pragma unroll
+    for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+      const std::uint32_t j = next_ + i;
+      column_[i] = j < end_ ? s_.columns[std::size_t{j} * kSliceRows + lane()] : 0;
+      twice_[i] = j < end_ && s_.used_twice != nullptr ? s_.used_twice[j] : 0;
+    }
+#pragma unroll
+    for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+      // The matrix passes by in every iteration: it is not to drive out of the cache what stays.
+      const float* from = s_.edges + tensor::block_begin(std::size_t{next_ + i} * kSliceRows + lane());
+      for (int c = 0; c < 9; ++c) block_[i][c] = next_ + i < end_ ? __ldcs(from + c * kSliceRows) : 0;
+    }
+  }
+
+  const SceneView<float>& s_;
+  const tensor::Patch& patch_;
+  const std::uint32_t tile_rows_, own_, begin_;  // where the warp's first tile begins
+  std::uint32_t first_;                          // where the tile at hand does
+  std::uint32_t slice_, slices_;                 // of it
+  std::uint32_t next_, end_;                     // columns of the slice
+  std::uint32_t begin_of_, end_of_;              // the same of the lane's slice
+  float block_[kAtOnce][9];
+  std::uint32_t column_[kAtOnce], twice_[kAtOnce];
+};
 
 /// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Beside them tiles add up their q
 /// there (kStreamedBytesPerCell a row): all of q where each warp has one tile.
@@ -134,20 +210,24 @@ __global__ void __launch_bounds__(Threads, 1)
   float4* const tile = shared + std::size_t{warp} * tile_rows;
   float* next = &shared[held_rows].x;
   const auto place = [&](StreamedVectors which, std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
-    if ((near_vectors & which) == 0) return Vectors{otherwise, 4};
+    if ((near_vectors & which) == 0) return otherwise;
     float* const begin = next;
     next += (bytes_per_row * rows + 15) / 16 * 4;
-    return Vectors{begin, static_cast<std::uint32_t>(bytes_per_row / 4)};
+    return begin;
   };
-  const Vectors p = place(kNearDirection, kStreamedBytesPerCell, locals, s.direction + 4 * patch.local_begin);
-  const Vectors r = place(kNearResidual, kStreamedBytesPerVector, locals, s.residual + 4 * patch.local_begin);
-  const Vectors x = place(kNearSolution, kStreamedBytesPerVector, own, s.solution + std::size_t{4} * patch.row_begin);
+  auto* const p = reinterpret_cast<float4*>(
+      place(kNearDirection, kStreamedBytesPerCell, locals, s.direction + 4 * patch.local_begin));
+  const Vectors r{place(kNearResidual, kStreamedBytesPerVector, locals, s.residual + 4 * patch.local_begin)};
+  const Vectors x{place(kNearSolution, kStreamedBytesPerVector, own, s.solution + std::size_t{4} * patch.row_begin)};
 
+  float residual_squared = 0;
   for (std::uint32_t i = thread; i < locals; i += Threads) {
     const Vec3<float> b = tensor::load3<float>(s.rhs, tensor::global_row(s, patch, i));
-    p.set(i, b);
+    p[i] = cell_of(b);
     r.set(i, b);
-    if (i < own) x.set(i, Vec3<float>::Zero());
+    if (i >= own) continue;
+    x.set(i, Vec3<float>::Zero());
+    residual_squared += b.dot(b);
   }
   __syncthreads();
 
@@ -156,21 +236,20 @@ __global__ void __launch_bounds__(Threads, 1)
   for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
     scale_tile(s, patch, first, minimum(first + tile_rows, own));
   }
+  TileWalk<kWarps> walk(s, patch, tile_rows);
   do {
     exchange.begin();
     // Without room for it, q is read back from the cells that this patch has just published.
-    const Vectors q = held_rows == own ? Vectors{&shared->x, 4} : Vectors{exchange.rows(patch.row_begin), 4};
-    Exchange::Cell own_sums{0, 0, 0, 0};
+    const auto* const q = held_rows == own ? shared : reinterpret_cast<const float4*>(exchange.rows(patch.row_begin));
+    Exchange::Cell own_sums{0, 0, residual_squared, 0};
     for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
       const std::uint32_t last = minimum(first + tile_rows, own);
-      multiply_tile(s, patch, first, last, reinterpret_cast<const float4*>(p.data), tile);
+      walk.multiply(p, tile);
       for (std::uint32_t local = first + lane; local < last; local += kWarp) {
-        const float4 sum = tile[local - first];
-        const Vec3<float> product(sum.x, sum.y, sum.z), residual = r[local];
+        const Vec3<float> product = three_of(tile[local - first]);
         exchange.publish_row(patch.row_begin + local, product[0], product[1], product[2]);
-        own_sums.x += p[local].dot(product);
+        own_sums.x += three_of(p[local]).dot(product);
         own_sums.y += product.dot(product);
-        own_sums.z += residual.dot(residual);
       }
       __syncwarp();  // the next tile is added up in the same place
     }
@@ -179,16 +258,17 @@ __global__ void __launch_bounds__(Threads, 1)
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
-    constexpr std::uint32_t kRowsAtOnce = 4;
+    residual_squared = 0;
+    constexpr std::uint32_t kRowsAtOnce = 2;
     for (std::uint32_t begin = thread; begin < own; begin += kRowsAtOnce * Threads) {
       Vec3<float> direction[kRowsAtOnce], residual[kRowsAtOnce], product[kRowsAtOnce], solution[kRowsAtOnce];
 #pragma unroll
       for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
         // Beyond the end the thread's own first row again: others may be writing theirs.
         const std::uint32_t local = begin + i * Threads < own ? begin + i * Threads : begin;
-        direction[i] = p[local];
+        direction[i] = three_of(p[local]);
         residual[i] = r[local];
-        product[i] = q[local];
+        product[i] = three_of(q[local]);
         solution[i] = x[local];
       }
 #pragma unroll
@@ -198,7 +278,8 @@ __global__ void __launch_bounds__(Threads, 1)
         residual[i] -= product[i] * alpha;
         x.set(local, solution[i] + direction[i] * alpha);
         r.set(local, residual[i]);
-        p.set(local, residual[i] + direction[i] * beta);
+        p[local] = cell_of(residual[i] + direction[i] * beta);
+        residual_squared += residual[i].dot(residual[i]);
       }
     }
     constexpr int kAtOnce = 4;
@@ -210,18 +291,17 @@ __global__ void __launch_bounds__(Threads, 1)
         const std::uint32_t local = own + h + i * Threads;
         const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;
         r.set(local, residual);
-        p.set(local, residual + p[local] * beta);
+        p[local] = cell_of(residual + three_of(p[local]) * beta);
       }
     }
     __syncthreads();
   } while (recurrence.goes_on());
 
   if (thread == 0 && patch.index == 0) recurrence.report(s);
-  // Out of shared memory, which has another use now. A thread reads what it has written.
-  for (std::uint32_t i = thread; i < own; i += Threads) tensor::store3<float>(s.solution, patch.row_begin + i, x[i]);
-  __syncthreads();
+  if (s.patch_tetrahedra != nullptr) PatchVolume<Threads>::expect(s, patch);
+  // x is behind what the end has another use for.
   end_solve<Threads>(s, patch, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
-    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), tensor::load3<float>(s.solution, row));
+    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
   });
 }
 

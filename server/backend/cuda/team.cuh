@@ -54,13 +54,24 @@ class Team {
   }
   template <class Real, std::size_t MaximumCount, std::size_t SumCount>
   __device__ void patch_reduce(Real (&maxima)[MaximumCount], Real (&sums)[SumCount]) const {
+    sync();  // what was reduced before has been read
+    begin_reduce(maxima, sums);
+    sync();
+    end_reduce(maxima, sums);
+  }
+  /// In two halves, once in a kernel, between which the block meets; the second is for whoever asks.
+  template <class Real, std::size_t MaximumCount, std::size_t SumCount>
+  __device__ void begin_reduce(const Real (&maxima)[MaximumCount], const Real (&sums)[SumCount]) const {
     using Both = MaximaAndSums<Real, MaximumCount, SumCount>;
-    const Both total = reduce(Both{gather(maxima), gather(sums)}, [](const Both& a, const Both& b) {
-      Both both{a.maxima, add(a.sums, b.sums)};
-      for (std::size_t i = 0; i < MaximumCount; ++i)
-        both.maxima.value[i] = maximum(both.maxima.value[i], b.maxima.value[i]);
-      return both;
-    });
+    const Both of_warp = reduce_warp(Both{gather(maxima), gather(sums)}, Both::combine);
+    if (threadIdx.x % kWarp == 0) partial<Both>(threadIdx.x / kWarp) = of_warp;
+  }
+  template <class Real, std::size_t MaximumCount, std::size_t SumCount>
+  __device__ void end_reduce(Real (&maxima)[MaximumCount], Real (&sums)[SumCount]) const {
+    using Both = MaximaAndSums<Real, MaximumCount, SumCount>;
+    Both total = partial<Both>(0);
+#pragma unroll 1
+    for (unsigned warp = 1; warp < blockDim.x / kWarp; ++warp) total = Both::combine(total, partial<Both>(warp));
     for (std::size_t i = 0; i < MaximumCount; ++i) maxima[i] = total.maxima.value[i];
     for (std::size_t i = 0; i < SumCount; ++i) sums[i] = total.sums.value[i];
   }
@@ -108,6 +119,13 @@ class Team {
   struct MaximaAndSums {
     Sums<Real, MaximumCount> maxima;
     Sums<Real, SumCount> sums;
+
+    __device__ static MaximaAndSums combine(const MaximaAndSums& a, const MaximaAndSums& b) {
+      MaximaAndSums both{a.maxima, add(a.sums, b.sums)};
+      for (std::size_t i = 0; i < MaximumCount; ++i)
+        both.maxima.value[i] = maximum(both.maxima.value[i], b.maxima.value[i]);
+      return both;
+    }
   };
 
   template <class Real, std::size_t Count>
@@ -153,15 +171,20 @@ class Team {
   /// Over the block by warps; blockDim.x is a multiple of kWarp. The result is in every thread.
   template <class T, class Combine>
   __device__ T reduce(T value, Combine combine) const {
-    __shared__ T partial[kMaxBlockThreads / kWarp];
     const unsigned warps = blockDim.x / kWarp;
     value = reduce_warp(value, combine);
     __syncthreads();  // the partial results of the reduction before this one have been read
-    if (threadIdx.x % kWarp == 0) partial[threadIdx.x / kWarp] = value;
+    if (threadIdx.x % kWarp == 0) partial<T>(threadIdx.x / kWarp) = value;
     __syncthreads();
-    T total = partial[0];
-    for (unsigned other = 1; other < warps; ++other) total = combine(total, partial[other]);
+    T total = partial<T>(0);
+    for (unsigned other = 1; other < warps; ++other) total = combine(total, partial<T>(other));
     return total;
+  }
+  /// What each warp has found, in shared memory: one array for all reductions of a type.
+  template <class T>
+  __device__ static T& partial(unsigned warp) {
+    __shared__ T partials[kMaxBlockThreads / kWarp];
+    return partials[warp];
   }
 };
 
