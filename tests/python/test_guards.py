@@ -75,14 +75,26 @@ def run_without_devices(scene: str, tmp_path: Path, capsys: pytest.CaptureFixtur
     return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_a_run_for_some_seconds_fails_as_soon_as_its_scene_is_stopped(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_for_some_seconds_fails_as_soon_as_its_scene_is_stopped_and_leaves_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     stopped = BLOCK + "solver: {cg_max_iterations: 1, cg_tolerance: 1.0e-9, floor_tolerance: 1.0e-9}\n"
     status, (*_, last, error) = run_without_devices(stopped, tmp_path, capsys, 100)
+    fault = last["status"]["fault"]
     assert (status, last["status"]["state"]) == (1, "STATE_FAULTED")
     assert error["kind"] == "FailedPreconditionError"
-    assert error["error"] == f"scene 'block' is stopped: {last['status']['fault']}"
+    written = tmp_path / "block-fault.npz"
+    assert error["error"] == f"scene 'block' is stopped: {fault}\nits status and state: {written}"
+    with np.load(written) as report:
+        assert json.loads(str(report["status"]))["fault"] == fault
+        assert report["tissue/displacement"].shape == (6 * 6 * 4, 3)
+    written.unlink()
+    written.mkdir()  # in its way
+    _, (*_, error) = run_without_devices(stopped, tmp_path, capsys, 100)
+    assert error["error"].startswith(
+        f"scene 'block' is stopped: {fault}\nno report of it: {written}: cannot be written"
+    )
 
 
 def test_a_run_counts_its_seconds_from_where_the_scene_steps(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import platform
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +25,7 @@ from tensormass.trade.interpolation import Interpolation
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import Errors, compare, oscillation, richardson
 from tensormass.trade.script import Recording, Script
-from tensormass.trade.store import Measurement, Store, key_of
+from tensormass.trade.store import Measurement, Store, _host, key_of
 from tensormass.v1 import scene_pb2
 
 # --- knobs ------------------------------------------------------------------------------------------------------------
@@ -333,6 +336,28 @@ def test_results_survive_and_half_a_line_is_forgotten(tmp_path: Path) -> None:
         Store(tmp_path)
 
 
+def test_older_results_are_read(tmp_path: Path) -> None:
+    Store(tmp_path).put(measurement({}, 1.0, 0.1))
+    (line,) = (tmp_path / "results.jsonl").read_text().splitlines()
+    plain = json.loads(line)
+    del plain["machine"]["host"]
+    (tmp_path / "results.jsonl").write_text(json.dumps(plain) + "\n")
+    assert Store(tmp_path).get(repr({})) == measurement({}, 1.0, 0.1)
+
+
+def test_a_host_is_told_from_others_and_names_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own, other, none = (tmp_path / name for name in ("own", "other", "none"))
+    own.write_text("0123456789abcdef0123456789abcdef\n")
+    other.write_text("1123456789abcdef0123456789abcdef\n")
+    hosts = [_host(of) for of in (own, other, none)]
+    assert len({*hosts}) == 3
+    assert all(re.fullmatch("[0-9a-f]{8}", of) for of in hosts)
+    assert hosts[0] == _host(own)
+    monkeypatch.setattr(platform, "node", lambda: "another")
+    assert _host(none) != hosts[2]
+    assert _host(own) == hosts[0]
+
+
 def test_recordings_survive_and_half_of_one_is_forgotten(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.keep("a", recording(1.5))
@@ -352,6 +377,7 @@ def test_a_key_holds_scene_script_and_machine(tmp_path: Path) -> None:
     assert key == key_of(scene, script, MACHINE, "r")
     assert key != key_of(scene, script, replace(MACHINE, device="another"), "r")
     assert key != key_of(scene, script, replace(MACHINE, build="def"), "r")
+    assert key != key_of(scene, script, replace(MACHINE, host="0123abcd"), "r")
     assert key != key_of(scene, replace(script, duration_s=9.0), MACHINE, "r")
     scene.solver.cg_tolerance = 0.5
     assert key != key_of(scene, script, MACHINE, "r")

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from accuracy import record
+from accuracy.laws import LAWS
+from accuracy.meshes import SHAPES
 
 from .case import BROKEN, CAUGHT, HOLDS, REFUSED, SHORT, Case, Group, Verdict
 from .cases import all_cases
@@ -23,6 +25,7 @@ from .promises import PROMISES
 FOLDER = Path(__file__).parent / "results"
 PAGE = Path(__file__).parents[2] / "docs" / "stability.md"
 BACKENDS = ("cpu", "cuda")
+PRECISIONS = ("double", "float")
 OUTCOMES = (HOLDS, REFUSED, CAUGHT, SHORT, BROKEN)
 _MARKS = {HOLDS: "✓", REFUSED: "refused", CAUGHT: "caught", SHORT: "**short**", BROKEN: "**BROKEN**"}
 
@@ -102,8 +105,11 @@ def page(runs: Sequence[Run]) -> str:
         "# Stability",
         "",
         "Made by `make stability` from `tests/stability/results`; do not edit. What the daemon does at the extremes: "
-        "every law in every shape, in float and in double. *Finite* is no criterion here: energy, volume and distance "
-        "to a reference are. An outcome that is not explained below fails the command.",
+        "every law in every shape, in float and in double, but for what the list below leaves out. *Finite* is no "
+        "criterion here: energy, volume and distance to a reference are. An outcome that is not explained below fails "
+        "the command.",
+        "",
+        *_left_out(cases),
         "",
         "| outcome | means |",
         "|---|---|",
@@ -156,6 +162,38 @@ def page(runs: Sequence[Run]) -> str:
         for run in runs:
             lines += _section(group, members, run, len(runs) > 1)
     return "\n".join(lines) + "\n"
+
+
+def _left_out(cases: Sequence[Case]) -> list[str]:
+    """A line for each section that is not made of every law in every shape and precision: what it is made of."""
+    lines = []
+    for group in dict.fromkeys(case.group for case in cases):
+        by_name: dict[str, list[Case]] = {}
+        for case in cases:
+            if case.group is group:
+                by_name.setdefault(case.name, []).append(case)
+        names: dict[str, list[str]] = {}
+        for name, members in by_name.items():
+            names.setdefault("; ".join(_only(members)), []).append(name)
+        whole = names.pop("", [])
+        for made_of, some in names.items():
+            which = f", {'; '.join(some)}" if whole or len(names) > 1 else ""
+            lines.append(f"* {group.title}{which}: {made_of}".replace("_", " "))
+    return lines
+
+
+def _only(cases: Sequence[Case]) -> list[str]:
+    """Of one name."""
+    found = []
+    for every, some in (
+        (LAWS, {case.law for case in cases} - {"any"}),
+        (SHAPES, {case.shape for case in cases} - {"any"}),
+        (PRECISIONS, {precision for case in cases for precision in case.precisions}),
+    ):
+        have, without = ([of for of in every if (of in some) is wanted] for wanted in (True, False))
+        if have and without:
+            found.append(f"without {', '.join(without)}" if len(without) < len(have) else f"{', '.join(have)} only")
+    return found
 
 
 def _section(group: Group, cases: list[Case], run: Run, named: bool) -> list[str]:

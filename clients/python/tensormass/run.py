@@ -4,7 +4,8 @@ Everything runs until Ctrl-C (or SIGTERM, or --seconds) and then ends in the ord
 
 A scene that a guard stops ends a run of --seconds, which nobody watches, at once. Without --seconds the run goes on:
 whoever watches may look at the scene where it stands, and reset it over the control address. A run that ends with its
-scene stopped has failed either way.
+scene stopped has failed either way, and leaves what `tensormass report` writes in NAME-fault.npz: the daemon, which has
+the state, ends with it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pathlib import Path
 
 from tensormass import gateway, presets
 from tensormass.client import SceneHandle, Server, launch
-from tensormass.errors import FailedPreconditionError, InvalidArgumentError, UnavailableError
+from tensormass.errors import FailedPreconditionError, InvalidArgumentError, TensormassError, UnavailableError
 from tensormass.output import (
     Warnings,
     check_writable,
@@ -53,7 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
     parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
     parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
-    parser.add_argument("--seconds", type=float, metavar="T", help="end by itself after stepping so long")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="T",
+        help="end by itself after stepping so long, or when a guard stops the scene; its report is NAME-fault.npz then",
+    )
     parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
     gateway.add_arguments(parser)
     parser.add_argument(
@@ -180,13 +186,23 @@ async def _report_until(
         if ends and live:
             print()
         if ends and status.fault:
-            raise FailedPreconditionError(f"scene {handle.name!r} is stopped: {status.fault}")
+            kept = await asyncio.to_thread(_keep_report, handle)
+            raise FailedPreconditionError(f"scene {handle.name!r} is stopped: {status.fault}\n{kept}")
         if ends:
             return
         if status.fault and status.fault != fault:
             still = f"scene {handle.name!r} stands still until it is reset (control {server.address})"
             _say(args, f"\n{still}: {status.fault}" if live else still)
         fault = status.fault
+
+
+def _keep_report(handle: SceneHandle) -> str:
+    """Writes the report of a scene that is stopped into the current folder; where it is, or why there is none."""
+    try:
+        path = handle.write_report(Path.cwd() / f"{handle.name}-fault.npz")
+    except TensormassError as error:  # the fault is what has to be said
+        return f"no report of it: {error}"
+    return f"its status and state: {path}"
 
 
 def _say(args: argparse.Namespace, text: str) -> None:

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     # A bare mesh, which other commands take, does not say what happens to it.
     parser.add_argument("scene", help=scene_help.replace(" a mesh file,", ""))
     parser.add_argument(
-        "--budget", type=parse_time_s, metavar="TIME", help="for each step of the scene, as 1ms; default: its dt"
+        "--budget", type=parse_time_s, metavar="TIME", help="for the median step of the scene, as 1ms; default: its dt"
     )
     parser.add_argument(
         "--tolerance", type=parse_share, default=0.02, metavar="SHARE", help="of the error, as 2%% (default)"
@@ -260,7 +260,7 @@ class _Trade:
             limit_s=limit_s,
             say=self._say,
         )
-        for line in report.not_felt(self._script, found):
+        for line in [*report.not_felt(self._script, found), *report.not_refined(knobs, found)]:
             self._say(f"warning: {line}")
         self._compared_with = found, own
         singles = sweep.one_at_a_time(knobs, args.quick)
@@ -364,7 +364,10 @@ def _write_scenes(outcome: Outcome, folder: Path) -> list[Path]:
     written = []
     limits = {
         _FASTEST: (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
-        _MOST_ACCURATE: (outcome.most_accurate, f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms"),
+        _MOST_ACCURATE: (
+            outcome.most_accurate,
+            f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms by its median",
+        ),
     }
     for name, (measurement, what) in limits.items():
         path = folder / f"{name}.yaml"

@@ -57,6 +57,7 @@ def page(outcome: Outcome) -> str:
         _table(report.KNOB_HEADS, report.knob_rows(list(outcome.knobs.knobs.values()), outcome.measurements)),
         _paragraphs(f"{name}: {why}" for name, why in outcome.knobs.without.items()),
         "<h2>All settings</h2>",
+        _paragraphs(report.table_head(outcome.reference), "warning"),
         _table(report.HEADS, rows),
         _paragraphs(report.words()),
     ]

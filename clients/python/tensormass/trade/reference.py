@@ -68,6 +68,11 @@ class Reference:
     ended: str
 
     @property
+    def refines_mesh(self) -> bool:
+        """Else all errors leave out that of the mesh, the reference's own too."""
+        return "resolution" in self.levels[-1].setting
+
+    @property
     def error(self) -> float:
         return max(self.displacement_error, self.force_error or 0.0)
 
@@ -75,15 +80,16 @@ class Reference:
         """For people."""
         lines = [level.text() for level in self.levels]
         force = "" if self.force_error is None else f", force {self.force_error:.2%}"
+        mesh = "" if self.refines_mesh else " (without that of the mesh)"
         lines.append(
-            f"its own error, by Richardson extrapolation of order {self.order:.2f}: displacement "
+            f"its own error{mesh}, by Richardson extrapolation of order {self.order:.2f}: displacement "
             f"{self.displacement_error:.2%}{force}; {self.ended}"
         )
         return lines
 
     def to_plain(self) -> dict[str, object]:
         plain = {name: getattr(self, name) for name in ("key", "displacement_error", "force_error", "order", "ended")}
-        return plain | {"levels": [asdict(level) for level in self.levels]}
+        return plain | {"refines_mesh": self.refines_mesh, "levels": [asdict(level) for level in self.levels]}
 
 
 def find(
