@@ -1,9 +1,70 @@
 #include "tensor/patch_tetrahedra.h"
 
+#include <algorithm>
 #include <array>
+#include <limits>
 #include <numeric>
 
 namespace tensormass::tensor {
+
+namespace {
+
+using Local = std::array<std::uint16_t, 4>;
+
+/// Those that leave a volume its sign.
+constexpr std::array<std::array<std::uint8_t, 4>, 12> kEvenPermutations{{{0, 1, 2, 3},
+                                                                         {0, 2, 3, 1},
+                                                                         {0, 3, 1, 2},
+                                                                         {1, 0, 3, 2},
+                                                                         {1, 2, 0, 3},
+                                                                         {1, 3, 2, 0},
+                                                                         {2, 0, 1, 3},
+                                                                         {2, 1, 3, 0},
+                                                                         {2, 3, 0, 1},
+                                                                         {3, 0, 2, 1},
+                                                                         {3, 1, 0, 2},
+                                                                         {3, 2, 1, 0}}};
+
+/// Orders tetrahedra that threads side by side look at, and the nodes of each, so that the eight that read at once
+/// seldom meet at a bank (tensor/banks.h): of some that come next the one, in the permutation, that meets fewest.
+void spread_over_banks(std::span<Local> tetrahedra) {
+  constexpr std::size_t kBanks = 8, kCandidates = 4;
+  for (std::size_t first = 0; first < tetrahedra.size(); first += kBanks) {
+    std::array<Local, kBanks> placed{};  // those of the eight so far
+    const auto meetings = [&](std::size_t k, std::uint16_t row, std::size_t count) {
+      unsigned others = 0;
+      for (std::size_t i = 0; i < count; ++i) {
+        if (placed[i][k] == row) return 0U;  // one read for both
+        if (placed[i][k] % kBanks == row % kBanks) ++others;
+      }
+      return others;
+    };
+    const std::size_t last = std::min(first + kBanks, tetrahedra.size());
+    for (std::size_t place = first; place < last; ++place) {
+      unsigned fewest = std::numeric_limits<unsigned>::max();
+      std::size_t chosen = place;
+      Local best{};
+      for (std::size_t t = place; t < std::min(place + kCandidates, tetrahedra.size()) && fewest > 0; ++t) {
+        for (const auto& permutation : kEvenPermutations) {
+          Local turned{};
+          unsigned meets = 0;
+          for (std::size_t k = 0; k < 4; ++k) {
+            turned[k] = tetrahedra[t][permutation[k]];
+            meets += meetings(k, turned[k], place - first);
+          }
+          if (meets >= fewest) continue;
+          fewest = meets;
+          chosen = t;
+          best = turned;
+        }
+      }
+      tetrahedra[chosen] = tetrahedra[place];
+      tetrahedra[place] = placed[place - first] = best;
+    }
+  }
+}
+
+}  // namespace
 
 PatchTetrahedra share_out_tetrahedra(const Layout& layout, std::span<const ElementRows> groups) {
   const std::vector<std::uint32_t> patch_of_slice = layout.patch_of_slice();
@@ -33,13 +94,21 @@ PatchTetrahedra share_out_tetrahedra(const Layout& layout, std::span<const Eleme
   for (std::uint32_t t = 0; t < tetrahedra.size(); ++t) order[next[part_of[t]]++] = t;
   out.rows.reserve(4 * order.size());
   std::vector<std::uint32_t> local(layout.row_count);
+  std::vector<Local> locals;
   for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
     const std::uint32_t first = layout.patch_rows[patch], own = layout.patch_rows[patch + 1] - first;
     for (std::uint32_t i = 0; i < own; ++i) local[first + i] = i;
     const std::uint32_t halo = layout.patch_halo[patch], halo_end = layout.patch_halo[patch + 1];
     for (std::uint32_t h = halo; h < halo_end; ++h) local[layout.halo[h]] = own + h - halo;
-    for (std::uint32_t i = out.begin[2 * patch]; i < out.begin[2 * patch + 2]; ++i) {
-      for (const std::uint32_t row : tetrahedra[order[i]]) out.rows.push_back(static_cast<std::uint16_t>(local[row]));
+    for (std::uint32_t part = 2 * patch; part < 2 * patch + 2; ++part) {
+      locals.clear();
+      for (std::uint32_t i = out.begin[part]; i < out.begin[part + 1]; ++i) {
+        Local& nodes = locals.emplace_back();
+        std::transform(tetrahedra[order[i]].begin(), tetrahedra[order[i]].end(), nodes.begin(),
+                       [&](std::uint32_t row) { return static_cast<std::uint16_t>(local[row]); });
+      }
+      spread_over_banks(locals);
+      for (const Local& nodes : locals) out.rows.insert(out.rows.end(), nodes.begin(), nodes.end());
     }
   }
   return out;

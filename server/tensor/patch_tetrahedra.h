@@ -14,7 +14,8 @@ namespace tensormass::tensor {
 struct PatchTetrahedra {
   /// [2 patch_count + 1] for each patch those of own rows only, then the others
   std::vector<std::uint32_t> begin;
-  std::vector<std::uint16_t> rows;  ///< [tetrahedron, 4] patch-local: own rows, then the halo
+  /// [tetrahedron, 4] patch-local: own rows, then the halo; in an order that leaves volumes their sign
+  std::vector<std::uint16_t> rows;
 };
 
 /// The elements of some groups of linear tetrahedra, about equally many for each patch. No patch may have more than

@@ -16,27 +16,37 @@ namespace tensormass::backend::cuda {
 template <unsigned Threads>
 class PatchVolume {
  public:
+  /// Where the patch's tetrahedra are, of own rows only and the others. A kernel reads it when it begins and keeps it
+  /// in shared memory, so that its end does not wait for it.
+  struct Parts {
+    std::uint32_t begin, halo_begin, end;
+  };
+  __device__ static Parts parts_of(const tensor::SceneView<float>& s, const tensor::Patch& patch) {
+    const std::uint32_t* const parts = s.patch_tetrahedra + 2 * patch.index;
+    return {parts[0], parts[1], parts[2]};
+  }
+
   /// Has what a check reads brought near. A solve takes long enough for caches to lose it.
   __device__ static void expect(const tensor::SceneView<float>& s, const tensor::Patch& patch) {
     constexpr std::uint32_t kLine = 16;  // tetrahedra in 128 bytes
-    const std::uint32_t begin = s.patch_tetrahedra[2 * patch.index], end = s.patch_tetrahedra[2 * patch.index + 2];
-    for (std::uint32_t t = begin + kLine * threadIdx.x; t < end; t += kLine * Threads) {
+    const Parts parts = parts_of(s, patch);
+    for (std::uint32_t t = parts.begin + kLine * threadIdx.x; t < parts.end; t += kLine * Threads) {
       tensormass::expect(s.tetrahedron_rows + std::size_t{4} * t);
     }
   }
 
   /// By all threads, when nothing in shared memory is in use any more. What the solve does not change is on its way
   /// from now on.
-  __device__ PatchVolume(const tensor::SceneView<float>& s, const tensor::Patch& patch, Exchange& exchange,
-                         float4* shared)
+  __device__ PatchVolume(const tensor::SceneView<float>& s, const tensor::Patch& patch, const Parts& parts,
+                         Exchange& exchange, float4* shared)
       : s_(s),
         patch_(patch),
         exchange_(exchange),
         positions_(shared),
         tetrahedra_(reinterpret_cast<const uint2*>(s.tetrahedron_rows)),
-        begin_(s.patch_tetrahedra[2 * patch.index]),
-        halo_begin_(s.patch_tetrahedra[2 * patch.index + 1]),
-        end_(s.patch_tetrahedra[2 * patch.index + 2]),
+        begin_(parts.begin),
+        halo_begin_(parts.halo_begin),
+        end_(parts.end),
         origin_(tensor::load3<float>(s.rest, patch.row_begin)) {
     exchange_.begin();
     halo_.read(*this, threadIdx.x);
@@ -177,13 +187,14 @@ class PatchVolume {
 /// the volume of the tetrahedra checked where the scene asks for it. By all threads, when nothing in shared memory is
 /// in use any more.
 template <unsigned Threads, class Change>
-__device__ void end_solve(const tensor::SceneView<float>& s, const tensor::Patch& patch, Exchange& exchange,
-                          float4* shared, const Change& change_of) {
+__device__ void end_solve(const tensor::SceneView<float>& s, const tensor::Patch& patch,
+                          const typename PatchVolume<Threads>::Parts& tetrahedra, Exchange& exchange, float4* shared,
+                          const Change& change_of) {
   const Team team;
   if (s.patch_tetrahedra == nullptr) {
     solver::report(team, s, solver::advance_by(team, s, change_of, solver::Unasked{}));
   } else {
-    PatchVolume<Threads> volume(s, patch, exchange, shared);
+    PatchVolume<Threads> volume(s, patch, tetrahedra, exchange, shared);
     const solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
     const bool found = volume.finds();
     solver::report(team, s, motion, [&] { return volume.least_det_f(team, found); });

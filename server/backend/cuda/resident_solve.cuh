@@ -42,6 +42,7 @@ __global__ void __launch_bounds__(Threads, 1)
   static_assert(Held % 2 == 0);
   extern __shared__ float4 shared[];
   __shared__ PatchSums<Threads> sums;
+  __shared__ typename PatchVolume<Threads>::Parts tetrahedra;
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   float4* const direction = shared;                                        // [locals]
@@ -223,7 +224,10 @@ __global__ void __launch_bounds__(Threads, 1)
     x[k].setZero();
     solver::expect_move(s, row[k]);
   }
-  if (s.patch_tetrahedra != nullptr) PatchVolume<Threads>::expect(s, patch);
+  if (s.patch_tetrahedra != nullptr) {
+    PatchVolume<Threads>::expect(s, patch);
+    if (thread == 0) tetrahedra = PatchVolume<Threads>::parts_of(s, patch);
+  }
   // Rows of the halo that this thread waits for; a patch seldom has more than two for each of its own.
   constexpr std::uint32_t kHaloAtOnce = 2 * Rows;
   std::uint32_t halo_rows[kHaloAtOnce];
@@ -331,7 +335,7 @@ __global__ void __launch_bounds__(Threads, 1)
     change[k] = solver::unscaled(s, row[k], solver::lower(factor), x[k]);
   }
   __syncthreads();  // all factors have been read
-  end_solve<Threads>(s, patch, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {
+  end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {
     Vec3<float> of = change[0];
     for (int k = 1; k < Rows; ++k) of = moved == row[k] ? change[k] : of;
     return of;

@@ -199,6 +199,7 @@ __global__ void __launch_bounds__(Threads, 1)
     streamed_solve(const __grid_constant__ SceneView<float> s, std::uint32_t near_vectors) {
   extern __shared__ float4 shared[];
   __shared__ PatchSums<Threads> sums;
+  __shared__ typename PatchVolume<Threads>::Parts tetrahedra;
   const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
@@ -231,6 +232,7 @@ __global__ void __launch_bounds__(Threads, 1)
   }
   __syncthreads();
 
+  if (s.patch_tetrahedra != nullptr && thread == 0) tetrahedra = PatchVolume<Threads>::parts_of(s, patch);
   Exchange exchange(s, patch.index);
   solver::Recurrence<float> recurrence(s);
   for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
@@ -298,9 +300,8 @@ __global__ void __launch_bounds__(Threads, 1)
   } while (recurrence.goes_on());
 
   if (thread == 0 && patch.index == 0) recurrence.report(s);
-  if (s.patch_tetrahedra != nullptr) PatchVolume<Threads>::expect(s, patch);
   // x is behind what the end has another use for.
-  end_solve<Threads>(s, patch, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
+  end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
     return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
   });
 }
