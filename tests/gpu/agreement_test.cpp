@@ -96,7 +96,7 @@ TEST_P(CudaAgreement, BeamAfterAHundredSteps) {
   EXPECT_LT(difference, tolerance());
   EXPECT_EQ(cpu.min_det_f < 1, !GetParam().linear);
   EXPECT_EQ(cuda.solve_checks_volume, !GetParam().linear && !GetParam().double_precision);
-  EXPECT_EQ(cuda.min_det_f, std::numeric_limits<double>::infinity()) << "nothing is inside out";
+  if (!GetParam().linear) EXPECT_EQ(cuda.min_det_f, std::numeric_limits<double>::infinity()) << "nothing is inside out";
 }
 
 TEST_P(CudaAgreement, ProbePressedIntoABlock) {
