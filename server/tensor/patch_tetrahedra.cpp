@@ -25,41 +25,63 @@ constexpr std::array<std::array<std::uint8_t, 4>, 12> kEvenPermutations{{{0, 1, 
                                                                          {3, 1, 0, 2},
                                                                          {3, 2, 1, 0}}};
 
+constexpr std::size_t kBanks = 8;
+
+/// Rows that some threads read at once, by bank.
+class Reads {
+ public:
+  /// How many others a row would wait for; none if it is read already.
+  unsigned meetings(std::uint16_t row) const {
+    const Bank& bank = banks_[row % kBanks];
+    for (unsigned i = 0; i < bank.count; ++i) {
+      if (bank.rows[i] == row) return 0;
+    }
+    return bank.count;
+  }
+  void add(std::uint16_t row) {
+    Bank& bank = banks_[row % kBanks];
+    if (bank.count == 0 || meetings(row) > 0) bank.rows[bank.count++] = row;
+  }
+
+ private:
+  struct Bank {
+    unsigned count = 0;
+    std::array<std::uint16_t, kBanks> rows;
+  };
+  std::array<Bank, kBanks> banks_;
+};
+
 /// Orders tetrahedra that threads side by side look at, and the nodes of each, so that the eight that read at once
 /// seldom meet at a bank (tensor/banks.h): of some that come next the one, in the permutation, that meets fewest.
 void spread_over_banks(std::span<Local> tetrahedra) {
-  constexpr std::size_t kBanks = 8, kCandidates = 4;
+  constexpr std::size_t kCandidates = 2;
   for (std::size_t first = 0; first < tetrahedra.size(); first += kBanks) {
-    std::array<Local, kBanks> placed{};  // those of the eight so far
-    const auto meetings = [&](std::size_t k, std::uint16_t row, std::size_t count) {
-      unsigned others = 0;
-      for (std::size_t i = 0; i < count; ++i) {
-        if (placed[i][k] == row) return 0U;  // one read for both
-        if (placed[i][k] % kBanks == row % kBanks) ++others;
-      }
-      return others;
-    };
+    std::array<Reads, 4> reads;  // of each node
     const std::size_t last = std::min(first + kBanks, tetrahedra.size());
     for (std::size_t place = first; place < last; ++place) {
       unsigned fewest = std::numeric_limits<unsigned>::max();
       std::size_t chosen = place;
-      Local best{};
+      const std::array<std::uint8_t, 4>* best = nullptr;
       for (std::size_t t = place; t < std::min(place + kCandidates, tetrahedra.size()) && fewest > 0; ++t) {
+        unsigned meetings[4][4];  // [node][place among the four]
+        for (std::size_t node = 0; node < 4; ++node) {
+          for (std::size_t k = 0; k < 4; ++k) meetings[node][k] = reads[k].meetings(tetrahedra[t][node]);
+        }
         for (const auto& permutation : kEvenPermutations) {
-          Local turned{};
-          unsigned meets = 0;
-          for (std::size_t k = 0; k < 4; ++k) {
-            turned[k] = tetrahedra[t][permutation[k]];
-            meets += meetings(k, turned[k], place - first);
-          }
-          if (meets >= fewest) continue;
-          fewest = meets;
+          unsigned all = 0;
+          for (std::size_t k = 0; k < 4; ++k) all += meetings[permutation[k]][k];
+          if (all >= fewest) continue;
+          fewest = all;
           chosen = t;
-          best = turned;
+          best = &permutation;
         }
       }
-      tetrahedra[chosen] = tetrahedra[place];
-      tetrahedra[place] = placed[place - first] = best;
+      std::swap(tetrahedra[chosen], tetrahedra[place]);
+      const Local nodes = tetrahedra[place];
+      for (std::size_t k = 0; k < 4; ++k) {
+        tetrahedra[place][k] = nodes[(*best)[k]];
+        reads[k].add(tetrahedra[place][k]);
+      }
     }
   }
 }
