@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from argparse import Namespace
 from dataclasses import asdict, replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,6 +14,7 @@ from tensormass.trade.measures import Errors
 from tensormass.trade.script import Costs
 from tensormass.trade.store import Machine, Measurement
 
+from . import trade
 from .trade import OWN, SCENES, Trade, _confirmations, _doubt
 from .trade_plot import Curve, svg
 
@@ -103,6 +105,51 @@ def test_the_page_says_what_a_second_run_did() -> None:
     del head["confirmed"]["most_accurate"]
     none = _confirmations(Trade({**head, "most_accurate": None}, MEASURED))
     assert none[-1].strip() == "The most accurate within 2e+03 ms by the median: no setting."
+
+
+def results_with_one_dropped() -> dict:
+    """Of the command, as trade.json has them."""
+    slow = replace(MEASURED[6], key="most_accurate", cost_s=21.0)
+    again = {OWN: MEASURED[0], "most_accurate": MEASURED[4]}
+    again |= Trade({}, MEASURED).chosen()
+    why = "median 5 % above 2e+04 ms"
+    tried = {"key": MEASURED[6].key, "setting": MEASURED[6].setting, "why": why, "again": slow.to_plain()}
+    return {
+        "scene": "beam",
+        "machine": asdict(MACHINE),
+        "tolerance": 0.02,
+        "budget_s": 20.0,
+        "fastest": None,
+        "most_accurate": MEASURED[4].to_plain(),
+        "confirmed": {name: of.to_plain() for name, of in again.items()},
+        "dropped": {"most_accurate": [tried]},
+        "front": [],
+        "measurements": [of.to_plain() for of in MEASURED],
+    }
+
+
+def test_what_was_dropped_is_kept_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trade, "FOLDER", tmp_path)
+    monkeypatch.setattr(trade, "_run", lambda *_: results_with_one_dropped())
+    monkeypatch.setattr(
+        trade, "_scene_files", lambda scene, folder, settings: [folder / f"{of}.yaml" for of in settings]
+    )
+    trade._measure("beam", Namespace(backend="cpu", quick=False, reference_seconds="1"))
+    results = Trade.read("beam", "cpu")
+    assert results is not None
+    assert results.head["most_accurate"] == MEASURED[4].key
+    (tried,) = results.head["dropped"]["most_accurate"]
+    assert "machine" not in tried["again"]
+    lines = _confirmations(results)
+    what = "the most accurate within 2e+04 ms by the median"
+    first, second = [line for line in lines if line.startswith(f"| {what}")]
+    assert first.startswith(f"| {what}, dropped | resolution 1.4 | 15 % | 15 % | 1.9e+04 ms | 2.1e+04 ms |")
+    assert first.endswith("| **not confirmed**: median 5 % above 2e+04 ms |")
+    assert second.startswith(f"| {what} | newton max iterations 2 | ")
+    assert second.endswith("| confirmed |")
+    # Older results know of none.
+    del results.head["dropped"]
+    assert _confirmations(results) == [line for line in lines if line != first]
 
 
 def test_the_page_says_which_errors_say_little() -> None:

@@ -125,7 +125,8 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     rows = content.pop("measurements")
     for name in ("fastest", "most_accurate"):
         content[name] = content[name] and content[name]["key"]
-    for of in content["confirmed"].values():
+    dropped = [of["again"] for several in content["dropped"].values() for of in several]
+    for of in [*content["confirmed"].values(), *dropped]:
         del of["machine"]
     del content["front"]
     head = {
@@ -276,19 +277,26 @@ def _confirmations(trade: Trade) -> list[str]:
         if was is None:
             rows.append(_foreign(name, head["presets"][name.removeprefix(_FOREIGN)], again, own))
             continue
-        row = [what.get(name, preset if name != OWN else OWN), report.setting_text(was.setting)]
-        if was.errors and again.errors:
-            row += [report.percent(was.errors.judged), report.percent(again.errors.judged)]
-            row += [report.ms(of) for of in (was.cost_s, again.cost_s, was.slow_s, again.slow_s)]
-            off = report.missed(was, again, limits.get(name, report.Limits()))
-            row.append(f"**not confirmed**: {off}" if off else "confirmed")
-        else:
-            row += ["–"] * 6 + [f"**{again.failure}**"]
-        rows.append(row)
+        # Results that are older than this key dropped nothing.
+        for of in head.get("dropped", {}).get(name, []):
+            then = Measurement.from_plain({**of["again"], "machine": head["machine"]})
+            rows.append(_again(f"{what[name]}, dropped", by_key[of["key"]], then, f"**not confirmed**: {of['why']}"))
+        off = report.missed(was, again, limits.get(name, report.Limits()))
+        verdict = f"**not confirmed**: {off}" if off else "confirmed"
+        rows.append(_again(what.get(name, preset if name != OWN else OWN), was, again, verdict))
     heads = ["recommended", "setting", "error", "again", "cost", "again", "p99", "again", ""]
     missing = [what[name] for name in ("fastest", "most_accurate") if not head[name]]
     lines = ["", "What is recommended, written as a scene file, then read and run once more:", "", *_table(heads, rows)]
     return lines + [f"\n{text[0].upper()}{text[1:]}: no setting." for text in missing]
+
+
+def _again(what: str, was: Measurement, again: Measurement, verdict: str) -> list[str]:
+    """A row for a setting of these results that was run once more."""
+    row = [what, report.setting_text(was.setting)]
+    if not was.errors or not again.errors:
+        return [*row, *["–"] * 6, f"**{again.failure}**"]
+    row += [report.percent(was.errors.judged), report.percent(again.errors.judged)]
+    return [*row, *(report.ms(of) for of in (was.cost_s, again.cost_s, was.slow_s, again.slow_s)), verdict]
 
 
 def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
@@ -298,8 +306,7 @@ def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> d
         for name, factor in TIMES.items()
         if promised[name].setting and own.costs
     }
-    asked = {"fastest": report.Limits(error=head["tolerance"]), "most_accurate": report.Limits(cost_s=head["budget_s"])}
-    return within | asked
+    return within | report.limits_of(head["tolerance"], head["budget_s"])
 
 
 def _foreign(name: str, setting: Setting, of: Measurement, own: Measurement) -> list[str]:

@@ -232,10 +232,25 @@ def test_the_front_and_the_picks() -> None:
     ]
     assert [of.cost_s for of in sweep.front(measured)] == [1.0, 3.0, 9.0]
     fastest, accurate = sweep.fastest_within(measured, 0.05), sweep.most_accurate_within(measured, 5.0, 0.05)
-    assert fastest is measured[0]
-    assert accurate is measured[0]
-    assert sweep.fastest_within(measured, 1e-4) is None
-    assert sweep.most_accurate_within(measured, 0.5, 0.05) is None
+    assert fastest == [measured[0], measured[3]]
+    assert accurate == [measured[0], measured[1]]
+    assert sweep.fastest_within(measured, 1e-4) == []
+    assert sweep.most_accurate_within(measured, 0.5, 0.05) == []
+
+
+def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -> None:
+    first, near, far = candidates = [measurement({"a": cost}, cost, 1 / cost) for cost in (10.0, 9.0, 4.0)]
+
+    def follower(failed: Measurement, cost_s: float, budget_s: float, failure: str = "") -> Measurement | None:
+        return sweep.next_after(failed, measurement({}, cost_s, 0.1, failure), candidates, budget_s)
+
+    assert follower(first, 11.0, 10.0) is near
+    assert follower(first, 12.0, 10.0) is far
+    assert follower(first, 30.0, 10.0) is None
+    assert follower(first, 5.0, 8.9) is far  # that it was faster once promises nothing
+    assert follower(first, 0.0, 10.0, "stopped") is near
+    assert follower(near, 11.0, 10.0) is far
+    assert follower(far, 4.0, 10.0) is None
 
 
 def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
@@ -298,9 +313,9 @@ def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
     both = of({"law": "unlike", "resolution": 0.5}, 0.5, 0.001, 0.01)
     measured = [own, like, unlike, both]
     assert [sweep.is_same_tissue(one, measured, 0.02) for one in measured] == [True, True, False, False]
-    assert sweep.fastest_within(measured, 0.02) is like
-    assert sweep.most_accurate_within(measured, 5.0, 0.02) is like
-    assert sweep.fastest_within([own, unlike, both], 0.02) is own
+    assert sweep.fastest_within(measured, 0.02) == [like]
+    assert sweep.most_accurate_within(measured, 5.0, 0.02) == [like]
+    assert sweep.fastest_within([own, unlike, both], 0.02) == [own]
 
 
 def test_a_law_that_moves_the_answer_is_not_combined(tmp_path: Path) -> None:

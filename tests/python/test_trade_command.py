@@ -70,8 +70,10 @@ class Formula:
         #: The run that ends the daemon.
         self.last_run = 0
         self.felt = True
-        #: Of the machine, as a factor of times.
-        self.slowness = 1.0
+        #: Of the machine, as factors of the times of the runs that follow; then it is as it was.
+        self.slowness = list[float]()
+        #: Of the error, likewise.
+        self.wrongness = list[float]()
         self._cells = _cells_of(scene)
         self._own_dt_s = script.sample_s / 2
         self._broken_law = broken_law
@@ -84,9 +86,10 @@ class Formula:
             raise tm.FailedPreconditionError("left the numbers")
         cells = _cells_of(scene)
         dt = (scene.stepping.dt_s or self._own_dt_s) / self._own_dt_s
-        error = 0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2
+        wrongness, slowness = (of.pop(0) if of else 1.0 for of in (self.wrongness, self.slowness))
+        error = wrongness * (0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2)
         costs = replace(
-            COSTS, step_p50_s=1e-3 * self.slowness * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt
+            COSTS, step_p50_s=1e-3 * slowness * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt
         )
         u = (1 + error) * np.ones((2, 2, 3))
         force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
@@ -204,24 +207,127 @@ def test_what_a_file_does_not_reach_again_is_not_confirmed() -> None:
     assert missed(1.0, 0.02, slow_s=1.6) == "p99 25 % above 1.6e+03 ms"
     assert missed(1.0, 0.0201, error=0.02) == "error 0.5 % above 2 %"
     assert missed(1.0, 0.02, cost_s=1.0, error=0.02, slow_s=2.0) == ""
+    assert report.beyond(measurement({}, 1.6, 0.02), report.Limits(cost_s=2.0)) == ""  # the promise is another matter
+    assert report.beyond(measurement({}, 1.6, 0.02, "stopped"), report.Limits()) == "stopped"
 
 
-def test_a_budget_that_the_slow_steps_or_the_second_run_leave_is_said(
+def test_a_budget_that_the_slow_steps_leave_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    formula = stand_in(tmp_path, monkeypatch)
+    stand_in(tmp_path, monkeypatch)
     assert run_on(tmp_path, "--budget", "1.2ms") == 0
     printed = capsys.readouterr().out
     assert "most accurate within 1.2 ms, by the median: " in printed
     assert "ms a step of the scene (median; p99 2 ms)" in printed
     assert "its p99 is 2 ms, and a loop of a fixed rate misses such steps" in printed
     assert "most_accurate.yaml, read and run again: confirmed: displacement" in printed
-    formula.slowness = 1.3
-    assert run_on(tmp_path, "--budget", "1.2ms") == 0
-    printed = capsys.readouterr().out
-    assert "most_accurate.yaml, read and run again: NOT CONFIRMED: median 8.3 % above 1.2 ms: displacement" in printed
     assert run_on(tmp_path, "--budget", "100ms") == 0
     assert "a loop of a fixed rate" not in capsys.readouterr().out
+
+
+def second_runs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, slowness: list[float], wrongness: list[float] | None = None
+) -> Formula:
+    """Of what has been measured, at 0.5, 1, 2 and 4 ms, the dearer the more accurate; those of fastest.yaml first."""
+    formula = stand_in(folder, monkeypatch)
+    assert run_on(folder) == 0
+    formula.slowness, formula.wrongness = slowness, wrongness or []
+    formula.runs = 0
+    return formula
+
+
+def dt_of(file: Path) -> float:
+    return SceneFile.read(file).scene().message.stepping.dt_s
+
+
+def test_a_setting_that_leaves_the_budget_makes_room_for_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # On a machine that is 2.2 times as slow 2 ms would not do either.
+    formula = second_runs(tmp_path, monkeypatch, [1.0, 2.2])
+    capsys.readouterr()
+    assert run_on(tmp_path, "--budget", "4.1ms") == 0
+    printed, said = capsys.readouterr()
+    assert formula.runs == 3
+    assert "most_accurate.yaml leaves its limit: median 115 % above 4.1 ms; next: as it is\n" in said
+    assert "most accurate within 4.1 ms, by the median: as it is: " in printed
+    dropped = "dropped from most_accurate.yaml, read and run again: dt_s 0.004167: median 115 % above 4.1 ms; "
+    assert f"\n{dropped}median 8.8 ms, 4 ms before: displacement " in printed
+    assert "\nmost_accurate.yaml, read and run again: confirmed: " in printed
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert dropped in page
+    assert "by the median</b>: as it is: " in page
+    result = json.loads((tmp_path / "out" / "trade.json").read_text())
+    assert result["most_accurate"]["setting"] == {}
+    assert result["confirmed"]["most_accurate"]["cost_s"] == pytest.approx(1e-3)
+    (tried,) = result["dropped"].pop("most_accurate")
+    assert not result["dropped"]
+    assert tried["key"] in [of["key"] for of in result["measurements"] if of["setting"] == tried["setting"] != {}]
+    assert tried["again"]["cost_s"] == pytest.approx(8.8e-3)
+    file = tmp_path / "out" / "most_accurate.yaml"
+    assert dt_of(file) == 0  # the scene's own
+    assert "# In place of one that left this limit when run again: dt_s 0.004167\n" in file.read_text()
+
+
+def test_a_setting_that_leaves_the_tolerance_makes_room_for_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    second_runs(tmp_path, monkeypatch, [], [1.1])
+    capsys.readouterr()
+    assert run_on(tmp_path) == 0
+    printed, said = capsys.readouterr()
+    assert "fastest.yaml leaves its limit: error " in said
+    assert "fastest within 5 %: as it is: " in printed
+    assert "\ndropped from fastest.yaml, read and run again: dt_s 0.03333: error " in printed
+    assert "\nfastest.yaml, read and run again: confirmed: " in printed
+    assert dt_of(tmp_path / "out" / "fastest.yaml") == 0
+
+
+def test_the_third_setting_stands_confirmed_or_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    formula = second_runs(tmp_path, monkeypatch, [1.0, 1.1, 2.1, 4.2])
+    capsys.readouterr()
+    assert run_on(tmp_path, "--budget", "4.1ms") == 0
+    printed, said = capsys.readouterr()
+    assert formula.runs == 4
+    assert "above 4.1 ms; no other takes its place\n" in said
+    assert printed.count("dropped from most_accurate.yaml") == 2
+    assert "most accurate within 4.1 ms, by the median: as it is: " in printed
+    assert "\nmost_accurate.yaml, read and run again: NOT CONFIRMED: median 2.4 % above 4.1 ms; " in printed
+    # None would be in the budget on a machine so slow: the first stands.
+    formula.slowness = [1.0, 9.0]
+    assert run_on(tmp_path, "--budget", "4.1ms") == 0
+    printed = capsys.readouterr().out
+    assert formula.runs == 6
+    assert "dropped" not in printed
+    assert "most accurate within 4.1 ms, by the median: dt_s 0.004167: " in printed
+    assert "\nmost_accurate.yaml, read and run again: NOT CONFIRMED: " in printed
+
+
+def test_a_setting_that_is_slower_but_keeps_its_limit_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    second_runs(tmp_path, monkeypatch, [1.6])
+    capsys.readouterr()
+    assert run_on(tmp_path) == 0
+    printed, said = capsys.readouterr()
+    assert "fastest.yaml, read and run again: NOT CONFIRMED: median 0.8 ms, 0.5 ms before" in printed
+    assert "dropped" not in printed
+    assert "leaves its limit" not in said
+
+
+def test_what_lies_there_is_named_though_the_daemon_ends_while_it_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formula = second_runs(tmp_path, monkeypatch, [1.0, 1.1])
+    formula.last_run = 3
+    assert run_on(tmp_path, "--budget", "4.1ms") == 1
+    result = json.loads((tmp_path / "out" / "trade.json").read_text())
+    assert result["most_accurate"]["setting"] == {"dt_s": dt_of(tmp_path / "out" / "most_accurate.yaml")}
+    assert result["most_accurate"]["cost_s"] == pytest.approx(2e-3)
+    assert len(result["dropped"]["most_accurate"]) == 1
+    assert result["confirmed"].keys() == {"fastest"}
 
 
 def test_a_setting_that_breaks_is_a_result_too(

@@ -37,6 +37,8 @@ _TIMES_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _MOST = 1e6
 # What the command writes, and runs once more.
 _FASTEST, _MOST_ACCURATE = "fastest", "most_accurate"
+# Of each of the two; where so many leave their limit, another is no likelier to keep it.
+_CANDIDATES = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
@@ -87,8 +89,9 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         "Runs a scene through a script over and over, with other meshes, laws, steps and solvers, and compares each "
         "run with the same scene refined until it no longer moves. Prints a table and writes report.html, trade.json "
         "and as scene files the fastest setting within the tolerance (fastest.yaml) and the most accurate one within "
-        "the budget (most_accurate.yaml), which it then reads and runs again. The error is that of displacement (L2) "
-        "or of the tool's force, whichever is larger."
+        "the budget (most_accurate.yaml), which it then reads and runs again; one that leaves its limit in that run "
+        f"makes room for the next best, up to {_CANDIDATES} of each. The error is that of displacement (L2) or of the "
+        "tool's force, whichever is larger."
     )
 
 
@@ -121,6 +124,19 @@ def _positive(number: str, unit: float, text: str, what: str) -> float:
 
 
 @dataclass(frozen=True)
+class Dropped:
+    """What was recommended until its file left the limit."""
+
+    promised: Measurement
+    again: Measurement
+    why: str
+
+    def to_plain(self) -> dict[str, Any]:
+        setting = {"key": self.promised.key, "setting": self.promised.setting}
+        return {**setting, "why": self.why, "again": self.again.to_plain()}
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What a run found. `measurements`: the scene as it is, single knobs, combinations."""
 
@@ -134,10 +150,22 @@ class Outcome:
     possible_combinations: int
     tolerance: float
     budget_s: float
-    fastest: Measurement | None
-    most_accurate: Measurement | None
+    #: For what is recommended, by the name of its file, the best first.
+    candidates: dict[str, list[Measurement]]
+    #: None: no setting is within the limit.
+    recommended: dict[str, Measurement | None]
     #: What the written files do when they are read and run again, by name; then those of `--confirm`.
     confirmed: dict[str, Measurement] = field(default_factory=dict)
+    #: What was recommended before, the first one first.
+    dropped: dict[str, list[Dropped]] = field(default_factory=dict)
+
+    @property
+    def fastest(self) -> Measurement | None:
+        return self.recommended[_FASTEST]
+
+    @property
+    def most_accurate(self) -> Measurement | None:
+        return self.recommended[_MOST_ACCURATE]
 
     def to_plain(self) -> dict[str, Any]:
         def plain(of: Measurement | None) -> dict[str, Any] | None:
@@ -153,9 +181,9 @@ class Outcome:
             "tolerance": self.tolerance,
             "budget_s": self.budget_s,
             "combinations": {"measured": self.combinations, "possible": self.possible_combinations},
-            "fastest": plain(self.fastest),
-            "most_accurate": plain(self.most_accurate),
+            **{name: plain(of) for name, of in self.recommended.items()},
             "confirmed": {name: of.to_plain() for name, of in self.confirmed.items()},
+            "dropped": {name: [of.to_plain() for of in dropped] for name, dropped in self.dropped.items()},
             "front": [of.key for of in sweep.front(self.measurements)],
             "measurements": [of.to_plain() for of in self.measurements],
         }
@@ -186,13 +214,15 @@ def run(args: argparse.Namespace) -> int:
             folder.mkdir(parents=True, exist_ok=True)
             trade = _Trade(args, knobs, script, server, Store(folder))
             outcome = trade.measure(message.name)
-            scenes = _write_scenes(outcome, folder)
+            scenes = [written for name in outcome.recommended if (written := _write_scene(outcome, name, folder))]
             # Now already: what was measured is kept, whatever becomes of the runs that follow.
-            written = [*_write_report(outcome, folder), *scenes]
-            again = {path.stem: SceneFile.read(path).scene().message for path in scenes}
-            outcome = replace(outcome, confirmed=trade.confirm(again | _by_name(others)))
+            files = [*_write_report(outcome, folder), *scenes]
+            for scene_file in scenes:
+                outcome = trade.confirm(outcome, scene_file)
+            further = {name: trade.run_again(name, scene) for name, scene in _by_name(others).items()}
+            outcome = replace(outcome, confirmed=outcome.confirmed | further)
             _write_report(outcome, folder)
-    print_json(outcome.to_plain()) if args.json else print(report.text(outcome, written))
+    print_json(outcome.to_plain()) if args.json else print(report.text(outcome, files))
     return 0 if outcome.fastest is not None and outcome.most_accurate is not None else 1
 
 
@@ -273,6 +303,10 @@ class _Trade:
         budget_s = args.budget or self._dt_s
         chosen, possible = sweep.combinations(knobs, measured, count, tolerance, budget_s)
         measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
+        candidates = {
+            _FASTEST: sweep.fastest_within(measured, tolerance),
+            _MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance),
+        }
         return Outcome(
             scene=name,
             knobs=knobs,
@@ -284,18 +318,42 @@ class _Trade:
             possible_combinations=possible,
             tolerance=tolerance,
             budget_s=budget_s,
-            fastest=sweep.fastest_within(measured, tolerance),
-            most_accurate=sweep.most_accurate_within(measured, budget_s, tolerance),
+            candidates=candidates,
+            recommended={name: next(iter(of), None) for name, of in candidates.items()},
         )
 
-    def confirm(self, scenes: Mapping[str, scene_pb2.Scene]) -> dict[str, Measurement]:
-        """Runs scenes as their files have them, against the same reference; never what the store knows of them."""
-        found, own = self._compared_with
-        confirmed = {}
-        for name, scene in scenes.items():
-            confirmed[name] = of = self._measured(scene, {}, name, found, own)
-            self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
-        return confirmed
+    def confirm(self, outcome: Outcome, path: Path) -> Outcome:
+        """Reads and runs a recommendation; while it leaves its limit, writes the next candidate in its place.
+
+        One that keeps the limit stays, though it be slower than before: so would be those that follow it."""
+        name = path.stem
+        limits = report.limits_of(outcome.tolerance, outcome.budget_s)[name]
+        while True:
+            again = self.run_again(name, SceneFile.read(path).scene().message)
+            promised, dropped = outcome.recommended[name], outcome.dropped.get(name, [])
+            assert promised is not None
+            best = None
+            if left := report.beyond(again, limits):
+                if len(dropped) + 1 < _CANDIDATES:
+                    best = sweep.next_after(promised, again, outcome.candidates[name], limits.cost_s)
+                instead = f"next: {report.setting_text(best.setting)}" if best else "no other takes its place"
+                self._say(f"{report.file_of(name)} leaves its limit: {left}; {instead}")
+            if best is None:
+                return replace(outcome, confirmed={**outcome.confirmed, name: again})
+            dropped = [*dropped, Dropped(promised, again, report.missed(promised, again, limits))]
+            outcome = replace(
+                outcome,
+                recommended={**outcome.recommended, name: best},
+                dropped={**outcome.dropped, name: dropped},
+            )
+            _write_scene(outcome, name, path.parent)
+            _write_report(outcome, path.parent)  # names what lies there, whatever becomes of its run
+
+    def run_again(self, name: str, scene: scene_pb2.Scene) -> Measurement:
+        """Runs a scene as its file has it, against the same reference; never what the store knows of it."""
+        of = self._measured(scene, {}, name, *self._compared_with)
+        self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
+        return of
 
     def _own_recording(self) -> Recording:
         """Of the scene as it is: what a choice by itself changes is told against it."""
@@ -359,30 +417,27 @@ class _Trade:
         print(f"[{minutes:3d}:{seconds:02d}] {text}", file=sys.stderr, flush=True)
 
 
-def _write_scenes(outcome: Outcome, folder: Path) -> list[Path]:
-    """The two settings asked for, as files."""
-    written = []
-    limits = {
-        _FASTEST: (outcome.fastest, f"The fastest setting within {outcome.tolerance:.3g} of the reference"),
-        _MOST_ACCURATE: (
-            outcome.most_accurate,
-            f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms by its median",
-        ),
+def _write_scene(outcome: Outcome, name: str, folder: Path) -> Path | None:
+    """A setting that was asked for, as a file; None: there is none."""
+    path = folder / f"{name}.yaml"
+    measurement = outcome.recommended[name]
+    if measurement is None:
+        path.unlink(missing_ok=True)  # of an earlier run
+        return None
+    what = {
+        _FASTEST: f"The fastest setting within {outcome.tolerance:.3g} of the reference",
+        _MOST_ACCURATE: f"The most accurate setting within {1e3 * outcome.budget_s:.3g} ms by its median",
     }
-    for name, (measurement, what) in limits.items():
-        path = folder / f"{name}.yaml"
-        if measurement is None:
-            path.unlink(missing_ok=True)  # of an earlier run
-            continue
-        setting = report.setting_text(measurement.setting)
-        comment = (
-            f"{what}, made by `tensormass trade {outcome.scene}`.\n"
-            f"{setting}: {report.brief(measurement)}\n"
-            f"Measured on {outcome.machine.backend} ({outcome.machine.device})."
-        )
-        outcome.knobs.write(measurement.setting, path, comment)
-        written.append(path)
-    return written
+    comment = [
+        f"{what[name]}, made by `tensormass trade {outcome.scene}`.",
+        f"{report.setting_text(measurement.setting)}: {report.brief(measurement)}",
+        f"Measured on {outcome.machine.backend} ({outcome.machine.device}).",
+    ]
+    for of in outcome.dropped.get(name, []):
+        tried = report.setting_text(of.promised.setting)
+        comment.append(f"In place of one that left this limit when run again: {tried}")
+    outcome.knobs.write(measurement.setting, path, "\n".join(comment))
+    return path
 
 
 def _write_report(outcome: Outcome, folder: Path) -> list[Path]:

@@ -197,17 +197,30 @@ class Limits:
     slow_s: float = math.inf
 
 
+def limits_of(tolerance: float, budget_s: float) -> dict[str, Limits]:
+    """Those of what is recommended, by name."""
+    return {"fastest": Limits(error=tolerance), "most_accurate": Limits(cost_s=budget_s)}
+
+
+def beyond(again: Measurement, limits: Limits) -> str:
+    """By how much a run leaves the limits, or why it has no result; "": it keeps them."""
+    if again.errors is None:
+        return again.failure
+    off = [
+        _above("error", again.errors.judged, limits.error, percent),
+        _above("median", again.cost_s, limits.cost_s, ms),
+        _above("p99", again.slow_s, limits.slow_s, ms),
+    ]
+    return "; ".join(filter(None, off))
+
+
 def missed(promised: Measurement, again: Measurement, limits: Limits) -> str:
     """By how much a second run leaves the limits, or what the first reached (error to 1 %, time to half); "": it is
     confirmed."""
     if promised.errors is None or again.errors is None:
         return promised.failure or again.failure
     error, before = again.errors.judged, promised.errors.judged
-    off = [
-        _above("error", error, limits.error, percent),
-        _above("median", again.cost_s, limits.cost_s, ms),
-        _above("p99", again.slow_s, limits.slow_s, ms),
-    ]
+    off = [beyond(again, limits)]
     if error > _SAME_ERROR * before:
         off.append(f"error {percent(error)}, {percent(before)} before")
     if again.cost_s > _SAME_TIME * promised.cost_s:
@@ -225,20 +238,26 @@ def file_of(name: str) -> str:
 
 
 def confirmations(outcome: Outcome) -> list[str]:
-    """What the written files do when they are run."""
-    promised = {
-        "fastest": (outcome.fastest, Limits(error=outcome.tolerance)),
-        "most_accurate": (outcome.most_accurate, Limits(cost_s=outcome.budget_s)),
-    }
+    """What the written files do when they are run, and did before another setting was written in its place."""
+    limits = limits_of(outcome.tolerance, outcome.budget_s)
     lines = []
-    for name, again in outcome.confirmed.items():
-        was, limits = promised.get(name, (None, Limits()))
-        said = [f"{file_of(name)}, read and run again"]
-        if was is not None:
-            off = missed(was, again, limits)
+    for name in dict.fromkeys([*outcome.recommended, *outcome.confirmed]):
+        file = file_of(name)
+        for of in outcome.dropped.get(name, []):
+            what = f"dropped from {file}, read and run again: {setting_text(of.promised.setting)}"
+            lines.append(_run_again([what, of.why], of.again))
+        if (again := outcome.confirmed.get(name)) is None:
+            continue  # it was not run yet
+        said = [f"{file}, read and run again"]
+        if (was := outcome.recommended.get(name)) is not None:
+            off = missed(was, again, limits[name])
             said += ["NOT CONFIRMED", off] if off else ["confirmed"]
-        lines.append(": ".join(dict.fromkeys([*said, brief(again)])))  # of a run that failed both are the failure
+        lines.append(_run_again(said, again))
     return lines
+
+
+def _run_again(said: Sequence[str], again: Measurement) -> str:
+    return ": ".join(dict.fromkeys([*said, brief(again)]))  # of a run that failed both are the failure
 
 
 def picks(outcome: Outcome) -> list[tuple[str, str]]:

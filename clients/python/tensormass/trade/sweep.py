@@ -141,16 +141,25 @@ def front(measured: Sequence[Measurement]) -> list[Measurement]:
     return [usable[index] for index in pareto([(of.cost_s, of.errors.judged) for of in usable if of.errors])]
 
 
-def fastest_within(measured: Sequence[Measurement], tolerance: float) -> Measurement | None:
-    """None: no setting is that accurate."""
+def fastest_within(measured: Sequence[Measurement], tolerance: float) -> list[Measurement]:
+    """The front that is that accurate, the fastest first."""
     same = [of for of in measured if is_same_tissue(of, measured, tolerance)]
-    return next((of for of in front(same) if of.errors and of.errors.judged <= tolerance), None)
+    return [of for of in front(same) if of.errors and of.errors.judged <= tolerance]
 
 
-def most_accurate_within(measured: Sequence[Measurement], budget_s: float, tolerance: float) -> Measurement | None:
-    """None: no setting is that fast. `tolerance`: of what is another law."""
+def most_accurate_within(measured: Sequence[Measurement], budget_s: float, tolerance: float) -> list[Measurement]:
+    """The front that is that fast, the most accurate first. `tolerance`: of what is another law."""
     same = [of for of in measured if is_same_tissue(of, measured, tolerance)]
-    return next((of for of in reversed(front(same)) if of.cost_s <= budget_s), None)
+    return [of for of in reversed(front(same)) if of.cost_s <= budget_s]
+
+
+def next_after(
+    failed: Measurement, again: Measurement, candidates: Sequence[Measurement], budget_s: float
+) -> Measurement | None:
+    """What takes the place of a candidate that failed in its second run, `again`: the next that is within the budget
+    although the machine be as slow as that run had it."""
+    slowdown = max(again.cost_s / failed.cost_s, 1.0)  # 1 too if it stopped: that says nothing of times
+    return next((of for of in candidates[candidates.index(failed) + 1 :] if slowdown * of.cost_s <= budget_s), None)
 
 
 def _spread(indices: list[int], count: int) -> list[int]:
