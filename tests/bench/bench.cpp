@@ -379,16 +379,21 @@ int main(int argc, char** argv) {
           ->expected(0, 1);
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
   app.add_option("--only", only, "cases whose names contain this");
-  app.add_option("--suite", suite,
-                 "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz; guards: "
-                 "what the check of volumes costs")
-      ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
-  app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
+  auto* const suites =
+      app.add_option("--suite", suite,
+                     "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz; guards: "
+                     "what the check of volumes costs")
+          ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
+  auto* const family_flag =
+      app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   auto* const scene_file =
       app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
   bool unpaced = false;
-  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, as the beams")->needs(scene_file);
+  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, as the beams")
+      ->needs(scene_file)
+      ->excludes(suites)
+      ->excludes(family_flag);
   app.add_option("--stations", real_time.copies, "as --scene: so many of 20,520 tetrahedra under a probe, 1 kHz each");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
