@@ -46,8 +46,9 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 ///   void run(model::Phase), in order with what was run before; waits for nothing
 ///   tensor::NewtonControl& control(), read by the next run
 ///   Imbalance imbalance() of the last evaluation, StepResult result() of the last solve or backtracking: wait for it
-/// positive: take the positive stiffness throughout. largest_force_squared: of all steps since the scene's start,
-/// updated.
+/// positive: take the positive stiffness throughout. largest_force_squared: of the ends of all steps since the scene's
+/// start, updated. Not of what a step passes through: an increment that turns a nearly incompressible body passes
+/// through forces a thousand times those that it ends with, and any imbalance would be small beside them.
 ///
 /// It ends where the imbalance is small, or where the increment of a solve no longer moves a node by more than its
 /// coordinates can tell: where nothing acts on a body, the forces of its elements are rounding, and so is any share of
@@ -129,12 +130,12 @@ StepResult newton_step(Device& device, std::uint32_t max_iterations, double tole
     total.finite = total.finite && at.finite();
     total.converged = false;
     if (!total.finite) break;
-    largest_force_squared = std::max(largest_force_squared, at.force_squared);
     total.newton_residual = relative(at);
     total.converged = total.newton_residual <= tolerance || settled;
     if (total.converged || stalled || since_best > kMaxDetourIterations) break;
   }
   total.cg_iterations = cg_iterations;
+  if (total.converged) largest_force_squared = std::max(largest_force_squared, at.force_squared);
   device.run(Phase::kEnd);
   return total;
 }
