@@ -45,8 +45,7 @@ struct StepResult {
   double max_distance_m = 0;    ///< of any node from rest
   double kinetic_energy_j = 0;  ///< of the nodes' masses
   double work_j = 0;            ///< of gravity and loads since the kept state
-  /// Of the elements that are checked in each step; 1 where none is. Infinity: a solve has checked them and found none
-  /// inside out.
+  /// Of the elements that are checked in each step; 1 where none is. Infinity: none of them is inside out.
   double min_det_f = 1;
   std::uint32_t newton_iterations = 1;
   double newton_residual = 0;  ///< imbalance relative to the forces at work; 0 in a step that is linearized once

@@ -92,6 +92,7 @@ tensor::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Re
   s.displacement = arena.template zeros<Real>("displacement", 4 * rows);
   s.velocity = arena.template zeros<Real>("velocity", 4 * rows);
   s.rest = arena.template constant<Real>("rest positions", m.rest);
+  s.relative_position = arena.template zeros<Real>("relative positions", only_if(edges && m.checks_volume(), 4 * rows));
   s.inertia = arena.template constant<Real>("inertia", m.inertia);
   s.external = arena.template constant<Real>("external forces", m.external);
   s.mass_edges = arena.template constant<Real>("consistent mass", m.mass_edges);
@@ -188,6 +189,15 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
   e.point_count = group.point_count;
   e.watch_begin = static_cast<std::uint32_t>(group_index) * m.layout.patch_count;
   e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
+  physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+    using Shape = typename decltype(shape)::Type;
+    // One point of several nodes' mean gradients is no point of the reference shape.
+    const bool is_mean = group.point_count == 1 && !Shape::kSinglePoint;
+    if (index != group.shape || !group.checks_volume || group.solve_checks_volume || is_mean) return;
+    const std::vector<double> gradients = physics::reference_gradients<Shape>();
+    e.reference_points = static_cast<std::uint32_t>(gradients.size() / (3 * Shape::kNodes));
+    e.reference_gradients = arena.template constant<Real>("reference gradients", gradients);
+  });
   if (m.layout.storage == tensor::Storage::kEdges) {
     e.rest = arena.template constant<Real>("element rest shapes", group.rest);
     e.parameters = arena.template constant<Real>("element parameters", group.parameters);
@@ -195,15 +205,6 @@ tensor::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& a
     e.record_reals = group.record_reals();
     e.records = arena.template generated<Real>("element records", std::size_t{group.stride} * e.record_reals,
                                                [&](Real* to) { write_records(group, to); });
-    physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
-      using Shape = typename decltype(shape)::Type;
-      // One point of several nodes' mean gradients is no point of the reference shape.
-      const bool is_mean = group.point_count == 1 && !Shape::kSinglePoint;
-      if (index != group.shape || !group.checks_volume || group.solve_checks_volume || is_mean) return;
-      const std::vector<double> gradients = physics::reference_gradients<Shape>();
-      e.reference_points = static_cast<std::uint32_t>(gradients.size() / (3 * Shape::kNodes));
-      e.reference_gradients = arena.template constant<Real>("reference gradients", gradients);
-    });
     const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
     e.decompositions = arena.template zeros<Real>(
         "decompositions", decomposes ? std::size_t{e.count} * e.point_count * tensor::kDecompositionReals : 0);

@@ -303,8 +303,8 @@ void equip_solve(Compilation& c, const PatchPolicy& policy) {
   if (model.layout.storage == tensor::Storage::kEdges || model.double_precision) return;
   const std::uint32_t rows = model.layout.largest_patch();
   model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;
-  // A solve of many in a step does not know where the step ends.
-  if (model.iterates() || rows > std::min(policy.solve_keeps_rows, 0xFFFFu)) return;
+  // A solve of many in a step does not know where the step ends; and PatchTetrahedra has 16 bits for a row.
+  if (model.iterates() || !model.solve_keeps_vectors || rows > 0xFFFF) return;
   std::vector<tensor::ElementRows> tetrahedra;
   for (ElementGroup& group : model.groups) {
     if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))

@@ -102,14 +102,15 @@ Cost cost(const Model& m, const Stage& stage) {
       return {read * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
     }
     case StageKind::kAdvance:
-      return {rows * 9 * 4 * real, rows * 50};
+      return {rows * (edges && m.checks_volume() ? 11 : 9) * 4 * real, rows * 50};
     case StageKind::kBacktrack:
       return {rows * 5 * 4 * real, rows * 12};
     case StageKind::kMeasureContact:
       return {tools * triangles * real, tools * triangles};
     case StageKind::kCheckVolume: {
       const ElementGroup& g = m.groups[stage.group];
-      return {static_cast<double>(g.rows.size()) * (4 + 4 * real) + static_cast<double>(g.rest.size()) * real,
+      // From where nodes are: one field where packs of elements are checked, two else.
+      return {static_cast<double>(g.rows.size()) * (4 + (edges ? 4 : 8) * real),
               g.element_count * g.point_count * 80.0};
     }
     case StageKind::kWatch: {
@@ -192,7 +193,7 @@ StageText text(StageKind kind) {
     case StageKind::kMeasureContact:
       return {"measure contact", "contacts, velocity", "force on each tool"};
     case StageKind::kCheckVolume:
-      return {"check volume", "displacement, rest shapes", "smallest det F"};
+      return {"check volume", "positions", "smallest det F of what is inside out"};
     case StageKind::kWatch:
       return {"watch elements", "displacement, rest shapes", "smallest det F, strain, rotation, elastic energy"};
   }

@@ -175,27 +175,45 @@ struct Unasked {
   TM_HOST_DEVICE void operator()(std::uint32_t, const Vector&, Nothing) const {}
 };
 
-/// Reads solution, diagonal; writes what advance_by does, and patch_reports.
+/// Keeps it.
+template <class Real>
+struct KeepsPosition {
+  const tensor::SceneView<Real>& s;
+  Vec3<Real> read(std::uint32_t row) const { return tensor::relative_rest(s, row); }
+  void operator()(std::uint32_t row, const Vec3<Real>& u, const Vec3<Real>& rest) const {
+    tensor::store3<Real>(s.relative_position, row, rest + u);
+  }
+};
+
+/// move(moved) with what the scene asks of rows that move, and reports.
+template <class Team, class Real, class Move>
+TM_HOST_DEVICE void move_and_report(const Team& team, const tensor::SceneView<Real>& s, const Move& move) {
+  if constexpr (requires { Team::kOneThread; }) {
+    if (s.relative_position != nullptr) return report(team, s, move(KeepsPosition<Real>{s}));
+  }
+  report(team, s, move(Unasked{}));
+}
+
+/// Reads solution, diagonal; writes what advance_by does, relative_position and patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void advance(const Team& team, const tensor::SceneView<Real>& s) {
   const auto change_of = [&](std::uint32_t row) -> Vec3<Real> {
     return unscaled(s, row, load_lower<Real>(s.diagonal, row), tensor::load3<Real>(s.solution, row));
   };
-  report(team, s, advance_by(team, s, change_of, Unasked{}));
+  move_and_report(team, s, [&](const auto& moved) { return advance_by(team, s, change_of, moved); });
 }
 
 /// Takes a share of the last increment in place of the whole.
-/// Reads iterate, increment, newton, kept displacement; writes velocity, displacement, patch_reports.
+/// Reads iterate, increment, newton, kept displacement; writes velocity, displacement, relative_position,
+/// patch_reports.
 template <class Team, class Real>
 TM_HOST_DEVICE void backtrack(const Team& team, const tensor::SceneView<Real>& s) {
   const Real share = static_cast<Real>(s.newton->line_share);
-  const auto motion = move_rows(
-      team, s, false,
-      [&](std::uint32_t row) -> Vec3<Real> {
-        return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
-      },
-      [](std::uint32_t, const Vec3<Real>& v) { return v; }, Unasked{});
-  report(team, s, motion);
+  const auto velocity = [&](std::uint32_t row) -> Vec3<Real> {
+    return tensor::load3<Real>(s.iterate, row) + tensor::load3<Real>(s.increment, row) * share;
+  };
+  const auto as_read = [](std::uint32_t, const Vec3<Real>& v) { return v; };
+  move_and_report(team, s, [&](const auto& moved) { return move_rows(team, s, false, velocity, as_read, moved); });
 }
 
 /// How far the step is from balance. Reads rhs (before it is scaled), internal_force, external, increment,

@@ -300,8 +300,51 @@ TM_HOST_DEVICE Real least_det_f(const SceneView<Real>& s, const ElementView<Real
   }
 }
 
+/// At most the smallest det J of some elements' quadrature points, from relative positions, which are rounded to the
+/// size of the scene: above zero where least_det_f finds nothing. Rest shapes are left alone, and half of what that
+/// reads of nodes. Of padding: below zero.
+template <class Lanes, class Shape, class Real>
+TM_HOST_DEVICE typename Lanes::Scalar bound_det_j(const SceneView<Real>& s, const ElementView<Real>& e,
+                                                  std::uint32_t first) {
+  using T = typename Lanes::Scalar;
+  constexpr int kNodes = Shape::kNodes;
+  Vec3<T> x[kNodes];
+  TM_UNROLL_ALL
+  for (int k = 0; k < kNodes; ++k) {
+    x[k] = Lanes::gather3(s.relative_position, e.rows + std::size_t{static_cast<std::uint32_t>(k)} * e.count + first);
+    if (k > 0) x[k] -= x[0];  // against the first node, as gradients add up to zero
+  }
+  // An edge is off by four roundings of a scene's size and of how far away the element is, which det J takes times the
+  // other two columns and what a shape's gradients add up to, less than five.
+  const T away = absolute(x[0][0]) + absolute(x[0][1]) + absolute(x[0][2]);
+  const T rounding = T(32 * std::numeric_limits<Real>::epsilon() / 2) * (T(s.size_m) + away);
+  T least = T(std::numeric_limits<Real>::infinity());
+  const auto look = [&](const Vec3<T>& a, const Vec3<T>& b, const Vec3<T>& c) {
+    const T volume = a.dot(b.cross(c));
+    T squares = rounding * rounding;
+    TM_UNROLL_ALL
+    for (int i = 0; i < 3; ++i) squares += a[i] * a[i] + (b[i] * b[i] + c[i] * c[i]);
+    least = minimum(least, T(volume - rounding * squares));
+  };
+  if constexpr (Shape::kSinglePoint) {
+    look(x[1], x[2], x[3]);
+  } else {
+    TM_UNROLL(1)
+    for (std::uint32_t q = 0; q < e.reference_points; ++q) {
+      const Real* gradients = e.reference_gradients + std::size_t{3} * kNodes * q;
+      Mat3<T> j = Mat3<T>::Zero();
+      TM_UNROLL_ALL
+      for (int k = 1; k < kNodes; ++k) {
+        for (int c = 0; c < 3; ++c) j.col(c) += x[k] * T(gradients[3 * k + c]);
+      }
+      look(j.col(0), j.col(1), j.col(2));
+    }
+  }
+  return least;
+}
+
 /// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
-/// Reads displacement; writes min_det_f, infinity where nothing looks inside out.
+/// Reads displacement, relative_position; writes min_det_f, infinity where nothing looks inside out.
 template <class Shape, class Team, class Real>
 TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
   using Lanes = typename Team::template Lanes<Real>;
@@ -312,15 +355,34 @@ TM_HOST_DEVICE void check_volume(const Team& team, const SceneView<Real>& s, con
     const Real worst = team.patch_max(Lanes::largest(compression));
     if (team.leads_patch()) s.min_det_f[(e.watch_begin + team.patch()) * team.parts() + team.part()] = -worst;
   };
-  if constexpr (kReadsRecords<Lanes>) {
-    if (e.reference_gradients != nullptr) {
+  if (e.reference_gradients != nullptr) {
+    if constexpr (kReadsRecords<Lanes>) {
       constexpr std::uint32_t kThreads = Shape::kSinglePoint ? 1 : kThreadsOfPoints;
       constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;  // nothing is written, and every turn waits for memory
       team.template for_each<kAtOnce>(kThreads * range.begin, kThreads * range.end, [&](std::uint32_t i) {
         compression = maximum(compression, T(-least_det_f<Shape>(s, e, i / kThreads, i % kThreads, kThreads)));
       });
-      return report();
+    } else {
+      const auto one_by_one = [&](std::uint32_t begin, std::uint32_t end) {
+        for (std::uint32_t i = begin; i < end; ++i) {
+          compression = maximum(compression, T(-least_det_f<Shape>(s, e, i)));
+        }
+      };
+      const auto is_sound = [](const T& bound) { return Lanes::largest(T(-bound)) < 0; };
+      // All packs at once, since to look into one takes longer than to bound it; in nearly all steps that is all.
+      const std::uint32_t packed = range.end - (range.end - range.begin) % Lanes::kWidth;
+      T least = T(std::numeric_limits<Real>::infinity());
+      team.template for_lanes<Lanes::kWidth>(range.begin, packed, [&](std::uint32_t first) {
+        least = minimum(least, bound_det_j<Lanes, Shape>(s, e, first));
+      });
+      if (!is_sound(least)) {
+        team.template for_lanes<Lanes::kWidth>(range.begin, packed, [&](std::uint32_t first) {
+          if (!is_sound(bound_det_j<Lanes, Shape>(s, e, first))) one_by_one(first, first + Lanes::kWidth);
+        });
+      }
+      one_by_one(packed, range.end);
     }
+    return report();
   }
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     Vec3<T> u[Shape::kNodes];

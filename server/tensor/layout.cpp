@@ -307,9 +307,9 @@ std::vector<std::uint32_t> Layout::patch_of_slice() const {
 
 std::uint32_t Layout::read_slot_count() const {
   if (storage != Storage::kTiles) return slot_count();
-  std::uint32_t columns = 0;
-  for (std::size_t slice = 0; slice < slice_read.size(); ++slice) columns += slice_read[slice] - slice_begin[slice];
-  return columns * kSliceRows;
+  std::uint32_t read = 0;
+  for (std::size_t slice = 0; slice < slice_read.size(); ++slice) read += slice_read[slice] - slice_begin[slice];
+  return read * kSliceRows;
 }
 
 std::uint32_t Layout::widest_slice() const {

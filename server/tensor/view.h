@@ -87,12 +87,13 @@ struct ElementView {
   Real* history;       // Γ_i [Pa] [quadrature points][prony_count][6][count]
   Real* kept_history;  // of the state to go back to
 
-  // Only where rows evaluate their elements (tensor/rows.h):
-  std::uint32_t record_reals;
-  const Real* records;  // [count][record_reals], see tensor::record_reals
   // For the check of volumes, see physics::reference_gradients; nullptr: none, or of mean gradients.
   std::uint32_t reference_points;
   const Real* reference_gradients;
+
+  // Only where rows evaluate their elements (tensor/rows.h):
+  std::uint32_t record_reals;
+  const Real* records;          // [count][record_reals], see tensor::record_reals
   Real* decompositions;         // [count][quadrature points][kDecompositionReals]; nullptr: the law has no use for them
   std::uint32_t slice_count;    // slices with elements of the group
   const ListedSlice* slices;    // [slice_count]
@@ -256,6 +257,7 @@ struct SceneView {
   Real* displacement;       // u [m]
   Real* velocity;           // [m/s]
   const Real* rest;         // X [m], 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
+  Real* relative_position;  // where rows have moved to [m], from where row 0 rests; nullptr: nobody asks
   const Real* inertia;      // mass [kg], Rayleigh α [1/s], Rayleigh β [s], s of solver/jacobi_scaling.h
   const Real* external;     // constant force [N]
   Real* base_displacement;  // û; nullptr: displacement itself
@@ -435,6 +437,12 @@ TM_HOST_DEVICE Vec3<Real> change_ahead(const SceneView<Real>& s, std::size_t row
 template <class Real>
 TM_HOST_DEVICE std::uint32_t free_bits(const SceneView<Real>& s, std::size_t row) {
   return static_cast<std::uint32_t>(s.rest[4 * row + 3]);
+}
+
+/// Of relative_position, of a row at rest. From a row of the scene, so that wherever that lies, only its size rounds.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> relative_rest(const SceneView<Real>& s, std::size_t row) {
+  return load3<Real>(s.rest, row) - load3<Real>(s.rest, 0);
 }
 
 /// Where a row is now [m].

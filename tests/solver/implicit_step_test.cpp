@@ -39,6 +39,32 @@ TEST(ImplicitStep, SatisfiesTheEquationOfMotionAtItsEnd) {
   EXPECT_LT(imbalance.norm(), 1e-9 * (inertia.norm() + damping.norm() + system.force.norm()));
 }
 
+/// What the check of volumes reads is where nodes are, after the whole of an increment and after a part of it.
+TEST(Advance, KeepsPositionsThatAreThoseOfTheDisplacement) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2});
+  scene.mutable_solver()->set_newton_max_iterations(5);
+  StagedScene<float> staged(scene, 2);
+  ASSERT_NE(staged.view.relative_position, nullptr);
+  const auto expect_same = [&] {
+    float most = 0;
+    for (std::uint32_t row = 0; row < staged.view.row_count; ++row) {
+      const Vec3<float> u = tensor::load3<float>(staged.view.displacement, row);
+      const Vec3<float> x = tensor::relative_rest(staged.view, row) + u;
+      EXPECT_EQ(tensor::load3<float>(staged.view.relative_position, row), x) << row;
+      most = std::max(most, u.norm());
+    }
+    return most;
+  };
+  staged.put(staged.view.increment, tests::random_field(3 * staged.node_count(), 1, 1));
+  auto& newton = *const_cast<tensor::NewtonControl*>(staged.view.newton);
+  newton = {.positive_stiffness = 1, .begins_step = 1, .line_share = 0.25F};
+  staged.run_through(model::StageKind::kAdvance);
+  EXPECT_GT(expect_same(), 0);
+  staged.put(staged.view.increment, tests::random_field(3 * staged.node_count(), 1, 1));
+  staged.run(model::StageKind::kBacktrack);
+  EXPECT_GT(expect_same(), 1e-3F);
+}
+
 TEST(Advance, ReportsTheFastestNodeOfEachPatch) {
   StagedScene<double> staged(tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2}), 3);
   Eigen::VectorXd v = Eigen::VectorXd::Zero(3 * staged.node_count());

@@ -27,9 +27,8 @@ class PatchVolume {
   }
 
   /// Has what a check reads brought near. A solve takes long enough for caches to lose it.
-  __device__ static void expect(const tensor::SceneView<float>& s, const tensor::Patch& patch) {
+  __device__ static void expect(const tensor::SceneView<float>& s, const Parts& parts) {
     constexpr std::uint32_t kLine = 16;  // tetrahedra in 128 bytes
-    const Parts parts = parts_of(s, patch);
     for (std::uint32_t t = parts.begin + kLine * threadIdx.x; t < parts.end; t += kLine * Threads) {
       tensormass::expect(s.tetrahedron_rows + std::size_t{4} * t);
     }

@@ -225,8 +225,9 @@ __global__ void __launch_bounds__(Threads, 1)
     solver::expect_move(s, row[k]);
   }
   if (s.patch_tetrahedra != nullptr) {
-    PatchVolume<Threads>::expect(s, patch);
-    if (thread == 0) tetrahedra = PatchVolume<Threads>::parts_of(s, patch);
+    const auto parts = PatchVolume<Threads>::parts_of(s, patch);
+    PatchVolume<Threads>::expect(s, parts);
+    if (thread == 0) tetrahedra = parts;
   }
   // Rows of the halo that this thread waits for; a patch seldom has more than two for each of its own.
   constexpr std::uint32_t kHaloAtOnce = 2 * Rows;
