@@ -158,7 +158,8 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
       centers_[i] = targets_[i] + (1 - share) * (before_[i].center_m - targets_[i]);
     }
     last_ = state_->step({.centers = centers_,
-                          .end_time_s = simulated_time_s() + share * model_->dt_s,
+                          // One product, so that halves of a step end bitwise where steps of half its length do.
+                          .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
                           .dt_s = model_->dt_s / how.steps,
                           .cg_max_iterations = cg_max_iterations,
                           .keeps = keeps,
