@@ -94,8 +94,10 @@ def updated(head: Mapping[str, Any], only: str, rows: Sequence[Row]) -> Run:
     if run is None or run.device != head["device"]:
         raise ValueError(f"no results of {head['device']} to update: {run.device if run else 'none'}")
     of_task = {row.task: row for row in [*run.rows, *rows]}
-    others = [commit for commit in run.commit.split("; ") if not commit.startswith(f"{only}: ")]
-    return replace(run, rows=list(of_task.values()), commit="; ".join([*others, f"{only}: {head['commit']}"]))
+    whole, *parts = [commit for commit in run.commit.split("; ") if not commit.startswith(f"{only}: ")]
+    if head["commit"] != whole:
+        parts.append(f"{only}: {head['commit']}")
+    return replace(run, rows=list(of_task.values()), commit="; ".join([whole, *parts]))
 
 
 def page(runs: Sequence[Run]) -> str:
