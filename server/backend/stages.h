@@ -7,6 +7,7 @@
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
 #include "tensor/assembly.h"
+#include "tensor/check_volume.h"
 #include "tensor/rows.h"
 #include "tensor/visible.h"
 

@@ -8,7 +8,7 @@
 
 #include "mesh/random_mesh.h"
 #include "mesh/shapes.h"
-#include "tensor/assembly.h"
+#include "tensor/check_volume.h"
 
 namespace tensormass::tensor {
 namespace {

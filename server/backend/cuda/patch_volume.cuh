@@ -6,7 +6,7 @@
 
 #include "backend/cuda/exchange.cuh"
 #include "solver/advance.h"
-#include "tensor/assembly.h"
+#include "tensor/check_volume.h"
 
 namespace tensormass::backend::cuda {
 
