@@ -72,6 +72,21 @@ TEST_P(FindingsOf, InvertedElementsAreNamed) {
   EXPECT_TRUE(says(crushed, "inside out"));
 }
 
+TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceIsNamed) {
+  for (const std::uint32_t most : {3u, 1000u}) {
+    const auto world = start(
+        tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = most, .cg_tolerance = 1e-4}));
+    const IterationBudget budget(world->model());
+    Findings findings(world->model(), budget);
+    EXPECT_TRUE(world->step(false));
+    findings.take_step(*world);
+    v1::SceneStatus status;
+    findings.add_to(status);
+    EXPECT_EQ(says(status, "the last solve ended after 3 iterations"), most == 3);
+    EXPECT_EQ(says(status, "above cg_tolerance = 0.0001"), most == 3);
+  }
+}
+
 TEST_P(FindingsOf, AStepThatDidNotConvergeIsNamedAndCounted) {
   const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 2);
   EXPECT_EQ(status.unconverged_steps(), 1u);
