@@ -231,11 +231,11 @@ def test_the_front_and_the_picks() -> None:
         measurement({"a": 4}, 0.0, 0.0, failure="refused"),
     ]
     assert [of.cost_s for of in sweep.front(measured)] == [1.0, 3.0, 9.0]
-    fastest, accurate = sweep.fastest_within(measured, 0.05), sweep.most_accurate_within(measured, 5.0, 0.05)
+    fastest, accurate = sweep.fastest_within(measured, 0.05, {}), sweep.most_accurate_within(measured, 5.0, 0.05, {})
     assert fastest == [measured[0], measured[3]]
     assert accurate == [measured[0], measured[1]]
-    assert sweep.fastest_within(measured, 1e-4) == []
-    assert sweep.most_accurate_within(measured, 0.5, 0.05) == []
+    assert sweep.fastest_within(measured, 1e-4, {}) == []
+    assert sweep.most_accurate_within(measured, 0.5, 0.05, {}) == []
 
 
 def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -> None:
@@ -313,9 +313,26 @@ def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
     both = of({"law": "unlike", "resolution": 0.5}, 0.5, 0.001, 0.01)
     measured = [own, like, unlike, both]
     assert [sweep.is_same_tissue(one, measured, 0.02) for one in measured] == [True, True, False, False]
-    assert sweep.fastest_within(measured, 0.02) == [like]
-    assert sweep.most_accurate_within(measured, 5.0, 0.02) == [like]
-    assert sweep.fastest_within([own, unlike, both], 0.02) == [own]
+    assert sweep.fastest_within(measured, 0.02, {}) == [like]
+    assert sweep.most_accurate_within(measured, 5.0, 0.02, {}) == [like]
+    assert sweep.fastest_within([own, unlike, both], 0.02, {}) == [own]
+
+
+def test_what_is_close_because_it_is_solved_worse_is_not_recommended(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path).knobs  # cg_tolerance 0.01, float
+    coarse = {"resolution": 0.5}
+    lucky, tight = measurement({**coarse, "cg_tolerance": 0.1}, 1.0, 0.01), measurement(coarse, 2.0, 0.03)
+    own = measurement({}, 4.0, 0.015)
+    loose = measurement({"cg_tolerance": 0.1}, 3.0, 0.0145)  # by less than scatter
+    measured = [own, loose, tight, lucky, measurement({**coarse, "precision": "double"}, 5.0, 0.0, failure="stopped")]
+    assert [sweep.is_close_by_chance(of, measured, knobs) for of in measured] == [False, False, False, True, False]
+    assert sweep.fastest_within(measured, 0.02, knobs) == [loose]
+    assert sweep.most_accurate_within(measured, 10.0, 0.02, knobs) == [loose, tight]
+    # Solved neither better nor worse: fewer iterations, a smaller tolerance.
+    other = measurement({**coarse, "cg_tolerance": 0.001, "cg_max_iterations": 25}, 1.0, 0.03)
+    assert not sweep.is_close_by_chance(measurement({**coarse, "precision": "double"}, 5.0, 0.01), [other], knobs)
+    # Solved better and closer is what one pays for.
+    assert not sweep.is_close_by_chance(tight, [lucky, tight], knobs)
 
 
 def test_a_law_that_moves_the_answer_is_not_combined(tmp_path: Path) -> None:
