@@ -85,9 +85,10 @@ def test_the_page_says_what_a_second_run_did() -> None:
         "machine": asdict(MACHINE),
         "tolerance": 0.2,
         "budget_s": 2.0,
+        "scene": "demo",
         "fastest": MEASURED[6].key,
         "most_accurate": MEASURED[1].key,
-        "presets": {"accurate": {"dt_s": 0.005}},
+        "presets": {"accurate": {"dt_s": 0.005}},  # of another day
         "confirmed": {name: {**of.to_plain(), "machine": None} for name, of in again.items()},
     }
     lines = _confirmations(Trade(head, MEASURED))
@@ -99,7 +100,8 @@ def test_the_page_says_what_a_second_run_did() -> None:
         verdicts["the most accurate within 2e+03 ms by the median"] == "**not confirmed**: median 5 % above 2e+03 ms |"
     )
     assert verdicts["the fastest within 20 %"] == "confirmed |"
-    (foreign,) = [line for line in lines if line.startswith("| preset accurate, of the cpu's results | dt s 0.005 |")]
+    what = "| former preset accurate, of the cpu's results | dt s 0.005 |"
+    (foreign,) = [line for line in lines if line.startswith(what)]
     assert "| 10 % |" in foreign
     assert "2.50 times as long as the scene as it is" in foreign
     del head["confirmed"]["most_accurate"]

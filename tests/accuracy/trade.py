@@ -275,7 +275,9 @@ def _confirmations(trade: Trade) -> list[str]:
         was = promised.get(name)
         preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of these results"
         if was is None:
-            rows.append(_foreign(name, head["presets"][name.removeprefix(_FOREIGN)], again, own))
+            preset = name.removeprefix(_FOREIGN)
+            is_now = presets.all_presets().get(head["scene"], {}).get(preset) == head["presets"][preset]
+            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][preset], again, own))
             continue
         # Results that are older than this key dropped nothing.
         for of in head.get("dropped", {}).get(name, []):

@@ -222,7 +222,8 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
 # --- which settings ---------------------------------------------------------------------------------------------------
 
 
-def test_the_front_and_the_picks() -> None:
+def test_the_front_and_the_picks(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
     measured = [
         measurement({}, 3.0, 0.03),
         measurement({"a": 1}, 1.0, 0.2),
@@ -231,11 +232,14 @@ def test_the_front_and_the_picks() -> None:
         measurement({"a": 4}, 0.0, 0.0, failure="refused"),
     ]
     assert [of.cost_s for of in sweep.front(measured)] == [1.0, 3.0, 9.0]
-    fastest, accurate = sweep.fastest_within(measured, 0.05, {}), sweep.most_accurate_within(measured, 5.0, 0.05, {})
+    fastest, accurate = (
+        sweep.fastest_within(measured, 0.05, knobs),
+        sweep.most_accurate_within(measured, 5.0, 0.05, knobs),
+    )
     assert fastest == [measured[0], measured[3]]
     assert accurate == [measured[0], measured[1]]
-    assert sweep.fastest_within(measured, 1e-4, {}) == []
-    assert sweep.most_accurate_within(measured, 0.5, 0.05, {}) == []
+    assert sweep.fastest_within(measured, 1e-4, knobs) == []
+    assert sweep.most_accurate_within(measured, 0.5, 0.05, knobs) == []
 
 
 def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -> None:
@@ -300,7 +304,9 @@ def test_equilibria_are_not_asked_for_more_often_than_the_scene_does(tmp_path: P
     assert chosen == [{"dt_s": 2 * own, "integrator": "quasi_static"}]  # type: ignore[operator]
 
 
-def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
+def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+
     def of(setting: Setting, cost_s: float, error: float, moved: float) -> Measurement:
         return replace(measurement(setting, cost_s, error), moved=moved)
 
@@ -313,13 +319,13 @@ def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same() -> None:
     both = of({"law": "unlike", "resolution": 0.5}, 0.5, 0.001, 0.01)
     measured = [own, like, unlike, both]
     assert [sweep.is_same_tissue(one, measured, 0.02) for one in measured] == [True, True, False, False]
-    assert sweep.fastest_within(measured, 0.02, {}) == [like]
-    assert sweep.most_accurate_within(measured, 5.0, 0.02, {}) == [like]
-    assert sweep.fastest_within([own, unlike, both], 0.02, {}) == [own]
+    assert sweep.fastest_within(measured, 0.02, knobs) == [like]
+    assert sweep.most_accurate_within(measured, 5.0, 0.02, knobs) == [like]
+    assert sweep.fastest_within([own, unlike, both], 0.02, knobs) == [own]
 
 
 def test_what_is_close_because_it_is_solved_worse_is_not_recommended(tmp_path: Path) -> None:
-    knobs = knobs_of(BLOCK, tmp_path).knobs  # cg_tolerance 0.01, float
+    knobs = knobs_of(BLOCK, tmp_path)  # cg_tolerance 0.01, float
     coarse = {"resolution": 0.5}
     lucky, tight = measurement({**coarse, "cg_tolerance": 0.1}, 1.0, 0.01), measurement(coarse, 2.0, 0.03)
     own = measurement({}, 4.0, 0.015)
@@ -331,6 +337,10 @@ def test_what_is_close_because_it_is_solved_worse_is_not_recommended(tmp_path: P
     # Solved neither better nor worse: fewer iterations, a smaller tolerance.
     other = measurement({**coarse, "cg_tolerance": 0.001, "cg_max_iterations": 25}, 1.0, 0.03)
     assert not sweep.is_close_by_chance(measurement({**coarse, "precision": "double"}, 5.0, 0.01), [other], knobs)
+    # An equilibrium takes 50 Newton iterations where nothing is said, not the one of a step in time.
+    still = {"integrator": "quasi_static"}
+    fewer = measurement({**still, "newton_max_iterations": 5}, 1.0, 0.03)
+    assert not sweep.is_close_by_chance(measurement(still, 1.0, 0.01), [fewer], knobs)
     # Solved better and closer is what one pays for.
     assert not sweep.is_close_by_chance(tight, [lucky, tight], knobs)
 

@@ -304,8 +304,8 @@ class _Trade:
         chosen, possible = sweep.combinations(knobs, measured, count, tolerance, budget_s)
         measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
         candidates = {
-            _FASTEST: sweep.fastest_within(measured, tolerance, knobs.knobs),
-            _MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance, knobs.knobs),
+            _FASTEST: sweep.fastest_within(measured, tolerance, knobs),
+            _MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance, knobs),
         }
         return Outcome(
             scene=name,

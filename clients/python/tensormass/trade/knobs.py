@@ -42,6 +42,9 @@ _CG_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 _NEWTON_ITERATIONS = (1, 2, 5)
 _NEWTON_TOLERANCES = (1e-2, 1e-3, 1e-4)
 
+#: They say how well a step is solved, and nothing of what is solved.
+SOLVE_KNOBS = ("newton_max_iterations", "newton_tolerance", "cg_max_iterations", "cg_tolerance", "precision")
+
 
 @dataclass(frozen=True)
 class Knob:
@@ -111,6 +114,24 @@ class Knobs:
         if name in setting:
             return setting[name]
         return self.knobs[name].own if name in self.knobs else None
+
+    def effort(self, setting: Setting) -> tuple[float, ...]:
+        """How well a setting is solved, by each of `SOLVE_KNOBS`: more is better. With the daemon's own values where
+        neither the scene nor the setting says one; they depend on the integrator."""
+        solver = scene_pb2.Solver()
+        solver.CopyFrom(self.message.solver)
+        for name, value in setting.items():
+            if name in _SOLVER_FIELDS:
+                kind = solver.DESCRIPTOR.fields_by_name[name].enum_type
+                number = kind.values_by_name[f"{name.upper()}_{str(value).upper()}"].number if kind else value
+                setattr(solver, name, number)
+        return (
+            defaults.newton_max_iterations(solver),
+            -defaults.newton_tolerance(solver),
+            defaults.cg_max_iterations(solver),
+            -defaults.cg_tolerance(solver),
+            solver.precision == scene_pb2.Solver.PRECISION_DOUBLE,
+        )
 
     def apply(self, setting: Setting) -> SceneFile:
         """The scene file with these values; all other fields stay as they are."""

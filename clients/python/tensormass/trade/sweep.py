@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tensormass.meshes import FloatArray
-from tensormass.trade.knobs import Knob, Knobs, Setting, Value
+from tensormass.trade.knobs import SOLVE_KNOBS, Knobs, Setting, Value
 from tensormass.trade.store import Measurement
 
 # Of one knob, values that go into combinations: the scene's own and the best of the others.
@@ -24,8 +24,6 @@ _HOPELESS_TOLERANCES = 5.0
 _SCATTER = 0.02
 # A dearer point is on the front only if its error is below this share of that of the cheaper one: times scatter.
 _WORTHWHILE = 0.99
-# Knobs that say how well a step is solved, and nothing of what is solved. Their values stand from worse to better.
-_OF_THE_SOLVE = ("newton_max_iterations", "newton_tolerance", "cg_max_iterations", "cg_tolerance", "precision")
 # How much farther from the reference a setting has to be if it is solved better, to show that it was close by chance.
 _BY_CHANCE = 1.05
 
@@ -127,24 +125,21 @@ def is_same_tissue(of: Measurement, measured: Sequence[Measurement], tolerance: 
     return any(one.setting == {"law": law} and one.errors and one.moved <= tolerance for one in measured)
 
 
-def is_close_by_chance(of: Measurement, measured: Sequence[Measurement], knobs: Mapping[str, Knob]) -> bool:
+def is_close_by_chance(of: Measurement, measured: Sequence[Measurement], knobs: Knobs) -> bool:
     """Whether a measurement that differs only in that it was solved better is farther from the reference: what a step
     leaves unsolved then cancels an error of the mesh or of time, for this load."""
     if of.errors is None:
         return False
 
-    def solved(one: Measurement) -> list[int]:
-        names = [name for name in _OF_THE_SOLVE if name in knobs]
-        return [knobs[name].values.index(one.setting.get(name, knobs[name].own)) for name in names]
-
     def solves(one: Measurement) -> tuple[tuple[str, Value], ...]:
-        return _frozen({name: value for name, value in one.setting.items() if name not in _OF_THE_SOLVE})
+        return _frozen({name: value for name, value in one.setting.items() if name not in SOLVE_KNOBS})
 
+    ours = knobs.effort(of.setting)
     return any(
         other.errors is not None
         and other.errors.judged > _BY_CHANCE * of.errors.judged
         and solves(other) == solves(of)
-        and all(theirs >= ours for theirs, ours in zip(solved(other), solved(of), strict=True))
+        and all(theirs >= own for theirs, own in zip(knobs.effort(other.setting), ours, strict=True))
         for other in measured
     )
 
@@ -167,20 +162,20 @@ def front(measured: Sequence[Measurement]) -> list[Measurement]:
     return [usable[index] for index in pareto([(of.cost_s, of.errors.judged) for of in usable if of.errors])]
 
 
-def fastest_within(measured: Sequence[Measurement], tolerance: float, knobs: Mapping[str, Knob]) -> list[Measurement]:
+def fastest_within(measured: Sequence[Measurement], tolerance: float, knobs: Knobs) -> list[Measurement]:
     """The front of what can be recommended that is that accurate, the fastest first."""
     return [of for of in _recommendable(measured, tolerance, knobs) if of.errors and of.errors.judged <= tolerance]
 
 
 def most_accurate_within(
-    measured: Sequence[Measurement], budget_s: float, tolerance: float, knobs: Mapping[str, Knob]
+    measured: Sequence[Measurement], budget_s: float, tolerance: float, knobs: Knobs
 ) -> list[Measurement]:
     """The front of what can be recommended that is that fast, the most accurate first. `tolerance`: of what is
     another law."""
     return [of for of in reversed(_recommendable(measured, tolerance, knobs)) if of.cost_s <= budget_s]
 
 
-def _recommendable(measured: Sequence[Measurement], tolerance: float, knobs: Mapping[str, Knob]) -> list[Measurement]:
+def _recommendable(measured: Sequence[Measurement], tolerance: float, knobs: Knobs) -> list[Measurement]:
     """The front of what is the same tissue, and close for another reason than chance."""
     return front(
         [
