@@ -302,8 +302,8 @@ def _again(what: str, was: Measurement, again: Measurement, verdict: str) -> lis
 
 
 def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
-    """By name; those of presets, unless they are the scene as it is, are against the slower of its two runs: when it was
-    measured, and `own`, beside them. A 99th percentile of a hundred steps scatters by a quarter from one to the other.
+    """By name; those of presets, unless they are the scene as it is, are against the slower of its two runs: when it
+    was measured, and `own`, beside them. A 99th percentile of a hundred steps scatters by a quarter between them.
     """
     first = promised[OWN]
     cost_s, slow_s = max(first.cost_s, own.cost_s), max(first.slow_s, own.slow_s)
