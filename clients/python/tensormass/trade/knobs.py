@@ -334,14 +334,7 @@ def _with_numbers(fields: Mapping[str, Any], descriptor: Descriptor) -> dict[str
 
 _NUMBERS = (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_UINT32)
 _MASSES = ("lumped", "consistent")
-_SOLVER_FIELDS = (
-    "integrator",
-    "newton_max_iterations",
-    "newton_tolerance",
-    "cg_max_iterations",
-    "cg_tolerance",
-    "precision",
-)
+_SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
 
 
 def _solver_setter(name: str) -> Callable[[dict[str, Any], Value], None]:
