@@ -48,7 +48,7 @@ Imbalance read_imbalance(std::span<const tensor::PatchResidual<Real>> patches) {
 ///   Imbalance imbalance() of the last evaluation, StepResult result() of the last solve or backtracking: wait for it
 /// positive: take the positive stiffness throughout. largest_force_squared: of the ends of all steps since the scene's
 /// start, updated. Not of what a step passes through: an increment that turns a nearly incompressible body passes
-/// through forces a thousand times those that it ends with, and any imbalance would be small beside them.
+/// through forces far above those that it ends with, and any imbalance would be small beside them.
 ///
 /// It ends where the imbalance is small, or where the increment of a solve no longer moves a node by more than its
 /// coordinates can tell: where nothing acts on a body, the forces of its elements are rounding, and so is any share of

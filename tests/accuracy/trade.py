@@ -275,9 +275,9 @@ def _confirmations(trade: Trade) -> list[str]:
         was = promised.get(name)
         preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of these results"
         if was is None:
-            preset = name.removeprefix(_FOREIGN)
-            is_now = presets.all_presets().get(head["scene"], {}).get(preset) == head["presets"][preset]
-            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][preset], again, own))
+            short = name.removeprefix(_FOREIGN)
+            is_now = presets.all_presets().get(head["scene"], {}).get(short) == head["presets"][short]
+            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, own))
             continue
         # Results that are older than this key dropped nothing.
         for of in head.get("dropped", {}).get(name, []):
@@ -302,13 +302,9 @@ def _again(what: str, was: Measurement, again: Measurement, verdict: str) -> lis
 
 
 def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
-    """By name; those of presets, unless they are the scene as it is, are against the slower of its two runs: when it
-    was measured, and `own`, beside them. A 99th percentile of a hundred steps scatters by a quarter between them.
-    """
-    first = promised[OWN]
-    cost_s, slow_s = max(first.cost_s, own.cost_s), max(first.slow_s, own.slow_s)
+    """By name; those of presets are against `own`, the scene as it is run beside them, unless they are it."""
     within = {
-        name: report.Limits(cost_s=factor * cost_s, slow_s=factor * slow_s)
+        name: report.Limits(cost_s=factor * own.cost_s, slow_s=factor * own.slow_s)
         for name, factor in TIMES.items()
         if promised[name].setting and own.costs
     }
