@@ -22,7 +22,7 @@ MACHINE = Machine("cpu", "some processor", None, "1", "abc")
 
 
 def measurement(setting: dict, cost_s: float, displacement: float, force: float, p99: float = 1.0) -> Measurement:
-    costs = Costs(cost_s, p99 * cost_s, cost_s, 10, 20, 5, 0.1)
+    costs = Costs(cost_s, p99 * cost_s, cost_s, 10, 20, 5, 500, 0.1)
     errors = Errors(displacement, displacement, 0, force)
     return Measurement(repr(setting), setting, MACHINE, 6, errors, costs, cost_s=cost_s)
 
@@ -136,7 +136,7 @@ def test_what_was_dropped_is_kept_and_said(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(
         trade, "_scene_files", lambda scene, folder, settings: [folder / f"{of}.yaml" for of in settings]
     )
-    trade._measure("beam", Namespace(backend="cpu", quick=False, reference_seconds="1"))
+    trade._measure("beam", Namespace(backend="cpu", quick=False, reference_seconds="1", timing_seconds="5"))
     results = Trade.read("beam", "cpu")
     assert results is not None
     assert results.head["most_accurate"] == MEASURED[4].key

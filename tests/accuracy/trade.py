@@ -59,6 +59,7 @@ class Trade:
         for of in [*rows, *head["confirmed"].values()]:
             # What an older run counted: the time beside it in which the client compared, too. It says nothing of steps.
             (of["costs"] or {}).pop("energy_j_per_step", None)
+            (of["costs"] or {}).setdefault("timed_steps", 0)
         return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
 
     def chosen(self) -> dict[str, Measurement]:
@@ -100,6 +101,7 @@ def main() -> int:
     parser.add_argument("--scene", choices=SCENES, help="one of them")
     parser.add_argument("--quick", action="store_true", help="as `tensormass trade --quick`")
     parser.add_argument("--reference-seconds", default="1200", help="as of `tensormass trade`")
+    parser.add_argument("--timing-seconds", default="5", help="as of `tensormass trade`")
     parser.add_argument("--presets", action="store_true", help="measure nothing")
     arguments = parser.parse_args()
     if not arguments.presets:
@@ -112,7 +114,7 @@ def main() -> int:
 def _measure(scene: str, arguments: argparse.Namespace) -> None:
     folder = folder_of(scene, arguments.backend)
     options = ["--tolerance", TOLERANCE, *SCENES[scene], *(["--quick"] if arguments.quick else [])]
-    options += ["--reference-seconds", arguments.reference_seconds]
+    options += ["--reference-seconds", arguments.reference_seconds, "--timing-seconds", arguments.timing_seconds]
     content = _run(scene, arguments.backend, folder, options)
     # The presets, and what they would be by this front, are run once more as scene files; all else is there already.
     measurements = [Measurement.from_plain(row) for row in content["measurements"]]

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import json
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import ANY
@@ -37,7 +38,9 @@ def test_times_and_shares() -> None:
         parse_share("two")
 
 
-@pytest.mark.parametrize("option", ["--seconds", "--press", "--reference-seconds", "--budget", "--tolerance"])
+@pytest.mark.parametrize(
+    "option", ["--seconds", "--press", "--reference-seconds", "--timing-seconds", "--budget", "--tolerance"]
+)
 @pytest.mark.parametrize("value", ["inf", "nan", "0", "-1", "1e308", "1e-400", "much"])
 def test_options_that_are_no_positive_numbers_are_refused(
     option: str, value: str, capsys: pytest.CaptureFixture[str]
@@ -67,6 +70,8 @@ class Formula:
     def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
         self.weights = [np.ones(2)]
         self.runs = 0
+        #: Of each call of `measure`, how many scenes.
+        self.together = list[int]()
         #: The run that ends the daemon.
         self.last_run = 0
         self.felt = True
@@ -78,7 +83,7 @@ class Formula:
         self._own_dt_s = script.sample_s / 2
         self._broken_law = broken_law
 
-    def record(self, scene: scene_pb2.Scene, *, energy: bool = False) -> Recording:
+    def record(self, scene: scene_pb2.Scene) -> Recording:
         self.runs += 1
         if self.runs == self.last_run:
             raise tm.UnavailableError("the daemon is gone")
@@ -95,6 +100,17 @@ class Formula:
         force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
         empty = np.empty(0)
         return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
+
+    def measure(self, scenes: Sequence[scene_pb2.Scene], limit_s: float) -> list[Recording | tm.TensormassError]:
+        assert limit_s > 0
+        self.together.append(len(scenes))
+        recordings: list[Recording | tm.TensormassError] = []
+        for scene in scenes:
+            try:
+                recordings.append(self.record(scene))
+            except tm.FailedPreconditionError as error:
+                recordings.append(error)
+        return recordings
 
 
 def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
@@ -411,7 +427,7 @@ def test_what_the_daemon_refuses_to_confirm_is_named(
 def test_files_of_the_same_name_are_kept_apart(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stand_in(tmp_path, monkeypatch)
+    formula = stand_in(tmp_path, monkeypatch)
     files = [tmp_path / folder / "fastest.yaml" for folder in ("a", "b")]
     for cells, file in enumerate(files, 1):
         file.parent.mkdir()
@@ -420,6 +436,7 @@ def test_files_of_the_same_name_are_kept_apart(
     confirmed = json.loads((tmp_path / "out" / "trade.json").read_text())["confirmed"]
     counts = {name: of["element_count"] for name, of in confirmed.items()}
     assert counts == {"fastest": 64, "most_accurate": 64, str(files[0]): 1, str(files[1]): 8}
+    assert formula.together[-3:] == [1, 1, 2]  # what the user compares is timed in turns
     printed = capsys.readouterr().out
     assert "\nfastest.yaml, read and run again: confirmed: " in printed
     assert f"\n{files[0]}, read and run again: displacement " in printed

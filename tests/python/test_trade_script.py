@@ -47,13 +47,16 @@ class FormulaServer:
         self.fault_at_step = fault_at_step
         self.step_s = step_s
         self.loaded: list[FormulaScene] = []
+        #: Names of scenes that begin a run.
+        self.runs: list[str] = []
 
     def version(self) -> control_pb2.GetVersionResponse:
         return control_pb2.GetVersionResponse(backend="cpu")
 
     def load(self, scene: scene_pb2.Scene, *, lockstep: bool) -> FormulaScene:
         assert lockstep
-        self.loaded.append(FormulaScene(scene, self.fault_at_step, self.step_s))
+        assert scene.name not in [of.name for of in self.loaded if not of.unloaded]
+        self.loaded.append(FormulaScene(scene, self))
         return self.loaded[-1]
 
 
@@ -62,10 +65,12 @@ def stretch(time_s: float) -> float:
 
 
 class FormulaScene:
-    def __init__(self, scene: scene_pb2.Scene, fault_at_step: int, step_s: float) -> None:
+    def __init__(self, scene: scene_pb2.Scene, server: FormulaServer) -> None:
+        self.name = scene.name
         self._scene = scene
-        self._fault_at_step = fault_at_step
-        self._step_s = step_s
+        self._fault_at_step = server.fault_at_step
+        self._step_s = server.step_s
+        self._runs = server.runs
         self._step = 0
         self.steps_ever = self.most_steps = 0
         self.busy_s = 0.0
@@ -85,6 +90,8 @@ class FormulaScene:
         self._tool = position_m[2:]
 
     def step(self, count: int = 1) -> stream_pb2.SceneStatus:
+        if self._step == 0:
+            self._runs.append(self.name)
         self._step += count
         self.steps_ever += count
         self.busy_s += 1e-3 + count * self._step_s
@@ -116,6 +123,11 @@ def scene_of(text: str = SCENE) -> scene_pb2.Scene:
 
 def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None):  # noqa: ANN201
     return Recorder(server or FormulaServer(), base, script).record(scene)  # type: ignore[arg-type]
+
+
+def measure(scenes: list[scene_pb2.Scene], server: FormulaServer, limit_s: float = 60):  # noqa: ANN201
+    base = scenes[-1]
+    return Recorder(server, base, Script.of(base)).measure(scenes, limit_s)  # type: ignore[arg-type]
 
 
 def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
@@ -185,9 +197,44 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
 def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
     text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n"
     server = FormulaServer()
-    got = record(scene_of(text), scene_of(text), Script.of(scene_of(text), None), server)
+    (got,) = measure([scene_of(text)], server)
     assert got.displacement[0].shape[0] == got.costs.step_count == got.unconverged_steps == 1
-    assert server.loaded[0].steps_ever == 5
+    assert server.loaded[0].steps_ever == got.costs.timed_steps == 500
+
+
+def test_scenes_are_timed_in_turns_until_each_has_enough_steps() -> None:
+    short, long = scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}")), scene_of()
+    server = FormulaServer()
+    got = measure([short, long], server)
+    assert [of.costs.step_count for of in got] == [80, 160]
+    assert [of.costs.timed_steps for of in got] == [560, 1120]  # seven runs each
+    assert [of.displacement[0].shape[0] for of in got] == [80, 80]
+    assert server.runs == ["trade_0", "trade_1"] * 7
+    assert all(of.unloaded for of in server.loaded)
+
+
+def test_a_scene_that_stops_does_not_keep_others_from_being_timed() -> None:
+    server = FormulaServer(fault_at_step=120)
+    stopped, timed = measure([scene_of(), scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}"))], server)
+    assert isinstance(stopped, tm.FailedPreconditionError)
+    assert timed.costs.timed_steps == 560
+    assert all(of.unloaded for of in server.loaded)
+
+
+def test_timing_ends_where_it_takes_too_long() -> None:
+    server = FormulaServer()
+    (got,) = measure([scene_of()], server, limit_s=0)
+    assert got.costs.timed_steps == got.costs.step_count == 160
+    assert server.loaded[0].steps_ever == 160
+
+
+def test_a_daemon_that_is_gone_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(self: FormulaScene) -> None:
+        raise tm.UnavailableError("the daemon is gone")
+
+    monkeypatch.setattr(FormulaScene, "reset", gone)
+    with pytest.raises(tm.UnavailableError):
+        measure([scene_of()], FormulaServer())
 
 
 class Meter(EnergyMeter):
@@ -215,14 +262,15 @@ def test_energy_is_counted_of_steps_alone(monkeypatch: pytest.MonkeyPatch, one_s
     text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n" if one_step else SCENE
     scene = scene_of(text)
     recorder = Recorder(server, scene, Script.of(scene, None))  # type: ignore[arg-type]
-    got = recorder.record(scene, energy=True)
+    (got,) = recorder.measure([scene], 60)
     # With the way back to the start it would be a third more, or half.
     assert got.costs.step_energy_j == pytest.approx(100 * server.step_s, rel=0.1)
     assert server.loaded[0].most_steps == got.costs.step_count  # never farther than the script goes
     assert recorder.record(scene).costs.step_energy_j is None
     server.loaded.clear()
     meter.watts = 0.0
-    assert recorder.record(scene, energy=True).costs.step_energy_j is None
+    (got,) = recorder.measure([scene], 60)
+    assert got.costs.step_energy_j is None
 
 
 def test_a_scene_that_stops_while_energy_is_counted_is_still_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,7 +285,7 @@ def test_a_scene_that_stops_while_energy_is_counted_is_still_a_result(monkeypatc
         return step(self, count)
 
     monkeypatch.setattr(FormulaScene, "step", stopping)
-    got = Recorder(server, scene, Script.of(scene, None)).record(scene, energy=True)  # type: ignore[arg-type]
+    (got,) = measure([scene], server)
     assert got.costs.step_energy_j is None
     assert got.costs.step_count == 160
 

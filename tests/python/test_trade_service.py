@@ -60,7 +60,7 @@ def errors_of(result: dict, **setting: object) -> dict:
 
 def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--knobs", "resolution,dt_s,cg_tolerance", "--quick", "--seconds", "0.6", "--tolerance", "10%")
-    result = trade(BLOCK, tmp_path, *options, "--reference-seconds", "20")
+    result = trade(BLOCK, tmp_path, *options, "--reference-seconds", "20", "--timing-seconds", "0.1")
     said = capsys.readouterr()
     assert "reference, level 2" in said.err
     assert "* on the front" in said.out
@@ -90,7 +90,7 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--knobs", "shape,quadrature,newton_max_iterations", "--combinations", "0", "--tolerance", "5%")
-    result = trade(BAR, tmp_path, *options, "--reference-seconds", "5")
+    result = trade(BAR, tmp_path, *options, "--reference-seconds", "5", "--timing-seconds", "0.1")
     capsys.readouterr()
     assert "knows no time" in result["not_varied"]["dt_s"]
     # What every text book says of linear tetrahedra and of hexahedra in full quadrature.

@@ -25,7 +25,7 @@ tools:
 solver: {cg_tolerance: 0.01}
 """
 MACHINE = Machine("cpu", "some processor", None, "1", "abc")
-COSTS = Costs(1e-3, 2e-3, 3e-3, 10, 20, 5, 0.1)
+COSTS = Costs(1e-3, 2e-3, 3e-3, 10, 20, 5, 500, 0.1)
 
 
 def knobs_of(text: str, folder: Path) -> Knobs:

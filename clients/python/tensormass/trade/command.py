@@ -17,14 +17,14 @@ from typing import Any
 
 from tensormass import defaults
 from tensormass.client import Server, launch
-from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, UnavailableError, naming
+from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, naming
 from tensormass.output import print_json
 from tensormass.scene import SceneFile, is_mesh_file
 from tensormass.trade import html, reference, report, sweep
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import compare
 from tensormass.trade.reference import Reference
-from tensormass.trade.script import PRESS_RADII, Recorder, Recording, Script, check_same_scene
+from tensormass.trade.script import PRESS_RADII, TIMED_STEPS, Recorder, Recording, Script, check_same_scene
 from tensormass.trade.store import Machine, Measurement, Store, key_of
 from tensormass.v1 import scene_pb2
 
@@ -39,6 +39,9 @@ _MOST = 1e6
 _FASTEST, _MOST_ACCURATE = "fastest", "most_accurate"
 # Of each of the two; where so many leave their limit, another is no likelier to keep it.
 _CANDIDATES = 3
+# For the times of a setting. What is run again gets so many times as long: there slow ones are timed over enough steps.
+_TIMING_S, _QUICK_TIMING_S = 5.0, 0.5
+_AGAIN = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
@@ -70,9 +73,17 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help=f"refine the reference no longer than this; default: {_REFERENCE_S:g}",
     )
     parser.add_argument(
+        "--timing-seconds",
+        type=parse_number,
+        metavar="T",
+        help=f"for the times of each setting, over {TIMED_STEPS} steps where they suffice; {_AGAIN} times as long for "
+        f"what is run again; default: {_TIMING_S:g}",
+    )
+    parser.add_argument(
         "--quick",
         action="store_true",
-        help=f"nearest values only, {_QUICK_COMBINATIONS} combinations, {_QUICK_REFERENCE_S:g} s for the reference",
+        help=f"nearest values only, {_QUICK_COMBINATIONS} combinations, {_QUICK_REFERENCE_S:g} s for the reference, "
+        f"{_QUICK_TIMING_S:g} s for the times of each setting",
     )
     parser.add_argument(
         "--confirm",
@@ -219,8 +230,7 @@ def run(args: argparse.Namespace) -> int:
             files = [*_write_report(outcome, folder), *scenes]
             for scene_file in scenes:
                 outcome = trade.confirm(outcome, scene_file)
-            further = {name: trade.run_again(name, scene) for name, scene in _by_name(others).items()}
-            outcome = replace(outcome, confirmed=outcome.confirmed | further)
+            outcome = replace(outcome, confirmed=outcome.confirmed | trade.run_again(_by_name(others)))
             _write_report(outcome, folder)
     print_json(outcome.to_plain()) if args.json else print(report.text(outcome, files))
     return 0 if outcome.fastest is not None and outcome.most_accurate is not None else 1
@@ -271,6 +281,7 @@ class _Trade:
         self._machine = Machine.of(server, args.cpu_threads)
         self._recorder = Recorder(server, knobs.message, script)
         self._dt_s = defaults.dt_s(knobs.message)
+        self._timing_s: float = args.timing_seconds or (_QUICK_TIMING_S if args.quick else _TIMING_S)
         self._began = time.monotonic()
         self._compared_with: tuple[Reference, Recording]
 
@@ -329,7 +340,7 @@ class _Trade:
         name = path.stem
         limits = report.limits_of(outcome.tolerance, outcome.budget_s)[name]
         while True:
-            again = self.run_again(name, SceneFile.read(path).scene().message)
+            again = self.run_again({name: SceneFile.read(path).scene().message})[name]
             promised, dropped = outcome.recommended[name], outcome.dropped.get(name, [])
             assert promised is not None
             best = None
@@ -349,11 +360,13 @@ class _Trade:
             _write_scene(outcome, name, path.parent)
             _write_report(outcome, path.parent)  # names what lies there, whatever becomes of its run
 
-    def run_again(self, name: str, scene: scene_pb2.Scene) -> Measurement:
-        """Runs a scene as its file has it, against the same reference; never what the store knows of it."""
-        of = self._measured(scene, {}, name, *self._compared_with)
-        self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
-        return of
+    def run_again(self, scenes: Mapping[str, scene_pb2.Scene]) -> dict[str, Measurement]:
+        """Runs scenes as their files have them, by name, against the same reference; never what the store knows of
+        them. Their times can be compared: they are taken in turns."""
+        again = self._measured(scenes, _AGAIN * self._timing_s, *self._compared_with)
+        for name, of in again.items():
+            self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
+        return again
 
     def _own_recording(self) -> Recording:
         """Of the scene as it is: what a choice by itself changes is told against it."""
@@ -376,30 +389,39 @@ class _Trade:
     def _of_setting(self, setting: Setting, found: Reference, own: Recording) -> Measurement:
         """From the store, if it is there."""
         scene = self._knobs.apply(setting).scene().message
-        key = key_of(scene, self._script, self._machine, f"{found.key} {dict(setting)}")
+        key = key_of(scene, self._script, self._machine, f"{found.key} {self._timing_s} {dict(setting)}")
         if (known := self._store.get(key)) is not None:
             return known
-        measurement = self._measured(scene, setting, key, found, own)
+        measurement = replace(self._measured({key: scene}, self._timing_s, found, own)[key], setting=dict(setting))
         self._store.put(measurement)
         return measurement
 
     def _measured(
-        self, scene: scene_pb2.Scene, setting: Setting, key: str, found: Reference, own: Recording
+        self, scenes: Mapping[str, scene_pb2.Scene], timing_s: float, found: Reference, own: Recording
+    ) -> dict[str, Measurement]:
+        """By the same keys. `timing_s`: for the times of each."""
+        recordings = self._recorder.measure(list(scenes.values()), timing_s)
+        pairs = zip(scenes.items(), recordings, strict=True)
+        return {key: self._measurement(key, scene, recording, found, own) for (key, scene), recording in pairs}
+
+    def _measurement(
+        self,
+        key: str,
+        scene: scene_pb2.Scene,
+        recording: Recording | TensormassError,
+        found: Reference,
+        own: Recording,
     ) -> Measurement:
-        try:
-            recording = self._recorder.record(scene, energy=True)
-            if self._knobs.quasi_static and recording.unconverged_steps:
-                # As `tensormass solve` has it: what is no equilibrium is no result.
-                raise NotConvergedError("ended above newton_tolerance")
-        except UnavailableError:
-            raise  # the daemon is gone: this says nothing about the setting
-        except TensormassError as error:
-            return Measurement(key, dict(setting), self._machine, failure=str(error))
+        if not isinstance(recording, TensormassError) and self._knobs.quasi_static and recording.unconverged_steps:
+            # As `tensormass solve` has it: what is no equilibrium is no result.
+            recording = NotConvergedError("ended above newton_tolerance")
+        if isinstance(recording, TensormassError):
+            return Measurement(key, {}, self._machine, failure=str(recording))
         weights = self._recorder.weights
         steps_of_own = 1.0 if self._script.one_step else self._dt_s / defaults.dt_s(scene)
         return Measurement(
             key,
-            dict(setting),
+            {},
             self._machine,
             element_count=recording.element_count,
             errors=compare(recording, found.recording, weights),

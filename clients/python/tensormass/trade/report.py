@@ -12,7 +12,7 @@ from tensormass.output import table
 from tensormass.trade import sweep
 from tensormass.trade.knobs import Knob, Knobs, Setting
 from tensormass.trade.reference import Reference
-from tensormass.trade.script import Script
+from tensormass.trade.script import TIMED_STEPS, Script
 from tensormass.trade.store import Measurement
 
 if TYPE_CHECKING:
@@ -126,7 +126,8 @@ def words() -> list[str]:
         "worst node: the largest difference of any point, against the largest displacement",
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
         "cost: median time to compute as much as one step of the scene simulates; latency: pose to force over the "
-        "control plane, in lockstep",
+        f"control plane, in lockstep; p50 and p99: of {TIMED_STEPS} steps and more, the script repeated, or as many as "
+        "there was time for",
         "energy: of the whole GPU for a step, while it makes one after the other, the tool at its deepest: where "
         "contact makes steps slow, of slower ones than the median; –: not counted",
         "moved: displacement against the scene as it is, what the choice by itself changes",

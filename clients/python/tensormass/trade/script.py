@@ -8,19 +8,20 @@ settings see the same path and are looked at at the same times, in the same poin
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import math
 import time
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
 from tensormass import defaults, meshes
 from tensormass.client import SceneHandle, Server
-from tensormass.errors import FailedPreconditionError, InvalidArgumentError
+from tensormass.errors import FailedPreconditionError, InvalidArgumentError, TensormassError, UnavailableError
 from tensormass.meshes import FloatArray
 from tensormass.scene import volume_mesh
 from tensormass.trade.energy import EnergyMeter
@@ -35,9 +36,9 @@ _TOOL_DURATION_S = 1.6
 _FREE_DURATION_S = 1.0
 # The longest step that is tried, in steps of the scene; the fields are compared at multiples of it.
 SAMPLE_STEPS = 2
-# Scenes of a step or two are stepped anew for a median, so often and for so long.
-_TIMED_STEPS = 5
-_TIMED_LIMIT_S = 5.0
+#: A 99th percentile of a hundred steps is the second slowest of them, and scatters by a quarter. So the script is run
+#: again until so many steps are timed.
+TIMED_STEPS = 500
 # Steps go in calls of so long while energy is counted: what a call uses besides is small against it, and its counter,
 # which moves about ten times a second, is read in time.
 _ENERGY_CALL_S = 0.05
@@ -176,14 +177,18 @@ def rest_nodes(body: scene_pb2.Body, nodes: FloatArray) -> FloatArray:
 class Costs:
     """Of one setting on one machine."""
 
-    #: Of the daemon, from the pick-up of the pose to results.
+    #: Of the daemon, from the pick-up of the pose to results, in `timed_steps`.
     step_p50_s: float
     step_p99_s: float
     #: From the pose in the client's hand to the force in it, in lockstep over the control plane.
     latency_p50_s: float
     memory_bytes: int
     frame_bytes: int
+    #: Of the script.
     step_count: int
+    #: Of all its runs.
+    timed_steps: int
+    #: Of the recorded run.
     wall_s: float
     #: Of the whole GPU while it makes one step after the other, the tool pressed in; None: not counted.
     step_energy_j: float | None = None
@@ -226,18 +231,57 @@ class Recorder:
         self._interpolations: OrderedDict[str, list[Interpolation]] = OrderedDict()
         self._energy = EnergyMeter(wanted=server.version().backend == "cuda")
 
-    def record(self, scene: scene_pb2.Scene, *, energy: bool = False) -> Recording:
-        """Runs a scene; `energy`: where it can be read, that of the steps besides.
+    def record(self, scene: scene_pb2.Scene) -> Recording:
+        """Runs a scene once; times are those of this run.
 
         Raises:
             TensormassError: it was refused or stopped, and why.
         """
+        with self._loaded(scene, "trade") as run:
+            return run.record()
+
+    def measure(self, scenes: Sequence[scene_pb2.Scene], limit_s: float) -> list[Recording | TensormassError]:
+        """Records each scene, then runs all again in turns for their times, so that a machine that is slower for a
+        while is so for all of them; and counts the energy of a step where it can be read.
+
+        Args:
+            limit_s: for these turns, of each scene; by then fewer steps than wanted may be timed.
+
+        Returns:
+            In the order of `scenes`; of one that was refused or stopped, why.
+
+        Raises:
+            UnavailableError: the daemon is gone.
+        """
+        with contextlib.ExitStack() as loaded:
+            recordings: dict[int, Recording | TensormassError] = {}
+            runs: dict[int, _Run] = {}
+            for number, scene in enumerate(scenes):
+                with _kept(recordings, number):
+                    run = loaded.enter_context(self._loaded(scene, f"trade_{number}"))
+                    recordings[number] = run.record()
+                    runs[number] = run
+            until = time.monotonic() + limit_s * len(scenes)
+            while any(run.timed_steps < TIMED_STEPS for run in runs.values()) and time.monotonic() < until:
+                for number, run in list(runs.items()):
+                    with _kept(recordings, number):
+                        run.again()
+                    if isinstance(recordings[number], TensormassError):
+                        del runs[number]
+            for number, run in runs.items():
+                recording = recordings[number]
+                assert isinstance(recording, Recording)
+                recordings[number] = replace(recording, costs=run.costs(recording.costs.wall_s))
+        return [recordings[number] for number in range(len(scenes))]
+
+    @contextlib.contextmanager
+    def _loaded(self, scene: scene_pb2.Scene, name: str) -> Iterator[_Run]:
         message = scene_pb2.Scene()
         message.CopyFrom(scene)
-        message.name = "trade"
+        message.name = name
         handle = self._server.load(message, lockstep=True)
         try:
-            return _Run(self._script, handle, message, self).record(energy and self._energy.readable)
+            yield _Run(self._script, handle, message, self)
         finally:
             handle.unload()
 
@@ -258,6 +302,17 @@ class Recorder:
         return self._energy
 
 
+@contextlib.contextmanager
+def _kept(results: dict[int, Recording | TensormassError], number: int) -> Iterator[None]:
+    """What keeps one scene from being run is its result; that the daemon is gone says nothing about the scene."""
+    try:
+        yield
+    except UnavailableError:
+        raise
+    except TensormassError as error:
+        results[number] = error
+
+
 class _Run:
     """One scene on its way through the script."""
 
@@ -275,8 +330,10 @@ class _Run:
         self._steps_a_sample = 1 if script.one_step else round(script.sample_s / dt_s)
         self._dt_s = script.sample_s / self._steps_a_sample
         self._latencies_s: list[float] = []
+        self._status = stream_pb2.SceneStatus()
 
-    def record(self, energy: bool) -> Recording:
+    def record(self) -> Recording:
+        """The first run, with all that is compared; its times are its own."""
         script = self._script
         began = time.monotonic()
         samples: list[list[FloatArray]] = []
@@ -306,9 +363,7 @@ class _Run:
                 forces.append(force)
                 volumes.append([self._volume_share(body, nodes) for body, nodes in enumerate(positions)])
         fields = [self._handle.fields(name) for name in self._names]
-        status = self._timed(status)
         wall_s = time.monotonic() - began
-        energy_j = self._energy_of_a_step(status.step_time_p50_s) if energy else None
         points = sum(len(weights) for weights in self._weights)
         return Recording(
             displacement=[np.stack(of_body) for of_body in zip(*samples, strict=True)],
@@ -321,7 +376,7 @@ class _Run:
             outside_share=sum(of.outside_count for of in self._interpolations) / points,
             unconverged_steps=status.unconverged_steps,
             min_det_f=min([status.min_det_f, *(of.min_det_f for of in fields)]),
-            costs=self._costs(status, energy_j, wall_s),
+            costs=self._costs(wall_s, None),
             warnings=list(status.warnings),
         )
 
@@ -335,17 +390,23 @@ class _Run:
             self._latencies_s.append(time.perf_counter() - began)
             if status.fault:
                 raise FailedPreconditionError(status.fault)
+            self._status = status
             yield step, status
 
-    def _timed(self, status: stream_pb2.SceneStatus) -> stream_pb2.SceneStatus:
-        """A run of a step or two is repeated until its median means something."""
-        unconverged = status.unconverged_steps
-        until = time.monotonic() + _TIMED_LIMIT_S
-        while len(self._latencies_s) < _TIMED_STEPS and time.monotonic() < until:
-            self._handle.reset()
-            status = list(self._steps())[-1][1]
-        status.unconverged_steps = unconverged
-        return status
+    def again(self) -> None:
+        """Another run, for its times."""
+        self._handle.reset()
+        for _ in self._steps():
+            pass
+
+    @property
+    def timed_steps(self) -> int:
+        return len(self._latencies_s)
+
+    def costs(self, wall_s: float) -> Costs:
+        """Of all runs; `wall_s`: of the first."""
+        readable = self._energy.readable
+        return self._costs(wall_s, self._energy_of_a_step(self._status.step_time_p50_s) if readable else None)
 
     def _energy_of_a_step(self, step_s: float) -> float | None:
         """Of steps that follow each other with nothing between, the tool held where it presses most [J]. None: the
@@ -382,18 +443,19 @@ class _Run:
                 made += now
                 yield runs, made
 
-    def _costs(self, status: stream_pb2.SceneStatus, energy_j: float | None, wall_s: float) -> Costs:
+    def _costs(self, wall_s: float, energy_j: float | None) -> Costs:
         report = self._handle.report
         assert report is not None
         topology = self._handle.topology()
         steps = self._steps_a_sample * self._script.sample_count
         return Costs(
-            step_p50_s=status.step_time_p50_s,
-            step_p99_s=status.step_time_p99_s,
+            step_p50_s=self._status.step_time_p50_s,
+            step_p99_s=self._status.step_time_p99_s,
             latency_p50_s=float(np.median(self._latencies_s)),
             memory_bytes=report.bytes_total,
             frame_bytes=sum(12 * body.vertex_count for body in topology.bodies),
             step_count=steps,
+            timed_steps=self.timed_steps,
             wall_s=wall_s,
             step_energy_j=energy_j,
         )
