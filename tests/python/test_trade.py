@@ -359,6 +359,21 @@ def test_a_law_that_moves_the_answer_is_not_combined(tmp_path: Path) -> None:
     assert sweep.combinations(knobs, measured, 10, tolerance=0.02) == ([], 0)
 
 
+def test_half_of_the_combinations_keep_the_law_though_another_is_faster(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    knobs.choose(["law", "resolution", "cg_tolerance"])
+    settings = [{"resolution": 0.5}, {"resolution": 0.7}, {"cg_tolerance": 0.1}]
+    measured = [measurement({}, 1.0, 0.03), *(measurement(setting, 0.5, 0.03) for setting in settings)]
+    measured.append(replace(measurement({"law": "hencky"}, 0.9, 0.03), moved=0.01))
+    chosen, possible = sweep.combinations(knobs, measured, 4, tolerance=0.02)
+    assert possible == 7
+    assert ["law" in of for of in chosen] == [False, False, True, True]
+    # What one side has not, the other gets.
+    assert len(sweep.combinations(knobs, measured, 6, tolerance=0.02)[0]) == 6
+    assert len(sweep.combinations(knobs, measured, 9, tolerance=0.02)[0]) == 7
+    assert len(sweep.combinations(knobs, measured[:-1], 2, tolerance=0.02)[0]) == 2
+
+
 # --- store ------------------------------------------------------------------------------------------------------------
 
 
