@@ -59,7 +59,9 @@ class Trade:
         for of in [*rows, *head["confirmed"].values()]:
             # What an older run counted: the time beside it in which the client compared, too. It says nothing of steps.
             (of["costs"] or {}).pop("energy_j_per_step", None)
-            (of["costs"] or {}).setdefault("timed_steps", 0)
+            # It went through the script once.
+            if of["costs"]:
+                of["costs"].setdefault("timed_steps", of["costs"]["step_count"])
         return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
 
     def chosen(self) -> dict[str, Measurement]:
@@ -230,7 +232,7 @@ def _scene(trade: Trade) -> list[str]:
         f"extrapolation of order {reference['order']:.2f}: of displacement "
         f"{report.percent(reference['displacement_error'])}{force}; {reference['ended']}. "
         f"{len(trade.measurements)} settings, {head['combinations']['measured']} of them combinations of "
-        f"{head['combinations']['possible']} that are possible.",
+        f"{head['combinations']['possible']} that are possible, each timed over {_timed(trade.measurements)} steps.",
         *_doubt(reference, head["tolerance"]),
         "",
         "The scene as it is, the front, and the presets:",
@@ -246,6 +248,12 @@ def _scene(trade: Trade) -> list[str]:
     lines += ["", "One knob at a time (× 1.00 is the scene as it is):", "", *_table(report.KNOB_HEADS, rows)]
     lines += ["", *(f"* not varied: {name}: {why}" for name, why in head["not_varied"].items())]
     return lines
+
+
+def _timed(measurements: list[Measurement]) -> str:
+    """How many steps the percentiles are of."""
+    counts = [of.costs.timed_steps for of in measurements if of.costs]
+    return f"{min(counts)} to {max(counts)}"
 
 
 def _doubt(reference: dict, tolerance: float) -> list[str]:

@@ -186,7 +186,7 @@ class Costs:
     frame_bytes: int
     #: Of the script.
     step_count: int
-    #: Of all its runs.
+    #: Of all its runs; the daemon's percentiles are of the last 1024 of them.
     timed_steps: int
     #: Of the recorded run.
     wall_s: float
