@@ -287,7 +287,7 @@ def _confirmations(trade: Trade) -> list[str]:
         if was is None:
             short = name.removeprefix(_FOREIGN)
             is_now = presets.all_presets().get(head["scene"], {}).get(short) == head["presets"][short]
-            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, own))
+            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, confirmed[OWN]))
             continue
         # Results that are older than this key dropped nothing.
         for of in head.get("dropped", {}).get(name, []):
