@@ -71,12 +71,6 @@ void Findings::add_to(v1::SceneStatus& status) const {
 void Findings::add_solve(v1::SceneStatus& status) const {
   status.set_cg_iterations(cg_iterations_.load(kRelaxed));
   status.set_cg_relative_residual(cg_residual_.load(kRelaxed));
-  if (!model_.iterates() && model_.cg_tolerance > 0 && status.cg_relative_residual() > model_.cg_tolerance) {
-    status.add_warnings(
-        fmt::format("the last solve ended after {} iterations with a residual of {:.2g}, above cg_tolerance = {:.2g}; "
-                    "give it more cg_max_iterations, or take smaller steps",
-                    status.cg_iterations(), status.cg_relative_residual(), model_.cg_tolerance));
-  }
   if (model_.iterates()) {
     const double residual = newton_residual_.load(kRelaxed);
     status.set_newton_iterations(newton_iterations_.load(kRelaxed));
@@ -88,6 +82,11 @@ void Findings::add_solve(v1::SceneStatus& status) const {
                       "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
                       residual, model_.newton_tolerance));
     }
+  } else if (model_.cg_tolerance > 0 && status.cg_relative_residual() > model_.cg_tolerance) {
+    status.add_warnings(
+        fmt::format("the last solve ended after {} iterations with a residual of {:.2g}, above cg_tolerance = {:.2g}; "
+                    "give it more cg_max_iterations, or take smaller steps",
+                    status.cg_iterations(), status.cg_relative_residual(), model_.cg_tolerance));
   }
   if (negative_curvature_.load(kRelaxed)) {
     status.add_warnings(

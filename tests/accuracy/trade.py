@@ -280,13 +280,14 @@ def _confirmations(trade: Trade) -> list[str]:
         name: Measurement.from_plain({**of, "machine": head["machine"]}) for name, of in head["confirmed"].items()
     }
     limits = _limits(head, promised, confirmed[OWN])
+    offered = presets.all_presets().get(head["scene"], {})
     rows = []
     for name, again in confirmed.items():
         was = promised.get(name)
         preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of these results"
         if was is None:
             short = name.removeprefix(_FOREIGN)
-            is_now = presets.all_presets().get(head["scene"], {}).get(short) == head["presets"][short]
+            is_now = offered.get(short) == head["presets"][short]
             rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, confirmed[OWN]))
             continue
         # Results that are older than this key dropped nothing.

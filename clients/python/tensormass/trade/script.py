@@ -254,25 +254,22 @@ class Recorder:
             UnavailableError: the daemon is gone.
         """
         with contextlib.ExitStack() as loaded:
-            recordings: dict[int, Recording | TensormassError] = {}
-            runs: dict[int, _Run] = {}
+            results: dict[int, Recording | TensormassError] = {}
+            runs: dict[int, tuple[_Run, Recording]] = {}
             for number, scene in enumerate(scenes):
-                with _kept(recordings, number):
+                with _kept(results, number):
                     run = loaded.enter_context(self._loaded(scene, f"trade_{number}"))
-                    recordings[number] = run.record()
-                    runs[number] = run
+                    runs[number] = run, run.record()
             until = time.monotonic() + limit_s * len(scenes)
-            while any(run.timed_steps < TIMED_STEPS for run in runs.values()) and time.monotonic() < until:
-                for number, run in list(runs.items()):
-                    with _kept(recordings, number):
+            while any(run.timed_steps < TIMED_STEPS for run, _ in runs.values()) and time.monotonic() < until:
+                for number, (run, _) in list(runs.items()):
+                    with _kept(results, number):
                         run.again()
-                    if isinstance(recordings[number], TensormassError):
+                    if number in results:
                         del runs[number]
-            for number, run in runs.items():
-                recording = recordings[number]
-                assert isinstance(recording, Recording)
-                recordings[number] = replace(recording, costs=run.costs(recording.costs.wall_s))
-        return [recordings[number] for number in range(len(scenes))]
+            for number, (run, recording) in runs.items():
+                results[number] = replace(recording, costs=run.costs(energy=True))
+        return [results[number] for number in range(len(scenes))]
 
     @contextlib.contextmanager
     def _loaded(self, scene: scene_pb2.Scene, name: str) -> Iterator[_Run]:
@@ -331,6 +328,7 @@ class _Run:
         self._dt_s = script.sample_s / self._steps_a_sample
         self._latencies_s: list[float] = []
         self._status = stream_pb2.SceneStatus()
+        self._wall_s = 0.0
 
     def record(self) -> Recording:
         """The first run, with all that is compared; its times are its own."""
@@ -363,7 +361,7 @@ class _Run:
                 forces.append(force)
                 volumes.append([self._volume_share(body, nodes) for body, nodes in enumerate(positions)])
         fields = [self._handle.fields(name) for name in self._names]
-        wall_s = time.monotonic() - began
+        self._wall_s = time.monotonic() - began
         points = sum(len(weights) for weights in self._weights)
         return Recording(
             displacement=[np.stack(of_body) for of_body in zip(*samples, strict=True)],
@@ -376,7 +374,7 @@ class _Run:
             outside_share=sum(of.outside_count for of in self._interpolations) / points,
             unconverged_steps=status.unconverged_steps,
             min_det_f=min([status.min_det_f, *(of.min_det_f for of in fields)]),
-            costs=self._costs(wall_s, None),
+            costs=self.costs(energy=False),
             warnings=list(status.warnings),
         )
 
@@ -402,11 +400,6 @@ class _Run:
     @property
     def timed_steps(self) -> int:
         return len(self._latencies_s)
-
-    def costs(self, wall_s: float) -> Costs:
-        """Of all runs; `wall_s`: of the first."""
-        readable = self._energy.readable
-        return self._costs(wall_s, self._energy_of_a_step(self._status.step_time_p50_s) if readable else None)
 
     def _energy_of_a_step(self, step_s: float) -> float | None:
         """Of steps that follow each other with nothing between, the tool held where it presses most [J]. None: the
@@ -443,11 +436,13 @@ class _Run:
                 made += now
                 yield runs, made
 
-    def _costs(self, wall_s: float, energy_j: float | None) -> Costs:
+    def costs(self, *, energy: bool) -> Costs:
+        """Of the runs so far; `energy`: where it can be read, that of a step besides, for which it runs more."""
         report = self._handle.report
         assert report is not None
         topology = self._handle.topology()
         steps = self._steps_a_sample * self._script.sample_count
+        counted = energy and self._energy.readable
         return Costs(
             step_p50_s=self._status.step_time_p50_s,
             step_p99_s=self._status.step_time_p99_s,
@@ -456,8 +451,8 @@ class _Run:
             frame_bytes=sum(12 * body.vertex_count for body in topology.bodies),
             step_count=steps,
             timed_steps=self.timed_steps,
-            wall_s=wall_s,
-            step_energy_j=energy_j,
+            wall_s=self._wall_s,
+            step_energy_j=self._energy_of_a_step(self._status.step_time_p50_s) if counted else None,
         )
 
     def _mean(self, taken: list[FloatArray]) -> FloatArray:
