@@ -242,6 +242,31 @@ def test_the_front_and_the_picks(tmp_path: Path) -> None:
     assert sweep.most_accurate_within(measured, 0.5, 0.05, knobs) == []
 
 
+def test_costs_are_as_on_a_machine_of_one_speed() -> None:
+    turns = [({}, 3.0, 3.0, 9.0), ({"a": 1}, 1.0, 2.0, 6.0), ({"a": 2}, 8.0, 1.0, 5.0), ({"a": 3}, 7.0, 0.0, 0.0)]
+    measured = [
+        replace(measurement(setting, cost_s, 0.01), own_p50_s=p50_s, own_p99_s=p99_s)
+        for setting, cost_s, p50_s, p99_s in turns
+    ]
+    even = sweep.at_one_speed(measured)
+    assert [of.cost_s for of in even] == pytest.approx([2.0, 1.0, 16.0, 7.0])
+    assert even[0].slow_s == pytest.approx(6.0)
+    assert [of.costs for of in even[1:]] == [of.costs for of in measured[1:]]
+    older = [measurement({}, 3.0, 0.01), measurement({"a": 1}, 1.0, 0.01)]
+    assert sweep.at_one_speed(older) == older
+
+
+def test_solved_better_is_without_what_is_solved_worse(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    loose = {"resolution": 0.5, "cg_tolerance": 0.1, "precision": "double"}
+    assert knobs.solved_better(loose) == {"resolution": 0.5, "precision": "double"}
+    assert knobs.solved_better({"cg_tolerance": 1e-4}) == {"cg_tolerance": 1e-4}
+    # Newton's method by default where there is an equilibrium, one solve where there is none.
+    few = {"integrator": "quasi_static", "newton_max_iterations": 2}
+    assert knobs.solved_better(few) == {"integrator": "quasi_static"}
+    assert knobs.solved_better({"newton_max_iterations": 2}) == {"newton_max_iterations": 2}
+
+
 def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -> None:
     first, near, far = candidates = [measurement({"a": cost}, cost, 1 / cost) for cost in (10.0, 9.0, 4.0)]
 

@@ -221,6 +221,17 @@ def test_a_scene_that_stops_does_not_keep_others_from_being_timed() -> None:
     assert all(of.unloaded for of in server.loaded)
 
 
+def test_what_is_timed_beside_others_has_its_turns_and_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = FormulaServer()
+    Meter(server, monkeypatch)
+    scene, own = scene_of(), scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}"))
+    got, of_own = Recorder(server, scene, Script.of(scene)).measure([scene], 60, beside=[own])  # type: ignore[arg-type]
+    assert server.runs[:14] == ["trade_0", "trade_1"] * 7
+    assert [got.costs.timed_steps, of_own.costs.timed_steps] == [1120, 560]
+    assert got.costs.step_energy_j is not None
+    assert of_own.costs.step_energy_j is None
+
+
 def test_timing_ends_where_it_takes_too_long() -> None:
     server = FormulaServer()
     (got,) = measure([scene_of()], server, limit_s=0)

@@ -305,19 +305,27 @@ class _Trade:
             self._say(f"warning: {line}")
         self._compared_with = found, own
         singles = sweep.one_at_a_time(knobs, args.quick)
-        measured = self._all(singles, found, own, "one knob at a time")
-        if measured[0].errors is None:
-            raise InvalidArgumentError(f"the scene as it is cannot be run: {measured[0].failure}")
+        raw = self._all(singles, found, own, "one knob at a time")
+        if raw[0].errors is None:
+            raise InvalidArgumentError(f"the scene as it is cannot be run: {raw[0].failure}")
         count = args.combinations
         if count is None:
             count = _QUICK_COMBINATIONS if args.quick else _COMBINATIONS
         budget_s = args.budget or self._dt_s
-        chosen, possible = sweep.combinations(knobs, measured, count, tolerance, budget_s)
-        measured += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
-        candidates = {
-            _FASTEST: sweep.fastest_within(measured, tolerance, knobs),
-            _MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance, knobs),
-        }
+        chosen, possible = sweep.combinations(knobs, sweep.at_one_speed(raw), count, tolerance, budget_s)
+        raw += self._all(chosen, found, own, f"combinations, of {possible} that are possible")
+        while True:
+            measured = sweep.at_one_speed(raw)
+            candidates = {
+                _FASTEST: sweep.fastest_within(measured, tolerance, knobs),
+                _MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance, knobs),
+            }
+            # Whether what is best now is so by chance: only the same, solved better, can tell.
+            telling = [knobs.solved_better(of[0].setting) for of in candidates.values() if of]
+            telling = [of for of in telling if of not in [one.setting for one in raw]]
+            if not telling:
+                break
+            raw += self._all(telling[:1], found, own, "solved better than what would be recommended")
         return Outcome(
             scene=name,
             knobs=knobs,
@@ -363,9 +371,15 @@ class _Trade:
     def run_again(self, scenes: Mapping[str, scene_pb2.Scene]) -> dict[str, Measurement]:
         """Runs scenes as their files have them, by name, against the same reference; never what the store knows of
         them. Their times can be compared: they are taken in turns."""
-        again = self._measured(scenes, _AGAIN * self._timing_s, *self._compared_with)
+        if scenes:
+            self._say(f"running {', '.join(map(report.file_of, scenes))} again{', in turns' * (len(scenes) > 1)}")
+        recordings = self._recorder.measure(list(scenes.values()), _AGAIN * self._timing_s)
+        again = {
+            name: self._measurement(name, scene, recording, *self._compared_with)
+            for (name, scene), recording in zip(scenes.items(), recordings, strict=True)
+        }
         for name, of in again.items():
-            self._say(f"{report.file_of(name)}, run as it lies there: {of.failure or report.brief(of)}")
+            self._say(f"{report.file_of(name)}: {of.failure or report.brief(of)}")
         return again
 
     def _own_recording(self) -> Recording:
@@ -392,17 +406,15 @@ class _Trade:
         key = key_of(scene, self._script, self._machine, f"{found.key} {self._timing_s} {dict(setting)}")
         if (known := self._store.get(key)) is not None:
             return known
-        measurement = replace(self._measured({key: scene}, self._timing_s, found, own)[key], setting=dict(setting))
+        beside = [self._knobs.message] if setting else []
+        recording, *turns = self._recorder.measure([scene], self._timing_s, beside=beside)
+        measurement = replace(self._measurement(key, scene, recording, found, own), setting=dict(setting))
+        of_own = turns[0] if turns else recording
+        if isinstance(of_own, Recording):  # else there is no room for both
+            costs = of_own.costs
+            measurement = replace(measurement, own_p50_s=costs.step_p50_s, own_p99_s=costs.step_p99_s)
         self._store.put(measurement)
         return measurement
-
-    def _measured(
-        self, scenes: Mapping[str, scene_pb2.Scene], timing_s: float, found: Reference, own: Recording
-    ) -> dict[str, Measurement]:
-        """By the same keys. `timing_s`: for the times of each."""
-        recordings = self._recorder.measure(list(scenes.values()), timing_s)
-        pairs = zip(scenes.items(), recordings, strict=True)
-        return {key: self._measurement(key, scene, recording, found, own) for (key, scene), recording in pairs}
 
     def _measurement(
         self,

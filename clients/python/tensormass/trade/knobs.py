@@ -133,6 +133,14 @@ class Knobs:
             solver.precision == scene_pb2.Solver.PRECISION_DOUBLE,
         )
 
+    def solved_better(self, setting: Setting) -> dict[str, Value]:
+        """The setting without what makes it be solved worse than the scene is."""
+        of_scene = self.effort({name: value for name, value in setting.items() if name not in SOLVE_KNOBS})
+        worse = [
+            name for name, own, ours in zip(SOLVE_KNOBS, of_scene, self.effort(setting), strict=True) if own > ours
+        ]
+        return self.canonical({name: value for name, value in setting.items() if name not in worse})
+
     def apply(self, setting: Setting) -> SceneFile:
         """The scene file with these values; all other fields stay as they are."""
         fields = copy.deepcopy(self.file.fields)

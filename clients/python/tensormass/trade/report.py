@@ -125,9 +125,11 @@ def words() -> list[str]:
         "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
         "worst node: the largest difference of any point, against the largest displacement",
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
-        "cost: median time to compute as much as one step of the scene simulates; latency: pose to force over the "
-        f"control plane, in lockstep; p50 and p99: of {TIMED_STEPS} steps and more, the script repeated, or as many as "
-        "there was time for",
+        f"step p50 and p99: of {TIMED_STEPS} steps and more, the script repeated, or as many as there was time for; of "
+        "the scene as it is the medians of all its turns; latency: pose to force over the control plane, in lockstep",
+        "cost: median time to compute as much as one step of the scene simulates. Each setting takes turns with the "
+        "scene as it is, and where the machine was slower or faster than usual for both, by so much less or more is it "
+        "counted: of what is run again times are as they were",
         "energy: of the whole GPU for a step, while it makes one after the other, the tool at its deepest: where "
         "contact makes steps slow, of slower ones than the median; –: not counted",
         "moved: displacement against the scene as it is, what the choice by itself changes",

@@ -240,15 +240,18 @@ class Recorder:
         with self._loaded(scene, "trade") as run:
             return run.record()
 
-    def measure(self, scenes: Sequence[scene_pb2.Scene], limit_s: float) -> list[Recording | TensormassError]:
+    def measure(
+        self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
+    ) -> list[Recording | TensormassError]:
         """Records each scene, then runs all again in turns for their times, so that a machine that is slower for a
         while is so for all of them; and counts the energy of a step where it can be read.
 
         Args:
             limit_s: for these turns, of each scene; by then fewer steps than wanted may be timed.
+            beside: scenes that take their turns only for the sake of the others' times; no energy is counted.
 
         Returns:
-            In the order of `scenes`; of one that was refused or stopped, why.
+            In the order of `scenes`, then of `beside`; of one that was refused or stopped, why.
 
         Raises:
             UnavailableError: the daemon is gone.
@@ -256,11 +259,11 @@ class Recorder:
         with contextlib.ExitStack() as loaded:
             results: dict[int, Recording | TensormassError] = {}
             runs: dict[int, tuple[_Run, Recording]] = {}
-            for number, scene in enumerate(scenes):
+            for number, scene in enumerate([*scenes, *beside]):
                 with _kept(results, number):
                     run = loaded.enter_context(self._loaded(scene, f"trade_{number}"))
                     runs[number] = run, run.record()
-            until = time.monotonic() + limit_s * len(scenes)
+            until = time.monotonic() + limit_s * len(runs)
             while any(run.timed_steps < TIMED_STEPS for run, _ in runs.values()) and time.monotonic() < until:
                 for number, (run, _) in list(runs.items()):
                     with _kept(results, number):
@@ -268,8 +271,8 @@ class Recorder:
                     if number in results:
                         del runs[number]
             for number, (run, recording) in runs.items():
-                results[number] = replace(recording, costs=run.costs(energy=True))
-        return [results[number] for number in range(len(scenes))]
+                results[number] = replace(recording, costs=run.costs(energy=number < len(scenes)))
+        return [results[number] for number in sorted(results)]
 
     @contextlib.contextmanager
     def _loaded(self, scene: scene_pb2.Scene, name: str) -> Iterator[_Run]:
@@ -326,6 +329,7 @@ class _Run:
         dt_s = defaults.dt_s(scene)
         self._steps_a_sample = 1 if script.one_step else round(script.sample_s / dt_s)
         self._dt_s = script.sample_s / self._steps_a_sample
+        self._frame_bytes = sum(12 * body.vertex_count for body in handle.topology().bodies)
         self._latencies_s: list[float] = []
         self._status = stream_pb2.SceneStatus()
         self._wall_s = 0.0
@@ -440,7 +444,6 @@ class _Run:
         """Of the runs so far; `energy`: where it can be read, that of a step besides, for which it runs more."""
         report = self._handle.report
         assert report is not None
-        topology = self._handle.topology()
         steps = self._steps_a_sample * self._script.sample_count
         counted = energy and self._energy.readable
         return Costs(
@@ -448,7 +451,7 @@ class _Run:
             step_p99_s=self._status.step_time_p99_s,
             latency_p50_s=float(np.median(self._latencies_s)),
             memory_bytes=report.bytes_total,
-            frame_bytes=sum(12 * body.vertex_count for body in topology.bodies),
+            frame_bytes=self._frame_bytes,
             step_count=steps,
             timed_steps=self.timed_steps,
             wall_s=self._wall_s,

@@ -72,6 +72,9 @@ class Measurement:
     moved: float = 0.0
     #: Median time to compute as much as the scene's own step simulates [s]: what settings of any dt are compared by.
     cost_s: float = 0.0
+    #: Median and 99th percentile of the scene as it is, timed in turns with this [s]; 0: it was not.
+    own_p50_s: float = 0.0
+    own_p99_s: float = 0.0
     failure: str = ""
     #: Steps that ended above the setting's newton_tolerance.
     unconverged_steps: int = 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,19 @@ _SCATTER = 0.02
 _WORTHWHILE = 0.99
 # How much farther from the reference a setting has to be if it is solved better, to show that it was close by chance.
 _BY_CHANCE = 1.05
+
+
+def at_one_speed(measured: Sequence[Measurement]) -> list[Measurement]:
+    """The same with costs as they would be had the machine been equally fast all the time: each was timed in turns with
+    the scene as it is, the first of them, and costs as many times what that does by the median of all its turns."""
+    turns = [of for of in measured if of.own_p50_s > 0]
+    if not turns:
+        return list(measured)
+    p50_s, p99_s = (float(np.median(of)) for of in zip(*((of.own_p50_s, of.own_p99_s) for of in turns), strict=True))
+    even = [replace(of, cost_s=of.cost_s * p50_s / of.own_p50_s) if of.own_p50_s > 0 else of for of in measured]
+    if (costs := even[0].costs) is not None:
+        even[0] = replace(even[0], costs=replace(costs, step_p50_s=p50_s, step_p99_s=p99_s))
+    return even
 
 
 def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
