@@ -1,8 +1,10 @@
 #include "daemon/daemon.h"
 
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <utility>
 #include <vector>
@@ -102,7 +104,22 @@ void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
 
 std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }
 
-Result<ReadyFile> ReadyFile::write(const std::string& path, const Daemon& daemon) {
+namespace {
+/// 0: there is none.
+std::uint64_t inode_of(const std::string& path) {
+  struct stat found {};
+  return stat(path.c_str(), &found) == 0 ? found.st_ino : 0;
+}
+}  // namespace
+
+Result<ReadyFile> ReadyFile::write(const std::string& asked, const Daemon& daemon) {
+  std::error_code none;
+  const std::filesystem::path there = std::filesystem::canonical(asked, none);  // empty if there is nothing
+  if (!there.empty() && !std::filesystem::is_regular_file(there, none)) {
+    // The file takes its place by a rename, which would put it where a device or a folder was.
+    return fail(ErrorCode::kInvalidArgument, fmt::format("--ready-file: '{}' is there and is no file", asked));
+  }
+  const std::string path = there.empty() ? asked : there.string();
   const v1::GetVersionResponse& identity = daemon.identity();
   std::string json = fmt::format("{{\"pid\": {}", getpid());
   for (const auto& [key, value] : std::vector<std::pair<std::string_view, std::string_view>>{
@@ -125,11 +142,11 @@ Result<ReadyFile> ReadyFile::write(const std::string& path, const Daemon& daemon
     std::remove(unfinished.c_str());
     return fail(ErrorCode::kUnavailable, fmt::format("--ready-file: cannot write '{}'; does its folder exist?", path));
   }
-  return ReadyFile(path);
+  return ReadyFile(path, inode_of(path));
 }
 
 ReadyFile::~ReadyFile() {
-  if (!path_.empty()) std::remove(path_.c_str());
+  if (!path_.empty() && inode_of(path_) == inode_) std::remove(path_.c_str());
 }
 
 }  // namespace tensormass::daemon

@@ -46,18 +46,20 @@ class Daemon {
   std::unique_ptr<control::ControlServer> server_;
 };
 
-/// Written whole or not at all, for launchers that wait for it; gone again when the daemon has ended.
+/// Written whole or not at all, for launchers that wait for it; gone again when the daemon has ended, unless another
+/// one has put its own there since. A link to a file stays one.
 class ReadyFile {
  public:
   /// {"version", "server", "pid", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh"}; endpoints
   /// that are off are "".
   static Result<ReadyFile> write(const std::string& path, const Daemon& daemon);
-  ReadyFile(ReadyFile&& other) noexcept : path_(std::exchange(other.path_, {})) {}
+  ReadyFile(ReadyFile&& other) noexcept : path_(std::exchange(other.path_, {})), inode_(other.inode_) {}
   ~ReadyFile();
 
  private:
-  explicit ReadyFile(std::string path) : path_(std::move(path)) {}
+  ReadyFile(std::string path, std::uint64_t inode) : path_(std::move(path)), inode_(inode) {}
   std::string path_;
+  std::uint64_t inode_;
 };
 
 }  // namespace tensormass::daemon

@@ -20,6 +20,11 @@ void Findings::take_step(const World& world) {
     guard_events_.fetch_add(1, kRelaxed);
     if (!event->recovered) return;  // the scene stands where it stood
     guard_recoveries_.fetch_add(1, kRelaxed);
+    ++window_again_;
+  }
+  if (++window_steps_ == kWindow) {
+    made_again_.store(window_again_, kRelaxed);
+    window_steps_ = window_again_ = 0;
   }
   const backend::StepResult& result = world.last();
   kinetic_j_.store(world.energy().kinetic_j(), kRelaxed);
@@ -49,6 +54,8 @@ void Findings::clear() {
   for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_}) {
     value->store(0, kRelaxed);
   }
+  window_steps_ = window_again_ = 0;
+  made_again_.store(0, kRelaxed);
   for (auto* count : {&unconverged_steps_, &guard_events_, &guard_recoveries_}) count->store(0, kRelaxed);
   converged_ = true;
   negative_curvature_ = false;
@@ -149,6 +156,13 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   if (status.guard_events() == 0) return;
   const std::lock_guard lock(event_mutex_);
   status.set_guard_text(to_text(last_event_));
+  const std::uint32_t again = made_again_.load(kRelaxed);
+  if (again <= kWindow / 2) return;
+  status.add_warnings(fmt::format(
+      "{} of {} steps left their bounds ({}) and were made again in another way, which takes longer; {}", again,
+      kWindow, to_text(last_event_.first),
+      last_event_.first.breach == Breach::kResidual ? "give it more cg_max_iterations, or a floor that it can keep"
+                                                    : "take smaller steps, or a law that stands the load"));
 }
 
 void Findings::add_budget(v1::SceneStatus& status) const {

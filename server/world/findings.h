@@ -48,6 +48,10 @@ class Findings {
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
   std::atomic<std::uint64_t> guard_events_{0}, guard_recoveries_{0};
+  // Of the last whole window of steps, how many were made again.
+  static constexpr std::uint32_t kWindow = 64;
+  std::uint32_t window_steps_ = 0, window_again_ = 0;
+  std::atomic<std::uint32_t> made_again_{0};
   mutable std::mutex event_mutex_;  // taken by the loop only when there is an event
   GuardEvent last_event_;           // of the events that were counted
 };

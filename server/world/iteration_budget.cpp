@@ -13,8 +13,15 @@ constexpr double kNearFloor = 0.5;
 
 IterationBudget::IterationBudget(const model::Model& model) : model_(model), limit_(model.cg_max_iterations) {}
 
-void IterationBudget::take_step(double step_s, const backend::StepResult& result) {
+void IterationBudget::take_step(double step_s, const backend::StepResult& result, const GuardEvent* event) {
   if (model_.budget_s == 0) return;
+  if (event != nullptr) {
+    // Time and result are those of the step made in another way, and say nothing of this limit.
+    if (event->first.breach != Breach::kResidual) return;
+    set_limit(limit() + std::max(limit() / 2, 1u));
+    begin_window();
+    return;
+  }
   const std::uint32_t solves = std::max(result.newton_iterations, 1u);
   most_used_ = std::max(most_used_, (result.cg_iterations + solves - 1) / solves);
   worst_residual_ = std::max(worst_residual_, result.cg_relative_residual);
@@ -23,33 +30,37 @@ void IterationBudget::take_step(double step_s, const backend::StepResult& result
   std::nth_element(times_s_.begin(), times_s_.begin() + kWindow / 2, times_s_.end());
   median_s_.store(times_s_[kWindow / 2], std::memory_order_relaxed);
   adapt();
-  filled_ = 0;
-  worst_residual_ = 0;
-  most_used_ = 0;
+  begin_window();
 }
 
 void IterationBudget::adapt() {
   const std::uint32_t now = limit();
   const bool at_limit = most_used_ >= now;
   const bool near_floor = model_.floor_tolerance > 0 && worst_residual_ > kNearFloor * model_.floor_tolerance;
-  std::uint32_t next = now;
   if (near_floor) {
-    if (at_limit) next = now + std::max(now / 10, 1u);
+    if (at_limit) set_limit(now + std::max(now / 10, 1u));
   } else if (step_s() > model_.budget_s) {
     const std::uint32_t used = std::min(now, most_used_);
-    next = used - std::min(used, std::max(used / 10, 1u));
+    set_limit(used - std::min(used, std::max(used / 10, 1u)));
   } else if (step_s() < kRoom * model_.budget_s && at_limit) {
-    next = now + std::max(now / 20, 1u);
+    set_limit(now + std::max(now / 20, 1u));
   }
-  limit_.store(std::clamp(next, model_.floor_cg_iterations, model_.cg_max_iterations), std::memory_order_relaxed);
 }
 
-void IterationBudget::clear() {
-  limit_.store(model_.cg_max_iterations, std::memory_order_relaxed);
-  median_s_.store(0, std::memory_order_relaxed);
+void IterationBudget::set_limit(std::uint32_t limit) {
+  limit_.store(std::clamp(limit, model_.floor_cg_iterations, model_.cg_max_iterations), std::memory_order_relaxed);
+}
+
+void IterationBudget::begin_window() {
   filled_ = 0;
   worst_residual_ = 0;
   most_used_ = 0;
+}
+
+void IterationBudget::clear() {
+  set_limit(model_.cg_max_iterations);
+  median_s_.store(0, std::memory_order_relaxed);
+  begin_window();
 }
 
 }  // namespace tensormass::world

@@ -7,17 +7,21 @@
 
 #include "backend/backend.h"
 #include "model/model.h"
+#include "world/guard.h"
 
 namespace tensormass::world {
 
 /// How many conjugate-gradient iterations a solve may take, so that steps keep to the scene's budget of time: lowered
 /// while they take longer, raised while there is room, never below the scene's floor. A change waits for the median of
-/// some steps, since a single one may be late for reasons of its own. Written by the loop, read by anyone.
+/// some steps, since a single one may be late for reasons of its own. Only a step that the guard had to make again for
+/// its residual raises it at once: that costs more than the iterations which were saved. Written by the loop, read by
+/// anyone.
 class IterationBudget {
  public:
   explicit IterationBudget(const model::Model& model);
 
-  void take_step(double step_s, const backend::StepResult& result);
+  /// event: World::guard_event.
+  void take_step(double step_s, const backend::StepResult& result, const GuardEvent* event = nullptr);
   /// The scene is at rest again.
   void clear();
 
@@ -29,6 +33,8 @@ class IterationBudget {
   static constexpr std::size_t kWindow = 8;  // steps
 
   void adapt();
+  void set_limit(std::uint32_t limit);
+  void begin_window();
 
   const model::Model& model_;
   std::array<double, kWindow> times_s_{};

@@ -58,7 +58,7 @@ struct Runner::Impl {
     }
     stamp.server_time_ns = unix_time_ns();
     leave_feedback();
-    if (model.visible.count() > 0) leave_frame();
+    if (has_frames()) leave_frame();
     thread = std::thread([this] { run(); });
   }
 
@@ -84,7 +84,7 @@ struct Runner::Impl {
       if (!step_once(due)) continue;
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, clock.finish(end));
-      budget.take_step(std::chrono::duration<double>(end - begin).count(), world->last());
+      budget.take_step(std::chrono::duration<double>(end - begin).count(), world->last(), world->guard_event());
       world->set_cg_limit(budget.limit());
     }
   }
@@ -135,7 +135,8 @@ struct Runner::Impl {
     }
     bool good = false;
     try {
-      good = world->step(with_frame && model.visible.count() > 0);
+      good = world->step(with_frame && has_frames());
+      if (!good) gather_frame();
       if (good && (with_watch || world->step_count() >= next_watch)) watch();
     } catch (const std::exception& failure) {
       stop_for_device(failure);
@@ -151,7 +152,7 @@ struct Runner::Impl {
     simulated_time_s.store(stamp.simulated_time_s, std::memory_order_relaxed);
     for (std::size_t i = 0; i < snapshots.size(); ++i) snapshots[i].reading = world->readings()[i];
     leave_feedback();
-    if (with_frame && model.visible.count() > 0) leave_frame();
+    if (with_frame && has_frames()) leave_frame();
     signal_output();
     return true;
   }
@@ -173,6 +174,13 @@ struct Runner::Impl {
     }
   }
 
+  bool has_frames() const { return model.visible.count() > 0; }
+
+  /// Before `leave_frame`, where the world did not gather it in its step.
+  void gather_frame() {
+    if (has_frames()) world->gather_visible();
+  }
+
   void leave_frame() {
     FrameSlot& slot = frames.writing();
     const std::span<const float> positions = world->visible_positions();
@@ -186,8 +194,9 @@ struct Runner::Impl {
     if (output_signal) output_signal();
   }
 
-  /// No force is left on any hand by a scene that does not step.
-  void release_tools() {
+  /// A scene that does not step leaves no force on any hand, and where it stands in every picture: frames are fewer
+  /// than steps. with_frame: it has been gathered.
+  void come_to_rest(bool with_frame) {
     for (ToolSnapshot& snapshot : snapshots) {
       snapshot.reading.force_n.setZero();
       snapshot.reading.torque_n_m.setZero();
@@ -195,6 +204,7 @@ struct Runner::Impl {
     }
     stamp.server_time_ns = unix_time_ns();
     leave_feedback();
+    if (with_frame) leave_frame();
     signal_output();
   }
 
@@ -204,7 +214,7 @@ struct Runner::Impl {
       fault = std::move(reason);
     }
     set_state(v1::SceneStatus::STATE_FAULTED);
-    release_tools();
+    come_to_rest(has_frames() && !device_failed);
   }
 
   /// The device's failure is of this scene alone. What it holds of the scene cannot be trusted any more.
@@ -235,8 +245,10 @@ struct Runner::Impl {
   Result<v1::SceneStatus> do_pause() {
     TM_CHECK(require_not_faulted());
     if (state == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("pause");
+    if (state == v1::SceneStatus::STATE_PAUSED) return make_status();
+    gather_frame();
     set_state(v1::SceneStatus::STATE_PAUSED);
-    release_tools();
+    come_to_rest(has_frames());
     return make_status();
   }
 
@@ -304,14 +316,14 @@ struct Runner::Impl {
       snapshots[i].reading = world->readings()[i];
     }
     leave_feedback();
-    if (model.visible.count() > 0) leave_frame();
+    if (has_frames()) leave_frame();
     signal_output();
     return make_status();
   }
 
   Result<v1::Frame> do_frame() {
     TM_CHECK(require_state());
-    if (model.visible.count() == 0) {
+    if (!has_frames()) {
       return fail(ErrorCode::kFailedPrecondition,
                   fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model.name));
     }

@@ -403,10 +403,18 @@ int main(int argc, char** argv) {
   if (steps == 0) steps = suite == "gpu" || suite == "largest" ? 500 : 100;
   if (backend_name.empty()) backend_name = suite == "gpu" ? "cuda" : "cpu";
   const bool prints_table = wants_json->count() == 0 || !output.empty();
+  std::ofstream results;
+  if (!output.empty()) results.open(output, std::ios::app);
   const auto write_line = [&](const std::string& line) {
     if (!prints_table) std::printf("%s\n", line.c_str());
-    if (!output.empty()) std::ofstream(output, std::ios::app) << line << '\n';
+    if (!output.empty()) results << line << std::endl;
   };
+  const auto wrote_all = [&] {
+    if (results.good()) return true;
+    std::fprintf(stderr, "--json: cannot write to '%s'\n", output.c_str());
+    return false;
+  };
+  if (!wrote_all()) return 1;
   std::string command = "tensormass-bench";  // without where its results go
   for (int i = 1; i < argc; ++i) {
     if (std::string_view(argv[i]) == "--json") {
@@ -426,7 +434,7 @@ int main(int argc, char** argv) {
     }
     if (prints_table) std::printf("%s\n", line->c_str());
     write_line(*line);
-    return 0;
+    return wrote_all() ? 0 : 1;
   }
 
   std::unique_ptr<backend::Backend> backend;
@@ -473,8 +481,10 @@ int main(int argc, char** argv) {
     std::printf("%-36s %9s %8s %10s %10s %10s %8s %8s %12s %8s %9s %s\n", "case", "elements", "patches", "median ms",
                 "p99 ms", "floor ms", "x floor", "GB/s", "us/iteration", "ready s", "B/element", "target ms");
   }
+  bool ran = false;
   for (Case& one : cases) {
     if (one.name.find(only) == std::string::npos) continue;
+    ran = true;
     Row row{.name = one.name, .backend = backend->name(), .device = backend->device(), .steps = steps};
     row.target_s = one.target_s;
     row.target_is_p99 = one.target_is_p99;
@@ -496,6 +506,11 @@ int main(int argc, char** argv) {
     }
     write_line(json(row, commit, command, bandwidth));
     std::fflush(stdout);
+    if (!wrote_all()) return 1;
+  }
+  if (!ran) {
+    std::fprintf(stderr, "--only: no case has '%s' in its name\n", only.c_str());
+    return 1;
   }
   return 0;
 }

@@ -1,6 +1,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 
 #include <atomic>
 #include <random>
@@ -313,6 +314,47 @@ TEST(Daemon, ASecondOneOnTheSamePortSaysWhy) {
   EXPECT_EQ(second.wait(), 1);
   const std::string log = read_file(first.folder / "second");
   EXPECT_NE(log.find(first.endpoint("control")), std::string::npos) << log;
+}
+
+TEST(Daemon, TheReadyFileTakesTheWayOfALinkAndNeverThePlaceOfWhatIsNoFile) {
+  TemporaryFolder folder;
+  const auto arguments = [&](const std::string& ready_file) {
+    return std::vector<std::string>{TENSORMASSD,
+                                    "--backend",
+                                    "cpu",
+                                    "--control",
+                                    "127.0.0.1:0",
+                                    "--zeromq-publish",
+                                    "off",
+                                    "--zeromq-pose",
+                                    "off",
+                                    "--zenoh-listen",
+                                    "off",
+                                    "--ready-file",
+                                    (folder / ready_file).string()};
+  };
+  ASSERT_EQ(mkfifo((folder / "fifo").c_str(), 0600), 0);
+  Process refused(arguments("fifo"), folder / "log");
+  EXPECT_EQ(refused.wait(), 1);
+  EXPECT_NE(read_file(folder / "log").find("is there and is no file"), std::string::npos);
+  EXPECT_TRUE(std::filesystem::is_fifo(folder / "fifo"));
+
+  std::ofstream(folder / "target") << "";
+  std::filesystem::create_symlink(folder / "target", folder / "link");
+  Process linked(arguments("link"), folder / "log");
+  EXPECT_TRUE(eventually([&] { return !read_file(folder / "target").empty(); }));
+  EXPECT_TRUE(std::filesystem::is_symlink(folder / "link"));
+  linked.kill(SIGTERM);
+  EXPECT_EQ(linked.wait(), 0);
+  EXPECT_FALSE(std::filesystem::exists(folder / "target"));
+
+  Process replaced(arguments("ready"), folder / "log");
+  EXPECT_TRUE(eventually([&] { return std::filesystem::exists(folder / "ready"); }));
+  std::ofstream(folder / "another") << "of another daemon";
+  std::filesystem::rename(folder / "another", folder / "ready");
+  replaced.kill(SIGTERM);
+  EXPECT_EQ(replaced.wait(), 0);
+  EXPECT_EQ(read_file(folder / "ready"), "of another daemon");
 }
 
 TEST(Daemon, LogsJson) {

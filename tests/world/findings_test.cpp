@@ -87,6 +87,26 @@ TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceIsNamed) {
   }
 }
 
+TEST_P(FindingsOf, StepsThatAreMadeTwiceAllTheTimeAreNamed) {
+  v1::Scene scene =
+      tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = 1000, .cg_tolerance = 1e-4});
+  scene.mutable_solver()->set_floor_tolerance(1e-2);
+  for (const std::uint32_t limit : {1u, 1000u}) {
+    const auto world = start(scene);
+    const IterationBudget budget(world->model());
+    Findings findings(world->model(), budget);
+    world->set_cg_limit(limit);
+    for (int i = 0; i < 64; ++i) {
+      ASSERT_TRUE(world->step(false));
+      findings.take_step(*world);
+    }
+    v1::SceneStatus status;
+    findings.add_to(status);
+    EXPECT_EQ(says(status, "64 of 64 steps left their bounds (the linear solve ended at a residual of"), limit == 1);
+    EXPECT_EQ(status.warnings_size(), limit == 1 ? 1 : 0);
+  }
+}
+
 TEST_P(FindingsOf, AStepThatDidNotConvergeIsNamedAndCounted) {
   const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 2);
   EXPECT_EQ(status.unconverged_steps(), 1u);

@@ -86,6 +86,24 @@ TEST(IterationBudget, ASingleLateStepChangesNothing) {
   EXPECT_EQ(budget.limit(), 100u);
 }
 
+TEST(IterationBudget, RisesAtOnceWhereAStepHadToBeMadeAgainForItsResidual) {
+  const model::Model model = model_with(1e-3);
+  IterationBudget budget(model);
+  run(budget, 400, 1, 1, 1e-4);
+  ASSERT_EQ(budget.limit(), 20u);
+  // Made again with all iterations it is solved well, and slow.
+  const backend::StepResult again{.cg_iterations = 100, .cg_relative_residual = 1e-5};
+  GuardEvent event;
+  event.first.breach = Breach::kResidual;
+  budget.take_step(2, again, &event);
+  EXPECT_EQ(budget.limit(), 30u);
+  for (int i = 0; i < 10; ++i) budget.take_step(2, again, &event);
+  EXPECT_EQ(budget.limit(), 100u);
+  event.first.breach = Breach::kMove;
+  for (int i = 0; i < 100; ++i) budget.take_step(2, again, &event);
+  EXPECT_EQ(budget.limit(), 100u) << "neither fewer nor more iterations would have helped";
+}
+
 TEST(IterationBudget, BeginsAnewAfterAReset) {
   const model::Model model = model_with();
   IterationBudget budget(model);

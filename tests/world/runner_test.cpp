@@ -197,6 +197,28 @@ TEST_P(Running, PauseTakesTheForceOffTheHand) {
   EXPECT_EQ(norm(runner->status().tools(0).force_n()), 0);
 }
 
+/// Frames are fewer than steps: whoever watches would be left with an older one, and with its forces.
+TEST_P(Running, PauseLeavesAFrameOfWhereTheSceneStands) {
+  v1::Scene scene = running_scene(200, 0.001);
+  tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
+  const auto runner = load(scene);
+  v1::Frame frame;
+  ASSERT_TRUE(runner->take_frame(frame));
+  ASSERT_TRUE(eventually([&] { return norm(runner->feedback("probe")->force_n()) > 0; }));
+  ASSERT_FALSE(runner->take_frame(frame)) << "none is due for a thousand seconds";
+  const auto paused = runner->pause();
+  ASSERT_TRUE(paused);
+  ASSERT_TRUE(runner->take_frame(frame));
+  EXPECT_EQ(frame.sequence(), 2u);
+  EXPECT_EQ(frame.step(), paused->step());
+  EXPECT_GT(frame.step(), 0u);
+  EXPECT_EQ(norm(frame.tools(0).force_n()), 0);
+  EXPECT_EQ(frame.positions(), runner->frame()->positions());
+  ASSERT_TRUE(runner->pause());
+  EXPECT_FALSE(runner->take_frame(frame)) << "it stands there already";
+  EXPECT_EQ(runner->frame()->server_time_ns(), frame.server_time_ns());
+}
+
 TEST_P(Running, UsesTheNewestPoseAndSaysWhichItWas) {
   const auto runner = load(lockstep_scene());
   for (std::uint64_t sequence = 1; sequence <= 3; ++sequence) {
@@ -338,6 +360,7 @@ TEST_P(Running, AStepThatLeftItsBoundsStopsTheSceneAndIsNotPublished) {
   v1::Frame frame;
   ASSERT_TRUE(runner->take_frame(frame));
   EXPECT_EQ(frame.step(), good_steps) << "the last good step's";
+  EXPECT_EQ(norm(frame.tools(0).force_n()), 0);
   EXPECT_TRUE(all_finite(floats(frame.positions())));
   std::vector<v1::ToolFeedback> feedback;
   ASSERT_TRUE(runner->take_feedback(feedback));

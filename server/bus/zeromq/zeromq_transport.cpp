@@ -180,7 +180,7 @@ void ZeroMqTransport::watch_handshakes(Monitor& monitor) {
     if (event == ZMQ_EVENT_DISCONNECTED) monitor.watch.disconnected(descriptor);
   }
   for (std::int64_t refused = monitor.watch.take_refused(now); refused > 0; --refused) {
-    input_.refuse({}, "a peer that does not speak ZeroMQ");
+    input_.refuse({}, "a peer that left before the handshake, or does not speak ZeroMQ");
   }
 }
 
