@@ -46,12 +46,13 @@ def triangle_topology(scene: str, version: int = 1, vertex_count: int = 3) -> st
 
 
 def frame_of(topology: stream_pb2.Topology, sequence: int) -> stream_pb2.Frame:
-    """A frame that fits `topology`; all its coordinates are `sequence` [m]."""
+    """A frame that fits `topology`; all its coordinates are `sequence` [m], its time in ms."""
     vertex_count = sum(body.vertex_count for body in topology.bodies)
     return stream_pb2.Frame(
         topology_version=topology.version,
         sequence=sequence,
         step=sequence,
+        server_time_ns=1_000_000 * sequence,
         positions=np.full((vertex_count, 3), sequence, "<f4").tobytes(),
         tools=[stream_pb2.ToolFeedback(tool=tool.name, force_n=scene_pb2.Vector3(z=1.0)) for tool in topology.tools],
     )

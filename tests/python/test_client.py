@@ -197,6 +197,21 @@ def test_frames_that_are_no_news_are_passed_over_and_lost_ones_counted(daemon: F
         assert frames.dropped_count == 4
 
 
+def test_a_step_that_was_there_before_a_reset_is_news(daemon: FakeDaemon) -> None:
+    topology = triangle_topology("s", vertex_count=4)
+    daemon.topologies["s"] = topology
+    daemon.frames["s"] = frame_of(topology, 3)
+    begun, paused, again = (frame_of(topology, sequence) for sequence in (3, 5, 6))
+    begun.sequence = 4  # published only after the call had brought it
+    for frame in (paused, again):
+        frame.step = begun.step
+    with tm.connect(daemon.control) as server:
+        script = Script([begun, paused, again])
+        frames = tm.FrameStream(tm.SceneHandle(server, "s", None), script, DEADLINE_S)  # type: ignore[arg-type]
+        assert [next(frames).sequence for _ in range(3)] == [3, 5, 6]
+        assert frames.dropped_count == 0
+
+
 def test_a_frame_that_does_not_fit_its_topology_is_refused(daemon: FakeDaemon) -> None:
     daemon.topologies["s"] = triangle_topology("s", vertex_count=4)
     daemon.frames["s"] = frame_of(daemon.topologies["s"], 1)
