@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
 from collections.abc import Iterator
 from concurrent import futures
+from pathlib import Path
 from typing import Any
 
 import grpc
@@ -11,6 +14,17 @@ import pytest
 
 import tensormass as tm
 from tensormass.v1 import control_pb2, control_pb2_grpc
+
+
+@contextlib.contextmanager
+def full_disk(free_bytes: int = 2000) -> Iterator[None]:
+    """No file can be written beyond so many bytes: what a writer sees of a disk that gets full."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (free_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 class Recorder(control_pb2_grpc.ControlServicer):
@@ -43,3 +57,13 @@ def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
     with tm.connect(f"127.0.0.1:{port}") as client:
         yield recorder, client
     server.stop(grace=None)
+
+
+@pytest.fixture
+def viewer(tmp_path: Path) -> Path:
+    """A folder as the built viewer's."""
+    folder = tmp_path / "dist"
+    (folder / "assets").mkdir(parents=True)
+    (folder / "index.html").write_text("<title>viewer</title>")
+    (folder / "assets" / "main.js").write_text("1;")
+    return folder

@@ -79,6 +79,22 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
 
 
+def test_status_says_what_there_is_to_know_in_full(
+    recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake, server = recorder
+    mended = stream_pb2.SceneStatus(
+        scene="a", guard_events=1, guard_text="step 7 left its bounds", warnings=["steps take 2 s", "hooke is left"]
+    )
+    stopped = stream_pb2.SceneStatus(scene="b", guard_events=1, guard_text="step 9 did", fault="step 9 did")
+    fake.replies["ListScenes"] = control_pb2.ListScenesResponse(scenes=[mended, stopped])
+    assert main(["status", "--server", server.address]) == 0
+    a, *notes, b = capsys.readouterr().out.splitlines()[3:]
+    assert a.startswith("a: ")
+    assert notes == ["guard: step 7 left its bounds", "warning: steps take 2 s", "warning: hooke is left"]
+    assert b.count("step 9 did") == 1
+
+
 def test_a_status_says_what_guards_and_budget_did() -> None:
     status = stream_pb2.SceneStatus(cg_iterations=40, guard_events=3, guard_recoveries=2)
     assert "guards 3, mended 2" in status_line(status)
@@ -160,6 +176,31 @@ def test_run_refuses_seconds_that_never_or_already_end(
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
     assert main(["run", "--seconds", seconds]) == 1
     assert capsys.readouterr().err == f"tensormass: --seconds {seconds}: must be positive and finite\n"
+
+
+def test_run_starts_no_viewer_and_no_hand_for_a_scene_without_frames(
+    recorder: tuple[Recorder, tm.Server],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fake, server = recorder
+    fake.replies |= {
+        "LoadScene": control_pb2.LoadSceneResponse(),
+        "GetTopology": control_pb2.GetTopologyResponse(
+            topology=stream_pb2.Topology(tools=[stream_pb2.ToolShape(name="probe")])
+        ),
+        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
+    }
+    monkeypatch.setattr(run, "launch", lambda **_: server)
+    monkeypatch.setenv("TENSORMASS_HAPTIC", "/nonexistent")
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("name: quiet\nstreams: {frame_rate_hz: 0}\ntools: [{name: probe}]\n")
+    # No viewer either: this one could not start.
+    assert main(["run", str(scene), "--seconds", "0.001", "--viewer", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("scene 'quiet' has no frames (streams.frame_rate_hz is 0): it runs without viewer and ")
+    assert "viewer: " not in out
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import stat
 import subprocess
@@ -96,7 +97,9 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
         feedback=stream_pb2.ToolFeedback(
             tool="probe",
             step=4,
+            server_time_ns=1_800_000_000_123_456_789,
             pose_sequence=2,
+            client_id=1 << 63,
             position_m=scene_pb2.Vector3(x=1),
             force_n=scene_pb2.Vector3(z=3),
             torque_n_m=scene_pb2.Vector3(y=5),
@@ -115,6 +118,7 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
     np.testing.assert_array_equal(feedback.torque_n_m, [0, 5, 0])
     np.testing.assert_array_equal(feedback.stiffness_n_per_m, np.arange(9).reshape(3, 3))
     assert (feedback.step, feedback.pose_sequence, feedback.valid_for_s) == (4, 2, 0.05)
+    assert (feedback.server_time_ns, feedback.client_id) == (1_800_000_000_123_456_789, 1 << 63)
 
 
 def test_nobody_there_is_said_in_time() -> None:
@@ -166,8 +170,38 @@ def test_frames_start_with_the_present_and_go_on_over_the_bus(
         vertices, triangles = scene.surface("fan")
         assert (vertices.dtype, vertices.shape) == (np.float64, (4, 3))
         np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3]])
-        with pytest.raises(tm.InvalidArgumentError, match="has no body 'spleen'; it has: fan"):
+        with pytest.raises(tm.NotFoundError, match="has no body 'spleen'; it has: fan"):
             scene.surface("spleen")
+
+
+def test_a_tool_that_is_not_there_has_no_streams(daemon: FakeDaemon) -> None:
+    daemon.topologies["s"] = triangle_topology("s")
+    with tm.connect(daemon.control) as server:
+        scene = tm.SceneHandle(server, "s", None)
+        for name in ("prob", "", "*"):
+            for opens in (scene.tool_stream, scene.feedbacks):
+                with pytest.raises(tm.NotFoundError, match=f"scene 's' has no tool '{re.escape(name)}'; it has: probe"):
+                    opens(name)
+        scene.tool_stream("probe").close()
+        scene.feedbacks("probe").close()
+
+
+def test_no_stream_outlives_its_connection(daemon: FakeDaemon) -> None:
+    daemon.topologies["s"] = triangle_topology("s")
+    server = tm.connect(daemon.control)
+    scene = tm.SceneHandle(server, "s", None)
+    poses, feedbacks = scene.tool_stream("probe"), scene.feedbacks("probe")
+    server.close()
+    for call in (
+        lambda: poses.send((0, 0, 0)),
+        feedbacks.receive,
+        scene.frames,
+        scene.statuses,
+        lambda: scene.tool_stream("probe"),
+        lambda: scene.feedbacks("probe"),
+    ):
+        with pytest.raises(tm.UnavailableError, match=r"this connection to .* is closed; connect again"):
+            call()
 
 
 class Script:

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import full_disk
 
 import tensormass as tm
 from tensormass import processes
 from tensormass.cli import main
 from tensormass.output import state_name
+from tensormass.v1 import scene_pb2
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -64,6 +66,15 @@ def test_a_guard_stops_a_scene_at_its_last_good_state(server: tm.Server, tmp_pat
         assert report["tissue/displacement"].shape == (6 * 6 * 4, 3)
         assert not report["tissue/displacement"].any()
         assert not report["tissue/velocity"].any()
+        again = scene_pb2.Scene.FromString(report["scene"].tobytes())
+        assert (again.name, again.bodies[0]) == ("stopped", scene.message.bodies[0])
+    with np.load(server.scene("stopped").write_report(tmp_path / "by-another.npz")) as report:
+        assert "scene" not in report  # who did not load it does not know it
+    before = (tmp_path / "stopped.npz").read_bytes()
+    with full_disk(100), pytest.raises(tm.InvalidArgumentError, match=r"stopped\.npz: cannot be written: File too"):
+        handle.write_report(tmp_path / "stopped.npz")
+    assert (tmp_path / "stopped.npz").read_bytes() == before
+    server.load(again, name="again").unload()
     assert state_name(handle.reset()) == "lockstep"
 
 
@@ -89,6 +100,7 @@ def test_a_run_for_some_seconds_fails_as_soon_as_its_scene_is_stopped_and_leaves
     with np.load(written) as report:
         assert json.loads(str(report["status"]))["fault"] == fault
         assert report["tissue/displacement"].shape == (6 * 6 * 4, 3)
+        assert scene_pb2.Scene.FromString(report["scene"].tobytes()).bodies[0].name == "tissue"
     written.unlink()
     written.mkdir()  # in its way
     _, (*_, error) = run_without_devices(stopped, tmp_path, capsys, 100)

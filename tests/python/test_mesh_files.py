@@ -8,6 +8,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from conftest import full_disk
 from test_meshes import CUBE, CUBE_QUADS, enclosed_volume, mixed_mesh, regular_tetrahedron
 
 from tensormass import mesh_files, meshes
@@ -103,6 +104,35 @@ def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> N
     garbage.write_bytes(bytes(range(256)))
     with pytest.raises(InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"):
         mesh_files.read_mesh(garbage)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.9, 0.5])
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_mesh_of_ansys_is_refused_whole_or_cut_off(tmp_path: Path, binary: bool, share: float) -> None:
+    path = tmp_path / "fluent.MSH"
+    grid = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0])
+    mesh = meshio.Mesh(grid.nodes, [("tetra", grid.elements("tetrahedron").astype(np.int64))])
+    meshio.write(path, mesh, file_format="ansys", binary=binary)
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    for read in (mesh_files.read_mesh, mesh_files.read_surface):
+        with pytest.raises(InvalidArgumentError, match=r"fluent\.MSH: a mesh of ANSYS .* is not read; save it as Gmsh"):
+            read(path)
+
+
+def test_what_gmsh_says_before_its_mesh_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.msh"
+    path.write_text("$Comments\n(made by hand)\n$EndComments\n" + MSH_22)
+    assert mesh_files.read_mesh(path).element_count == 2
+
+
+def test_a_full_disk_leaves_the_mesh_that_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.vtu"
+    mesh_files.write_mesh(path, regular_tetrahedron())
+    before = path.read_bytes()
+    with full_disk(), pytest.raises(InvalidArgumentError, match=r"mesh\.vtu: cannot be written: File too large"):
+        mesh_files.write_mesh(path, meshes.grid([9, 9, 9], [1.0, 1.0, 1.0]))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_elements_of_shapes_that_are_not_simulated_are_refused() -> None:

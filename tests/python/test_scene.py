@@ -96,6 +96,21 @@ def test_yaml_is_the_message_by_field_name() -> None:
         ("name: block", "name: !!python/object/apply:os.getcwd []", "not valid YAML"),
         ("name: block", "? [a]\n: b", "a field's name is a plain word"),
         ("name: block", "name: [", "not valid YAML"),
+        ("name: block", "name: 2001-99-99", "'2001-99-99' cannot be read as timestamp(?s:.*)line 2, column 7"),
+        ("cells_x: 4", f"cells_x: {'9' * 5000}", r"'9{40}\.\.\.' cannot be read as int(?s:.*)line 5"),
+        ("name: block", "name: !!bool maybe", "'maybe' cannot be read as bool"),
+        ("name: block", "name: !!timestamp now", "'now' cannot be read as timestamp"),
+        ("name: block", "name: !!int ''", "'' cannot be read as int"),
+        ("name: block", "name: !!map x", "expected a mapping node, but found scalar"),
+        ("name: block", "name: " + 5000 * "[", "not valid YAML: nested too deep"),
+        ("name: block", "name: block\nx: " + 5000 * "[" + 5000 * "]", "not valid YAML: nested too deep"),
+        ("scale: 0.5", f"scale: {'9' * 400}", r"bodies\[0\]\.mesh\.scale: expected a finite number, found one above 1"),
+        ("scale: 0.5", f"scale: -0x{'f' * 5000}", r"mesh\.scale: expected a finite number, found one below -1"),
+        ("scale: 0.5", "scale: yes", r"bodies\[0\]\.mesh\.scale: expected a number, found true$"),
+        ("indices: [1, 2, 3]", "indices: [1, off]", r"nodes\.indices\[1\]: expected a number, found false$"),
+        ("cells_x: 4", "cells_x: true", r"grid\.cells_x: expected a number, found true$"),
+        ("name: block", "name: on", "name: expected text, found true; write it in quotes$"),
+        ("PRECISION_DOUBLE", "yes", "solver.precision: unknown value true; known: float, double"),
     ],
 )
 def test_a_mistake_in_yaml_is_refused_with_its_place(old: str, new: str, message: str) -> None:
@@ -103,6 +118,10 @@ def test_a_mistake_in_yaml_is_refused_with_its_place(old: str, new: str, message
     with pytest.raises(tm.InvalidArgumentError, match=message) as error:
         tm.Scene.from_yaml(YAML.replace(old, new), where="block.yaml")
     assert str(error.value).startswith("block.yaml: ")
+
+
+def test_truth_is_told_where_it_is_asked_for() -> None:
+    assert tm.Scene.from_yaml(YAML + "stepping: {lockstep: yes}\n").message.stepping.lockstep
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b", "just words", "7"])

@@ -11,7 +11,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from conftest import Recorder
+from conftest import Recorder, full_disk
 from test_meshes import mixed_mesh
 
 import tensormass as tm
@@ -363,6 +363,33 @@ def test_a_series_that_cannot_be_listed_is_refused_before_anything_starts(
     listing.mkdir()
     assert main(["solve", "cantilever", "--out", str(tmp_path / "result.vtu"), "--every", "1"]) == 1
     assert capsys.readouterr().err == f"tensormass: --every {listing}: is no file that can be written\n"
+
+
+def test_a_full_disk_leaves_the_results_that_are_there(
+    solve: Callable[..., Solved], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = BAR % (TRACTION, "", "")
+    solve(scene, "--every", "1")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    scene = before["scene.yaml"].decode()
+    write_blocks, write_list = mesh_files.write_blocks, ElementTree.ElementTree.write
+
+    def with_little_room(*args: object) -> None:
+        with full_disk():
+            write_blocks(*args)  # type: ignore[arg-type]
+
+    def without_room(*args: object, **options: object) -> None:
+        with full_disk(50):
+            write_list(*args, **options)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(mesh_files, "write_blocks", with_little_room)
+        assert "result.vtu: cannot be written: File too large" in solve(scene).said["error"]
+        assert "result_000000.vtu: cannot be written: " in solve(scene, "--every", "1").said["error"]
+    with monkeypatch.context() as patched:
+        patched.setattr(ElementTree.ElementTree, "write", without_room)
+        assert "result.pvd: cannot be written: File too large" in solve(scene, "--every", "1").said["error"]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_a_law_out_of_its_range_is_said(solve: Callable[..., Solved]) -> None:

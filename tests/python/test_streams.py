@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -27,6 +29,12 @@ TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
 DEADLINE_S = 10.0
 
 
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 class Bus:
     """The server's side of both transports. `publish` waits until the stream has a subscriber."""
 
@@ -38,9 +46,7 @@ class Bus:
             each.setsockopt(zmq.RCVTIMEO, int(1000 * DEADLINE_S))
             each.setsockopt(zmq.LINGER, 0)
             each.bind("tcp://127.0.0.1:*")
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            locator = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        locator = f"tcp/127.0.0.1:{free_port()}"
         config = zenoh.Config()
         config.insert_json5("listen/endpoints", f'["{locator}"]')
         config.insert_json5("scouting/multicast/enabled", "false")
@@ -69,6 +75,11 @@ class Bus:
             self.publisher.send(key.encode() + b"\0" + payload)
         else:
             self.zenoh.put(key, payload)
+
+    def next_pose(self) -> tuple[str, stream_pb2.ToolPose]:
+        """Over ZeroMQ."""
+        key, payload = self.poses.recv().split(b"\0", 1)
+        return key.decode(), stream_pb2.ToolPose.FromString(payload)
 
     def close(self) -> None:
         self.context.destroy(linger=0)
@@ -139,14 +150,13 @@ def test_poses_arrive_in_order_with_their_key(bus: Bus, plane: DataPlane, transp
             assert received is not None
             while not isinstance(sample := _send_and_poll(sender, received), zenoh.Sample):
                 pass
-            payload = sample.payload.to_bytes()
+            pose = stream_pb2.ToolPose.FromString(sample.payload.to_bytes())
         else:
             sender.send((1.0, 2.0, 3.0), (2.0, 0.0, 0.0, 0.0))
-            where, payload = bus.poses.recv().split(b"\0", 1)
-            assert where.decode() == key
-    pose = stream_pb2.ToolPose.FromString(payload)
+            where, pose = bus.next_pose()
+            assert where == key
     assert pose.sequence >= 1
-    assert pose.client_id != 0
+    assert pose.client_id == sender.client_id != 0
     assert pose.position_m == scene_pb2.Vector3(x=1, y=2, z=3)
     assert pose.orientation == scene_pb2.Quaternion(w=1)
 
@@ -154,6 +164,74 @@ def test_poses_arrive_in_order_with_their_key(bus: Bus, plane: DataPlane, transp
 def _send_and_poll(sender: tm.PoseSender, received: zenoh.Subscriber) -> object:
     sender.send((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
     return received.try_recv()
+
+
+@pytest.mark.parametrize("closed", ["sender", "plane"])
+def test_the_newest_pose_leaves_before_its_sender_is_closed(bus: Bus, closed: str) -> None:
+    for count in [1, 2, 50] * 20:
+        with DataPlane(bus.version) as plane:
+            sender = plane.pose_sender("scene", "probe", "zeromq")
+            for _ in range(count):
+                last = sender.send((0, 0, 0))
+            {"sender": sender, "plane": plane}[closed].close()
+            while bus.next_pose()[1].sequence != last:  # the fixture's time-out ends a test in which it was lost
+                pass
+
+
+def test_the_newest_pose_leaves_though_none_follows(bus: Bus, plane: DataPlane) -> None:
+    sender = plane.pose_sender("scene", "probe", "zeromq")
+    for _ in range(20):
+        for _ in range(500):  # more than the bus takes at once
+            last = sender.send((0, 0, 0))
+        while bus.next_pose()[1].sequence != last:
+            pass
+
+
+def test_a_server_that_was_away_gets_the_newest_pose_alone(bus: Bus) -> None:
+    bus.version.zeromq_pose_endpoint = f"tcp://127.0.0.1:{free_port()}"
+    with DataPlane(bus.version) as plane:
+        sender = plane.pose_sender("scene", "probe", "zeromq")
+        for _ in range(50):
+            sender.send((0, 0, 0))
+        bus.poses.bind(bus.version.zeromq_pose_endpoint)
+        assert bus.next_pose()[1].sequence == 50
+
+
+def test_closing_does_not_wait_for_a_server_that_never_comes(bus: Bus) -> None:
+    bus.version.zeromq_pose_endpoint = f"tcp://127.0.0.1:{free_port()}"
+    with DataPlane(bus.version) as plane:
+        sender = plane.pose_sender("scene", "probe", "zeromq")
+        sender.send((0, 0, 0))
+        begin = time.monotonic()
+    assert time.monotonic() - begin < DEADLINE_S / 2
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_process_ends_that_closed_nothing(bus: Bus, transport: Transport) -> None:
+    program = (
+        "import sys\n"
+        "from tensormass.streams import DataPlane\n"
+        "from tensormass.v1 import control_pb2, stream_pb2\n"
+        "version, transport = bytes.fromhex(sys.argv[1]), sys.argv[2]\n"
+        "plane = DataPlane(control_pb2.GetVersionResponse.FromString(version))\n"
+        "poses = plane.pose_sender('scene', 'probe', transport)\n"
+        "poses.send((0, 0, 0))\n"
+        "statuses = plane.subscribe('scene', 'status', stream_pb2.SceneStatus, transport)\n"
+        "print(statuses.receive(60).step, flush=True)\n"
+    )
+    key, status = stream_key("s", "scene", "status"), stream_pb2.SceneStatus(step=7).SerializeToString()
+    arguments = [sys.executable, "-c", program, bus.version.SerializeToString().hex(), transport]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            bus.wait_subscribed(key, transport)
+            deadline = time.monotonic() + DEADLINE_S
+            while process.poll() is None:  # messages come until the end
+                assert time.monotonic() < deadline, "it does not end"
+                bus.publish(key, status, transport)
+        finally:
+            process.kill()
+        assert process.communicate() == ("7\n", "")
+    assert process.returncode == 0
 
 
 def test_poses_are_numbered_for_each_client() -> None:
@@ -170,9 +248,13 @@ def test_poses_are_numbered_for_each_client() -> None:
         ((0, 0), None, "position"),
         ((0, 0, 0), (0, 0, 0, 0), "not all zero"),
         ((0, 0, 0), (1, 0, 0), "orientation"),
+        ("abc", None, "position: expected three finite numbers, got 'abc'"),
+        ((0, 0, 0), "up", "orientation: expected four finite numbers w, x, y, z, .* got 'up'"),
+        ((0, 0, [1]), None, "position: expected three finite numbers"),
+        ({}, None, "position: expected three finite numbers"),
     ],
 )
-def test_a_pose_that_is_none_is_not_sent(position: tuple[float, ...], orientation: object, message: str) -> None:
+def test_a_pose_that_is_none_is_not_sent(position: object, orientation: object, message: str) -> None:
     sequence = PoseSequence()
     with pytest.raises(tm.InvalidArgumentError, match=message):
         sequence.next(position, orientation)  # type: ignore[arg-type]
@@ -241,3 +323,40 @@ def test_a_transport_that_is_off_is_said() -> None:
             plane.subscribe("scene", "frame", stream_pb2.Frame, "zeromq")
         with pytest.raises(tm.UnavailableError, match="zenoh is off"):
             plane.subscribe("scene", "frame", stream_pb2.Frame, "zenoh")
+
+
+def test_an_unknown_transport_is_refused(plane: DataPlane) -> None:
+    for transport in ("Zenoh", ""):
+        words = f"unknown transport '{transport}'; known: zeromq, zenoh"
+        with pytest.raises(tm.InvalidArgumentError, match=words):
+            plane.subscribe("scene", "frame", stream_pb2.Frame, transport)  # type: ignore[arg-type]
+        with pytest.raises(tm.InvalidArgumentError, match=words):
+            plane.pose_sender("scene", "probe", transport)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_what_was_closed_says_so(plane: DataPlane, transport: Transport) -> None:
+    def use(sender: tm.PoseSender, statuses: tm.Subscription[stream_pb2.SceneStatus]) -> Iterator[Callable[[], object]]:
+        yield lambda: sender.send((0, 0, 0))
+        yield lambda: statuses.receive(0)
+
+    def open_both() -> tuple[tm.PoseSender, tm.Subscription[stream_pb2.SceneStatus]]:
+        sender = plane.pose_sender("scene", "probe", transport)
+        return sender, plane.subscribe("scene", "status", stream_pb2.SceneStatus, transport)
+
+    closed, left_open = open_both(), open_both()
+    for stream in closed:
+        stream.close()
+        stream.close()
+    for call in use(*closed):
+        with pytest.raises(
+            tm.UnavailableError, match=r"tensormass/s/scene/.*: this stream is closed; open another one"
+        ):
+            call()
+    plane.close()
+    plane.close()
+    for call in (*use(*left_open), *use(*closed), open_both, plane.zenoh):
+        with pytest.raises(tm.UnavailableError, match="this connection to daemon 's' is closed; connect again"):
+            call()
+    for stream in left_open:
+        stream.close()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from conftest import full_disk
 from trade_parts import BLOCK, COSTS, MACHINE, knobs_of, measurement
 
 import tensormass as tm
@@ -450,6 +451,21 @@ def test_recordings_survive_and_half_of_one_is_forgotten(tmp_path: Path) -> None
     file = tmp_path / "recordings" / "a.npz"
     file.write_bytes(file.read_bytes()[:100])
     assert store.recording("a") is None
+
+
+def test_a_full_disk_leaves_what_was_measured(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.keep("a", recording(1.5))
+    store.put(measurement({}, 1.0, 0.1))
+    with (tmp_path / "results.jsonl").open("a") as file:
+        file.write('{"key": "half')
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with full_disk(100):
+        with pytest.raises(OSError, match="File too large"):
+            store.keep("a", recording(2.5))
+        with pytest.raises(OSError, match="File too large"):
+            Store(tmp_path)  # forgets the half line
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_a_key_holds_scene_script_and_machine(tmp_path: Path) -> None:

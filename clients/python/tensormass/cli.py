@@ -17,7 +17,16 @@ from tensormass import gateway, load_test, mesh_files, meshes, run, solve
 from tensormass.client import DEFAULT_ADDRESS, connect, launch
 from tensormass.demo import builtin_scenes
 from tensormass.errors import TensormassError
-from tensormass.output import load_line, print_json, quality_text, report_text, state_name, status_line, to_plain
+from tensormass.output import (
+    Warnings,
+    load_line,
+    print_json,
+    quality_text,
+    report_text,
+    state_name,
+    status_line,
+    to_plain,
+)
 from tensormass.processes import end_explained
 from tensormass.trade import command as trade
 
@@ -229,6 +238,10 @@ def _status(args: argparse.Namespace) -> int:
     print(f"malformed messages: {version.malformed_messages}")
     for status in statuses:
         print(f"{status.scene}: {status_line(status)}")
+        if status.guard_text not in ("", status.fault):
+            print(f"guard: {status.guard_text}")
+        for line in Warnings().lines(status):
+            print(line)
     return 0
 
 

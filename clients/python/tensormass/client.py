@@ -28,6 +28,7 @@ from tensormass.streams import (
     Subscription,
     Transport,
     find_body,
+    find_tool,
     frame_size_bytes,
     reached_endpoints,
 )
@@ -194,7 +195,7 @@ class Server(Closing):
             report = self._call("LoadScene", request, timeout_s=_LOAD_TIMEOUT_S).report
         else:
             report = self._load_with_progress(request, progress)
-        return SceneHandle(self, request.scene.name, report)
+        return SceneHandle(self, request.scene.name, report, request.scene)
 
     def _load_with_progress(
         self, request: control_pb2.LoadSceneRequest, progress: Callable[[str, float], None]
@@ -243,10 +244,18 @@ class Server(Closing):
 class SceneHandle:
     """A loaded scene. The scene outlives the handle; `unload` ends it."""
 
-    def __init__(self, server: Server, name: str, report: control_pb2.SceneReport | None) -> None:
+    def __init__(
+        self,
+        server: Server,
+        name: str,
+        report: control_pb2.SceneReport | None,
+        message: scene_pb2.Scene | None = None,
+    ) -> None:
         self.name = name
         #: What was admitted and what a step costs; None for a scene that another client loaded.
         self.report = report
+        #: What was loaded, with its meshes; None for a scene that another client loaded.
+        self.message = message
         self._server = server
         self._topology: stream_pb2.Topology | None = None
         self._poses: dict[str, PoseSequence] = {}
@@ -304,11 +313,15 @@ class SceneHandle:
         return Fields.from_message(self._server._call("GetFields", request, timeout_s=_LOAD_TIMEOUT_S))
 
     def write_report(self, path: str | Path) -> Path:
-        """Writes status and state to an .npz file; see `tensormass.scene_report`."""
+        """Writes status, state and what was loaded to an .npz file; see `tensormass.scene_report`."""
         return scene_report.write_report(self, path)
 
     def surface(self, body: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
-        """What a viewer sees of a body now: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3]."""
+        """What a viewer sees of a body now: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3].
+
+        Raises:
+            NotFoundError: no such body.
+        """
         frame = self.frame()
         triangles = np.frombuffer(find_body(frame.topology, body).triangles, dtype="<u4").reshape(-1, 3)
         return frame.vertices(body).astype(np.float64), triangles.copy()
@@ -349,7 +362,7 @@ class SceneHandle:
 
         Raises:
             NotFoundError: no such tool.
-            InvalidArgumentError: not finite.
+            InvalidArgumentError: not finite, or no numbers.
         """
         pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation)
         self._server._call("MoveTool", control_pb2.MoveToolRequest(scene=self.name, tool=name, pose=pose))
@@ -360,11 +373,21 @@ class SceneHandle:
         return Feedback.from_message(self._server._call("GetFeedback", request).feedback)
 
     def tool_stream(self, name: str, transport: Transport = "zeromq") -> PoseSender:
-        """Opens a stream for a tool's poses, for clients that move faster than a call for each pose allows."""
+        """Opens a stream for a tool's poses, for clients that move faster than a call for each pose allows.
+
+        Raises:
+            NotFoundError: no such tool, which the stream itself would never tell.
+        """
+        find_tool(self.topology(), name)
         return self._server.data_plane.pose_sender(self.name, name, transport)
 
     def feedbacks(self, name: str, transport: Transport = "zeromq") -> Subscription[stream_pb2.ToolFeedback]:
-        """Subscribes to a tool's feedback: the newest after each step."""
+        """Subscribes to a tool's feedback: the newest after each step.
+
+        Raises:
+            NotFoundError: no such tool, on whose stream nothing would ever come.
+        """
+        find_tool(self.topology(), name)
         stream = f"tool/{name}/feedback"
         return self._server.data_plane.subscribe(self.name, stream, stream_pb2.ToolFeedback, transport)
 

@@ -40,8 +40,9 @@ def _summary(values: npt.NDArray[np.float64], counts: npt.NDArray[np.float64]) -
     return summary
 
 
-def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int) -> Json:
-    """What happened to a scene between two of its statuses, while clients sent it `poses_sent` poses."""
+def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int | None) -> Json:
+    """What happened to a scene between two of its statuses, while clients sent it `poses_sent` poses (None: not known,
+    as a client failed)."""
 
     def grown(counter: str) -> int:
         return int(getattr(after, counter)) - int(getattr(before, counter))
@@ -63,7 +64,7 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "poses_sent": poses_sent,
         "poses_received": received,
         # Newest wins: a pose that a newer one overtakes on the client's side of the network never leaves.
-        "poses_overtaken_on_the_way": max(0, poses_sent - received),
+        "poses_overtaken_on_the_way": max(0, poses_sent - received) if poses_sent is not None else None,
         "poses_superseded": grown("poses_superseded"),
         "poses_rejected": grown("poses_rejected"),
         "frames_published": grown("frames_published"),
@@ -110,7 +111,7 @@ def to_text(report: Mapping[str, Any]) -> str:
                 f"{scene['reached_rate_hz']:.1f}/{scene['target_rate_hz']:.1f}",
                 *(f"{scene[f'step_time_{p}_s'] * 1e3:.2f}" for p in ("p50", "p99", "max")),
                 f"{scene['missed_deadlines']}/{scene['steps']}",
-                scene["poses_sent"],
+                scene["poses_sent"] if scene["poses_sent"] is not None else "–",
                 scene["poses_superseded"],
                 scene["poses_rejected"],
             )

@@ -2,7 +2,8 @@
 
 Scenes are copies of one scene. Haptic clients are `tensormass-haptic` processes, each on a tool of its own; viewers are
 Python processes that take every frame they can get. With the mixed transport every second client uses zenoh, the others
-ZeroMQ. Everything has a deadline, and no process outlives the test.
+ZeroMQ. Everything has a deadline, and no process outlives the test. Once the clients run, a scene that is stopped or a
+client that ends is a line in the report and not its end.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy.typing as npt
 from tensormass import load_report
 from tensormass.client import SceneHandle, Server, connect, launch
 from tensormass.errors import InvalidArgumentError, UnavailableError
+from tensormass.files import replacing
 from tensormass.load_report import Json
 from tensormass.output import check_writable, load_silently
 from tensormass.processes import ChildProcess, end_explained, find_program
@@ -43,6 +45,7 @@ _READY_TIMEOUT_S = 60.0
 # A haptic client connects (10 s), drains (1 s) and reports within this beyond its --seconds.
 _HAPTIC_MARGIN_S = 20.0
 _POLL_S = 0.02
+_FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
     report = load_test(args)
     try:
         if file is not None:
-            file.write_text(json.dumps(report, indent=1) + "\n")
+            with replacing(file) as aside:
+                aside.write_text(json.dumps(report, indent=1) + "\n")
     except OSError as error:
         raise InvalidArgumentError(f"--json {file}: cannot be written: {error.strerror}") from error
     finally:  # one of the two may fail, and the other one still says what was measured
@@ -134,12 +138,15 @@ class _Client:
     report_file: Path
     ready_file: Path
     status: int | None = None
+    #: Before it was told to.
+    ended_early: bool = False
 
     def failure(self) -> str | None:
-        if self.status == 0:
+        if self.status == 0 and not self.ended_early:
             return None
         log = self.log_file.read_text(errors="replace").strip().splitlines()
-        return f"status {self.status}: {log[-1] if log else 'no word'}"
+        early = "ended early with " if self.ended_early else ""
+        return f"{early}status {self.status}: {log[-1] if log else 'no word'}"
 
 
 class _LoadTest:
@@ -188,12 +195,13 @@ class _LoadTest:
             self._errors.append(f"{malformed} messages reached the daemon malformed")
         reports = [client for client in haptic_reports if client]
         for status in after:
-            if status.state == stream_pb2.SceneStatus.STATE_FAULTED:
+            if status.state == _FAULTED:
                 self._errors.append(f"scene {status.scene} is faulted: {status.fault}")
-        sent = {
-            scene.name: sum(int(client["poses_sent"]) for client in reports if client["scene"] == scene.name)
-            for scene in scenes
-        }
+        sent: dict[str, int | None] = {scene.name: 0 for scene in scenes}
+        for client, of in zip(haptics, haptic_reports, strict=True):
+            so_far = sent[client.scene]
+            # What a client sent that left no report, nobody knows.
+            sent[client.scene] = so_far + int(of["poses_sent"]) if of and so_far is not None else None
         scene_reports = [
             load_report.scene_report(b, a, sent[scene.name]) for scene, b, a in zip(scenes, before, after, strict=True)
         ]
@@ -263,8 +271,19 @@ class _LoadTest:
 
     def _wait_until_ready(self, viewers: Sequence[_Client]) -> None:
         deadline = time.monotonic() + _READY_TIMEOUT_S
-        self._watch(viewers, lambda: all(v.ready_file.exists() for v in viewers) or time.monotonic() >= deadline)
-        late = [v for v in viewers if not v.ready_file.exists()]
+        late = list(viewers)
+
+        def done() -> bool:
+            # A scene that is stopped already has nothing more to show, and is an error of its own.
+            stopped = {status.scene for status in self._server.scenes() if status.state == _FAULTED}
+            late[:] = [v for v in late if not v.ready_file.exists() and v.scene not in stopped]
+            return not late or any(v.ended_early for v in viewers) or time.monotonic() >= deadline
+
+        self._watch(viewers, done)
+        for viewer in viewers:
+            if viewer.ended_early:
+                viewer.status = viewer.process.stop()
+                raise UnavailableError(f"a viewer of {viewer.scene} ({viewer.transport}) {viewer.failure()}")
         if late:
             raise UnavailableError(
                 f"{len(late)} of {len(viewers)} viewers saw no frame in {_READY_TIMEOUT_S:g} s; "
@@ -274,12 +293,13 @@ class _LoadTest:
     # --- while it runs ------------------------------------------------------------------------------------------------
 
     def _watch(self, viewers: Sequence[_Client], done: Callable[[], bool]) -> None:
-        """Waits for `done`; a viewer that ends before it is an error at once."""
+        """Waits for `done`. A viewer that ends before it is marked, for the end; only if the daemon is gone too, that
+        is raised at once."""
         while not done():
             for viewer in viewers:
-                if not viewer.process.running:
-                    viewer.status = viewer.process.stop()
-                    raise UnavailableError(f"a viewer of {viewer.scene} ({viewer.transport}) ended: {viewer.failure()}")
+                if not viewer.ended_early and not viewer.process.running:
+                    viewer.ended_early = True
+                    self._server.version()
             time.sleep(_POLL_S)
 
     def _phase_s(self, scene: SceneHandle) -> float:
@@ -287,7 +307,9 @@ class _LoadTest:
         window_s = 1.05 * _STATUS_WINDOW_STEPS / scene.status().target_rate_hz
         return max(float(self._args.stop_viewer), window_s)
 
-    def _with_a_stopped_viewer(self, viewer: _Client, scene: SceneHandle, phase_s: float) -> Json:
+    def _with_a_stopped_viewer(self, viewer: _Client, scene: SceneHandle, phase_s: float) -> Json | None:
+        """None: the viewer ended."""
+
         def phase(name: str) -> Json:
             missed_before = scene.status().missed_deadlines
             end = time.monotonic() + phase_s
@@ -297,11 +319,12 @@ class _LoadTest:
             return {"name": name, **load_report.step_times(status), "missed_deadlines": missed}
 
         phases = [phase("before")]
-        pid = viewer.process.process.pid
-        os.kill(pid, signal.SIGSTOP)
+        viewer.process.process.send_signal(signal.SIGSTOP)
         phases.append(phase("while stopped"))
-        os.kill(pid, signal.SIGCONT)
+        viewer.process.process.send_signal(signal.SIGCONT)
         phases.append(phase("after"))
+        if viewer.ended_early:
+            return None
         return {"scene": viewer.scene, "transport": viewer.transport, "seconds": phase_s, "phases": phases}
 
     # --- the end ------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass.errors import InvalidArgumentError, NotFoundError
+from tensormass.files import replacing
 from tensormass.meshes import ELEMENT_FIELDS, ElementBlock, FloatArray, TriangleSurface, VolumeMesh
 from tensormass.names import as_name
 from tensormass.shapes import BY_MESHIO_TYPE
@@ -34,14 +35,15 @@ _FIELD_ALIASES = {"fibre_direction": "fibre_directions"}
 
 
 def read_mesh(path: str | Path) -> VolumeMesh:
-    """Reads a volume mesh: Gmsh 1 or anything meshio knows (.msh 2.2/4.x, .vtk, .vtu, .inp, .mesh, .ele ...).
+    """Reads a volume mesh: Gmsh 1 or anything meshio knows (.msh 2.2/4.x, .vtk, .vtu, .inp, .mesh, .ele ...) but the
+    .msh of ANSYS.
 
     Raises:
         NotFoundError: no such file.
         InvalidArgumentError: not readable, no elements with a volume, or some of a shape that is not simulated.
     """
     path = Path(path)
-    if _is_gmsh1(path):
+    if _begins_with(path, b"$NOD"):
         return read_gmsh1(path)
     return from_meshio(_meshio_read(path), str(path))
 
@@ -165,8 +167,12 @@ def write_blocks(
     )
     options = {"file_format": "gmsh22"} if path.suffix == ".msh" else {}
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            out.write(path, **options)
+        with (
+            replacing(path) as aside,
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
+            out.write(aside, **options)
     except (meshio.ReadError, meshio.WriteError, SystemExit) as error:
         raise InvalidArgumentError(f"{path}: cannot be written; use .msh, .vtk or .vtu") from error
     except OSError as error:
@@ -235,10 +241,10 @@ def _gmsh1_section(path: str | Path, lines: list[str], name: str) -> tuple[list[
     return rows, begin + 3
 
 
-def _is_gmsh1(path: Path) -> bool:
+def _begins_with(path: Path, first: bytes) -> bool:
     try:
         with path.open("rb") as file:
-            return file.read(4) == b"$NOD"
+            return file.read(len(first)) == first
     except FileNotFoundError:
         raise NotFoundError(f"{path}: no such file") from None
     except OSError as error:
@@ -248,12 +254,17 @@ def _is_gmsh1(path: Path) -> bool:
 def _meshio_read(path: Path) -> meshio.Mesh:
     if not path.is_file():
         raise NotFoundError(f"{path}: no such file")
+    # By its ending alone, meshio tries the format of ANSYS first. It reads on for ever in such a file that is cut off,
+    # and from a whole one that ANSYS wrote, which describes cells by their faces, it gets no volumes.
+    options = {"file_format": "gmsh"} if path.suffix.lower() == ".msh" else {}
+    if options and _begins_with(path, b"("):
+        raise InvalidArgumentError(f"{path}: a mesh of ANSYS (Fluent) is not read; save it as Gmsh, VTK or Abaqus")
     said = io.StringIO()
     try:
         # meshio ends the process on a file that it cannot read, after printing why; it tells ASCII from binary STL by
         # a product that may overflow.
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), np.errstate(over="ignore"):
-            return meshio.read(path)
+            return meshio.read(path, **options)
     except (Exception, SystemExit) as error:
         reason = " ".join((said.getvalue() or str(error)).split())
         raise InvalidArgumentError(f"{path}: not readable as a mesh: {reason}") from error

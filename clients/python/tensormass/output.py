@@ -112,6 +112,10 @@ class Warnings:
         self._by_kind.update({self._kind(text): text for text in status.warnings})
         return new
 
+    def lines(self, status: stream_pb2.SceneStatus) -> list[str]:
+        """As `take`, as the command prints them."""
+        return [f"warning: {text}" for text in self.take(status)]
+
     @property
     def latest(self) -> list[str]:
         """Every warning so far, in its latest wording."""

@@ -4,8 +4,8 @@ Everything runs until Ctrl-C (or SIGTERM, or --seconds) and then ends in the ord
 
 A scene that a guard stops ends a run of --seconds, which nobody watches, at once. Without --seconds the run goes on:
 whoever watches may look at the scene where it stands, and reset it over the control address. A run that ends with its
-scene stopped has failed either way, and leaves what `tensormass report` writes in NAME-fault.npz: the daemon, which has
-the state, ends with it.
+scene stopped has failed either way, and leaves what `SceneHandle.write_report` writes in NAME-fault.npz: the daemon,
+which has the state, ends with it.
 """
 
 from __future__ import annotations
@@ -80,6 +80,11 @@ def run(args: argparse.Namespace) -> int:
             raise InvalidArgumentError(f"--rate {args.rate:g}: must be positive")
         scene.message.stepping.rate_hz = args.rate
         scene.message.stepping.dt_s = 1 / args.rate
+    streams = scene.message.streams
+    if streams.HasField("frame_rate_hz") and streams.frame_rate_hz == 0 and not (args.no_viewer and args.no_haptic):
+        without = "it runs without viewer and simulated haptic devices, which need them"
+        _say(args, f"scene {scene.name!r} has no frames (streams.frame_rate_hz is 0): {without}")
+        args.no_viewer = args.no_haptic = True
     return asyncio.run(_run(args, scene))
 
 
@@ -173,9 +178,9 @@ async def _report_until(
         status = await asyncio.to_thread(handle.status)
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
         width = shutil.get_terminal_size().columns - 1
-        for warning in warnings.take(status):
+        for line in warnings.lines(status):
             # On a terminal, in place of the status line.
-            _say(args, f"\r{f'warning: {warning}':<{width}}" if live else f"warning: {warning}")
+            _say(args, f"\r{line:<{width}}" if live else line)
         if args.json:
             print_json({"status": to_plain(status), "clients": clients})
         elif live:

@@ -7,6 +7,7 @@ positions are sent as the file has them; `Mesh.scale` and `Mesh.translation_m` t
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from google.protobuf import json_format
-from google.protobuf.descriptor import Descriptor, EnumDescriptor
+from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 
 from tensormass import demo, mesh_files, meshes
 from tensormass.errors import InvalidArgumentError, NotFoundError, naming
@@ -240,6 +241,8 @@ class SceneFile:
             content = yaml.load(text, Loader=_StrictLoader)
         except yaml.YAMLError as error:
             raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
+        except RecursionError:
+            raise InvalidArgumentError(f"{where}: not valid YAML: nested too deep") from None
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         return SceneFile(content, directory, where)
@@ -264,7 +267,7 @@ def is_mesh_file(path: str | Path) -> bool:
 
 def vector3(values: Vector, where: str) -> scene_pb2.Vector3:
     """A message from three finite numbers."""
-    array = np.asarray(values, dtype=np.float64)
+    array = _numbers(values)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InvalidArgumentError(f"{where}: expected three finite numbers, got {values!r}")
     return scene_pb2.Vector3(x=float(array[0]), y=float(array[1]), z=float(array[2]))
@@ -274,11 +277,19 @@ def quaternion(values: Vector | None, where: str) -> scene_pb2.Quaternion | None
     """A message from (w, x, y, z), normalized; None stays None (the identity)."""
     if values is None:
         return None
-    array = np.asarray(values, dtype=np.float64)
+    array = _numbers(values)
     if array.shape != (4,) or not np.isfinite(array).all() or not np.linalg.norm(array) > 1e-6:
         raise InvalidArgumentError(f"{where}: expected four finite numbers w, x, y, z, not all zero, got {values!r}")
     w, x, y, z = array / np.linalg.norm(array)
     return scene_pb2.Quaternion(w=w, x=x, y=y, z=z)
+
+
+def _numbers(values: Vector) -> npt.NDArray[np.float64]:
+    """Empty for what is no sequence of numbers."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
 
 
 def law_message(
@@ -402,16 +413,29 @@ def _checked_fields(content: object, descriptor: Descriptor, where: str, path: s
         for place, item in values.items():
             if field.message_type is not None:
                 items.append(_checked_fields(item, field.message_type, where, place))
-            elif isinstance(item, dict | list | None):
-                raise InvalidArgumentError(f"{where}: {place}: expected one value, found {item!r}")
-            elif isinstance(item, float) and not math.isfinite(item):
-                raise InvalidArgumentError(f"{where}: {place}: expected a finite number, found {item!r}")
-            else:
-                items.append(
-                    _enum_number(field.enum_type, item, f"{where}: {place}") if field.enum_type is not None else item
-                )
+                continue
+            _check_value(field, item, f"{where}: {place}")
+            items.append(
+                _enum_number(field.enum_type, item, f"{where}: {place}") if field.enum_type is not None else item
+            )
         checked[key] = items if field.is_repeated else items[0]
     return checked
+
+
+def _check_value(field: FieldDescriptor, value: object, where: str) -> None:
+    """Refuses what is no number or text that the field can hold, as far as the parser does not."""
+    if isinstance(value, dict | list | None):
+        raise InvalidArgumentError(f"{where}: expected one value, found {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InvalidArgumentError(f"{where}: expected a finite number, found {value!r}")
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        beyond = f"above {sys.float_info.max:.2g}" if value > 0 else f"below {-sys.float_info.max:.2g}"
+        raise InvalidArgumentError(f"{where}: expected a finite number, found one {beyond}")
+    # `yes` and `on` too, which the parser takes for 1; what an enum knows is said with it.
+    if isinstance(value, bool) and field.type not in (FieldDescriptor.TYPE_BOOL, FieldDescriptor.TYPE_ENUM):
+        is_text = field.type in (FieldDescriptor.TYPE_STRING, FieldDescriptor.TYPE_BYTES)
+        expected, remedy = ("text", "; write it in quotes") if is_text else ("a number", "")
+        raise InvalidArgumentError(f"{where}: expected {expected}, found {str(value).lower()}{remedy}")
 
 
 def _enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
@@ -419,7 +443,8 @@ def _enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
     known = {short_name(enum, of.number): of.number for of in enum.values if of.number != 0}
     short = str(value).removeprefix(_enum_prefix(enum)).lower()
     if short not in known:
-        raise InvalidArgumentError(f"{where}: unknown value {value!r}; {suggestion(short, known)}")
+        said = short if isinstance(value, bool) else repr(value)
+        raise InvalidArgumentError(f"{where}: unknown value {said}; {suggestion(short, known)}")
     return known[short]
 
 
@@ -446,11 +471,23 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """PyYAML keeps the last of two equal keys; a scene file that says two things is refused instead."""
+    """PyYAML keeps the last of two equal keys; a scene file that says two things is refused instead. And what Python
+    raises on a value that only looks like one, as `2001-99-99`, is said with its place."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:  # noqa: ANN401
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
+            if not isinstance(node, yaml.ScalarNode):
+                raise
+            text = node.value if len(node.value) <= 40 else f"{node.value[:40]}..."
+            what = f"{text!r} cannot be read as {node.tag.rpartition(':')[2]}"
+            raise yaml.constructor.ConstructorError(None, None, what, node.start_mark) from error
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
-        for key, _ in node.value:
+        # What only its tag makes a mapping, as `!!map x`, is refused below.
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.constructor.ConstructorError(None, None, "a field's name is a plain word", key.start_mark)
             if key.value in seen:

@@ -30,6 +30,7 @@ from tensormass import defaults, mesh_files, meshes, presets
 from tensormass.client import SceneHandle, Server, connect, launch
 from tensormass.errors import InvalidArgumentError, NotConvergedError
 from tensormass.fields import FIELD_NAMES, NODE_FIELDS, FieldName, Fields, field_numbers
+from tensormass.files import replacing
 from tensormass.output import Warnings, check_writable, load_line, load_silently, print_json, table
 from tensormass.processes import end_explained
 from tensormass.scene import volume_mesh
@@ -196,7 +197,8 @@ class _Writer:
         ElementTree.indent(root)
         listing = self._out.with_suffix(".pvd")
         try:
-            ElementTree.ElementTree(root).write(listing, encoding="utf-8", xml_declaration=True)
+            with replacing(listing) as aside:
+                ElementTree.ElementTree(root).write(aside, encoding="utf-8", xml_declaration=True)
         except OSError as error:
             raise InvalidArgumentError(f"{listing}: cannot be written: {error.strerror}") from error
 

@@ -24,7 +24,7 @@ struct ZeroMqOptions {
 };
 
 /// Messages go out on an XPUB socket: it hears of each subscription, and sends what is retained under that prefix once
-/// more, so that who joins late has the topology. Poses come in on a PULL socket, to which clients PUSH with CONFLATE.
+/// more, so that who joins late has the topology. Poses come in on a PULL socket, to which clients PUSH the newest.
 ///
 /// A ZeroMQ socket belongs to one thread at a time. The PULL socket and the monitors belong to the receiver thread; the
 /// XPUB socket is shared by that thread and the publishers, under a mutex that nobody holds while waiting.

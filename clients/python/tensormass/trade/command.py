@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import re
 import sys
 import time
@@ -18,6 +17,7 @@ from typing import Any
 from tensormass import defaults
 from tensormass.client import Server, launch
 from tensormass.errors import InvalidArgumentError, NotConvergedError, TensormassError, naming
+from tensormass.files import replacing
 from tensormass.output import print_json
 from tensormass.scene import SceneFile, is_mesh_file
 from tensormass.trade import html, reference, report, sweep
@@ -477,8 +477,6 @@ def _write_scene(outcome: Outcome, name: str, folder: Path) -> Path | None:
 def _write_report(outcome: Outcome, folder: Path) -> list[Path]:
     texts = {"report.html": html.page(outcome), "trade.json": json.dumps(outcome.to_plain(), indent=1) + "\n"}
     for name, text in texts.items():
-        # Written aside, so that a disk that is full by now leaves the report that is there.
-        half = folder / f"{name}.part"
-        half.write_text(text, "utf-8")
-        os.replace(half, folder / name)
+        with replacing(folder / name) as aside:
+            aside.write_text(text, "utf-8")
     return [folder / name for name in texts]

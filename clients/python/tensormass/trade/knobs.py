@@ -17,6 +17,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
 from tensormass import defaults, mesh_files
 from tensormass.errors import InvalidArgumentError
+from tensormass.files import replacing
 from tensormass.names import suggestion
 from tensormass.organ import ORGANS
 from tensormass.scene import LAWS, SceneFile, short_name
@@ -180,7 +181,8 @@ class Knobs:
                 if "file" in of:
                     place(of)
         lines = "".join(f"# {line}\n" for line in comment.splitlines())
-        path.write_text(lines + yaml.safe_dump(file.fields, sort_keys=False, allow_unicode=True), "utf-8")
+        with replacing(path) as aside:
+            aside.write_text(lines + yaml.safe_dump(file.fields, sort_keys=False, allow_unicode=True), "utf-8")
 
     # --- what there is to choose --------------------------------------------------------------------------------------
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 import platform
 import zipfile
 from dataclasses import asdict, dataclass, field
@@ -21,6 +20,7 @@ import numpy as np
 
 from tensormass.client import Server
 from tensormass.errors import InvalidArgumentError
+from tensormass.files import replacing
 from tensormass.processes import find_program
 from tensormass.trade.knobs import Value
 from tensormass.trade.measures import Errors
@@ -128,7 +128,8 @@ class Store:
         for number, line in enumerate(text.splitlines(keepends=True), 1):
             if not line.endswith("\n"):
                 # The run was stopped while it wrote.
-                self._lines_file.write_text(text[: -len(line)], "utf-8")
+                with replacing(self._lines_file) as aside:
+                    aside.write_text(text[: -len(line)], "utf-8")
                 break
             try:
                 measurement = Measurement.from_plain(json.loads(line))
@@ -163,9 +164,8 @@ class Store:
         arrays: dict[str, Any] = {name: getattr(recording, name) for name in _ARRAYS}
         arrays |= {f"displacement_{body}": values for body, values in enumerate(recording.displacement)}
         plain = {name: getattr(recording, name) for name in _PLAIN} | {"costs": asdict(recording.costs)}
-        half = self._path(key).with_suffix(".part.npz")
-        np.savez_compressed(half, plain=np.array(json.dumps(plain)), bodies=len(recording.displacement), **arrays)
-        os.replace(half, self._path(key))
+        with replacing(self._path(key)) as aside:
+            np.savez_compressed(aside, plain=np.array(json.dumps(plain)), bodies=len(recording.displacement), **arrays)
 
     def _path(self, key: str) -> Path:
         return self._recordings / f"{key}.npz"
