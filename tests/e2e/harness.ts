@@ -103,7 +103,7 @@ export class Browser {
 export interface ViewerState {
   readonly scene: string | null;
   readonly vertexCount: number;
-  readonly tools: readonly { readonly name: string; readonly positionM: readonly [number, number, number] }[];
+  readonly tools: readonly { readonly name: string; readonly positionM: readonly [number, number, number]; readonly orientationWxyz: readonly number[] }[];
   readonly drawn: number;
   readonly refused: number;
   readonly lastRefusal: string | null;

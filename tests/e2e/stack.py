@@ -41,8 +41,20 @@ class Stack:
         self.scenes[name] = self.server.load(scene, name=name)
         return self._vertex_count(name)
 
-    def load_grid(self, name: str, cells: int, frame_rate_hz: float = 60.0, budget_s: float | None = None) -> int:
-        """Loads a cube of `cells` a side under `name`; the number of vertices that a viewer shows."""
+    def load_grid(
+        self,
+        name: str,
+        cells: int,
+        frame_rate_hz: float = 60.0,
+        status_rate_hz: float = 4.0,
+        budget_s: float | None = None,
+        lockstep: bool = False,
+        turned_tool: bool = False,
+    ) -> int:
+        """Loads a cube of `cells` a side under `name`; the number of vertices that a viewer shows.
+
+        `turned_tool` puts a probe above it, a quarter turn about x away from its own axes.
+        """
         one = scene_pb2.Vector3(x=1, y=1, z=1)
         body = scene_pb2.Body(
             name="cube",
@@ -50,14 +62,31 @@ class Stack:
             law=scene_pb2.Law(hooke=scene_pb2.IsotropicElastic(young_modulus_pa=1e5, poisson_ratio=0.3)),
             density_kg_per_m3=1000,
         )
-        streams = scene_pb2.Streams(frame_rate_hz=frame_rate_hz)
+        streams = scene_pb2.Streams(frame_rate_hz=frame_rate_hz, status_rate_hz=status_rate_hz)
         solver = None if budget_s is None else scene_pb2.Solver(budget_s=budget_s, floor_cg_iterations=1)
-        scene = scene_pb2.Scene(name=name, bodies=[body], streams=streams, solver=solver)
+        probe = scene_pb2.SphericalProbe(radius_m=0.1, tip_offset_m=scene_pb2.Vector3(z=0.4))
+        tool = scene_pb2.Tool(
+            name="probe",
+            spherical_probe=probe,
+            position_m=scene_pb2.Vector3(x=0.5, y=0.9, z=1.5),
+            orientation=scene_pb2.Quaternion(w=0.5**0.5, x=0.5**0.5),
+        )
+        scene = scene_pb2.Scene(
+            name=name,
+            bodies=[body],
+            tools=[tool] if turned_tool else [],
+            stepping=scene_pb2.Stepping(lockstep=lockstep),
+            streams=streams,
+            solver=solver,
+        )
         self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)
 
     def pause(self, name: str) -> None:
         self.scenes[name].pause()
+
+    def step(self, name: str, count: int) -> None:
+        self.scenes[name].step(count)
 
     def unload(self, name: str) -> None:
         self.scenes.pop(name).unload()

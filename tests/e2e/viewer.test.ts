@@ -13,6 +13,11 @@ const PRESS_DEPTH_M = 0.015;
 const NEAR_PX = 35;
 const FAR_PX = 230;
 
+/** Whether two boxes of the page do not overlap. */
+function apart(a: DOMRect, b: DOMRect): boolean {
+  return a.right <= b.left || b.right <= a.left || a.bottom <= b.top || b.bottom <= a.top;
+}
+
 describe.skipIf(absent.length > 0)("viewer", () => {
   const browser = new Browser();
   let stack: Stack;
@@ -81,8 +86,9 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(held).not.toBeNull();
     await page.drag(held!, { x: held!.x, y: held!.y - 90 });
     await page.page.locator("#labels .force").waitFor({ state: "detached" });
-    const lifted = (await page.state()).tools[0]!;
-    expect(lifted.positionM[2]).toBeGreaterThan(tools[0]!.positionM[2] + PRESS_DEPTH_M);
+    // The force is gone as soon as the tissue is left behind, while the tool is still on its way.
+    const free = tools[0]!.positionM[2] + PRESS_DEPTH_M;
+    await page.page.waitForFunction((least) => window.tensormass.state().tools[0]!.positionM[2] > least, free);
     expect((await page.state()).refused).toBe(0);
     await stack.ask("unload", { name: "pressed" });
   });
@@ -160,11 +166,76 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.says("#link", /Live/);
     await stack.ask("pause", { name: "cube" });
     await page.says("#link", /Paused/);
+    expect(await page.page.locator("#notice").isVisible()).toBe(false);
     await page.page.locator("#scene").selectOption("blind");
     await page.says("#notice", /sends no frames/);
     await page.says("#link", /No frames/);
     await stack.ask("unload", { name: "blind" });
     await stack.ask("unload", { name: "cube" });
+  });
+
+  it("says that a scene in lockstep waits to be asked", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "locked", cells: 2, lockstep: true })) as number;
+    const page = await open("scene=locked");
+    await page.shows(vertexCount);
+    await page.says("#link", /^Lockstep$/);
+    await page.says("#target", /^in lockstep$/);
+    // The frame on show was made at the load, whenever that was.
+    await page.says("#display", /[1-9]/);
+    expect(await page.page.locator("#latency").textContent()).toBe("–");
+    await stack.ask("step", { name: "locked", count: 1 });
+    await page.says("#latency", /^[\d.]+$/);
+    await stack.ask("unload", { name: "locked" });
+  });
+
+  it("shows no numbers of a status that frames have left behind", async () => {
+    await stack.ask("load_grid", { name: "silent", cells: 2, status_rate_hz: 0 }); // one status, at the load
+    const page = await open("scene=silent");
+    await page.says("#link", /Live/);
+    await page.says("#target", /^of 60 Hz$/);
+    await page.says("#physics", /^–$/);
+    await page.says("#step-time", /^–$/);
+    await stack.ask("unload", { name: "silent" });
+  });
+
+  it("moves a turned tool without turning it", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "turned", cells: 2, turned_tool: true })) as number;
+    const page = await open("scene=turned");
+    await page.shows(vertexCount);
+    const before = (await page.state()).tools[0]!;
+    // The tip, 0.4 m along the tool's own z, lies along -y.
+    const [x, y, z] = before.positionM;
+    const held = await page.project([x, y - 0.4, z]);
+    expect(held).not.toBeNull();
+    await page.drag(held!, { x: held!.x, y: held!.y - 40 });
+    await page.page.waitForFunction((from) => window.tensormass.state().tools[0]!.positionM[2] > from + 0.05, z);
+    const after = (await page.state()).tools[0]!;
+    expect(after.orientationWxyz).toEqual(before.orientationWxyz.map((value) => expect.closeTo(value) as number));
+    // Straight up and away in the plane that faces the camera: no jump by the length of the tool.
+    expect(Math.abs(after.positionM[0] - x)).toBeLessThan(0.05);
+    expect(Math.abs(after.positionM[1] - y)).toBeLessThan(0.3);
+    await stack.ask("unload", { name: "turned" });
+  });
+
+  it("lets a notice be closed, and read again", async () => {
+    await stack.ask("load", { scene: "beam", name: "broken" }); // runs into its fault by itself
+    const page = await open("scene=broken");
+    await page.says("#link", /Stopped/);
+    const notice = page.page.locator("#notice");
+    await page.says("#notice", /Scene stopped.*Reset the scene/s);
+    await page.page.keyboard.press("Escape");
+    await notice.waitFor({ state: "hidden" });
+    await page.page.locator("#link").click();
+    await notice.waitFor();
+    await page.page.getByRole("button", { name: "Hide this notice" }).click();
+    await notice.waitFor({ state: "hidden" });
+    // The page writes it anew a few times a second; closed it stays, and the keyboard finds it again.
+    await page.page.waitForTimeout(600);
+    expect(await notice.isVisible()).toBe(false);
+    await page.says("#link", /Stopped/);
+    await page.page.keyboard.press("Enter");
+    await notice.waitFor();
+    await stack.ask("unload", { name: "broken" });
   });
 
   it("shows the scene's warnings on request", async () => {
@@ -182,6 +253,8 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   it.each([
     { width: 420, height: 800 },
     { width: 420, height: 320 },
+    { width: 380, height: 600 },
+    { width: 900, height: 420 },
     { width: 960, height: 640 },
   ])("keeps everything in sight in a window of $width x $height", async (size) => {
     const names = ["a", "b"].map((letter) => letter.repeat(64));
@@ -192,7 +265,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.setViewportSize(size);
     await page.says("#link", /Live/);
     // At once: the page writes the notice anew a few times a second.
-    const { link, picker, panel, tools, notice, scrolls } = await page.page.evaluate(() => {
+    const { link, picker, panel, tools, notice, close, scrolls } = await page.page.evaluate(() => {
       const shown = document.querySelector<HTMLElement>("#notice")!;
       shown.hidden = false;
       shown.querySelector("#notice-detail")!.textContent = "the fault of a scene in many words ".repeat(20);
@@ -203,6 +276,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
         panel: box("aside"),
         tools: box("#tools"),
         notice: box("#notice"),
+        close: box("#notice-close"),
         scrolls: shown.scrollHeight > shown.clientHeight,
       };
     });
@@ -210,11 +284,17 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(picker.width).toBeGreaterThan(40);
     expect(picker.right).toBeLessThanOrEqual(link.left);
     expect(tools.top).toBeGreaterThanOrEqual(link.bottom);
-    expect(tools.left >= panel.right || tools.bottom <= panel.top).toBe(true);
-    expect(notice.width).toBeCloseTo(Math.min(520, size.width - 44));
+    expect(apart(tools, panel)).toBe(true);
+    expect(panel.height).toBeGreaterThan(60);
+    expect(panel.bottom).toBeLessThanOrEqual(size.height);
+    // The notice hides neither the readings nor the buttons nor the middle of the picture, and can be closed.
+    expect(notice.width).toBeCloseTo(Math.min(380, size.width - 44));
+    expect(notice.right).toBeLessThanOrEqual(size.width);
     expect(notice.top).toBeGreaterThanOrEqual(link.bottom);
-    expect(notice.bottom).toBeLessThanOrEqual(size.height);
-    expect(scrolls).toBe(size.height < 400);
+    expect([panel, tools].every((box) => apart(notice, box))).toBe(true);
+    expect(notice.left > size.width / 2 || notice.bottom < size.height / 2 + 10).toBe(true);
+    expect([close.left >= notice.left, close.right <= notice.right, close.top >= notice.top]).toEqual([true, true, true]);
+    expect(scrolls).toBe(size.width < 860);
     for (const name of names) {
       await stack.ask("unload", { name });
     }

@@ -7,248 +7,20 @@ import asyncio
 import contextlib
 import json
 import os
-import platform
 import signal
 import stat
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
 
-import aiohttp
 import pytest
 from asynchronous import DEADLINE_S, asynchronous
-from fake_daemon import Endpoints, FakeDaemon, fake_daemon, frame_of, triangle_topology
+from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
+from gateway_parts import browse, load, options, publish
 
 from tensormass.feeds import Stream
-from tensormass.gateway import Gateway, GatewayOptions, add_arguments, serve
+from tensormass.gateway import Gateway, add_arguments, serve
 from tensormass.v1 import stream_pb2
-
-TOKEN = "a-token"
-
-
-@pytest.fixture
-def viewer(tmp_path: Path) -> Path:
-    folder = tmp_path / "dist"
-    (folder / "assets").mkdir(parents=True)
-    (folder / "index.html").write_text("<title>viewer</title>")
-    (folder / "assets" / "main.js").write_text("1;")
-    return folder
-
-
-def options(viewer: Path, control: str = "127.0.0.1:1", **change: object) -> GatewayOptions:
-    return GatewayOptions(control=control, token=TOKEN, viewer=viewer, poll_interval_s=0.05, **change)
-
-
-class Page:
-    """A browser's end of the WebSocket."""
-
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self.socket = socket
-        self._texts: list[dict[str, Any]] = []
-        self._binaries: list[bytes] = []
-
-    async def send(self, **message: object) -> None:
-        await self.socket.send_json(message)
-
-    async def text(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """The next text message that is `wanted`; others before it are dropped."""
-        while True:
-            while self._texts:
-                message = self._texts.pop(0)
-                if wanted(message):
-                    return message
-            await self._receive()
-
-    async def binary(self) -> tuple[str, bytes]:
-        """The next binary message: stream and payload."""
-        while not self._binaries:
-            await self._receive()
-        key, payload = self._binaries.pop(0).split(b"\0", 1)
-        return key.decode().rpartition("/")[2], payload
-
-    async def take(self, stream: Stream) -> bytes:
-        """The payload of the next binary message, which must be of `stream`; acknowledges it."""
-        name, payload = await self.binary()
-        assert name == stream
-        await self.send(type="ack", stream=stream)
-        return payload
-
-    async def nothing_pending(self) -> bool:
-        """Whether nothing came before the answer to a request made now: the gateway answers in order."""
-        await self.send(type="clock", client_time_ms=1)
-        await self.text(lambda message: message["type"] == "clock")
-        return not self._binaries
-
-    async def replaced(self, count: int) -> None:
-        """Waits until so many frames were replaced in the slot of this browser."""
-        while True:
-            await self.send(type="clock", client_time_ms=1)
-            if (await self.text(lambda message: message["type"] == "clock"))["replaced"] >= count:
-                return
-
-    async def closed(self) -> tuple[int | None, str]:
-        """Reads until the gateway closes; code and reason."""
-        while True:
-            message = await self.socket.receive()
-            if message.type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSING, aiohttp.WSMsgType.CLOSED):
-                return self.socket.close_code, str(message.extra or "")
-
-    async def _receive(self) -> None:
-        message = await self.socket.receive()
-        if message.type is aiohttp.WSMsgType.BINARY:
-            self._binaries.append(message.data)
-        elif message.type is aiohttp.WSMsgType.TEXT:
-            self._texts.append(json.loads(message.data))
-        else:
-            raise AssertionError(f"the gateway closed: {message}")
-
-
-def origin(gateway: Gateway) -> str:
-    return f"http://127.0.0.1:{gateway.port}"
-
-
-@contextlib.asynccontextmanager
-async def browse(gateway: Gateway, scene: str | None = None) -> AsyncIterator[Page]:
-    async with (
-        aiohttp.ClientSession() as session,
-        session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=origin(gateway)) as socket,
-    ):
-        page = Page(socket)
-        await page.text(lambda message: message["type"] == "daemon" and not message["problem"])
-        if scene is not None:
-            await page.send(type="watch", scene=scene)
-        yield page
-
-
-def load(daemon: FakeDaemon, scene: str = "liver", version: int = 1, vertex_count: int = 3) -> stream_pb2.Topology:
-    topology = triangle_topology(scene, version, vertex_count)
-    daemon.topologies[scene] = topology
-    return topology
-
-
-async def publish(daemon: FakeDaemon, topology: stream_pb2.Topology, sequence: int) -> bytes:
-    frame = frame_of(topology, sequence).SerializeToString()
-    await daemon.publish(topology.scene, "frame", frame)
-    return frame
-
-
-# --- who is let in ---------------------------------------------------------------------------------------------------
-
-
-@asynchronous
-async def test_page_is_served_with_headers_that_keep_the_token_here(viewer: Path) -> None:
-    async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:
-        async with session.get(gateway.url) as reply:
-            assert reply.status == 200
-            assert "viewer" in await reply.text()
-            assert reply.headers["Referrer-Policy"] == "no-referrer"
-            assert "default-src 'self'" in reply.headers["Content-Security-Policy"]
-        async with session.get(f"{origin(gateway)}/assets/main.js") as reply:
-            assert reply.status == 200
-        async with session.get(f"{origin(gateway)}/assets/../index.html/../../secret") as reply:
-            assert reply.status == 404
-
-
-@pytest.mark.parametrize("token", ["", "a-toke", "a-token2", "ä-token"])
-@asynchronous
-async def test_wrong_token_is_refused(viewer: Path, token: str) -> None:
-    async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:
-        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
-            await session.ws_connect(f"{origin(gateway)}/stream", params={"token": token}, origin=origin(gateway))
-        async with session.get(f"{origin(gateway)}/status", params={"token": token}) as reply:
-            assert reply.status == 403
-            assert "use the address that was printed" in await reply.text()
-        assert gateway.stats()["refused_connections"] == 2
-
-
-@pytest.mark.parametrize("foreign", ["http://evil.example", "null", "", None])
-@asynchronous
-async def test_page_from_elsewhere_is_refused(viewer: Path, foreign: str | None) -> None:
-    async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:
-        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
-            await session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=foreign)
-
-
-@pytest.mark.parametrize(
-    "host", ["192.168.7.7:8000", "[fd00::7]:8000", "10.0.0.7", "localhost:9000", f"{platform.node().lower()}:8000"]
-)
-@pytest.mark.parametrize("scheme", ["http", "https"])
-@asynchronous
-async def test_own_page_is_let_in_by_whatever_address_it_was_opened(viewer: Path, scheme: str, host: str) -> None:
-    async with (
-        serve(options(viewer)) as gateway,
-        aiohttp.ClientSession(headers={"Host": host}) as session,
-        session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=f"{scheme}://{host}") as socket,
-    ):
-        assert "no daemon" in (await socket.receive_json())["problem"]
-
-
-@pytest.mark.parametrize(
-    ("host", "claimed"),
-    [
-        ("evil.example:8000", "http://evil.example:8000"),  # a name that was rebound to this machine
-        ("192.168.7.7:8000", "http://192.168.7.7:9000"),
-        ("192.168.7.7:8000", "http://192.168.7.8:8000"),
-        ("192.168.7.7:8000", "ftp://192.168.7.7:8000"),
-        ("[:8000", "http://[:8000"),
-    ],
-)
-@asynchronous
-async def test_name_that_may_be_rebound_and_other_addresses_are_refused(viewer: Path, host: str, claimed: str) -> None:
-    async with serve(options(viewer)) as gateway, aiohttp.ClientSession(headers={"Host": host}) as session:
-        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
-            await session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=claimed)
-
-
-@asynchronous
-async def test_page_can_ask_why_its_websocket_is_refused(viewer: Path) -> None:
-    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, max_browsers=1)) as gateway:
-
-        async def ask(token: str = TOKEN, page: str = origin(gateway)) -> tuple[int, str]:
-            async with (
-                aiohttp.ClientSession(headers={"Origin": page}) as session,
-                session.post(f"{origin(gateway)}/stream", params={"token": token}) as reply,
-            ):
-                return reply.status, await reply.text()
-
-        assert await ask() == (204, "")
-        assert await ask(token="another") == (
-            403,
-            "the token is missing or wrong; use the address that was printed\n",
-        )
-        assert await ask(page="http://evil.example") == (
-            403,
-            "Origin http://evil.example is not let in; allow it with --origin\n",
-        )
-        async with browse(gateway):
-            assert await ask() == (503, "1 browsers are connected (--max-browsers)\n")
-
-
-@asynchronous
-async def test_named_origin_is_let_in(viewer: Path) -> None:
-    named = "http://viewer.example:8000"
-    async with (
-        serve(options(viewer, origins=(named,))) as gateway,
-        aiohttp.ClientSession() as session,
-        session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=named) as socket,
-    ):
-        assert "no daemon" in (await socket.receive_json())["problem"]
-
-
-@asynchronous
-async def test_browsers_beyond_the_limit_are_refused_until_one_leaves(viewer: Path) -> None:
-    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, max_browsers=1)) as gateway:
-        async with browse(gateway):
-            with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
-                async with browse(gateway):
-                    pass
-        while gateway.browser_count:
-            await asyncio.sleep(0)
-        async with browse(gateway):
-            assert gateway.browser_count == 1
-
 
 # --- what is forwarded -----------------------------------------------------------------------------------------------
 
@@ -501,6 +273,32 @@ async def test_allowed_poses_reach_the_daemon(viewer: Path) -> None:
             assert [pose.sequence for _, pose in poses] == [1, 2]
             assert [pose.position_m.x for _, pose in poses] == [0.5, 0.25]
             assert poses[0][1].client_id == poses[1][1].client_id != 0
+            assert not any(pose.HasField("orientation") for _, pose in poses)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "unit"),
+    [
+        ("[0.5, -0.5, 0.5, -0.5]", (0.5, -0.5, 0.5, -0.5)),
+        ("[3, 0, 4, 0]", (0.6, 0.0, 0.8, 0.0)),
+        ("[1e308, 0, 0, -1e308]", (0.5**0.5, 0.0, 0.0, -(0.5**0.5))),
+        ("[0, 5e-324, 5e-324, 0]", (0.0, 0.5**0.5, 0.5**0.5, 0.0)),
+    ],
+)
+@asynchronous
+async def test_orientation_of_a_pose_reaches_the_daemon_at_unit_length(
+    viewer: Path, orientation: str, unit: tuple[float, ...]
+) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.take(Stream.TOPOLOGY)
+            await page.socket.send_str(
+                f'{{"type":"pose","tool":"probe","position_m":[0,0,0],"orientation":{orientation}}}'
+            )
+            _, pose = await daemon.next_pose()
+            sent = pose.orientation
+            assert (sent.w, sent.x, sent.y, sent.z) == pytest.approx(unit)
 
 
 @asynchronous
@@ -523,7 +321,18 @@ async def test_pose_that_crosses_a_new_topology_costs_nothing(viewer: Path) -> N
 
 @pytest.mark.parametrize(
     ("tool", "position", "reason"),
-    [("saw", "[0,0,0]", "no tool 'saw'"), ("probe", "[NaN,0,0]", "finite"), ("probe", "[1e9,0,0]", "finite")],
+    [
+        ("saw", "[0,0,0]", "no tool 'saw'"),
+        ("probe", "[NaN,0,0]", "position_m is not three finite numbers"),
+        ("probe", "[1e9,0,0]", "position_m is not three finite numbers"),
+        ("probe", "[0,0]", "position_m is not three finite numbers"),
+        ("probe", f"[1{400 * '0'},0,0]", "position_m is not three finite numbers"),
+        ("probe", '[0,0,0],"orientation":[0,0,0,0]', "orientation is not four finite numbers"),
+        ("probe", '[0,0,0],"orientation":[NaN,0,0,1]', "orientation is not four finite numbers"),
+        ("probe", '[0,0,0],"orientation":[1,0,0]', "orientation is not four finite numbers"),
+        ("probe", '[0,0,0],"orientation":["1",0,0,0]', "orientation is not four finite numbers"),
+        ("probe", '[0,0,0],"orientation":1', "orientation is not four finite numbers"),
+    ],
 )
 @asynchronous
 async def test_wrong_pose_is_refused(viewer: Path, tool: str, position: str, reason: str) -> None:

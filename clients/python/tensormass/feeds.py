@@ -13,7 +13,7 @@ import enum
 import logging
 import secrets
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import grpc
@@ -306,8 +306,13 @@ class Daemon:
                 feed.close()
                 del self._feeds[feed.scene]
 
-    def move_tool(self, watcher: Watcher, tool: str, position_m: tuple[float, float, float]) -> None:
-        """Sends a pose on behalf of `watcher`. Raises ProtocolError on an unknown tool."""
+    def move_tool(
+        self, watcher: Watcher, tool: str, position_m: Sequence[float], orientation_wxyz: Sequence[float] | None
+    ) -> None:
+        """Sends a pose on behalf of `watcher`; without an orientation the daemon takes the identity.
+
+        Raises ProtocolError on an unknown tool.
+        """
         feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
         # Before it has the newest topology, a browser may mean a tool of the one before.
         if feed is None or feed.topology is None or not watcher.outbox.topology_known or self.problem:
@@ -319,8 +324,10 @@ class Daemon:
             sequence=watcher.pose_sequence,
             client_time_ns=time.time_ns(),
             client_id=watcher.client_id,
-            position_m=scene_pb2.Vector3(x=position_m[0], y=position_m[1], z=position_m[2]),
+            position_m=scene_pb2.Vector3(**dict(zip("xyz", position_m, strict=True))),
         )
+        if orientation_wxyz is not None:
+            pose.orientation.CopyFrom(scene_pb2.Quaternion(**dict(zip("wxyz", orientation_wxyz, strict=True))))
         key = f"tensormass/{self.version.server}/{feed.scene}/tool/{tool}/pose\0".encode()
         if self._pose_socket is None:
             # A plain socket of the same context: it never waits, so it needs no event loop.

@@ -15,9 +15,12 @@ Text messages are JSON objects with a `type`:
     browser -> gateway   watch   scene
                          ack     stream
                          clock   client_time_ms
-                         pose    tool, position_m [3]     (only with --allow-poses)
+                         pose    tool, position_m [3], orientation [w, x, y, z]     (only with --allow-poses)
 
-Who may connect: whoever knows the token, from a page of this gateway (Origin), up to a number of browsers. A browser
+A pose's orientation is a quaternion of any length but zero; without it the tool is turned back to its own axes.
+
+Who may connect: whoever knows the token, from a page of this gateway or of an --origin, up to a number of browsers. The
+Origin header tells the page; a program that is no browser sends that of the gateway's own, http://host:port. A browser
 hides from its page why a WebSocket was refused; POST on the same address tells.
 """
 
@@ -53,6 +56,9 @@ MAX_COORDINATE_M = 1e6
 """The daemon refuses poses beyond it as well."""
 HEARTBEAT_S = 15.0
 """A browser that answers no ping for so long is disconnected; it reconnects when it wakes."""
+
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+"""Browsers leave them out of an Origin."""
 
 DEFAULT_VIEWER = Path(__file__).resolve().parents[2] / "web" / "dist"
 
@@ -122,6 +128,7 @@ class Gateway:
         if options.max_browsers < 1:
             raise ValueError(f"max_browsers is {options.max_browsers}; at least one browser must be let in")
         self.options = options
+        self._origins = frozenset(origin_of(origin) for origin in options.origins)
         self.port = options.port
         self.refused_connections = 0
         self.closed_for_errors = 0
@@ -249,15 +256,14 @@ class Gateway:
                 if not _is_name(scene):
                     raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
                 self._daemon.watch(browser, scene)
-            case {"type": "pose", "tool": str(tool), "position_m": [x, y, z]}:
+            case {"type": "pose", "tool": str(tool), "position_m": position_m}:
                 if not self.options.allow_poses:
                     raise ProtocolError("this gateway takes no poses (--allow-poses)")
-                if not all(
-                    isinstance(value, int | float) and math.isfinite(value) and abs(value) <= MAX_COORDINATE_M
-                    for value in (x, y, z)
-                ):
+                position = _finite_numbers(position_m, 3)
+                if position is None or max(map(abs, position)) > MAX_COORDINATE_M:
                     raise ProtocolError("position_m is not three finite numbers [m]")
-                self._daemon.move_tool(browser, tool, (float(x), float(y), float(z)))
+                given = request.get("orientation")
+                self._daemon.move_tool(browser, tool, position, None if given is None else _rotation(given))
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
@@ -265,7 +271,10 @@ class Gateway:
         self._check_token(request)
         # A page elsewhere could make a browser that knows the token connect; that browser names the page here.
         origin = request.headers.get("Origin", "")
-        if origin not in self.options.origins and not self._is_own(origin, request.host):
+        if not origin:
+            wanted = f"that of this gateway's page, http://{request.host}, or one given with --origin"
+            self._refuse(web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
+        if not self._is_named(origin) and not self._is_own(origin, request.host):
             self._refuse(web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
         if len(self._browsers) >= self.options.max_browsers:
             self._refuse(
@@ -273,6 +282,13 @@ class Gateway:
                     text=f"{self.options.max_browsers} browsers are connected (--max-browsers)\n"
                 )
             )
+
+    def _is_named(self, origin: str) -> bool:
+        """Whether --origin lets pages of `origin` in."""
+        try:
+            return origin_of(origin) in self._origins
+        except ValueError:
+            return False
 
     def _is_own(self, origin: str, host: str) -> bool:
         """Whether a page of `origin` came from here, where the browser calls this place `host`."""
@@ -328,6 +344,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--origin",
         action="append",
+        type=_origin_argument,
         default=[],
         metavar="URL",
         help="let in pages of this origin too, such as http://viewer.example:8000: needed where a page's address is a "
@@ -357,6 +374,31 @@ def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
         viewer=args.viewer,
         **optional,
     )
+
+
+def origin_of(text: str) -> str:
+    """`text` as browsers write an Origin: scheme://host[:port] in small letters, without what goes without saying.
+
+    Raises ValueError if it names more than that, such as a page's path, or less.
+    """
+    if text == "null":  # what browsers send for a page that was opened from a file
+        return text
+    with contextlib.suppress(ValueError):  # of a bracket or a port that is none
+        parts = urlsplit(text)
+        host = parts.hostname or ""
+        more = "@" in parts.netloc or parts.path not in ("", "/") or parts.query or parts.fragment
+        if parts.scheme and host and host.isascii() and not more:
+            name = f"[{host}]" if ":" in host else host
+            port = "" if parts.port in (None, _DEFAULT_PORTS.get(parts.scheme)) else f":{parts.port}"
+            return f"{parts.scheme}://{name}{port}"
+    raise ValueError(f"origin {text!r} is not scheme://host[:port], such as http://viewer.example:8000")
+
+
+def _origin_argument(text: str) -> str:
+    try:
+        return origin_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def write_ready_file(path: Path, gateway: Gateway) -> None:
@@ -411,3 +453,28 @@ async def _secure_headers(request: web.Request, handler: Callable[[web.Request],
 
 def _is_name(text: str) -> bool:
     return 0 < len(text) <= 64 and all(c.isascii() and (c.isalnum() or c in "_-") for c in text)
+
+
+def _finite_numbers(value: object, count: int) -> tuple[float, ...] | None:
+    """`value` if it is a list of `count` finite numbers, else None."""
+    if not isinstance(value, list) or len(value) != count:
+        return None
+    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in value):
+        return None
+    try:
+        numbers = tuple(float(number) for number in value)
+    except OverflowError:  # JSON's whole numbers have no bounds
+        return None
+    return numbers if all(map(math.isfinite, numbers)) else None
+
+
+def _rotation(value: object) -> tuple[float, ...]:
+    """A unit quaternion (w, x, y, z) along `value`. Raises ProtocolError where there is none."""
+    numbers = _finite_numbers(value, 4)
+    if numbers is None or not any(numbers):
+        raise ProtocolError("orientation is not four finite numbers [w, x, y, z], at least one of them not zero")
+    # Scaled first: the squares of very large or very small numbers leave the range of floats.
+    largest = max(map(abs, numbers))
+    scaled = [number / largest for number in numbers]
+    length = math.hypot(*scaled)
+    return tuple(number / length for number in scaled)

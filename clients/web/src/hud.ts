@@ -2,11 +2,13 @@
 import { find } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
-import type { Status } from "./stream/decode";
+import { SceneState, type Status } from "./stream/decode";
 import type { Counters } from "./stream/store";
 
 export interface Readings {
   readonly status: Status | null;
+  /** `status` while its numbers hold. */
+  readonly currentStatus: Status | null;
   readonly warnings: readonly string[];
   readonly counters: Counters;
   readonly drawRateHz: number | null;
@@ -25,14 +27,20 @@ const UNKNOWN = "–";
 
 export class Hud {
   readonly #picker = find("#scene", HTMLSelectElement);
-  readonly #pill = element("link");
+  readonly #pill = find("#link", HTMLButtonElement);
   readonly #notice = element("notice");
   readonly #device = element("device");
+  /** What the notice says; null: nothing. */
+  #said: Notice = null;
+  /** Until it says something else. */
+  #noticeClosed = false;
 
   constructor(actions: Actions) {
     this.#picker.addEventListener("change", () => actions.pickScene(this.#picker.value));
     element("reset").addEventListener("click", actions.resetView);
     element("tools").addEventListener("click", actions.toggleTools);
+    element("notice-close").addEventListener("click", () => this.#setNoticeClosed(true));
+    this.#pill.addEventListener("click", () => this.#setNoticeClosed(!this.#noticeClosed));
     window.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) {
         return;
@@ -41,6 +49,8 @@ export class Hud {
         actions.resetView();
       } else if (event.key === "t") {
         actions.toggleTools();
+      } else if (event.key === "Escape") {
+        this.#setNoticeClosed(true);
       }
     });
   }
@@ -53,15 +63,19 @@ export class Hud {
     this.#device.textContent = parts.filter(Boolean).join(" · ");
   }
 
-  show({ tone, text, notice }: Situation): void {
+  /** @param pictured There is a picture, which a notice must not cover. */
+  show({ tone, text, hint, notice }: Situation, pictured: boolean): void {
     this.#pill.dataset.tone = tone;
     write("link", text);
+    this.#pill.title = hint ?? (notice === null ? "" : "Show or hide what this means (Esc hides it)");
+    this.#notice.dataset.place = pictured ? "aside" : "middle";
     this.#showNotice(notice);
   }
 
-  showReadings({ status, warnings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced }: Readings): void {
+  showReadings(readings: Readings): void {
+    const { currentStatus: status, warnings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
-    write("target", status ? `of ${trim(status.targetRateHz)} Hz` : "Hz");
+    write("target", targetText(readings.status));
     write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
     write("latency", ageMs === null ? UNKNOWN : ageMs.toFixed(ageMs < 10 ? 1 : 0));
     write("uncertainty", ageUncertaintyMs === null || ageUncertaintyMs < 1 ? "" : `± ${ageUncertaintyMs.toFixed(0)}`);
@@ -83,12 +97,26 @@ export class Hud {
   }
 
   #showNotice(notice: Notice): void {
-    this.#notice.hidden = notice === null;
+    if (notice?.title !== this.#said?.title || notice?.detail !== this.#said?.detail) {
+      this.#noticeClosed = false;
+    }
+    this.#said = notice;
     if (notice !== null) {
       this.#notice.dataset.tone = notice.tone;
       write("notice-title", notice.title);
       write("notice-detail", notice.detail);
     }
+    this.#setNoticeClosed(this.#noticeClosed);
+  }
+
+  #setNoticeClosed(closed: boolean): void {
+    if (closed && this.#notice.contains(document.activeElement)) {
+      this.#pill.focus();
+    }
+    this.#noticeClosed = closed && this.#said !== null;
+    this.#notice.hidden = closed || this.#said === null;
+    this.#pill.disabled = this.#said === null;
+    this.#pill.ariaExpanded = String(!this.#notice.hidden);
   }
 
   #showWarnings(texts: readonly string[]): void {
@@ -99,6 +127,14 @@ export class Hud {
       list.replaceChildren(...texts.map(listItem));
     }
   }
+}
+
+/** What follows the rate of the physics. */
+export function targetText(status: Status | null): string {
+  if (status?.state === SceneState.LOCKSTEP) {
+    return "in lockstep";
+  }
+  return status ? `of ${trim(status.targetRateHz)} Hz` : "Hz";
 }
 
 function trim(value: number): string {

@@ -6,12 +6,13 @@ import "./style.css";
 
 import { find } from "./dom";
 import { Hud } from "./hud";
-import { linkSituation, sceneSituation } from "./situation";
+import { linkSituation, sceneSituation, type Situation } from "./situation";
 import { GatewayClock } from "./stream/clock";
 import { Connection, type ClockReply, type DaemonState, type Diagnosis, type LinkState } from "./stream/connection";
 import { decodeFrame, decodeStatus, decodeTopology, splitMessage, type StreamName, type Vector } from "./stream/decode";
 import { SceneStore } from "./stream/store";
 import { chooseQuality } from "./view/quality";
+import { originFor } from "./view/tip";
 import { Viewer } from "./view/viewer";
 
 const READINGS_INTERVAL_MS = 250;
@@ -72,16 +73,14 @@ function openViewer(): Viewer {
     return new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
       onDrawn(serverTimeNs) {
         const atMs = performance.now();
-        drawn.push({ atMs, ageMs: clock.ageMs(serverTimeNs, atMs) });
+        drawn.push({ atMs, ageMs: store.followsAnother ? clock.ageMs(serverTimeNs, atMs) : null });
       },
-      onToolMoved(tool, centerM) {
-        connection.moveTool(tool, originOf(tool, centerM));
-      },
+      onToolMoved: moveTool,
     });
   } catch (error) {
     const detail = "This browser draws no WebGL 2; enable hardware acceleration or take another browser.";
     const notice = { tone: "warning", title: "Nothing can be drawn", detail } as const;
-    hud.show({ tone: "bad", text: "No WebGL", notice });
+    hud.show({ tone: "bad", text: "No WebGL", notice }, false);
     throw error;
   }
 }
@@ -93,7 +92,7 @@ function onLink(state: LinkState): void {
   }
   const situation = linkSituation(state);
   if (situation !== null) {
-    hud.show(situation);
+    show(situation);
   }
 }
 
@@ -134,8 +133,12 @@ function forget(): void {
 
 function showState(): void {
   if (daemon !== null) {
-    hud.show(sceneSituation(daemon, wanted, watched, store));
+    show(sceneSituation(daemon, wanted, watched, store));
   }
+}
+
+function show(situation: Situation): void {
+  hud.show(situation, store.frame !== null);
 }
 
 function onMessage(data: ArrayBuffer): void {
@@ -160,7 +163,7 @@ function onMessage(data: ArrayBuffer): void {
   } catch (error) {
     const reason = error instanceof Error ? error.message : String(error);
     console.warn(reason);
-    store.refuse(reason);
+    store.refuse(reason, stream);
   }
   if (stream !== null) {
     connection.acknowledge(stream);
@@ -194,6 +197,7 @@ function showReadings(): void {
   const ages = drawn.flatMap(({ ageMs }) => ageMs ?? []).sort((a, b) => a - b);
   hud.showReadings({
     status: store.status,
+    currentStatus: store.currentStatus,
     warnings: store.warnings.texts(),
     counters: store.counters,
     drawRateHz: store.topology === null ? null : drawn.length / (RATE_WINDOW_MS / 1000),
@@ -205,8 +209,11 @@ function showReadings(): void {
   showState();
 }
 
-/** A pose is the tool's origin; what the pointer holds is its sphere. */
-function originOf(tool: string, centerM: Vector): Vector {
-  const offset = store.topology?.tools.find((shape) => shape.name === tool)?.tipOffsetM ?? [0, 0, 0];
-  return [centerM[0] - offset[0], centerM[1] - offset[1], centerM[2] - offset[2]];
+/** A pose is the tool's origin; what the pointer holds is its sphere. The tool stays turned as it is. */
+function moveTool(name: string, centerM: Vector): void {
+  const shape = store.topology?.tools.find((tool) => tool.name === name);
+  const state = store.frame?.tools.find((tool) => tool.name === name);
+  if (shape !== undefined && state !== undefined) {
+    connection.moveTool({ ...state, positionM: originFor(shape, state, centerM) });
+  }
 }

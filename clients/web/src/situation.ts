@@ -10,6 +10,8 @@ export interface Situation {
   readonly tone: Tone;
   /** A word or two. */
   readonly text: string;
+  /** What they mean, for who points at them. */
+  readonly hint?: string;
   readonly notice: Notice;
 }
 
@@ -33,6 +35,8 @@ export interface Scene {
   readonly topology: Topology | null;
   readonly frame: Frame | null;
   readonly status: Status | null;
+  /** Why what came last is not on show; null while it is. */
+  readonly unshown: string | null;
 }
 
 /** @param watched The name of `scene`; null while the daemon has none that is `wanted`. */
@@ -40,7 +44,7 @@ export function sceneSituation(
   daemon: DaemonState,
   wanted: string | null,
   watched: string | null,
-  { topology, frame, status }: Scene,
+  { topology, frame, status, unshown }: Scene,
 ): Situation {
   if (daemon.problem !== "") {
     const notice = { tone: "warning", title: "Waiting for the daemon", detail: daemon.problem } as const;
@@ -54,17 +58,33 @@ export function sceneSituation(
     const notice = { tone: "warning", title: "Scene stopped", detail: status.fault } as const;
     return { tone: "bad", text: "Stopped", notice };
   }
-  const paused = status?.state === SceneState.PAUSED;
+  if (unshown !== null) {
+    const notice = { tone: "warning", title: "New frames cannot be shown", detail: unshown } as const;
+    return { tone: "bad", text: frame === null ? "No picture" : "Frozen", notice };
+  }
+  const standing = standingSituation(status);
   // The server gathers no vertices for a scene without frames, so its topology has none.
   if (topology?.vertexCount === 0) {
     const detail = "The scene sends no frames (streams.frame_rate_hz is 0).";
     const notice = { tone: "quiet", title: "Nothing to show", detail } as const;
-    return { tone: paused ? "warning" : "waiting", text: paused ? "Paused" : "No frames", notice };
+    return { ...(standing ?? { tone: "waiting", text: "No frames" }), notice };
   }
-  if (paused) {
-    return { tone: "warning", text: "Paused", notice: { tone: "quiet", title: "Paused", detail: "" } };
+  if (standing !== null) {
+    return { ...standing, notice: null };
   }
   return frame === null
     ? { tone: "waiting", text: "Loading", notice: null }
     : { tone: "good", text: "Live", notice: null };
+}
+
+/** null for a scene that steps by itself. */
+function standingSituation(status: Status | null): Omit<Situation, "notice"> | null {
+  switch (status?.state) {
+    case SceneState.PAUSED:
+      return { tone: "warning", text: "Paused", hint: "The scene stands until it is resumed." };
+    case SceneState.LOCKSTEP:
+      return { tone: "waiting", text: "Lockstep", hint: "The scene steps only when it is asked to." };
+    default:
+      return null;
+  }
 }

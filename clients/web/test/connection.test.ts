@@ -159,6 +159,14 @@ describe("Connection", () => {
     expect(FakeSocket.last.of("ack")).toEqual([]);
   });
 
+  it("moves a tool without turning it", () => {
+    FakeSocket.last.open();
+    connection.moveTool({ name: "probe", positionM: [1, 2, 3], orientationWxyz: [0.6, 0, 0.8, 0] });
+    expect(FakeSocket.last.of("pose")).toEqual([
+      { type: "pose", tool: "probe", position_m: [1, 2, 3], orientation: [0.6, 0, 0.8, 0] },
+    ]);
+  });
+
   it("stays closed when closed", async () => {
     FakeSocket.last.open();
     connection.close();

@@ -90,11 +90,17 @@ describe("decodeFrame", () => {
     expect(() => decodeFrame(frameBytes({ positions: f32(0, 0, value) }))).toThrow(/frame 1: a position is not finite/);
   });
 
-  it("refuses a torn vertex and a force that is no number", () => {
+  it("refuses a torn vertex, a force that is no number and a tool out of reach", () => {
+    const withTool = (fields: object) => decodeFrame(frameBytes({ tools: [{ tool: "p", ...fields }] }));
     expect(() => decodeFrame(frameBytes({ positions: f32(0, 0) }))).toThrow(/8 bytes of positions/);
-    expect(() => decodeFrame(frameBytes({ tools: [{ tool: "p", forceN: { x: 0, y: NaN, z: 0 } }] }))).toThrow(
-      /tool "p", force_n: \(0, NaN, 0\)/,
-    );
+    expect(() => withTool({ forceN: { x: 0, y: NaN, z: 0 } })).toThrow(/tool "p", force_n: \(0, NaN, 0\) is not finite$/);
+    expect(() => withTool({ forceN: { x: -Infinity, y: 0, z: 0 } })).toThrow(/force_n: \(-Infinity, 0, 0\)/);
+    expect(() => withTool({ positionM: { x: 0, y: 0, z: 1e6 } })).toThrow(/position_m: .* is not finite or too large/);
+  });
+
+  it("takes a force of any size", () => {
+    const forceN = { x: 0, y: -1e6, z: 4.5e9 };
+    expect(decodeFrame(frameBytes({ tools: [{ tool: "p", forceN }] })).tools[0]?.forceN).toEqual([0, -1e6, 4.5e9]);
   });
 });
 

@@ -15,7 +15,7 @@ const DAEMON = {
   posesAllowed: false,
   scenes: ["liver"],
 };
-const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null };
+const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null, unshown: null };
 
 function inState(state: SceneState, scene: Partial<Scene> = {}) {
   const status = create(SceneStatusSchema, { state, fault: "det F is 0" });
@@ -25,8 +25,14 @@ function inState(state: SceneState, scene: Partial<Scene> = {}) {
 describe("sceneSituation", () => {
   it("is live only while the scene is", () => {
     expect(inState(SceneState.RUNNING)).toEqual({ tone: "good", text: "Live", notice: null });
-    expect(inState(SceneState.LOCKSTEP).text).toBe("Live");
-    expect(inState(SceneState.PAUSED)).toMatchObject({ tone: "warning", text: "Paused", notice: { title: "Paused" } });
+    expect(inState(SceneState.LOCKSTEP)).toEqual({
+      tone: "waiting",
+      text: "Lockstep",
+      hint: "The scene steps only when it is asked to.",
+      notice: null,
+    });
+    // The pill says it all: nothing is to cover what the pause is for.
+    expect(inState(SceneState.PAUSED)).toMatchObject({ tone: "warning", text: "Paused", notice: null });
     expect(inState(SceneState.FAULTED)).toMatchObject({
       tone: "bad",
       text: "Stopped",
@@ -38,13 +44,26 @@ describe("sceneSituation", () => {
     expect(inState(SceneState.RUNNING, { frame: null })).toEqual({ tone: "waiting", text: "Loading", notice: null });
   });
 
+  it("is not live while what comes from the scene is refused", () => {
+    const refused = { unshown: "frame 9: a position is not finite" };
+    expect(inState(SceneState.RUNNING, refused)).toMatchObject({
+      tone: "bad",
+      text: "Frozen",
+      notice: { tone: "warning", detail: "frame 9: a position is not finite" },
+    });
+    expect(inState(SceneState.RUNNING, { ...refused, frame: null }).text).toBe("No picture");
+    expect(inState(SceneState.PAUSED, refused).text).toBe("Frozen");
+    expect(inState(SceneState.FAULTED, refused).text).toBe("Stopped");
+  });
+
   it("says that a scene sends no frames, unless it has stopped", () => {
     const withoutFrames = { topology: decodeTopology(topologyBytes({ bodies: [] })), frame: null };
     expect(inState(SceneState.RUNNING, withoutFrames)).toMatchObject({
       text: "No frames",
       notice: { detail: "The scene sends no frames (streams.frame_rate_hz is 0)." },
     });
-    expect(inState(SceneState.PAUSED, withoutFrames).text).toBe("Paused");
+    expect(inState(SceneState.PAUSED, withoutFrames)).toMatchObject({ text: "Paused", notice: { title: "Nothing to show" } });
+    expect(inState(SceneState.LOCKSTEP, withoutFrames).text).toBe("Lockstep");
     expect(inState(SceneState.FAULTED, withoutFrames).notice?.detail).toBe("det F is 0");
   });
 

@@ -3,10 +3,12 @@ import { beforeEach, describe, expect, it } from "vitest";
 
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
-import { SceneStore } from "../src/stream/store";
+import { SceneStore, STATUS_HOLDS_NS } from "../src/stream/store";
 import { f32, frameBytes, topologyBytes } from "./messages";
 
 const frame = (sequence: bigint) => decodeFrame(frameBytes({ sequence }));
+const topology = (version: bigint) => decodeTopology(topologyBytes({ version }));
+const status = (serverTimeNs: bigint, ...warnings: string[]) => create(SceneStatusSchema, { serverTimeNs, warnings });
 
 describe("SceneStore", () => {
   let store: SceneStore;
@@ -66,13 +68,86 @@ describe("SceneStore", () => {
   it("forgets everything when cleared", () => {
     store.setFrame(frame(5n));
     store.takeFrame();
-    store.refuse("why");
-    store.setStatus(create(SceneStatusSchema, { warnings: ["too fast"] }));
+    store.refuse("why", "frame");
+    store.setStatus(status(9n, "too fast"));
     expect(store.warnings.texts()).toEqual(["too fast"]);
     store.clear();
     expect(store.warnings.texts()).toEqual([]);
     expect([store.topology, store.frame, store.status, store.takeFrame()]).toEqual([null, null, null, null]);
+    expect(store.unshown).toBeNull();
     expect(store.counters).toEqual({ drawn: 0, dropped: 0, refused: 0, lastRefusal: null });
     expect(() => store.setFrame(frame(6n))).toThrow(/on show is none/);
+  });
+
+  it("tells why what came last is not on show, until something is", () => {
+    store.setFrame(frame(1n));
+    store.refuse("a status that is none", "status");
+    store.refuse("no stream at all", null);
+    expect(store.unshown).toBeNull();
+    store.refuse("frame 2 is torn", "frame");
+    expect(store.unshown).toBe("frame 2 is torn");
+    store.setFrame(frame(3n));
+    expect(store.unshown).toBeNull();
+
+    // The frames after it are refused too, but not for a reason of their own.
+    store.refuse("the topology is torn", "topology");
+    store.refuse("frame 4 belongs to another topology", "frame");
+    expect(store.unshown).toBe("the topology is torn");
+    store.setTopology(topology(8n));
+    expect(store.unshown).toBeNull();
+    expect(store.counters).toMatchObject({ refused: 5, lastRefusal: "frame 4 belongs to another topology" });
+  });
+
+  it("forgets status and warnings of the scene before with its topology", () => {
+    store.setStatus(status(20n, "too fast"));
+    store.setTopology(topology(30n));
+    expect(store.status).toBeNull();
+    expect(store.warnings.texts()).toEqual([]);
+    store.setStatus(status(29n, "too fast")); // was on its way
+    expect(store.status).toBeNull();
+    expect(store.warnings.texts()).toEqual([]);
+  });
+
+  it("keeps what the new scene said before its topology came", () => {
+    store.setStatus(status(20n, "too fast"));
+    store.setStatus(status(31n, "too soft"));
+    store.setTopology(topology(30n));
+    expect(store.status?.serverTimeNs).toBe(31n);
+    expect(store.warnings.texts()).toEqual(["too soft"]);
+  });
+
+  it("keeps status and warnings when a topology comes again", () => {
+    store.setStatus(status(20n, "too fast"));
+    store.setStatus(status(21n)); // a warning that comes and goes stays for a while
+    store.setTopology(topology(7n));
+    expect(store.status?.serverTimeNs).toBe(21n);
+    expect(store.warnings.texts()).toEqual(["too fast"]);
+  });
+
+  it("has no current status once frames have gone on without it", () => {
+    const loaded = status(1_000n);
+    expect(store.currentStatus).toBeNull();
+    store.setStatus(loaded);
+    expect(store.currentStatus).toBe(loaded);
+    const at = (serverTimeNs: bigint) => store.setFrame(decodeFrame(frameBytes({ serverTimeNs })));
+    at(1_000n + STATUS_HOLDS_NS);
+    expect(store.currentStatus).toBe(loaded);
+    at(1_001n + STATUS_HOLDS_NS);
+    expect(store.currentStatus).toBeNull();
+    expect(store.status).toBe(loaded);
+    at(10n); // a scene that stands still, while its statuses go on
+    expect(store.currentStatus).toBe(loaded);
+  });
+
+  it("knows a frame that came after another of its topology", () => {
+    const follows = [1n, 2n].map((sequence) => {
+      store.setFrame(frame(sequence));
+      store.takeFrame();
+      return store.followsAnother;
+    });
+    store.setTopology(topology(7n));
+    store.setFrame(frame(3n));
+    store.takeFrame();
+    expect([...follows, store.followsAnother]).toEqual([false, true, false]);
   });
 });

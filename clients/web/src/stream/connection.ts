@@ -1,5 +1,5 @@
 // The WebSocket to the gateway: opens, watches a scene, acknowledges, keeps the clock, and comes back after any loss.
-import type { StreamName, Vector } from "./decode";
+import type { StreamName, ToolState } from "./decode";
 
 /** What the gateway knows of the daemon. */
 export interface DaemonState {
@@ -96,8 +96,8 @@ export class Connection {
     }
   }
 
-  moveTool(tool: string, positionM: Vector): void {
-    this.#send({ type: "pose", tool, position_m: positionM });
+  moveTool({ name, positionM, orientationWxyz }: Omit<ToolState, "forceN">): void {
+    this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
   }
 
   close(): void {

@@ -177,7 +177,8 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     name: tool.tool,
     positionM: vector(`${here}, position_m`, tool.positionM),
     orientationWxyz,
-    forceN: vector(`${here}, force_n`, tool.forceN),
+    // A stiff body pushes back with meganewtons.
+    forceN: vector(`${here}, force_n`, tool.forceN, Infinity),
   };
 }
 
@@ -188,10 +189,11 @@ function up(gravity: ProtoVector3 | undefined): Vector {
     : [0, 0, 1];
 }
 
-function vector(where: string, value: ProtoVector3 | undefined): Vector {
+/** @param limit Infinity: only what is not finite is refused. */
+function vector(where: string, value: ProtoVector3 | undefined, limit = MAX_LENGTH_M): Vector {
   const { x, y, z } = value ?? { x: 0, y: 0, z: 0 };
-  if (!(Math.abs(x) < MAX_LENGTH_M && Math.abs(y) < MAX_LENGTH_M && Math.abs(z) < MAX_LENGTH_M)) {
-    throw new DecodeError(`${where}: (${x}, ${y}, ${z}) is not finite or too large`);
+  if (!(Math.abs(x) < limit && Math.abs(y) < limit && Math.abs(z) < limit)) {
+    throw new DecodeError(`${where}: (${x}, ${y}, ${z}) is not finite${limit < Infinity ? " or too large" : ""}`);
   }
   return [x, y, z];
 }

@@ -2,6 +2,7 @@
 import * as THREE from "three";
 
 import type { Frame, Topology } from "../stream/decode";
+import { tipOf } from "./tip";
 
 /** A tool farther off [radii of the tissue] is out of use; holding it too would make the tissue a speck. */
 const REACH = 5;
@@ -10,15 +11,12 @@ const REACH = 5;
 export function sceneBounds(topology: Topology, frame: Frame): THREE.Box3 {
   const bounds = new THREE.Box3().setFromArray(frame.positions);
   const tissue = bounds.getBoundingSphere(new THREE.Sphere());
-  for (const { name, positionM, orientationWxyz } of frame.tools) {
-    const shape = topology.tools.find((tool) => tool.name === name);
+  for (const tool of frame.tools) {
+    const shape = topology.tools.find(({ name }) => name === tool.name);
     if (shape === undefined) {
       continue;
     }
-    const [w, x, y, z] = orientationWxyz;
-    const center = new THREE.Vector3(...shape.tipOffsetM)
-      .applyQuaternion(new THREE.Quaternion(x, y, z, w))
-      .add(new THREE.Vector3(...positionM));
+    const center = tipOf(shape, tool);
     if (center.distanceTo(tissue.center) < REACH * tissue.radius) {
       bounds.union(new THREE.Sphere(center, shape.radiusM).getBoundingBox(new THREE.Box3()));
     }

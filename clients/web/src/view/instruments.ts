@@ -4,6 +4,7 @@ import * as THREE from "three";
 
 import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
 import type { Quality } from "./quality";
+import { tipOf } from "./tip";
 
 /** Length of the arrow for a very large force [scene radii]; half of it is reached at HALF_FORCE_N. */
 const ARROW_LIMIT = 0.75;
@@ -54,17 +55,15 @@ export class Instruments {
 class Instrument {
   readonly group = new THREE.Group();
   readonly sphere: THREE.Mesh;
-  readonly #name: string;
+  readonly #shape: ToolShape;
   readonly #tool = new THREE.Group();
-  readonly #tip: THREE.Vector3;
   readonly #sceneRadiusM: number;
   readonly #arrow = new THREE.Group();
   readonly #arrowShaft: THREE.Mesh;
   readonly #arrowHead: THREE.Mesh;
 
   constructor(shape: ToolShape, sceneRadiusM: number, quality: Quality) {
-    this.#name = shape.name;
-    this.#tip = new THREE.Vector3(...shape.tipOffsetM);
+    this.#shape = shape;
     this.#sceneRadiusM = sceneRadiusM;
 
     const steel = new THREE.MeshStandardMaterial({
@@ -75,7 +74,7 @@ class Instrument {
     });
     this.sphere = new THREE.Mesh(new THREE.SphereGeometry(shape.radiusM, 48, 32), steel);
     this.sphere.name = shape.name;
-    this.sphere.position.copy(this.#tip);
+    this.sphere.position.set(...shape.tipOffsetM);
     // The handle is not simulated; it lies along the tool's z axis and lets the eye see how the tool is turned.
     const length = HANDLE_LENGTH * sceneRadiusM;
     const thickness = 0.26 * shape.radiusM;
@@ -83,7 +82,7 @@ class Instrument {
       new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
       steel.clone(),
     );
-    handle.position.copy(this.#tip);
+    handle.position.copy(this.sphere.position);
     for (const mesh of [this.sphere, handle]) {
       mesh.castShadow = true;
       mesh.frustumCulled = false;
@@ -109,23 +108,24 @@ class Instrument {
     this.#tool.quaternion.set(x, y, z, w);
 
     const force = new THREE.Vector3(...state.forceN);
-    const magnitudeN = force.length();
+    // The square of a force may leave the range of numbers.
+    const magnitudeN = Math.hypot(...state.forceN);
     this.#arrow.visible = magnitudeN >= LEAST_FORCE_N;
     if (!this.#arrow.visible) {
       return [];
     }
     const length = arrowLength(magnitudeN) * this.#sceneRadiusM;
     const direction = force.divideScalar(magnitudeN);
-    this.#arrow.position.copy(this.#tip).applyQuaternion(this.#tool.quaternion).add(this.#tool.position);
+    this.#arrow.position.copy(tipOf(this.#shape, state));
     this.#arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
     this.#arrowShaft.scale.set(1, length, 1);
     this.#arrowHead.position.set(0, length, 0);
     const tip = direction.multiplyScalar(length + 8 * ARROW_WIDTH * this.#sceneRadiusM).add(this.#arrow.position);
-    return [{ tool: this.#name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
+    return [{ tool: this.#shape.name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
   }
 }
 
 /** Nearly proportional for small forces, and bounded: a hard push must not leave the screen [scene radii]. */
 export function arrowLength(magnitudeN: number): number {
-  return (ARROW_LIMIT * magnitudeN) / (magnitudeN + HALF_FORCE_N);
+  return ARROW_LIMIT / (1 + HALF_FORCE_N / magnitudeN);
 }
