@@ -20,7 +20,8 @@ struct DeviceInfo {
   double max_damping_n_s_per_m = 0.0;
 };
 
-/// Where the hand holds the tool, in the scene's frame.
+/// Where the hand holds the tool, in the scene's frame. What is not finite, beyond limits::kMaxLength, or whose
+/// quaternion is 1 % or more off unit length the loop takes for a fault of the device: no force and nothing sent.
 struct DevicePose {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();

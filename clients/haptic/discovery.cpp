@@ -13,6 +13,10 @@
 namespace tensormass::haptic {
 namespace {
 
+/// How often a call looks whether it should end.
+constexpr auto kStopPoll = std::chrono::milliseconds(20);
+/// The extent of tissue in radii of the tool that is made for it: 0.2 m for a probe of 1 cm.
+constexpr double kExtentInRadii = 20.0;
 /// Nearer than this the positions' single precision leaves no direction.
 constexpr double kNoDistanceM = 1e-6;
 
@@ -28,39 +32,88 @@ std::string host_of(const std::string& target) {
   return host.substr(host.find_last_of("/:") + 1);
 }
 
-/// Calls of one discovery: they share a deadline.
+using Stub = v1::Control::Stub;
+
+template <class Request, class Response>
+using Method = std::unique_ptr<grpc::ClientAsyncResponseReader<Response>> (Stub::*)(grpc::ClientContext*,
+                                                                                    const Request&,
+                                                                                    grpc::CompletionQueue*);
+
+/// Calls that share their patience.
 class Caller {
  public:
-  Caller(const std::string& control, double timeout_s) : control_(control) {
+  Caller(const std::string& control, Patience patience) : control_(control), stop_(patience.stop) {
     deadline_ = std::chrono::system_clock::now() + std::chrono::duration_cast<std::chrono::system_clock::duration>(
-                                                       std::chrono::duration<double>(timeout_s));
+                                                       std::chrono::duration<double>(patience.timeout_s));
     grpc::ChannelArguments arguments;
+    // The streams go to the server straight, so the calls do too, whatever proxy the environment names for the web.
+    arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
     arguments.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
     stub_ = v1::Control::NewStub(grpc::CreateCustomChannel(control, grpc::InsecureChannelCredentials(), arguments));
   }
 
+  /// `method`: the stub's Async one. A blocking call could not be left when `stop` is set.
   template <class Request, class Response>
-  Result<Response> call(grpc::Status (v1::Control::Stub::*method)(grpc::ClientContext*, const Request&, Response*),
-                        const Request& request) {
+  Result<Response> call(Method<Request, Response> method, const Request& request) {
     grpc::ClientContext context;
     context.set_deadline(deadline_);
     context.set_wait_for_ready(true);
     Response response;
-    const grpc::Status status = (stub_.get()->*method)(&context, request, &response);
+    grpc::Status status;
+    grpc::CompletionQueue queue;
+    const auto reader = (stub_.get()->*method)(&context, request, &queue);
+    reader->Finish(&response, &status, nullptr);
+    void* tag = nullptr;
+    bool good = false;
+    while (queue.AsyncNext(&tag, &good, std::chrono::system_clock::now() + kStopPoll) ==
+           grpc::CompletionQueue::TIMEOUT) {
+      if (stop_) context.TryCancel();  // and the call ends with the next event
+    }
     if (status.ok()) return response;
+    if (stop_) return fail(ErrorCode::kCancelled, "ended before the server at " + control_ + " answered");
     if (status.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED) {
       return fail(ErrorCode::kUnavailable,
                   "no answer from a server at " + control_ + "; is tensormassd running there?");
     }
-    return fail(status.error_code() == grpc::StatusCode::NOT_FOUND ? ErrorCode::kNotFound : ErrorCode::kUnavailable,
-                "the server at " + control_ + " says: " + status.error_message());
+    return fail(error_code_of(status), "the server at " + control_ + " says: " + status.error_message());
+  }
+
+  Result<v1::SceneStatus> status(const std::string& scene) {
+    v1::GetStatusRequest request;
+    request.set_scene(scene);
+    auto answer = call(&Stub::AsyncGetStatus, request);
+    if (!answer) return tl::make_unexpected(std::move(answer.error()));
+    return std::move(*answer->mutable_status());
   }
 
  private:
+  static ErrorCode error_code_of(const grpc::Status& status) {
+    switch (status.error_code()) {
+      case grpc::StatusCode::NOT_FOUND:
+        return ErrorCode::kNotFound;
+      case grpc::StatusCode::FAILED_PRECONDITION:
+        return ErrorCode::kFailedPrecondition;
+      default:
+        return ErrorCode::kUnavailable;
+    }
+  }
+
   std::string control_;
+  const std::atomic<bool>& stop_;
   std::chrono::system_clock::time_point deadline_;
   std::unique_ptr<v1::Control::Stub> stub_;
 };
+
+using Positions = Eigen::Matrix<float, 3, Eigen::Dynamic>;
+
+Result<Positions> read_positions(const Surface& surface) {
+  Positions positions(3, static_cast<Eigen::Index>(surface.positions.size() / (3 * sizeof(float))));
+  std::copy_n(surface.positions.data(), positions.size() * sizeof(float), reinterpret_cast<char*>(positions.data()));
+  if (!positions.allFinite()) {
+    return fail(ErrorCode::kFailedPrecondition, "the scene's surface is not finite; reset the scene");
+  }
+  return positions;
+}
 
 Result<v1::ToolShape> find_tool(const v1::Topology& topology, const std::string& tool) {
   std::string names;
@@ -75,29 +128,26 @@ Result<v1::ToolShape> find_tool(const v1::Topology& topology, const std::string&
 }  // namespace
 
 Result<DiscoveredTool> discover_tool(const std::string& control, const std::string& scene, const std::string& tool,
-                                     double timeout_s) {
-  using Stub = v1::Control::Stub;
-  Caller caller(control, timeout_s);
-  auto version = caller.call(&Stub::GetVersion, v1::GetVersionRequest{});
+                                     Patience patience) {
+  Caller caller(control, patience);
+  auto version = caller.call(&Stub::AsyncGetVersion, v1::GetVersionRequest{});
   if (!version) return tl::make_unexpected(version.error());
 
   v1::GetTopologyRequest topology_request;
   topology_request.set_scene(scene);
-  const auto topology = caller.call(&Stub::GetTopology, topology_request);
+  const auto topology = caller.call(&Stub::AsyncGetTopology, topology_request);
   if (!topology) return tl::make_unexpected(topology.error());
   const Result<v1::ToolShape> shape = find_tool(topology->topology(), tool);
   if (!shape) return tl::make_unexpected(shape.error());
 
-  v1::GetFrameRequest frame_request;
-  frame_request.set_scene(scene);
-  auto frame = caller.call(&Stub::GetFrame, frame_request);
-  if (!frame) return tl::make_unexpected(frame.error());
-
   v1::GetFeedbackRequest feedback_request;
   feedback_request.set_scene(scene);
   feedback_request.set_tool(tool);
-  const auto feedback = caller.call(&Stub::GetFeedback, feedback_request);
+  const auto feedback = caller.call(&Stub::AsyncGetFeedback, feedback_request);
   if (!feedback) return tl::make_unexpected(feedback.error());
+
+  const Result<v1::SceneStatus> status = caller.status(scene);
+  if (!status) return tl::make_unexpected(status.error());
 
   DiscoveredTool found;
   found.address.pose_key = bus::pose_key(version->server(), scene, tool);
@@ -109,8 +159,21 @@ Result<DiscoveredTool> discover_tool(const std::string& control, const std::stri
   found.tool_position_m = to_eigen(feedback->feedback().position_m());
   found.radius_m = shape->radius_m();
   found.tip_offset_m = to_eigen(shape->tip_offset_m());
-  found.surface_positions = std::move(*frame->mutable_frame()->mutable_positions());
+  found.poses_rejected = status->poses_rejected();
   return found;
+}
+
+Result<Surface> fetch_surface(const std::string& control, const std::string& scene, Patience patience) {
+  v1::GetFrameRequest request;
+  request.set_scene(scene);
+  auto frame = Caller(control, patience).call(&Stub::AsyncGetFrame, request);
+  if (frame) return Surface{std::move(*frame->mutable_frame()->mutable_positions()), {}};
+  if (frame.error().code != ErrorCode::kFailedPrecondition) return tl::make_unexpected(frame.error());
+  return Surface{{}, std::move(frame.error().message)};
+}
+
+Result<v1::SceneStatus> fetch_status(const std::string& control, const std::string& scene, Patience patience) {
+  return Caller(control, patience).status(scene);
 }
 
 std::string reached_endpoint(const std::string& endpoint, const std::string& control) {
@@ -125,33 +188,36 @@ std::string reached_endpoint(const std::string& endpoint, const std::string& con
   return reached.empty() ? endpoint : endpoint.substr(0, begin) + reached + endpoint.substr(colon);
 }
 
-Result<Aim> aim_at_nearest_surface(const DiscoveredTool& tool) {
-  using Positions = Eigen::Matrix<float, 3, Eigen::Dynamic>;
-  const auto vertex_count = static_cast<Eigen::Index>(tool.surface_positions.size() / (3 * sizeof(float)));
-  if (vertex_count == 0) {
-    return fail(ErrorCode::kFailedPrecondition, "the scene has no surface to press; give --press-at and --direction");
-  }
-  Positions positions(3, vertex_count);
-  std::copy_n(tool.surface_positions.data(), vertex_count * 3 * sizeof(float),
-              reinterpret_cast<char*>(positions.data()));
-  if (!positions.allFinite()) {
-    return fail(ErrorCode::kFailedPrecondition, "the scene's surface is not finite; reset the scene");
+Result<Aim> aim_at_nearest_surface(const DiscoveredTool& tool, const Surface& surface) {
+  const Result<Positions> positions = read_positions(surface);
+  if (!positions) return tl::make_unexpected(positions.error());
+  if (positions->cols() == 0) {
+    return fail(ErrorCode::kFailedPrecondition, "the scene has no surface to press" +
+                                                    (surface.absence.empty() ? "" : " (" + surface.absence + ")") +
+                                                    "; give --press-at and --direction");
   }
   const Eigen::Vector3d center = tool.tool_position_m + tool.tip_offset_m;
   Eigen::Index nearest = 0;
-  (positions.colwise() - center.cast<float>()).colwise().squaredNorm().minCoeff(&nearest);
-  const Eigen::Vector3d way = positions.col(nearest).cast<double>() - center;
+  (positions->colwise() - center.cast<float>()).colwise().squaredNorm().minCoeff(&nearest);
+  const Eigen::Vector3d way = positions->col(nearest).cast<double>() - center;
   const double distance = way.norm();
   if (distance < kNoDistanceM) {
     return fail(ErrorCode::kFailedPrecondition,
-                "the tool stands on the tissue, so no direction to press follows from it; give --direction");
+                "the tool stands on the tissue, so no direction to press follows from it; give --press-at and "
+                "--direction");
   }
   Aim aim;
   aim.direction = way / distance;
   // Already touching: press from where it stands.
   aim.contact_m = tool.tool_position_m + std::max(0.0, distance - tool.radius_m) * aim.direction;
-  aim.extent_m = (positions.rowwise().maxCoeff() - positions.rowwise().minCoeff()).cast<double>().norm();
   return aim;
+}
+
+Result<double> extent_of(const Surface& surface, const DiscoveredTool& tool) {
+  const Result<Positions> positions = read_positions(surface);
+  if (!positions) return tl::make_unexpected(positions.error());
+  if (positions->cols() == 0) return kExtentInRadii * tool.radius_m;
+  return (positions->rowwise().maxCoeff() - positions->rowwise().minCoeff()).cast<double>().norm();
 }
 
 }  // namespace tensormass::haptic

@@ -4,7 +4,6 @@
 
 #include <Eigen/Eigenvalues>
 
-#include "core/limits.h"
 #include "haptic/checks.h"
 #include "tensormass/v1/stream.pb.h"
 
@@ -72,7 +71,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   feedback.arrival_ns = arrival_ns;
   feedback.position_m = to_eigen(message.position_m());
   feedback.force_n = to_eigen(message.force_n());
-  if (!feedback.position_m.allFinite() || feedback.position_m.cwiseAbs().maxCoeff() > limits::kMaxLength) {
+  if (!is_position(feedback.position_m)) {
     return invalid("feedback: the position is not finite or beyond the largest length");
   }
   if (!feedback.force_n.allFinite()) return invalid("feedback: the force is not finite");

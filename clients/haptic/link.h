@@ -12,7 +12,8 @@ namespace tensormass::haptic {
 class Link {
  public:
   virtual ~Link() = default;
-  /// False if the transport took nothing (no server yet); the next pose replaces this one anyway.
+  /// False if the transport did not take it at once (no server yet). It may go with a later call then, unless a newer
+  /// pose replaces it.
   virtual bool send(const OutgoingPose& pose) = 0;
   /// The newest feedback since the last call.
   virtual std::optional<Feedback> receive() = 0;

@@ -4,6 +4,10 @@
 #include <cmath>
 #include <random>
 
+#include <spdlog/fmt/fmt.h>
+
+#include "haptic/checks.h"
+
 namespace tensormass::haptic {
 namespace {
 
@@ -71,6 +75,9 @@ Result<LoopReport> Loop::run(const std::atomic<bool>& stop) {
 Result<void> Loop::tick() {
   const Result<DevicePose> pose = guard_.read();
   if (!pose) return tl::make_unexpected(pose.error());
+  ++report_.ticks;
+  if (!is_position(pose->position_m) || !is_rotation(pose->orientation)) return tick_without(*pose);
+  invalid_in_a_row_ = 0;
   const std::int64_t now_ns = clock_.now_ns();
   const std::uint64_t sequence = latency_.last_sent() + 1;
   latency_.sent(sequence, now_ns);
@@ -91,8 +98,20 @@ Result<void> Loop::tick() {
   const Eigen::Vector3d force = limit_force(passive, held, period_s_, options_.limits);
   report_.max_force_n = std::max(report_.max_force_n, force.norm());
   report_.min_energy_j = std::min(report_.min_energy_j, passivity_.energy_j());
-  ++report_.ticks;
   return guard_.write(force);
+}
+
+Result<void> Loop::tick_without(const DevicePose& invalid) {
+  ++report_.poses_invalid;
+  if (auto written = guard_.write(Eigen::Vector3d::Zero()); !written) return written;
+  // Feedback is taken all the same: it is timed when it comes, and renews the local model for the next good pose.
+  receive();
+  if (++invalid_in_a_row_ < kMaxInvalidPosesInARow) return {};
+  const Eigen::Vector3d& p = invalid.position_m;
+  return fail(ErrorCode::kUnavailable,
+              fmt::format("device {}: {} poses in a row are no poses, the last one at ({}, {}, {}) m with a quaternion "
+                          "of length {}; check the device and its driver",
+                          guard_.info().name, invalid_in_a_row_, p.x(), p.y(), p.z(), invalid.orientation.norm()));
 }
 
 void Loop::receive() {

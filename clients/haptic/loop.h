@@ -15,6 +15,9 @@
 
 namespace tensormass::haptic {
 
+/// Invalid poses of a device in a row, after which the loop ends: a tenth of a second at 1 kHz.
+inline constexpr std::uint64_t kMaxInvalidPosesInARow = 100;
+
 struct LoopOptions {
   double rate_hz = 1000.0;
   double duration_s = std::numeric_limits<double>::infinity();
@@ -32,9 +35,12 @@ struct LoopReport {
   std::uint64_t ticks = 0;
   /// Deadlines that passed while an earlier tick was late; they are skipped, not made up for.
   std::uint64_t missed_ticks = 0;
+  /// Those that the transport took at once.
   std::uint64_t poses_sent = 0;
-  /// Poses that the transport would not take.
+  /// Those that it did not; the newest of them goes when the server is back.
   std::uint64_t poses_not_taken = 0;
+  /// Poses of the device that are none (see DevicePose), each with a tick without force; never sent.
+  std::uint64_t poses_invalid = 0;
   std::uint64_t last_sequence_sent = 0;
   std::uint64_t last_sequence_echoed = 0;
   std::uint64_t feedback_received = 0;
@@ -67,6 +73,10 @@ struct LoopReport {
 ///
 /// The force of a tick comes from the pose of the same tick; the network only renews the local model, so its jitter
 /// never enters the loop. Nothing in a tick waits for the network.
+///
+/// A pose that is none (not finite, no rotation) takes the force off for its tick and goes nowhere: neither to the
+/// server nor into the passivity controller, whose energy it would spoil for good. The next good one goes on from
+/// there.
 class Loop {
  public:
   /// All outlive the loop; the guard's device is open. What its DeviceInfo says binds whatever the options say.
@@ -77,6 +87,7 @@ class Loop {
 
  private:
   Result<void> tick();
+  Result<void> tick_without(const DevicePose& invalid);
   void receive();
   void drain(const std::atomic<bool>& stop);
 
@@ -91,6 +102,7 @@ class Loop {
   LoopReport report_;
   std::uint64_t last_step_ = 0;
   bool was_stale_ = false;
+  std::uint64_t invalid_in_a_row_ = 0;
 };
 
 }  // namespace tensormass::haptic

@@ -1,14 +1,14 @@
 // tensormass-haptic: one haptic device on one tool of a running scene.
 //
 // SIGINT and SIGTERM take the force off the hand within one period; then the last pose's echo is awaited and the report
-// printed. Exit codes: 0 done; 1 no server, scene, tool or device; 2 wrong options; 3 no feedback ever answered.
+// printed. Before the loop runs they just end the program. Exit codes: 0 done; 1 no server, scene, tool or device, or
+// no report; 2 wrong options; 3 no feedback ever answered, and the report is written all the same.
 
 #include <pthread.h>
 #include <signal.h>
 
 #include <atomic>
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <memory>
 #include <string>
@@ -25,6 +25,7 @@
 #include "haptic/loop.h"
 #include "haptic/realtime.h"
 #include "haptic/report.h"
+#include "haptic/report_file.h"
 #include "haptic/simulated_device.h"
 #include "haptic/zenoh_link.h"
 #include "haptic/zeromq_link.h"
@@ -39,6 +40,8 @@ constexpr int kExitNoFeedback = 3;
 /// Part of the surface's extent that a press goes deep, and the circles go wide, unless told otherwise.
 constexpr double kDefaultDepth = 0.05;
 constexpr double kDefaultCircleRadius = 0.04;
+/// How long the server is asked why nothing answered.
+constexpr double kStatusTimeoutS = 2.0;
 
 struct Options {
   std::string server = "127.0.0.1:50051";
@@ -170,40 +173,43 @@ void add_options(CLI::App& app, Options& o) {
 
 Eigen::Vector3d to_eigen(const std::vector<double>& v) { return {v[0], v[1], v[2]}; }
 
-Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool) {
+/// Asks for the surface, which may be large or absent, only if something has to follow from it.
+Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool, Patience patience) {
   HandScriptOptions hand = options.hand;
   hand.home_m = tool.tool_position_m;
-  const bool all_given = !options.press_at_m.empty() && !options.direction.empty() && options.depth_m >= 0.0 &&
-                         options.hand.circle_radius_m >= 0.0;
-  Aim aim;
-  if (!all_given) {
-    const Result<Aim> found = aim_at_nearest_surface(tool);
-    if (!found) return tl::make_unexpected(found.error());
-    aim = *found;
-  }
-  hand.contact_m = options.press_at_m.empty() ? aim.contact_m : to_eigen(options.press_at_m);
-  hand.direction = options.direction.empty() ? aim.direction : to_eigen(options.direction);
-  hand.depth_m = options.depth_m >= 0.0 ? options.depth_m : kDefaultDepth * aim.extent_m;
-  if (hand.circle_radius_m < 0.0) hand.circle_radius_m = kDefaultCircleRadius * aim.extent_m;
+  const bool aim_given = !options.press_at_m.empty() && !options.direction.empty();
+  const bool size_given = options.depth_m >= 0.0 && options.hand.circle_radius_m >= 0.0;
+  Result<Surface> surface;
+  if (!aim_given || !size_given) surface = fetch_surface(options.server, options.scene, patience);
+  if (!surface) return tl::make_unexpected(surface.error());
+  Result<Aim> aim;
+  if (!aim_given) aim = aim_at_nearest_surface(tool, *surface);
+  if (!aim) return tl::make_unexpected(aim.error());
+  const Result<double> extent_m = extent_of(*surface, tool);
+  if (!extent_m) return tl::make_unexpected(extent_m.error());
+  hand.contact_m = options.press_at_m.empty() ? aim->contact_m : to_eigen(options.press_at_m);
+  hand.direction = options.direction.empty() ? aim->direction : to_eigen(options.direction);
+  hand.depth_m = options.depth_m >= 0.0 ? options.depth_m : kDefaultDepth * *extent_m;
+  if (hand.circle_radius_m < 0.0) hand.circle_radius_m = kDefaultCircleRadius * *extent_m;
   return HandScript::create(hand);
 }
 
-Result<void> write_json(const std::string& path, const std::string& json) {
-  if (path == "-") {
-    std::cout << json;
-    return {};
-  }
-  std::ofstream file(path);
-  file << json;
-  if (!file.flush()) return invalid("cannot write the report to " + path);
-  return {};
+std::string ask_why_unanswered(const Options& options, const DiscoveredTool& tool) {
+  // The signal that ended the run is no reason not to ask.
+  const std::atomic<bool> never = false;
+  const Result<v1::SceneStatus> status = fetch_status(options.server, options.scene, {kStatusTimeoutS, never});
+  return status ? why_unanswered(*status, tool.poses_rejected) : status.error().message;
 }
 
 Result<int> run(Options options, const std::atomic<bool>& stop) {
-  const Result<DiscoveredTool> tool =
-      discover_tool(options.server, options.scene, options.tool, options.connect_timeout_s);
+  ReportFile report_file;
+  if (const auto opened = report_file.open(options.json_path); !opened) {
+    return invalid("--json: " + opened.error().message);
+  }
+  const Patience patience{options.connect_timeout_s, stop};
+  const Result<DiscoveredTool> tool = discover_tool(options.server, options.scene, options.tool, patience);
   if (!tool) return tl::make_unexpected(tool.error());
-  const Result<HandScript> script = plan_hand(options, *tool);
+  const Result<HandScript> script = plan_hand(options, *tool, patience);
   if (!script) return tl::make_unexpected(script.error());
   // Before the link starts its threads, which inherit it: a feedback that waits for a core is as late as a lost one.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
@@ -212,6 +218,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   const Result<std::unique_ptr<Link>> link =
       options.transport == "zenoh" ? connect_zenoh(tool->address) : connect_zeromq(tool->address);
   if (!link) return tl::make_unexpected(link.error());
+  if (stop) return fail(ErrorCode::kCancelled, "ended before the loop ran");
 
   MonotonicClock clock;
   SimulatedDevice device(options.device, *script, clock);
@@ -229,13 +236,11 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
 
   const RunLabel label{options.server, options.scene, options.tool, options.transport, device.info().name};
   std::cerr << to_text(*report, label);
-  if (!options.json_path.empty()) {
-    if (const auto written = write_json(options.json_path, to_json(*report, label)); !written) {
-      return tl::make_unexpected(written.error());
-    }
+  if (const auto written = report_file.write(to_json(*report, label)); !written) {
+    return tl::make_unexpected(written.error());
   }
   if (report->feedback_received > 0) return 0;
-  std::cerr << "tensormass-haptic: no feedback answered any pose; is the scene paused or in lockstep?\n";
+  std::cerr << "tensormass-haptic: no feedback answered any pose: " << ask_why_unanswered(options, *tool) << '\n';
   return kExitNoFeedback;
 }
 

@@ -63,7 +63,7 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       "  answered pose age  {}\n"
       "  wake-up lateness   {}\n"
       "  tick duration      {}\n"
-      "  poses     {} sent, last {} echoed {}{}\n"
+      "  poses     {} sent, last {} echoed {}{}{}\n"
       "  feedback  {} received, {} dropped, {} foreign, {} malformed\n"
       "  force     at most {:.3f} N; stale {} ticks in {} episodes; watchdog {}; least energy {:.2e} J\n",
       label.device, label.scene, label.tool, label.server, label.transport, report.seconds, report.ticks,
@@ -71,6 +71,7 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       percentiles(report.wake_up_lateness), percentiles(report.tick_duration), report.poses_sent,
       report.last_sequence_sent, report.last_sequence_echoed,
       report.poses_not_taken > 0 ? fmt::format(", {} not taken by the transport", report.poses_not_taken) : "",
+      report.poses_invalid > 0 ? fmt::format(", {} of the device invalid", report.poses_invalid) : "",
       report.feedback_received, report.feedback_dropped, report.feedback_foreign, report.feedback_malformed,
       report.max_force_n, report.stale_ticks, report.stale_episodes, report.watchdog_trips, report.min_energy_j);
 }
@@ -87,6 +88,7 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
              .add("missed_ticks", report.missed_ticks)
              .add("poses_sent", report.poses_sent)
              .add("poses_not_taken", report.poses_not_taken)
+             .add("poses_invalid", report.poses_invalid)
              .add("poses_forgotten", report.poses_forgotten)
              .add("last_sequence_sent", report.last_sequence_sent)
              .add("last_sequence_echoed", report.last_sequence_echoed)
@@ -105,6 +107,23 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
              .add("tick_duration", report.tick_duration)
              .finish() +
          '\n';
+}
+
+std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before) {
+  if (status.poses_rejected() > poses_rejected_before) {
+    return fmt::format("the server refused poses of the scene meanwhile ({}); its log says why",
+                       status.poses_rejected() - poses_rejected_before);
+  }
+  switch (status.state()) {
+    case v1::SceneStatus::STATE_PAUSED:
+      return "the scene is paused; resume it";
+    case v1::SceneStatus::STATE_LOCKSTEP:
+      return "the scene is in lockstep, and nobody asked it to step";
+    case v1::SceneStatus::STATE_FAULTED:
+      return "a guard stopped the scene: " + status.fault();
+    default:
+      return "the scene runs and refused none; are the server's data ports open to this machine?";
+  }
 }
 
 }  // namespace tensormass::haptic

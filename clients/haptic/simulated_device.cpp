@@ -21,10 +21,21 @@ Eigen::Matrix2d oscillator_transition(double stiffness, double damping, double h
   const double s = -0.5 * damping;
   const double d_squared = s * s - stiffness;
   const double d = std::sqrt(std::abs(d_squared));
-  const double even = d_squared < 0.0 ? std::cos(d * h) : std::cosh(d * h);
   // sin(dh)/d and sinh(dh)/d both tend to h.
-  const double odd = d * h < 1e-8 ? h : (d_squared < 0.0 ? std::sin(d * h) : std::sinh(d * h)) / d;
-  return std::exp(s * h) * (even * Eigen::Matrix2d::Identity() + odd * (a - s * Eigen::Matrix2d::Identity()));
+  const bool critical = d * h < 1e-8;
+  double even = 0.0, odd = 0.0;
+  if (d_squared < 0.0) {
+    const double decay = std::exp(s * h);
+    even = decay * std::cos(d * h);
+    odd = decay * (critical ? h : std::sin(d * h) / d);
+  } else {
+    // An exponential for each mode, e^{(s±d)h}: of a stiff damper e^{sh} is zero and cosh(dh) infinite. s + d would
+    // cancel; it is stiffness / (s − d), and s is negative here.
+    const double slow = std::exp(stiffness / (s - d) * h), fast = std::exp((s - d) * h);
+    even = 0.5 * (slow + fast);
+    odd = slow * (critical ? h : -std::expm1(-2.0 * d * h) / (2.0 * d));
+  }
+  return even * Eigen::Matrix2d::Identity() + odd * (a - s * Eigen::Matrix2d::Identity());
 }
 
 }  // namespace

@@ -22,7 +22,8 @@ class ZeroMqLink final : public Link {
  public:
   explicit ZeroMqLink(const LinkAddress& address)
       : prefix_(address.pose_key + '\0'), feedback_prefix_(address.feedback_key + '\0') {
-    push_.set(zmq::sockopt::conflate, true);
+    push_.set(zmq::sockopt::sndhwm, 1);
+    push_.set(zmq::sockopt::immediate, true);
     push_.set(zmq::sockopt::linger, kLingerMs);
     push_.connect(address.zeromq_pose_endpoint);
     sub_.set(zmq::sockopt::conflate, true);
@@ -34,17 +35,42 @@ class ZeroMqLink final : public Link {
     receiver_ = std::jthread([this](std::stop_token stop) { receive_until(stop); });
   }
 
+  ~ZeroMqLink() override {
+    if (!is_waiting_) return;
+    try {
+      push_.set(zmq::sockopt::sndtimeo, kLingerMs);
+      push_.send(zmq::buffer(message_), zmq::send_flags::none);
+    } catch (const zmq::error_t&) {
+      // Interrupted: then the pose is as lost as when no server comes in time.
+    }
+  }
+  ZeroMqLink(const ZeroMqLink&) = delete;
+  ZeroMqLink& operator=(const ZeroMqLink&) = delete;
+
   bool send(const OutgoingPose& pose) override {
     encode_pose(pose, payload_);
     message_ = prefix_;
     message_ += payload_;
-    return push_.send(zmq::buffer(message_), zmq::send_flags::dontwait).has_value();
+    is_waiting_ = true;
+    send_waiting();
+    return !is_waiting_;
   }
 
-  std::optional<Feedback> receive() override { return inbox_.take(); }
+  std::optional<Feedback> receive() override {
+    send_waiting();
+    return inbox_.take();
+  }
   std::uint64_t malformed() const override { return inbox_.malformed(); }
 
  private:
+  void send_waiting() {
+    if (!is_waiting_) return;
+    // Asked first: only then ZeroMQ looks at once whether the pose before has left its queue. A send alone looks once
+    // in a millisecond or so, which is every other pose.
+    if ((push_.get(zmq::sockopt::events) & ZMQ_POLLOUT) == 0) return;
+    is_waiting_ = !push_.send(zmq::buffer(message_), zmq::send_flags::dontwait).has_value();
+  }
+
   void receive_until(const std::stop_token& stop) {
     // Signals are for the program's own threads; here one would only interrupt a receive.
     sigset_t signals;
@@ -66,7 +92,9 @@ class ZeroMqLink final : public Link {
   std::string prefix_;
   std::string feedback_prefix_;
   std::string payload_;
+  /// The newest pose; waits until the server takes it.
   std::string message_;
+  bool is_waiting_ = false;
   MonotonicClock clock_;
   FeedbackInbox inbox_;
   zmq::context_t context_{1};

@@ -27,15 +27,10 @@
 /// Nothing in it waits for a client, a publisher or the control plane, and a step allocates nothing.
 namespace tensormass::world {
 
-namespace {
-
-/// How often the elements of a running scene are looked at.
-constexpr double kWatchRateHz = 4;
-
-}  // namespace
-
 struct Runner::Impl {
   using State = v1::SceneStatus::State;
+  /// How often the elements of a running scene are looked at.
+  static constexpr double kWatchRateHz = 4;
 
   Impl(CompiledScene compiled, std::unique_ptr<World> started)
       : backend(compiled.backend->name()),
@@ -58,7 +53,7 @@ struct Runner::Impl {
     }
     stamp.server_time_ns = unix_time_ns();
     leave_feedback();
-    if (has_frames()) leave_frame();
+    leave_frame();
     thread = std::thread([this] { run(); });
   }
 
@@ -152,7 +147,7 @@ struct Runner::Impl {
     simulated_time_s.store(stamp.simulated_time_s, std::memory_order_relaxed);
     for (std::size_t i = 0; i < snapshots.size(); ++i) snapshots[i].reading = world->readings()[i];
     leave_feedback();
-    if (with_frame && has_frames()) leave_frame();
+    if (with_frame) leave_frame();
     signal_output();
     return true;
   }
@@ -182,6 +177,7 @@ struct Runner::Impl {
   }
 
   void leave_frame() {
+    if (!has_frames()) return;
     FrameSlot& slot = frames.writing();
     const std::span<const float> positions = world->visible_positions();
     slot.stamp = stamp;
@@ -214,7 +210,7 @@ struct Runner::Impl {
       fault = std::move(reason);
     }
     set_state(v1::SceneStatus::STATE_FAULTED);
-    come_to_rest(has_frames() && !device_failed);
+    come_to_rest(!device_failed);
   }
 
   /// The device's failure is of this scene alone. What it holds of the scene cannot be trusted any more.
@@ -248,7 +244,7 @@ struct Runner::Impl {
     if (state == v1::SceneStatus::STATE_PAUSED) return make_status();
     gather_frame();
     set_state(v1::SceneStatus::STATE_PAUSED);
-    come_to_rest(has_frames());
+    come_to_rest(true);
     return make_status();
   }
 
@@ -316,7 +312,7 @@ struct Runner::Impl {
       snapshots[i].reading = world->readings()[i];
     }
     leave_feedback();
-    if (has_frames()) leave_frame();
+    leave_frame();
     signal_output();
     return make_status();
   }
@@ -337,15 +333,12 @@ struct Runner::Impl {
 
   Result<v1::GetPositionsResponse> do_positions(std::string_view name) {
     TM_CHECK(require_state());
-    for (const model::BodyModel& body : model.bodies) {
-      if (body.name != name) continue;
-      const std::vector<double> positions = world->positions(body);
-      v1::GetPositionsResponse response;
-      response.set_step(world->step_count());
-      response.set_positions(positions.data(), positions.size() * sizeof(double));
-      return response;
-    }
-    return no_body(name);
+    TM_TRY(body, find_body(name));
+    const std::vector<double> positions = world->positions(*body);
+    v1::GetPositionsResponse response;
+    response.set_step(world->step_count());
+    response.set_positions(positions.data(), positions.size() * sizeof(double));
+    return response;
   }
 
   /// What fields are measured from, by whoever asked and not by the loop.
@@ -359,7 +352,10 @@ struct Runner::Impl {
     return FieldSource{world->state(), world->step_count(), world->simulated_time_s()};
   }
 
-  tl::unexpected<Error> no_body(std::string_view name) const {
+  Result<const model::BodyModel*> find_body(std::string_view name) const {
+    for (const model::BodyModel& body : model.bodies) {
+      if (body.name == name) return &body;
+    }
     return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no body '{}'", model.name, name));
   }
 
@@ -540,15 +536,12 @@ Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
   return impl_->on_loop([this, body] { return impl_->do_positions(body); });
 }
 Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
-  for (const model::BodyModel& body : impl_->model.bodies) {
-    if (body.name != request.body()) continue;
-    TM_TRY(source, impl_->on_loop([this] { return impl_->do_copy_state(); }));
-    TM_TRY(response, measure_fields(impl_->model, source.state, body, request));
-    response.set_step(source.step);
-    response.set_simulated_time_s(source.simulated_time_s);
-    return std::move(response);
-  }
-  return impl_->no_body(request.body());
+  TM_TRY(body, impl_->find_body(request.body()));
+  TM_TRY(source, impl_->on_loop([this] { return impl_->do_copy_state(); }));
+  TM_TRY(response, measure_fields(impl_->model, source.state, *body, request));
+  response.set_step(source.step);
+  response.set_simulated_time_s(source.simulated_time_s);
+  return std::move(response);
 }
 Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
   TM_TRY(index, impl_->find_tool(tool));

@@ -35,6 +35,7 @@ class FakeDevice final : public Device {
   const DeviceInfo& info() const override { return info_; }
   Result<DevicePose> read() override {
     if (broken) return fail(ErrorCode::kUnavailable, "fake device: unplugged");
+    if (on_read) on_read();
     return pose;
   }
   Result<void> write_force(const Eigen::Vector3d& force_n) override {
@@ -45,6 +46,8 @@ class FakeDevice final : public Device {
 
   DevicePose pose;
   bool broken = false;
+  /// May change the pose that is read next.
+  std::function<void()> on_read;
   std::vector<Eigen::Vector3d> forces_n;
 
  private:

@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "fakes.h"
 #include "haptic/loop.h"
 #include "haptic/simulated_device.h"
@@ -211,6 +213,54 @@ TEST(Loop, ReportsADeviceThatFailsAndTakesTheForceOff) {
   ASSERT_FALSE(report);
   EXPECT_NE(report.error().message.find("unplugged"), std::string::npos);
   EXPECT_EQ(bench.device.forces_n.back(), Eigen::Vector3d::Zero());
+}
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+TEST(Loop, AnInvalidPoseTakesTheForceOffForItsTickAndTheNextGoodOneGoesOn) {
+  const DevicePose good{{0.1, 0.2, 0.3}, Eigen::Quaterniond::Identity()};
+  const Eigen::Quaterniond upright = good.orientation;
+  for (const DevicePose& invalid :
+       {DevicePose{{0.1, kNan, 0.3}, upright}, DevicePose{{std::numeric_limits<double>::infinity(), 0.0, 0.0}, upright},
+        DevicePose{{0.0, 0.0, -1.1e6}, upright}, DevicePose{good.position_m, Eigen::Quaterniond(1.01, 0.0, 0.0, 0.0)},
+        DevicePose{good.position_m, Eigen::Quaterniond(0.0, 0.0, 0.0, 0.0)},
+        DevicePose{good.position_m, Eigen::Quaterniond(1.0, kNan, 0.0, 0.0)}}) {
+    Bench bench;
+    bench.answer_with({0.0, 0.0, 1.0});
+    int reads = 0;
+    bench.device.on_read = [&] { bench.device.pose = ++reads == 50 ? invalid : good; };
+    const LoopReport report = bench.run(options(0.1)).value();
+    EXPECT_EQ(report.ticks, 100u);
+    EXPECT_EQ(report.poses_invalid, 1u);
+    EXPECT_EQ(report.poses_sent, 99u);
+    EXPECT_EQ(report.last_sequence_sent, 99u) << "sequences count up without a gap";
+    EXPECT_EQ(report.last_sequence_echoed, 99u);
+    EXPECT_EQ(report.min_energy_j, 0.0);
+    for (const OutgoingPose& pose : bench.link.sent) ASSERT_EQ(pose.pose.position_m, good.position_m);
+    for (std::size_t i = 0; i < 100; ++i) ASSERT_EQ(bench.device.forces_n[i].z(), i == 49 ? 0.0 : 1.0) << "tick " << i;
+  }
+}
+
+TEST(Loop, AQuaternionThatIsAlmostNormalizedIsGood) {
+  Bench bench;
+  bench.device.pose.orientation = Eigen::Quaterniond(0.0, 0.6 * 1.009, 0.0, 0.8 * 1.009);
+  EXPECT_EQ(bench.run(options(0.01)).value().poses_invalid, 0u);
+}
+
+TEST(Loop, EndsWhenADeviceNoLongerSaysWhereItIs) {
+  Bench bench;
+  bench.answer_with({0.0, 0.0, 1.0});
+  std::uint64_t reads = 0;
+  // One less than too many, a good one, and then for good.
+  bench.device.on_read = [&] { bench.device.pose.position_m.x() = ++reads == kMaxInvalidPosesInARow ? 0.1 : kNan; };
+  const auto report = bench.run(options(1.0));
+  ASSERT_FALSE(report);
+  EXPECT_EQ(reads, 2 * kMaxInvalidPosesInARow);
+  EXPECT_NE(report.error().message.find("device fake: 100 poses in a row"), std::string::npos)
+      << report.error().message;
+  EXPECT_NE(report.error().message.find("(nan, 0, 0) m"), std::string::npos) << report.error().message;
+  EXPECT_EQ(bench.device.forces_n.back(), Eigen::Vector3d::Zero());
+  EXPECT_EQ(bench.link.sent.size(), 1u);
 }
 
 // The whole client against a soft wall that is stepped at 60 Hz and answers one step late: the hand presses, feels the

@@ -25,8 +25,28 @@ TEST(Report, TextNamesWhatWasLost) {
   report.last_sequence_sent = 12;
   report.last_sequence_echoed = 9;
   report.poses_not_taken = 2;
+  report.poses_invalid = 3;
   const std::string text = to_text(report, {"s", "demo", "probe", "zeromq", "simulated"});
-  EXPECT_NE(text.find("last 12 echoed 9, 2 not taken"), std::string::npos) << text;
+  EXPECT_NE(text.find("last 12 echoed 9, 2 not taken by the transport, 3 of the device invalid"), std::string::npos)
+      << text;
+  EXPECT_NE(to_json(report, {}).find(R"("poses_not_taken": 2, "poses_invalid": 3)"), std::string::npos);
+}
+
+TEST(Report, SaysWhyNothingAnsweredAsFarAsTheSceneTells) {
+  v1::SceneStatus status;
+  const auto why = [&](v1::SceneStatus::State state, std::uint64_t rejected) {
+    status.set_state(state);
+    status.set_poses_rejected(rejected);
+    return why_unanswered(status, 5);
+  };
+  status.set_fault("step 7 left its bounds");
+  EXPECT_NE(why(v1::SceneStatus::STATE_RUNNING, 305).find("refused poses of the scene meanwhile (300)"),
+            std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_PAUSED, 6).find("refused poses of the scene meanwhile (1)"), std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_PAUSED, 5).find("paused"), std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_LOCKSTEP, 5).find("lockstep"), std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_FAULTED, 5).find("step 7 left its bounds"), std::string::npos);
+  EXPECT_NE(why(v1::SceneStatus::STATE_RUNNING, 5).find("ports"), std::string::npos);
 }
 
 }  // namespace

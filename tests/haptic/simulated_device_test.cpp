@@ -72,6 +72,42 @@ TEST(SimulatedDevice, FollowsItsHand) {
   }
 }
 
+// The ends of what the program's options take, and a stiff damper between them.
+TEST(SimulatedDevice, StandsEveryHandThatItsOptionsAllow) {
+  HandScriptOptions hand;
+  hand.home_m = {0.0, 0.0, 0.1};
+  const HandScript script = HandScript::create(hand).value();
+  for (const double mass : {1e-6, 0.01, 1e6}) {
+    for (const double stiffness : {1e-6, 300.0, 1e6}) {
+      for (const double damping : {0.0, 8.0, 1e6}) {
+        FakeClock clock;
+        SimulatedDevice device(
+            {.mass_kg = mass, .hand_stiffness_n_per_m = stiffness, .hand_damping_n_s_per_m = damping}, script, clock);
+        ASSERT_TRUE(device.open());
+        for (int i = 0; i < 100; ++i) {
+          clock.advance_s(1e-2);
+          const Eigen::Vector3d x = device.read().value().position_m;
+          ASSERT_LT(x.norm(), 1.0) << mass << " kg, " << stiffness << " N/m, " << damping << " N s/m";
+        }
+      }
+    }
+  }
+}
+
+TEST(SimulatedDevice, AStiffDamperTakesItAlong) {
+  HandScriptOptions hand;
+  hand.home_m = {0.0, 0.0, 0.1};
+  const HandScript script = HandScript::create(hand).value();
+  FakeClock clock;
+  SimulatedDevice device({.mass_kg = 0.01, .hand_damping_n_s_per_m = 1e6}, script, clock);
+  ASSERT_TRUE(device.open());
+  for (int i = 1; i <= 4000; ++i) {
+    clock.advance_s(1e-3);
+    const Eigen::Vector3d target = script.at(i * 1e-3).position_m;
+    ASSERT_LT((device.read().value().position_m - target).norm(), 1e-5) << "after " << i << " ms";
+  }
+}
+
 TEST(SimulatedDevice, GainsNoEnergyOverTime) {
   FakeClock clock;
   SimulatedDevice device(oscillator(0.0), still_hand(), clock);
