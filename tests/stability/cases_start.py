@@ -115,7 +115,7 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         _OGDEN,
     ),
     ("stretched to 10×, free", "ogden", CAUGHT): (_ANY, _OGDEN),
-    ("stretched to 10×, free" + _NEWTON, "ogden", CAUGHT): (("wedge", "hexahedron", "quadratic_tetrahedron"), _OGDEN),
+    ("stretched to 10×, free" + _NEWTON, "ogden", CAUGHT): (("wedge", "hexahedron"), _OGDEN),
     ("stretched to 10×, free" + _NEWTON, "corotational", SHORT): (("pyramid",), _ELSEWHERE),
     ("pressed to 1/10, free", "mooney_rivlin", CAUGHT): (
         ("tetrahedron", "pyramid", "quadratic_tetrahedron"),
