@@ -56,12 +56,6 @@ class Trade:
         if not path.exists():
             return None
         head, *rows = (json.loads(line) for line in path.read_text().splitlines())
-        for of in [*rows, *head["confirmed"].values()]:
-            # What an older run counted: the time beside it in which the client compared, too. It says nothing of steps.
-            (of["costs"] or {}).pop("energy_j_per_step", None)
-            # It went through the script once.
-            if of["costs"]:
-                of["costs"].setdefault("timed_steps", of["costs"]["step_count"])
         return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
 
     def chosen(self) -> dict[str, Measurement]:
@@ -321,8 +315,7 @@ def _confirmations(trade: Trade) -> list[str]:
             rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, confirmed[OWN]))
             continue
         title = what.get(name, preset if name != OWN else OWN)
-        # Results that are older than this key dropped nothing.
-        for of in head.get("dropped", {}).get(name, []):
+        for of in head["dropped"].get(name, []):
             then = Measurement.from_plain({**of["again"], "machine": head["machine"]})
             rows.append(_again(f"{title}, dropped", by_key[of["key"]], then, f"**not confirmed**: {of['why']}"))
         off = report.missed(was, again, limits.get(name, report.Limits()))
