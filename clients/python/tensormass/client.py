@@ -413,32 +413,28 @@ class FrameStream(Closing, Iterator[Frame]):
         self._scene = scene
         self._subscription = subscription
         self._timeout_s = timeout_s
+        # What the call at the start brought, and the newest that came, whether it was handed out or not.
         self._first: Frame | None = None
-        self._sequence = 0
-        self._topology_version = 0
+        self._last: Frame | None = None
 
     def __next__(self) -> Frame:
-        if self._first is None:
-            self._first = self._taken(self._scene.frame())
+        if self._first is None or self._last is None:
+            self._first = self._last = self._scene.frame()
             return self._first
         while True:
             frame = self._scene._decode(self._subscription.receive(self._timeout_s))
             if frame is None:
                 continue
-            if frame.topology.version == self._topology_version:
-                self.dropped_count += max(0, frame.sequence - self._sequence - 1)
-            self._taken(frame)
-            # What the call at the start brought may come again. Of later frames none does, though a reset or a pause
-            # leaves one with a step that was there before.
+            if frame.topology.version == self._last.topology.version:
+                self.dropped_count += max(0, frame.sequence - self._last.sequence - 1)
+            self._last = frame
+            # The first may come again. Of later frames none does, though a reset or a pause leaves one with a step that
+            # was there before.
             if (
                 frame.topology.version > self._first.topology.version
                 or frame.server_time_ns > self._first.server_time_ns
             ):
                 return frame
-
-    def _taken(self, frame: Frame) -> Frame:
-        self._sequence, self._topology_version = frame.sequence, frame.topology.version
-        return frame
 
     def close(self) -> None:
         """Ends the subscription."""

@@ -285,9 +285,8 @@ class DataPlane(Closing):
     def _pusher(self) -> zmq.Socket[bytes]:
         socket = self._socket(zmq.PUSH, self._version.zeromq_pose_endpoint)
         socket.setsockopt(zmq.SNDHWM, 1)
-        socket.setsockopt(
-            zmq.IMMEDIATE, 1
-        )  # holds nothing for a daemon that is away: it would be old when that is back
+        # Holds nothing for a daemon that is away: it would be old when that is back.
+        socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.LINGER, 100)
         socket.connect(self._version.zeromq_pose_endpoint)
         return socket
