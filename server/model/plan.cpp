@@ -7,6 +7,7 @@
 
 #include "model/bind.h"
 #include "physics/lists.h"
+#include "tensor/packed_block.h"
 
 namespace tensormass::model {
 
@@ -98,8 +99,11 @@ Cost cost(const Model& m, const Stage& stage) {
     case StageKind::kScaleEdges:
       return {slots * (2 * 9 * real + 4), slots * 90};
     case StageKind::kSolve: {
-      const double read = m.double_precision ? slots : m.layout.read_slot_count();  // tiles stream in single precision
-      return {read * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+      const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+      if (m.double_precision || m.layout.storage != tensor::Storage::kTiles) return whole;
+      // Tiles stream in single precision: some blocks, packed, and beside each a column, mostly of 16 bits.
+      const double slot = sizeof(tensor::PackedBlock) + sizeof(std::uint16_t), row = sizeof(tensor::PackedDiagonal);
+      return {m.layout.read_slot_count() * slot + rows * (row + 9 * 4 * real), whole.operations};
     }
     case StageKind::kAdvance:
       return {rows * (edges && m.checks_volume() ? 11 : 9) * 4 * real, rows * 50};

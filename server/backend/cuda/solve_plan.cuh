@@ -86,12 +86,15 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   consider.template operator()<224, 2, 8>();
   consider.template operator()<kMostResidentRows / 2, 2, 8>();
   if (plan.kernel == nullptr) {
-    plan.kernel = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads>);
+    const auto near = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint16_t, true>);
+    const auto far = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint16_t, false>);
+    const auto farthest = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint32_t, false>);
     plan.threads = kStreamedThreads;
     const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : tensor::kMostTileRows;
     plan.shared_bytes = std::min(most_rows, tensor::kTilesAtOnce * tile_rows) * kStreamedBytesPerCell;
     // What stays free of shared memory is the cache of the rest.
-    const std::size_t most = allow_all_shared_bytes(plan.kernel);
+    std::size_t most = allow_all_shared_bytes(near);
+    for (const void* kernel : {far, farthest}) most = std::min(most, allow_all_shared_bytes(kernel));
     const auto place = [&](StreamedVectors which, std::size_t bytes) {
       bytes = (bytes + 15) / 16 * 16;
       if (plan.shared_bytes + bytes > most) return;
@@ -101,6 +104,8 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     place(kNearDirection, most_locals * kStreamedBytesPerCell);
     place(kNearResidual, most_locals * kStreamedBytesPerVector);
     place(kNearSolution, most_rows * kStreamedBytesPerVector);
+    const bool is_near = (plan.argument & kNearDirection) != 0;
+    plan.kernel = most_locals > Neighbour<std::uint16_t>::kMostLocals ? farthest : is_near ? near : far;
   }
   return plan;
 }

@@ -1,0 +1,257 @@
+#pragma once
+
+#include <cuda_fp16.h>
+
+#include "backend/cuda/team.cuh"
+#include "solver/jacobi_scaling.h"
+#include "tensor/packed_block.h"
+#include "tensor/tiles.h"
+
+/// The matrix as streamed_solve.cuh reads it from memory in each iteration, and a warp's way through it.
+namespace tensormass::backend::cuda {
+
+using tensor::kSliceRows;
+using tensor::SceneView;
+
+__device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
+
+/// Where the columns of a slice begin, and where those end that a solve reads.
+struct ReadColumns {
+  std::uint32_t begin, end;
+  __device__ ReadColumns(const SceneView<float>& s, std::uint32_t slice)
+      : begin(s.slice_begin[slice]), end(s.slice_read != nullptr ? s.slice_read[slice] : s.slice_begin[slice + 1]) {}
+};
+
+/// The patch-local row behind a slot, and in the top bit whether the block serves that row, too (tensor/tiles.h). 16
+/// bits where a patch is small enough.
+template <class Word>
+struct Neighbour {
+  static constexpr std::uint32_t kServesBoth = 1u << (8 * sizeof(Word) - 1), kMostLocals = kServesBoth;
+  __device__ static Word of(std::uint32_t local, bool serves_both) {
+    return static_cast<Word>(local | (serves_both ? kServesBoth : 0));
+  }
+  __device__ static std::uint32_t local(Word word) { return word & (kServesBoth - 1); }
+  __device__ static bool serves_both(Word word) { return (word & kServesBoth) != 0; }
+};
+
+/// What a solve reads of a column of the matrix, in the room of its 32 unpacked blocks, from its begin on: 256 bytes of
+/// each pair of words of the lanes' PackedBlocks, then their Neighbours; behind those of the first column of a slice
+/// the PackedDiagonals of its rows.
+template <class Word>
+struct PackedColumn {
+  uint2* pairs;      // [pair][lane]
+  Word* neighbours;  // [lane]
+  uint2* diagonals;  // [lane]
+
+  __device__ PackedColumn(const SceneView<float>& s, std::uint32_t column) {
+    constexpr std::uint32_t kPairs = 3;
+    pairs = reinterpret_cast<uint2*>(s.edges + tensor::block_begin(std::size_t{column} * kSliceRows));
+    neighbours = reinterpret_cast<Word*>(pairs + kPairs * kSliceRows);
+    diagonals = reinterpret_cast<uint2*>(neighbours + kSliceRows);
+    static_assert(kPairs * sizeof(uint2) + sizeof(Word) + sizeof(uint2) <= 9 * sizeof(float));
+  }
+};
+
+/// What a row's blocks have lost when they were packed, in half precision: as many digits as PackedDiagonal keeps.
+struct RowLoss {
+  __half2 sums[3];
+  __half2 unused;
+
+  static constexpr float kUnit = 0x1p20f;  // 1 is the middle of what halves have
+  __device__ static RowLoss none() { return {}; }
+  __device__ void add(const tensor::UpperTriangle& lost) {
+    sums[0] = __hadd2(sums[0], __floats2half2_rn(lost.xx * kUnit, lost.xy * kUnit));
+    sums[1] = __hadd2(sums[1], __floats2half2_rn(lost.xz * kUnit, lost.yy * kUnit));
+    sums[2] = __hadd2(sums[2], __floats2half2_rn(lost.yz * kUnit, lost.zz * kUnit));
+  }
+  __device__ tensor::UpperTriangle sum() const {
+    const float2 a = __half22float2(sums[0]), b = __half22float2(sums[1]), c = __half22float2(sums[2]);
+    constexpr float kFactor = 1 / kUnit;
+    return {a.x * kFactor, a.y * kFactor, b.x * kFactor, b.y * kFactor, c.x * kFactor, c.y * kFactor};
+  }
+};
+static_assert(sizeof(RowLoss) == sizeof(float4));
+
+/// Â, packed, for A in what is read of a tile's rows. By its warp. losses: of the tile, in shared memory.
+template <class Word>
+__device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t first,
+                           std::uint32_t last, RowLoss* losses) {
+  const std::uint32_t lane = threadIdx.x % kWarp;
+  for (std::uint32_t local = first + lane; local < last; local += kWarp) losses[local - first] = RowLoss::none();
+  __syncwarp();
+#pragma unroll 1
+  for (std::uint32_t local = first + lane; local < last; local += kWarp) {
+    const std::uint32_t row = patch.row_begin + local;
+    const ReadColumns columns(s, row / kSliceRows);
+    const Mat3<float> own = solver::load_lower<float>(s.diagonal, row);
+    tensor::UpperTriangle lost_here;
+    // Some at once, as each waits for memory twice.
+    constexpr std::uint32_t kAtOnce = 3;
+#pragma unroll 1
+    for (std::uint32_t begin = columns.begin; begin < columns.end; begin += kAtOnce) {
+      std::uint32_t other[kAtOnce], twice[kAtOnce];
+      Mat3<float> block[kAtOnce], factor[kAtOnce];
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        const std::uint32_t column = minimum(begin + i, columns.end - 1);
+        const std::size_t slot = std::size_t{column} * kSliceRows + lane;
+        other[i] = s.columns[slot];
+        twice[i] = s.used_twice != nullptr ? s.used_twice[column] >> lane & 1 : 0;
+        block[i] = tensor::load_block<float>(s.edges, slot);
+      }
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        factor[i] = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, other[i]));
+      }
+      __syncwarp();  // each lane has read what others write over
+#pragma unroll
+      for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+        if (begin + i >= columns.end) break;
+        const Mat3<float> scaled = own * block[i] * factor[i].transpose();
+        float numbers[9], unpacked[9];
+        for (int c = 0; c < 9; ++c) numbers[c] = scaled(c / 3, c % 3);
+        const auto packed = tensor::PackedBlock::of(numbers);
+        const PackedColumn<Word> to(s, begin + i);
+        for (int pair = 0; pair < 3; ++pair) {
+          to.pairs[pair * kSliceRows + lane] = {packed.words[2 * pair], packed.words[2 * pair + 1]};
+        }
+        to.neighbours[lane] = Neighbour<Word>::of(other[i], twice[i] != 0);
+        packed.unpack(unpacked);
+        const tensor::UpperTriangle lost = tensor::lost(numbers, unpacked);
+        lost_here += lost;
+        if (twice[i] != 0) losses[other[i] - first].add(lost);
+        __syncwarp();  // the next column adds to the same rows
+      }
+    }
+    losses[local - first].add(lost_here);
+    __syncwarp();
+  }
+  for (std::uint32_t local = first + lane; local < last; local += kWarp) {
+    const std::uint32_t slice = (patch.row_begin + local) / kSliceRows;
+    if (s.slice_begin[slice] == s.slice_begin[slice + 1]) continue;  // rows without neighbours
+    const auto packed = tensor::PackedDiagonal::of(losses[local - first].sum());
+    PackedColumn<Word>(s, s.slice_begin[slice]).diagonals[lane] = {packed.words[0], packed.words[1]};
+  }
+  __syncwarp();
+}
+
+/// A warp's way through its tiles, over and over: the columns that it multiplies next are on their way from memory,
+/// also while patches exchange.
+template <unsigned Warps, class Word>
+class TileWalk {
+ public:
+  /// A warp that has no tile is not to multiply.
+  __device__ TileWalk(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t tile_rows)
+      : s_(s), patch_(patch), tile_rows_(tile_rows), own_(patch.own()), begin_(threadIdx.x / kWarp * tile_rows) {
+    if (begin_ >= own_) return;
+    begin_tile(begin_);
+    load();
+  }
+
+  /// q = Â p on the rows of the tile at hand, all of it: what other tiles' rows have to do with them is read here
+  /// (tensor/tiles.h). Then the warp's next tile is at hand. p: of the patch; q: of the tile, in shared memory; four
+  /// floats a row.
+  __device__ void multiply(const float4* p, float4* q) {
+    const std::uint32_t first = first_, last = minimum(first + tile_rows_, own_);
+    for (std::uint32_t local = first + lane(); local < last; local += kWarp)
+      q[local - first] = p[local];  // unit diagonal
+    __syncwarp();
+#pragma unroll 1
+    for (std::uint32_t local = first + lane(); local < last; local += kWarp) {
+      const float4 own = p[local];
+      Vec3<float> sum = diagonal_.unpacked() * three_of(own);
+      bool ends = false;
+#pragma unroll 1
+      do {
+        float4 direction[kAtOnce];
+#pragma unroll
+        for (std::uint32_t i = 0; i < kAtOnce; ++i) direction[i] = p[Neighbour<Word>::local(neighbour_[i])];
+#pragma unroll
+        for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+          float a[9];
+          block_[i].unpack(a);
+          const float4 v = direction[i];
+          for (int c = 0; c < 3; ++c) sum[c] += a[3 * c] * v.x + a[3 * c + 1] * v.y + a[3 * c + 2] * v.z;
+          if (Neighbour<Word>::serves_both(neighbour_[i])) {
+            float4& other = q[Neighbour<Word>::local(neighbour_[i]) - first];
+            const float4 before = other;
+            other = {before.x + a[0] * own.x + a[3] * own.y + a[6] * own.z,
+                     before.y + a[1] * own.x + a[4] * own.y + a[7] * own.z,
+                     before.z + a[2] * own.x + a[5] * own.y + a[8] * own.z, 0};
+          }
+          __syncwarp();  // the next column adds to the same rows
+        }
+        next_ += kAtOnce;
+        ends = next_ >= end_;
+        if (ends) next_slice();
+        load();
+      } while (!ends);
+      float4& mine = q[local - first];
+      const float4 before = mine;
+      mine = {before.x + sum[0], before.y + sum[1], before.z + sum[2], 0};
+      __syncwarp();
+    }
+  }
+
+ private:
+  static constexpr std::uint32_t kAtOnce = 5;  // two rounds for most rows
+
+  __device__ static unsigned lane() { return threadIdx.x % kWarp; }
+  /// A lane for each of its slices.
+  __device__ void begin_tile(std::uint32_t first) {
+    first_ = first;
+    slice_ = 0;
+    const std::uint32_t last = minimum(first + tile_rows_, own_);
+    slices_ = (last - first) / kSliceRows;
+    const std::uint32_t slice = (patch_.row_begin + first) / kSliceRows + minimum(lane(), slices_ - 1);
+    const ReadColumns columns(s_, slice);
+    begin_of_ = columns.begin;
+    end_of_ = columns.end;
+    begin_slice();
+  }
+  __device__ void begin_slice() {
+    next_ = __shfl_sync(0xFFFFFFFFu, begin_of_, slice_);
+    end_ = __shfl_sync(0xFFFFFFFFu, end_of_, slice_);
+    // Rows that read no block go without.
+    const uint2 words = next_ < end_ ? __ldcs(PackedColumn<Word>(s_, next_).diagonals + lane()) : uint2{0, 0};
+    diagonal_.words[0] = words.x;
+    diagonal_.words[1] = words.y;
+  }
+  __device__ void next_slice() {
+    if (++slice_ < slices_) return begin_slice();
+    std::uint32_t next = first_ + Warps * tile_rows_;
+    if (next >= own_) next = begin_;
+    if (next != first_) return begin_tile(next);
+    slice_ = 0;
+    begin_slice();
+  }
+  /// Reads are under way together.
+  __device__ void load() {
+#pragma unroll
+    for (std::uint32_t i = 0; i < kAtOnce; ++i) {
+      // The matrix passes by in every iteration: it is not to drive out of the cache what stays.
+      const bool more = next_ + i < end_;
+      const PackedColumn<Word> from(s_, next_ + i);
+      neighbour_[i] = more ? __ldcs(from.neighbours + lane()) : Word(0);
+      for (int pair = 0; pair < 3; ++pair) {
+        constexpr uint2 kZero{tensor::PackedBlock::kZeroWords[0], tensor::PackedBlock::kZeroWords[1]};
+        const uint2 words = more ? __ldcs(from.pairs + pair * kSliceRows + lane()) : kZero;
+        block_[i].words[2 * pair] = words.x;
+        block_[i].words[2 * pair + 1] = words.y;
+      }
+    }
+  }
+
+  const SceneView<float>& s_;
+  const tensor::Patch& patch_;
+  const std::uint32_t tile_rows_, own_, begin_;  // where the warp's first tile begins
+  std::uint32_t first_;                          // where the tile at hand does
+  std::uint32_t slice_, slices_;                 // of it
+  std::uint32_t next_, end_;                     // columns of the slice
+  std::uint32_t begin_of_, end_of_;              // the same of the lane's slice
+  tensor::PackedDiagonal diagonal_;              // of the lane's row in the slice
+  tensor::PackedBlock block_[kAtOnce];
+  Word neighbour_[kAtOnce];
+};
+
+}  // namespace tensormass::backend::cuda
