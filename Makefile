@@ -106,6 +106,7 @@ sanitized:
 	  -DTENSORMASS_CARGO_TARGET_DIR=$(CURDIR)/$(BUILD)/server/bus/zenoh/cargo
 	@ninja -C build-$(NAME) -j $(JOBS)
 	@TSAN_OPTIONS="suppressions=$(CURDIR)/tests/support/tsan_suppressions.txt ignore_noninstrumented_modules=1" \
+	  UBSAN_OPTIONS="halt_on_error=1 print_stacktrace=1" \
 	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
 
 lint: setup-test python ## Format and static checks of every language
