@@ -9,6 +9,7 @@
 #include "physics/lists.h"
 #include "tensor/rows.h"
 
+// TM_REAL, float or double, comes from the build.
 namespace tensormass::tests {
 
 namespace {
@@ -91,11 +92,8 @@ void finish_rows(bool has_constant, const tensor::SceneView<Real>& s) {
   }
 }
 
-template void assemble_rows(int, int, const tensor::SceneView<float>&, const tensor::ElementView<float>&,
+template void assemble_rows(int, int, const tensor::SceneView<TM_REAL>&, const tensor::ElementView<TM_REAL>&,
                             std::uint32_t);
-template void assemble_rows(int, int, const tensor::SceneView<double>&, const tensor::ElementView<double>&,
-                            std::uint32_t);
-template void finish_rows(bool, const tensor::SceneView<float>&);
-template void finish_rows(bool, const tensor::SceneView<double>&);
+template void finish_rows(bool, const tensor::SceneView<TM_REAL>&);
 
 }  // namespace tensormass::tests

@@ -4,20 +4,15 @@
 #include <memory>
 #include <stdexcept>
 #include <string_view>
-#include <thread>
 #include <utility>
 #include <vector>
 
 #include <Eigen/Dense>
 
 #include "backend/cpu/arena.h"
-#include "backend/cpu/elements.h"
-#include "backend/cpu/team.h"
 #include "backend/results.h"
-#include "backend/stages.h"
 #include "model/bind.h"
 #include "model/compile.h"
-#include "support/host_rows.h"
 
 /// A compiled scene whose stages a test runs one by one on CPU teams, with every buffer in reach.
 namespace tensormass::tests {
@@ -52,36 +47,8 @@ class StagedScene {
       if (stage.kind == kind) run(stage);
     }
   }
-  void run(const model::Stage& stage) {
-    const tensor::ElementView<Real>& elements = groups_[stage.group];
-    const auto on_each_patch = [&](const auto& run_stage) {
-      backend::cpu::Barrier barrier(view.patch_count);
-      std::vector<std::thread> threads;
-      for (std::uint32_t patch = 0; patch < view.patch_count; ++patch) {
-        threads.emplace_back([&, patch] {
-          backend::cpu::Team team(patch, view.patch_count, barrier);
-          run_stage(team);
-        });
-      }
-      for (std::thread& thread : threads) thread.join();
-    };
-    if (model.layout.storage == tensor::Storage::kRows) {  // what a GPU does its own way
-      constexpr std::uint32_t kCapacity = 20;              // columns: most rows fit, some come in turns
-      if (stage.kind == model::StageKind::kElements) {
-        const model::ElementGroup& group = model.groups[stage.group];
-        return assemble_rows(group.shape, group.law, view, elements, kCapacity);
-      }
-      if (stage.kind == model::StageKind::kAssemble) return finish_rows(!model.constant_edges.empty(), view);
-    }
-    if (stage.kind == model::StageKind::kElements) {
-      const model::ElementGroup& group = model.groups[stage.group];
-      const auto pass = backend::cpu::element_passes<Real>(group.shape, group.law).tensors;
-      on_each_patch([&](backend::cpu::Team& team) { pass(team, view, elements); });
-    }
-    backend::with_stage(model, stage, [&](auto type) {
-      on_each_patch([&](backend::cpu::Team& team) { decltype(type)::run(team, view, elements); });
-    });
-  }
+  /// In staged_scene.cpp: all stages together take minutes to compile.
+  void run(const model::Stage& stage);
   void step() { run_through(model::StageKind::kMeasureContact); }
 
   std::uint32_t node_count() const { return static_cast<std::uint32_t>(model.layout.row_of_node.size()); }
