@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "backend/cpu/team.h"
 #include "mesh/random_mesh.h"
 #include "support/dense_system.h"
 #include "support/staged_scene.h"
