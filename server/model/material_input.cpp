@@ -1,5 +1,6 @@
 #include "model/material_input.h"
 
+#include <array>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -20,67 +21,71 @@ Result<double> read_modulus(double value, std::string_view where, std::string_vi
   return read_number(value, kMinModulusPa, kMaxModulusPa, fmt::format("{}.{}", where, field));
 }
 
-/// What a law stores, from its message. A law with constants of its own needs an overload here.
+Result<double> read_poisson_ratio(double value, std::string_view where) {
+  return read_number(value, kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where));
+}
+
+/// Of a law that may be given by other constants, but for their rounding.
+Result<void> check_compressibility(const physics::Moduli& moduli, double poisson_ratio, std::string_view where) {
+  constexpr double kRounding = 1e-9;
+  if (poisson_ratio >= kMinPoissonRatio - kRounding && poisson_ratio <= kMaxPoissonRatio + kRounding) return {};
+  return invalid(fmt::format(
+      "{}: a bulk modulus of {:g} Pa beside a shear modulus of {:g} Pa makes a Poisson's ratio of {:.6g}, which is not "
+      "within [{:g}, {:g}]; bring the two moduli closer together",
+      where, moduli.bulk_pa, moduli.shear_pa, poisson_ratio, kMinPoissonRatio, kMaxPoissonRatio));
+}
+
+/// A law's message, and what the law stores of it. A law with constants of its own needs a specialization; this is for
+/// all others.
 template <class Law>
-Result<std::vector<double>> read_parameters(physics::TypeTag<Law>, const v1::IsotropicElastic& p,
-                                            std::string_view where) {
-  TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
-  TM_TRY(poisson,
-         read_number(p.poisson_ratio(), kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where)));
-  const auto parameters = Law::parameters(young, poisson);
-  return std::vector<double>(parameters.begin(), parameters.end());
-}
-
-Result<std::vector<double>> read_parameters(physics::TypeTag<physics::MooneyRivlin>, const v1::MooneyRivlin& p,
-                                            std::string_view where) {
-  TM_TRY(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
-  TM_TRY(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
-  TM_CHECK(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
-  TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
-  const auto parameters = physics::MooneyRivlin::parameters(c10, c01, bulk);
-  return std::vector<double>(parameters.begin(), parameters.end());
-}
-
-Result<std::vector<double>> read_parameters(physics::TypeTag<physics::Ogden>, const v1::Ogden& p,
-                                            std::string_view where) {
-  TM_TRY(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
-  TM_TRY(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
-  TM_CHECK(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
-  TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
-  const auto parameters = physics::Ogden::parameters(mu, alpha, bulk);
-  return std::vector<double>(parameters.begin(), parameters.end());
-}
-
-Result<std::vector<double>> read_parameters(physics::TypeTag<physics::TransverselyIsotropic>,
-                                            const v1::TransverselyIsotropic& p, std::string_view where) {
-  TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
-  TM_TRY(poisson,
-         read_number(p.poisson_ratio(), kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where)));
-  TM_TRY(fibre, read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
-  TM_TRY(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
-  if (!(direction.norm() > 1e-12)) {
-    return invalid(fmt::format("{}.fibre_direction: has no length; give the direction of the fibres", where));
+struct Constants {
+  using Message = v1::IsotropicElastic;
+  static Result<std::array<double, Law::kParameterCount>> read(const Message& p, std::string_view where) {
+    static_assert(
+        requires { Law::parameters(1.0, 0.0); }, "constants of its own: specialize Constants for this law");
+    TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+    TM_TRY(poisson, read_poisson_ratio(p.poisson_ratio(), where));
+    return Law::parameters(young, poisson);
   }
-  const auto parameters = physics::TransverselyIsotropic::parameters(young, poisson, fibre, direction.normalized());
-  return std::vector<double>(parameters.begin(), parameters.end());
-}
+};
 
-/// The message that gives a law's constants.
-template <class Law>
-struct MessageOf {
-  using Type = v1::IsotropicElastic;
-};
 template <>
-struct MessageOf<physics::MooneyRivlin> {
-  using Type = v1::MooneyRivlin;
+struct Constants<physics::MooneyRivlin> {
+  using Message = v1::MooneyRivlin;
+  static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
+    TM_TRY(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
+    TM_TRY(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
+    TM_CHECK(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
+    TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+    return physics::MooneyRivlin::parameters(c10, c01, bulk);
+  }
 };
+
 template <>
-struct MessageOf<physics::Ogden> {
-  using Type = v1::Ogden;
+struct Constants<physics::Ogden> {
+  using Message = v1::Ogden;
+  static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
+    TM_TRY(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
+    TM_TRY(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
+    TM_CHECK(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
+    TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+    return physics::Ogden::parameters(mu, alpha, bulk);
+  }
 };
+
 template <>
-struct MessageOf<physics::TransverselyIsotropic> {
-  using Type = v1::TransverselyIsotropic;
+struct Constants<physics::TransverselyIsotropic> {
+  using Message = v1::TransverselyIsotropic;
+  static Result<std::array<double, 6>> read(const Message& p, std::string_view where) {
+    TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+    TM_TRY(poisson, read_poisson_ratio(p.poisson_ratio(), where));
+    TM_TRY(fibre, read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
+    TM_TRY(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
+    if (!(direction.norm() > 1e-12)) {
+      return invalid(fmt::format("{}.fibre_direction: has no length; give the direction of the fibres", where));
+    }
+    return physics::TransverselyIsotropic::parameters(young, poisson, fibre, direction.normalized());
+  }
 };
 
 /// What an element's own values are written over: not used, and yet no number that is none.
@@ -160,12 +165,15 @@ Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::
       auto* constants = own.GetReflection()->MutableMessage(&own, kind);
       const std::string at = fmt::format("{}.{}", where, Law::kName);
       TM_CHECK(override_values(*constants, values, at));
-      using Constants = typename MessageOf<Law>::Type;
-      TM_TRY(parameters, read_parameters(tag, static_cast<const Constants&>(*constants), at));
+      using Reader = Constants<Law>;
+      // Throws where the protocol has another message than Constants: in the first scene with the law.
+      TM_TRY(parameters, Reader::read(dynamic_cast<const typename Reader::Message&>(*constants), at));
+      const physics::Moduli moduli = Law::moduli_at_rest(parameters.data());
+      const physics::YoungPoisson elastic = physics::young_poisson_from(moduli);
+      TM_CHECK(check_compressibility(moduli, elastic.poisson_ratio, at));
       TM_TRY(prony, read_prony(law, where));
-      const physics::YoungPoisson elastic = physics::young_poisson_from(Law::moduli_at_rest(parameters.data()));
       return Material{index,
-                      std::move(parameters),
+                      {parameters.begin(), parameters.end()},
                       std::move(prony),
                       elastic.young_modulus_pa,
                       elastic.poisson_ratio,

@@ -333,6 +333,21 @@ std::vector<Refusal> law_refusals() {
          ogden.set_bulk_modulus_pa(1e4);
        },
        {"law.ogden.mu_pa * alpha / 2"}},
+      {"MooneyThatIsIncompressible",
+       [](auto& s) {
+         v1::MooneyRivlin& rubber = *body(s).mutable_law()->mutable_mooney_rivlin();
+         rubber.set_c10_pa(500);
+         rubber.set_bulk_modulus_pa(2.2e9);
+       },
+       {"body 'beam'.law.mooney_rivlin", "2.2e+09 Pa", "1000 Pa", "Poisson's ratio", "0.4999"}},
+      {"OgdenOfAir",
+       [](auto& s) {
+         v1::Ogden& ogden = *body(s).mutable_law()->mutable_ogden();
+         ogden.set_mu_pa(1000);
+         ogden.set_alpha(2);
+         ogden.set_bulk_modulus_pa(0.1);
+       },
+       {"body 'beam'.law.ogden", "Poisson's ratio", "-0.999"}},
       {"FibreWithoutDirection",
        [](auto& s) {
          v1::TransverselyIsotropic& fibres = *body(s).mutable_law()->mutable_transversely_isotropic();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -43,9 +44,11 @@ inline v1::Law law(const std::string& name, double young_modulus_pa, double pois
     fibres.mutable_fibre_direction()->set_y(0.5);
   } else {
     const auto* field = v1::Law::descriptor()->FindFieldByName(name);
-    auto& moduli = static_cast<v1::IsotropicElastic&>(*out.GetReflection()->MutableMessage(&out, field));
-    moduli.set_young_modulus_pa(young_modulus_pa);
-    moduli.set_poisson_ratio(poisson_ratio);
+    if (field == nullptr) throw std::invalid_argument(name + " is no kind of Law in scene.proto");
+    auto* moduli = dynamic_cast<v1::IsotropicElastic*>(out.GetReflection()->MutableMessage(&out, field));
+    if (moduli == nullptr) throw std::invalid_argument(name + " needs a branch in tests/support/laws.h");
+    moduli->set_young_modulus_pa(young_modulus_pa);
+    moduli->set_poisson_ratio(poisson_ratio);
   }
   return out;
 }
