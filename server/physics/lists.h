@@ -36,17 +36,23 @@ using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, Stable
 namespace detail {
 template <class... Types>
 std::tuple<Types...> as_tuple(TypeList<Types...>);
+template <Law... Types>
+constexpr bool are_laws(TypeList<Types...>) {
+  return true;
+}
 }  // namespace detail
+static_assert(detail::are_laws(Laws{}));
 
 /// The law at an index of the list.
 template <int Index>
 using LawAt = std::tuple_element_t<Index, decltype(detail::as_tuple(Laws{}))>;
 
-/// Calls visit(type<T>, index) for each type in order.
+/// A type as a value.
 template <class T>
 struct TypeTag {
   using Type = T;
 };
+/// Calls visit(TypeTag<T>{}, index) for each type in order.
 template <class... Types, class Visit>
 constexpr void for_each_type(TypeList<Types...>, Visit&& visit) {
   int index = 0;

@@ -15,9 +15,10 @@
 ///   kName                the protocol's name for it
 ///   kConstantStiffness   the stiffness does not depend on F: its tensors are assembled once
 ///   kInversion           what it promises where det F ≤ 0
+///   kMaxStrain, kMaxRotation  only of Inversion::kOutOfRange: where its range ends, the rotation in radians
 ///   kLeastStretch        optional: the principal stretch below which the law is no good any more
 ///   kParameterCount      what it stores for an element. parameters(...) makes them on the host from the protocol's
-///                        numbers; their range is the caller's to check
+///                        numbers, as many as it has; their range is the caller's to check (model/material_input.cpp)
 ///   moduli_at_rest(p)    bulk and shear modulus of the small strain limit, fibres left out
 ///   take_shares(p, d, v) scales the part of the energy that resists change of shape by d and the part that resists
 ///                        change of volume by v: selective integration evaluates them at different points. Energies are

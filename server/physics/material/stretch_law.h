@@ -58,11 +58,11 @@ struct StretchLaw {
     return p.f.u * p.w.gradient.asDiagonal() * p.f.v.transpose();
   }
 
-  /// Below the least stretch it goes to zero with σ: what a history kept of a collapsed element must not outweigh all
+  /// Below kFlat it goes to zero with σ: what a history kept of a collapsed element must not outweigh all
   /// that comes after.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> second_piola(const Point<T>& p) {
-    const T least = T(kLeastStretch * kLeastStretch);
+    const T least = T(kFlat * kFlat);
     Vec3<T> s;
     for (int i = 0; i < 3; ++i) {
       s[i] = p.w.gradient[i] * p.f.sigma[i] / maximum(T(p.f.sigma[i] * p.f.sigma[i]), least);
@@ -109,7 +109,7 @@ struct StretchLaw {
   }
 
  private:
-  static constexpr double kLeastStretch = 0.05;
+  static constexpr double kFlat = 0.05;  // a principal stretch; Law::kLeastStretch is another matter
 };
 
 /// W as a function of I1 = Σ σ_i², I2 = Σ_{i<j} σ_i² σ_j² and J = σ0 σ1 σ2, in this order.
