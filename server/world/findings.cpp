@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <limits>
+#include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include "physics/lists.h"
 
@@ -11,7 +13,19 @@ namespace tensormass::world {
 
 namespace {
 constexpr auto kRelaxed = std::memory_order_relaxed;
+
+/// "one, another and a third"
+std::string recovering_laws() {
+  std::vector<std::string> names;
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int) {
+    using Law = typename decltype(tag)::Type;
+    if (Law::kInversion == physics::Inversion::kRecovers) names.push_back(Law::kName);
+  });
+  const std::string last = names.back();
+  names.pop_back();
+  return names.empty() ? last : fmt::format("{} and {}", fmt::join(names, ", "), last);
 }
+}  // namespace
 
 void Findings::take_step(const World& world) {
   if (const GuardEvent* event = world.guard_event()) {
@@ -137,8 +151,8 @@ void Findings::add_elements(v1::SceneStatus& status) const {
   if (min_det_f <= 0) {
     status.add_warnings(fmt::format(
         "elements are turned inside out (min det F {:.2g}); what they carry means nothing until they come back, which "
-        "only corotational and stable_neo_hookean do by themselves",
-        min_det_f));
+        "only {} do by themselves",
+        min_det_f, recovering_laws()));
   }
 }
 

@@ -70,6 +70,7 @@ TEST_P(FindingsOf, InvertedElementsAreNamed) {
   const v1::SceneStatus crushed = after("hooke", 0, 0.7);
   EXPECT_LT(crushed.min_det_f(), 0);
   EXPECT_TRUE(says(crushed, "inside out"));
+  EXPECT_TRUE(says(crushed, "which only corotational and stable_neo_hookean do by themselves"));
 }
 
 TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceIsNamed) {
