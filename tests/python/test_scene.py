@@ -226,6 +226,8 @@ def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
         ({"law": "ogden"}, "ogden needs mu_pa, alpha, bulk_modulus_pa"),
         ({"law": "ogden", "constants": {"mu": 1.0}}, "ogden has no constant 'mu'; did you mean 'mu_pa'"),
         ({"law": "ogden", "constants": {"mu_pa": 1.0}}, "ogden needs alpha, bulk_modulus_pa"),
+        ({"law": "ogden", "young_modulus_pa": 4e3}, "no constant 'young_modulus_pa'; it is given by mu_pa, alpha"),
+        ({"law": "hooke", "young_modulus_pa": np.nan}, r"hooke\.young_modulus_pa: expected a finite number, got nan"),
         ({"law": "hooke", "constants": {"young_modulus_pa": "1 MPa"}}, "expected a number, got '1 MPa'"),
         (
             {"law": "transversely_isotropic", "constants": {"fibre_modulus_pa": 1.0, "fibre_direction": 1.0}},

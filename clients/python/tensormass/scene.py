@@ -311,7 +311,9 @@ def law_message(
     fields = message.DESCRIPTOR.fields_by_name
     for constant, value in constants.items():
         if constant not in fields:
-            raise InvalidArgumentError(f"{where}: {name} has no constant {constant!r}; {suggestion(constant, fields)}")
+            # A bulk modulus is spelt nearly as Young's, and is another number.
+            known = f"it is given by {', '.join(fields)}" if constant in _LIVER else suggestion(constant, fields)
+            raise InvalidArgumentError(f"{where}: {name} has no constant {constant!r}; {known}")
         if fields[constant].message_type is not None:
             getattr(message, constant).CopyFrom(vector3(cast(Vector, value), f"{where}.{name}.{constant}"))
             continue
@@ -319,6 +321,8 @@ def law_message(
             setattr(message, constant, value)
         except TypeError as error:
             raise InvalidArgumentError(f"{where}.{name}.{constant}: expected a number, got {value!r}") from error
+        if not math.isfinite(getattr(message, constant)):
+            raise InvalidArgumentError(f"{where}.{name}.{constant}: expected a finite number, got {value!r}")
     # A direction may come with each element instead.
     missing = [field for field, of in fields.items() if of.message_type is None and field not in constants]
     if missing:
