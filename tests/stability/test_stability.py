@@ -15,6 +15,7 @@ import pytest
 import tensormass as tm
 from accuracy.engine import Engine
 from tensormass import processes
+from tensormass.trade import knobs
 from tensormass.v1 import scene_pb2
 
 from . import cases_start, cases_steps, journal, report
@@ -47,11 +48,15 @@ QUICK = [(case, precision) for case in all_cases() if case.quick for precision i
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[tm.Server]:
+def daemon() -> Path:
     try:
-        processes.find_program("tensormassd", "TENSORMASSD")
+        return Path(processes.find_program("tensormassd", "TENSORMASSD"))
     except tm.NotFoundError as not_built:
         pytest.skip(str(not_built))
+
+
+@pytest.fixture(scope="module")
+def server(daemon: Path) -> Iterator[tm.Server]:
     with tm.launch(backend="cpu", zenoh=False) as server:
         yield server
 
@@ -72,6 +77,16 @@ def test_every_law_has_a_promise_and_a_tissue() -> None:
     assert set(PROMISES) == names == set(LAWS)
     for name in names:
         assert tissue(name).message.WhichOneof("kind") == name
+    guards = (Path(__file__).parents[2] / "docs" / "decisions" / "guards.md").read_text()
+    rows = re.findall(r"^\| ([a-z_, ]+) \|", guards.split("| law |")[1], re.MULTILINE)
+    assert sorted(", ".join(rows).split(", ")) == sorted(names)
+
+
+def test_every_isotropic_law_is_exchanged_by_its_small_strain() -> None:
+    for name in LAWS:
+        found = knobs._small_strain(tissue(name, 4000, 0.3).message)
+        expected = None if LAWS[name].directed else (pytest.approx(4000), pytest.approx(0.3))
+        assert found == expected, f"{name}: add it to _small_strain of tensormass/trade/knobs.py"
 
 
 def test_the_range_that_is_promised_is_the_laws() -> None:
@@ -201,15 +216,14 @@ def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
     assert len(entries) == len(wanted)
 
 
-def test_what_breaks_is_run_again_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_breaks_is_run_again_alone(daemon: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The first two daemons end at once: what they were to run breaks.
-    real = processes.find_program("tensormassd", "TENSORMASSD")
-    daemon = tmp_path / "tensormassd"
-    daemon.write_text(
-        f'#!/bin/sh\ncd {tmp_path}\nmkdir a 2>/dev/null && exit 3\nmkdir b 2>/dev/null && exit 3\nexec {real} "$@"\n'
+    stand_in = tmp_path / "tensormassd"
+    stand_in.write_text(
+        f'#!/bin/sh\ncd {tmp_path}\nmkdir a 2>/dev/null && exit 3\nmkdir b 2>/dev/null && exit 3\nexec {daemon} "$@"\n'
     )
-    daemon.chmod(0o755)
-    monkeypatch.setenv("TENSORMASSD", str(daemon))
+    stand_in.chmod(0o755)
+    monkeypatch.setenv("TENSORMASSD", str(stand_in))
     wanted, entries = tasks_of([case for case in all_cases() if case.key.startswith("input/pose")]), list[Entry]()
     run(wanted, backend="cpu", jobs=1, scenes=2, limit_s=600, take=entries.append)
     assert (tmp_path / "b").exists()
