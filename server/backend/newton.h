@@ -15,18 +15,18 @@
 /// again with the positive one.
 namespace tensormass::backend {
 
-/// Sums over the free components of a scene.
+/// tensor::PatchResidual of the whole scene.
 struct Imbalance {
-  double imbalance_squared = 0;
-  double force_squared = 0;
-  double slope = 0;  ///< imbalance · increment: above zero the increment still leads downhill
-  double moved = 0;  ///< by the increment: the most that a node moved, relative to its own coordinates
+  double imbalance_squared = 0;  ///< [N² s²]
+  double force_squared = 0;      ///< [N² s²]
+  double slope = 0;              ///< [J] imbalance · increment: above zero the increment still leads downhill
+  double moved = 0;              ///< by the increment: the most that a node moved, relative to its own coordinates
 
   bool finite() const { return std::isfinite(imbalance_squared) && std::isfinite(force_squared); }
 };
 
-/// What rounding leaves of the largest forces that a scene has seen: an imbalance is not measured against less, or a
-/// scene that was let go would never come to rest.
+/// An imbalance is not measured against less than this share of the largest forces that a scene has seen, of which
+/// rounding leaves something: a scene that was let go would never come to rest.
 template <class Real>
 inline constexpr double kRoundingShare = sizeof(Real) == 4 ? 0.1 : 1e-6;
 

@@ -12,8 +12,7 @@
 #include "tensor/visible.h"
 
 /// The stages as types, so that every backend runs the same functions: the CPU calls `run` with the team of a thread,
-/// CUDA instantiates a kernel for each type. kExchanges marks the stages whose patches talk to each other while they
-/// run.
+/// CUDA instantiates a kernel for each type.
 namespace tensormass::backend {
 
 using tensor::ElementView;

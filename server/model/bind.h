@@ -9,13 +9,13 @@
 
 /// The one place that says which buffers a model needs. The same function fills a view in host memory, in device
 /// memory, or, with an arena that only counts, lists the buffers for the plan.
-namespace tensormass::model {
-
+///
 /// An Arena has
 ///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted by static_cast; nullptr for an empty vector
 ///   T* zeros<T>(name, count)                           zeroed memory; nullptr for no items
 ///   const T* generated<T>(name, count, fill)           what fill(T*) writes over zeros; nullptr for no items
-///
+namespace tensormass::model {
+
 /// What a step is told and what it reports. A device may have it elsewhere than its other buffers.
 template <class Real>
 struct StepExchange {

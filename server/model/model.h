@@ -17,7 +17,8 @@
 /// means that the scene has no use for it; no backend allocates a buffer for it.
 namespace tensormass::model {
 
-/// What a step can consist of, in the order in which the stages run.
+/// What a step can consist of, in the order in which the stages run; but kAssemble comes before kElements where these
+/// add to the matrix (Storage::kEdges), and contact is detected once more at the end of a step that is not plain.
 enum class StageKind : std::uint8_t {
   kPredict,
   kDrive,
@@ -36,7 +37,7 @@ enum class StageKind : std::uint8_t {
   kBacktrack,
   kMeasureContact,
   kCheckVolume,  ///< once for each element group whose law must not turn inside out
-  kWatch,        ///< once for each element group
+  kWatch,        ///< once for each element group; not part of a step
 };
 
 /// Where a step's stages stand when it solves more than once (backend/newton.h); a step that is linearized once
@@ -79,7 +80,7 @@ struct ElementGroup {
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
-  /// Its law does not recover from inversion; a pair of wedges is looked at by its wedges.
+  /// Its law is Inversion::kCaught; a pair of wedges is looked at by its wedges.
   bool checks_volume = false;
   bool solve_checks_volume = false;  ///< with Model::checked, in place of a stage
 

@@ -15,14 +15,14 @@ struct StageText {
 };
 StageText text(StageKind kind);
 
-/// What a scene computes, what it holds and what it leaves out. `bytes_per_s` and `operations_per_s` are the machine's,
-/// for the expected rate.
+/// What a machine does, for the rate that is to be expected of a scene.
 struct MachineRates {
   double bytes_per_s = 0;
   double operations_per_s = 0;
   double stage_latency_s = 0;      ///< start of one stage
   double iteration_latency_s = 0;  ///< one exchange between patches
 };
+/// What a scene computes, what it holds and what it leaves out.
 v1::SceneReport make_report(const Model& model, const MachineRates& machine);
 
 }  // namespace tensormass::model

@@ -60,7 +60,7 @@ class Recurrence {
   bool negative_curvature_ = false;
 };
 
-/// Reads edges, rhs; writes solution, residual, direction, product, solve_report.
+/// Reads edges, rhs; writes solution, residual, direction, product, own_product, reduction, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real>& s) {
   using Lanes = typename Team::template Lanes<Real>;

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <type_traits>
 
 #include "physics/element/element.h"
 #include "tensor/view.h"

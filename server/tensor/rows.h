@@ -157,7 +157,8 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
 ///   leads(sums)                         adds up the sums of all parts; whether this part is to use them
-/// Reads displacement, velocity, base fields, history, decompositions; writes edges, diagonal, rhs, internal_force.
+/// Reads displacement, velocity, base fields, history, decompositions, external; writes edges, diagonal, rhs (where
+/// begun it reads these, too), internal_force.
 template <class Shape, class Law, class Real, class Blocks>
 TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t index,
                                  std::uint32_t lane, Blocks& blocks) {
@@ -335,7 +336,8 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
 }
 
 /// Ends the rows where groups do not: in scenes with linear laws.
-/// Reads constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs, internal_force.
+/// Reads constant tensors, displacement, velocity, base fields, external, and edges and rhs where begun; writes edges,
+/// diagonal, rhs, internal_force.
 template <bool HasConstant, class Team, class Real>
 TM_HOST_DEVICE void finish_rows(const Team& team, const SceneView<Real>& s) {
   const Patch patch = patch_of(s, team.patch());

@@ -122,7 +122,7 @@ struct TriangleContact {
   Real stiffness;  // [N/m]
 };
 
-/// The closest triangle of a patch to a tool.
+/// How close a patch's closest triangle is to a tool.
 template <class Real>
 struct ClosestTriangle {
   Real distance_squared;
@@ -175,13 +175,13 @@ struct NewtonControl {
   float line_share;                  // of the last increment, to be taken
 };
 
-/// Squares and products of a patch's free components, for the outer iteration.
+/// How far a patch is from balance, for the outer iteration; of its free components but for the forces.
 template <class Real>
 struct PatchResidual {
   Real imbalance_squared;  // of rhs [N² s²]
   Real force_squared;      // of internal and external forces, held components included [N² s²]
-  Real slope;              // rhs · increment
-  Real moved_squared;      // how far the increment moves a node, relative to |(u, size_m)|: the largest
+  Real slope;              // rhs · increment [J]
+  Real moved_squared;      // how far the increment moves a node, relative to |(u, size_m)|: the largest, squared
 };
 
 /// What elements look like now; one for each group and patch.
@@ -328,7 +328,7 @@ struct SceneView {
   SolveReport<Real>* solve_report;   // [1]
   PatchWatch<Real>* watch;           // [group, patch_count]
   Real* min_det_f;                   // [group, patch_count, parts of a patch], of groups whose volume steps check
-  Real* reduction;                   // [2, patch_count, kPatchSums] partial sums of exchange, by parity
+  Real* reduction;                   // partial sums of patches, room for [2, patch_count, kPatchSums]
   std::uint32_t* exchange_tags;      // [patch_count] exchanges so far, where cells carry their number (backend/cuda)
 };
 

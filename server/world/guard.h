@@ -29,7 +29,7 @@ struct Verdict {
   bool good() const { return breach == Breach::kNone; }
 };
 
-/// In words: "a node moved 0.3 m where 0.15 m is the most".
+/// In words: "a node is 0.3 m from where it rests, where 0.15 m is the most".
 std::string to_text(const Verdict& verdict);
 
 /// Whether all work that is done on the scene is counted: displacements that are prescribed and pressure do some that
