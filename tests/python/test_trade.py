@@ -46,13 +46,17 @@ def test_a_grid_has_every_knob_and_the_scene_stays_as_it_is(tmp_path: Path) -> N
     assert knobs.apply({}).fields == yaml.safe_load(BLOCK)
 
 
-def test_laws_are_exchanged_by_their_stiffness_for_small_strains(tmp_path: Path) -> None:
-    # μ = 2 (C10 + C01) = 1500 Pa, K = 5000 Pa -> E = 9 K μ / (3 K + μ).
-    rivlin = BLOCK.replace(
-        "neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}",
-        "mooney_rivlin: {c10_pa: 500, c01_pa: 250, bulk_modulus_pa: 5000}",
-    )
-    law = knobs_of(rivlin, tmp_path).apply({"law": "hooke"}).scene().message.bodies[0].law.hooke
+@pytest.mark.parametrize(
+    "own",
+    [
+        "mooney_rivlin: {c10_pa: 500, c01_pa: 250, bulk_modulus_pa: 5000}",  # μ = 2 (C10 + C01)
+        "ogden: {mu_pa: 750, alpha: 4, bulk_modulus_pa: 5000}",  # μ = mu alpha / 2
+    ],
+)
+def test_laws_are_exchanged_by_their_stiffness_for_small_strains(tmp_path: Path, own: str) -> None:
+    # μ = 1500 Pa, K = 5000 Pa -> E = 9 K μ / (3 K + μ).
+    text = BLOCK.replace("neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}", own)
+    law = knobs_of(text, tmp_path).apply({"law": "hooke"}).scene().message.bodies[0].law.hooke
     assert law.young_modulus_pa == pytest.approx(9 * 5000 * 1500 / (15000 + 1500))
     assert law.poisson_ratio == pytest.approx((15000 - 3000) / (2 * (15000 + 1500)))
 
@@ -73,8 +77,19 @@ def test_what_cannot_be_chosen_says_why(tmp_path: Path) -> None:
         knobs.choose(["cg_tolerence"])
     numbered = BLOCK.replace("fixed: [{box", "fixed: [{nodes: {indices: [1]}}, {box")
     assert "node numbers" in knobs_of(numbered, tmp_path).without["resolution"]
+    uneven = BLOCK.replace("    quadrature:", "    element_fields: {young_modulus_pa: AAAAAAAAAAA=}\n    quadrature:")
+    assert "element fields" in knobs_of(uneven, tmp_path).without["resolution"]
     still = BLOCK.replace("solver: {", "solver: {integrator: quasi_static, ")
     assert "equilibrium" in knobs_of(still, tmp_path).without["integrator"]
+
+
+def test_only_what_is_held_has_an_equilibrium(tmp_path: Path) -> None:
+    assert "quasi_static" in knobs_of(BLOCK, tmp_path).knobs["integrator"].values
+    body = BLOCK[BLOCK.index("  - name") : BLOCK.index("tools:")]
+    free = "\n".join(line for line in body.replace("name: block", "name: free").splitlines() if "fixed:" not in line)
+    both = knobs_of(BLOCK.replace("tools:", f"{free}\ntools:"), tmp_path)
+    assert len(both.message.bodies) == 2
+    assert both.knobs["integrator"].values == ("implicit_euler", "bdf2")
 
 
 def test_numbers_that_yaml_takes_for_text_are_numbers(tmp_path: Path) -> None:
@@ -151,6 +166,21 @@ def test_linear_fields_are_taken_exactly(shape: str) -> None:
     np.testing.assert_allclose(own_nodes(values), values, atol=1e-9)
 
 
+def test_points_are_found_in_the_block_of_their_element() -> None:
+    left, right = (meshes.grid([2, 2, 2], [1, 1, 1], shape=shape, origin_m=[x, 0, 0]) for shape, x in MIXED)
+    nodes = np.concatenate([left.nodes, right.nodes])
+    blocks = [(left.blocks[0].shape.name, left.blocks[0].nodes)]
+    blocks.append((right.blocks[0].shape.name, right.blocks[0].nodes + np.uint32(len(left.nodes))))
+    points = np.random.default_rng(1).random((100, 3)) * [2, 1, 1]
+    taken = Interpolation(meshes.VolumeMesh.from_arrays(nodes, blocks), points)
+    assert taken.outside_count == 0
+    side = np.concatenate([np.zeros((len(left.nodes), 1)), np.ones((len(right.nodes), 1))])
+    np.testing.assert_allclose(taken(side)[:, 0], points[:, 0] > 1, atol=1e-9)
+
+
+MIXED = (("hexahedron", 0.0), ("tetrahedron", 1.0))
+
+
 def test_points_outside_are_extrapolated_and_counted() -> None:
     mesh = meshes.grid([2, 2, 2], [1, 1, 1])
     points = np.array([[0.5, 0.5, 0.5], [1.05, 0.5, 0.5], [0.5, 3.0, 0.5]])
@@ -184,6 +214,25 @@ def test_errors_are_shares_of_the_reference() -> None:
     assert errors.work == pytest.approx(0.2)
     assert errors.force_angle_rad == pytest.approx(0.3 * 2 / 3)  # the other sample, of half the force, points alike
     assert errors.judged == errors.force
+    assert errors.damping == pytest.approx(0.1 / math.hypot(10 * math.pi, 1), rel=0.1)  # it dies away sooner
+    assert compare(recording(0.9), recording(), weights).volume == pytest.approx(0.001)
+
+
+def test_errors_of_what_hardly_is_there() -> None:
+    weights = [np.ones(3)]
+    reference = recording()
+    still = replace(reference, free_m=np.zeros(200))
+    assert (compare(still, reference, weights).frequency, compare(still, reference, weights).damping) == (1.0, None)
+    assert (compare(reference, still, weights).frequency, compare(reference, still, weights).damping) == (None, None)
+    assert compare(reference, recording(0.0), weights).displacement == math.inf
+    assert compare(recording(0.0), recording(0.0), weights).displacement == 0
+    # The direction counts by the reference's force, and not where that is weak.
+    turned = recording(turn_rad=0.3)
+    stronger = replace(turned, force=turned.force * [[100.0], [1.0]])
+    assert compare(stronger, reference, weights).force_angle_rad == pytest.approx(0.3 * 2 / 3)
+    weak = replace(reference, force=np.array([[0, 0, 0.1], [0, 0, 2.0]]))
+    aside = replace(reference, force=np.array([[0, 0.1, 0], [0, 0, 2.0]]))
+    assert compare(aside, weak, weights).force_angle_rad == 0
 
 
 def test_frequency_and_damping_of_a_swing() -> None:
@@ -193,6 +242,8 @@ def test_frequency_and_damping_of_a_swing() -> None:
     assert measured is not None
     assert measured[0] == pytest.approx(6, rel=1e-2)
     assert measured[1] == pytest.approx(rate / math.hypot(rate, omega), rel=1e-2)
+    # On both sides of some of its turns are equal values.
+    assert oscillation(times, 0.2 + np.cos(omega * times)) == (pytest.approx(6, rel=1e-2), pytest.approx(0, abs=1e-3))
     assert oscillation(times, 1 - np.exp(-times)) is None
     assert oscillation(times, 1 + 1e-3 * np.cos(omega * times)) is None  # equilibrium, and what a solver leaves
 
@@ -262,6 +313,9 @@ def test_solved_better_is_without_what_is_solved_worse(tmp_path: Path) -> None:
     loose = {"resolution": 0.5, "cg_tolerance": 0.1, "precision": "double"}
     assert knobs.solved_better(loose) == {"resolution": 0.5, "precision": "double"}
     assert knobs.solved_better({"cg_tolerance": 1e-4}) == {"cg_tolerance": 1e-4}
+    newton = knobs_of(BLOCK.replace("solver: {", "solver: {newton_max_iterations: 5, "), tmp_path)
+    assert newton.solved_better({"newton_tolerance": 1e-2}) == {}
+    assert newton.solved_better({"newton_tolerance": 1e-4}) == {"newton_tolerance": 1e-4}
     # Newton's method by default where there is an equilibrium, one solve where there is none.
     few = {"integrator": "quasi_static", "newton_max_iterations": 2}
     assert knobs.solved_better(few) == {"integrator": "quasi_static"}

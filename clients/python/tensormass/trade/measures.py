@@ -98,10 +98,13 @@ def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] 
     """Frequency [Hz] and damping ratio of a motion that swings and dies away, of its turning points; None: it does not
     swing three times."""
     turns: list[tuple[float, float]] = []
-    for i in range(1, len(values) - 1):
-        before, after = values[i] - values[i - 1], values[i + 1] - values[i]
-        if before * after < 0:
+    changes = np.diff(values)
+    # Around a turn halfway between two of them, values are equal.
+    for last, following in itertools.pairwise(np.flatnonzero(changes)):
+        if changes[last] * changes[following] < 0:
             # The vertex of the parabola through three points.
+            i = last + 1
+            before, after = changes[last], changes[i]
             shift = (before + after) / (before - after) / 2
             step_s = (times_s[i + 1] - times_s[i - 1]) / 2
             turns.append((float(times_s[i] + shift * step_s), float(values[i] + shift * (before + after) / 4)))
