@@ -7,22 +7,20 @@ import contextlib
 import errno
 import json
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from trade_parts import BLOCK, COSTS, MACHINE, knobs_of, measurement
+from trade_parts import BLOCK, MACHINE, Formula, knobs_of, measurement
 
 import tensormass as tm
 from tensormass.cli import main
 from tensormass.scene import SceneFile
 from tensormass.trade import command, reference, report
 from tensormass.trade.command import parse_share, parse_time_s
-from tensormass.trade.script import Recording, Script
-from tensormass.trade.store import Machine, Store
+from tensormass.trade.script import Script
+from tensormass.trade.store import Machine
 from tensormass.v1 import scene_pb2
 
 
@@ -59,99 +57,6 @@ def test_the_help_names_only_scenes_that_are_taken(capsys: pytest.CaptureFixture
     assert "mesh file" not in help_text
 
 
-def _cells_of(scene: scene_pb2.Scene) -> int:
-    """A mesh from a file is as fine as the grid."""
-    return scene.bodies[0].mesh.grid.cells_x or 4
-
-
-class Formula:
-    """Stands for a recorder: displacement (1 + error) u, error = (h² + dt²) / 100, both against the scene's own."""
-
-    def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
-        self.weights = [np.ones(2)]
-        self.runs = 0
-        #: Of each call of `measure`, how many scenes.
-        self.together = list[int]()
-        #: The run that ends the daemon.
-        self.last_run = 0
-        self.felt = True
-        #: Of the machine, as factors of the times of the runs that follow; then it is as it was.
-        self.slowness = list[float]()
-        #: Of the error, likewise.
-        self.wrongness = list[float]()
-        #: Of conjugate gradients: what they leave cancels nine tenths of the error.
-        self.lucky_tolerance = 0.0
-        #: For a scene and what is timed beside it.
-        self.room_for_both = True
-        self._cells = _cells_of(scene)
-        self._own_dt_s = script.sample_s / 2
-        self._broken_law = broken_law
-
-    def record(self, scene: scene_pb2.Scene) -> Recording:
-        self.runs += 1
-        if self.runs == self.last_run:
-            raise tm.UnavailableError("the daemon is gone")
-        if scene.bodies[0].law.WhichOneof("kind") == self._broken_law:
-            raise tm.FailedPreconditionError("left the numbers")
-        return self._recording(scene, *(of.pop(0) if of else 1.0 for of in (self.wrongness, self.slowness)))
-
-    def _recording(self, scene: scene_pb2.Scene, wrongness: float, slowness: float) -> Recording:
-        cells = _cells_of(scene)
-        dt = (scene.stepping.dt_s or self._own_dt_s) / self._own_dt_s
-        if scene.solver.cg_tolerance == self.lucky_tolerance:
-            wrongness *= 0.1
-        error = wrongness * (0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2)
-        costs = replace(
-            COSTS, step_p50_s=1e-3 * slowness * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt
-        )
-        u = (1 + error) * np.ones((2, 2, 3))
-        force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
-        empty = np.empty(0)
-        return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
-
-    def measure(
-        self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
-    ) -> list[Recording | tm.TensormassError]:
-        assert limit_s > 0
-        self.together.append(len(scenes))
-        turns = [self._recording(scene, 1.0, self.slowness[0] if self.slowness else 1.0) for scene in beside]
-        recordings: list[Recording | tm.TensormassError] = []
-        for scene in scenes:
-            try:
-                recordings.append(self.record(scene))
-            except tm.FailedPreconditionError as error:
-                recordings.append(error)
-        return [*recordings, *(of if self.room_for_both else tm.ResourceExhaustedError("full") for of in turns)]
-
-
-def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
-    knobs = knobs_of(BLOCK.replace("cells_x: 4", "cells_x: 40"), tmp_path)
-    script = Script.of(knobs.message, None)
-    formula, said = Formula(knobs.message, script), list[str]()
-
-    def find(tolerance: float, limit_s: float) -> reference.Reference:
-        return reference.find(
-            knobs, script, formula, Store(tmp_path), MACHINE, tolerance=tolerance, limit_s=limit_s, say=said.append
-        )  # type: ignore[arg-type]
-
-    found = find(0.02, 1e9)
-    assert found.ended == "below a third of the tolerance"
-    assert found.order == pytest.approx(2, abs=0.2)
-    true_error = found.recording.displacement[0].max() - 1
-    assert found.displacement_error == pytest.approx(true_error, rel=0.25)
-    assert found.displacement_error < 0.02 / 3
-    assert len(said) == len(found.levels) == formula.runs
-    before = formula.runs
-    assert find(0.02, 1e9) == replace(found, recording=ANY)  # taken from the folder
-    assert formula.runs == before
-    finer = find(0.002, 1e9)
-    assert len(finer.levels) > len(found.levels)
-    assert formula.runs == len(finer.levels)
-    limited = find(1e-9, 30.0)
-    assert "--reference-seconds 30" in limited.ended
-    assert limited.error > 1e-9
-
-
 class FakeServer:
     """Accepts every scene; all else only the recorder, which is `Formula`, would ask it."""
 
@@ -186,6 +91,9 @@ def test_a_run_is_resumed_and_reported(
     first = json.loads(capsys.readouterr().out)
     assert {tuple(of["setting"]) for of in first["measurements"]} >= {(), ("resolution",), ("resolution", "dt_s")}
     assert first["not_varied"]["law"] == "not asked for"
+    assert first["budget_s"] == pytest.approx(1 / 60)
+    own, *others = first["measurements"]
+    assert own["moved"] == 0 < min(of["moved"] for of in others)
     assert first["fastest"]["errors"]["displacement"] <= 0.03
     assert first["fastest"]["cost_s"] < first["measurements"][0]["cost_s"] * 4
     runs = formula.runs
@@ -398,11 +306,22 @@ def test_a_setting_that_breaks_is_a_result_too(
     assert "law hencky could not be run: left the numbers" in capsys.readouterr().out
 
 
-def test_the_scene_as_it_is_is_run_before_its_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scene_as_it_is_is_run_before_its_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     formula = stand_in(tmp_path, monkeypatch)
     formula.last_run = 1
     monkeypatch.delattr(reference, "find")
     assert run_on(tmp_path) == 1
+    assert capsys.readouterr().err.endswith("\ntensormass: the daemon is gone\n")  # which no folder can help
+
+
+def test_a_quick_run_takes_a_minute_for_its_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in(tmp_path, monkeypatch)
+    for options, limit_s in (([], 600), (["--quick"], 60), (["--quick", "--reference-seconds", "7"], 7)):
+        run_on(tmp_path, "--tolerance", "0.0001%", *options)
+        ended = json.loads((tmp_path / "out" / "trade.json").read_text())["reference"]["ended"]
+        assert ended.endswith(f"(--reference-seconds {limit_s})")
 
 
 def test_a_refused_scene_leaves_nothing_behind(

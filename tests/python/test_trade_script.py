@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import types
@@ -312,6 +313,22 @@ def test_the_meter_reads_joules_where_it_can(monkeypatch: pytest.MonkeyPatch) ->
     assert not EnergyMeter(wanted=False).readable
     monkeypatch.setitem(sys.modules, "pynvml", None)  # no such package
     assert not EnergyMeter(wanted=True).readable
+
+
+def test_the_meter_counts_from_one_move_to_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = itertools.count()
+    monkeypatch.setattr(energy, "time", types.SimpleNamespace(monotonic=lambda: 0.4 * next(clock)))
+    meter = EnergyMeter(wanted=False)
+
+    def count(readings_j: list[float]) -> energy.Count | None:
+        readings = itertools.chain(readings_j, itertools.repeat(readings_j[-1]))
+        monkeypatch.setattr(meter, "read_j", lambda: next(readings))
+        return meter.count((runs, 10 * runs) for runs in itertools.count(1))
+
+    # Moves after the second run and the fifth; what is under way before and after them is not counted.
+    assert count([1.0, 1.0, 3.0, 3.0, 3.0, 7.0, 7.0]) == energy.Count(4.0, 3, 30)
+    assert count([1.0, 3.0]) is None
+    assert count([1.0]) is None
 
 
 def test_a_scene_that_stops_is_an_error_and_is_unloaded() -> None:

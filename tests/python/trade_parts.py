@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+import tensormass as tm
 from tensormass.scene import SceneFile
 from tensormass.trade.knobs import Knobs, Setting
 from tensormass.trade.measures import Errors
-from tensormass.trade.script import Costs
+from tensormass.trade.script import Costs, Recording, Script
 from tensormass.trade.store import Machine, Measurement
+from tensormass.v1 import scene_pb2
 
 BLOCK = """
 name: block
@@ -37,3 +43,68 @@ def measurement(setting: Setting, cost_s: float, error: float, failure: str = ""
     return Measurement(
         repr(setting), dict(setting), MACHINE, 6, errors, None if failure else COSTS, cost_s=cost_s, failure=failure
     )
+
+
+def _cells_of(scene: scene_pb2.Scene) -> int:
+    """A mesh from a file is as fine as the grid."""
+    return scene.bodies[0].mesh.grid.cells_x or 4
+
+
+class Formula:
+    """Stands for a recorder: displacement (1 + error) u, error = (h² + dt²) / 100, both against the scene's own."""
+
+    def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
+        self.weights = [np.ones(2)]
+        self.runs = 0
+        #: Of each call of `measure`, how many scenes.
+        self.together = list[int]()
+        #: The run that ends the daemon.
+        self.last_run = 0
+        self.felt = True
+        #: Of the machine, as factors of the times of the runs that follow; then it is as it was.
+        self.slowness = list[float]()
+        #: Of the error, likewise.
+        self.wrongness = list[float]()
+        #: Of conjugate gradients: what they leave cancels nine tenths of the error.
+        self.lucky_tolerance = 0.0
+        #: For a scene and what is timed beside it.
+        self.room_for_both = True
+        self._cells = _cells_of(scene)
+        self._own_dt_s = script.sample_s / 2
+        self._broken_law = broken_law
+
+    def record(self, scene: scene_pb2.Scene) -> Recording:
+        self.runs += 1
+        if self.runs == self.last_run:
+            raise tm.UnavailableError("the daemon is gone")
+        if scene.bodies[0].law.WhichOneof("kind") == self._broken_law:
+            raise tm.FailedPreconditionError("left the numbers")
+        return self._recording(scene, *(of.pop(0) if of else 1.0 for of in (self.wrongness, self.slowness)))
+
+    def _recording(self, scene: scene_pb2.Scene, wrongness: float, slowness: float) -> Recording:
+        cells = _cells_of(scene)
+        dt = (scene.stepping.dt_s or self._own_dt_s) / self._own_dt_s
+        if scene.solver.cg_tolerance == self.lucky_tolerance:
+            wrongness *= 0.1
+        error = wrongness * (0.01 * (self._cells / cells) ** 2 + 0.01 * dt**2)
+        costs = replace(
+            COSTS, step_p50_s=1e-3 * slowness * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt
+        )
+        u = (1 + error) * np.ones((2, 2, 3))
+        force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
+        empty = np.empty(0)
+        return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
+
+    def measure(
+        self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
+    ) -> list[Recording | tm.TensormassError]:
+        assert limit_s > 0
+        self.together.append(len(scenes))
+        turns = [self._recording(scene, 1.0, self.slowness[0] if self.slowness else 1.0) for scene in beside]
+        recordings: list[Recording | tm.TensormassError] = []
+        for scene in scenes:
+            try:
+                recordings.append(self.record(scene))
+            except tm.FailedPreconditionError as error:
+                recordings.append(error)
+        return [*recordings, *(of if self.room_for_both else tm.ResourceExhaustedError("full") for of in turns)]

@@ -1,0 +1,85 @@
+"""What `tensormass trade` compares with: the scene refined until it no longer moves, without a daemon."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import ANY
+
+import pytest
+from trade_parts import BLOCK, MACHINE, Formula, knobs_of
+
+import tensormass as tm
+from tensormass.trade import reference
+from tensormass.trade.script import Recording, Script
+from tensormass.trade.store import Store
+from tensormass.v1 import scene_pb2
+
+
+def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK.replace("cells_x: 4", "cells_x: 40"), tmp_path)
+    script = Script.of(knobs.message, None)
+    formula, said = Formula(knobs.message, script), list[str]()
+
+    def find(tolerance: float, limit_s: float) -> reference.Reference:
+        return reference.find(
+            knobs, script, formula, Store(tmp_path), MACHINE, tolerance=tolerance, limit_s=limit_s, say=said.append
+        )  # type: ignore[arg-type]
+
+    found = find(0.02, 1e9)
+    assert found.ended == "below a third of the tolerance"
+    assert found.order == pytest.approx(2, abs=0.2)
+    true_error = found.recording.displacement[0].max() - 1
+    assert found.displacement_error == pytest.approx(true_error, rel=0.25)
+    assert found.displacement_error < 0.02 / 3
+    assert len(said) == len(found.levels) == formula.runs
+    before = formula.runs
+    assert find(0.02, 1e9) == replace(found, recording=ANY)  # taken from the folder
+    assert formula.runs == before
+    finer = find(0.002, 1e9)
+    assert len(finer.levels) > len(found.levels)
+    assert formula.runs == len(finer.levels)
+    limited = find(1e-9, 30.0)
+    assert "--reference-seconds 30" in limited.ended
+    assert limited.error > 1e-9
+
+
+def test_a_level_that_fails_ends_the_refinement_only_where_there_are_two(tmp_path: Path) -> None:
+    class Failing(Formula):
+        at = 1
+
+        def record(self, scene: scene_pb2.Scene) -> Recording:
+            if self.runs + 1 == self.at:
+                raise tm.ResourceExhaustedError("too many elements")
+            return super().record(scene)
+
+    knobs = knobs_of(BLOCK, tmp_path)
+    script = Script.of(knobs.message, None)
+
+    def find(at: int) -> reference.Reference:
+        failing = Failing(knobs.message, script)
+        failing.at = at
+        store = Store(tmp_path / str(at))
+        return reference.find(knobs, script, failing, store, MACHINE, tolerance=1e-9, limit_s=1e9, say=lambda _: None)  # type: ignore[arg-type]
+
+    for at in (1, 2):
+        with pytest.raises(tm.ResourceExhaustedError):
+            find(at)
+    found = find(3)
+    assert found.ended == "the next level failed: too many elements"
+    assert len(found.levels) == 2
+    # What is seen or what is felt, whichever is farther off.
+    assert replace(found, displacement_error=0.1, force_error=0.2).error == 0.2
+    assert replace(found, displacement_error=0.1, force_error=0.05).error == 0.1
+    assert replace(found, displacement_error=0.1, force_error=None).error == 0.1
+
+
+def test_a_level_of_one_step_takes_longer_by_its_mesh_alone(tmp_path: Path) -> None:
+    still = BLOCK[: BLOCK.index("tools:")] + "solver: {integrator: quasi_static}\n"
+    for text, growth in ((still, 1.5**3), (BLOCK, 1.5**4)):
+        knobs = knobs_of(text.replace("cells_x: 4", "cells_x: 40"), tmp_path)
+        script = Script.of(knobs.message, None)
+        assert script.one_step == (text is still)
+        formula, store = Formula(knobs.message, script), Store(tmp_path / f"{growth}")
+        found = reference.find(knobs, script, formula, store, MACHINE, tolerance=1e-9, limit_s=1000, say=lambda _: None)  # type: ignore[arg-type]
+        assert f"another level would take about {found.levels[-1].wall_s * growth:.0f} s" in found.ended
