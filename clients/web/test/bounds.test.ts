@@ -26,4 +26,7 @@ it("holds the tissue and the tool's sphere, wherever the tool is turned to", () 
 
 it("leaves out a tool that is parked far away", () => {
   expect(bounds({ x: 0, y: 0, z: 100 }).max.z).toBe(1);
+  // The tissue's radius is 0.87, its centre (0.5, 0.5, 0.5), and the tip is 1 below the tool's origin.
+  expect(bounds({ x: 0.5, y: 0.5, z: 1.5 + 4.2 }).max.z).toBeCloseTo(0.5 + 4.2 + 0.25);
+  expect(bounds({ x: 0.5, y: 0.5, z: 1.5 + 4.5 }).max.z).toBe(1);
 });

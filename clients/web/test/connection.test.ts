@@ -1,6 +1,13 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 
-import { Connection, FIRST_RETRY_MS, LAST_RETRY_MS, parseText, type ConnectionEvents } from "../src/stream/connection";
+import {
+  Connection,
+  FIRST_RETRY_MS,
+  LAST_RETRY_MS,
+  parseText,
+  type ConnectionEvents,
+  type Diagnosis,
+} from "../src/stream/connection";
 
 class FakeSocket {
   static opened: FakeSocket[] = [];
@@ -146,6 +153,9 @@ describe("Connection", () => {
     expect(FakeSocket.last.of("ack")).toEqual([{ type: "ack", stream: "frame" }]);
     connection.setPaused(false);
     expect(FakeSocket.last.of("ack").map((ack) => ack.stream)).toEqual(["frame", "frame", "status"]);
+    connection.setPaused(true);
+    connection.setPaused(false); // what was paid is not owed again
+    expect(FakeSocket.last.of("ack")).toHaveLength(3);
   });
 
   it("owes a new connection nothing", async () => {
@@ -174,6 +184,55 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(1);
   });
 
+  it("tries no more when it is closed between two tries", async () => {
+    FakeSocket.last.fail("");
+    connection.close();
+    await vi.advanceTimersByTimeAsync(10 * LAST_RETRY_MS);
+    expect(FakeSocket.opened).toHaveLength(1);
+  });
+
+  it("says nothing of a try that failed once the next is under way", async () => {
+    let answer: (diagnosis: Diagnosis) => void = () => undefined;
+    diagnose.mockReturnValueOnce(new Promise((resolve) => (answer = resolve)));
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    FakeSocket.last.open();
+    answer({ reason: "the token is wrong", final: true });
+    await vi.advanceTimersByTimeAsync(0);
+    expect(events.onLink).toHaveBeenLastCalledWith({ kind: "open" });
+  });
+
+  it("has words for a loss without any", () => {
+    FakeSocket.last.open();
+    FakeSocket.last.fail("");
+    expect(events.onLink).toHaveBeenLastCalledWith({
+      kind: "lost",
+      everOpened: true,
+      reason: "the gateway does not answer",
+    });
+  });
+
+  it("sends nothing before it is open", () => {
+    connection.watch("liver");
+    expect(FakeSocket.last.sent).toEqual([]);
+  });
+
+  it("asks for the gateway's clock at once, then once a second, on the clock by which it takes the answer", async () => {
+    await vi.advanceTimersByTimeAsync(30);
+    FakeSocket.last.open();
+    const asked = performance.now();
+    expect(FakeSocket.last.of("clock")).toEqual([{ type: "clock", client_time_ms: asked }]);
+    await vi.advanceTimersByTimeAsync(40);
+    const reply = JSON.stringify({ type: "clock", client_time_ms: asked, gateway_time_ms: 2, replaced: 3 });
+    FakeSocket.last.onmessage?.({ data: reply });
+    expect(events.onClock).toHaveBeenCalledWith({ clientTimeMs: asked, gatewayTimeMs: 2, replaced: 3 }, asked + 40);
+    FakeSocket.last.fail("");
+    await vi.advanceTimersByTimeAsync(FIRST_RETRY_MS);
+    FakeSocket.last.open();
+    await vi.advanceTimersByTimeAsync(1000);
+    expect(FakeSocket.last.of("clock")).toHaveLength(2);
+  });
+
   it("hands on what arrives", () => {
     FakeSocket.last.open();
     FakeSocket.last.onmessage?.({ data: DAEMON });
@@ -185,6 +244,11 @@ describe("Connection", () => {
 });
 
 describe("parseText", () => {
+  it.each([false, undefined, 1])("lets no tool be moved where poses_allowed is %s", (poses_allowed) => {
+    const text = JSON.stringify({ ...(JSON.parse(DAEMON) as object), poses_allowed });
+    expect(parseText(text)).toMatchObject({ state: { posesAllowed: false } });
+  });
+
   it("reads a clock", () => {
     const text = JSON.stringify({ type: "clock", client_time_ms: 1, gateway_time_ms: 2, replaced: 3 });
     expect(parseText(text)).toEqual({ type: "clock", reply: { clientTimeMs: 1, gatewayTimeMs: 2, replaced: 3 } });

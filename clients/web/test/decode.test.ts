@@ -54,7 +54,9 @@ describe("decodeTopology", () => {
   it("refuses a torn triangle, a tool without size and a colour that is no number", () => {
     const torn = [{ name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2).subarray(0, 11) }];
     expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/11 bytes of triangles/);
-    expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM: 0 }] }))).toThrow(/radius_m is 0/);
+    for (const radiusM of [0, -1, NaN, 1e6]) {
+      expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM }] }))).toThrow(`radius_m is ${radiusM}`);
+    }
     const colored = [{ name: "a", vertexCount: 0, colorSrgb: { x: NaN, y: 0, z: 0 } }];
     expect(() => decodeTopology(topologyBytes({ bodies: colored }))).toThrow(/color_srgb/);
   });
@@ -82,8 +84,10 @@ describe("decodeFrame", () => {
       orientationWxyz: [1, 0, 0, 0],
       forceN: [0, 1.5, 0],
     });
-    const orientation = { w: 0, x: 0, y: 0, z: 0 };
-    expect(decodeFrame(frameBytes({ tools: [{ tool: "p", orientation }] })).tools[0]?.orientationWxyz).toEqual([1, 0, 0, 0]);
+    const unit = (w: number, x: number, y: number, z: number) =>
+      decodeFrame(frameBytes({ tools: [{ tool: "p", orientation: { w, x, y, z } }] })).tools[0]?.orientationWxyz;
+    expect(unit(0, 0, 0, 0)).toEqual([1, 0, 0, 0]);
+    expect(unit(1, -2, 2, 4)).toEqual([0.2, -0.4, 0.4, 0.8]);
   });
 
   it.each([NaN, Infinity, -Infinity])("refuses a position of %s", (value) => {

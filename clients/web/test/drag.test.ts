@@ -6,12 +6,13 @@ import type { Studio } from "../src/view/studio";
 
 const canvas = () =>
   Object.assign(new EventTarget(), {
-    getBoundingClientRect: () => ({ left: 0, top: 0, width: 100, height: 100 }),
+    getBoundingClientRect: () => ({ left: 10, top: 20, width: 100, height: 100 }),
     setPointerCapture: () => undefined,
   }) as unknown as HTMLCanvasElement;
 
-function pointer(type: string, clientX: number): Event {
-  return Object.assign(new Event(type), { button: 0, pointerId: 1, clientX, clientY: 50 });
+/** At so many hundredths of the canvas from its left and its top. */
+function pointer(type: string, x: number, y = 50, button = 0): Event {
+  return Object.assign(new Event(type), { button, pointerId: 1, clientX: 10 + x, clientY: 20 + y });
 }
 
 function probe(): THREE.Object3D {
@@ -21,9 +22,12 @@ function probe(): THREE.Object3D {
   return sphere;
 }
 
+/** A tenth of the picture at the distance of the sphere. */
+const TENTH = 0.2 * 5 * Math.tan(Math.PI / 8);
 const onMove = vi.fn();
 const controls = { enabled: true };
 let spheres: THREE.Object3D[];
+let world: THREE.Group;
 let target: HTMLCanvasElement;
 
 beforeEach(() => {
@@ -33,20 +37,45 @@ beforeEach(() => {
   const camera = new THREE.PerspectiveCamera(45, 1);
   camera.position.z = 5;
   camera.updateMatrixWorld(true);
-  const studio = { camera, controls, world: new THREE.Group() } as unknown as Studio;
+  world = new THREE.Group();
+  controls.enabled = true;
+  const studio = { camera, controls, world } as unknown as Studio;
   enableDrag(target, studio, { spheres: () => spheres, onMove });
   target.dispatchEvent(pointer("pointerdown", 50));
 });
 
 it("moves the tool that was taken, until it is released", () => {
   expect(controls.enabled).toBe(false);
-  target.dispatchEvent(pointer("pointermove", 60));
-  // A tenth of the picture, in the plane of the sphere's centre.
-  const x = 0.2 * 5 * Math.tan(Math.PI / 8);
-  expect(onMove).toHaveBeenCalledWith("probe", [expect.closeTo(x), expect.closeTo(0), expect.closeTo(0)]);
+  target.dispatchEvent(pointer("pointermove", 60, 70));
+  // A tenth of the picture to the right and two down, in the plane of the sphere's centre.
+  expect(onMove).toHaveBeenCalledWith("probe", [expect.closeTo(TENTH), expect.closeTo(-2 * TENTH), expect.closeTo(0)]);
   target.dispatchEvent(pointer("pointerup", 60));
   target.dispatchEvent(pointer("pointermove", 70));
   expect(onMove).toHaveBeenCalledTimes(1);
+  expect(controls.enabled).toBe(true);
+});
+
+it("says where the tool is to be in the scene, however that is turned", () => {
+  world.rotation.x = -Math.PI / 2;
+  world.updateMatrixWorld(true);
+  target.dispatchEvent(pointer("pointermove", 50, 40));
+  expect(onMove).toHaveBeenCalledWith("probe", [expect.closeTo(0), expect.closeTo(0), expect.closeTo(TENTH)]);
+});
+
+it("releases the tool where the pointer is taken away", () => {
+  target.dispatchEvent(pointer("pointercancel", 50));
+  target.dispatchEvent(pointer("pointermove", 60));
+  expect(onMove).not.toHaveBeenCalled();
+  expect(controls.enabled).toBe(true);
+});
+
+it("takes a tool by the first button alone, and only where it is", () => {
+  target.dispatchEvent(pointer("pointerup", 50));
+  for (const press of [pointer("pointerdown", 50, 50, 2), pointer("pointerdown", 80)]) {
+    target.dispatchEvent(press);
+    target.dispatchEvent(pointer("pointermove", 60));
+  }
+  expect(onMove).not.toHaveBeenCalled();
   expect(controls.enabled).toBe(true);
 });
 

@@ -1,10 +1,50 @@
+import * as THREE from "three";
 import { expect, it } from "vitest";
 
-import { arrowLength } from "../src/view/instruments";
+import { decodeFrame, decodeTopology } from "../src/stream/decode";
+import { Instruments, arrowLength } from "../src/view/instruments";
+import { frameBytes, topologyBytes } from "./messages";
 
 it("draws a longer arrow for a larger force, and none that leaves the screen", () => {
   const lengths = [0.01, 1, 10, 1e6, Infinity].map(arrowLength);
   expect(lengths).toEqual([...lengths].sort((a, b) => a - b));
   expect(lengths.at(-1)).toBeLessThan(1);
   expect(arrowLength(0)).toBe(0);
+});
+
+/** Of a tool at (1, 2, 3) whose sphere is 0.1 below it, in a scene of radius 2. */
+function update(forceN: { x: number; y: number; z: number }, orientation = { w: 1, x: 0, y: 0, z: 0 }) {
+  const topology = decodeTopology(topologyBytes());
+  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const tools = [{ tool: "probe", positionM: { x: 1, y: 2, z: 3 }, orientation, forceN }];
+  const labels = instruments.update(decodeFrame(frameBytes({ tools })));
+  instruments.group.updateMatrixWorld(true);
+  return { instruments, labels };
+}
+
+const close = (...values: number[]): unknown[] => values.map((value) => expect.closeTo(value, 6) as unknown);
+
+it("places the sphere where the tool is, turned as the tool is", () => {
+  // By a quarter of a turn about x.
+  const { instruments } = update({ x: 0, y: 0, z: 0 }, { w: 1, x: 1, y: 0, z: 0 });
+  const [sphere] = instruments.spheres();
+  expect(sphere?.name).toBe("probe");
+  expect(sphere?.getWorldPosition(new THREE.Vector3()).toArray()).toEqual(close(1, 2.1, 3));
+});
+
+it("draws the arrow from the sphere along the force, and the label at its tip", () => {
+  const { instruments, labels } = update({ x: 0, y: 0, z: -1.5 });
+  const [label] = labels;
+  expect(label).toMatchObject({ tool: "probe", magnitudeN: 1.5 });
+  const [x, y, z] = label!.tipM;
+  expect([x, y]).toEqual(close(1, 2));
+  expect(z).toBeLessThan(2.9 - 2 * arrowLength(1.5));
+  const arrow = new THREE.Box3().setFromObject(instruments.group.children[0]!.children[1]!);
+  expect(arrow.min.z).toBeCloseTo(z);
+  expect(arrow.max.z).toBeCloseTo(2.9);
+});
+
+it("draws no arrow for what is only rounding", () => {
+  expect(update({ x: 0, y: 0.004, z: 0 }).labels).toEqual([]);
+  expect(update({ x: 0, y: 0.006, z: 0 }).labels).toHaveLength(1);
 });

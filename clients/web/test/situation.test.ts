@@ -80,4 +80,9 @@ describe("linkSituation", () => {
     expect(title({ kind: "lost", everOpened: false, reason: "" })).toBe("No connection, trying again");
     expect(title({ kind: "refused", reason: "" })).toBe("Not let in");
   });
+
+  it("is not live before a scene is", () => {
+    expect(linkSituation({ kind: "connecting" })).toBeNull();
+    expect(linkSituation({ kind: "open" })).toEqual({ tone: "waiting", text: "Connected", notice: null });
+  });
 });

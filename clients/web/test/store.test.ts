@@ -4,6 +4,7 @@ import { beforeEach, describe, expect, it } from "vitest";
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { SceneStore, STATUS_HOLDS_NS } from "../src/stream/store";
+import { STAY_MS } from "../src/stream/warnings";
 import { f32, frameBytes, topologyBytes } from "./messages";
 
 const frame = (sequence: bigint) => decodeFrame(frameBytes({ sequence }));
@@ -122,6 +123,15 @@ describe("SceneStore", () => {
     store.setTopology(topology(7n));
     expect(store.status?.serverTimeNs).toBe(21n);
     expect(store.warnings.texts()).toEqual(["too fast"]);
+  });
+
+  it("lets a warning go by the server's clock", () => {
+    const at = (ms: number, ...warnings: string[]) => store.setStatus(status(BigInt(ms) * 1_000_000n, ...warnings));
+    at(1000, "too fast");
+    at(1000 + STAY_MS);
+    expect(store.warnings.texts()).toEqual(["too fast"]);
+    at(1001 + STAY_MS);
+    expect(store.warnings.texts()).toEqual([]);
   });
 
   it("has no current status once frames have gone on without it", () => {
