@@ -11,6 +11,7 @@ import signal
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, publish
 
 from tensormass.feeds import Stream
-from tensormass.gateway import Gateway, add_arguments, serve
+from tensormass.gateway import Gateway, GatewayOptions, add_arguments, options_from, serve
 from tensormass.v1 import stream_pb2
 
 # --- what is forwarded -----------------------------------------------------------------------------------------------
@@ -113,13 +114,38 @@ async def test_sequence_that_falls_back_makes_the_topology_asked_for_anew(viewer
 
 
 @asynchronous
-async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
+async def test_name_of_a_scene_may_have_64_characters(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        topology = load(daemon, 64 * "a")
+        async with browse(gateway, topology.scene) as page:
+            assert stream_pb2.Topology.FromString(await page.take(Stream.TOPOLOGY)) == topology
+
+
+@asynchronous
+async def test_clock_is_answered_in_milliseconds_of_the_epoch(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        before = time.time_ns() / 1e6
+        await page.send(type="clock", client_time_ms=1.5)
+        reply = await page.text(lambda message: message["type"] == "clock")
+        assert before <= reply["gateway_time_ms"] <= time.time_ns() / 1e6
+        assert (reply["client_time_ms"], reply["replaced"]) == (1.5, 0)
+
+
+@asynchronous
+async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
+    async with (
+        fake_daemon() as daemon,
+        serve(options(viewer, daemon.control)) as gateway,
+        browse(gateway) as first,
+        browse(gateway) as second,
+    ):
         load(daemon)
-        told = await page.text(lambda message: message["type"] == "daemon" and bool(message["scenes"]))
-        assert told["scenes"] == ["liver"]
+        for page in (first, second):
+            told = await page.text(lambda message: message["type"] == "daemon" and bool(message["scenes"]))
+            assert told["scenes"] == ["liver"]
         del daemon.topologies["liver"]
-        await page.text(lambda message: message["type"] == "daemon" and not message["scenes"])
+        for page in (first, second):
+            await page.text(lambda message: message["type"] == "daemon" and not message["scenes"])
 
 
 @asynchronous
@@ -195,6 +221,16 @@ async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -
 
 
 @asynchronous
+async def test_daemon_that_takes_poses_elsewhere_is_another(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            await page.take(Stream.TOPOLOGY)
+            daemon.endpoints.pose = 1
+            await page.take(Stream.TOPOLOGY)
+
+
+@asynchronous
 async def test_daemon_that_was_replaced_between_two_polls_is_noticed(viewer: Path) -> None:
     async with fake_daemon(server="before") as daemon, serve(options(viewer, daemon.control)) as gateway:
         topology = load(daemon)
@@ -232,6 +268,8 @@ async def test_garbage_on_the_bus_is_counted_and_survived(viewer: Path) -> None:
         ('{"type":"ack","stream":"pose"}', 1008, "no stream"),
         ('{"type":"ack","stream":["frame"]}', 1008, "unknown"),
         ('{"type":"watch","scene":"../x"}', 1008, "64 characters"),
+        ('{"type":"watch","scene":""}', 1008, "64 characters"),
+        (f'{{"type":"watch","scene":"{65 * "a"}"}}', 1008, "64 characters"),
         ('{"type":"watch","scene":"a/b#"}', 1008, "64 characters"),
         ('{"type":"pose","tool":"probe","position_m":[0,0,0]}', 1008, "takes no poses"),
         ('{"type":"sudo"}', 1008, "unknown"),
@@ -257,6 +295,16 @@ async def test_browser_that_breaks_the_protocol_is_closed(
         assert gateway.stats()["closed_for_errors"] == 1
 
 
+@asynchronous
+async def test_browser_is_told_that_the_gateway_stops(viewer: Path) -> None:
+    async with fake_daemon() as daemon, contextlib.AsyncExitStack() as stack:
+        gateway = await stack.enter_async_context(serve(options(viewer, daemon.control)))
+        async with browse(gateway) as page:
+            stopping = asyncio.ensure_future(stack.aclose())
+            assert await page.closed() == (1001, "the gateway stops")
+            await stopping
+
+
 # --- poses -----------------------------------------------------------------------------------------------------------
 
 
@@ -266,12 +314,14 @@ async def test_allowed_poses_reach_the_daemon(viewer: Path) -> None:
         load(daemon)
         async with browse(gateway, "liver") as page:
             await page.take(Stream.TOPOLOGY)
+            before_ns = time.time_ns()
             for x in (0.5, 0.25):
                 await page.send(type="pose", tool="probe", position_m=[x, 0, -1])
             poses = [await daemon.next_pose(), await daemon.next_pose()]
             assert [key for key, _ in poses] == ["tensormass/fake/liver/tool/probe/pose"] * 2
             assert [pose.sequence for _, pose in poses] == [1, 2]
             assert [pose.position_m.x for _, pose in poses] == [0.5, 0.25]
+            assert before_ns <= poses[0][1].client_time_ns <= poses[1][1].client_time_ns <= time.time_ns()
             assert poses[0][1].client_id == poses[1][1].client_id != 0
             assert not any(pose.HasField("orientation") for _, pose in poses)
 
@@ -325,6 +375,8 @@ async def test_pose_that_crosses_a_new_topology_costs_nothing(viewer: Path) -> N
         ("saw", "[0,0,0]", "no tool 'saw'"),
         ("probe", "[NaN,0,0]", "position_m is not three finite numbers"),
         ("probe", "[1e9,0,0]", "position_m is not three finite numbers"),
+        ("probe", "[0,-1e9,0]", "position_m is not three finite numbers"),
+        ("probe", "[0,0,true]", "position_m is not three finite numbers"),
         ("probe", "[0,0]", "position_m is not three finite numbers"),
         ("probe", f"[1{400 * '0'},0,0]", "position_m is not three finite numbers"),
         ("probe", '[0,0,0],"orientation":[0,0,0,0]', "orientation is not four finite numbers"),
@@ -359,6 +411,31 @@ def test_arguments_stay_on_loopback_unless_told_otherwise() -> None:
     add_arguments(parser)
     args = parser.parse_args([])
     assert (args.host, args.port, args.allow_poses) == ("127.0.0.1", 0, False)
+
+
+def test_arguments_reach_the_gateway(viewer: Path) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    given = ["--host", "::1", "--port", "8000", "--token", "t", "--max-browsers", "3", "--allow-poses"]
+    given += ["--viewer", str(viewer), "--origin", "http://a:1", "--origin", "http://b"]
+    wanted = GatewayOptions(
+        control="c:1",
+        host="::1",
+        port=8000,
+        token="t",
+        max_browsers=3,
+        origins=("http://a:1", "http://b"),
+        allow_poses=True,
+        viewer=viewer,
+    )
+    assert options_from(parser.parse_args(given), "c:1") == wanted
+
+
+@asynchronous
+async def test_address_of_ipv6_has_brackets(viewer: Path) -> None:
+    gateway = Gateway(options(viewer, host="::1", port=8000))
+    assert gateway.url == "http://[::1]:8000/?token=a-token"
+    await gateway.stop()
 
 
 def test_program_prints_its_address_writes_the_ready_file_and_ends_on_sigterm(viewer: Path, tmp_path: Path) -> None:

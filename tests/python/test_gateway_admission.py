@@ -39,6 +39,7 @@ async def test_wrong_token_is_refused(viewer: Path, token: str) -> None:
         async with session.get(f"{origin(gateway)}/status", params={"token": token}) as reply:
             assert reply.status == 403
             assert "use the address that was printed" in await reply.text()
+            assert reply.headers["Referrer-Policy"] == "no-referrer"
         assert gateway.stats()["refused_connections"] == 2
 
 
@@ -62,6 +63,17 @@ async def test_own_page_is_let_in_by_whatever_address_it_was_opened(viewer: Path
         session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=f"{scheme}://{host}") as socket,
     ):
         assert "no daemon" in (await socket.receive_json())["problem"]
+
+
+@asynchronous
+async def test_own_name_is_known_however_it_is_written(viewer: Path) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(platform, "node", lambda: "Trainer")
+        own = Gateway(options(viewer, host="Viewer.Example"))
+    for host in ("trainer:8000", "viewer.example:8000"):
+        assert own._is_own(f"http://{host}", host)
+    assert not own._is_own("http://other.example:8000", "other.example:8000")
+    await own.stop()
 
 
 @pytest.mark.parametrize(
