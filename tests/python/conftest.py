@@ -32,6 +32,8 @@ class Recorder(control_pb2_grpc.ControlServicer):
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
+        #: How long the call that came last may take [s].
+        self.time_left_s = 0.0
         self.failure: tuple[grpc.StatusCode, str] | None = None
         self.replies: dict[str, Any] = {"GetVersion": control_pb2.GetVersionResponse(server="s", version="1")}
 
@@ -42,6 +44,7 @@ class Recorder(control_pb2_grpc.ControlServicer):
 
     def answer(self, method: str, request: Any, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
         self.asked.append(request)
+        self.time_left_s = context.time_remaining()
         if self.failure is not None:
             context.abort(*self.failure)
         return self.replies[method]

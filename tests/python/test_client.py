@@ -78,6 +78,49 @@ def test_load_sends_the_scene_and_leaves_the_callers_alone(recorder: tuple[Recor
     assert fake.asked[-1].scene == message
 
 
+def test_loads_may_take_minutes_and_steps_as_long_as_they_take(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    fake.replies |= {
+        "LoadScene": control_pb2.LoadSceneResponse(),
+        "InspectScene": control_pb2.InspectSceneResponse(),
+        "StepScene": control_pb2.StepSceneResponse(),
+        "PauseScene": control_pb2.PauseSceneResponse(),
+    }
+    handle = server.load(tm.Scene("s"))
+    assert 120 < fake.time_left_s < 1200
+    server.inspect(tm.Scene("s"))
+    assert 120 < fake.time_left_s < 1200
+    handle.step(1000)
+    assert fake.time_left_s > 86_400
+    handle.pause()
+    assert 10 < fake.time_left_s < 60
+
+
+def test_a_load_ends_with_whoever_wanted_to_know_how_far_it_is(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    ended = threading.Event()
+
+    def load(method: str, request: object, context: grpc.ServicerContext) -> Iterator[Any]:
+        context.add_callback(ended.set)
+        yield control_pb2.LoadSceneWithProgressResponse(part="half", fraction=0.5)
+        ended.wait(DEADLINE_S)
+
+    def give_up(part: str, fraction: float) -> None:
+        raise KeyboardInterrupt
+
+    fake.answer = load  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt) as raised:  # kept: it holds what the call left
+        server.load(tm.Scene("s"), progress=give_up)
+    assert ended.wait(DEADLINE_S / 2), raised
+
+
+def test_a_scene_that_is_not_loaded_has_no_handle(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    fake.failure = (grpc.StatusCode.NOT_FOUND, "no scene 'liver'")
+    with pytest.raises(tm.NotFoundError, match="no scene 'liver'"):
+        server.scene("liver")
+
+
 def test_positions_are_writable_doubles_by_node(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
     expected = np.arange(12, dtype="<f8").reshape(4, 3)
@@ -100,7 +143,9 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
             server_time_ns=1_800_000_000_123_456_789,
             pose_sequence=2,
             client_id=1 << 63,
+            client_time_ns=77,
             position_m=scene_pb2.Vector3(x=1),
+            orientation=scene_pb2.Quaternion(w=0.1, x=0.7, y=0.5, z=0.5),
             force_n=scene_pb2.Vector3(z=3),
             torque_n_m=scene_pb2.Vector3(y=5),
             local_model=stream_pb2.LocalModel(stiffness_n_per_m=range(9), valid_for_s=0.05),
@@ -114,11 +159,14 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
     assert first.pose.client_id == second.pose.client_id
     assert second.pose.orientation == scene_pb2.Quaternion(x=0.6, z=0.8)
     feedback = scene.feedback("probe")
+    np.testing.assert_array_equal(feedback.position_m, [1, 0, 0])
+    np.testing.assert_array_equal(feedback.orientation, [0.1, 0.7, 0.5, 0.5])
     np.testing.assert_array_equal(feedback.force_n, [0, 0, 3])
     np.testing.assert_array_equal(feedback.torque_n_m, [0, 5, 0])
     np.testing.assert_array_equal(feedback.stiffness_n_per_m, np.arange(9).reshape(3, 3))
     assert (feedback.step, feedback.pose_sequence, feedback.valid_for_s) == (4, 2, 0.05)
     assert (feedback.server_time_ns, feedback.client_id) == (1_800_000_000_123_456_789, 1 << 63)
+    assert feedback.client_time_ns == 77
 
 
 def test_nobody_there_is_said_in_time() -> None:
@@ -170,6 +218,8 @@ def test_frames_start_with_the_present_and_go_on_over_the_bus(
         vertices, triangles = scene.surface("fan")
         assert (vertices.dtype, vertices.shape) == (np.float64, (4, 3))
         np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3]])
+        triangles[:] = 0  # the caller's own, as the vertices are
+        vertices[:] = 0
         with pytest.raises(tm.NotFoundError, match="has no body 'spleen'; it has: fan"):
             scene.surface("spleen")
 
@@ -244,6 +294,17 @@ def test_a_step_that_was_there_before_a_reset_is_news(daemon: FakeDaemon) -> Non
         frames = tm.FrameStream(tm.SceneHandle(server, "s", None), script, DEADLINE_S)  # type: ignore[arg-type]
         assert [next(frames).sequence for _ in range(3)] == [3, 5, 6]
         assert frames.dropped_count == 0
+
+
+def test_another_scene_of_the_same_name_has_another_topology(daemon: FakeDaemon) -> None:
+    daemon.topologies["s"] = triangle_topology("s", vertex_count=4)
+    daemon.frames["s"] = frame_of(daemon.topologies["s"], 1)
+    with tm.connect(daemon.control) as server:
+        scene = tm.SceneHandle(server, "s", None)
+        assert scene.frame().positions.shape == (4, 3)
+        daemon.topologies["s"] = triangle_topology("s", vertex_count=6)  # loaded when the clock had been set back
+        daemon.frames["s"] = frame_of(daemon.topologies["s"], 1)
+        assert scene.frame().vertices("fan").shape == (6, 3)
 
 
 def test_a_frame_that_does_not_fit_its_topology_is_refused(daemon: FakeDaemon) -> None:
@@ -339,10 +400,19 @@ def test_a_stopped_child_is_ended_at_once() -> None:
 
 def test_launch_says_why_the_daemon_did_not_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failing = script(
-        tmp_path, "tensormassd", "import sys; print('no CUDA device answers', file=sys.stderr); sys.exit(3)"
+        tmp_path,
+        "tensormassd",
+        """
+        import sys
+        for number in range(20):
+            print("line", number, file=sys.stderr)
+        print("no CUDA device answers", file=sys.stderr)
+        sys.exit(3)
+        """,
     )
     monkeypatch.setenv("TENSORMASSD", str(failing))
-    with pytest.raises(tm.UnavailableError, match=r"ended with status 3; its log ends:\nno CUDA device answers"):
+    log = r"its log ends:\nline 6\n(line \d+\n){13}no CUDA device answers$"
+    with pytest.raises(tm.UnavailableError, match=rf"ended with status 3; {log}"):
         tm.launch(backend="cuda")
 
 

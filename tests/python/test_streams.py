@@ -131,6 +131,66 @@ def test_garbage_is_counted_and_passed_over(bus: Bus, plane: DataPlane, transpor
         assert frames.malformed_count == 1
 
 
+class Scripted:
+    """A source that hands out what a test put into it, as long as there is time."""
+
+    def __init__(self, payloads: list[bytes]) -> None:
+        self.payloads = payloads
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        return self.payloads.pop(0) if timeout_s > 0 and self.payloads else None
+
+    def close(self) -> None:
+        pass
+
+
+def test_garbage_takes_none_of_the_time_that_is_left(plane: DataPlane) -> None:
+    source = Scripted([b"\xff"] * 20 + [stream_pb2.Frame(step=7).SerializeToString()])
+    frames = tm.Subscription(plane, source, "key", stream_pb2.Frame)  # type: ignore[arg-type]
+    assert frames.receive(DEADLINE_S).step == 7
+    assert frames.malformed_count == 20
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_nothing_is_waited_for_as_long_as_was_asked_for(plane: DataPlane, transport: Transport) -> None:
+    with plane.subscribe("scene", "frame", stream_pb2.Frame, transport) as frames:
+        begin = time.monotonic()
+        with pytest.raises(tm.DeadlineExceededError, match=r"in 0\.1 s"):
+            frames.receive(0.1)
+        assert 0.09 < time.monotonic() - begin < DEADLINE_S / 2
+
+
+def test_what_was_kept_is_not_news_once_there_is_newer(bus: Bus, plane: DataPlane) -> None:
+    key, other = stream_key("s", "scene", "status"), stream_key("s", "scene", "frame")
+    asked = bus.zenoh.declare_queryable(key)
+    with (
+        plane.subscribe("scene", "status", stream_pb2.SceneStatus, "zenoh") as statuses,
+        plane.subscribe("scene", "frame", stream_pb2.Frame, "zenoh") as frames,
+    ):
+        query = asked.recv()
+        for each in (key, other):
+            bus.wait_subscribed(each, "zenoh")
+        bus.publish(key, stream_pb2.SceneStatus(step=2).SerializeToString(), "zenoh")
+        query.reply(key, stream_pb2.SceneStatus(step=1).SerializeToString())
+        query.drop()
+        bus.publish(other, stream_pb2.Frame(step=3).SerializeToString(), "zenoh")
+        assert frames.receive(DEADLINE_S).step == 3  # so the answer, which left before it, is here too
+        assert statuses.receive(DEADLINE_S).step == 2
+    asked.undeclare()
+
+
+def test_a_closed_subscription_is_given_up_at_the_server(bus: Bus, plane: DataPlane) -> None:
+    key = stream_key("s", "scene", "status")
+    gone = threading.Event()
+    publisher = bus.zenoh.declare_publisher(key)
+    with plane.subscribe("scene", "status", stream_pb2.SceneStatus, "zenoh"):
+        bus.wait_subscribed(key, "zenoh")
+        listener = publisher.declare_matching_listener(lambda status: None if status.matching else gone.set())
+    assert gone.wait(DEADLINE_S)
+    listener.undeclare()
+    publisher.undeclare()
+
+
 def test_other_keys_do_not_come(bus: Bus, plane: DataPlane) -> None:
     key = stream_key("s", "scene", "frame")
     with plane.subscribe("scene", "frame", stream_pb2.Frame, "zeromq") as frames:
@@ -237,6 +297,8 @@ def test_a_process_ends_that_closed_nothing(bus: Bus, transport: Transport) -> N
 def test_poses_are_numbered_for_each_client() -> None:
     first, second = PoseSequence(), PoseSequence()
     assert [first.next((0, 0, 0), None).sequence for _ in range(3)] == [1, 2, 3]
+    before_ns = time.monotonic_ns()
+    assert before_ns <= PoseSequence().next((0, 0, 0), None).client_time_ns <= time.monotonic_ns()
     assert second.next((0, 0, 0), None).sequence == 1
     assert first.next((0, 0, 0), None).client_id != second.next((0, 0, 0), None).client_id
 
