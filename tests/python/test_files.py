@@ -92,6 +92,24 @@ def test_what_cannot_be_replaced_says_so_itself(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_may_not_be_written_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "kept.txt"
+    path.touch()
+    monkeypatch.setattr(os, "access", lambda of, mode: Path(of) != path or not mode & os.W_OK)
+    with replacing(path) as aside:
+        assert aside == path  # opening it says why not
+
+
+def test_the_file_that_names_the_others_comes_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved: list[str] = []
+    monkeypatch.setattr(os, "replace", lambda source, target: moved.append(Path(target).name))
+    with replacing(tmp_path / "mesh.ele") as aside:
+        for name in ("mesh.ele", "mesh.a", "mesh.node"):
+            aside.with_name(name).touch()
+    assert moved[-1] == "mesh.ele"
+    assert sorted(moved) == ["mesh.a", "mesh.ele", "mesh.node"]
+
+
 def test_a_mesh_of_two_files_is_written_as_both(tmp_path: Path) -> None:
     mesh = meshio.Mesh(np.eye(4, 3), [("tetra", [[0, 1, 2, 3]])])
     mesh_files.write_mesh(tmp_path / "mesh.ele", mesh_files.from_meshio(mesh))

@@ -11,7 +11,8 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import mesh_files, meshes
+from tensormass import demo, mesh_files, meshes
+from tensormass.names import as_name
 from tensormass.scene import pack_mesh, unpack_mesh
 from tensormass.v1 import scene_pb2
 
@@ -163,6 +164,42 @@ def test_builtin_scenes_are_found_by_name(name: str) -> None:
     assert len(scene.message.bodies) >= 1
     for body in scene.message.bodies:
         assert body.mesh.WhichOneof("source") in ("packed", "grid")
+
+
+def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Path] = []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        for organ in demo.ORGANS:
+            for file in (f"{organ}.msh", f"{organ}_skin.ply"):
+                (folder / file).write_text(str(len(made)))
+
+    monkeypatch.setattr(demo, "_make_organs", make)
+    monkeypatch.setattr(demo, "cache_folder", lambda: tmp_path / "scenes")
+
+    def liver() -> str:
+        found = demo.builtin_scene("demo")
+        assert found is not None
+        assert found[1] == tmp_path / "scenes"
+        assert len(list(found[1].iterdir())) == 2 * len(demo.ORGANS) + 1
+        return (found[1] / "liver.msh").read_text()
+
+    assert [liver(), liver()] == ["1", "1"]
+    (tmp_path / "scenes" / "made_from.txt").write_text("older sources")
+    assert [liver(), liver()] == ["2", "2"]
+    (tmp_path / "scenes" / "kidney.msh").unlink()
+    assert liver() == "3"
+    assert demo.builtin_scene("none") is None
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"), [("größe 1", "gr__e_1"), ("a-b_C", "a-b_C"), (100 * "a", 64 * "a"), ("²", "_"), ("", "")]
+)
+def test_names_are_made_of_what_scenes_may_be_called(stem: str, name: str) -> None:
+    assert as_name(stem) == name
 
 
 def test_a_mesh_file_is_a_scene_of_one_body(tmp_path: Path) -> None:
