@@ -30,6 +30,11 @@ def test_percentiles_are_nearest_rank_of_unsorted_samples() -> None:
     assert summary == {"count": 1000, "p50_s": 500.0, "p99_s": 990.0, "p999_s": 999.0, "max_s": 1000.0}
 
 
+def test_ranks_between_two_samples_are_those_of_the_slower_one() -> None:
+    summary = load_report.percentiles(np.arange(1.0, 8.0))
+    assert summary == {"count": 7, "p50_s": 4.0, "p99_s": 7.0, "p999_s": 7.0, "max_s": 7.0}
+
+
 def test_without_samples_everything_is_zero() -> None:
     assert load_report.percentiles(np.empty(0)) == load_report.merged_histogram([])
     assert load_report.merged_histogram([{"buckets": []}])["count"] == 0

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +20,7 @@ from conftest import full_disk
 import tensormass as tm
 from tensormass import load_report, load_test, load_viewer, processes
 from tensormass.cli import main
+from tensormass.meshes import FloatArray
 from tensormass.v1 import stream_pb2
 
 BLOCK = """
@@ -76,7 +79,17 @@ def load(server: tm.Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     return load
 
 
-def test_a_scene_that_is_stopped_is_named_in_the_report(load: Callable[..., Loaded]) -> None:
+def test_a_scene_that_is_stopped_is_named_in_the_report(
+    load: Callable[..., Loaded], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait_until_ready = load_test._LoadTest._wait_until_ready
+
+    def see_them_ready(test: load_test._LoadTest, viewers: list[load_test._Client]) -> None:
+        wait_until_ready(test, viewers)
+        # Who is still about to start would be ended without a report.
+        assert all(viewer.ready_file.exists() for viewer in viewers)
+
+    monkeypatch.setattr(load_test._LoadTest, "_wait_until_ready", see_them_ready)
     status, report = load(STOPPED, "--haptic", "0")
     (scene,) = report["scenes"]
     assert (status, scene["state"]) == (1, "STATE_FAULTED")
@@ -123,11 +136,113 @@ def test_poses_of_a_client_that_failed_are_not_known(
 
 
 def test_what_is_not_known_is_a_dash_for_people() -> None:
-    after = stream_pb2.SceneStatus(scene="s", step=10, poses_received=5)
+    after = stream_pb2.SceneStatus(scene="s", step=10, missed_deadlines=2, poses_received=5)
     scene = load_report.scene_report(stream_pb2.SceneStatus(), after, poses_sent=None)
     assert scene["poses_received"] == 5
     heading, row = load_report.to_text({**EMPTY, "scenes": [scene]}).splitlines()[1:3]
-    assert row[heading.index("poses sent") :].split() == ["–", "0", "0"]
+    assert row[heading.index("missed") :].split() == ["2/10", "–", "0", "0"]
+
+
+NO_TIME = dict.fromkeys(("p50_s", "p99_s", "p999_s", "max_s"), 0.0)
+HAPTIC: dict[str, Any] = {
+    "scene": "s",
+    "tool": "probe",
+    "transport": "zenoh",
+    "poses_sent": 1000,
+    "last_sequence_sent": 1000,
+    "last_sequence_echoed": 1000,
+    "feedback_malformed": 0,
+    "feedback_dropped": 4,
+    "stale_ticks": 5,
+    "max_force_n": 0.5,
+    "pose_to_force": NO_TIME,
+}
+
+
+def test_people_see_how_many_poses_were_lost() -> None:
+    none = {**NO_TIME, "count": 0}
+    report = {**EMPTY, "haptic": [{**HAPTIC, "last_sequence_echoed": 993}]}
+    heading, row = load_report.to_text({**report, "pose_to_force": none, "answered_pose_age": none}).splitlines()[3:5]
+    assert row[heading.index("sent") :].split() == ["1000", "7", "4", "5", "0.50"]
+
+
+class Process:
+    """A client's process, which remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.running = True
+        self.process = self
+        self.signals: list[signal.Signals] = []
+
+    def send_signal(self, which: signal.Signals) -> None:
+        self.signals.append(which)
+
+    def stop(self) -> int:
+        self.running = False
+        return 0
+
+
+def client_of(folder: Path, name: str) -> load_test._Client:
+    files = (folder / f"{name}.{kind}" for kind in ("log", "report", "ready"))
+    client = load_test._Client(Process(), "s", "zenoh", *files)  # type: ignore[arg-type]
+    client.log_file.write_text("")
+    return client
+
+
+def a_test(folder: Path, **options: object) -> load_test._LoadTest:
+    return load_test._LoadTest(SimpleNamespace(**options), None, folder, contextlib.ExitStack())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("said", "error"),
+    [
+        ({}, None),
+        ({"last_sequence_echoed": 998}, "the last 2 poses were never answered"),
+        ({"feedback_malformed": 3}, "3 malformed messages"),
+    ],
+)
+def test_what_a_haptic_client_lost_is_an_error(tmp_path: Path, said: dict[str, int], error: str | None) -> None:
+    client, test = client_of(tmp_path, "haptic"), a_test(tmp_path)
+    client.process.stop()
+    client.report_file.write_text(json.dumps({**HAPTIC, **said}))
+    assert test._end_haptic(client) == {**HAPTIC, **said}
+    assert test._errors == ([] if error is None else [f"haptic client of s/probe (zenoh): {error}"])
+
+
+def test_a_client_that_ends_early_has_failed_though_it_says_otherwise(tmp_path: Path) -> None:
+    client = client_of(tmp_path, "viewer")
+    client.status = 0
+    assert client.failure() is None
+    client.ended_early = True
+    assert client.failure() == "ended early with status 0: no word"
+
+
+def test_ages_of_a_viewer_that_was_stopped_are_its_own(tmp_path: Path) -> None:
+    viewers = [client_of(tmp_path, name) for name in ("first", "second")]
+    for viewer, ages_s in zip(viewers, ([9.0], [1.0, 2.0]), strict=True):
+        with viewer.report_file.open("wb") as file:
+            np.savez(file, ages_s=np.array(ages_s), dropped=3)
+    for stopped, ages in ((True, [1, 2]), (False, [9, 1, 2])):
+        reports, all_ages = a_test(tmp_path)._end_viewers(viewers, stopped)
+        assert all_ages.tolist() == ages
+        assert [report["was_stopped"] for report in reports] == [stopped, False]
+        assert [report["frame_age"]["max_s"] for report in reports] == [9.0, 2.0]
+
+
+def test_a_viewer_that_was_stopped_goes_on(tmp_path: Path) -> None:
+    viewer, missed = client_of(tmp_path, "viewer"), iter(range(0, 60, 10))
+    scene: Any = SimpleNamespace(status=lambda: stream_pb2.SceneStatus(missed_deadlines=next(missed)))
+    report = a_test(tmp_path)._with_a_stopped_viewer(viewer, scene, 0.0)
+    assert report is not None
+    assert viewer.process.signals == [signal.SIGSTOP, signal.SIGCONT]  # type: ignore[attr-defined]
+    phases = [(phase["name"], phase["missed_deadlines"]) for phase in report["phases"]]
+    assert phases == [("before", 10), ("while stopped", 10), ("after", 10)]
+
+
+@pytest.mark.parametrize(("wanted_s", "phase_s"), [(1.0, 1.05 * 1024 / 60), (100.0, 100.0)])
+def test_a_viewer_is_stopped_as_long_as_percentiles_span(tmp_path: Path, wanted_s: float, phase_s: float) -> None:
+    scene: Any = SimpleNamespace(status=lambda: stream_pb2.SceneStatus(target_rate_hz=60))
+    assert a_test(tmp_path, stop_viewer=wanted_s)._phase_s(scene) == pytest.approx(phase_s)
 
 
 def test_a_full_disk_leaves_the_report_that_is_there(
@@ -148,12 +263,11 @@ def test_a_full_disk_leaves_the_report_that_is_there(
 
 
 class Frames:
-    """Gives out frames and raises what a test puts into it; then SIGTERM comes."""
-
-    dropped_count = 0
+    """Gives out frames and raises what a test puts into it; then SIGTERM comes. Two are lost before each."""
 
     def __init__(self, items: list[Any]) -> None:
         self._items = iter(items)
+        self.dropped_count = 0
 
     def __iter__(self) -> Frames:
         return self
@@ -164,22 +278,25 @@ class Frames:
             os.kill(os.getpid(), signal.SIGTERM)
         if isinstance(item, Exception):
             raise item
+        self.dropped_count += 2
         return item
 
 
 FRAME = SimpleNamespace(server_time_ns=0, sequence=1, positions=np.zeros((3, 3)))
 NOTHING_CAME = tm.DeadlineExceededError("nothing came in 5 s")
+RUNNING, FAULTED = stream_pb2.SceneStatus.STATE_RUNNING, stream_pb2.SceneStatus.STATE_FAULTED
 
 
 @pytest.fixture
 def view(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., int]]:
     """Runs a viewer in this process on frames of a test's own, and a daemon that answers or does not."""
 
-    def view(items: list[Any], daemon_is_gone: bool = False) -> int:
+    def view(items: list[Any], states: Iterator[int] = itertools.repeat(RUNNING)) -> int:  # noqa: B008
         def status() -> stream_pb2.SceneStatus:
-            if daemon_is_gone:
+            state = next(states, None)
+            if state is None:
                 raise tm.UnavailableError("nobody answers")
-            return stream_pb2.SceneStatus(state=stream_pb2.SceneStatus.STATE_FAULTED)
+            return stream_pb2.SceneStatus(state=state)
 
         topology = stream_pb2.Topology(bodies=[stream_pb2.BodySurface(vertex_count=3)])
         scene = SimpleNamespace(topology=lambda: topology, status=status, frames=lambda _: Frames(items))
@@ -197,11 +314,44 @@ def test_a_viewer_waits_as_long_as_the_test_takes(view: Callable[..., int], tmp_
     assert view([FRAME, NOTHING_CAME, FRAME, NOTHING_CAME, NOTHING_CAME, FRAME]) == 0
     with np.load(tmp_path / "report") as report:
         assert len(report["ages_s"]) == 2  # all but the one by call
+        assert report["dropped"] == 2  # between the two
     assert (tmp_path / "ready").exists()
+
+
+@pytest.mark.parametrize(
+    ("items", "states", "ready"),
+    [
+        ([FRAME], [RUNNING], False),
+        ([FRAME], [FAULTED], True),
+        ([FRAME, NOTHING_CAME], [RUNNING, RUNNING], False),
+        ([FRAME, NOTHING_CAME], [RUNNING, FAULTED], True),
+        ([FRAME, FRAME], [RUNNING], True),
+    ],
+)
+def test_a_viewer_of_a_scene_that_is_stopped_is_ready_too(
+    view: Callable[..., int], tmp_path: Path, items: list[Any], states: list[int], ready: bool
+) -> None:
+    assert view(items, iter(states)) == 0
+    assert (tmp_path / "ready").exists() == ready
+
+
+def test_ages_are_in_seconds(view: Callable[..., int], tmp_path: Path) -> None:
+    before_s = time.time()
+    assert view([FRAME, SimpleNamespace(**{**vars(FRAME), "server_time_ns": int((before_s - 3) * 1e9)})]) == 0
+    with np.load(tmp_path / "report") as report:
+        assert 3 <= report["ages_s"][0] + 1e-6 <= 3 + time.time() - before_s + 1e-3
+
+
+@pytest.mark.parametrize("positions", [np.zeros((2, 3)), np.full((3, 3), np.nan)])
+def test_a_frame_that_is_not_whole_is_a_failure(
+    view: Callable[..., int], capsys: pytest.CaptureFixture[str], positions: FloatArray
+) -> None:
+    assert view([FRAME, SimpleNamespace(**{**vars(FRAME), "positions": positions})]) == 1
+    assert capsys.readouterr().err == "frame 1 is not 3 finite positions\n"
 
 
 def test_a_viewer_does_not_wait_for_a_daemon_that_is_gone(
     view: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert view([FRAME, FRAME, NOTHING_CAME], daemon_is_gone=True) == 1
+    assert view([FRAME, FRAME, NOTHING_CAME], iter([RUNNING])) == 1
     assert capsys.readouterr().err == "s: nobody answers\n"

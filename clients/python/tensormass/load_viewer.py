@@ -2,8 +2,9 @@
 
     python -m tensormass.load_viewer --server ADDR --scene NAME --transport zeromq --ready FILE --report FILE
 
-Creates the ready file at the first frame from the bus. Runs until SIGTERM, whether frames come or not as long as the
-daemon answers, then writes the report (NumPy: ages_s, dropped).
+Creates the ready file at the first frame from the bus, or when it sees that the scene is stopped and none will come.
+Runs until SIGTERM, whether frames come or not as long as the daemon answers, then writes the report (NumPy: ages_s,
+dropped).
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ from types import FrameType
 
 import numpy as np
 
-from tensormass.client import connect
+from tensormass.client import SceneHandle, connect
 from tensormass.errors import DeadlineExceededError, TensormassError
+from tensormass.v1 import stream_pb2
+
+_FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
 
 class _StopRequested(Exception):  # noqa: N818  (nothing went wrong)
@@ -28,6 +32,12 @@ class _StopRequested(Exception):  # noqa: N818  (nothing went wrong)
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
     raise _StopRequested
+
+
+def _look(scene: SceneHandle, ready: Path) -> None:
+    """Where nothing comes: a scene that is stopped has nothing more to show. Raises if the daemon is gone."""
+    if scene.status().state == _FAULTED:
+        ready.touch()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -50,11 +60,12 @@ def main(argv: list[str] | None = None) -> int:
             stream = scene.frames(args.transport)
             try:
                 next(stream)  # how the scene stood, by call; the bus comes next
+                _look(scene, args.ready)
                 while True:
                     try:
                         frame = next(stream)
                     except DeadlineExceededError:
-                        scene.status()  # it is stopped, or seldom shows itself; if the daemon is gone, this says so
+                        _look(scene, args.ready)  # it is stopped, or seldom shows itself
                         continue
                     ages_s.append((time.time_ns() - frame.server_time_ns) * 1e-9)
                     if len(ages_s) == 1:
