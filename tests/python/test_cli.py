@@ -34,6 +34,8 @@ STATUS = stream_pb2.SceneStatus(
     missed_deadlines=3,
     target_rate_hz=60,
     reached_rate_hz=59.97,
+    step_time_p50_s=0.0042,
+    step_time_p99_s=0.0095,
     cg_iterations=23,
     cg_relative_residual=8e-4,
     tools=[stream_pb2.ToolFeedback(tool="probe", force_n=scene_pb2.Vector3(x=3, z=4))],
@@ -73,7 +75,7 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     assert json.loads(capsys.readouterr().out) == [{"scene": "demo", "state": "running", "step": 1200}]
     assert main(["status", "--server", server.address]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
-    for part in ("demo: 60.0/60 Hz", "missed 0.2 %", "CG 23 to 8e-04", "probe 5.00 N"):
+    for part in ("demo: 60.0/60 Hz", "missed 0.2 %", "4.2 ms (p99 9.5)", "CG 23 to 8e-04", "probe 5.00 N"):
         assert part in line
     assert main(["status", "--server", server.address, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
@@ -104,13 +106,20 @@ def test_a_status_says_what_guards_and_budget_did() -> None:
     assert "guards" not in status_line(status)
 
 
+def test_a_status_says_what_a_scene_does_unless_it_runs() -> None:
+    assert "running" not in status_line(STATUS)
+    for name in ("paused", "lockstep", "faulted"):
+        state = stream_pb2.SceneStatus.State.Value(f"STATE_{name.upper()}")
+        assert status_line(stream_pb2.SceneStatus(state=state)).startswith(f"{name}  ")
+
+
 def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]) -> None:
     fake, server = recorder
     report = control_pb2.SceneReport(
         scene="mine",
         bodies=[control_pb2.BodyReport(name="beam", node_count=123, volume_m3=6.4)],
         stages=[control_pb2.PlanStage(name="assemble", bytes=12_345_678, operations=9_000)],
-        buffers=[control_pb2.PlanBuffer(name="tensors", bytes=777)],
+        buffers=[control_pb2.PlanBuffer(name=name, bytes=size) for name, size in (("tensors", 777), ("rows", 123_456))],
         not_modelled=["contact: the scene has no tools"],
         warnings=["body 'beam' has 2 components"],
     )
@@ -120,7 +129,8 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
     sent = fake.asked[-1].scene
     assert (sent.name, sent.stepping.lockstep) == ("mine", True)
     text = capsys.readouterr().out
-    for part in ("123", "assemble", "12.3 MB", "9,000", "777 B", "the scene has no tools", "2 components"):
+    parts = ["123", "6.4e+06 cm³", "assemble", "12.3 MB", "9,000", "777 B", "123 kB", "the scene has no tools"]
+    for part in (*parts, "2 components"):
         assert part in text
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == to_plain(report)
@@ -178,6 +188,86 @@ def test_run_refuses_seconds_that_never_or_already_end(
     assert capsys.readouterr().err == f"tensormass: --seconds {seconds}: must be positive and finite\n"
 
 
+@pytest.mark.parametrize("rate", ["nan", "0", "-5"])
+def test_run_refuses_rates_that_are_none(
+    rate: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent")
+    assert main(["run", "beam", "--rate", rate]) == 1
+    assert capsys.readouterr().err == f"tensormass: --rate {rate}: must be positive\n"
+
+
+def test_run_steps_at_the_rate_that_is_asked_for(
+    recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake, server = recorder
+    fake.replies |= {
+        "LoadScene": control_pb2.LoadSceneResponse(),
+        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
+    }
+    monkeypatch.setattr(run, "launch", lambda **_: server)
+    assert main(["run", "beam", "--rate", "50", "--no-viewer", "--no-haptic", "--seconds", "0.001"]) == 0
+    (stepping,) = [of.scene.stepping for of in fake.asked if isinstance(of, control_pb2.LoadSceneRequest)]
+    assert (stepping.rate_hz, stepping.dt_s) == (50, 0.02)
+
+
+def device_that_ends(folder: Path) -> Path:
+    program = folder / "haptic"
+    program.write_text('#!/bin/sh\necho "it broke: $*"\nexit 3\n')
+    program.chmod(0o755)
+    return program
+
+
+def test_run_ends_with_a_haptic_device(
+    recorder: tuple[Recorder, tm.Server],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fake, server = recorder
+    topology = stream_pb2.Topology(tools=[stream_pb2.ToolShape(name="probe")])
+    fake.replies |= {
+        "LoadScene": control_pb2.LoadSceneResponse(),
+        "GetTopology": control_pb2.GetTopologyResponse(topology=topology),
+        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
+    }
+    monkeypatch.setattr(run, "launch", lambda **_: server)
+    monkeypatch.setattr(run, "_LOG_PERIOD_S", 0.01)
+    monkeypatch.setenv("TENSORMASS_HAPTIC", str(device_that_ends(tmp_path)))
+    assert main(["run", "beam", "--no-viewer", "--seconds", "20", "--haptic-transport", "zenoh"]) == 1
+    told = f"--server {server.address} --scene beam --tool probe --transport zenoh"
+    assert capsys.readouterr().err == f"tensormass: a haptic device ended by itself:\nit broke: {told}\n"
+
+
+def test_run_says_once_that_a_scene_stands_still(
+    recorder: tuple[Recorder, tm.Server],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fake, server = recorder
+    fake.replies |= {"LoadScene": control_pb2.LoadSceneResponse(), "GetTopology": control_pb2.GetTopologyResponse()}
+    faults = iter(["left", "left", "left", "", "left", "left"])  # it was reset in between
+
+    def answer(method: str, request: object, context: object) -> object:
+        if method != "GetStatus":
+            return fake.replies[method]
+        fault = next(faults, None)
+        if fault is None:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return control_pb2.GetStatusResponse(status=stream_pb2.SceneStatus(fault="left" if fault is None else fault))
+
+    fake.answer = answer  # type: ignore[method-assign]
+    monkeypatch.setattr(run, "launch", lambda **_: server)
+    monkeypatch.setattr(run, "_LOG_PERIOD_S", 0.01)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "beam", "--no-viewer", "--no-haptic"]) == 1
+    said = capsys.readouterr()
+    assert said.out.count(f"scene 'beam' stands still until it is reset (control {server.address})\n") == 2
+    assert said.err.startswith("tensormass: scene 'beam' is stopped: left\nits status and state: ")
+    assert (tmp_path / "beam-fault.npz").is_file()
+
+
 def test_run_starts_no_viewer_and_no_hand_for_a_scene_without_frames(
     recorder: tuple[Recorder, tm.Server],
     tmp_path: Path,
@@ -232,6 +322,7 @@ def test_run_says_where_no_viewer_can_be_served(
     ("options", "message"),
     [
         (["solve", "beam", "--out", "x.vtu", "--cpu-threads", "-7"], "argument --cpu-threads: -7 is not in 1 to 256"),
+        (["solve", "beam", "--out", "x.vtu", "--cpu-threads", "257"], "argument --cpu-threads: 257 is not in 1 to 256"),
         (["solve", "beam", "--out", "x.vtu", "--server", "a:1", "--cpu-threads", "2"], "are for a daemon to start"),
         (["inspect", "beam", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
         (["load-test", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
@@ -244,6 +335,15 @@ def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
         main(options)
     assert usage.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_as_many_threads_as_the_daemon_takes_are_not_too_many(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TENSORMASSD", "/nonexistent")
+    for threads in ("1", "256"):
+        assert main(["run", "beam", "--no-viewer", "--cpu-threads", threads]) == 1
+        assert capsys.readouterr().err.startswith("tensormass: $TENSORMASSD names /nonexistent")
 
 
 def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -319,5 +419,5 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
     source, output = tmp_path / "in.vtu", tmp_path / "out.vtk"
     mesh_files.write_mesh(source, inverted)
     assert main(["mesh", str(source), "-o", str(output)]) == 0
-    assert "1 × tetrahedron" in capsys.readouterr().out
+    assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in capsys.readouterr().out
     np.testing.assert_allclose(meshes.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])

@@ -374,6 +374,14 @@ def test_a_child_ends_with_its_parent_however_that_ends(tmp_path: Path, how: sig
             os.kill(child, signal.SIGKILL)
 
 
+def test_ctrl_c_is_for_the_parent_alone() -> None:
+    child = processes.ChildProcess(["sleep", "600"], output=subprocess.DEVNULL)
+    try:
+        assert os.getsid(child.process.pid) == child.process.pid
+    finally:
+        child.stop()
+
+
 def test_stop_insists_on_a_child_that_does_not_listen(tmp_path: Path) -> None:
     deaf = script(
         tmp_path,
