@@ -62,6 +62,7 @@ def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(tmp_path: Path
         ("50 1 1 1", "50 1 1 1 1", r"mesh\.msh:7: expected `id x y z`"),
         ("50 1 1 1", "50 1 1 nan", r"nodes: row 4 is not finite"),
         ("3 4 1 1 4 20 30 40 50", "3 5 1 1 8 10 20 30 40 50 10 20 30", r"mesh\.msh:13: element 3 has type 5"),
+        ("3 4 1 1 4 20 30 40 50", "3 4 1 1 5 20 30 40 50 10", r"mesh\.msh:13: element 3 has type 4; only tetrahedra"),
         ("3 4 1 1 4 20", "3 4 1 1 5 20", r"mesh\.msh:13: element 3 announces 5 nodes and lists 4"),
         ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: expected integers"),
         ("$ELM\n3", "$ELM\n4", r"section \$ELM announces 4 rows"),
@@ -73,6 +74,12 @@ def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, 
     assert old in GMSH1
     with pytest.raises(InvalidArgumentError, match=message):
         mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1.replace(old, new)))
+
+
+def test_gmsh1_counts_no_rows_from_the_end(tmp_path: Path) -> None:
+    elements_first = GMSH1[(at := GMSH1.index("$ELM")) :] + GMSH1[:at].replace("$NOD\n5", "$NOD\n-9")
+    with pytest.raises(InvalidArgumentError, match=r"section \$NOD announces -9 rows"):
+        mesh_files.read_gmsh1(gmsh1_file(tmp_path, elements_first))
 
 
 def test_reads_the_shared_liver_in_gmsh1() -> None:
@@ -294,8 +301,15 @@ def test_fields_are_those_of_the_volume_elements() -> None:
     }
 
 
-def test_two_sets_of_one_name_are_refused() -> None:
-    mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], point_sets={"the wall": [0], "the_wall": [1]})
+def test_what_gmsh_keeps_for_itself_is_no_set() -> None:
+    cell_sets = {"gmsh:bounding_entities": [np.array([0])], "wall": [np.array([0])]}
+    mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], cell_sets=cell_sets)
+    assert {name: nodes.tolist() for name, nodes in mesh_files.from_meshio(mesh).sets.items()} == {"wall": [0, 1, 2, 4]}
+
+
+@pytest.mark.parametrize("names", [("the wall", "the_wall"), ("the_wall", "the wall")])
+def test_two_sets_of_one_name_are_refused(names: tuple[str, str]) -> None:
+    mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], point_sets={names[0]: [0], names[1]: [1]})
     with pytest.raises(InvalidArgumentError, match="two of its sets are called 'the_wall'; rename one"):
         mesh_files.from_meshio(mesh, "mesh.inp")
 

@@ -95,6 +95,21 @@ def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
     np.testing.assert_allclose(meshes.signed_volumes(repaired), [1 / 6, 1 / 3])
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_repair_keeps_the_most_volume_in_whatever_unit(scale: float) -> None:
+    crumb = np.array([[5, 5, 5], [5.1, 5, 5], [5, 5.1, 5], [5, 5, 5.1], [5.1, 5.1, 5.1]])
+    nodes = np.concatenate([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], crumb])
+    mesh = meshes.VolumeMesh.from_tetrahedra(scale * nodes, [[4, 5, 6, 7], [5, 7, 6, 8], [0, 1, 2, 3]])
+    np.testing.assert_allclose(meshes.signed_volumes(meshes.repair(mesh)), [scale**3 / 6])
+
+
+def test_volume_under_a_warped_side_is_exact() -> None:
+    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    nodes = box.nodes.copy()
+    nodes[7] = [1, 1, 2]  # the top is at 1 + x y
+    np.testing.assert_allclose(meshes.signed_volumes(replace(box, nodes=nodes)), [1.25])
+
+
 def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
@@ -116,7 +131,8 @@ def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.M
 
 def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:
     surface = meshes.boundary(regular_tetrahedron())
-    for edge in (0.0, -1.0, 1000.0, np.nan):
+    diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    for edge in (0.0, -1.0, diagonal, 1000.0, np.nan):
         with pytest.raises(InvalidArgumentError, match="edge length"):
             meshes.tetrahedralize(surface, edge)
 
@@ -219,6 +235,7 @@ def test_a_corner_that_is_turned_in_is_counted() -> None:
         ({"element_fields": {"poisson_ratio": [0.1, 0.2]}}, r"expected shape \[1\], one row an element, got \[2\]"),
         ({"element_fields": {"fibre_directions": [1.0]}}, r"expected shape \[1, 3\]"),
         ({"element_fields": {"poisson_ratio": [np.nan]}}, "row 0 is not finite"),
+        ({"element_fields": {"fibre_directions": [[0, np.nan, 1]]}}, "row 0 is not finite"),
     ],
 )
 def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], message: str) -> None:

@@ -29,8 +29,8 @@ def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
     mesh = isosurface.fill(inside, -BOX, BOX, 0.15)
     quality = meshes.quality(mesh)
     assert quality.inverted_count == 0
-    assert quality.min_dihedral_angle_deg > 10
-    assert meshes.dihedral_angles_deg(mesh).max() < 165
+    assert quality.min_dihedral_angle_deg > 16
+    assert meshes.dihedral_angles_deg(mesh).max() < 155
 
     surface = meshes.boundary(mesh)
     edge_count, uses = edge_counts(surface)
@@ -71,7 +71,7 @@ def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
     volume = shape.volume()
     quality = meshes.quality(volume)
     assert quality.element_counts["tetrahedron"] == pytest.approx(count, rel=0.1)
-    assert quality.min_dihedral_angle_deg > 10
+    assert quality.min_dihedral_angle_deg > 16
     assert quality.inverted_count == 0
     assert meshes.repair(volume).element_count == volume.element_count  # one component
     # The box does not cut the organ.
