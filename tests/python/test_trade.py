@@ -292,6 +292,7 @@ def test_the_front_and_the_picks(tmp_path: Path) -> None:
     assert accurate == [measured[0], measured[1]]
     assert sweep.fastest_within(measured, 1e-4, knobs) == []
     assert sweep.most_accurate_within(measured, 0.5, 0.05, knobs) == []
+    assert sweep.front([measurement({"a": 5}, 0.5, math.inf), *measured]) == sweep.front(measured)
 
 
 def test_costs_are_as_on_a_machine_of_one_speed() -> None:
@@ -402,6 +403,9 @@ def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same(tmp_path: Pa
     assert sweep.fastest_within(measured, 0.02, knobs) == [like]
     assert sweep.most_accurate_within(measured, 5.0, 0.02, knobs) == [like]
     assert sweep.fastest_within([own, unlike, both], 0.02, knobs) == [own]
+    # Of one that broke when it alone was changed, nobody knows.
+    broken = measurement({"law": "unlike"}, 0.0, 0.0, failure="stopped")
+    assert not sweep.is_same_tissue(both, [own, broken, both], 0.02)
 
 
 def test_what_is_close_because_it_is_solved_worse_is_not_recommended(tmp_path: Path) -> None:
@@ -490,6 +494,9 @@ def test_a_host_is_told_from_others_and_names_nobody(tmp_path: Path, monkeypatch
     assert len({*hosts}) == 3
     assert all(re.fullmatch("[0-9a-f]{8}", of) for of in hosts)
     assert hosts[0] == _host(own)
+    own.write_bytes(b"\xff\xfe")
+    assert _host(own) == hosts[2]  # as if there were none
+    own.write_text("0123456789abcdef0123456789abcdef\n")
     monkeypatch.setattr(platform, "node", lambda: "another")
     assert _host(none) != hosts[2]
     assert _host(own) == hosts[0]

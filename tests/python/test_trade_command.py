@@ -6,19 +6,21 @@ import argparse
 import contextlib
 import errno
 import json
+import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from trade_parts import BLOCK, MACHINE, Formula, knobs_of, measurement
+from trade_parts import BLOCK, COSTS, MACHINE, Formula, knobs_of, measurement
 
 import tensormass as tm
 from tensormass.cli import main
 from tensormass.scene import SceneFile
 from tensormass.trade import command, reference, report
 from tensormass.trade.command import parse_share, parse_time_s
+from tensormass.trade.measures import Errors
 from tensormass.trade.script import Script
 from tensormass.trade.store import Machine
 from tensormass.v1 import scene_pb2
@@ -104,13 +106,16 @@ def test_a_run_is_resumed_and_reported(
     assert formula.runs == runs + 4
     assert first["confirmed"].keys() == {"fastest", "most_accurate"}
     assert first["confirmed"]["fastest"]["errors"] == first["fastest"]["errors"]
-    monkeypatch.setattr(Machine, "of", lambda *_: replace(MACHINE, device="another"))
+    monkeypatch.setattr(Machine, "of", lambda *_: replace(MACHINE, device="<another> & new"))
     assert main([*run, "--tolerance", "3%"]) == 0
     assert formula.runs == 2 * runs + 4  # nothing is taken from another machine
     capsys.readouterr()
 
     page = (out / "report.html").read_text()
     assert page.count("<circle") == len(first["measurements"])
+    assert page.count('class="onfront"') + page.count('class="own"') == len({*first["front"], own["key"]})
+    assert "&lt;another&gt; &amp; new" in page
+    assert "<another>" not in page
     assert "http" not in page  # nothing is fetched
     ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
     fastest = SceneFile.read(out / "fastest.yaml").scene().message
@@ -297,6 +302,46 @@ def test_what_lies_there_is_named_though_the_daemon_ends_while_it_is_confirmed(
     assert result["confirmed"].keys() == {"fastest"}
 
 
+def test_a_reference_that_is_no_better_than_what_it_judges_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand_in(tmp_path, monkeypatch)
+    run_on(tmp_path, "--reference-seconds", "0.001")
+    found = json.loads((tmp_path / "out" / "trade.json").read_text())["reference"]
+    for times, said in ((2, True), (4, False)):
+        capsys.readouterr()
+        tolerance = times * max(found["displacement_error"], found["force_error"])
+        run_on(tmp_path, "--reference-seconds", "0.001", "--tolerance", f"{tolerance}")
+        assert ("the reference itself may be off by" in capsys.readouterr().out) == said
+
+
+def test_a_row_has_its_units() -> None:
+    errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02)
+    costs = replace(COSTS, latency_p50_s=0.0035, memory_bytes=12_300_000, step_energy_j=0.25)
+    of = replace(measurement({"dt_s": 0.01}, 2e-3, 0.0), errors=errors, costs=costs, moved=0.004)
+    row = dict(zip(report.HEADS, report.cells(of), strict=True))
+    assert row == {
+        "setting": "dt_s 0.01",
+        "elements": "6",
+        "error": "5 %",
+        "displacement": "2 %",
+        "worst node": "3 %",
+        "force": "5 %",
+        "angle": "3°",
+        "work": "4 %",
+        "frequency": "10 %",
+        "damping": "-0.020",
+        "volume": "0.1 %",
+        "cost": "2 ms",
+        "step p50": "1 ms",
+        "step p99": "2 ms",
+        "latency": "3.5 ms",
+        "memory": "12.3 MB",
+        "energy": "250 mJ",
+        "moved": "0.4 %",
+    }
+
+
 def test_a_setting_that_breaks_is_a_result_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -399,6 +444,7 @@ def test_files_of_the_same_name_are_kept_apart(
     counts = {name: of["element_count"] for name, of in confirmed.items()}
     assert counts == {"fastest": 64, "most_accurate": 64, str(files[0]): 1, str(files[1]): 8}
     assert formula.together[-3:] == [1, 1, 2]  # what the user compares is timed in turns
+    assert formula.limits_s[-4:] == [5.0, 20.0, 20.0, 20.0]
     printed = capsys.readouterr().out
     assert "\nfastest.yaml, read and run again: confirmed: " in printed
     assert f"\n{files[0]}, read and run again: displacement " in printed

@@ -10,15 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_meshes import mixed_mesh
 
 import tensormass as tm
 from tensormass.fields import Fields
-from tensormass.meshes import FloatArray
+from tensormass.meshes import FloatArray, signed_volumes
 from tensormass.scene import SceneFile, volume_mesh
 from tensormass.trade import energy
 from tensormass.trade import script as script_module
 from tensormass.trade.energy import EnergyMeter
-from tensormass.trade.script import Recorder, Script, check_same_scene, rest_nodes
+from tensormass.trade.script import Recorder, Script, check_same_scene, node_volumes, rest_nodes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 SCENE = """
@@ -185,6 +186,8 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     np.testing.assert_allclose(displacement[:, :, :2], 0, atol=1e-12)
     np.testing.assert_allclose(got.volume[0], [1 + stretch(t) for t in times], rtol=1e-9)
     assert got.force.shape == (20, 3)
+    pressed = [0.7 - script.pose(t)[2] for t in times]  # where the tool is to be when the step ends
+    np.testing.assert_allclose(got.force[:, 2], STIFFNESS_N_PER_M * np.array(pressed), atol=1e-12)
     assert got.work_j == pytest.approx(STIFFNESS_N_PER_M * 0.075**2 / 2, rel=1e-6)  # of the spring, at the deepest
     assert got.free_times_s[-1] == pytest.approx(0.35 * script.duration_s)
     assert got.outside_share == 0
@@ -193,6 +196,22 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     assert got.costs.frame_bytes == 60
     assert got.costs.step_energy_j is None
     assert server.loaded[0].unloaded
+
+
+def test_points_stand_for_all_of_the_volume() -> None:
+    mesh = mixed_mesh()
+    assert node_volumes(mesh).sum() == pytest.approx(signed_volumes(mesh).sum())
+    assert node_volumes(mesh).min() > 0
+
+
+def test_only_the_last_few_meshes_are_remembered() -> None:
+    base = scene_of()
+    recorder = Recorder(FormulaServer(), base, Script.of(base))  # type: ignore[arg-type]
+    volumes = [volume_mesh(scene_of(SCENE.replace("cells_x: 4", f"cells_x: {n}")).bodies[0]) for n in range(1, 7)]
+    taken = [recorder.interpolations([volume]) for volume in volumes]
+    assert recorder.interpolations([volumes[-1]]) is taken[-1]
+    assert recorder.interpolations([volumes[2]]) is taken[2]
+    assert recorder.interpolations([volumes[1]]) is not taken[1]
 
 
 def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:

@@ -58,6 +58,8 @@ class Formula:
         self.runs = 0
         #: Of each call of `measure`, how many scenes.
         self.together = list[int]()
+        #: Likewise, how long it may take [s].
+        self.limits_s = list[float]()
         #: The run that ends the daemon.
         self.last_run = 0
         self.felt = True
@@ -98,7 +100,7 @@ class Formula:
     def measure(
         self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
     ) -> list[Recording | tm.TensormassError]:
-        assert limit_s > 0
+        self.limits_s.append(limit_s)
         self.together.append(len(scenes))
         turns = [self._recording(scene, 1.0, self.slowness[0] if self.slowness else 1.0) for scene in beside]
         recordings: list[Recording | tm.TensormassError] = []
