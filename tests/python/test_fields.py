@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass.v1 import control_pb2
+from tensormass.v1 import control_pb2, stream_pb2
 
 
 def reply(*fields: tuple[control_pb2.Field, int, list[float]]) -> control_pb2.GetFieldsResponse:
@@ -39,6 +41,19 @@ def test_fields_are_asked_for_by_name_and_come_as_arrays(recorder: tuple[Recorde
     np.testing.assert_array_equal(fields["velocity"], [[1, 2, 3], [4, 5, 6]])
     fields["velocity"][0] = 0  # one's own copy
     assert fields["velocity"].dtype == np.float64
+
+
+def test_a_report_holds_each_field_under_its_name(recorder: tuple[Recorder, tm.Server], tmp_path: Path) -> None:
+    fake, server = recorder
+    topology = stream_pb2.Topology(bodies=[stream_pb2.BodySurface(name="liver")])
+    fake.replies |= {
+        "GetStatus": control_pb2.GetStatusResponse(),
+        "GetTopology": control_pb2.GetTopologyResponse(topology=topology),
+        "GetFields": reply((control_pb2.FIELD_DISPLACEMENT, 3, [1, 2, 3]), (control_pb2.FIELD_VELOCITY, 3, [4, 5, 6])),
+    }
+    with np.load(tm.SceneHandle(server, "s", None).write_report(tmp_path / "s.npz")) as report:
+        assert report["liver/displacement"].tolist() == [[1, 2, 3]]
+        assert report["liver/velocity"].tolist() == [[4, 5, 6]]
 
 
 def test_an_unknown_field_is_refused_before_the_call(recorder: tuple[Recorder, tm.Server]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import demo, mesh_files, meshes
+from tensormass import defaults, demo, mesh_files, meshes
 from tensormass.names import as_name
-from tensormass.scene import pack_mesh, unpack_mesh
+from tensormass.scene import SceneFile, pack_mesh, unpack_mesh, volume_mesh
 from tensormass.v1 import scene_pb2
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
@@ -187,7 +188,11 @@ def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
         assert len(list(found[1].iterdir())) == 2 * len(demo.ORGANS) + 1
         return (found[1] / "liver.msh").read_text()
 
+    moved: list[str] = []
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda source, target: (moved.append(target.name), replace(source, target)))
     assert [liver(), liver()] == ["1", "1"]
+    assert moved[-1] == "made_from.txt"  # which says that all the others are there
     (tmp_path / "scenes" / "made_from.txt").write_text("older sources")
     assert [liver(), liver()] == ["2", "2"]
     (tmp_path / "scenes" / "kidney.msh").unlink()
@@ -200,6 +205,22 @@ def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
 )
 def test_names_are_made_of_what_scenes_may_be_called(stem: str, name: str) -> None:
     assert as_name(stem) == name
+
+
+def test_a_file_goes_before_a_builtin_scene_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("beam").write_text("name: mine\n")
+    Path("other.YML").write_text("name: other\n")
+    assert [tm.Scene.from_file(path).name for path in ("beam", "other.YML")] == ["mine", "other"]
+    assert SceneFile.read("beam").builtin is None
+    Path("beam").unlink()
+    assert SceneFile.read("beam").builtin == "beam"
+
+
+def test_a_grid_is_cut_where_its_message_puts_it() -> None:
+    (body,) = tm.Scene.from_yaml(YAML).message.bodies
+    nodes = volume_mesh(body).nodes
+    np.testing.assert_array_equal([nodes.min(axis=0), nodes.max(axis=0)], [[1, 0, 0], [2, 2, 3]])
 
 
 def test_a_mesh_file_is_a_scene_of_one_body(tmp_path: Path) -> None:
@@ -237,6 +258,8 @@ def test_a_scene_from_arrays_carries_everything_given() -> None:
     assert message.tools[0].max_speed_m_per_s == 0.2
     np.testing.assert_array_equal(np.frombuffer(body.mesh.packed.node_positions, "<f8").reshape(-1, 3), NODES)
     assert not tm.Scene.from_arrays(NODES, TETRAHEDRA).message.HasField("gravity_m_per_s2")
+    cork = tm.Scene.from_arrays(NODES, TETRAHEDRA, law="hooke", poisson_ratio=0.0).message.bodies[0]
+    assert cork.law.hooke.poisson_ratio == 0
 
 
 def test_a_budget_comes_with_its_floor() -> None:
@@ -247,6 +270,8 @@ def test_a_budget_comes_with_its_floor() -> None:
     assert not scene.message.solver.HasField("floor_tolerance")
     scene.keep_to_budget(0.004, floor_tolerance=1e-2)
     assert scene.message.solver.floor_tolerance == 1e-2
+    scene.keep_to_budget(0.004, floor_cg_iterations=0, floor_tolerance=0.0)
+    assert (scene.message.solver.floor_cg_iterations, scene.message.solver.floor_tolerance) == (0, 0)
 
 
 def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
@@ -388,3 +413,22 @@ def test_a_message_of_half_an_element_is_no_mesh() -> None:
     packed.elements[0].nodes = packed.elements[0].nodes[:-1]
     with pytest.raises(tm.InvalidArgumentError, match=r"body\.elements\[0\]: an unknown shape, or not whole elements"):
         unpack_mesh(packed, "body")
+    packed = pack_mesh(carrying_mesh())
+    packed.node_positions = packed.node_positions[:-8]
+    with pytest.raises(tm.InvalidArgumentError, match=r"body\.node_positions: not a whole number of nodes"):
+        unpack_mesh(packed, "body")
+
+
+def test_what_a_scene_does_not_say_is_as_its_schema_has_it() -> None:
+    scene = scene_pb2.Scene()
+    solver = scene.solver
+    assert defaults.dt_s(scene) == 1 / 60
+    assert defaults.scheduled_s(scene) == 0
+    assert (defaults.cg_max_iterations(solver), defaults.cg_tolerance(solver)) == (100, 1e-3)
+    assert (defaults.newton_max_iterations(solver), defaults.newton_tolerance(solver)) == (1, 1e-3)
+    solver.integrator, solver.precision = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC, scene_pb2.Solver.PRECISION_DOUBLE
+    assert (defaults.cg_max_iterations(solver), defaults.cg_tolerance(solver)) == (10_000, 1e-3)
+    assert (defaults.newton_max_iterations(solver), defaults.newton_tolerance(solver)) == (50, 1e-6)
+    for ends_s in (2.0, 7.0, 3.0):
+        scene.bodies.add().prescribed.add().schedule.time_s.extend([0.0, ends_s])
+    assert defaults.scheduled_s(scene) == 7.0
