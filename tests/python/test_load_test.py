@@ -21,7 +21,7 @@ import tensormass as tm
 from tensormass import load_report, load_test, load_viewer, processes
 from tensormass.cli import main
 from tensormass.meshes import FloatArray
-from tensormass.v1 import stream_pb2
+from tensormass.v1 import control_pb2, stream_pb2
 
 BLOCK = """
 name: block
@@ -135,6 +135,38 @@ def test_poses_of_a_client_that_failed_are_not_known(
     assert without["poses_sent"] is without["poses_overtaken_on_the_way"] is None
 
 
+def test_what_the_daemon_could_not_read_is_an_error(
+    load: Callable[..., Loaded], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    version, more = tm.Server.version, itertools.count(5, 2)
+
+    def counting(server: tm.Server) -> control_pb2.GetVersionResponse:
+        answer = version(server)
+        answer.malformed_messages = next(more)
+        return answer
+
+    monkeypatch.setattr(tm.Server, "version", counting)
+    status, report = load(BLOCK, "--haptic", "0", "--viewers", "0", "--seconds", "0.01")
+    assert (status, report["errors"]) == (1, ["2 messages reached the daemon malformed"])
+
+
+def test_hands_press_as_long_as_a_viewer_is_stopped_and_watched(
+    load: Callable[..., Loaded], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start_haptic, lasting_s = load_test._LoadTest._start_haptic, list[float]()
+
+    def start(test: load_test._LoadTest, *args: Any) -> load_test._Client:  # noqa: ANN401
+        lasting_s.append(args[-1])
+        return start_haptic(test, *args)
+
+    monkeypatch.setattr(load_test._LoadTest, "_start_haptic", start)
+    monkeypatch.setattr(load_test, "_STATUS_WINDOW_STEPS", 1)
+    _, report = load(BLOCK, "--stop-viewer", "0.1", "--seconds", "0.01")
+    assert lasting_s == [pytest.approx(0.3)]
+    assert report["stopped_viewer"]["seconds"] == 0.1
+    assert [phase["name"] for phase in report["stopped_viewer"]["phases"]] == ["before", "while stopped", "after"]
+
+
 def test_what_is_not_known_is_a_dash_for_people() -> None:
     after = stream_pb2.SceneStatus(scene="s", step=10, missed_deadlines=2, poses_received=5)
     scene = load_report.scene_report(stream_pb2.SceneStatus(), after, poses_sent=None)
@@ -187,6 +219,25 @@ def client_of(folder: Path, name: str) -> load_test._Client:
     client = load_test._Client(Process(), "s", "zenoh", *files)  # type: ignore[arg-type]
     client.log_file.write_text("")
     return client
+
+
+def test_a_viewer_ends_the_test_only_with_its_daemon(tmp_path: Path) -> None:
+    viewer = client_of(tmp_path, "viewer")
+    viewer.process.stop()
+
+    def watch(version: Callable[[], object]) -> None:
+        viewer.ended_early = False
+        server: Any = SimpleNamespace(version=version)
+        test = load_test._LoadTest(SimpleNamespace(), server, tmp_path, contextlib.ExitStack())  # type: ignore[arg-type]
+        test._watch([viewer], lambda: viewer.ended_early)
+
+    watch(lambda: None)
+
+    def gone() -> None:
+        raise tm.UnavailableError("nobody answers")
+
+    with pytest.raises(tm.UnavailableError, match="nobody answers"):
+        watch(gone)
 
 
 def a_test(folder: Path, **options: object) -> load_test._LoadTest:
