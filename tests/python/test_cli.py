@@ -134,6 +134,29 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
         assert part in text
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == to_plain(report)
+    assert main(["load", "beam", "--server", server.address]) == 0
+    assert (fake.asked[-1].scene.name, fake.asked[-1].scene.stepping.lockstep) == ("beam", False)
+
+
+def test_a_scene_is_unloaded_and_reported_by_its_name(
+    recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    fake, server = recorder
+    fake.replies |= {
+        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
+        "GetTopology": control_pb2.GetTopologyResponse(),
+        "UnloadScene": control_pb2.UnloadSceneResponse(),
+    }
+    output = tmp_path / "demo.npz"
+    for option, said in (([], f"wrote {output}\n"), (["--json"], json.dumps({"output": str(output)}) + "\n")):
+        assert main(["report", "demo", "--server", server.address, "-o", str(output), *option]) == 0
+        assert capsys.readouterr().out == said
+    with np.load(output) as written:
+        assert json.loads(str(written["status"])) == to_plain(STATUS)
+    for option, said in (([], "unloaded demo\n"), (["--json"], '{"unloaded": "demo"}\n')):
+        assert main(["unload", "demo", "--server", server.address, *option]) == 0
+        assert capsys.readouterr().out == said
+        assert fake.asked[-1] == control_pb2.UnloadSceneRequest(scene="demo")
 
 
 def test_errors_are_said_and_counted_in_the_status(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -142,6 +165,8 @@ def test_errors_are_said_and_counted_in_the_status(capsys: pytest.CaptureFixture
     assert capsys.readouterr().err == f"tensormass: {missing}: no such file\n"
     assert main(["mesh", missing, "-o", str(tmp_path / "out.msh"), "--json"]) == 1
     assert json.loads(capsys.readouterr().out) == {"error": f"{missing}: no such file", "kind": "NotFoundError"}
+    assert main(["load-test", "--stop-viewer", "1", "--viewers", "0", "--json", "-"]) == 1
+    assert json.loads(capsys.readouterr().out)["kind"] == "InvalidArgumentError"
     with pytest.raises(SystemExit) as usage:
         main(["mesh"])
     assert usage.value.code == 2

@@ -302,6 +302,17 @@ def test_what_lies_there_is_named_though_the_daemon_ends_while_it_is_confirmed(
     assert result["confirmed"].keys() == {"fastest"}
 
 
+def test_an_equilibrium_costs_one_step_whatever_its_dt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in(tmp_path, monkeypatch)
+    still = BLOCK[: BLOCK.index("tools:")] + "solver: {integrator: quasi_static}\n"
+    (tmp_path / "block.yaml").write_text(still)
+    (tmp_path / "mine.yaml").write_text(still + "stepping: {dt_s: 1.0}\n")
+    run_on(tmp_path, "--knobs", "cg_tolerance", "--confirm", str(tmp_path / "mine.yaml"))
+    result = json.loads((tmp_path / "out" / "trade.json").read_text())
+    assert result["script"] == "one step from rest to equilibrium"
+    assert result["confirmed"]["mine"]["cost_s"] == result["measurements"][0]["cost_s"] == pytest.approx(1e-3)
+
+
 def test_a_reference_that_is_no_better_than_what_it_judges_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
