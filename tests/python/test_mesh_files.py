@@ -47,8 +47,10 @@ def gmsh1_file(folder: Path, text: str) -> Path:
     return path
 
 
-def test_gmsh1_maps_node_numbers_and_passes_over_surface_elements(tmp_path: Path) -> None:
-    mesh = mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1))
+@pytest.mark.parametrize("flat", ["2 1 1 3 10 20 30", "3 1 1 4 10 20 30 40", "1 1 1 2 10 20", "15 1 1 1 10"])
+def test_gmsh1_maps_node_numbers_and_passes_over_what_has_no_volume(tmp_path: Path, flat: str) -> None:
+    assert "\n1 2 1 1 3 10 20 30\n" in GMSH1
+    mesh = mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1.replace("1 2 1 1 3 10 20 30", f"1 {flat}")))
     np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
     np.testing.assert_array_equal(mesh.elements("tetrahedron"), [[0, 1, 2, 3], [1, 2, 3, 4]])
 
