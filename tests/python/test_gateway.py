@@ -14,10 +14,11 @@ import sys
 import time
 from pathlib import Path
 
+import aiohttp
 import pytest
 from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
-from gateway_parts import browse, load, options, publish
+from gateway_parts import browse, load, options, origin, publish
 
 from tensormass.feeds import Stream
 from tensormass.gateway import Gateway, GatewayOptions, add_arguments, options_from, serve
@@ -206,6 +207,7 @@ async def test_daemon_that_comes_back_is_found(viewer: Path, same_ports: bool) -
             await first.next_pose()
         lost = await page.text(lambda message: message["type"] == "daemon" and bool(message["problem"]))
         assert f"no daemon answers on 127.0.0.1:{endpoints.control}" in lost["problem"]
+        assert lost["scenes"] == []
 
         again = endpoints if same_ports else Endpoints(control=endpoints.control)
         second = await stack.enter_async_context(fake_daemon(again))
@@ -293,6 +295,24 @@ async def test_browser_that_breaks_the_protocol_is_closed(
         while gateway.browser_count:
             await asyncio.sleep(0)
         assert gateway.stats()["closed_for_errors"] == 1
+
+
+@asynchronous
+async def test_browser_that_answers_no_ping_is_let_go(viewer: Path) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("tensormass.gateway.HEARTBEAT_S", 1.0)
+        async with (
+            fake_daemon() as daemon,
+            serve(options(viewer, daemon.control)) as gateway,
+            browse(gateway) as page,
+            aiohttp.ClientSession() as session,
+            session.ws_connect(f"{gateway.url.replace('/?', '/stream?')}", origin=origin(gateway), autoping=False),
+        ):
+            assert gateway.browser_count == 2
+            while gateway.browser_count == 2:
+                assert await page.nothing_pending()
+            assert await page.nothing_pending()
+            assert gateway.browser_count == 1
 
 
 @asynchronous
