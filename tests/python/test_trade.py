@@ -120,6 +120,8 @@ def test_settings_of_no_effect_are_left_out(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.canonical({"cg_tolerance": 0.01, "law": "neo_hookean"}) == {}
     assert knobs.canonical({"quadrature": "full", "shape": "tetrahedron"}) == {"shape": "tetrahedron"}
+    still = {"integrator": "quasi_static"}
+    assert knobs.canonical({**still, "mass": "consistent"}) == still
     tetrahedra = knobs.apply({"shape": "tetrahedron"}).scene().message.bodies[0]
     assert tetrahedra.quadrature == scene_pb2.QUADRATURE_UNSPECIFIED
 
@@ -265,8 +267,13 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
     top = np.array([script.pose(share * script.duration_s) for share in (0, 0.2, 0.7, 1.0)])
     np.testing.assert_allclose(top, [[0.05, 0.05, z] for z in (0.08, 0.08, 0.055, 0.08)])
     assert script.duration_s / script.sample_s == pytest.approx(script.sample_count)
-    del scene.tools[:]
+    assert script.free_s == (0.0, pytest.approx(0.35 * script.duration_s))
     scene.ClearField("gravity_m_per_s2")
+    assert Script.of(scene).free_s == pytest.approx((0.9 * script.duration_s, script.duration_s))  # let go by the tool
+    scene.bodies[0].prescribed.add().schedule.time_s.extend([0.0, 5.0])
+    assert Script.of(scene).duration_s == pytest.approx(5.0)
+    del scene.bodies[0].prescribed[:]
+    del scene.tools[:]
     with pytest.raises(tm.InvalidArgumentError, match="nothing would move"):
         Script.of(scene, None)
 
@@ -336,6 +343,11 @@ def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -
     assert follower(first, 0.0, 10.0, "stopped") is near
     assert follower(near, 11.0, 10.0) is far
     assert follower(far, 4.0, 10.0) is None
+
+
+def test_of_too_many_some_are_taken_from_end_to_end() -> None:
+    assert sweep._spread([*range(10, 20)], 4) == [10, 13, 16, 19]
+    assert sweep._spread([1, 2], 4) == [1, 2]
 
 
 def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:

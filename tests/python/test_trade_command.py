@@ -326,6 +326,27 @@ def test_a_reference_that_is_no_better_than_what_it_judges_is_said(
         assert ("the reference itself may be off by" in capsys.readouterr().out) == said
 
 
+def test_what_no_answer_can_be_had_of_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    formula = stand_in(tmp_path, monkeypatch)
+    warnings = ("settings have steps that ended above their newton_tolerance", "elements that are turned inside out")
+    assert run_on(tmp_path) == 0
+    printed = capsys.readouterr().out
+    assert not any(warning in printed for warning in warnings)
+    formula.unconverged_steps, formula.min_det_f = 3, 0.0
+    assert run_on(tmp_path, "--press", "0.4") == 0  # another script: measured anew
+    printed = capsys.readouterr().out
+    assert all(warning in printed for warning in warnings)
+
+
+def test_each_value_of_a_knob_is_told_against_the_scenes_own(tmp_path: Path) -> None:
+    knob = knobs_of(BLOCK, tmp_path).knobs["precision"]
+    measured = [measurement({}, 2.0, 0.01), measurement({"precision": "double"}, 3.0, 0.02)]
+    rows = [(row[1], row[2], row[3], kind) for row, kind in report.knob_rows([knob], measured)]
+    assert rows == [("float", "× 1.00", "1 %", "front"), ("double", "× 1.50", "2 %", "")]
+
+
 def test_a_row_has_its_units() -> None:
     errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02)
     costs = replace(COSTS, latency_p50_s=0.0035, memory_bytes=12_300_000, step_energy_j=0.25)

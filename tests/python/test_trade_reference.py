@@ -33,6 +33,13 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
     assert found.displacement_error == pytest.approx(true_error, rel=0.25)
     assert found.displacement_error < 0.02 / 3
     assert len(said) == len(found.levels) == formula.runs
+    for name, value in {
+        "integrator": "bdf2",
+        "shape": "hexahedron",
+        "quadrature": "selective",
+        "precision": "double",
+    }.items():
+        assert found.levels[-1].setting[name] == value
     before = formula.runs
     assert find(0.02, 1e9) == replace(found, recording=ANY)  # taken from the folder
     assert formula.runs == before

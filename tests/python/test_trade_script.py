@@ -138,9 +138,10 @@ def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
     assert script.travel_m == pytest.approx((0, 0, -0.075))
     assert Script.of(scene_of(), press_radii=1).travel_m == pytest.approx((0, 0, -0.08))
     assert script.start_m == (0.05, 0.05, 0.7)
-    turned = scene_of(SCENE + "    orientation: {w: 0.7071067811865476, x: 0, y: 0.7071067811865476, z: 0}\n")
-    # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
-    assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
+    for half in (0.5**0.5, 3.0):  # of any length
+        turned = scene_of(SCENE + f"    orientation: {{w: {half}, x: 0, y: {half}, z: 0}}\n")
+        # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
+        assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
 
 
 @pytest.mark.parametrize(

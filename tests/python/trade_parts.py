@@ -71,6 +71,8 @@ class Formula:
         self.lucky_tolerance = 0.0
         #: For a scene and what is timed beside it.
         self.room_for_both = True
+        self.unconverged_steps = 0
+        self.min_det_f = 0.9
         self._cells = _cells_of(scene)
         self._own_dt_s = script.sample_s / 2
         self._broken_law = broken_law
@@ -95,7 +97,9 @@ class Formula:
         u = (1 + error) * np.ones((2, 2, 3))
         force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
         empty = np.empty(0)
-        return Recording([u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, 0, 0.9, costs)
+        return Recording(
+            [u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, self.unconverged_steps, self.min_det_f, costs
+        )
 
     def measure(
         self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
