@@ -16,6 +16,7 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from aiohttp import web
 from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
@@ -298,21 +299,45 @@ async def test_browser_that_breaks_the_protocol_is_closed(
 
 
 @asynchronous
-async def test_browser_that_answers_no_ping_is_let_go(viewer: Path) -> None:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("tensormass.gateway.HEARTBEAT_S", 1.0)
-        async with (
-            fake_daemon() as daemon,
-            serve(options(viewer, daemon.control)) as gateway,
-            browse(gateway) as page,
-            aiohttp.ClientSession() as session,
-            session.ws_connect(f"{gateway.url.replace('/?', '/stream?')}", origin=origin(gateway), autoping=False),
-        ):
-            assert gateway.browser_count == 2
-            while gateway.browser_count == 2:
-                assert await page.nothing_pending()
-            assert await page.nothing_pending()
-            assert gateway.browser_count == 1
+async def test_browser_that_answers_no_ping_is_let_go(viewer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tensormass.gateway.HEARTBEAT_S", 1.0)
+    async with (
+        fake_daemon() as daemon,
+        serve(options(viewer, daemon.control)) as gateway,
+        browse(gateway) as page,
+        aiohttp.ClientSession() as session,
+        session.ws_connect(gateway.url.replace("/?", "/stream?"), origin=origin(gateway), autoping=False) as silent,
+    ):
+        answering = asyncio.ensure_future(page.socket.receive())
+        types = [aiohttp.WSMsgType.TEXT]
+        while types[-1] in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.PING):
+            types.append((await silent.receive()).type)
+        assert aiohttp.WSMsgType.PING in types
+        while gateway.browser_count == 2:
+            await asyncio.sleep(0)
+        assert not answering.done()
+        await page.send(type="clock", client_time_ms=1)
+        assert json.loads((await answering).data)["type"] == "clock"
+        assert gateway.stats()["closed_for_errors"] == 1  # the silent one
+
+
+@asynchronous
+async def test_browser_that_goes_away_while_it_is_answered_is_no_failure(
+    viewer: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def send_json(socket: web.WebSocketResponse, message: dict[str, object]) -> None:
+        if message["type"] == "clock":
+            raise aiohttp.ClientConnectionResetError("Cannot write to closing transport")
+        await socket.send_str(json.dumps(message))
+
+    monkeypatch.setattr(web.WebSocketResponse, "send_json", send_json)
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        await page.send(type="clock", client_time_ms=1)
+        while gateway.browser_count:
+            await asyncio.sleep(0)
+        await page.closed()
+        assert gateway.stats()["closed_for_errors"] == 0
+    assert [record.message for record in caplog.records if record.name == "aiohttp.server"] == []
 
 
 @asynchronous

@@ -32,6 +32,7 @@ import contextlib
 import hmac
 import ipaddress
 import json
+import logging
 import math
 import os
 import platform
@@ -49,6 +50,8 @@ from urllib.parse import urlsplit
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from tensormass.feeds import Daemon, ProtocolError, Stream, Watcher, background
+
+log = logging.getLogger(__name__)
 
 MAX_BROWSER_MESSAGE_BYTES = 4096
 """A larger message from a browser closes its connection."""
@@ -215,6 +218,8 @@ class Gateway:
         except ProtocolError as error:
             self.closed_for_errors += 1
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode()[:120])
+        except ConnectionError as error:  # it went away while it was answered
+            log.info("a browser went away: %s", error)
         finally:
             self._browsers.discard(browser)
             self._daemon.leave(browser)
