@@ -23,7 +23,7 @@ from conftest import Recorder
 import tensormass as tm
 from tensormass import mesh_files, meshes, run
 from tensormass.cli import main, parse_length_m
-from tensormass.output import status_line, to_plain
+from tensormass.output import load_line, status_line, to_plain
 from tensormass.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
@@ -95,6 +95,20 @@ def test_status_says_what_there_is_to_know_in_full(
     assert a.startswith("a: ")
     assert notes == ["guard: step 7 left its bounds", "warning: steps take 2 s", "warning: hooke is left"]
     assert b.count("step 9 did") == 1
+
+
+def test_a_load_is_shown_on_one_line_of_a_terminal_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert load_line() is None
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert load_line(quiet=True) is None
+    write = load_line()
+    assert write is not None
+    write("cutting the grid", 0.25)
+    assert capsys.readouterr().out.rstrip(" ") == "\rloading  25 %  cutting the grid"
+    write("", 1.0)
+    assert capsys.readouterr().out.strip() == ""
 
 
 def test_a_status_says_what_guards_and_budget_did() -> None:

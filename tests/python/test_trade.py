@@ -567,6 +567,12 @@ def test_presets_apply_and_others_are_refused(tmp_path: Path, monkeypatch: pytes
         presets.read_scene("cantilever", "accurate")
     with pytest.raises(tm.InvalidArgumentError, match="measured for cantilever, not for beam"):
         presets.read_scene("beam", "fast")
+    monkeypatch.chdir(tmp_path)
+    Path("cantilever").write_text(BLOCK)  # somebody's own, of that name
+    with pytest.raises(
+        tm.InvalidArgumentError, match=r"measured for cantilever, not for cantilever; .* your own scene"
+    ):
+        presets.read_scene("cantilever", "fast")
 
 
 def test_the_committed_presets_are_settings_of_their_scenes(tmp_path: Path) -> None:
