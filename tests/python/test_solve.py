@@ -289,6 +289,17 @@ def test_seconds_and_steps_say_how_long(solve: Callable[..., Solved]) -> None:
     assert solve(text, "--steps", "7").said["simulated_time_s"] == pytest.approx(0.14)
 
 
+def test_a_scene_of_the_same_name_in_the_daemon_is_another_and_stays(server: tm.Server, tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(BAR % (TRACTION, "", ""))
+    theirs = server.load(tmp_path / "scene.yaml", lockstep=True)
+    try:
+        command = ["solve", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "x.vtu"), "--server", server.address]
+        assert main(command) == 0
+        assert [(status.scene, status.step) for status in server.scenes()] == [(theirs.name, 0)]
+    finally:
+        theirs.unload()
+
+
 def test_what_does_not_come_to_rest_is_written_and_said(
     solve: Callable[..., Solved], monkeypatch: pytest.MonkeyPatch
 ) -> None:
