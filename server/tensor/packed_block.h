@@ -45,7 +45,8 @@ TM_HOST_DEVICE inline std::uint32_t rounded(float x, std::int32_t most) {
 /// multiples of 2⁻²⁰ R, where R is a power of two from 2⁻⁶ to 2 and above the largest of them.
 ///
 /// Of a positive definite matrix with unit diagonal blocks no number is beyond 1. What is beyond 2 becomes ±2, which
-/// leaves the matrix indefinite, as it was.
+/// leaves the matrix indefinite, as it was. What is no number becomes one: the row's diagonal block, which sums up the
+/// others, is none either, and with it the right-hand side that the solve begins with.
 struct PackedBlock {
   /// By pairs, low word first: 21 bits of the first number, the lower 11 of the third; the upper 10 of the third, a bit
   /// of the exponent, 21 bits of the second.
