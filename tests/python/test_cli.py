@@ -236,15 +236,23 @@ def test_run_refuses_rates_that_are_none(
     assert capsys.readouterr().err == f"tensormass: --rate {rate}: must be positive\n"
 
 
-def test_run_steps_at_the_rate_that_is_asked_for(
-    recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def let_run(recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch, *tools: str) -> None:
+    """What `run` launches is the recorder, whose scene has these tools and goes on and on."""
     fake, server = recorder
+    topology = stream_pb2.Topology(tools=[stream_pb2.ToolShape(name=name) for name in tools])
     fake.replies |= {
         "LoadScene": control_pb2.LoadSceneResponse(),
+        "GetTopology": control_pb2.GetTopologyResponse(topology=topology),
         "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
     }
     monkeypatch.setattr(run, "launch", lambda **_: server)
+
+
+def test_run_steps_at_the_rate_that_is_asked_for(
+    recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake, _ = recorder
+    let_run(recorder, monkeypatch)
     assert main(["run", "beam", "--rate", "50", "--no-viewer", "--no-haptic", "--seconds", "0.001"]) == 0
     (stepping,) = [of.scene.stepping for of in fake.asked if isinstance(of, control_pb2.LoadSceneRequest)]
     assert (stepping.rate_hz, stepping.dt_s) == (50, 0.02)
@@ -263,14 +271,8 @@ def test_run_ends_with_a_haptic_device(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fake, server = recorder
-    topology = stream_pb2.Topology(tools=[stream_pb2.ToolShape(name="probe")])
-    fake.replies |= {
-        "LoadScene": control_pb2.LoadSceneResponse(),
-        "GetTopology": control_pb2.GetTopologyResponse(topology=topology),
-        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
-    }
-    monkeypatch.setattr(run, "launch", lambda **_: server)
+    _, server = recorder
+    let_run(recorder, monkeypatch, "probe")
     monkeypatch.setattr(run, "_LOG_PERIOD_S", 0.01)
     monkeypatch.setenv("TENSORMASS_HAPTIC", str(device_that_ends(tmp_path)))
     assert main(["run", "beam", "--no-viewer", "--seconds", "20", "--haptic-transport", "zenoh"]) == 1
@@ -313,15 +315,7 @@ def test_run_starts_no_viewer_and_no_hand_for_a_scene_without_frames(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fake, server = recorder
-    fake.replies |= {
-        "LoadScene": control_pb2.LoadSceneResponse(),
-        "GetTopology": control_pb2.GetTopologyResponse(
-            topology=stream_pb2.Topology(tools=[stream_pb2.ToolShape(name="probe")])
-        ),
-        "GetStatus": control_pb2.GetStatusResponse(status=STATUS),
-    }
-    monkeypatch.setattr(run, "launch", lambda **_: server)
+    let_run(recorder, monkeypatch, "probe")
     monkeypatch.setenv("TENSORMASS_HAPTIC", "/nonexistent")
     scene = tmp_path / "scene.yaml"
     scene.write_text("name: quiet\nstreams: {frame_rate_hz: 0}\ntools: [{name: probe}]\n")
