@@ -87,6 +87,11 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
+  // Where vectors come from memory, x is brought up to date in every other iteration: the direction p of the one before
+  // is what made that of this one, p' = r + β p, so that x + α p + α' p' = x + (α' + γ) p' − γ r with γ = α / β. Not
+  // where β is small, and p' − r has few digits of p.
+  constexpr float kLeastBeta = 0.05f;
+  float gamma = 0;
   do {
     exchange.begin();
     // Without room for it, q is read back from the cells that this patch has just published.
@@ -108,6 +113,11 @@ __global__ void __launch_bounds__(Threads, 1)
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
+    const bool postpones = !NearDirection && gamma == 0 && beta > kLeastBeta;
+    const auto moved = [&](const Vec3<float>& x, const Vec3<float>& direction, const Vec3<float>& residual) {
+      if constexpr (NearDirection) return Vec3<float>(x + direction * alpha);
+      return Vec3<float>(x + direction * (alpha + gamma) - residual * gamma);
+    };
     residual_squared = 0;
     constexpr std::uint32_t kRowsAtOnce = 2;
     for (std::uint32_t begin = thread; begin < own; begin += kRowsAtOnce * Threads) {
@@ -119,14 +129,14 @@ __global__ void __launch_bounds__(Threads, 1)
         direction[i] = three_of(p[local]);
         residual[i] = r[local];
         product[i] = three_of(q[local]);
-        solution[i] = x[local];
+        if (!postpones) solution[i] = x[local];
       }
 #pragma unroll
       for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
         const std::uint32_t local = begin + i * Threads;
         if (local >= own) break;
+        if (!postpones) x.set(local, moved(solution[i], direction[i], residual[i]));
         residual[i] -= product[i] * alpha;
-        x.set(local, solution[i] + direction[i] * alpha);
         r.set(local, residual[i]);
         p[local] = cell_of(residual[i] + direction[i] * beta);
         residual_squared += residual[i].dot(residual[i]);
@@ -144,9 +154,15 @@ __global__ void __launch_bounds__(Threads, 1)
         p[local] = cell_of(residual + three_of(p[local]) * beta);
       }
     }
+    gamma = postpones ? alpha / beta : 0;
     __syncthreads();
   } while (recurrence.goes_on());
 
+  if (gamma != 0) {
+    for (std::uint32_t local = thread; local < own; local += Threads) {
+      x.set(local, x[local] + (three_of(p[local]) - r[local]) * gamma);
+    }
+  }
   if (thread == 0 && patch.index == 0) recurrence.report(s);
   // x is behind what the end has another use for.
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
