@@ -1,5 +1,7 @@
 #pragma once
 
+#include <Eigen/Geometry>
+
 #include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 #include "physics/material/stretch_law.h"
@@ -13,6 +15,13 @@ namespace tensormass::physics {
 /// collapse. Recovers from inversion: S keeps the sign of the smallest stretch. Any ν in (−1, 0.5), though resistance
 /// to change of volume is of first order only. Where two stretches add up to nothing R is not unique and the stress
 /// jumps; the stiffness against rotation there is bounded.
+///
+/// Its D is 2 μ in all planes and its ψ_ij is 2 μ δ_ij + λ, so that of the stiffness in the axes of U (stretch_law.h)
+/// only what rotations add needs these axes. With a' = R a and R = U Vᵀ,
+///
+///   K = 2 μ (a'·b') I + λ a' b'ᵀ + [a']× H [b']×ᵀ,   H = Σ_k (R_k − D_k)/2 u_k u_kᵀ
+///
+/// where R_k is the stiffness against rotation about u_k.
 struct Corotational : StretchLaw<Corotational>, LameParameters {
   static constexpr const char* kName = "corotational";
   static constexpr Inversion kInversion = Inversion::kRecovers;
@@ -34,14 +43,72 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
     return w;
   }
 
+  template <class T>
+  struct Point : StretchPoint<T> {
+    Mat3<T> turn;   // R = U Vᵀ
+    Mat3<T> twist;  // H
+
+    Point() = default;
+    TM_HOST_DEVICE explicit Point(const StretchPoint<T>& of)
+        : StretchPoint<T>(of), turn(of.f.u * of.f.v.transpose()), twist(twist_of(of)) {}
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Point<T> at(const SignedSingularValues<T>& deformation_gradient, const T* parameters) {
+    return Point<T>(StretchLaw<Corotational>::at(deformation_gradient, parameters));
+  }
+  template <class T>
+  TM_HOST_DEVICE static Point<T> at(const Mat3<T>& deformation_gradient, const T* parameters) {
+    return Point<T>(StretchLaw<Corotational>::at(deformation_gradient, parameters));
+  }
+
+  template <class T>
+  struct Node {
+    Vec3<T> turned;   // a' = R a
+    Mat3<T> twisted;  // [a']× H
+  };
+
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_node(const Point<T>& p, const Vec3<T>& gradient) {
+    Node<T> node;
+    node.turned.noalias() = p.turn * gradient;
+    for (int c = 0; c < 3; ++c) node.twisted.col(c) = node.turned.cross(p.twist.col(c));
+    return node;
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+    return p.f.u * p.w.gradient.cwiseProduct(p.f.u.transpose() * a.turned);
+  }
+
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
+    const Vec3<T>& y = b.turned;
+    const T two_mu = p.w.distortion[0], lambda = p.w.hessian(0, 1);
+    Mat3<T> k = (a.turned * lambda) * y.transpose();
+    k.diagonal().array() += two_mu * a.turned.dot(y);
+    for (int c = 0; c < 3; ++c) {  // + M [y]×ᵀ
+      const int i = (c + 1) % 3, j = (c + 2) % 3;
+      k.col(c) += a.twisted.col(j) * y[i] - a.twisted.col(i) * y[j];
+    }
+    return k;
+  }
+
   /// ψ_ij and D are positive for every ν.
   template <class T>
   TM_HOST_DEVICE static void make_positive(Point<T>& p) {
     for (int i = 0; i < 3; ++i) p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
+    p.twist = twist_of(p);
   }
 
  private:
   static constexpr double kLeastSum = 0.01;
+
+  template <class T>
+  TM_HOST_DEVICE static Mat3<T> twist_of(const StretchPoint<T>& p) {
+    const Vec3<T> share = (p.w.rotation - p.w.distortion) * T(0.5);
+    return p.f.u * share.asDiagonal() * p.f.u.transpose();
+  }
 };
 
 }  // namespace tensormass::physics

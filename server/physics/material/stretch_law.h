@@ -26,6 +26,13 @@ struct StretchEnergy {
   Vec3<T> rotation;    // R
 };
 
+/// What such a law knows of a quadrature point.
+template <class T>
+struct StretchPoint {
+  SignedSingularValues<T> f;
+  StretchEnergy<T> w;
+};
+
 /// What a law derives from that says its StretchEnergy:
 ///   template <class T> static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters);
 /// σ0 ≥ σ1 ≥ |σ2|. D and R are to be given in a form that does not cancel where σ_i = ±σ_j.
@@ -34,10 +41,7 @@ struct StretchLaw {
   static constexpr bool kConstantStiffness = false;
 
   template <class T>
-  struct Point {
-    SignedSingularValues<T> f;
-    StretchEnergy<T> w;
-  };
+  using Point = StretchPoint<T>;
 
   template <class T>
   TM_HOST_DEVICE static Point<T> at(const SignedSingularValues<T>& deformation_gradient, const T* parameters) {
@@ -49,19 +53,19 @@ struct StretchLaw {
   }
 
   template <class T>
-  TM_HOST_DEVICE static T energy(const Point<T>& p) {
+  TM_HOST_DEVICE static T energy(const StretchPoint<T>& p) {
     return p.w.energy;
   }
 
   template <class T>
-  TM_HOST_DEVICE static Mat3<T> stress(const Point<T>& p) {
+  TM_HOST_DEVICE static Mat3<T> stress(const StretchPoint<T>& p) {
     return p.f.u * p.w.gradient.asDiagonal() * p.f.v.transpose();
   }
 
   /// Below kFlat it goes to zero with σ: what a history kept of a collapsed element must not outweigh all
   /// that comes after.
   template <class T>
-  TM_HOST_DEVICE static Mat3<T> second_piola(const Point<T>& p) {
+  TM_HOST_DEVICE static Mat3<T> second_piola(const StretchPoint<T>& p) {
     const T least = T(kFlat * kFlat);
     Vec3<T> s;
     for (int i = 0; i < 3; ++i) {
@@ -76,17 +80,17 @@ struct StretchLaw {
   };
 
   template <class T>
-  TM_HOST_DEVICE static Node<T> at_node(const Point<T>& p, const Vec3<T>& gradient) {
+  TM_HOST_DEVICE static Node<T> at_node(const StretchPoint<T>& p, const Vec3<T>& gradient) {
     return {p.f.v.transpose() * gradient};
   }
 
   template <class T>
-  TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
+  TM_HOST_DEVICE static Vec3<T> traction(const StretchPoint<T>& p, const Node<T>& a) {
     return p.f.u * p.w.gradient.cwiseProduct(a.gradient);
   }
 
   template <class T>
-  TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
+  TM_HOST_DEVICE static Mat3<T> stiffness(const StretchPoint<T>& p, const Node<T>& a, const Node<T>& b) {
     const Vec3<T> same = (p.w.distortion + p.w.rotation) * T(0.5), across = (p.w.distortion - p.w.rotation) * T(0.5);
     const Mat3<T> ab = a.gradient * b.gradient.transpose();
     Mat3<T> k;
@@ -100,7 +104,7 @@ struct StretchLaw {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+  TM_HOST_DEVICE static void make_positive(StretchPoint<T>& p) {
     p.w.hessian = without_negative_eigenvalues(p.w.hessian);
     for (int i = 0; i < 3; ++i) {
       p.w.distortion[i] = maximum(p.w.distortion[i], T(0));
