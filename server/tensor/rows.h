@@ -140,6 +140,12 @@ struct RowNeighbour {
 template <class Shape>
 inline constexpr bool kKeepsAhead = Shape::kSinglePoint;
 
+/// Whether threads that share a row add to one sum of its blocks in turns, or each to its own. Beside evaluating an
+/// element of several points a turn is short, and what sums of their own take would leave near memory for fewer
+/// threads.
+template <class Shape>
+inline constexpr bool kAddsInTurns = !Shape::kSinglePoint;
+
 /// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
 template <class Shape>
 inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
@@ -153,7 +159,8 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 ///   holds(place)
 ///   displacement(place)                 any if it is not held
 ///   ahead(place)                        as clear had it; only with kKeepsAhead
-///   add(places, blocks)                 different places; those that are not held are left out
+///   add(places, blocks, adds)           if it adds: different places; those that are not held are left out. With
+///                                       kAddsInTurns called by all parts at once
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
 ///   leads(sums)                         adds up the sums of all parts; whether this part is to use them
@@ -196,6 +203,9 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   const auto stored_at = [&e](std::uint32_t element, std::uint32_t q) {
     return Stored(e, q, element != kNoPlace ? element : 0);
   };
+  // Where parts add in turns, each takes part in all of them.
+  const std::uint32_t at_once = kAtOnce * blocks.parts(), listed_count = list_end - slice.list_begin;
+  const std::uint32_t rounds = (listed_count + at_once - 1) / at_once;
   RowSums<Real> sums;
   for (std::uint32_t turn = 0; turn < width;) {
     const std::uint32_t held = blocks.begin(turn, width - turn);
@@ -225,7 +235,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
       ahead[k] = stored_at(now[k], 0);
     }
     blocks.meet();
-    for (std::uint32_t round = 0; now[0] != kNoPlace; ++round) {
+    for (std::uint32_t round = 0; kAddsInTurns<Shape> ? round < rounds : now[0] != kNoPlace; ++round) {
       std::uint32_t next[kAtOnce] = {};
       Places<Shape::kNodes> places[kAtOnce];
       Vec3<Real> u[kAtOnce][Shape::kNodes];
@@ -300,10 +310,9 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
       }
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        if (k == 0 || now[k] != kNoPlace) {
-          sums.force += tensors[k].force;
-          blocks.add(places[k].others(), tensors[k].stiffness);
-        }
+        const bool adds = (!kAddsInTurns<Shape> && k == 0) || now[k] != kNoPlace;
+        if (adds) sums.force += tensors[k].force;
+        blocks.add(places[k].others(), tensors[k].stiffness, adds);
         now[k] = next[k];
       }
     }

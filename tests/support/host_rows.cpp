@@ -31,8 +31,8 @@ class HostBlocks {
     at(place) = {Mat3<Real>::Zero(), neighbour};
   }
   template <std::size_t Count>
-  void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
-    for (std::size_t i = 0; i < Count; ++i) {
+  void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count], bool adds) {
+    for (std::size_t i = 0; adds && i < Count; ++i) {
       if (holds(places[i])) at(places[i]).block += blocks[i];
     }
   }

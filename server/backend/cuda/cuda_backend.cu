@@ -416,8 +416,8 @@ class CudaState final : public SceneState {
         launch<Decompose<typename decltype(shape)::Type>>(elements, elements.count * elements.point_count);
       });
     }
-    cuda::RowsLaunch rows =
-        cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), kernels.keeps_ahead, device_);
+    cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(),
+                                                    kernels.keeps_ahead, kernels.adds_in_turns, device_);
     cuda::allow_all_shared_bytes(kernels.assemble);
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
                          &rows.capacity};

@@ -10,7 +10,8 @@ namespace tensormass::backend::cuda {
 
 struct ElementKernels {
   const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
-  bool keeps_ahead = false;        ///< tensor::kKeepsAhead of the shape
+  bool keeps_ahead = false;        ///< tensor::kKeepsAhead of the shape, as is
+  bool adds_in_turns = false;      ///< kAddsInTurns
   // Of the signature of run_stage (launch.cuh):
   const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
   const void* watch = nullptr;           ///< tensor::watch_elements; reduces

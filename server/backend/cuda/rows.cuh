@@ -10,12 +10,18 @@ using tensor::ElementView;
 using tensor::kSliceRows;
 using tensor::SceneView;
 
-/// Reals of a neighbour.
-__host__ __device__ constexpr std::uint32_t neighbour_reals(bool keeps_ahead) { return keeps_ahead ? 6 : 3; }
+/// Reals of a part's sums of a row.
+inline constexpr std::uint32_t kSumsReals = 15;
+
+/// Reals of a column: of the block, of which each of `sums` warps has its own, and of the neighbour.
+__host__ __device__ constexpr std::uint32_t column_reals(bool keeps_ahead, std::uint32_t sums) {
+  return 9 * sums + (keeps_ahead ? 6 : 3);
+}
 
 /// A row's blocks, two quads and a real a column, and what it needs of its neighbours: a thread reads four numbers at
-/// once, and meets no other's bank. Warps that share a slice have blocks of their own and neighbours in common.
-template <class Real, bool KeepsAhead>
+/// once, and meets no other's bank. Warps that share a slice have neighbours in common, and blocks of their own unless
+/// they add in turns.
+template <class Real, bool KeepsAhead, bool AddsInTurns>
 class SharedBlocks {
  public:
   __device__ SharedBlocks(void* shared, std::uint32_t capacity)
@@ -23,8 +29,8 @@ class SharedBlocks {
         part_(threadIdx.x / kWarp),
         parts_(blockDim.x / kWarp),
         quads_(static_cast<Quad*>(shared) + lane()),
-        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + parts_ * capacity * (2 * kSliceRows)) + lane()),
-        neighbours_(singles_ + parts_ * capacity * kSliceRows) {}
+        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + sums() * capacity * (2 * kSliceRows)) + lane()),
+        neighbours_(singles_ + sums() * capacity * kSliceRows) {}
 
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
@@ -39,10 +45,10 @@ class SharedBlocks {
 
   __device__ void clear(std::uint32_t place, const tensor::RowNeighbour<Real>& neighbour) {
 #pragma unroll 1
-    for (std::uint32_t part = 0; part < parts_; ++part) {
-      Quad* quads = quads_at(place, part);
+    for (std::uint32_t sum = 0; sum < sums(); ++sum) {
+      Quad* quads = quads_at(place, sum);
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
-      single_at(place, part) = 0;
+      single_at(place, sum) = 0;
     }
     Real* const to = neighbours_ + (place - first_) * (kNeighbourReals * kSliceRows);
     for (int c = 0; c < 3; ++c) {
@@ -51,12 +57,15 @@ class SharedBlocks {
     }
   }
   template <int Count>
-  __device__ void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
-    // Only wide rows have to look.
-    if (holds_all_) {
-      add_where(places, blocks, [](std::uint32_t) { return true; });
+  __device__ void add(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count], bool adds) {
+    if constexpr (AddsInTurns) {
+#pragma unroll 1
+      for (std::uint32_t part = 0; part < parts_; ++part) {
+        if (adds && part == part_) add_now(places, blocks);
+        meet();
+      }
     } else {
-      add_where(places, blocks, [this](std::uint32_t place) { return holds(place); });
+      if (adds) add_now(places, blocks);
     }
   }
   __device__ Vec3<Real> displacement(std::uint32_t place) const {
@@ -67,16 +76,16 @@ class SharedBlocks {
     if (parts_ > 1) __syncthreads();
   }
   __device__ Mat3<Real> block(std::uint32_t place) const {
-    Mat3<Real> sum = of_part(place, 0);
+    Mat3<Real> all = of_sum(place, 0);
 #pragma unroll 1
-    for (std::uint32_t part = 1; part < parts_; ++part) sum += of_part(place, part);
-    return sum;
+    for (std::uint32_t sum = 1; sum < sums(); ++sum) all += of_sum(place, sum);
+    return all;
   }
   __device__ bool leads(tensor::RowSums<Real>& sums) const {
     if (parts_ == 1) return true;
     meet();  // the blocks have been read
     const auto place = [&](std::uint32_t part) {
-      return reinterpret_cast<Real*>(&quads_at(first_, part)->x - 4 * lane()) + lane();
+      return reinterpret_cast<Real*>(quads_ - lane()) + part * (kSumsReals * kSliceRows) + lane();
     };
     Real* const mine = place(part_);
     each(sums, [&](unsigned c, const Real& value) { mine[c * kSliceRows] = value; });
@@ -94,17 +103,28 @@ class SharedBlocks {
   struct alignas(16) Quad {
     Real x, y, z, w;
   };
-  static constexpr std::uint32_t kNeighbourReals = neighbour_reals(KeepsAhead);
+  static constexpr std::uint32_t kNeighbourReals = column_reals(KeepsAhead, 0);
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
+  __device__ std::uint32_t sums() const { return AddsInTurns ? 1 : parts_; }
+  __device__ std::uint32_t own_sum() const { return AddsInTurns ? 0 : part_; }
   __device__ Vec3<Real> of_neighbour(std::uint32_t column, std::uint32_t first) const {
     const Real* const from = neighbours_ + (column * kNeighbourReals + first) * kSliceRows;
     return {from[0], from[kSliceRows], from[2 * kSliceRows]};
   }
-  __device__ Quad* quads_at(std::uint32_t place, std::uint32_t part) const {
-    return quads_ + (part * capacity_ + place - first_) * (2 * kSliceRows);
+  __device__ Quad* quads_at(std::uint32_t place, std::uint32_t sum) const {
+    return quads_ + (sum * capacity_ + place - first_) * (2 * kSliceRows);
   }
-  __device__ Real& single_at(std::uint32_t place, std::uint32_t part) const {
-    return singles_[(part * capacity_ + place - first_) * kSliceRows];
+  __device__ Real& single_at(std::uint32_t place, std::uint32_t sum) const {
+    return singles_[(sum * capacity_ + place - first_) * kSliceRows];
+  }
+  template <int Count>
+  __device__ void add_now(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
+    // Only wide rows have to look.
+    if (holds_all_) {
+      add_where(places, blocks, [](std::uint32_t) { return true; });
+    } else {
+      add_where(places, blocks, [this](std::uint32_t place) { return holds(place); });
+    }
   }
   template <int Count, class IsHeld>
   __device__ void add_where(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count],
@@ -118,23 +138,23 @@ class SharedBlocks {
 #pragma unroll
       for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
         if (!is_held(places[first + i])) continue;
-        const Quad* quads = quads_at(places[first + i], part_);
+        const Quad* quads = quads_at(places[first + i], own_sum());
         a[i] = quads[0];
         b[i] = quads[kSliceRows];
-        c[i] = single_at(places[first + i], part_);
+        c[i] = single_at(places[first + i], own_sum());
       }
 #pragma unroll
       for (int i = 0; i < kAtOnce && first + i < Count; ++i) {
         if (!is_held(places[first + i])) continue;
         const Mat3<Real>& block = blocks[first + i];
-        Quad* quads = quads_at(places[first + i], part_);
+        Quad* quads = quads_at(places[first + i], own_sum());
         quads[0] = {a[i].x + block(0, 0), a[i].y + block(1, 0), a[i].z + block(2, 0), a[i].w + block(0, 1)};
         quads[kSliceRows] = {b[i].x + block(1, 1), b[i].y + block(2, 1), b[i].z + block(0, 2), b[i].w + block(1, 2)};
-        single_at(places[first + i], part_) = c[i] + block(2, 2);
+        single_at(places[first + i], own_sum()) = c[i] + block(2, 2);
       }
     }
   }
-  /// Of the vertex tensor, which is symmetric, the upper triangle: 15 reals, which two columns have room for.
+  /// Of the vertex tensor, which is symmetric, the upper triangle: kSumsReals.
   template <class Sums, class Visit>
   __device__ static void each(Sums& sums, const Visit& visit) {
     unsigned c = 0;
@@ -145,17 +165,17 @@ class SharedBlocks {
       for (int j = i; j < 3; ++j) visit(c++, sums.vertex(i, j));
     }
   }
-  __device__ Mat3<Real> of_part(std::uint32_t place, std::uint32_t part) const {
-    const Quad* quads = quads_at(place, part);
+  __device__ Mat3<Real> of_sum(std::uint32_t place, std::uint32_t sum) const {
+    const Quad* quads = quads_at(place, sum);
     const Quad a = quads[0], b = quads[kSliceRows];
     Mat3<Real> block;
-    block << a.x, a.w, b.z, a.y, b.x, b.w, a.z, b.y, single_at(place, part);
+    block << a.x, a.w, b.z, a.y, b.x, b.w, a.z, b.y, single_at(place, sum);
     return block;
   }
 
   const std::uint32_t capacity_, part_, parts_;
-  Quad* const quads_;       // [part][column][2][kSliceRows]
-  Real* const singles_;     // [part][column][kSliceRows]
+  Quad* const quads_;       // [sum][column][2][kSliceRows]
+  Real* const singles_;     // [sum][column][kSliceRows]
   Real* const neighbours_;  // [column][kNeighbourReals][kSliceRows]
   std::uint32_t first_ = 0, held_ = 0;
   bool holds_all_ = false;
@@ -164,6 +184,8 @@ class SharedBlocks {
 /// Warps that share a slice: two, so that one's reads are hidden by the other's arithmetic; more where a small scene
 /// has too few slices for all processors.
 inline constexpr std::uint32_t kUsualParts = 2, kMostParts = 4;
+/// Columns that a block has room for at least: parts leave their sums there.
+inline constexpr std::uint32_t kLeastColumns = (kMostParts * kSumsReals + 8) / 9;
 
 struct RowsLaunch {
   std::uint32_t capacity;  ///< columns that a block keeps at once
@@ -171,21 +193,22 @@ struct RowsLaunch {
   std::size_t shared_bytes;
 };
 
-/// slices: of the group; widest: in columns; keeps_ahead: of its shape (tensor::kKeepsAhead).
+/// slices: of the group; widest: in columns; keeps_ahead, adds_in_turns: of its shape (tensor/rows.h).
 template <class Real>
-RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ahead, const cudaDeviceProp& device) {
+RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ahead, bool adds_in_turns,
+                       const cudaDeviceProp& device) {
   constexpr std::uint32_t kWarpsPerProcessor = 16;
   const auto processors = static_cast<std::uint32_t>(device.multiProcessorCount);
   // Two blocks fit on a multiprocessor.
   const std::size_t most_bytes =
       minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
-  const auto bytes_per_column = [keeps_ahead](std::uint32_t parts) {
-    return (9 * parts + neighbour_reals(keeps_ahead)) * kSliceRows * sizeof(Real);
+  const auto bytes_per_column = [=](std::uint32_t parts) {
+    return column_reals(keeps_ahead, adds_in_turns ? 1 : parts) * kSliceRows * sizeof(Real);
   };
   const auto room = [=](std::uint32_t parts) {
     return static_cast<std::uint32_t>(most_bytes / bytes_per_column(parts));
   };
-  const std::uint32_t capacity = maximum(2u, minimum(widest, room(1)));
+  const std::uint32_t capacity = maximum(kLeastColumns, minimum(widest, room(1)));
   const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
   std::uint32_t parts = minimum(wanted, kMostParts);
   while (parts > 1 && room(parts) < capacity) --parts;
@@ -197,7 +220,7 @@ __global__ void __launch_bounds__(kMostParts* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];
-  SharedBlocks<Real, tensor::kKeepsAhead<Shape>> blocks(shared, capacity);
+  SharedBlocks<Real, tensor::kKeepsAhead<Shape>, tensor::kAddsInTurns<Shape>> blocks(shared, capacity);
   tensor::assemble_row<Shape, Law>(s, e, blockIdx.x, threadIdx.x % kWarp, blocks);
 }
 
