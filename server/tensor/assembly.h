@@ -64,6 +64,24 @@ TM_HOST_DEVICE void read_reals(const Real* from, Real (&to)[Count]) {
   }
 }
 
+/// As read_reals reads them.
+template <std::uint32_t Count, class Real>
+TM_HOST_DEVICE void write_reals(const Real (&from)[Count], Real* to) {
+  static_assert(Count % 4 == 0);
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(Real) == 4) {
+    TM_UNROLL_ALL
+    for (std::uint32_t c = 0; c < Count; c += 4) {
+      *reinterpret_cast<float4*>(to + c) = {from[c], from[c + 1], from[c + 2], from[c + 3]};
+    }
+  } else
+#endif
+  {
+    TM_UNROLL_ALL
+    for (std::uint32_t c = 0; c < Count; ++c) to[c] = from[c];
+  }
+}
+
 template <class Shape, class Real>
 TM_HOST_DEVICE std::uint32_t points_of(const ElementView<Real>& e) {
   return Shape::kSinglePoint ? 1 : e.point_count;

@@ -90,12 +90,13 @@ struct Decomposition {
   }
   TM_HOST_DEVICE static void keep(const physics::SignedSingularValues<Real>& f, const ElementView<Real>& e,
                                   std::uint32_t q, std::uint32_t element) {
-    Real* to = place(e, q, element);
+    Real reals[kDecompositionReals] = {};
     for (int c = 0; c < 9; ++c) {
-      to[c] = f.u(c / 3, c % 3);
-      to[9 + c] = f.v(c / 3, c % 3);
+      reals[c] = f.u(c / 3, c % 3);
+      reals[9 + c] = f.v(c / 3, c % 3);
     }
-    for (int c = 0; c < 3; ++c) to[18 + c] = f.sigma[c];
+    for (int c = 0; c < 3; ++c) reals[18 + c] = f.sigma[c];
+    write_reals(reals, place(e, q, element));
   }
   TM_HOST_DEVICE physics::SignedSingularValues<Real> values() const {
     physics::SignedSingularValues<Real> f;
