@@ -47,27 +47,20 @@ class Places {
   Places() = default;
   TM_HOST_DEVICE Places(const Packed& packed, std::uint32_t bits) {
     const std::uint32_t own = own_place(bits);
-    bool before = true;
     TM_UNROLL_ALL
     for (std::uint32_t l = 0; l < Nodes; ++l) {
       nodes_[l] = of_node(packed, bits, l);
       is_own_[l] = nodes_[l] == own;
     }
     TM_UNROLL_ALL
-    for (std::uint32_t m = 0; m + 1 < Nodes; ++m) {
-      before = before && !is_own_[m];
-      is_before_[m] = before;
-      others_[m] = before ? nodes_[m] : nodes_[m + 1];
-    }
+    for (std::uint32_t m = 0; m + 1 < Nodes; ++m) others_[m] = is_own_[m + 1] ? nodes_[0] : nodes_[m + 1];
   }
 
   /// Whether node l is the row, and its place if it is not.
   TM_HOST_DEVICE bool is_own(int l) const { return is_own_[l]; }
   TM_HOST_DEVICE std::uint32_t of(int l) const { return nodes_[l]; }
 
-  /// Whether node m comes before the one that is the row.
-  TM_HOST_DEVICE bool is_before(int m) const { return is_before_[m]; }
-  /// Of the other nodes, in their order.
+  /// Of the other nodes, as physics::kOthers counts them.
   TM_HOST_DEVICE const std::uint32_t (&others() const)[Nodes - 1] { return others_; }
 
  private:
@@ -76,11 +69,12 @@ class Places {
     return word >> (bits == 8 ? 8 * (m % 4) : 16 * (m % 2)) & own_place(bits);
   }
 
-  bool is_own_[Nodes], is_before_[Nodes - 1];
+  bool is_own_[Nodes];
   std::uint32_t nodes_[Nodes], others_[Nodes - 1];
 };
 
-/// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements.
+/// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements: of U and V, which are
+/// rotations, two columns.
 template <class Real>
 struct Decomposition {
   Real reals[kDecompositionReals];
@@ -91,20 +85,21 @@ struct Decomposition {
   TM_HOST_DEVICE static void keep(const physics::SignedSingularValues<Real>& f, const ElementView<Real>& e,
                                   std::uint32_t q, std::uint32_t element) {
     Real reals[kDecompositionReals] = {};
-    for (int c = 0; c < 9; ++c) {
-      reals[c] = f.u(c / 3, c % 3);
-      reals[9 + c] = f.v(c / 3, c % 3);
+    for (int c = 0; c < 6; ++c) {
+      reals[c] = f.u(c);
+      reals[6 + c] = f.v(c);
     }
-    for (int c = 0; c < 3; ++c) reals[18 + c] = f.sigma[c];
+    for (int c = 0; c < 3; ++c) reals[12 + c] = f.sigma[c];
     write_reals(reals, place(e, q, element));
   }
   TM_HOST_DEVICE physics::SignedSingularValues<Real> values() const {
     physics::SignedSingularValues<Real> f;
-    for (int c = 0; c < 9; ++c) {
-      f.u(c / 3, c % 3) = reals[c];
-      f.v(c / 3, c % 3) = reals[9 + c];
+    for (int c = 0; c < 6; ++c) {
+      f.u(c) = reals[c];
+      f.v(c) = reals[6 + c];
     }
-    for (int c = 0; c < 3; ++c) f.sigma[c] = reals[18 + c];
+    for (Mat3<Real>* rotation : {&f.u, &f.v}) rotation->col(2) = rotation->col(0).cross(rotation->col(1));
+    for (int c = 0; c < 3; ++c) f.sigma[c] = reals[12 + c];
     return f;
   }
 
@@ -275,7 +270,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         TM_UNROLL_ALL
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
           const auto of_point = ahead[k].gradients();
-          gradients[k] = {of_point, [&](int m) { return places[k].is_before(m); }};
+          gradients[k] = {of_point, [&](int l) { return places[k].is_own(l); }};
           f[k] = of_point.deformation_gradient_against_first(u[k]);
           if constexpr (physics::kDecomposes<Law>) {
             points[k] = ahead[k].law_at(e, q, Decomposition<Real>(e, q, now[k] != kNoPlace ? now[k] : 0).values());
@@ -295,7 +290,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
           for (std::uint32_t k = 0; k < kAtOnce; ++k) Law::make_positive(points[k]);
         }
         const auto add = [&](std::uint32_t k, const physics::Viscous<Real>* memory) {
-          physics::add_point_to_node<Shape, Law>(gradients[k], f[k], points[k], memory, kind, q == 0, tensors[k]);
+          physics::add_point_to_node<Shape, Law>(gradients[k], f[k], points[k], memory, kind, tensors[k]);
         };
         if (e.prony_count == 0) {
           TM_UNROLL_ALL
@@ -311,6 +306,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
       }
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        tensors[k].complete([&](int l) { return places[k].is_own(l); });
         const bool adds = (!kAddsInTurns<Shape> && k == 0) || now[k] != kNoPlace;
         if (adds) sums.force += tensors[k].force;
         blocks.add(places[k].others(), tensors[k].stiffness, adds);

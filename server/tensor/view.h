@@ -32,8 +32,8 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, st
   return round_to_four(points * point_stride(rest_reals, points) + parameters);
 }
 
-/// Of a quadrature point F = U Σ Vᵀ: U, V, Σ and what fills up to a multiple of four.
-inline constexpr std::uint32_t kDecompositionReals = 24;
+/// Of a quadrature point F = U Σ Vᵀ: two columns of U and of V, Σ and what fills up to a multiple of four.
+inline constexpr std::uint32_t kDecompositionReals = 16;
 
 /// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
 template <class Real>

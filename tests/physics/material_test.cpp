@@ -91,6 +91,21 @@ TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientWhateverTheStiffnes
   }
 }
 
+TYPED_TEST(EveryMaterial, StiffnessAtTheAxesMakesThatOfEveryGradient) {
+  const Vec3<double> a(0.3, -1.2, 0.7), b(-0.4, 0.9, 1.1);
+  for (const Mat3<double>& f : this->states()) {
+    auto point = this->at(f);
+    for (const bool positive : {false, true}) {
+      if (positive) TypeParam::make_positive(point);
+      const auto node = TypeParam::at_node(point, a);
+      Mat3<double> sum = Mat3<double>::Zero();
+      for (int c = 0; c < 3; ++c) sum += TypeParam::stiffness(point, node, TypeParam::at_axis(point, c)) * b[c];
+      const double scale = testing::tangent<TypeParam>(point).norm();
+      EXPECT_LT((sum - TypeParam::stiffness(point, node, TypeParam::at_node(point, b))).norm(), 1e-13 * scale);
+    }
+  }
+}
+
 /// To the last bit, so that what rests keeps resting; also in float.
 TYPED_TEST(EveryMaterial, RestIsFreeOfStressAndEnergy) {
   const Mat3<double> rest = Mat3<double>::Identity();

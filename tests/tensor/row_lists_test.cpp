@@ -84,13 +84,13 @@ void check(const mesh::Mesh& mesh, std::uint32_t patches, bool finishes, std::ui
           before = element;
           const Places<kNodes> places(Places<kNodes>::Packed::read(view, column, lane), view.place_bits);
           std::uint32_t own = 0;
-          while (own + 1 < kNodes && places.is_before(static_cast<int>(own))) ++own;
+          while (own + 1 < kNodes && !places.is_own(static_cast<int>(own))) ++own;
           for (std::uint32_t l = 0; l < kNodes; ++l) {
             const std::uint32_t other = groups.rows[g][std::size_t{l} * groups.views[g].stride + element];
             if (l == own) {
               EXPECT_EQ(other, row);
             } else {
-              const std::uint32_t place = places.others()[l < own ? l : l - 1];
+              const std::uint32_t place = places.others()[(l == 0 ? own : l) - 1];
               EXPECT_EQ((layout.slice_begin[slice] + place) * kSliceRows + lane, layout.slot(row, other));
             }
           }

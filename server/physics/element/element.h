@@ -118,58 +118,99 @@ TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const M
   }
 }
 
-/// A quadrature point as one of its nodes sees it: its own gradient and those of the other nodes, in their order.
+/// The other nodes of one of an element's nodes are counted from node 1 on, with node 0 in place of the one.
+template <class Shape>
+inline constexpr int kOthers = Shape::kNodes - 1;
+
+/// A quadrature point as one of its nodes sees it.
 template <class Shape, class T>
 struct NodeGradients {
-  static constexpr int kOthers = Shape::kNodes - 1;
-  Vec3<T> others[kOthers];  // ∇N_l [1/m]
-  Vec3<T> own;              // [1/m]
-  T weight;                 // [m³]
+  Vec3<T> others[kOthers<Shape>];  // ∇N_l [1/m]; of several points those of nodes 1 and on, see NodeTensors
+  Vec3<T> own;                     // [1/m]
+  T weight;                        // [m³]
 
   NodeGradients() = default;
-  /// is_before(m): whether node m comes before the own one.
-  template <class IsBefore>
-  TM_HOST_DEVICE NodeGradients(const PointGradients<Shape, T>& point, const IsBefore& is_before)
+  /// is_own(l): whether node l is the one.
+  template <class IsOwn>
+  TM_HOST_DEVICE NodeGradients(const PointGradients<Shape, T>& point, const IsOwn& is_own)
       : own(point.a[0]), weight(point.weight) {
     TM_UNROLL_ALL
-    for (int m = 0; m < kOthers; ++m) {
+    for (int m = 0; m < kOthers<Shape>; ++m) {
       for (int c = 0; c < 3; ++c) {
-        others[m][c] = is_before(m) ? point.a[m][c] : point.a[m + 1][c];
-        own[c] = is_before(m) ? point.a[m + 1][c] : own[c];
+        others[m][c] = Shape::kSinglePoint && is_own(m + 1) ? point.a[0][c] : point.a[m + 1][c];
+        own[c] = is_own(m + 1) ? point.a[m + 1][c] : own[c];
       }
     }
   }
 };
 
-/// What an element adds to one of its nodes.
+/// What an element adds to one of its nodes, k.
+///
+/// Of several points the blocks are summed for nodes 1 and on whichever k is, so that no point has to choose; that of
+/// node 0, which is minus their sum, takes the place of K_kk when all points are in.
 template <class Shape, class T>
 struct NodeTensors {
-  Vec3<T> force;                         // f_k [N]
-  Mat3<T> stiffness[Shape::kNodes - 1];  // K_kl of the other nodes l [N/m]
+  Vec3<T> force;                      // f_k [N]
+  Mat3<T> stiffness[kOthers<Shape>];  // K_kl of the other nodes l [N/m]
+
+  /// Zero; of a single point, which assigns, not yet anything.
+  TM_HOST_DEVICE NodeTensors() {
+    if constexpr (Shape::kSinglePoint) return;
+    force.setZero();
+    for (Mat3<T>& k : stiffness) k.setZero();
+  }
+
+  template <class IsOwn>
+  TM_HOST_DEVICE void complete(const IsOwn& is_own) {
+    if constexpr (Shape::kSinglePoint) return;
+    Mat3<T> of_first = -stiffness[0];
+    TM_UNROLL_ALL
+    for (int m = 1; m < kOthers<Shape>; ++m) of_first -= stiffness[m];
+    TM_UNROLL_ALL
+    for (int m = 0; m < kOthers<Shape>; ++m) {
+      for (int c = 0; c < 9; ++c) stiffness[m](c) = is_own(m + 1) ? of_first(c) : stiffness[m](c);
+    }
+  }
 };
 
-/// As add_point, but only what belongs to one node. point: Law::at(f), made positive if it is to be. The first
-/// contribution is assigned.
+/// As add_point, but only what belongs to one node. point: Law::at(f), made positive if it is to be. Behind the last
+/// point the tensors are to be completed.
 template <class Shape, class Law, class T>
 TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, const Mat3<T>& f,
                                       const typename Law::template Point<T>& point,
-                                      std::type_identity_t<const Viscous<T>*> viscous, Stiffness kind, bool first,
+                                      std::type_identity_t<const Viscous<T>*> viscous, Stiffness kind,
                                       NodeTensors<Shape, T>& out) {
   // Forces and stiffness are linear in the own gradient, which takes the weight along.
   const Vec3<T> own = gradients.own * gradients.weight;
   const auto own_node = Law::at_node(point, viscous != nullptr ? Vec3<T>(own * viscous->instant) : own);
   Vec3<T> force = -Law::traction(point, own_node);
-  Mat3<T> memory;
+  Vec3<T> remembered;
   if (viscous != nullptr) {
     force += viscous->template relief<Law>(f, own);
-    memory = viscous->template geometric<Law>(kind == Stiffness::kPositive);
+    remembered = viscous->template geometric<Law>(kind == Stiffness::kPositive) * own;
   }
-  out.force = first ? force : Vec3<T>(out.force + force);
-  TM_UNROLL_ALL
-  for (int m = 0; m < Shape::kNodes - 1; ++m) {
-    Mat3<T> block = Law::stiffness(point, own_node, Law::at_node(point, gradients.others[m]));
-    if (viscous != nullptr) block += Mat3<T>::Identity() * own.dot(memory * gradients.others[m]);
-    out.stiffness[m] = first ? block : Mat3<T>(out.stiffness[m] + block);
+  if constexpr (Shape::kSinglePoint) {
+    out.force = force;
+    TM_UNROLL_ALL
+    for (int m = 0; m < kOthers<Shape>; ++m) {
+      Mat3<T>& block = out.stiffness[m];
+      block = Law::stiffness(point, own_node, Law::at_node(point, gradients.others[m]));
+      if (viscous != nullptr) block += Mat3<T>::Identity() * remembered.dot(gradients.others[m]);
+    }
+  } else {
+    // Of many others each block is a sum of three, those of the axes.
+    out.force += force;
+    Mat3<T> axes[3];
+    TM_UNROLL_ALL
+    for (int c = 0; c < 3; ++c) {
+      axes[c] = Law::stiffness(point, own_node, Law::at_axis(point, c));
+      if (viscous != nullptr) axes[c] += Mat3<T>::Identity() * remembered[c];
+    }
+    TM_UNROLL_ALL
+    for (int m = 0; m < kOthers<Shape>; ++m) {
+      TM_UNROLL_ALL
+      for (int c = 0; c < 3; ++c) out.stiffness[m] += axes[c] * gradients.others[m][c];
+    }
   }
 }
 

@@ -70,10 +70,11 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
 
   template <class T>
   TM_HOST_DEVICE static Node<T> at_node(const Point<T>& p, const Vec3<T>& gradient) {
-    Node<T> node;
-    node.turned.noalias() = p.turn * gradient;
-    for (int c = 0; c < 3; ++c) node.twisted.col(c) = node.turned.cross(p.twist.col(c));
-    return node;
+    return turned_to<T>(p, p.turn * gradient);
+  }
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_axis(const Point<T>& p, int axis) {
+    return turned_to<T>(p, p.turn.col(axis));
   }
 
   template <class T>
@@ -104,6 +105,12 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
  private:
   static constexpr double kLeastSum = 0.01;
 
+  template <class T>
+  TM_HOST_DEVICE static Node<T> turned_to(const Point<T>& p, const Vec3<T>& turned) {
+    Node<T> node{turned, {}};
+    for (int c = 0; c < 3; ++c) node.twisted.col(c) = turned.cross(p.twist.col(c));
+    return node;
+  }
   template <class T>
   TM_HOST_DEVICE static Mat3<T> twist_of(const StretchPoint<T>& p) {
     const Vec3<T> share = (p.w.rotation - p.w.distortion) * T(0.5);

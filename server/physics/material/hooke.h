@@ -57,6 +57,11 @@ struct Hooke : LameParameters {
   }
 
   template <class T>
+  TM_HOST_DEVICE static Node<T> at_axis(const Point<T>&, int axis) {
+    return {Vec3<T>::Unit(axis)};
+  }
+
+  template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
     return stress(p) * a.gradient;
   }

@@ -30,6 +30,9 @@
 ///   Node, at_node(point, a), stiffness(point, a, b)
 ///                        K_ij = ∂²W / ∂F_iK ∂F_jL a_K b_L for the shape gradients a, b of two nodes, in Pa times the
 ///                        gradients' unit squared; what needs one gradient only is done once for each node
+///   at_axis(point, c)    at_node of the unit vector along c, which takes no arithmetic or little: the stiffness is
+///   linear
+///                        in each gradient, and its values at the axes make those of many nodes
 ///   traction(point, node)  P a for the gradient of a node: cheaper than the stress where one node is asked for. Of a
 ///                        point as at() made it or after make_positive
 ///   make_positive(point) makes the stiffness positive semi-definite for the solver: parts of it that are not are
@@ -53,6 +56,7 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::stress(point) } -> std::convertible_to<Mat3<double>>;
   { L::second_piola(point) } -> std::convertible_to<Mat3<double>>;
   { L::at_node(point, a) } -> std::same_as<decltype(node)>;
+  { L::at_axis(point, 0) } -> std::same_as<decltype(node)>;
   { L::stiffness(point, node, node) } -> std::convertible_to<Mat3<double>>;
   { L::traction(point, node) } -> std::convertible_to<Vec3<double>>;
   L::make_positive(point);

@@ -69,6 +69,11 @@ struct StVenantKirchhoff : LameParameters {
     return {gradient, p.deformation_gradient * gradient, p.geometric_stress * gradient};
   }
 
+  template <class T>
+  TM_HOST_DEVICE static Node<T> at_axis(const Point<T>& p, int axis) {
+    return {Vec3<T>::Unit(axis), p.deformation_gradient.col(axis), p.geometric_stress.col(axis)};
+  }
+
   /// F S a.
   template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {

@@ -85,6 +85,11 @@ struct StretchLaw {
   }
 
   template <class T>
+  TM_HOST_DEVICE static Node<T> at_axis(const Point<T>& p, int axis) {
+    return {p.f.v.row(axis).transpose()};
+  }
+
+  template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const StretchPoint<T>& p, const Node<T>& a) {
     return p.f.u * p.w.gradient.cwiseProduct(a.gradient);
   }

@@ -84,6 +84,11 @@ struct TransverselyIsotropic {
   }
 
   template <class T>
+  TM_HOST_DEVICE static Node<T> at_axis(const Point<T>& p, int axis) {
+    return {Matrix::at_axis(p.matrix, axis), p.fibre[axis]};
+  }
+
+  template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
     return Matrix::traction(p.matrix, a.matrix) + p.moved_fibre * (p.tension * a.along);
   }
