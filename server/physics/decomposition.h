@@ -94,6 +94,8 @@ template <class T>
 struct SignedSingularValues {
   Mat3<T> u, v;  // rotations
   Vec3<T> sigma;
+
+  TM_HOST_DEVICE Mat3<T> product() const { return u * sigma.asDiagonal() * v.transpose(); }
 };
 
 /// With rotations U and V and σ0 ≥ σ1 ≥ |σ2|: the smallest carries the sign of det F, so that an inverted element is

@@ -79,6 +79,7 @@ template <class Real>
 struct Decomposition {
   Real reals[kDecompositionReals];
 
+  Decomposition() = default;
   TM_HOST_DEVICE Decomposition(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element) {
     read_reals(place(e, q, element), reals);
   }
@@ -125,16 +126,33 @@ TM_HOST_DEVICE void decompose(const Team& team, const SceneView<Real>& s, const 
   });
 }
 
+/// What is read of a quadrature point to evaluate it. Of laws that decompose, F is what it is decomposed to; of others
+/// it takes displacements.
+template <class Shape, class Law, class Real>
+struct ReadPoint {
+  struct Nothing {
+    Nothing() = default;
+    TM_HOST_DEVICE Nothing(const ElementView<Real>&, std::uint32_t, std::uint32_t) {}
+  };
+  StoredPoint<SingleLane<Real>, Shape, Law> stored;
+  std::conditional_t<physics::kDecomposes<Law>, Decomposition<Real>, Nothing> decomposition;
+
+  ReadPoint() = default;
+  TM_HOST_DEVICE ReadPoint(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element)
+      : stored(e, q, element), decomposition(e, q, element) {}
+};
+
 /// What a row needs of the row behind a slot: where it is and how far it moves (RowTerms::stretch_ahead) [m].
 template <class Real>
 struct RowNeighbour {
   Vec3<Real> displacement, ahead;
 };
 
-/// Whether a row keeps how far its neighbours move until its elements have been evaluated, or reads it then. Rows of
-/// linear tetrahedra are narrow; of others, what this takes would leave near memory for fewer rows at once.
+/// Whether a row keeps its RowNeighbours near while its elements are evaluated, or reads of them what it needs when it
+/// needs it. Rows of linear tetrahedra are narrow and their elements soon evaluated; of others, what this takes would
+/// leave near memory for fewer rows at once, and less of it to the cache.
 template <class Shape>
-inline constexpr bool kKeepsAhead = Shape::kSinglePoint;
+inline constexpr bool kKeepsNeighbours = Shape::kSinglePoint;
 
 /// Whether threads that share a row add to one sum of its blocks in turns, or each to its own. Beside evaluating an
 /// element of several points a turn is short, and what sums of their own take would leave near memory for fewer
@@ -151,10 +169,10 @@ inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 /// their sums have been put together, of its columns. Blocks has
 ///   parts(), part()                     how many threads share the row, and which one this is
 ///   begin(column, count)                places are from `column` on, as far as they fit; returns how many
-///   clear(place, neighbour)             for all parts: no block yet
+///   clear(place, neighbour)             for all parts: no block yet; the neighbour only with kKeepsNeighbours
 ///   holds(place)
-///   displacement(place)                 any if it is not held
-///   ahead(place)                        as clear had it; only with kKeepsAhead
+///   displacement(place), ahead(place)   as clear had them; any displacement if it is not held. Only with
+///                                       kKeepsNeighbours
 ///   add(places, blocks, adds)           if it adds: different places; those that are not held are left out. With
 ///                                       kAddsInTurns called by all parts at once
 ///   meet()                              all parts have done what they had to
@@ -166,7 +184,7 @@ template <class Shape, class Law, class Real, class Blocks>
 TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Real>& e, std::uint32_t index,
                                  std::uint32_t lane, Blocks& blocks) {
   using Lanes = SingleLane<Real>;
-  using Stored = StoredPoint<Lanes, Shape, Law>;
+  using Point = ReadPoint<Shape, Law, Real>;
   using Packed = typename Places<Shape::kNodes>::Packed;
   constexpr std::uint32_t kAtOnce = kElementsAtOnce<Shape>;
   const ListedSlice slice = e.slices[index];
@@ -196,48 +214,15 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   const auto element_of = [column_of, list_end](std::uint32_t listed, std::uint32_t round, std::uint32_t k) {
     return column_of(round, k) < list_end ? listed : kNoPlace;
   };
-  const auto stored_at = [&e](std::uint32_t element, std::uint32_t q) {
-    return Stored(e, q, element != kNoPlace ? element : 0);
+  const auto point_at = [&e](std::uint32_t element, std::uint32_t q) {
+    return Point(e, q, element != kNoPlace ? element : 0);
   };
-  // Where parts add in turns, each takes part in all of them.
-  const std::uint32_t at_once = kAtOnce * blocks.parts(), listed_count = list_end - slice.list_begin;
-  const std::uint32_t rounds = (listed_count + at_once - 1) / at_once;
-  RowSums<Real> sums;
-  for (std::uint32_t turn = 0; turn < width;) {
-    const std::uint32_t held = blocks.begin(turn, width - turn);
-    sums.force.setZero();  // every turn has all of them
-    // What the next points need is read ahead of the arithmetic of these, what the first need beside the neighbours.
-    std::uint32_t now[kAtOnce], listed[kAtOnce];
-    Packed packed[kAtOnce];
-    Stored ahead[kAtOnce];
-    TM_UNROLL_ALL
-    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-      now[k] = listed_at(column_of(0, k));
-      listed[k] = listed_at(column_of(1, k));
-      packed[k] = places_at(column_of(0, k));
-    }
-    for_each_strided(
-        turn + blocks.part(), turn + held, blocks.parts(),
-        [&](std::uint32_t j) -> RowNeighbour<Real> {
-          const std::uint32_t other = row_of(j);
-          const Vec3<Real> displacement = load3<Real>(s.displacement, other);
-          if constexpr (!kKeepsAhead<Shape>) return {displacement, {}};
-          return {displacement, terms.stretch_ahead(other)};
-        },
-        [&](std::uint32_t j, const RowNeighbour<Real>& neighbour) { blocks.clear(j, neighbour); });
-    TM_UNROLL_ALL
-    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-      now[k] = element_of(now[k], 0, k);
-      ahead[k] = stored_at(now[k], 0);
-    }
-    blocks.meet();
-    for (std::uint32_t round = 0; kAddsInTurns<Shape> ? round < rounds : now[0] != kNoPlace; ++round) {
-      std::uint32_t next[kAtOnce] = {};
-      Places<Shape::kNodes> places[kAtOnce];
-      Vec3<Real> u[kAtOnce][Shape::kNodes];
+  // Against those of the first nodes, so that all rows of an element find the same stress.
+  const auto read_displacements = [&](std::uint32_t held, const Places<Shape::kNodes>(&places)[kAtOnce],
+                                      const std::uint32_t(&elements)[kAtOnce], Vec3<Real>(&u)[kAtOnce][Shape::kNodes]) {
+    if constexpr (kKeepsNeighbours<Shape>) {
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
         TM_UNROLL_ALL
         for (int l = 0; l < Shape::kNodes; ++l) {
           u[k][l] = blocks.displacement(places[k].of(l));
@@ -255,11 +240,56 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
           }
         }
       }
+    } else {
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        TM_UNROLL_ALL
-        for (int l = 1; l < Shape::kNodes; ++l) u[k][l] -= u[k][0];
+        load_displacement<Lanes, Shape>(s, e, elements[k] != kNoPlace ? elements[k] : 0, u[k]);
       }
+    }
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      TM_UNROLL_ALL
+      for (int l = 1; l < Shape::kNodes; ++l) u[k][l] -= u[k][0];
+    }
+  };
+  // Where parts add in turns, each takes part in all of them.
+  const std::uint32_t at_once = kAtOnce * blocks.parts(), listed_count = list_end - slice.list_begin;
+  const std::uint32_t rounds = (listed_count + at_once - 1) / at_once;
+  RowSums<Real> sums;
+  for (std::uint32_t turn = 0; turn < width;) {
+    const std::uint32_t held = blocks.begin(turn, width - turn);
+    sums.force.setZero();  // every turn has all of them
+    // What the next points need is read ahead of the arithmetic of these, what the first need beside the neighbours.
+    std::uint32_t now[kAtOnce], listed[kAtOnce];
+    Packed packed[kAtOnce];
+    Point ahead[kAtOnce];
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      now[k] = listed_at(column_of(0, k));
+      listed[k] = listed_at(column_of(1, k));
+      packed[k] = places_at(column_of(0, k));
+    }
+    for_each_strided(
+        turn + blocks.part(), turn + held, blocks.parts(),
+        [&](std::uint32_t j) -> RowNeighbour<Real> {
+          if constexpr (!kKeepsNeighbours<Shape>) return {};
+          const std::uint32_t other = row_of(j);
+          return {load3<Real>(s.displacement, other), terms.stretch_ahead(other)};
+        },
+        [&](std::uint32_t j, const RowNeighbour<Real>& neighbour) { blocks.clear(j, neighbour); });
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      now[k] = element_of(now[k], 0, k);
+      ahead[k] = point_at(now[k], 0);
+    }
+    blocks.meet();
+    for (std::uint32_t round = 0; kAddsInTurns<Shape> ? round < rounds : now[0] != kNoPlace; ++round) {
+      std::uint32_t next[kAtOnce] = {};
+      Places<Shape::kNodes> places[kAtOnce];
+      Vec3<Real> u[kAtOnce][Shape::kNodes];
+      TM_UNROLL_ALL
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
+      if constexpr (!physics::kDecomposes<Law>) read_displacements(held, places, now, u);
       physics::NodeTensors<Shape, Real> tensors[kAtOnce];
       TM_UNROLL(1)
       for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
@@ -269,13 +299,15 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         typename Law::template Point<Real> points[kAtOnce];
         TM_UNROLL_ALL
         for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-          const auto of_point = ahead[k].gradients();
+          const auto of_point = ahead[k].stored.gradients();
           gradients[k] = {of_point, [&](int l) { return places[k].is_own(l); }};
-          f[k] = of_point.deformation_gradient_against_first(u[k]);
           if constexpr (physics::kDecomposes<Law>) {
-            points[k] = ahead[k].law_at(e, q, Decomposition<Real>(e, q, now[k] != kNoPlace ? now[k] : 0).values());
+            const auto values = ahead[k].decomposition.values();
+            f[k] = values.product();
+            points[k] = ahead[k].stored.law_at(e, q, values);
           } else {
-            points[k] = ahead[k].law_at(e, q, f[k]);
+            f[k] = of_point.deformation_gradient_against_first(u[k]);
+            points[k] = ahead[k].stored.law_at(e, q, f[k]);
           }
           if (ends) {
             // All at once and not before: to wait for the neighbours would be to wait for these, too.
@@ -283,7 +315,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
             listed[k] = listed_at(column_of(round + 2, k));
             packed[k] = places_at(column_of(round + 1, k));
           }
-          ahead[k] = stored_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
+          ahead[k] = point_at(ends ? next[k] : now[k], ends ? 0 : q + 1);
         }
         if (kind == physics::Stiffness::kPositive) {
           TM_UNROLL_ALL
@@ -315,10 +347,10 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
     }
     const RowAssembly<false, Real> assembly(s, patch, row);
     blocks.meet();
-    for_each_strided<kKeepsAhead<Shape> ? 1 : 8>(
+    for_each_strided<kKeepsNeighbours<Shape> ? 1 : 8>(
         turn + blocks.part(), turn + held, blocks.parts(),
         [&](std::uint32_t j) {
-          if constexpr (kKeepsAhead<Shape>) {
+          if constexpr (kKeepsNeighbours<Shape>) {
             return assembly.neighbour(slot_of(j), blocks.ahead(j));
           } else {
             return assembly.neighbour(slot_of(j));

@@ -417,7 +417,7 @@ class CudaState final : public SceneState {
       });
     }
     cuda::RowsLaunch rows = cuda::rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(),
-                                                    kernels.keeps_ahead, kernels.adds_in_turns, device_);
+                                                    kernels.keeps_neighbours, kernels.adds_in_turns, device_);
     cuda::allow_all_shared_bytes(kernels.assemble);
     void* arguments[] = {const_cast<SceneView<Real>*>(&view_), const_cast<ElementView<Real>*>(&elements),
                          &rows.capacity};

@@ -30,7 +30,7 @@ ElementKernels element_kernels_of_law(int shape) {
     using Of = physics::LawAt<Law>;
     if (index != shape) return;
     kernels.assemble = reinterpret_cast<const void*>(&assemble_rows<Shape, Of, Real>);
-    kernels.keeps_ahead = tensor::kKeepsAhead<Shape>;
+    kernels.keeps_neighbours = tensor::kKeepsNeighbours<Shape>;
     kernels.adds_in_turns = tensor::kAddsInTurns<Shape>;
     kernels.move_histories = reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, Of>, Real, kStageThreads>);
     kernels.watch = reinterpret_cast<const void*>(&run_stage<Watch<Shape, Of>, Real>);

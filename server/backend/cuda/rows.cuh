@@ -14,14 +14,14 @@ using tensor::SceneView;
 inline constexpr std::uint32_t kSumsReals = 15;
 
 /// Reals of a column: of the block, of which each of `sums` warps has its own, and of the neighbour.
-__host__ __device__ constexpr std::uint32_t column_reals(bool keeps_ahead, std::uint32_t sums) {
-  return 9 * sums + (keeps_ahead ? 6 : 3);
+__host__ __device__ constexpr std::uint32_t column_reals(bool keeps_neighbours, std::uint32_t sums) {
+  return 9 * sums + (keeps_neighbours ? 6 : 0);
 }
 
 /// A row's blocks, two quads and a real a column, and what it needs of its neighbours: a thread reads four numbers at
 /// once, and meets no other's bank. Warps that share a slice have neighbours in common, and blocks of their own unless
 /// they add in turns.
-template <class Real, bool KeepsAhead, bool AddsInTurns>
+template <class Real, bool KeepsNeighbours, bool AddsInTurns>
 class SharedBlocks {
  public:
   __device__ SharedBlocks(void* shared, std::uint32_t capacity)
@@ -50,10 +50,11 @@ class SharedBlocks {
       quads[0] = quads[kSliceRows] = {0, 0, 0, 0};
       single_at(place, sum) = 0;
     }
+    if constexpr (!KeepsNeighbours) return;
     Real* const to = neighbours_ + (place - first_) * (kNeighbourReals * kSliceRows);
     for (int c = 0; c < 3; ++c) {
       to[c * kSliceRows] = neighbour.displacement[c];
-      if (KeepsAhead) to[(3 + c) * kSliceRows] = neighbour.ahead[c];
+      to[(3 + c) * kSliceRows] = neighbour.ahead[c];
     }
   }
   template <int Count>
@@ -103,7 +104,7 @@ class SharedBlocks {
   struct alignas(16) Quad {
     Real x, y, z, w;
   };
-  static constexpr std::uint32_t kNeighbourReals = column_reals(KeepsAhead, 0);
+  static constexpr std::uint32_t kNeighbourReals = column_reals(KeepsNeighbours, 0);
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
   __device__ std::uint32_t sums() const { return AddsInTurns ? 1 : parts_; }
   __device__ std::uint32_t own_sum() const { return AddsInTurns ? 0 : part_; }
@@ -193,9 +194,9 @@ struct RowsLaunch {
   std::size_t shared_bytes;
 };
 
-/// slices: of the group; widest: in columns; keeps_ahead, adds_in_turns: of its shape (tensor/rows.h).
+/// slices: of the group; widest: in columns; keeps_neighbours, adds_in_turns: of its shape (tensor/rows.h).
 template <class Real>
-RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ahead, bool adds_in_turns,
+RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_neighbours, bool adds_in_turns,
                        const cudaDeviceProp& device) {
   constexpr std::uint32_t kWarpsPerProcessor = 16;
   const auto processors = static_cast<std::uint32_t>(device.multiProcessorCount);
@@ -203,7 +204,7 @@ RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ah
   const std::size_t most_bytes =
       minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
   const auto bytes_per_column = [=](std::uint32_t parts) {
-    return column_reals(keeps_ahead, adds_in_turns ? 1 : parts) * kSliceRows * sizeof(Real);
+    return column_reals(keeps_neighbours, adds_in_turns ? 1 : parts) * kSliceRows * sizeof(Real);
   };
   const auto room = [=](std::uint32_t parts) {
     return static_cast<std::uint32_t>(most_bytes / bytes_per_column(parts));
@@ -220,7 +221,7 @@ __global__ void __launch_bounds__(kMostParts* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];
-  SharedBlocks<Real, tensor::kKeepsAhead<Shape>, tensor::kAddsInTurns<Shape>> blocks(shared, capacity);
+  SharedBlocks<Real, tensor::kKeepsNeighbours<Shape>, tensor::kAddsInTurns<Shape>> blocks(shared, capacity);
   tensor::assemble_row<Shape, Law>(s, e, blockIdx.x, threadIdx.x % kWarp, blocks);
 }
 
