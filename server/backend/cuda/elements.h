@@ -10,7 +10,7 @@ namespace tensormass::backend::cuda {
 
 struct ElementKernels {
   const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
-  bool keeps_neighbours = false;        ///< tensor::kKeepsNeighbours of the shape, as is
+  bool keeps_neighbours = false;   ///< tensor::kKeepsNeighbours of the shape, as is
   bool adds_in_turns = false;      ///< kAddsInTurns
   // Of the signature of run_stage (launch.cuh):
   const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
