@@ -12,7 +12,7 @@
 #include "model/scene_input.h"
 #include "model/wedge_pairs.h"
 #include "physics/element/element.h"
-#include "tensor/rows.h"
+#include "tensor/row_elements.h"
 
 namespace tensormass::model {
 

@@ -4,7 +4,7 @@
 #include <numeric>
 
 #include "core/parallel.h"
-#include "tensor/rows.h"
+#include "tensor/row_elements.h"
 
 namespace tensormass::tensor {
 

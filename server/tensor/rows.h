@@ -1,8 +1,7 @@
 #pragma once
 
 #include "core/strided.h"
-#include "physics/material/law.h"
-#include "tensor/assembly.h"
+#include "tensor/row_elements.h"
 
 /// Elements to rows where a thread owns a row: it evaluates every element that the row touches and keeps what belongs
 /// to the row.
@@ -17,130 +16,6 @@
 /// A row's blocks so far, and where its neighbours are and how far they move, are in `Blocks`, which a device
 /// keeps in memory that is near. It holds `capacity()` columns at once; a wider row comes in turns.
 namespace tensormass::tensor {
-
-/// A place is the column of a row's slot in its slice, in 8 or 16 bits; that of the row itself has all bits set.
-TM_HOST_DEVICE constexpr std::uint32_t own_place(std::uint32_t bits) { return bits == 8 ? 0xFF : 0xFFFF; }
-TM_HOST_DEVICE constexpr std::uint32_t place_words(std::uint32_t nodes, std::uint32_t bits) {
-  return (nodes * bits + 31) / 32;
-}
-
-/// Where the blocks of an element belong in one of its rows.
-template <int Nodes>
-class Places {
- public:
-  /// As they are stored.
-  struct Packed {
-    std::uint32_t words[place_words(Nodes, 16)];
-    template <class Real>
-    TM_HOST_DEVICE static Packed read(const ElementView<Real>& e, std::uint32_t column, std::uint32_t lane) {
-      Packed packed;
-      const std::uint32_t count = place_words(Nodes, e.place_bits);
-      const std::uint32_t* words = e.places + std::size_t{column} * count * kSliceRows + lane;
-      TM_UNROLL_ALL
-      for (std::uint32_t i = 0; i < place_words(Nodes, 16); ++i) {
-        packed.words[i] = read_once(words + minimum(i, count - 1) * kSliceRows);
-      }
-      return packed;
-    }
-  };
-
-  Places() = default;
-  TM_HOST_DEVICE Places(const Packed& packed, std::uint32_t bits) {
-    const std::uint32_t own = own_place(bits);
-    TM_UNROLL_ALL
-    for (std::uint32_t l = 0; l < Nodes; ++l) {
-      nodes_[l] = of_node(packed, bits, l);
-      is_own_[l] = nodes_[l] == own;
-    }
-    TM_UNROLL_ALL
-    for (std::uint32_t m = 0; m + 1 < Nodes; ++m) others_[m] = is_own_[m + 1] ? nodes_[0] : nodes_[m + 1];
-  }
-
-  /// Whether node l is the row, and its place if it is not.
-  TM_HOST_DEVICE bool is_own(int l) const { return is_own_[l]; }
-  TM_HOST_DEVICE std::uint32_t of(int l) const { return nodes_[l]; }
-
-  /// Of the other nodes, as physics::kOthers counts them.
-  TM_HOST_DEVICE const std::uint32_t (&others() const)[Nodes - 1] { return others_; }
-
- private:
-  TM_HOST_DEVICE static std::uint32_t of_node(const Packed& packed, std::uint32_t bits, std::uint32_t m) {
-    const std::uint32_t word = bits == 8 ? packed.words[m / 4] : packed.words[m / 2];
-    return word >> (bits == 8 ? 8 * (m % 4) : 16 * (m % 2)) & own_place(bits);
-  }
-
-  bool is_own_[Nodes];
-  std::uint32_t nodes_[Nodes], others_[Nodes - 1];
-};
-
-/// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements: of U and V, which are
-/// rotations, two columns.
-template <class Real>
-struct Decomposition {
-  Real reals[kDecompositionReals];
-
-  Decomposition() = default;
-  TM_HOST_DEVICE Decomposition(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element) {
-    read_reals(place(e, q, element), reals);
-  }
-  TM_HOST_DEVICE static void keep(const physics::SignedSingularValues<Real>& f, const ElementView<Real>& e,
-                                  std::uint32_t q, std::uint32_t element) {
-    Real reals[kDecompositionReals] = {};
-    for (int c = 0; c < 6; ++c) {
-      reals[c] = f.u(c);
-      reals[6 + c] = f.v(c);
-    }
-    for (int c = 0; c < 3; ++c) reals[12 + c] = f.sigma[c];
-    write_reals(reals, place(e, q, element));
-  }
-  TM_HOST_DEVICE physics::SignedSingularValues<Real> values() const {
-    physics::SignedSingularValues<Real> f;
-    for (int c = 0; c < 6; ++c) {
-      f.u(c) = reals[c];
-      f.v(c) = reals[6 + c];
-    }
-    for (Mat3<Real>* rotation : {&f.u, &f.v}) rotation->col(2) = rotation->col(0).cross(rotation->col(1));
-    for (int c = 0; c < 3; ++c) f.sigma[c] = reals[12 + c];
-    return f;
-  }
-
- private:
-  TM_HOST_DEVICE static Real* place(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element) {
-    return e.decompositions + (std::size_t{element} * e.point_count + q) * kDecompositionReals;
-  }
-};
-
-/// The first pass, for laws that want it (physics::kDecomposes): each point once.
-/// Reads displacement; writes decompositions.
-template <class Shape, class Team, class Real>
-TM_HOST_DEVICE void decompose(const Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-  const ElementRange range = element_range(s, e, team.patch());
-  const std::uint32_t points = points_of<Shape>(e);
-  team.for_each(range.begin * points, range.end * points, [&](std::uint32_t i) {
-    const std::uint32_t element = i / points, q = i % points;
-    Vec3<Real> u[Shape::kNodes];
-    load_displacement<SingleLane<Real>, Shape>(s, e, element, u);
-    const StoredPoint<SingleLane<Real>, Shape, NoLaw> stored(e, q, element);
-    const Mat3<Real> f = stored.gradients().deformation_gradient(u);
-    Decomposition<Real>::keep(physics::signed_singular_values(f), e, q, element);
-  });
-}
-
-/// What is read of a quadrature point to evaluate it. Of laws that decompose, F is what it is decomposed to; of others
-/// it takes displacements.
-template <class Shape, class Law, class Real>
-struct ReadPoint {
-  struct Nothing {
-    Nothing() = default;
-    TM_HOST_DEVICE Nothing(const ElementView<Real>&, std::uint32_t, std::uint32_t) {}
-  };
-  StoredPoint<SingleLane<Real>, Shape, Law> stored;
-  std::conditional_t<physics::kDecomposes<Law>, Decomposition<Real>, Nothing> decomposition;
-
-  ReadPoint() = default;
-  TM_HOST_DEVICE ReadPoint(const ElementView<Real>& e, std::uint32_t q, std::uint32_t element)
-      : stored(e, q, element), decomposition(e, q, element) {}
-};
 
 /// What a row needs of the row behind a slot: where it is and how far it moves (RowTerms::stretch_ahead) [m].
 template <class Real>
@@ -160,9 +35,64 @@ inline constexpr bool kKeepsNeighbours = Shape::kSinglePoint;
 template <class Shape>
 inline constexpr bool kAddsInTurns = !Shape::kSinglePoint;
 
-/// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
-template <class Shape>
-inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
+/// A row of a slice that has elements of a group.
+template <class Real>
+struct ListedRow {
+  const SceneView<Real>& s;
+  const ListedSlice slice;
+  const std::uint32_t lane;
+
+  TM_HOST_DEVICE std::uint32_t index() const { return slice.slice() * kSliceRows + lane; }
+  TM_HOST_DEVICE std::uint32_t width() const { return slice.columns_end - slice.columns_begin; }
+  /// column: of the slice, from 0.
+  TM_HOST_DEVICE std::size_t slot(std::uint32_t column) const {
+    return (std::size_t{slice.columns_begin} + column) * kSliceRows + lane;
+  }
+  TM_HOST_DEVICE std::uint32_t neighbour(std::uint32_t column) const {
+    return global_row(s, slice.patch, s.columns[slot(column)]);
+  }
+};
+
+/// How far the nodes of the elements of a round have moved, against their first ones, so that all rows of an element
+/// find the same stress. held: columns of the row that `blocks` has.
+template <class Shape, class Real, class Blocks>
+TM_HOST_DEVICE void read_moves(const ListedRow<Real>& row, const Vec3<Real>& own, const ElementView<Real>& e,
+                               const std::uint32_t (&elements)[kElementsAtOnce<Shape>],
+                               const Places<Shape::kNodes> (&places)[kElementsAtOnce<Shape>], const Blocks& blocks,
+                               std::uint32_t held, Vec3<Real> (&u)[kElementsAtOnce<Shape>][Shape::kNodes]) {
+  constexpr std::uint32_t kAtOnce = kElementsAtOnce<Shape>;
+  if constexpr (kKeepsNeighbours<Shape>) {
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      TM_UNROLL_ALL
+      for (int l = 0; l < Shape::kNodes; ++l) {
+        u[k][l] = blocks.displacement(places[k].of(l));
+        for (int c = 0; c < 3; ++c) u[k][l][c] = places[k].is_own(l) ? own[c] : u[k][l][c];
+      }
+    }
+    if (held < row.width()) {
+      TM_UNROLL_ALL
+      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+        TM_UNROLL_ALL
+        for (int l = 0; l < Shape::kNodes; ++l) {
+          const std::uint32_t place = places[k].of(l);
+          if (places[k].is_own(l) || blocks.holds(place)) continue;
+          u[k][l] = load3<Real>(row.s.displacement, row.neighbour(place));
+        }
+      }
+    }
+  } else {
+    TM_UNROLL_ALL
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      load_displacement<SingleLane<Real>, Shape>(row.s, e, elements[k] != kNoPlace ? elements[k] : 0, u[k]);
+    }
+  }
+  TM_UNROLL_ALL
+  for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+    TM_UNROLL_ALL
+    for (int l = 1; l < Shape::kNodes; ++l) u[k][l] -= u[k][0];
+  }
+}
 
 /// The row `lane` of the slice at `index` of a group's slices: adds the group's elements and, if it is the last group
 /// there, forms the row of A and b. Several threads may share a row: then each has a part of its elements and, when
@@ -187,19 +117,16 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   using Point = ReadPoint<Shape, Law, Real>;
   using Packed = typename Places<Shape::kNodes>::Packed;
   constexpr std::uint32_t kAtOnce = kElementsAtOnce<Shape>;
-  const ListedSlice slice = e.slices[index];
+  const ListedRow<Real> row{s, e.slices[index], lane};
+  const ListedSlice& slice = row.slice;
+  const std::uint32_t own = row.index();
   const bool begun = slice.is_begun(), finishes = slice.is_to_be_finished();
-  const std::uint32_t row = slice.slice() * kSliceRows + lane, first = slice.columns_begin;
-  const std::uint32_t width = slice.columns_end - first;
+  const std::uint32_t width = slice.columns_end - slice.columns_begin;
   const std::uint32_t list_begin = slice.list_begin + blocks.part(), list_end = slice.list_end;
   const PatchColumns& patch = slice.patch;
-  const Vec3<Real> own_displacement = load3<Real>(s.displacement, row);
-  const RowTerms<Real> terms(s, row);
+  const Vec3<Real> own_displacement = load3<Real>(s.displacement, own);
+  const RowTerms<Real> terms(s, own);
   const physics::Stiffness kind = stiffness_kind(s);
-  const auto slot_of = [first, lane](std::uint32_t column) {
-    return (std::size_t{first} + column) * kSliceRows + lane;
-  };
-  const auto row_of = [&](std::uint32_t column) { return global_row(s, patch, s.columns[slot_of(column)]); };
   // The list's columns of this part, round by round. Behind a list's end the first element of all is evaluated in vain.
   const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
     return list_begin + (round * kAtOnce + k) * parts;
@@ -216,41 +143,6 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
   };
   const auto point_at = [&e](std::uint32_t element, std::uint32_t q) {
     return Point(e, q, element != kNoPlace ? element : 0);
-  };
-  // Against those of the first nodes, so that all rows of an element find the same stress.
-  const auto read_displacements = [&](std::uint32_t held, const Places<Shape::kNodes>(&places)[kAtOnce],
-                                      const std::uint32_t(&elements)[kAtOnce], Vec3<Real>(&u)[kAtOnce][Shape::kNodes]) {
-    if constexpr (kKeepsNeighbours<Shape>) {
-      TM_UNROLL_ALL
-      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        TM_UNROLL_ALL
-        for (int l = 0; l < Shape::kNodes; ++l) {
-          u[k][l] = blocks.displacement(places[k].of(l));
-          for (int c = 0; c < 3; ++c) u[k][l][c] = places[k].is_own(l) ? own_displacement[c] : u[k][l][c];
-        }
-      }
-      if (held < width) {
-        TM_UNROLL_ALL
-        for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-          TM_UNROLL_ALL
-          for (int l = 0; l < Shape::kNodes; ++l) {
-            const std::uint32_t place = places[k].of(l);
-            if (places[k].is_own(l) || blocks.holds(place)) continue;
-            u[k][l] = load3<Real>(s.displacement, row_of(place));
-          }
-        }
-      }
-    } else {
-      TM_UNROLL_ALL
-      for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-        load_displacement<Lanes, Shape>(s, e, elements[k] != kNoPlace ? elements[k] : 0, u[k]);
-      }
-    }
-    TM_UNROLL_ALL
-    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
-      TM_UNROLL_ALL
-      for (int l = 1; l < Shape::kNodes; ++l) u[k][l] -= u[k][0];
-    }
   };
   // Where parts add in turns, each takes part in all of them.
   const std::uint32_t at_once = kAtOnce * blocks.parts(), listed_count = list_end - slice.list_begin;
@@ -273,7 +165,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         turn + blocks.part(), turn + held, blocks.parts(),
         [&](std::uint32_t j) -> RowNeighbour<Real> {
           if constexpr (!kKeepsNeighbours<Shape>) return {};
-          const std::uint32_t other = row_of(j);
+          const std::uint32_t other = row.neighbour(j);
           return {load3<Real>(s.displacement, other), terms.stretch_ahead(other)};
         },
         [&](std::uint32_t j, const RowNeighbour<Real>& neighbour) { blocks.clear(j, neighbour); });
@@ -289,7 +181,9 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
       Vec3<Real> u[kAtOnce][Shape::kNodes];
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) places[k] = Places<Shape::kNodes>(packed[k], e.place_bits);
-      if constexpr (!physics::kDecomposes<Law>) read_displacements(held, places, now, u);
+      if constexpr (!physics::kDecomposes<Law>) {
+        read_moves<Shape>(row, own_displacement, e, now, places, blocks, held, u);
+      }
       physics::NodeTensors<Shape, Real> tensors[kAtOnce];
       TM_UNROLL(1)
       for (std::uint32_t q = 0; q < points_of<Shape>(e); ++q) {
@@ -345,30 +239,30 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
         now[k] = next[k];
       }
     }
-    const RowAssembly<false, Real> assembly(s, patch, row);
+    const RowAssembly<false, Real> assembly(s, patch, own);
     blocks.meet();
     for_each_strided<kKeepsNeighbours<Shape> ? 1 : 8>(
         turn + blocks.part(), turn + held, blocks.parts(),
         [&](std::uint32_t j) {
           if constexpr (kKeepsNeighbours<Shape>) {
-            return assembly.neighbour(slot_of(j), blocks.ahead(j));
+            return assembly.neighbour(row.slot(j), blocks.ahead(j));
           } else {
-            return assembly.neighbour(slot_of(j));
+            return assembly.neighbour(row.slot(j));
           }
         },
         [&](std::uint32_t j, const auto& neighbour) {
-          const std::size_t slot = slot_of(j);
+          const std::size_t slot = row.slot(j);
           Mat3<Real> edge = blocks.block(j);
           if (begun) edge += load_block<Real>(s.edges, slot);
           store_block<Real>(s.edges, slot, finishes ? assembly.couple(slot, neighbour, edge, sums) : edge);
         });
     turn += held;
     if (turn < width || !blocks.leads(sums)) continue;  // what has elements has columns: there is a last turn
-    if (begun) sums.force += load3<Real>(s.rhs, row);
+    if (begun) sums.force += load3<Real>(s.rhs, own);
     if (finishes) {
       assembly.finish(sums);
     } else {
-      store3<Real>(s.rhs, row, sums.force);
+      store3<Real>(s.rhs, own, sums.force);
     }
   }
 }

@@ -36,9 +36,11 @@ class HostBlocks {
       if (holds(places[i])) at(places[i]).block += blocks[i];
     }
   }
-  Vec3<Real> displacement(std::uint32_t place) { return at(holds(place) ? place : first_).neighbour.displacement; }
-  Vec3<Real> ahead(std::uint32_t place) { return at(place).neighbour.ahead; }
-  Mat3<Real> block(std::uint32_t place) { return at(place).block; }
+  Vec3<Real> displacement(std::uint32_t place) const {
+    return at(holds(place) ? place : first_).neighbour.displacement;
+  }
+  Vec3<Real> ahead(std::uint32_t place) const { return at(place).neighbour.ahead; }
+  Mat3<Real> block(std::uint32_t place) const { return at(place).block; }
   void meet() const {}
   bool leads(const tensor::RowSums<Real>&) const { return true; }
 
@@ -48,6 +50,7 @@ class HostBlocks {
     tensor::RowNeighbour<Real> neighbour;
   };
   Column& at(std::uint32_t place) { return columns_.at(place - first_); }
+  const Column& at(std::uint32_t place) const { return columns_.at(place - first_); }
   std::vector<Column> columns_;
   std::uint32_t first_ = 0, held_ = 0;
 };

@@ -10,7 +10,7 @@
 
 #include "mesh/random_mesh.h"
 #include "mesh/shapes.h"
-#include "tensor/rows.h"
+#include "tensor/row_elements.h"
 
 /// Lists of rows against the elements themselves: each node of each element is listed once, in its row, and knows the
 /// slots of the other nodes.

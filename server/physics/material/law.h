@@ -30,9 +30,8 @@
 ///   Node, at_node(point, a), stiffness(point, a, b)
 ///                        K_ij = ∂²W / ∂F_iK ∂F_jL a_K b_L for the shape gradients a, b of two nodes, in Pa times the
 ///                        gradients' unit squared; what needs one gradient only is done once for each node
-///   at_axis(point, c)    at_node of the unit vector along c, which takes no arithmetic or little: the stiffness is
-///   linear
-///                        in each gradient, and its values at the axes make those of many nodes
+///   at_axis(point, c)    at_node of the unit vector along c, for little or no arithmetic. The stiffness is linear in
+///                        each gradient: from its values at the axes those of many nodes are made
 ///   traction(point, node)  P a for the gradient of a node: cheaper than the stress where one node is asked for. Of a
 ///                        point as at() made it or after make_positive
 ///   make_positive(point) makes the stiffness positive semi-definite for the solver: parts of it that are not are
