@@ -13,8 +13,9 @@
 /// Each node's row finds the same F and the same stress to the last bit, or the forces of a stiff element would not
 /// balance, by as much as rounding leaves of its modulus.
 ///
-/// A row's blocks so far, and where its neighbours are and how far they move, are in `Blocks`, which a device
-/// keeps in memory that is near. It holds `capacity()` columns at once; a wider row comes in turns.
+/// A row's blocks so far are in `Blocks`, which a device keeps in memory that is near; with kKeepsNeighbours also where
+/// its neighbours are and how far they move. It may not hold all columns of a wide row at once, which then comes in
+/// turns.
 namespace tensormass::tensor {
 
 /// What a row needs of the row behind a slot: where it is and how far it moves (RowTerms::stretch_ahead) [m].
@@ -103,8 +104,9 @@ TM_HOST_DEVICE void read_moves(const ListedRow<Real>& row, const Vec3<Real>& own
 ///   holds(place)
 ///   displacement(place), ahead(place)   as clear had them; any displacement if it is not held. Only with
 ///                                       kKeepsNeighbours
-///   add(places, blocks, adds)           if it adds: different places; those that are not held are left out. With
-///                                       kAddsInTurns called by all parts at once
+///   add(places, blocks, adds)           where `adds`, adds each block at its place. Places differ; those that are not
+///                                       held are left out. With kAddsInTurns parts meet within: each calls it equally
+///                                       often, also with nothing to add
 ///   meet()                              all parts have done what they had to
 ///   block(place)                        the sum of all parts
 ///   leads(sums)                         adds up the sums of all parts; whether this part is to use them
@@ -233,6 +235,7 @@ TM_HOST_DEVICE void assemble_row(const SceneView<Real>& s, const ElementView<Rea
       TM_UNROLL_ALL
       for (std::uint32_t k = 0; k < kAtOnce; ++k) {
         tensors[k].complete([&](int l) { return places[k].is_own(l); });
+        // Without turns rounds end with the first element that is none.
         const bool adds = (!kAddsInTurns<Shape> && k == 0) || now[k] != kNoPlace;
         if (adds) sums.force += tensors[k].force;
         blocks.add(places[k].others(), tensors[k].stiffness, adds);

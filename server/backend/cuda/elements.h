@@ -10,8 +10,8 @@ namespace tensormass::backend::cuda {
 
 struct ElementKernels {
   const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
-  bool keeps_neighbours = false;   ///< tensor::kKeepsNeighbours of the shape, as is
-  bool adds_in_turns = false;      ///< kAddsInTurns
+  bool keeps_neighbours = false;   ///< tensor::kKeepsNeighbours of the shape
+  bool adds_in_turns = false;      ///< tensor::kAddsInTurns of the shape
   // Of the signature of run_stage (launch.cuh):
   const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
   const void* watch = nullptr;           ///< tensor::watch_elements; reduces

@@ -18,7 +18,7 @@ __host__ __device__ constexpr std::uint32_t column_reals(bool keeps_neighbours, 
   return 9 * sums + (keeps_neighbours ? 6 : 0);
 }
 
-/// A row's blocks, two quads and a real a column, and what it needs of its neighbours: a thread reads four numbers at
+/// A row's blocks, two quads and a real a column, and its neighbours if it keeps them: a thread reads four numbers at
 /// once, and meets no other's bank. Warps that share a slice have neighbours in common, and blocks of their own unless
 /// they add in turns.
 template <class Real, bool KeepsNeighbours, bool AddsInTurns>
@@ -185,7 +185,8 @@ class SharedBlocks {
 /// Warps that share a slice: two, so that one's reads are hidden by the other's arithmetic; more where a small scene
 /// has too few slices for all processors.
 inline constexpr std::uint32_t kUsualParts = 2, kMostParts = 4;
-/// Columns that a block has room for at least: parts leave their sums there.
+/// So many columns fit at least: behind the last turn kMostParts parts leave their RowSums where blocks have been
+/// (SharedBlocks::leads).
 inline constexpr std::uint32_t kLeastColumns = (kMostParts * kSumsReals + 8) / 9;
 
 struct RowsLaunch {

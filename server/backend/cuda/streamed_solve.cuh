@@ -87,9 +87,9 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
-  // Where vectors come from memory, x is brought up to date in every other iteration: the direction p of the one before
-  // is what made that of this one, p' = r + β p, so that x + α p + α' p' = x + (α' + γ) p' − γ r with γ = α / β. Not
-  // where β is small, and p' − r has few digits of p.
+  // Where vectors come from memory, x is brought up to date in every other iteration. One leaves it without its α p and
+  // keeps γ = α / β; the next, which begins with r' and p' = r' + β p, adds both:
+  // x + α p + α' p' = x + (α' + γ) p' − γ r'. Not where β is small, and p' − r' has few digits of β p.
   constexpr float kLeastBeta = 0.05f;
   float gamma = 0;
   do {
@@ -158,6 +158,8 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
+  // What the last one has left. Nobody has to meet behind it: each thread moves the rows that it completes here, and
+  // the end uses shared memory for others only where the direction is near, and nothing is left.
   if (gamma != 0) {
     for (std::uint32_t local = thread; local < own; local += Threads) {
       x.set(local, x[local] + (three_of(p[local]) - r[local]) * gamma);

@@ -8,20 +8,20 @@
 
 namespace tensormass::physics {
 
-/// W = μ |S − I|² + λ/2 (tr S − 3)² with F = R S, R a rotation: Hooke's law of the stretch (Müller, Gross 2004; with
+/// W = μ |S − I|² + λ/2 (tr S − 3)² with F = Q S, Q a rotation: Hooke's law of the stretch (Müller, Gross 2004; with
 /// the exact stiffness of Chao, Pinkall, Sanan, Schröder 2010).
 ///
 /// Exact under rotation; stress is linear in the stretches, so it is soft in strong compression and stays finite in
 /// collapse. Recovers from inversion: S keeps the sign of the smallest stretch. Any ν in (−1, 0.5), though resistance
-/// to change of volume is of first order only. Where two stretches add up to nothing R is not unique and the stress
+/// to change of volume is of first order only. Where two stretches add up to nothing Q is not unique and the stress
 /// jumps; the stiffness against rotation there is bounded.
 ///
 /// Its D is 2 μ in all planes and its ψ_ij is 2 μ δ_ij + λ, so that of the stiffness in the axes of U (stretch_law.h)
-/// only what rotations add needs these axes. With a' = R a and R = U Vᵀ,
+/// only what rotations add needs these axes. With Q = U Vᵀ, a' = Q a and [a']× the matrix of a' × ..,
 ///
 ///   K = 2 μ (a'·b') I + λ a' b'ᵀ + [a']× H [b']×ᵀ,   H = Σ_k (R_k − D_k)/2 u_k u_kᵀ
 ///
-/// where R_k is the stiffness against rotation about u_k.
+/// where u_k are the columns of U, and D_k and R_k are D and R of the plane that u_k is normal to.
 struct Corotational : StretchLaw<Corotational>, LameParameters {
   static constexpr const char* kName = "corotational";
   static constexpr Inversion kInversion = Inversion::kRecovers;
@@ -45,7 +45,7 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
 
   template <class T>
   struct Point : StretchPoint<T> {
-    Mat3<T> turn;   // R = U Vᵀ
+    Mat3<T> turn;   // Q = U Vᵀ
     Mat3<T> twist;  // H
 
     Point() = default;
@@ -64,7 +64,7 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
 
   template <class T>
   struct Node {
-    Vec3<T> turned;   // a' = R a
+    Vec3<T> turned;   // a' = Q a
     Mat3<T> twisted;  // [a']× H
   };
 

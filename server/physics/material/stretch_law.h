@@ -36,6 +36,9 @@ struct StretchPoint {
 /// What a law derives from that says its StretchEnergy:
 ///   template <class T> static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters);
 /// σ0 ≥ σ1 ≥ |σ2|. D and R are to be given in a form that does not cancel where σ_i = ±σ_j.
+///
+/// A law may have a Point of its own, derived from StretchPoint, where its stiffness has a shorter form. It then says
+/// at, Node and what takes one, and make_positive itself.
 template <class Derived>
 struct StretchLaw {
   static constexpr bool kConstantStiffness = false;
