@@ -77,7 +77,7 @@ TYPED_TEST(Decomposition, SingularValuesAreThoseOfTheMatrix) {
       ASSERT_LT((q * q.transpose() - Mat3<Real>::Identity()).norm(), tolerance) << "F =\n" << f;
       ASSERT_NEAR(q.determinant(), 1, tolerance) << "F =\n" << f;
     }
-    const Mat3<Real> product = found.u * found.sigma.asDiagonal() * found.v.transpose();
+    const Mat3<Real> product = found.product();
     ASSERT_LE((product - f).norm(), tolerance * scale + floor) << "F =\n" << f;
 
     ASSERT_GE(found.sigma[0], found.sigma[1] * (1 - 4 * this->kEpsilon)) << "F =\n" << f;

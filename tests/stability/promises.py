@@ -23,7 +23,7 @@ PROMISES: dict[str, tuple[str, str, str, str]] = {
         "exact",
     ),
     "corotational": (
-        "comes back; from 10×, one in twenty that is free, hardly one that is held, comes to rest crumpled",
+        "comes back; from 10× it may come to rest crumpled, seldom so where it is held",
         "comes back; free, quadratic tetrahedra from a point may come to rest crumpled",
         "comes back; free, quadratic tetrahedra may come to rest crumpled",
         "exact",
