@@ -23,7 +23,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
                                                             std::function<void()> on_refused) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
-  TM_TRY(doorkeeper, Doorkeeper::listen(address));
+  TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
   grpc::ServerBuilder builder;
   Acceptor acceptor = builder.experimental().AddExternalConnectionAcceptor(
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());

@@ -52,11 +52,11 @@ SceneRegistry::SceneRegistry(const world::RunnerOptions& options, std::function<
     : options_(options), output_signal_(std::move(output_signal)) {}
 
 Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progress& progress) {
-  TM_TRY(reservation, Reservation::take(*this, scene.name()));
-  TM_TRY(started, world::Runner::start(scene, options_, progress));
+  TM_ASSIGN_OR_RETURN(reservation, Reservation::take(*this, scene.name()));
+  TM_ASSIGN_OR_RETURN(started, world::Runner::start(scene, options_, progress));
   const RunnerPtr runner = std::move(started);
   runner->set_output_signal(output_signal_);
-  TM_CHECK(reservation.fill(runner));
+  TM_RETURN_IF_ERROR(reservation.fill(runner));
   changed();
   return runner;
 }

@@ -37,14 +37,14 @@ inline tl::unexpected<Error> invalid(std::string message) {
 
 }  // namespace tensormass
 
-/// Returns the error of a failed Result from the enclosing function.
-#define TM_CHECK(expression)                                                                      \
+/// Returns the error of a failed Result from the enclosing function, which must return a Result.
+#define TM_RETURN_IF_ERROR(expression)                                                            \
   do {                                                                                            \
     if (auto tm_result = (expression); !tm_result) return tl::make_unexpected(tm_result.error()); \
   } while (false)
 
-/// The same, and names the value: TM_TRY(mesh, read_mesh(body));
-#define TM_TRY(name, expression)                                         \
+/// Returns the error likewise; otherwise names the value: TM_ASSIGN_OR_RETURN(mesh, read_mesh(body));
+#define TM_ASSIGN_OR_RETURN(name, expression)                            \
   auto name##_result = (expression);                                     \
   if (!name##_result) return tl::make_unexpected(name##_result.error()); \
   auto& name = *name##_result

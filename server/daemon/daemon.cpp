@@ -14,9 +14,9 @@
 namespace tensormass::daemon {
 
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
-  TM_TRY(backend, world::describe_backend(config.backend));
+  TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
   std::unique_ptr<Daemon> daemon(new Daemon(config, backend.backend, backend.device));
-  TM_CHECK(daemon->open(config));
+  TM_RETURN_IF_ERROR(daemon->open(config));
   const v1::GetVersionResponse& identity = daemon->identity();
   if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
     log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}});
@@ -61,7 +61,7 @@ Result<void> Daemon::open(const Config& config) {
   options.on_log = [](bool is_error, std::string_view message) {
     log::write(is_error ? spdlog::level::err : spdlog::level::warn, "zenoh", {{"message", message}});
   };
-  TM_TRY(bus, bus::Bus::open(options));
+  TM_ASSIGN_OR_RETURN(bus, bus::Bus::open(options));
   bus_ = std::move(bus);
   identity_.set_zeromq_publish_endpoint(bus_->endpoints().zeromq_publish);
   identity_.set_zeromq_pose_endpoint(bus_->endpoints().zeromq_pose);
@@ -69,10 +69,10 @@ Result<void> Daemon::open(const Config& config) {
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
   service_.emplace(registry_, identity_, [this] { return malformed_count(); });
-  TM_TRY(server, control::ControlServer::start(config.control, *service_, [this] {
-           ++refused_connections_;
-           note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
-         }));
+  TM_ASSIGN_OR_RETURN(server, control::ControlServer::start(config.control, *service_, [this] {
+                        ++refused_connections_;
+                        note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
+                      }));
   server_ = std::move(server);
   return {};
 }

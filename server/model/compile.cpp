@@ -24,23 +24,23 @@ class Compiler {
       : c_{scene, {}, {}, {}, {}, {}}, policy_(policy), progress_(progress) {}
 
   Result<Model> run() {
-    TM_CHECK(read_header());
-    TM_CHECK(read_bodies());
-    TM_CHECK(read_tools());
-    TM_CHECK(progress_.begin(LoadPart::kOrderNodes));
+    TM_RETURN_IF_ERROR(read_header());
+    TM_RETURN_IF_ERROR(read_bodies());
+    TM_RETURN_IF_ERROR(read_tools());
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kOrderNodes));
     make_wedge_pairs(c_);
     make_layout();
-    TM_CHECK(progress_.begin(LoadPart::kSupports));
-    TM_CHECK(fill_row_fields(c_));
-    TM_CHECK(fill_supports_and_loads(c_));
-    TM_CHECK(progress_.begin(LoadPart::kElements));
-    TM_CHECK(group_elements(c_));
-    TM_CHECK(list_elements_of_rows(c_));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kSupports));
+    TM_RETURN_IF_ERROR(fill_row_fields(c_));
+    TM_RETURN_IF_ERROR(fill_supports_and_loads(c_));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kElements));
+    TM_RETURN_IF_ERROR(group_elements(c_));
+    TM_RETURN_IF_ERROR(list_elements_of_rows(c_));
     equip_solve(c_, policy_);
-    TM_CHECK(progress_.begin(LoadPart::kSurfaces));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kSurfaces));
     if (!model_.tools.empty()) make_contact_surface(c_);
     if (model_.frame_rate_hz > 0) {
-      TM_CHECK(make_visible_surface(c_));
+      TM_RETURN_IF_ERROR(make_visible_surface(c_));
     }
     warn_of_loose_bodies();
     list_stages();
@@ -57,14 +57,15 @@ class Compiler {
   }
 
   Result<void> read_header() {
-    TM_CHECK(check_name(scene_.name(), "scene.name"));
+    TM_RETURN_IF_ERROR(check_name(scene_.name(), "scene.name"));
     model_.name = scene_.name();
     const v1::Stepping& stepping = scene_.stepping();
-    TM_TRY(dt, read_number(stepping.has_dt_s() ? stepping.dt_s() : 1.0 / 60, limits::kMinTimeStepS,
-                           limits::kMaxTimeStepS, "scene.stepping.dt_s"));
+    TM_ASSIGN_OR_RETURN(dt, read_number(stepping.has_dt_s() ? stepping.dt_s() : 1.0 / 60, limits::kMinTimeStepS,
+                                        limits::kMaxTimeStepS, "scene.stepping.dt_s"));
     model_.dt_s = dt;
-    TM_TRY(rate, read_number(stepping.has_rate_hz() ? stepping.rate_hz() : std::min(1 / dt, limits::kMaxRateHz),
-                             limits::kMinRateHz, limits::kMaxRateHz, "scene.stepping.rate_hz"));
+    TM_ASSIGN_OR_RETURN(rate,
+                        read_number(stepping.has_rate_hz() ? stepping.rate_hz() : std::min(1 / dt, limits::kMaxRateHz),
+                                    limits::kMinRateHz, limits::kMaxRateHz, "scene.stepping.rate_hz"));
     model_.rate_hz = rate;
     model_.lockstep = stepping.lockstep();
 
@@ -79,31 +80,31 @@ class Compiler {
       default:
         return invalid(fmt::format("scene.solver.precision: {} is unknown", static_cast<int>(solver.precision())));
     }
-    TM_CHECK(read_integrator(solver));
+    TM_RETURN_IF_ERROR(read_integrator(solver));
     // Without inertia the matrix is far worse conditioned, and nobody waits for a step by the clock.
     const bool quasi_static = model_.integrator == Integrator::kQuasiStatic;
-    TM_TRY(iterations, read_number(solver.has_cg_max_iterations() ? solver.cg_max_iterations()
-                                   : quasi_static                 ? 10'000
-                                                                  : 100,
-                                   1, limits::kMaxCgIterations, "scene.solver.cg_max_iterations"));
+    TM_ASSIGN_OR_RETURN(iterations, read_number(solver.has_cg_max_iterations() ? solver.cg_max_iterations()
+                                                : quasi_static                 ? 10'000
+                                                                               : 100,
+                                                1, limits::kMaxCgIterations, "scene.solver.cg_max_iterations"));
     model_.cg_max_iterations = static_cast<std::uint32_t>(iterations);
-    TM_TRY(tolerance,
-           read_number(solver.has_cg_tolerance() ? solver.cg_tolerance() : 1e-3, 0, 0.5, "scene.solver.cg_tolerance"));
+    TM_ASSIGN_OR_RETURN(tolerance, read_number(solver.has_cg_tolerance() ? solver.cg_tolerance() : 1e-3, 0, 0.5,
+                                               "scene.solver.cg_tolerance"));
     model_.cg_tolerance = tolerance;
-    TM_CHECK(read_budget(solver));
+    TM_RETURN_IF_ERROR(read_budget(solver));
     if (solver.has_cpu_threads()) {
-      TM_CHECK(read_number(solver.cpu_threads(), 1, limits::kMaxCpuThreads, "scene.solver.cpu_threads"));
+      TM_RETURN_IF_ERROR(read_number(solver.cpu_threads(), 1, limits::kMaxCpuThreads, "scene.solver.cpu_threads"));
     }
 
     const v1::Streams& streams = scene_.streams();
-    TM_TRY(frames,
-           read_rate(streams.has_frame_rate_hz() ? streams.frame_rate_hz() : 60, "scene.streams.frame_rate_hz"));
+    TM_ASSIGN_OR_RETURN(
+        frames, read_rate(streams.has_frame_rate_hz() ? streams.frame_rate_hz() : 60, "scene.streams.frame_rate_hz"));
     model_.frame_rate_hz = frames;
-    TM_TRY(status,
-           read_rate(streams.has_status_rate_hz() ? streams.status_rate_hz() : 4, "scene.streams.status_rate_hz"));
+    TM_ASSIGN_OR_RETURN(
+        status, read_rate(streams.has_status_rate_hz() ? streams.status_rate_hz() : 4, "scene.streams.status_rate_hz"));
     model_.status_rate_hz = status;
 
-    TM_TRY(gravity, read_vector(scene_.gravity_m_per_s2(), "scene.gravity_m_per_s2"));
+    TM_ASSIGN_OR_RETURN(gravity, read_vector(scene_.gravity_m_per_s2(), "scene.gravity_m_per_s2"));
     model_.gravity_m_per_s2 = gravity;
     model_.has_gravity = gravity.squaredNorm() > 0;
     return {};
@@ -112,7 +113,7 @@ class Compiler {
   /// What a step may take and what it must not fall below: an accuracy is given up only down to a stated floor.
   Result<void> read_budget(const v1::Solver& solver) {
     if (solver.has_floor_tolerance()) {
-      TM_TRY(floor, read_number(solver.floor_tolerance(), 1e-12, 0.5, "scene.solver.floor_tolerance"));
+      TM_ASSIGN_OR_RETURN(floor, read_number(solver.floor_tolerance(), 1e-12, 0.5, "scene.solver.floor_tolerance"));
       if (floor < model_.cg_tolerance) {
         return invalid(
             fmt::format("scene.solver.floor_tolerance: {} is below cg_tolerance = {}, at which the solve "
@@ -125,14 +126,15 @@ class Compiler {
       if (!solver.has_floor_cg_iterations()) return {};
       return invalid("scene.solver.floor_cg_iterations: nothing lowers the iterations; give budget_s too");
     }
-    TM_TRY(budget, read_number(solver.budget_s(), limits::kMinBudgetS, limits::kMaxBudgetS, "scene.solver.budget_s"));
+    TM_ASSIGN_OR_RETURN(
+        budget, read_number(solver.budget_s(), limits::kMinBudgetS, limits::kMaxBudgetS, "scene.solver.budget_s"));
     if (!solver.has_floor_cg_iterations() && !solver.has_floor_tolerance()) {
       return invalid(
           "scene.solver.budget_s: say how far accuracy may go down for it: give floor_cg_iterations, floor_tolerance "
           "or both");
     }
     const double fewest = solver.has_floor_cg_iterations() ? solver.floor_cg_iterations() : 1;
-    TM_TRY(floor, read_number(fewest, 1, model_.cg_max_iterations, "scene.solver.floor_cg_iterations"));
+    TM_ASSIGN_OR_RETURN(floor, read_number(fewest, 1, model_.cg_max_iterations, "scene.solver.floor_cg_iterations"));
     model_.budget_s = budget;
     model_.floor_cg_iterations = static_cast<std::uint32_t>(floor);
     return {};
@@ -154,13 +156,14 @@ class Compiler {
         return invalid(fmt::format("scene.solver.integrator: {} is unknown", static_cast<int>(solver.integrator())));
     }
     const std::uint32_t otherwise = model_.integrator == Integrator::kQuasiStatic ? 50 : 1;
-    TM_TRY(iterations, read_number(solver.has_newton_max_iterations() ? solver.newton_max_iterations() : otherwise, 1,
-                                   limits::kMaxNewtonIterations, "scene.solver.newton_max_iterations"));
+    TM_ASSIGN_OR_RETURN(iterations,
+                        read_number(solver.has_newton_max_iterations() ? solver.newton_max_iterations() : otherwise, 1,
+                                    limits::kMaxNewtonIterations, "scene.solver.newton_max_iterations"));
     model_.newton_max_iterations = static_cast<std::uint32_t>(iterations);
-    TM_TRY(tolerance, read_number(solver.has_newton_tolerance() ? solver.newton_tolerance()
-                                  : model_.double_precision     ? 1e-6
-                                                                : 1e-3,
-                                  0, 0.5, "scene.solver.newton_tolerance"));
+    TM_ASSIGN_OR_RETURN(tolerance, read_number(solver.has_newton_tolerance() ? solver.newton_tolerance()
+                                               : model_.double_precision     ? 1e-6
+                                                                             : 1e-3,
+                                               0, 0.5, "scene.solver.newton_tolerance"));
     model_.newton_tolerance = tolerance;
     return {};
   }
@@ -174,21 +177,21 @@ class Compiler {
     std::set<std::string> names;
     for (int i = 0; i < scene_.bodies_size(); ++i) {
       const v1::Body& body = scene_.bodies(i);
-      TM_CHECK(check_name(body.name(), fmt::format("scene.bodies[{}].name", i)));
+      TM_RETURN_IF_ERROR(check_name(body.name(), fmt::format("scene.bodies[{}].name", i)));
       if (!names.insert(body.name()).second) {
         return invalid(fmt::format("scene.bodies[{}]: the name '{}' is taken by another body", i, body.name()));
       }
-      TM_CHECK(read_body(body, static_cast<std::size_t>(i)));
+      TM_RETURN_IF_ERROR(read_body(body, static_cast<std::size_t>(i)));
     }
     return {};
   }
 
   Result<void> read_body(const v1::Body& body, std::size_t index) {
     const auto body_count = static_cast<std::size_t>(scene_.bodies_size());
-    TM_CHECK(progress_.begin(LoadPart::kReadMesh, index, body_count));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kReadMesh, index, body_count));
     const std::string where = fmt::format("body '{}'", body.name());
-    TM_CHECK(check_counts(body, where));
-    TM_TRY(mesh, read_mesh(body, where));
+    TM_RETURN_IF_ERROR(check_counts(body, where));
+    TM_ASSIGN_OR_RETURN(mesh, read_mesh(body, where));
     const std::uint64_t nodes = merged_.nodes.size() + mesh.nodes.size();
     const std::uint64_t elements = std::uint64_t{mesh::element_count(merged_)} + mesh::element_count(mesh);
     if (nodes > limits::kMaxNodes || elements > limits::kMaxElements) {
@@ -197,9 +200,9 @@ class Compiler {
                               "limits::kMaxElements = {}",
                               where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
     }
-    TM_CHECK(progress_.begin(LoadPart::kCheckMesh, index, body_count));
-    TM_TRY(report, mesh::admit(mesh, body.name()));
-    TM_TRY(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kCheckMesh, index, body_count));
+    TM_ASSIGN_OR_RETURN(report, mesh::admit(mesh, body.name()));
+    TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
 
     BodyModel out;
     out.name = body.name();
@@ -215,7 +218,7 @@ class Compiler {
     if (body.has_color_srgb()) {
       const v1::Vector3& color = body.color_srgb();
       for (const double component : {color.x(), color.y(), color.z()}) {
-        TM_CHECK(read_number(component, 0, 1, where + ".color_srgb"));
+        TM_RETURN_IF_ERROR(read_number(component, 0, 1, where + ".color_srgb"));
       }
       out.has_color = true;
       out.color_srgb = {color.x(), color.y(), color.z()};
@@ -233,8 +236,8 @@ class Compiler {
     ReadBody read;
     read.mesh = std::move(mesh);
     read.density_kg_per_m3 = density;
-    TM_CHECK(read_quadrature(body, read, where));
-    TM_CHECK(read_materials(body, read, where));
+    TM_RETURN_IF_ERROR(read_quadrature(body, read, where));
+    TM_RETURN_IF_ERROR(read_materials(body, read, where));
     bodies_.push_back(std::move(read));
     return {};
   }
@@ -309,7 +312,7 @@ class Compiler {
     std::set<std::string> names;
     for (int i = 0; i < scene_.tools_size(); ++i) {
       const v1::Tool& tool = scene_.tools(i);
-      TM_CHECK(check_name(tool.name(), fmt::format("scene.tools[{}].name", i)));
+      TM_RETURN_IF_ERROR(check_name(tool.name(), fmt::format("scene.tools[{}].name", i)));
       if (!names.insert(tool.name()).second) {
         return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
       }
@@ -320,22 +323,23 @@ class Compiler {
       const v1::SphericalProbe& probe = tool.spherical_probe();
       ToolModel out;
       out.name = tool.name();
-      TM_TRY(radius, read_number(probe.radius_m(), 1e-6, 1e3, where + ".spherical_probe.radius_m"));
+      TM_ASSIGN_OR_RETURN(radius, read_number(probe.radius_m(), 1e-6, 1e3, where + ".spherical_probe.radius_m"));
       out.radius_m = radius;
-      TM_TRY(tip, read_vector(probe.tip_offset_m(), where + ".spherical_probe.tip_offset_m"));
+      TM_ASSIGN_OR_RETURN(tip, read_vector(probe.tip_offset_m(), where + ".spherical_probe.tip_offset_m"));
       out.tip_offset_m = tip;
       const double default_penalty = 20 * stiffest.young_modulus_pa / radius;
-      TM_TRY(penalty,
-             read_number(probe.has_penalty_stiffness_pa_per_m() ? probe.penalty_stiffness_pa_per_m() : default_penalty,
-                         1e-3, 1e18, where + ".spherical_probe.penalty_stiffness_pa_per_m"));
+      TM_ASSIGN_OR_RETURN(
+          penalty,
+          read_number(probe.has_penalty_stiffness_pa_per_m() ? probe.penalty_stiffness_pa_per_m() : default_penalty,
+                      1e-3, 1e18, where + ".spherical_probe.penalty_stiffness_pa_per_m"));
       out.penalty_pa_per_m = penalty;
-      TM_TRY(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : 0.5, 1e-6, 1e3,
-                                where + ".max_speed_m_per_s"));
+      TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : 0.5, 1e-6, 1e3,
+                                             where + ".max_speed_m_per_s"));
       out.max_speed_m_per_s = speed;
       out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
-      TM_TRY(position, read_vector(tool.position_m(), where + ".position_m"));
+      TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
       out.initial_position_m = position;
-      TM_TRY(orientation, read_orientation(tool.orientation(), where + ".orientation"));
+      TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
       out.initial_orientation = orientation;
       model_.tools.push_back(std::move(out));
     }

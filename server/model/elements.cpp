@@ -146,8 +146,10 @@ Result<void> fill_row_fields(Compilation& c) {
   for (std::size_t b = 0; b < c.bodies.size(); ++b) {
     const v1::Body& body = c.scene.bodies(static_cast<int>(b));
     const BodyModel& out = c.model.bodies[b];
-    TM_TRY(alpha, read_number(body.rayleigh_mass_per_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_mass_per_s"));
-    TM_TRY(beta, read_number(body.rayleigh_stiffness_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_stiffness_s"));
+    TM_ASSIGN_OR_RETURN(alpha,
+                        read_number(body.rayleigh_mass_per_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_mass_per_s"));
+    TM_ASSIGN_OR_RETURN(
+        beta, read_number(body.rayleigh_stiffness_s(), 0, 1e9, "body '" + out.name + "'.rayleigh_stiffness_s"));
     consistent = consistent || (c.bodies[b].consistent_mass && inertia);
     for (std::uint32_t node = 0; node < out.node_count; ++node) {
       const std::size_t row = layout.row_of_node[out.node_begin + node];

@@ -43,8 +43,8 @@ struct Constants {
   static Result<std::array<double, Law::kParameterCount>> read(const Message& p, std::string_view where) {
     static_assert(
         requires { Law::parameters(1.0, 0.0); }, "constants of its own: specialize Constants for this law");
-    TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
-    TM_TRY(poisson, read_poisson_ratio(p.poisson_ratio(), where));
+    TM_ASSIGN_OR_RETURN(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+    TM_ASSIGN_OR_RETURN(poisson, read_poisson_ratio(p.poisson_ratio(), where));
     return Law::parameters(young, poisson);
   }
 };
@@ -53,10 +53,10 @@ template <>
 struct Constants<physics::MooneyRivlin> {
   using Message = v1::MooneyRivlin;
   static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
-    TM_TRY(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
-    TM_TRY(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
-    TM_CHECK(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
-    TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+    TM_ASSIGN_OR_RETURN(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
+    TM_ASSIGN_OR_RETURN(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
+    TM_RETURN_IF_ERROR(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
+    TM_ASSIGN_OR_RETURN(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
     return physics::MooneyRivlin::parameters(c10, c01, bulk);
   }
 };
@@ -65,10 +65,10 @@ template <>
 struct Constants<physics::Ogden> {
   using Message = v1::Ogden;
   static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
-    TM_TRY(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
-    TM_TRY(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
-    TM_CHECK(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
-    TM_TRY(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
+    TM_ASSIGN_OR_RETURN(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
+    TM_ASSIGN_OR_RETURN(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
+    TM_RETURN_IF_ERROR(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
+    TM_ASSIGN_OR_RETURN(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
     return physics::Ogden::parameters(mu, alpha, bulk);
   }
 };
@@ -77,10 +77,11 @@ template <>
 struct Constants<physics::TransverselyIsotropic> {
   using Message = v1::TransverselyIsotropic;
   static Result<std::array<double, 6>> read(const Message& p, std::string_view where) {
-    TM_TRY(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
-    TM_TRY(poisson, read_poisson_ratio(p.poisson_ratio(), where));
-    TM_TRY(fibre, read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
-    TM_TRY(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
+    TM_ASSIGN_OR_RETURN(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
+    TM_ASSIGN_OR_RETURN(poisson, read_poisson_ratio(p.poisson_ratio(), where));
+    TM_ASSIGN_OR_RETURN(fibre,
+                        read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
+    TM_ASSIGN_OR_RETURN(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
     if (!(direction.norm() > 1e-12)) {
       return invalid(fmt::format("{}.fibre_direction: has no length; give the direction of the fibres", where));
     }
@@ -105,20 +106,20 @@ Result<void> override_values(google::protobuf::Message& constants, const Element
     return invalid(fmt::format("{}: the law has no {}; leave element_fields.{} out", where, name, name));
   };
   if (values.young_modulus_pa) {
-    TM_TRY(young, field("young_modulus_pa"));
-    TM_CHECK(check_shadowed(reflection->GetDouble(constants, young), where, "young_modulus_pa"));
+    TM_ASSIGN_OR_RETURN(young, field("young_modulus_pa"));
+    TM_RETURN_IF_ERROR(check_shadowed(reflection->GetDouble(constants, young), where, "young_modulus_pa"));
     reflection->SetDouble(&constants, young, *values.young_modulus_pa);
   }
   if (values.poisson_ratio) {
-    TM_TRY(poisson, field("poisson_ratio"));
-    TM_CHECK(check_shadowed(reflection->GetDouble(constants, poisson), where, "poisson_ratio"));
+    TM_ASSIGN_OR_RETURN(poisson, field("poisson_ratio"));
+    TM_RETURN_IF_ERROR(check_shadowed(reflection->GetDouble(constants, poisson), where, "poisson_ratio"));
     reflection->SetDouble(&constants, poisson, *values.poisson_ratio);
   }
   if (values.fibre_direction) {
-    TM_TRY(direction, field("fibre_direction"));
+    TM_ASSIGN_OR_RETURN(direction, field("fibre_direction"));
     auto& vector = static_cast<v1::Vector3&>(*reflection->MutableMessage(&constants, direction));
     for (const double component : {vector.x(), vector.y(), vector.z()}) {
-      TM_CHECK(check_shadowed(component, where, "fibre_direction"));
+      TM_RETURN_IF_ERROR(check_shadowed(component, where, "fibre_direction"));
     }
     vector.set_x((*values.fibre_direction)[0]);
     vector.set_y((*values.fibre_direction)[1]);
@@ -136,8 +137,8 @@ Result<std::vector<physics::PronyTerm>> read_prony(const v1::Law& law, std::stri
   double sum = 0;
   for (int i = 0; i < law.prony_size(); ++i) {
     const std::string term = fmt::format("{}.prony[{}]", where, i);
-    TM_TRY(share, read_number(law.prony(i).share(), 1e-9, 1 - 1e-9, term + ".share"));
-    TM_TRY(time, read_number(law.prony(i).relaxation_time_s(), 1e-9, 1e9, term + ".relaxation_time_s"));
+    TM_ASSIGN_OR_RETURN(share, read_number(law.prony(i).share(), 1e-9, 1 - 1e-9, term + ".share"));
+    TM_ASSIGN_OR_RETURN(time, read_number(law.prony(i).relaxation_time_s(), 1e-9, 1e9, term + ".relaxation_time_s"));
     terms.push_back({share, time});
     sum += share;
   }
@@ -164,14 +165,14 @@ Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::
       v1::Law own = law;
       auto* constants = own.GetReflection()->MutableMessage(&own, kind);
       const std::string at = fmt::format("{}.{}", where, Law::kName);
-      TM_CHECK(override_values(*constants, values, at));
+      TM_RETURN_IF_ERROR(override_values(*constants, values, at));
       using Reader = Constants<Law>;
       // Throws where the protocol has another message than Constants: in the first scene with the law.
-      TM_TRY(parameters, Reader::read(dynamic_cast<const typename Reader::Message&>(*constants), at));
+      TM_ASSIGN_OR_RETURN(parameters, Reader::read(dynamic_cast<const typename Reader::Message&>(*constants), at));
       const physics::Moduli moduli = Law::moduli_at_rest(parameters.data());
       const physics::YoungPoisson elastic = physics::young_poisson_from(moduli);
-      TM_CHECK(check_compressibility(moduli, elastic.poisson_ratio, at));
-      TM_TRY(prony, read_prony(law, where));
+      TM_RETURN_IF_ERROR(check_compressibility(moduli, elastic.poisson_ratio, at));
+      TM_ASSIGN_OR_RETURN(prony, read_prony(law, where));
       return Material{index,
                       {parameters.begin(), parameters.end()},
                       std::move(prony),

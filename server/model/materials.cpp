@@ -27,7 +27,7 @@ std::vector<std::uint32_t> elements_in(const mesh::Mesh& mesh, const std::vector
 Result<std::vector<double>> read_field(const std::string& bytes, std::size_t components, std::size_t element_count,
                                        std::string_view where) {
   if (bytes.empty()) return std::vector<double>{};
-  TM_TRY(values, read_reals(bytes, components, where));
+  TM_ASSIGN_OR_RETURN(values, read_reals(bytes, components, where));
   if (values.size() != components * element_count) {
     return invalid(
         fmt::format("{}: {} values for {} elements; give {} each", where, values.size(), element_count, components));
@@ -47,10 +47,10 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
   std::vector<const v1::Law*> laws{&body.law()};
   std::vector<std::string> law_where{fmt::format("{}.law", where)};
   std::vector<std::uint32_t> law_of;
-  TM_TRY(sets, read_sets(body, out.mesh.nodes, where));
+  TM_ASSIGN_OR_RETURN(sets, read_sets(body, out.mesh.nodes, where));
   for (int i = 0; i < body.law_regions_size(); ++i) {
     const std::string at = fmt::format("{}.law_regions[{}]", where, i);
-    TM_TRY(nodes, read_region(body.law_regions(i).region(), out.mesh.nodes, sets, at + ".region"));
+    TM_ASSIGN_OR_RETURN(nodes, read_region(body.law_regions(i).region(), out.mesh.nodes, sets, at + ".region"));
     const std::vector<std::uint32_t> elements = elements_in(out.mesh, nodes);
     if (elements.empty()) {
       return invalid(fmt::format("{}.region: no element has all of its nodes in it; make it larger", at));
@@ -62,13 +62,13 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
   }
   const v1::ElementFields& fields = body.element_fields();
   const std::string at = fmt::format("{}.element_fields", where);
-  TM_TRY(young, read_field(fields.young_modulus_pa(), 1, element_count, at + ".young_modulus_pa"));
-  TM_TRY(poisson, read_field(fields.poisson_ratio(), 1, element_count, at + ".poisson_ratio"));
-  TM_TRY(fibres, read_field(fields.fibre_directions(), 3, element_count, at + ".fibre_directions"));
+  TM_ASSIGN_OR_RETURN(young, read_field(fields.young_modulus_pa(), 1, element_count, at + ".young_modulus_pa"));
+  TM_ASSIGN_OR_RETURN(poisson, read_field(fields.poisson_ratio(), 1, element_count, at + ".poisson_ratio"));
+  TM_ASSIGN_OR_RETURN(fibres, read_field(fields.fibre_directions(), 3, element_count, at + ".fibre_directions"));
   out.element_materials = law_of;
   if (young.empty() && poisson.empty() && fibres.empty()) {
     for (std::size_t i = 0; i < laws.size(); ++i) {
-      TM_TRY(material, read_law(*laws[i], {}, law_where[i]));
+      TM_ASSIGN_OR_RETURN(material, read_law(*laws[i], {}, law_where[i]));
       out.materials.push_back(std::move(material));
     }
     return {};

@@ -56,10 +56,10 @@ struct Placement {
 Result<Placement> read_placement(const v1::Mesh& mesh, std::string_view where) {
   Placement placement;
   if (mesh.has_scale()) {
-    TM_TRY(scale, read_number(mesh.scale(), 1e-9, 1e9, fmt::format("{}.mesh.scale", where)));
+    TM_ASSIGN_OR_RETURN(scale, read_number(mesh.scale(), 1e-9, 1e9, fmt::format("{}.mesh.scale", where)));
     placement.scale = scale;
   }
-  TM_TRY(translation, read_vector(mesh.translation_m(), fmt::format("{}.mesh.translation_m", where)));
+  TM_ASSIGN_OR_RETURN(translation, read_vector(mesh.translation_m(), fmt::format("{}.mesh.translation_m", where)));
   placement.translation_m = translation;
   return placement;
 }
@@ -85,24 +85,26 @@ Result<mesh::Shape> read_shape(v1::Shape shape, std::string_view where) {
 Result<mesh::Mesh> read_source(const v1::Mesh& source, std::string_view where) {
   switch (source.source_case()) {
     case v1::Mesh::kPacked: {
-      TM_TRY(nodes, read_points(source.packed().node_positions(), fmt::format("{}.mesh.packed.node_positions", where)));
+      TM_ASSIGN_OR_RETURN(
+          nodes, read_points(source.packed().node_positions(), fmt::format("{}.mesh.packed.node_positions", where)));
       mesh::Mesh mesh;
       mesh.nodes = std::move(nodes);
       if (source.packed().elements().empty()) return invalid(fmt::format("{}.mesh.packed.elements: none", where));
       for (int i = 0; i < source.packed().elements_size(); ++i) {
         const v1::PackedElements& block = source.packed().elements(i);
         const std::string at = fmt::format("{}.mesh.packed.elements[{}]", where, i);
-        TM_TRY(shape, read_shape(block.shape(), at));
-        TM_TRY(indices, read_packed<std::uint32_t>(block.nodes(), mesh::topology(shape).node_count, at + ".nodes"));
+        TM_ASSIGN_OR_RETURN(shape, read_shape(block.shape(), at));
+        TM_ASSIGN_OR_RETURN(indices,
+                            read_packed<std::uint32_t>(block.nodes(), mesh::topology(shape).node_count, at + ".nodes"));
         mesh.blocks.push_back({shape, std::move(indices)});
       }
       return mesh;
     }
     case v1::Mesh::kGrid: {
       const v1::Grid& grid = source.grid();
-      TM_TRY(origin, read_vector(grid.origin_m(), fmt::format("{}.mesh.grid.origin_m", where)));
-      TM_TRY(size, read_vector(grid.size_m(), fmt::format("{}.mesh.grid.size_m", where)));
-      TM_TRY(shape, read_shape(grid.shape(), fmt::format("{}.mesh.grid", where)));
+      TM_ASSIGN_OR_RETURN(origin, read_vector(grid.origin_m(), fmt::format("{}.mesh.grid.origin_m", where)));
+      TM_ASSIGN_OR_RETURN(size, read_vector(grid.size_m(), fmt::format("{}.mesh.grid.size_m", where)));
+      TM_ASSIGN_OR_RETURN(shape, read_shape(grid.shape(), fmt::format("{}.mesh.grid", where)));
       return mesh::make_grid(origin, size, grid.cells_x(), grid.cells_y(), grid.cells_z(), shape)
           .map_error([&](Error error) {
             error.message = fmt::format("{}.mesh.grid: {}", where, error.message);
@@ -162,7 +164,7 @@ Result<double> read_rate(double value_hz, std::string_view where) {
 }
 
 Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where) {
-  TM_TRY(placement, read_placement(body.mesh(), where));
+  TM_ASSIGN_OR_RETURN(placement, read_placement(body.mesh(), where));
   return read_source(body.mesh(), where).map([&](mesh::Mesh mesh) {
     placement.apply(mesh.nodes);
     return mesh;
@@ -173,10 +175,12 @@ Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where) {
   if (body.skin().source_case() != v1::Skin::kPacked) {
     return invalid(fmt::format("{}.skin: give packed triangles; the server reads no files", where));
   }
-  TM_TRY(placement, read_placement(body.mesh(), where));
+  TM_ASSIGN_OR_RETURN(placement, read_placement(body.mesh(), where));
   const v1::PackedTriangles& packed = body.skin().packed();
-  TM_TRY(vertices, read_points(packed.vertex_positions(), fmt::format("{}.skin.packed.vertex_positions", where)));
-  TM_TRY(indices, read_packed<std::uint32_t>(packed.triangles(), 3, fmt::format("{}.skin.packed.triangles", where)));
+  TM_ASSIGN_OR_RETURN(vertices,
+                      read_points(packed.vertex_positions(), fmt::format("{}.skin.packed.vertex_positions", where)));
+  TM_ASSIGN_OR_RETURN(
+      indices, read_packed<std::uint32_t>(packed.triangles(), 3, fmt::format("{}.skin.packed.triangles", where)));
   SkinMesh skin;
   skin.vertices = std::move(vertices);
   placement.apply(skin.vertices);
@@ -193,7 +197,7 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
   NodeSets sets;
   for (int i = 0; i < body.sets_size(); ++i) {
     const std::string at = fmt::format("{}.sets[{}]", where, i);
-    TM_CHECK(check_name(body.sets(i).name(), at + ".name"));
+    TM_RETURN_IF_ERROR(check_name(body.sets(i).name(), at + ".name"));
     const int regions = body.sets(i).regions_size();
     if (regions == 0) return invalid(fmt::format("{}: no region; give the nodes of the set", at));
     if (static_cast<std::size_t>(regions) > limits::kMaxRegionsOfSet) {
@@ -203,7 +207,8 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
     std::vector<bool> is_in(nodes.size(), false);
     for (int r = 0; r < regions; ++r) {
       // The sets before this one may be parts of it.
-      TM_TRY(some, read_region(body.sets(i).regions(r), nodes, sets, fmt::format("{}.regions[{}]", at, r)));
+      TM_ASSIGN_OR_RETURN(some,
+                          read_region(body.sets(i).regions(r), nodes, sets, fmt::format("{}.regions[{}]", at, r)));
       for (const std::uint32_t node : some) is_in[node] = true;
     }
     std::vector<std::uint32_t> all;
@@ -227,17 +232,17 @@ Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const s
   };
   switch (region.kind_case()) {
     case v1::Region::kBox: {
-      TM_TRY(low, read_vector(region.box().min_m(), fmt::format("{}.box.min_m", where)));
-      TM_TRY(high, read_vector(region.box().max_m(), fmt::format("{}.box.max_m", where)));
+      TM_ASSIGN_OR_RETURN(low, read_vector(region.box().min_m(), fmt::format("{}.box.min_m", where)));
+      TM_ASSIGN_OR_RETURN(high, read_vector(region.box().max_m(), fmt::format("{}.box.max_m", where)));
       select([&](const Eigen::Vector3d& x) {
         return (x.array() >= low.array()).all() && (x.array() <= high.array()).all();
       });
       break;
     }
     case v1::Region::kSphere: {
-      TM_TRY(center, read_vector(region.sphere().center_m(), fmt::format("{}.sphere.center_m", where)));
-      TM_TRY(radius,
-             read_number(region.sphere().radius_m(), 0, limits::kMaxLength, fmt::format("{}.sphere.radius_m", where)));
+      TM_ASSIGN_OR_RETURN(center, read_vector(region.sphere().center_m(), fmt::format("{}.sphere.center_m", where)));
+      TM_ASSIGN_OR_RETURN(radius, read_number(region.sphere().radius_m(), 0, limits::kMaxLength,
+                                              fmt::format("{}.sphere.radius_m", where)));
       select([&](const Eigen::Vector3d& x) { return (x - center).norm() <= radius; });
       break;
     }

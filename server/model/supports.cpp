@@ -34,11 +34,11 @@ class Supports {
     for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
       const v1::Body& body = c_.scene.bodies(static_cast<int>(b));
       const std::string where = fmt::format("body '{}'", body.name());
-      TM_TRY(sets, read_sets(body, c_.bodies[b].mesh.nodes, where));
-      TM_CHECK(fix(body, b, sets, where));
-      TM_CHECK(prescribe(body, b, sets, where));
-      TM_CHECK(load(body, b, sets, where));
-      TM_CHECK(start(body, b, where));
+      TM_ASSIGN_OR_RETURN(sets, read_sets(body, c_.bodies[b].mesh.nodes, where));
+      TM_RETURN_IF_ERROR(fix(body, b, sets, where));
+      TM_RETURN_IF_ERROR(prescribe(body, b, sets, where));
+      TM_RETURN_IF_ERROR(load(body, b, sets, where));
+      TM_RETURN_IF_ERROR(start(body, b, where));
       BodyModel& out = c_.model.bodies[b];
       for (std::uint32_t node = 0; node < out.node_count; ++node) {
         if (c_.model.rest[4 * row(b, node) + 3] != kAllDirections) ++out.fixed_node_count;
@@ -62,7 +62,8 @@ class Supports {
 
   Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
     for (int i = 0; i < body.fixed_size(); ++i) {
-      TM_TRY(nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
+      TM_ASSIGN_OR_RETURN(
+          nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
       for (const std::uint32_t node : nodes) {
         hold(row(b, node), kAllDirections);
         fixed_[row(b, node)] = true;
@@ -75,20 +76,20 @@ class Supports {
     for (int i = 0; i < body.prescribed_size(); ++i) {
       const std::string at = fmt::format("{}.prescribed[{}]", where, i);
       const v1::PrescribedDisplacement& p = body.prescribed(i);
-      TM_TRY(nodes, read_region(p.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
       v1::Vector3 vector;
       vector.set_x(p.x_m());
       vector.set_y(p.y_m());
       vector.set_z(p.z_m());
-      TM_TRY(displacement, read_vector(vector, at));
+      TM_ASSIGN_OR_RETURN(displacement, read_vector(vector, at));
       const std::uint32_t bits = (p.has_x_m() ? 1u : 0) | (p.has_y_m() ? 2u : 0) | (p.has_z_m() ? 4u : 0);
       if (bits == 0) return invalid(fmt::format("{}: no direction; give x_m, y_m or z_m", at));
       Prescribed out{displacement, {}, {}};
-      TM_CHECK(read_schedule(p.schedule(), out, at + ".schedule"));
+      TM_RETURN_IF_ERROR(read_schedule(p.schedule(), out, at + ".schedule"));
       c_.model.prescribed.push_back(std::move(out));
       const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
       for (const std::uint32_t node : nodes) {
-        TM_CHECK(drive(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
+        TM_RETURN_IF_ERROR(drive(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
       }
     }
     return {};
@@ -104,8 +105,8 @@ class Supports {
                                  schedule.factor_size()));
     }
     for (int i = 0; i < schedule.time_s_size(); ++i) {
-      TM_TRY(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
-      TM_TRY(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
+      TM_ASSIGN_OR_RETURN(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
+      TM_ASSIGN_OR_RETURN(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
       if (!out.time_s.empty() && !(time > out.time_s.back())) {
         return invalid(fmt::format("{}.time_s[{}]: {} does not come after {}", where, i, time, out.time_s.back()));
       }
@@ -148,9 +149,9 @@ class Supports {
     for (int i = 0; i < body.loads_size(); ++i) {
       const std::string at = fmt::format("{}.loads[{}]", where, i);
       const v1::Load& load = body.loads(i);
-      TM_TRY(nodes, read_region(load.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
       if (load.kind_case() == v1::Load::kForceN) {
-        TM_TRY(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
+        TM_ASSIGN_OR_RETURN(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
         for (const std::uint32_t node : nodes) {
           add_external(row(b, node), force / static_cast<double>(nodes.size()));
         }
@@ -172,11 +173,11 @@ class Supports {
                                    at, nodes.size()));
       }
       if (load.kind_case() == v1::Load::kTractionPa) {
-        TM_TRY(traction, read_vector(load.traction_pa(), at + ".traction_pa", limits::kMaxPressurePa));
+        TM_ASSIGN_OR_RETURN(traction, read_vector(load.traction_pa(), at + ".traction_pa", limits::kMaxPressurePa));
         for (const mesh::FaceNodes& face : loaded) add_traction(b, face, traction);
       } else {
-        TM_TRY(pressure,
-               read_number(load.pressure_pa(), -limits::kMaxPressurePa, limits::kMaxPressurePa, at + ".pressure_pa"));
+        TM_ASSIGN_OR_RETURN(pressure, read_number(load.pressure_pa(), -limits::kMaxPressurePa, limits::kMaxPressurePa,
+                                                  at + ".pressure_pa"));
         for (const mesh::FaceNodes& face : loaded) add_pressure(b, face, pressure);
       }
     }
@@ -208,8 +209,8 @@ class Supports {
   }
 
   Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
-    TM_CHECK(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
-                        c_.model.initial_displacement));
+    TM_RETURN_IF_ERROR(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
+                                  c_.model.initial_displacement));
     const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
     if (!body.initial_velocity_m_per_s().empty() && c_.model.integrator == Integrator::kQuasiStatic) {
       return invalid(fmt::format("{}: a quasi-static step knows no velocity; leave it out", at));
@@ -220,7 +221,7 @@ class Supports {
   /// out: [row_count, 4]
   Result<void> read_start(const std::string& bytes, std::size_t b, std::string_view where, std::vector<double>& out) {
     if (bytes.empty()) return {};
-    TM_TRY(values, read_reals(bytes, 3, where));
+    TM_ASSIGN_OR_RETURN(values, read_reals(bytes, 3, where));
     const std::size_t node_count = c_.model.bodies[b].node_count;
     if (values.size() != 3 * node_count) {
       return invalid(fmt::format("{}: {} values for {} nodes; give three a node", where, values.size(), node_count));
@@ -230,7 +231,7 @@ class Supports {
       for (std::size_t c = 0; c < 3; ++c) {
         const double value = values[3 * std::size_t{node} + c];
         const auto at = [&] { return fmt::format("{}, node {}", where, node); };
-        TM_CHECK(read_number(value, -limits::kMaxLength, limits::kMaxLength, at()));
+        TM_RETURN_IF_ERROR(read_number(value, -limits::kMaxLength, limits::kMaxLength, at()));
         if (fixed_[row(b, node)] && value != 0) {
           return invalid(fmt::format("{} is fixed and starts at rest; give it zero", at()));
         }

@@ -79,10 +79,11 @@ Result<void> make_visible_surface(Compilation& c) {
     };
     if (source.has_skin()) {
       const std::string where = fmt::format("body '{}'", body.name);
-      TM_TRY(skin, read_skin(source, where));
-      TM_TRY(report, mesh::admit_skin(skin.vertices, skin.triangles, body.name));
+      TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
+      TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, body.name));
       c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
-      TM_TRY(embedding, mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
+      TM_ASSIGN_OR_RETURN(embedding,
+                          mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
       for (std::size_t i = 0; i < skin.vertices.size(); ++i) add(embedding.nodes[i], embedding.weights[i]);
       body.triangles = std::move(skin.triangles);
       body.has_skin = true;

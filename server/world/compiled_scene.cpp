@@ -19,14 +19,14 @@ Result<std::unique_ptr<backend::Backend>> make_backend(const RunnerOptions& opti
 
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
                                     const model::Progress& progress) {
-  TM_TRY(backend, make_backend(options));
-  TM_TRY(model, model::compile(scene, backend->patch_policy(scene), progress));
+  TM_ASSIGN_OR_RETURN(backend, make_backend(options));
+  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(scene), progress));
   v1::SceneReport report = model::make_report(model, backend->rates(scene));
   return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
 }
 
 Result<BackendDescription> describe_backend(BackendChoice choice) {
-  TM_TRY(backend, make_backend({.backend = choice}));
+  TM_ASSIGN_OR_RETURN(backend, make_backend({.backend = choice}));
   return BackendDescription{backend->name(), backend->device()};
 }
 

@@ -239,7 +239,7 @@ struct Runner::Impl {
   Result<void> require_state() { return device_failed ? require_not_faulted() : Result<void>{}; }
 
   Result<v1::SceneStatus> do_pause() {
-    TM_CHECK(require_not_faulted());
+    TM_RETURN_IF_ERROR(require_not_faulted());
     if (state == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("pause");
     if (state == v1::SceneStatus::STATE_PAUSED) return make_status();
     gather_frame();
@@ -249,7 +249,7 @@ struct Runner::Impl {
   }
 
   Result<v1::SceneStatus> do_resume() {
-    TM_CHECK(require_not_faulted());
+    TM_RETURN_IF_ERROR(require_not_faulted());
     if (state == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("resume");
     set_state(v1::SceneStatus::STATE_RUNNING);
     return make_status();
@@ -262,7 +262,7 @@ struct Runner::Impl {
   }
 
   Result<v1::SceneStatus> do_step(std::uint32_t count) {
-    TM_CHECK(require_not_faulted());
+    TM_RETURN_IF_ERROR(require_not_faulted());
     if (state != v1::SceneStatus::STATE_LOCKSTEP) {
       return fail(
           ErrorCode::kFailedPrecondition,
@@ -277,7 +277,7 @@ struct Runner::Impl {
       // The last step's frame is what the caller asks for next; those between go out at the stream's rate.
       const bool frame = i + 1 == count || begin - last_lockstep_frame >= lockstep_frame_interval();
       if (frame) last_lockstep_frame = begin;
-      if (!step_once(frame, i + 1 == count)) TM_CHECK(require_not_faulted());
+      if (!step_once(frame, i + 1 == count)) TM_RETURN_IF_ERROR(require_not_faulted());
       const Clock::time_point end = Clock::now();
       statistics.add(end - begin, end, true);
     }
@@ -318,7 +318,7 @@ struct Runner::Impl {
   }
 
   Result<v1::Frame> do_frame() {
-    TM_CHECK(require_state());
+    TM_RETURN_IF_ERROR(require_state());
     if (!has_frames()) {
       return fail(ErrorCode::kFailedPrecondition,
                   fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model.name));
@@ -332,8 +332,8 @@ struct Runner::Impl {
   }
 
   Result<v1::GetPositionsResponse> do_positions(std::string_view name) {
-    TM_CHECK(require_state());
-    TM_TRY(body, find_body(name));
+    TM_RETURN_IF_ERROR(require_state());
+    TM_ASSIGN_OR_RETURN(body, find_body(name));
     const std::vector<double> positions = world->positions(*body);
     v1::GetPositionsResponse response;
     response.set_step(world->step_count());
@@ -348,7 +348,7 @@ struct Runner::Impl {
     double simulated_time_s;
   };
   Result<FieldSource> do_copy_state() {
-    TM_CHECK(require_state());
+    TM_RETURN_IF_ERROR(require_state());
     return FieldSource{world->state(), world->step_count(), world->simulated_time_s()};
   }
 
@@ -488,19 +488,19 @@ struct Runner::Impl {
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
                                               const model::Progress& progress) {
-  TM_TRY(compiled, compile_scene(scene, options, progress));
-  TM_CHECK(progress.begin(model::LoadPart::kBuffers));
+  TM_ASSIGN_OR_RETURN(compiled, compile_scene(scene, options, progress));
+  TM_RETURN_IF_ERROR(progress.begin(model::LoadPart::kBuffers));
   return start(std::move(compiled));
 }
 
 Result<std::unique_ptr<Runner>> Runner::start(CompiledScene compiled) {
-  TM_TRY(world, World::create(std::move(compiled.model), *compiled.backend));
+  TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
   return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world))));
 }
 
 Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options,
                                         const model::Progress& progress) {
-  TM_TRY(compiled, compile_scene(scene, options, progress));
+  TM_ASSIGN_OR_RETURN(compiled, compile_scene(scene, options, progress));
   return std::move(compiled.report);
 }
 
@@ -536,15 +536,15 @@ Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
   return impl_->on_loop([this, body] { return impl_->do_positions(body); });
 }
 Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
-  TM_TRY(body, impl_->find_body(request.body()));
-  TM_TRY(source, impl_->on_loop([this] { return impl_->do_copy_state(); }));
-  TM_TRY(response, measure_fields(impl_->model, source.state, *body, request));
+  TM_ASSIGN_OR_RETURN(body, impl_->find_body(request.body()));
+  TM_ASSIGN_OR_RETURN(source, impl_->on_loop([this] { return impl_->do_copy_state(); }));
+  TM_ASSIGN_OR_RETURN(response, measure_fields(impl_->model, source.state, *body, request));
   response.set_step(source.step);
   response.set_simulated_time_s(source.simulated_time_s);
   return std::move(response);
 }
 Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
-  TM_TRY(index, impl_->find_tool(tool));
+  TM_ASSIGN_OR_RETURN(index, impl_->find_tool(tool));
   return impl_->on_loop([this, i = index] { return impl_->do_feedback(i); });
 }
 

@@ -21,7 +21,7 @@ Vec3<double> lever(const model::ToolModel& tool, const Pose& pose) { return rota
 
 Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
-  TM_TRY(state, backend.create(*model));
+  TM_ASSIGN_OR_RETURN(state, backend.create(*model));
   return std::unique_ptr<World>(new World(std::move(model), std::move(state)));
 }
 

@@ -170,7 +170,7 @@ void leave_volumes_unchecked(model::Model& model) {
 Result<Measured> time_steps(const Case& one, const backend::Backend& backend, std::uint32_t steps, Row& row) {
   const v1::Scene& scene = one.scene;
   const Clock::time_point begin = Clock::now();
-  TM_TRY(model, model::compile(scene, backend.patch_policy(scene)));
+  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend.patch_policy(scene)));
   if (!one.checks_volume) leave_volumes_unchecked(model);
   const v1::SceneReport report = model::make_report(model, backend.rates(scene));
   row.elements = model.bodies[0].element_count;
@@ -183,7 +183,7 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
     bytes += static_cast<double>(stage.bytes()) * (stage.name() == "conjugate gradients" ? model.cg_max_iterations : 1);
   }
   row.floor_s = bytes;
-  TM_TRY(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
+  TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
   row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
   // A St-Venant-Kirchhoff beam that falls for long turns inside out, which its guard catches: then it starts again from
   // rest, and neither that step nor one that was retried is a sample.
@@ -200,15 +200,15 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
     }
     return seconds;
   };
-  TM_CHECK(sample(3));
-  TM_TRY(seconds, sample(steps));
+  TM_RETURN_IF_ERROR(sample(3));
+  TM_ASSIGN_OR_RETURN(seconds, sample(steps));
   row.iterations = world->last().cg_iterations;
   const Measured measured = percentiles(seconds);
   // An iteration is the difference that iterations make: the same scene with ten.
   constexpr std::uint32_t kFew = 10;
   if (scene.solver().cg_tolerance() == 0 && row.iterations > kFew) {
     world->set_cg_limit(kFew);
-    TM_TRY(shorter, sample(std::max(steps / 2, 5u)));
+    TM_ASSIGN_OR_RETURN(shorter, sample(std::max(steps / 2, 5u)));
     row.iteration_s = (measured.median_s - percentiles(shorter).median_s) / (row.iterations - kFew);
   }
   return measured;
@@ -286,7 +286,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
                                      const std::string& commit, const std::string& command) {
   v1::Scene scene = station();
   if (options.copies == 0) {
-    TM_TRY(read, read_scene(options.scene_file));
+    TM_ASSIGN_OR_RETURN(read, read_scene(options.scene_file));
     scene = read;
   }
   scene.mutable_stepping()->set_lockstep(false);
@@ -297,16 +297,16 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   const Clock::time_point begin = Clock::now();
   std::vector<std::unique_ptr<world::Runner>> runners;
   for (std::uint32_t i = 0; i < std::max(options.copies, 1u); ++i) {
-    TM_TRY(runner, world::Runner::start(scene, runner_options));
-    if (options.together) TM_CHECK(runner->pause());
+    TM_ASSIGN_OR_RETURN(runner, world::Runner::start(scene, runner_options));
+    if (options.together) TM_RETURN_IF_ERROR(runner->pause());
     runners.push_back(std::move(runner));
   }
   for (const auto& runner : runners) {
-    if (options.together) TM_CHECK(runner->resume());
+    if (options.together) TM_RETURN_IF_ERROR(runner->resume());
   }
   const double ready_s = std::chrono::duration<double>(Clock::now() - begin).count();
   const double dt_s = scene.stepping().has_dt_s() ? scene.stepping().dt_s() : 1.0 / 60;
-  TM_TRY(description, world::describe_backend(runner_options.backend));
+  TM_ASSIGN_OR_RETURN(description, world::describe_backend(runner_options.backend));
   // Scenes that load hold up those that run already, which is counted apart.
   constexpr std::chrono::seconds kSettling{1};
   const Clock::time_point settled = Clock::now() + kSettling;
@@ -331,7 +331,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   const v1::SceneStatus status = of_all(runners);
   // Else each scene that ends competes with all that still step for the driver's lock: with a device that is behind,
   // for minutes.
-  for (const auto& runner : runners) TM_CHECK(runner->pause());
+  for (const auto& runner : runners) TM_RETURN_IF_ERROR(runner->pause());
   return fmt::format(
       R"({{"case":"real time: {}","scenes":{},"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
       R"("target_rate_hz":{:.1f},"reached_rate_hz":{:.1f},"steps":{},"missed_deadlines":{},"missed_while_loading":{},)"

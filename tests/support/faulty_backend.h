@@ -84,7 +84,7 @@ class FaultyBackend final : public backend::Backend {
   model::MachineRates rates(const v1::Scene& scene) const override { return sound_->rates(scene); }
   double measure_bandwidth_bytes_per_s() const override { return sound_->measure_bandwidth_bytes_per_s(); }
   Result<std::unique_ptr<backend::SceneState>> create(const model::Model& model) const override {
-    TM_TRY(state, sound_->create(model));
+    TM_ASSIGN_OR_RETURN(state, sound_->create(model));
     return std::unique_ptr<backend::SceneState>(std::make_unique<FaultyState>(std::move(state), plan_));
   }
 
