@@ -10,7 +10,8 @@
 #include "core/scalar.h"
 #include "model/compile.h"
 #include "model/model.h"
-#include "model/plan.h"
+#include "solver/step_result.h"
+#include "step/plan.h"
 
 /// Where a scene's numbers live and who runs its stages.
 namespace tensormass::backend {
@@ -24,37 +25,22 @@ struct ToolForce {
   Vec3<double> torque_n_m = Vec3<double>::Zero();
 };
 
-/// What a step is told.
+/// What the host tells a step.
 struct StepInput {
   ToolCenters centers{};  ///< [tool_count]
   double end_time_s = 0;  ///< for displacements that are prescribed over time
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;
-  bool keeps = true;     ///< the state at its begin is the one that `restore` goes back to
-  bool careful = false;  ///< implicit Euler in place of BDF2, positive stiffness in place of the consistent one
+  bool saves_checkpoint = true;  ///< `restore` goes back to the state before this step
+  /// Implicit Euler instead of BDF2, and stiffness projected to positive definite instead of the consistent one.
+  bool fallback_settings = false;
   bool gather_visible = false;
 };
 
-struct StepResult {
-  std::uint32_t cg_iterations = 0;  ///< of all solves of the step
-  double cg_relative_residual = 0;  ///< of the last one
-  bool negative_curvature = false;
-  bool finite = true;
-  double max_speed_m_per_s = 0;
-  double max_move_m = 0;        ///< of any node from the kept state
-  double max_distance_m = 0;    ///< of any node from rest
-  double kinetic_energy_j = 0;  ///< of the nodes' masses
-  double work_j = 0;            ///< of gravity and loads since the kept state
-  /// Of the elements that are checked in each step; 1 where none is. Infinity: none of them is inside out.
-  double min_det_f = 1;
-  std::uint32_t newton_iterations = 1;
-  double newton_residual = 0;  ///< imbalance relative to the forces at work; 0 in a step that is linearized once
-  /// False: the outer iteration ended before its tolerance, and what is left would have moved something.
-  bool converged = true;
-};
+using solver::StepResult;
 
-/// What elements of a group look like (tensor::PatchWatch).
-struct GroupWatch {
+/// Deformation of one element group (view::PatchDiagnostics).
+struct GroupDiagnostics {
   double min_det_f = 1;
   double max_strain = 0;
   double max_rotation_rad = 0;
@@ -62,13 +48,13 @@ struct GroupWatch {
   double elastic_energy_j = 0;
 };
 
-/// Everything that moves, of all rows. `histories` are the groups' Γ_i one after the other.
+/// Everything that moves, of all rows. internal_variables: the groups' Γ_i, one group after the other.
 struct RowState {
-  std::vector<double> displacement;  ///< [row_count, 4] m
-  std::vector<double> velocity;      ///< [row_count, 4] m/s
-  std::vector<double> histories;     ///< Pa
-  /// Length of the step that displacement is ahead of the histories; 0: they belong together.
-  double history_dt_s = 0;
+  std::vector<double> displacement;        ///< [row_count, 4] m
+  std::vector<double> velocity;            ///< [row_count, 4] m/s
+  std::vector<double> internal_variables;  ///< Pa
+  /// Length of the step by which the displacement is ahead of the internal variables; 0: they belong together.
+  double internal_dt_s = 0;
 };
 
 /// The state of one scene on one device. Not thread-safe. A step allocates nothing.
@@ -79,14 +65,14 @@ class SceneState {
   /// One step of the model's stages. forces: [tool_count], written. With `gather_visible` the frame's positions are
   /// ready when it returns.
   virtual StepResult step(const StepInput& input, std::span<ToolForce> forces) = 0;
-  /// Back to the begin of the last step that kept it. No host sees the state on its way.
+  /// Goes back to the checkpoint: the state before the last step that saved one. The state never leaves the device.
   virtual void restore() = 0;
   /// [visible_count, 3] m, as of the last step that gathered them; valid until the next one.
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers them without a step.
   virtual void gather_visible() = 0;
-  /// Looks at the elements as they are now. groups: [group_count], written.
-  virtual void watch(std::span<GroupWatch> groups) = 0;
+  /// Measures the elements at the present state. groups: [group_count], written.
+  virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;
   /// For requests, not for the loop.
   virtual RowState read() = 0;
   virtual void write(const RowState& state) = 0;
@@ -99,9 +85,9 @@ class Backend {
   virtual std::string name() const = 0;    ///< "cpu" or "cuda"
   virtual std::string device() const = 0;  ///< for people
   virtual model::PatchPolicy patch_policy(const v1::Scene& scene) const = 0;
-  virtual model::MachineRates rates(const v1::Scene& scene) const = 0;
-  /// Measured now, as a copy or STREAM's triad reaches it, bytes read and written: what no step beats that has to go
-  /// through memory.
+  virtual step::MachineRates rates(const v1::Scene& scene) const = 0;
+  /// Measures memory bandwidth by a copy or STREAM's triad, bytes read and written: the floor of a step whose data come
+  /// from memory.
   virtual double measure_bandwidth_bytes_per_s() const = 0;
   virtual Result<std::unique_ptr<SceneState>> create(const model::Model& model) const = 0;
 };

@@ -2,9 +2,9 @@
 
 #include <cmath>
 
+#include "matrix/edges.h"
 #include "physics/contact/closest_point.h"
-#include "tensor/edges.h"
-#include "tensor/view.h"
+#include "view/scene.h"
 
 /// A rigid sphere against the tissue's surface: penalty pressure, frictionless, implicit.
 ///
@@ -17,8 +17,6 @@
 /// angle-weighted pseudonormal (Bærentzen, Aanæs 2005); a centre that got inside pushes the tissue back over it. Only
 /// triangles that it is behind take part in that: another body beside the one it is in is pushed away as ever.
 namespace tensormass::contact {
-
-using tensor::SceneView;
 
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> cross(const Vec3<Real>& a, const Vec3<Real>& b) {
@@ -37,9 +35,10 @@ struct Corners {
 };
 
 template <class Real>
-TM_HOST_DEVICE Corners<Real> corners_of(const SceneView<Real>& s, std::uint32_t triangle) {
-  const std::uint32_t* rows = s.triangle_rows + std::size_t{3} * triangle;
-  return {{tensor::position(s, rows[0]), tensor::position(s, rows[1]), tensor::position(s, rows[2])}};
+TM_HOST_DEVICE Corners<Real> corners_of(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                        std::uint32_t triangle) {
+  const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
+  return {{view::position(state, rows[0]), view::position(state, rows[1]), view::position(state, rows[2])}};
 }
 
 template <class Real>
@@ -51,24 +50,24 @@ TM_HOST_DEVICE Vec3<Real> unit(const Vec3<Real>& v) {
 
 /// The surface's direction outward at a feature of a triangle; not normalized.
 template <class Real>
-TM_HOST_DEVICE Vec3<Real> pseudonormal(const SceneView<Real>& s, std::uint32_t triangle,
-                                       physics::TriangleFeature feature) {
+TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                       std::uint32_t triangle, physics::TriangleFeature feature) {
   using physics::TriangleFeature;
   using std::acos;
-  const Vec3<Real> own = unit<Real>(corners_of(s, triangle).normal());
+  const Vec3<Real> own = unit<Real>(corners_of(state, contact, triangle).normal());
   if (feature == TriangleFeature::kFace) return own;
   if (feature < TriangleFeature::kVertex0) {
     const int edge = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kEdge01);
-    const std::uint32_t neighbour = s.triangle_neighbours[std::size_t{3} * triangle + edge];
-    if (neighbour == tensor::kNoTriangle) return own;
-    return own + unit<Real>(corners_of(s, neighbour).normal());
+    const std::uint32_t neighbour = contact.triangle_neighbours[std::size_t{3} * triangle + edge];
+    if (neighbour == view::kNoTriangle) return own;
+    return own + unit<Real>(corners_of(state, contact, neighbour).normal());
   }
   const int corner = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kVertex0);
-  const std::uint32_t vertex = s.vertex_of_corner[std::size_t{3} * triangle + corner];
+  const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
   Vec3<Real> sum = Vec3<Real>::Zero();
-  for (std::uint32_t i = s.incidence_begin[vertex]; i < s.incidence_begin[vertex + 1]; ++i) {
-    const Corners<Real> around = corners_of(s, s.incidence[4 * i]);
-    const std::uint32_t c = s.incidence[4 * i + 1];
+  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+    const Corners<Real> around = corners_of(state, contact, contact.incidence[4 * i]);
+    const std::uint32_t c = contact.incidence[4 * i + 1];
     const Vec3<Real> to_next = unit<Real>(around.x[(c + 1) % 3] - around.x[c]);
     const Vec3<Real> to_previous = unit<Real>(around.x[(c + 2) % 3] - around.x[c]);
     const Real angle = acos(minimum(maximum(to_next.dot(to_previous), Real(-1)), Real(1)));
@@ -78,38 +77,40 @@ TM_HOST_DEVICE Vec3<Real> pseudonormal(const SceneView<Real>& s, std::uint32_t t
 }
 
 template <class Real>
-TM_HOST_DEVICE Vec3<Real> center_of(const tensor::ToolState<Real>& tool) {
+TM_HOST_DEVICE Vec3<Real> center_of(const view::ToolState<Real>& tool) {
   return {tool.center_m[0], tool.center_m[1], tool.center_m[2]};
 }
 
 /// Stage 1: the closest triangle of each patch to each tool.
 /// Reads displacement, tools; writes closest.
 template <class Team, class Real>
-TM_HOST_DEVICE void detect(Team& team, const SceneView<Real>& s) {
-  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
-    const Vec3<Real> center = center_of(s.tools[t]);
+TM_HOST_DEVICE void detect(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                           const view::ContactView<Real>& contact) {
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const Vec3<Real> center = center_of(contact.tools[t]);
     Real best = Real(1e30);
-    std::uint32_t best_triangle = tensor::kNoTriangle;
-    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
-      const Corners<Real> corners = corners_of(s, triangle);
-      const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
-      const Vec3<Real> offset = center - corners.at(closest.weights);
-      const Real squared = offset.dot(offset);
-      if (squared < best) {
-        best = squared;
-        best_triangle = triangle;
-      }
-    });
+    std::uint32_t best_triangle = view::kNoTriangle;
+    team.for_each(
+        contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+          const Corners<Real> corners = corners_of(state, contact, triangle);
+          const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
+          const Vec3<Real> offset = center - corners.at(closest.weights);
+          const Real squared = offset.dot(offset);
+          if (squared < best) {
+            best = squared;
+            best_triangle = triangle;
+          }
+        });
     team.patch_argmin(best, best_triangle);
     if (team.leads_patch()) {
       Real side = 1;
-      if (best_triangle != tensor::kNoTriangle) {
-        const Corners<Real> corners = corners_of(s, best_triangle);
+      if (best_triangle != view::kNoTriangle) {
+        const Corners<Real> corners = corners_of(state, contact, best_triangle);
         const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
-        const Vec3<Real> outward = pseudonormal(s, best_triangle, closest.feature);
+        const Vec3<Real> outward = pseudonormal(state, contact, best_triangle, closest.feature);
         side = outward.dot(center - corners.at(closest.weights)) < 0 ? Real(-1) : Real(1);
       }
-      s.closest[std::size_t{t} * s.patch_count + team.patch()] = {best, side};
+      contact.closest[std::size_t{t} * patches.patch_count + team.patch()] = {best, side};
     }
   }
 }
@@ -117,65 +118,69 @@ TM_HOST_DEVICE void detect(Team& team, const SceneView<Real>& s) {
 /// Stage 2: each triangle's contact with each tool.
 /// Reads displacement, tools, closest; writes contacts.
 template <class Team, class Real>
-TM_HOST_DEVICE void respond(const Team& team, const SceneView<Real>& s) {
+TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::ContactView<Real>& contact) {
   using std::sqrt;
-  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
-    const tensor::ToolState<Real> tool = s.tools[t];
-    tensor::ClosestTriangle<Real> nearest = s.closest[std::size_t{t} * s.patch_count];
-    for (std::uint32_t patch = 1; patch < s.patch_count; ++patch) {
-      const auto other = s.closest[std::size_t{t} * s.patch_count + patch];
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const view::ToolState<Real> tool = contact.tools[t];
+    view::ClosestTriangle<Real> nearest = contact.closest[std::size_t{t} * patches.patch_count];
+    for (std::uint32_t patch = 1; patch < patches.patch_count; ++patch) {
+      const auto other = contact.closest[std::size_t{t} * patches.patch_count + patch];
       if (other.distance_squared < nearest.distance_squared) nearest = other;
     }
     const Vec3<Real> center = center_of(tool);
     // How far the centre is inside; a continuous continuation of radius − distance from outside to inside.
     const Real inside = nearest.side < 0 ? sqrt(nearest.distance_squared) : Real(0);
-    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
-      tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
-      const Corners<Real> corners = corners_of(s, triangle);
-      const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
-      const Vec3<Real> away = corners.at(closest.weights) - center;
-      const Real distance = sqrt(away.dot(away));
-      const bool behind = nearest.side < 0 && corners.normal().dot(away) > 0;
-      const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
-      contact.depth_m = maximum(depth, Real(0));
-      if (!(depth > 0)) return;
-      const Vec3<Real> normal = distance > Real(1e-6) * tool.radius_m
-                                    ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
-                                    : Vec3<Real>(-unit<Real>(corners.normal()));
-      for (int c = 0; c < 3; ++c) {
-        contact.weight[c] = closest.weights[c];
-        contact.normal[c] = normal[c];
-      }
-      contact.stiffness = tool.penalty_pa_per_m * s.triangle_area[triangle];
-    });
+    team.for_each(
+        contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+          view::TriangleContact<Real>& touch = contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+          const Corners<Real> corners = corners_of(state, contact, triangle);
+          const auto closest = physics::closest_point_on_triangle(center, corners.x[0], corners.x[1], corners.x[2]);
+          const Vec3<Real> away = corners.at(closest.weights) - center;
+          const Real distance = sqrt(away.dot(away));
+          const bool behind = nearest.side < 0 && corners.normal().dot(away) > 0;
+          const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
+          touch.depth_m = maximum(depth, Real(0));
+          if (!(depth > 0)) return;
+          const Vec3<Real> normal = distance > Real(1e-6) * tool.radius_m
+                                        ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
+                                        : Vec3<Real>(-unit<Real>(corners.normal()));
+          for (int c = 0; c < 3; ++c) {
+            touch.weight[c] = closest.weights[c];
+            touch.normal[c] = normal[c];
+          }
+          touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+        });
   }
 }
 
 /// Stage 3: contacts into the linear system, gathered by surface node.
 /// Reads contacts, velocity; adds to edges, diagonal, rhs.
 template <class Team, class Real>
-TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
-  const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  const Real h = tensor::step_size(s);
-  team.for_each(s.patch_surface[patch.index], s.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
-    const std::uint32_t row = s.surface_rows[vertex];
-    for (std::uint32_t t = 0; t < s.tool_count; ++t) {
-      for (std::uint32_t i = s.incidence_begin[vertex]; i < s.incidence_begin[vertex + 1]; ++i) {
-        const std::uint32_t* incidence = s.incidence + std::size_t{4} * i;
+TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                             const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  const Real h = view::step_size(state);
+  team.for_each(contact.patch_surface[patch.index], contact.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
+    const std::uint32_t row = contact.surface_rows[vertex];
+    for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+      for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+        const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
         const std::uint32_t triangle = incidence[0], corner = incidence[1];
-        const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
-        if (!(contact.depth_m > 0)) continue;
-        const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
+        const view::TriangleContact<Real>& touch = contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+        if (!(touch.depth_m > 0)) continue;
+        const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
         Real retreat = 0;  // n · Σ w d, how far the contact point moves away
         for (int c = 0; c < 3; ++c) {
-          retreat += contact.weight[c] * n.dot(tensor::change_ahead(s, s.triangle_rows[std::size_t{3} * triangle + c]));
+          retreat +=
+              touch.weight[c] * n.dot(view::change_ahead(state, contact.triangle_rows[std::size_t{3} * triangle + c]));
         }
-        const Real weight = contact.weight[corner];
-        const Vec3<Real> impulse = n * (h * weight * contact.stiffness * (contact.depth_m - retreat));
-        tensor::store3<Real>(s.rhs, row, tensor::load3<Real>(s.rhs, row) + impulse);
+        const Real weight = touch.weight[corner];
+        const Vec3<Real> impulse = n * (h * weight * touch.stiffness * (touch.depth_m - retreat));
+        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + impulse);
 
-        const Mat3<Real> stiffness = n * n.transpose() * (h * h * contact.stiffness * weight);
-        Real* d = s.diagonal + std::size_t{8} * row;
+        const Mat3<Real> stiffness = n * n.transpose() * (h * h * touch.stiffness * weight);
+        Real* d = matrix.diagonal + std::size_t{8} * row;
         d[0] += weight * stiffness(0, 0);
         d[1] += weight * stiffness(0, 1);
         d[2] += weight * stiffness(0, 2);
@@ -184,8 +189,8 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
         d[5] += weight * stiffness(2, 2);
         for (std::uint32_t k = 1; k <= 2; ++k) {
           const std::uint32_t slot = incidence[1 + k];
-          const Real other = contact.weight[(corner + k) % 3];
-          if (slot != tensor::kNoPlace) tensor::add_to_block<Real>(s, slot, stiffness * other);
+          const Real other = touch.weight[(corner + k) % 3];
+          if (slot != view::kNoPlace) matrix::add_to_block<Real>(matrix, slot, stiffness * other);
         }
       }
     }
@@ -195,34 +200,37 @@ TM_HOST_DEVICE void assemble(const Team& team, const SceneView<Real>& s) {
 /// Stage 4, after the solve: what the tissue does to each tool, at the end of the step.
 /// Reads contacts, velocity; writes tool_loads.
 template <class Team, class Real>
-TM_HOST_DEVICE void measure(Team& team, const SceneView<Real>& s) {
-  for (std::uint32_t t = 0; t < s.tool_count; ++t) {
-    const tensor::ToolState<Real> tool = s.tools[t];
+TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::ContactView<Real>& contact) {
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const view::ToolState<Real> tool = contact.tools[t];
     Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero();
-    team.for_each(s.patch_triangles[team.patch()], s.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
-      const tensor::TriangleContact<Real>& contact = s.contacts[std::size_t{t} * s.triangle_count + triangle];
-      if (!(contact.depth_m > 0)) return;
-      const Vec3<Real> n(contact.normal[0], contact.normal[1], contact.normal[2]);
-      Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
-      for (int c = 0; c < 3; ++c) {
-        const std::uint32_t row = s.triangle_rows[std::size_t{3} * triangle + c];
-        // Where a step is solved more than once, contacts are those of its end.
-        if (s.base_displacement == nullptr) {
-          change += tensor::load3<Real>(s.velocity, row) * (tensor::step_size(s) * contact.weight[c]);
-        }
-        point += tensor::position(s, row) * contact.weight[c];
-      }
-      point -= change;  // where the step began and the normal was taken: tissue's sliding twists no sphere
-      // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
-      const Real pressure = contact.stiffness * maximum(contact.depth_m - n.dot(change), Real(0));
-      force -= n * pressure;
-      torque -= cross<Real>(point - center_of(tool), n) * pressure;
-    });
+    team.for_each(
+        contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+          const view::TriangleContact<Real>& touch =
+              contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+          if (!(touch.depth_m > 0)) return;
+          const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
+          Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
+          for (int c = 0; c < 3; ++c) {
+            const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
+            // Where a step is solved more than once, contacts are those of its end.
+            if (state.base_displacement == nullptr) {
+              change += view::load3<Real>(state.velocity, row) * (view::step_size(state) * touch.weight[c]);
+            }
+            point += view::position(state, row) * touch.weight[c];
+          }
+          point -= change;  // where the step began and the normal was taken: tissue's sliding twists no sphere
+          // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
+          const Real pressure = touch.stiffness * maximum(touch.depth_m - n.dot(change), Real(0));
+          force -= n * pressure;
+          torque -= cross<Real>(point - center_of(tool), n) * pressure;
+        });
     Real sums[6] = {force[0], force[1], force[2], torque[0], torque[1], torque[2]};
     team.patch_sum(sums);
     if (team.leads_patch()) {
-      s.tool_loads[std::size_t{t} * s.patch_count + team.patch()] = {{sums[0], sums[1], sums[2]},
-                                                                     {sums[3], sums[4], sums[5]}};
+      contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()] = {{sums[0], sums[1], sums[2]},
+                                                                                 {sums[3], sums[4], sums[5]}};
     }
   }
 }

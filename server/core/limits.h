@@ -52,7 +52,7 @@ inline constexpr std::size_t kMaxRegionsOfSet = 1024;
 inline constexpr std::size_t kMaxLawRegions = 64;
 /// Entries of fixed, of prescribed and of loads of a body; a body with more is refused. Reading one looks at every
 /// node.
-inline constexpr std::size_t kMaxSupportsAndLoads = 65'536;
+inline constexpr std::size_t kMaxBoundaryConditions = 65'536;
 /// Points of one schedule.
 inline constexpr int kMaxSchedulePoints = 100'000;
 /// Largest force of a load and largest pressure that is accepted [N, Pa].

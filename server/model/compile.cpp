@@ -30,9 +30,9 @@ class Compiler {
     TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kOrderNodes));
     make_wedge_pairs(c_);
     make_layout();
-    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kSupports));
+    TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kBoundaryConditions));
     TM_RETURN_IF_ERROR(fill_row_fields(c_));
-    TM_RETURN_IF_ERROR(fill_supports_and_loads(c_));
+    TM_RETURN_IF_ERROR(fill_boundary_conditions(c_));
     TM_RETURN_IF_ERROR(progress_.begin(LoadPart::kElements));
     TM_RETURN_IF_ERROR(group_elements(c_));
     TM_RETURN_IF_ERROR(list_elements_of_rows(c_));
@@ -43,7 +43,6 @@ class Compiler {
       TM_RETURN_IF_ERROR(make_visible_surface(c_));
     }
     warn_of_loose_bodies();
-    list_stages();
     return std::move(model_);
   }
 
@@ -52,7 +51,7 @@ class Compiler {
   void make_layout() {
     merged_.blocks.push_back(wedge_pair_block(c_));
     const auto nodes = static_cast<std::uint32_t>(merged_.nodes.size());
-    model_.layout = tensor::make_layout(merged_, policy_.count(nodes), policy_.storage_of(nodes));
+    model_.layout = matrix::make_layout(merged_, policy_.count(nodes), policy_.storage_of(nodes));
     merged_.blocks.pop_back();
   }
 
@@ -251,9 +250,9 @@ class Compiler {
     } lists[] = {
         {"sets", body.sets_size(), limits::kMaxSets, "kMaxSets"},
         {"law_regions", body.law_regions_size(), limits::kMaxLawRegions, "kMaxLawRegions"},
-        {"fixed", body.fixed_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
-        {"prescribed", body.prescribed_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
-        {"loads", body.loads_size(), limits::kMaxSupportsAndLoads, "kMaxSupportsAndLoads"},
+        {"fixed", body.fixed_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
+        {"prescribed", body.prescribed_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
+        {"loads", body.loads_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
     };
     for (const auto& list : lists) {
       if (static_cast<std::size_t>(list.count) <= list.most) continue;
@@ -357,40 +356,6 @@ class Compiler {
     }
   }
 
-  /// Exactly what this scene needs, in order.
-  void list_stages() {
-    const auto add = [&](bool needed, StageKind kind, Phase phase, std::uint32_t group = 0) {
-      if (needed) model_.stages.push_back({kind, phase, group});
-    };
-    const bool tools = !model_.tools.empty(), plain = model_.is_plain(), iterates = model_.iterates();
-    add(!plain, StageKind::kPredict, Phase::kBegin);
-    add(!model_.driven.driven.empty(), StageKind::kDrive, Phase::kBegin);
-    add(tools, StageKind::kDetectContact, Phase::kEvaluate);
-    add(tools, StageKind::kRespondContact, Phase::kEvaluate);
-    const bool edges = model_.layout.storage == tensor::Storage::kEdges;
-    add(edges, StageKind::kAssemble, Phase::kEvaluate);  // what elements then add to
-    for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
-      add(!model_.groups[g].is_constant, StageKind::kElements, Phase::kEvaluate, g);
-    }
-    add(!model_.begun_slices.empty(), StageKind::kAssemble, Phase::kEvaluate);  // what elements leave to be finished
-    add(edges && !model_.external.empty(), StageKind::kExternalForces, Phase::kEvaluate);
-    add(!model_.pressure.faces.empty(), StageKind::kPressure, Phase::kEvaluate);
-    add(tools, StageKind::kAssembleContact, Phase::kEvaluate);
-    add(iterates, StageKind::kMeasureResidual, Phase::kEvaluate);
-    add(true, StageKind::kFactorize, Phase::kSolve);
-    add(true, StageKind::kScaleEdges, Phase::kSolve);
-    add(true, StageKind::kSolve, Phase::kSolve);
-    add(true, StageKind::kAdvance, Phase::kSolve);
-    add(iterates, StageKind::kBacktrack, Phase::kBacktrack);
-    add(tools && !plain, StageKind::kDetectContact, Phase::kEnd);  // as it is at the end of the step
-    add(tools && !plain, StageKind::kRespondContact, Phase::kEnd);
-    add(tools, StageKind::kMeasureContact, Phase::kEnd);
-    for (std::uint32_t g = 0; g < model_.groups.size(); ++g) {
-      add(model_.groups[g].checks_volume, StageKind::kCheckVolume, Phase::kEnd, g);
-    }
-    for (std::uint32_t g = 0; g < model_.groups.size(); ++g) add(true, StageKind::kWatch, Phase::kWatch, g);
-  }
-
   Compilation c_;
   const PatchPolicy policy_;
   const Progress& progress_;
@@ -408,9 +373,9 @@ std::uint32_t PatchPolicy::count(std::uint32_t node_count) const {
   return std::clamp(std::max(std::min(most, usual_patches), least), 1u, std::max(max_patches, 1u));
 }
 
-tensor::Storage PatchPolicy::storage_of(std::uint32_t node_count) const {
-  const bool tiles = storage == tensor::Storage::kRows && (node_count - 1) / count(node_count) >= tiles_beyond_nodes;
-  return tiles ? tensor::Storage::kTiles : storage;
+matrix::Storage PatchPolicy::storage_of(std::uint32_t node_count) const {
+  const bool tiles = storage == matrix::Storage::kRows && (node_count - 1) / count(node_count) >= tiles_beyond_nodes;
+  return tiles ? matrix::Storage::kTiles : storage;
 }
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {

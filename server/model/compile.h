@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <limits>
 
 #include "core/result.h"
@@ -14,16 +15,18 @@ namespace tensormass::model {
 struct PatchPolicy {
   std::uint32_t max_patches = 1;
   std::uint32_t min_nodes_per_patch = 1;
-  tensor::Storage storage = tensor::Storage::kRows;
-  /// As many as are wanted where the numbers of nodes leave a choice.
+  matrix::Storage storage = matrix::Storage::kRows;
+  /// Patches to make where the limits on nodes leave a choice.
   std::uint32_t usual_patches = std::numeric_limits<std::uint32_t>::max();
   std::uint32_t max_nodes_per_patch = std::numeric_limits<std::uint32_t>::max();
-  /// Patches of more nodes than this are kTiles in place of kRows.
+  /// Patches with more nodes than this store tiles (kTiles) instead of rows (kRows).
   std::uint32_t tiles_beyond_nodes = std::numeric_limits<std::uint32_t>::max();
-  /// In single precision a solve has its vectors near, in no buffer of the scene, and can check the volume of
-  /// tetrahedra, if no patch has more rows than this, those of its halo included.
+  /// In single precision a solve keeps its vectors in shared memory and can check the volume of tetrahedra if no patch
+  /// has more rows than this, halo included.
   std::uint32_t solve_keeps_rows = 0;
-  tensor::Storage storage_of(std::uint32_t node_count) const;
+  /// Called once in single precision with storage by rows: who runs the solve. Empty: its stages.
+  std::function<SolveKind(const matrix::Layout&)> solve_of = {};
+  matrix::Storage storage_of(std::uint32_t node_count) const;
   std::uint32_t count(std::uint32_t node_count) const;
 };
 

@@ -78,15 +78,15 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
 Result<void> fill_row_fields(Compilation& c);
 
 /// Fixed and prescribed nodes, forces, tractions, pressures, gravity, initial displacements and velocities.
-Result<void> fill_supports_and_loads(Compilation& c);
+Result<void> fill_boundary_conditions(Compilation& c);
 
 /// Linear laws go into constant tensors; every element goes into a group.
 Result<void> group_elements(Compilation& c);
 
-/// Where rows evaluate their elements: which.
+/// With storage by rows: lists the elements that each row evaluates.
 Result<void> list_elements_of_rows(Compilation& c);
 
-/// What the solve does itself if patches are small enough: where its vectors are, and which volumes it checks.
+/// Decides who runs the solve, where its vectors live, and which volumes it checks at its end.
 void equip_solve(Compilation& c, const PatchPolicy& policy);
 
 void make_contact_surface(Compilation& c);

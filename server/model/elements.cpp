@@ -7,19 +7,19 @@
 #include <fmt/format.h>
 
 #include "core/parallel.h"
+#include "matrix/row_elements.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 #include "model/wedge_pairs.h"
 #include "physics/element/element.h"
-#include "tensor/row_elements.h"
 
 namespace tensormass::model {
 
 namespace {
 
 using physics::Quadrature;
-using tensor::kSliceRows;
+using view::kSliceRows;
 
 /// Elements that a thread takes at a time.
 constexpr std::size_t kGrain = 16384;
@@ -89,7 +89,7 @@ std::vector<std::uint32_t> elements_of_places(const std::vector<std::uint32_t>& 
   return out;
 }
 
-tensor::ElementRows rows_of(const ElementGroup& group) {
+matrix::ElementRows rows_of(const ElementGroup& group) {
   return {static_cast<std::uint32_t>(group.rows.size() / group.stride), group.element_count, group.stride, group.rows};
 }
 
@@ -97,7 +97,7 @@ tensor::ElementRows rows_of(const ElementGroup& group) {
 template <class Shape>
 void add_constant_tensors(Compilation& c, const Material& material, std::span<const std::uint32_t> nodes,
                           const physics::ElementAtRest<Shape>& rest) {
-  const tensor::Layout& layout = c.model.layout;
+  const matrix::Layout& layout = c.model.layout;
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if constexpr (Law::kConstantStiffness) {
@@ -127,7 +127,7 @@ void add_constant_tensors(Compilation& c, const Material& material, std::span<co
 }  // namespace
 
 Result<void> fill_row_fields(Compilation& c) {
-  const tensor::Layout& layout = c.model.layout;
+  const matrix::Layout& layout = c.model.layout;
   const std::size_t rows = layout.row_count;
   const bool inertia = c.model.integrator != Integrator::kQuasiStatic;
   c.model.rest.assign(4 * rows, 0);
@@ -192,7 +192,7 @@ Result<void> fill_row_fields(Compilation& c) {
 }
 
 Result<void> group_elements(Compilation& c) {
-  const tensor::Layout& layout = c.model.layout;
+  const matrix::Layout& layout = c.model.layout;
   std::vector<std::vector<physics::PronyTerm>> memories{{}};
   const auto memory_of = [&](const std::vector<physics::PronyTerm>& terms) {
     const auto found = std::find(memories.begin(), memories.end(), terms);
@@ -273,9 +273,9 @@ Result<void> group_elements(Compilation& c) {
       group.checks_volume = Law::kInversion == physics::Inversion::kCaught && elements.partners.empty();
     });
     group.element_count = static_cast<std::uint32_t>(elements.elements.size());
-    const bool edges = layout.storage == tensor::Storage::kEdges;
+    const bool edges = layout.storage == matrix::Storage::kEdges;
     const auto by_patch =
-        edges ? tensor::order_by_patch(layout, elements.rows, elements.nodes) : tensor::PatchElements{};
+        edges ? matrix::order_by_patch(layout, elements.rows, elements.nodes) : matrix::PatchElements{};
     const std::vector<std::uint32_t> order = edges ? by_patch.order : order_by_first_row(elements.rows, elements.nodes);
     group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
     group.is_constant = key.constant;
@@ -293,7 +293,7 @@ Result<void> group_elements(Compilation& c) {
     group.parameters = placed(elements.parameters);
     group.patch_elements = by_patch.ranges;
     if (edges && !key.constant) {
-      group.pair_places = tensor::pair_places(layout, by_patch, group.rows, elements.nodes);
+      group.pair_places = matrix::pair_places(layout, by_patch, group.rows, elements.nodes);
     }
     c.model.groups.push_back(std::move(group));
   }
@@ -302,35 +302,36 @@ Result<void> group_elements(Compilation& c) {
 
 void equip_solve(Compilation& c, const PatchPolicy& policy) {
   Model& model = c.model;
-  if (model.layout.storage == tensor::Storage::kEdges || model.double_precision) return;
+  if (model.layout.storage == matrix::Storage::kEdges || model.double_precision) return;
   const std::uint32_t rows = model.layout.largest_patch();
+  if (policy.solve_of) model.solve = policy.solve_of(model.layout);
   model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;
-  // A solve of many in a step does not know where the step ends; and PatchTetrahedra has 16 bits for a row.
+  // With Newton iterations a solve does not know whether it is the step's last. PatchTetrahedra has 16 bits for a row.
   if (model.iterates() || !model.solve_keeps_vectors || rows > 0xFFFF) return;
-  std::vector<tensor::ElementRows> tetrahedra;
+  std::vector<matrix::ElementRows> tetrahedra;
   for (ElementGroup& group : model.groups) {
     if (!group.checks_volume || group.shape != physics::index_of<physics::LinearTetrahedron>(physics::Shapes{}))
       continue;
     group.solve_checks_volume = true;
     tetrahedra.push_back(rows_of(group));
   }
-  if (!tetrahedra.empty()) model.checked = tensor::share_out_tetrahedra(model.layout, tetrahedra);
+  if (!tetrahedra.empty()) model.checked = matrix::share_out_tetrahedra(model.layout, tetrahedra);
 }
 
 Result<void> list_elements_of_rows(Compilation& c) {
   Model& model = c.model;
-  if (model.layout.storage == tensor::Storage::kEdges) return {};  // elements write into the matrix
-  if (const std::uint32_t widest = model.layout.widest_slice(); widest >= tensor::own_place(16)) {
+  if (model.layout.storage == matrix::Storage::kEdges) return {};  // elements write into the matrix
+  if (const std::uint32_t widest = model.layout.widest_slice(); widest >= matrix::own_place(16)) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("a node has {} neighbours, and rows of the matrix hold fewer than {}; "
                             "split the elements around it",
-                            widest, tensor::own_place(16)));
+                            widest, matrix::own_place(16)));
   }
-  std::vector<tensor::ElementRows> rows;  // the first groups, as those are refreshed
+  std::vector<matrix::ElementRows> rows;  // the first groups, as those are refreshed
   for (const ElementGroup& group : model.groups) {
     if (!group.is_constant) rows.push_back(rows_of(group));
   }
-  tensor::GroupRowLists lists = tensor::make_row_lists(model.layout, rows, model.constant_edges.empty());
+  matrix::GroupRowLists lists = matrix::make_row_lists(model.layout, rows, model.constant_edges.empty());
   for (std::size_t g = 0; g < rows.size(); ++g) model.groups[g].row_lists = std::move(lists.groups[g]);
   model.begun_slices = std::move(lists.begun_slices);
   return {};

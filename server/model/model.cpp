@@ -14,17 +14,4 @@ Vec3<double> Prescribed::at(double time) const {
   return displacement_m * (factor[i - 1] + share * (factor[i] - factor[i - 1]));
 }
 
-tensor::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first) {
-  switch (integrator) {
-    case Integrator::kBdf2:  // (3 y' − 4 y + y₋₁) / (2 dt) = ẏ', solved for y'
-      if (first) break;      // one step of order one costs no order
-      return {2 * dt_s / 3, {4.0 / 3, -1.0 / 3}, {4.0 / 3, -1.0 / 3}};
-    case Integrator::kQuasiStatic:  // "velocity" is the change of the displacement in a step
-      return {1, {1, 0}, {0, 0}};
-    case Integrator::kImplicitEuler:
-      break;
-  }
-  return {dt_s, {1, 0}, {1, 0}};
-}
-
 }  // namespace tensormass::model

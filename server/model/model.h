@@ -6,56 +6,23 @@
 #include <string>
 #include <vector>
 
+#include "matrix/layout.h"
+#include "matrix/patch_tetrahedra.h"
+#include "matrix/row_lists.h"
 #include "mesh/mesh.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
-#include "tensor/layout.h"
-#include "tensor/patch_tetrahedra.h"
-#include "tensor/row_lists.h"
+#include "solver/time_scheme.h"
 
 /// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
 /// means that the scene has no use for it; no backend allocates a buffer for it.
 namespace tensormass::model {
 
-/// What a step can consist of, in the order in which the stages run; but kAssemble comes before kElements where these
-/// add to the matrix (Storage::kEdges), and contact is detected once more at the end of a step that is not plain.
-enum class StageKind : std::uint8_t {
-  kPredict,
-  kDrive,
-  kDetectContact,
-  kRespondContact,
-  kElements,  ///< once for each element group whose tensors change
-  kAssemble,
-  kExternalForces,
-  kPressure,
-  kAssembleContact,
-  kMeasureResidual,
-  kFactorize,
-  kScaleEdges,
-  kSolve,
-  kAdvance,
-  kBacktrack,
-  kMeasureContact,
-  kCheckVolume,  ///< once for each element group whose law must not turn inside out
-  kWatch,        ///< once for each element group; not part of a step
-};
-
-/// Where a step's stages stand when it solves more than once (backend/newton.h); a step that is linearized once
-/// runs them all in a row.
-enum class Phase : std::uint8_t {
-  kBegin,      ///< once
-  kEvaluate,   ///< forces and matrix where the step stands now
-  kSolve,      ///< the linear solve and a full step of it
-  kBacktrack,  ///< instead of the full step, a part
-  kEnd,        ///< once
-  kWatch,      ///< not part of a step: now and then
-};
-inline constexpr int kPhases = 6;
-
-struct Stage {
-  StageKind kind;
-  Phase phase;
-  std::uint32_t group = 0;  ///< of kElements, kCheckVolume and kWatch
+/// Who runs the linear solve and what belongs to it (step/stages.h).
+enum class SolveKind : std::uint8_t {
+  kStages,    ///< scaling, conjugate gradients and `advance` are stages
+  kResident,  ///< one GPU kernel for all of them; the matrix stays on the chip
+  kStreamed,  ///< one GPU kernel; the matrix comes from memory in each iteration
 };
 
 /// Elements of one (shape, law); of one body if the law is linear or has a memory.
@@ -76,7 +43,7 @@ struct ElementGroup {
   std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
   std::vector<double> rest;             ///< [point_count][rest reals][stride]
   std::vector<double> parameters;       ///< [law parameters][stride]
-  tensor::RowLists row_lists;           ///< but for Storage::kEdges, of refreshed tensors
+  matrix::RowLists row_lists;           ///< but for Storage::kEdges, of refreshed tensors
   // Only with Storage::kEdges, see ElementView:
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
@@ -84,22 +51,22 @@ struct ElementGroup {
   bool checks_volume = false;
   bool solve_checks_volume = false;  ///< with Model::checked, in place of a stage
 
-  /// Of an element's record (tensor::record_reals).
+  /// Of an element's record (view::record_reals).
   std::uint32_t record_reals() const {
-    return tensor::record_reals(static_cast<std::uint32_t>(rest.size() / stride / point_count), point_count,
-                                static_cast<std::uint32_t>(parameters.size() / stride));
+    return view::record_reals(static_cast<std::uint32_t>(rest.size() / stride / point_count), point_count,
+                              static_cast<std::uint32_t>(parameters.size() / stride));
   }
   bool is_wedge_pairs() const { return !partners.empty(); }
   /// Of Γ_i, [point_count][prony][6][stride].
-  std::size_t history_reals() const {
+  std::size_t internal_variable_reals() const {
     return std::size_t{point_count} * prony.size() * physics::kSymmetricReals * stride;
   }
 };
 
-/// Nodes that are driven, in rows; grouped by the patch that owns them.
-struct DrivenRows {
-  std::vector<std::uint32_t> patch_driven;  ///< [patch_count + 1]
-  std::vector<std::uint32_t> driven;        ///< [.., 3] row, index into Model::prescribed, bits of the directions
+/// Rows with prescribed displacements, grouped by the patch that owns them.
+struct PrescribedRows {
+  std::vector<std::uint32_t> patch_begin;  ///< [patch_count + 1] into rows
+  std::vector<std::uint32_t> rows;         ///< [.., 3] row, index into Model::prescribed, bits of the directions
 };
 
 /// A displacement over time, the same for all of its nodes.
@@ -111,11 +78,11 @@ struct Prescribed {
 
 /// Boundary faces under pressure, in rows, and the corners of each row in them; grouped by patch.
 struct PressureSurface {
-  std::vector<tensor::PressureFace<double>> faces;
-  std::vector<std::uint32_t> patch_pressed;    ///< [patch_count + 1]
-  std::vector<std::uint32_t> pressed_rows;     ///< [pressed row]
-  std::vector<std::uint32_t> pressed_begin;    ///< [pressed row + 1]
-  std::vector<std::uint32_t> pressed_corners;  ///< [.., 2] face, corner
+  std::vector<view::PressureFace<double>> faces;
+  std::vector<std::uint32_t> patch_begin;   ///< [patch_count + 1] into rows
+  std::vector<std::uint32_t> rows;          ///< [pressed row]
+  std::vector<std::uint32_t> corner_begin;  ///< [pressed row + 1] into corners
+  std::vector<std::uint32_t> corners;       ///< [.., 2] face, corner
 };
 
 /// Tissue boundary for contact, in rows; grouped by the patch that owns it.
@@ -167,10 +134,7 @@ struct ToolModel {
   std::array<double, 4> initial_orientation{1, 0, 0, 0};  ///< w x y z
 };
 
-enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
-
-/// Of a step; the first one has no step before it.
-tensor::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first);
+using solver::Integrator;
 
 struct Model {
   std::string name;
@@ -195,34 +159,35 @@ struct Model {
   std::vector<ToolModel> tools;
   std::vector<std::string> warnings;
 
-  tensor::Layout layout;
+  matrix::Layout layout;
   std::vector<std::uint8_t> begun_slices;  ///< see SceneView; but for Storage::kEdges
   std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
-  bool solve_keeps_vectors = false;        ///< near, in no buffer
-  tensor::PatchTetrahedra checked;         ///< by the solve; empty: stages check
-  std::vector<double> constant_edges;      ///< [slot] 3×3, blocked as SceneView; empty without linear laws
-  std::vector<double> mass_edges;          ///< [slot] kg; empty for lumped mass
-  double size_m = 0;                       ///< diagonal of the box around the scene at rest
-  std::vector<double> rest;                ///< [row_count, 4]
-  std::vector<double> inertia;             ///< [row_count, 4] as SceneView
-  std::vector<double> row_mass;            ///< [row_count] kg, also where inertia leaves it out (quasi-static)
-  std::vector<double> external;            ///< [row_count, 4]; empty without gravity and loads
+  SolveKind solve = SolveKind::kStages;
+  bool solve_keeps_vectors = false;    ///< the solve's vectors stay in shared memory; no buffer exists for them
+  matrix::PatchTetrahedra checked;     ///< by the solve; empty: stages check
+  std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
+  std::vector<double> mass_edges;      ///< [slot] kg; empty for lumped mass
+  double size_m = 0;                   ///< diagonal of the box around the scene at rest
+  std::vector<double> rest;            ///< [row_count, 4]
+  std::vector<double> inertia;         ///< [row_count, 4] as SceneView
+  std::vector<double> row_mass;        ///< [row_count] kg, also where inertia leaves it out (quasi-static)
+  std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
   /// [row_count, 4] m, m/s; empty: at rest.
   std::vector<double> initial_displacement, initial_velocity;
-  DrivenRows driven;
+  PrescribedRows prescribed_rows;
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
   ContactSurface contact;  ///< empty without tools
   VisibleSurface visible;  ///< empty without frames
 
-  std::vector<Stage> stages;
-
   /// More than one linearized solve a step.
   bool iterates() const { return newton_max_iterations > 1; }
-  /// Implicit Euler linearized once: needs no û and no v̂, unless nodes are driven. Their own velocity then differs from
-  /// the v̂ that neighbours with a consistent mass feel, and is written before the end of a plain step would put the
-  /// state that it began with aside.
-  bool is_plain() const { return integrator == Integrator::kImplicitEuler && !iterates() && driven.driven.empty(); }
+  /// Implicit Euler linearized once, without prescribed displacements: such a step needs neither û nor v̂
+  /// (view/state.h). The velocity of a prescribed node differs from the v̂ that its neighbours feel through a consistent
+  /// mass. It is also written before a plain step would save its checkpoint.
+  bool is_plain() const {
+    return integrator == Integrator::kImplicitEuler && !iterates() && prescribed_rows.rows.empty();
+  }
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

@@ -19,7 +19,7 @@ PartText text(LoadPart part) {
       return {"checking the mesh", 0.05, kBodies};
     case LoadPart::kOrderNodes:
       return {"ordering nodes", kBodies, 0};
-    case LoadPart::kSupports:
+    case LoadPart::kBoundaryConditions:
       return {"supports and loads", 0.5, 0};
     case LoadPart::kElements:
       return {"elements", 0.55, 0};

@@ -9,7 +9,15 @@
 namespace tensormass::model {
 
 /// The parts of a load that take time, in their order.
-enum class LoadPart : std::uint8_t { kReadMesh, kCheckMesh, kOrderNodes, kSupports, kElements, kSurfaces, kBuffers };
+enum class LoadPart : std::uint8_t {
+  kReadMesh,
+  kCheckMesh,
+  kOrderNodes,
+  kBoundaryConditions,
+  kElements,
+  kSurfaces,
+  kBuffers
+};
 
 /// How far a load is. Told on the thread that loads, at the begin of each part.
 class Progress {

@@ -12,7 +12,7 @@
 namespace tensormass::model {
 
 void make_contact_surface(Compilation& c) {
-  const tensor::Layout& layout = c.model.layout;
+  const matrix::Layout& layout = c.model.layout;
   const mesh::Surface surface = mesh::boundary(c.merged);
   ContactSurface& out = c.model.contact;
   const auto row_of = [&](std::uint32_t vertex) { return layout.row_of_node[surface.nodes[vertex]]; };
@@ -38,7 +38,7 @@ void make_contact_surface(Compilation& c) {
       out.triangle_rows.push_back(row_of(corners[i]));
       out.vertex_of_corner.push_back(place[corners[i]]);
       const std::uint32_t neighbour = surface.neighbours[triangle][i];
-      out.triangle_neighbours.push_back(neighbour == mesh::kNone ? tensor::kNoTriangle : triangle_place[neighbour]);
+      out.triangle_neighbours.push_back(neighbour == mesh::kNone ? view::kNoTriangle : triangle_place[neighbour]);
       x[i] = c.merged.nodes[surface.nodes[corners[i]]];
     }
     out.triangle_area.push_back(0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm());

@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "tensor/edges.h"
-#include "tensor/view.h"
+#include "matrix/edges.h"
+#include "view/scene.h"
 
 /// Conjugate gradients on Â x = b̂, written for one patch. Each iteration communicates once.
 ///
@@ -20,8 +20,9 @@ namespace tensormass::solver {
 template <class Real>
 class Recurrence {
  public:
-  TM_HOST_DEVICE explicit Recurrence(const tensor::SceneView<Real>& s)
-      : tolerance_squared_(s.cg_tolerance * s.cg_tolerance), max_iterations_(s.control->cg_max_iterations) {}
+  TM_HOST_DEVICE Recurrence(const view::StateView<Real>& state, const view::SolveView<Real>& solve)
+      : tolerance_squared_(solve.cg_tolerance * solve.cg_tolerance),
+        max_iterations_(state.control->cg_max_iterations) {}
 
   /// The sums of an iteration. False: the solve ends before its update.
   TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr) {
@@ -41,11 +42,11 @@ class Recurrence {
   TM_HOST_DEVICE bool goes_on() const {
     return iterations_ < max_iterations_ && !(rr_next_ <= tolerance_squared_ * first_rr_);
   }
-  TM_HOST_DEVICE void report(const tensor::SceneView<Real>& s) const {
+  TM_HOST_DEVICE void report(const view::SolveView<Real>& solve) const {
     using std::sqrt;
-    s.solve_report->relative_residual = first_rr_ == 0 ? Real(0) : sqrt(rr_next_ / first_rr_);
-    s.solve_report->iterations = iterations_;
-    s.solve_report->negative_curvature = negative_curvature_ ? 1 : 0;
+    solve.report->relative_residual = first_rr_ == 0 ? Real(0) : sqrt(rr_next_ / first_rr_);
+    solve.report->iterations = iterations_;
+    solve.report->negative_curvature = negative_curvature_ ? 1 : 0;
   }
 
   TM_HOST_DEVICE Real alpha() const { return alpha_; }
@@ -62,15 +63,18 @@ class Recurrence {
 
 /// Reads edges, rhs; writes solution, residual, direction, product, own_product, reduction, solve_report.
 template <class Team, class Real>
-TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::SceneView<Real>& s) {
+TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
+                                                   const view::StateView<Real>& state,
+                                                   const view::MatrixView<Real>& matrix,
+                                                   const view::SolveView<Real>& solve) {
   using Lanes = typename Team::template Lanes<Real>;
   using T = typename Lanes::Scalar;
-  const tensor::Patch patch = tensor::patch_of(s, team.patch());
-  Real* r = s.residual + 4 * patch.local_begin;
-  Real* p = s.direction + 4 * patch.local_begin;
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  Real* r = solve.residual + 4 * patch.local_begin;
+  Real* p = solve.direction + 4 * patch.local_begin;
 
   const auto start_from = [&](std::uint32_t local, std::uint32_t row) {
-    const Real* b = s.rhs + std::size_t{4} * row;
+    const Real* b = matrix.rhs + std::size_t{4} * row;
     for (int c = 0; c < 4; ++c) {
       // The fourth is nothing, and stays zero whatever a solve that left the numbers behind has made of it.
       r[std::size_t{4} * local + c] = p[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
@@ -80,12 +84,12 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     const std::size_t row = std::size_t{patch.row_begin} + local;
     start_from(local, patch.row_begin + local);
     for (int c = 0; c < 4; ++c) {
-      s.solution[4 * row + c] = 0;
-      if (tensor::stores_edges(s)) s.own_product[4 * row + c] = 0;
+      solve.solution[4 * row + c] = 0;
+      if (matrix::stores_edges(matrix)) solve.own_product[4 * row + c] = 0;
     }
   });
   team.for_each(0, patch.halo_count,
-                [&](std::uint32_t h) { start_from(patch.own() + h, s.halo[patch.halo_begin + h]); });
+                [&](std::uint32_t h) { start_from(patch.own() + h, patches.halo[patch.halo_begin + h]); });
   team.sync();
 
   // r · r of the own rows is summed where r is made.
@@ -94,31 +98,31 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
     const T residual = Lanes::load(r + c);
     sum_rr += residual * residual;
   });
-  Recurrence<Real> recurrence(s);
+  Recurrence<Real> recurrence(state, solve);
   do {
     const std::uint32_t iteration = recurrence.iterations();
-    Real* product = s.product + std::size_t{iteration & 1} * 4 * s.row_count;
+    Real* product = solve.product + std::size_t{iteration & 1} * 4 * patches.row_count;
     Real* own_product = product + std::size_t{4} * patch.row_begin;
     T sum_pq = T(0), sum_qq = T(0);
     if constexpr (requires { Team::kOneThread; }) {
-      if (tensor::stores_edges(s)) {
-        own_product = s.own_product + std::size_t{4} * patch.row_begin;
-        tensor::multiply_edges<Lanes>(s, patch, p, own_product);
-        tensor::publish_product<Lanes>(s, patch, p, own_product, product, sum_pq, sum_qq);
+      if (matrix::stores_edges(matrix)) {
+        own_product = solve.own_product + std::size_t{4} * patch.row_begin;
+        matrix::multiply_edges<Lanes>(matrix, patch, p, own_product);
+        matrix::publish_product<Lanes>(matrix, patch, p, own_product, product, sum_pq, sum_qq);
       }
     }
-    if (!tensor::stores_edges(s)) {
+    if (!matrix::stores_edges(matrix)) {
       team.template for_lanes<Lanes::kWidth>(0, patch.own(), [&](std::uint32_t local) {
         const std::uint32_t row = patch.row_begin + local;
-        const std::uint32_t slice = row / tensor::kSliceRows, lane = row % tensor::kSliceRows;
+        const std::uint32_t slice = row / view::kSliceRows, lane = row % view::kSliceRows;
         const Vec3<T> own = Lanes::load3(p, local);
         Vec3<T> q = own;
         TM_UNROLL(4)
-        for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
-          const Real* block = s.edges + std::size_t{j} * (9 * tensor::kSliceRows) + lane;
-          const Vec3<T> x = Lanes::gather3(p, s.columns + std::size_t{j} * tensor::kSliceRows + lane);
+        for (std::uint32_t j = matrix.slice_begin[slice]; j < matrix.slice_begin[slice + 1]; ++j) {
+          const Real* block = matrix.edges + std::size_t{j} * (9 * view::kSliceRows) + lane;
+          const Vec3<T> x = Lanes::gather3(p, matrix.columns + std::size_t{j} * view::kSliceRows + lane);
           for (int i = 0; i < 3; ++i) {
-            for (int c = 0; c < 3; ++c) q[i] += Lanes::load(block + (3 * i + c) * tensor::kSliceRows) * x[c];
+            for (int c = 0; c < 3; ++c) q[i] += Lanes::load(block + (3 * i + c) * view::kSliceRows) * x[c];
           }
         }
         Lanes::store3(product, row, q);
@@ -127,7 +131,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
       });
     }
     Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(sum_qq), Lanes::sum(sum_rr)};
-    team.exchange(sums, s.reduction + std::size_t{iteration & 1} * 4 * s.patch_count);
+    team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
     if (!recurrence.take(sums[0], sums[1], sums[2])) break;
     const Real alpha = recurrence.alpha(), beta = recurrence.beta();
     // Component by component: rows are of four, of which the last stays zero.
@@ -136,23 +140,23 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const tensor::Sce
       const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
       const T direction = Lanes::load(p + c);
       const T residual = Lanes::load(r + c) - Lanes::load(own_product + c) * T(alpha);
-      Lanes::store(s.solution + of_scene, Lanes::load(s.solution + of_scene) + direction * T(alpha));
+      Lanes::store(solve.solution + of_scene, Lanes::load(solve.solution + of_scene) + direction * T(alpha));
       Lanes::store(r + c, residual);
       Lanes::store(p + c, residual + direction * T(beta));
       sum_rr += residual * residual;
-      if (tensor::stores_edges(s)) Lanes::store(own_product + c, T(0));  // what multiply_edges adds to
+      if (matrix::stores_edges(matrix)) Lanes::store(own_product + c, T(0));  // what multiply_edges adds to
     });
     team.for_each(0, patch.halo_count, [&](std::uint32_t h) {
       const std::uint32_t local = patch.own() + h;
-      const Vec3<Real> q = tensor::load3<Real>(product, s.halo[patch.halo_begin + h]);
-      const Vec3<Real> residual = tensor::load3<Real>(r, local) - q * alpha;
-      tensor::store3<Real>(r, local, residual);
-      tensor::store3<Real>(p, local, residual + tensor::load3<Real>(p, local) * beta);
+      const Vec3<Real> q = view::load3<Real>(product, patches.halo[patch.halo_begin + h]);
+      const Vec3<Real> residual = view::load3<Real>(r, local) - q * alpha;
+      view::store3<Real>(r, local, residual);
+      view::store3<Real>(p, local, residual + view::load3<Real>(p, local) * beta);
     });
     team.sync();
   } while (recurrence.goes_on());
 
-  if (team.leads()) recurrence.report(s);
+  if (team.leads()) recurrence.report(solve);
 }
 
 }  // namespace tensormass::solver

@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "tensor/edges.h"
-#include "tensor/view.h"
+#include "matrix/edges.h"
+#include "view/scene.h"
 
 /// Block-Jacobi preconditioning folded into the matrix: with the Cholesky factors D_i = L_i L_iᵀ of the diagonal
 /// blocks,
@@ -55,8 +55,8 @@ TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
 
 /// s of a row, see above.
 template <class Real>
-TM_HOST_DEVICE Real body_weight(const tensor::SceneView<Real>& s, std::size_t row) {
-  return s.inertia[4 * row + 3];
+TM_HOST_DEVICE Real body_weight(const view::StateView<Real>& state, std::size_t row) {
+  return state.inertia[4 * row + 3];
 }
 
 /// L⁻¹ of a row whose diagonal block has the upper triangle `d`; zeros in the directions that are not free.
@@ -75,29 +75,31 @@ TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real*
 
 /// b̂ of a row whose L⁻¹ is `factor`.
 template <class Real>
-TM_HOST_DEVICE Vec3<Real> scaled_rhs(const tensor::SceneView<Real>& s, std::size_t row, const Mat3<Real>& factor) {
-  return factor * tensor::load3<Real>(s.rhs, row) * body_weight(s, row);
+TM_HOST_DEVICE Vec3<Real> scaled_rhs(const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
+                                     std::size_t row, const Mat3<Real>& factor) {
+  return factor * view::load3<Real>(matrix.rhs, row) * body_weight(state, row);
 }
 
 /// Δv of a row from its x.
 template <class Real>
-TM_HOST_DEVICE Vec3<Real> unscaled(const tensor::SceneView<Real>& s, std::size_t row, const Mat3<Real>& factor,
+TM_HOST_DEVICE Vec3<Real> unscaled(const view::StateView<Real>& state, std::size_t row, const Mat3<Real>& factor,
                                    const Vec3<Real>& x) {
-  const Real weight = body_weight(s, row);
+  const Real weight = body_weight(state, row);
   const Vec3<Real> weighted = factor.transpose() * x;
   return {quotient(weighted[0], weight), quotient(weighted[1], weight), quotient(weighted[2], weight)};
 }
 
 /// Replaces diagonal by L⁻¹ and rhs by b̂.
 template <class Team, class Real>
-TM_HOST_DEVICE void factorize(const Team& team, const tensor::SceneView<Real>& s) {
-  const tensor::Patch patch = tensor::patch_of(s, team.patch());
+TM_HOST_DEVICE void factorize(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                              const view::MatrixView<Real>& matrix) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    Real* d = s.diagonal + std::size_t{8} * row;
+    Real* d = matrix.diagonal + std::size_t{8} * row;
     Real inverse[6];
-    inverse_factor(d, tensor::free_bits(s, row), inverse);
+    inverse_factor(d, view::free_bits(state, row), inverse);
     for (int c = 0; c < 6; ++c) d[c] = inverse[c];
-    tensor::store3<Real>(s.rhs, row, scaled_rhs(s, row, lower(inverse)));
+    view::store3<Real>(matrix.rhs, row, scaled_rhs(state, matrix, row, lower(inverse)));
   });
 }
 
@@ -118,25 +120,26 @@ TM_HOST_DEVICE void scale_block(const T* l_i, T* block, const T* l_j) {
   }
 }
 
-/// Replaces the edges of a patch by Â_ij, whose components then lie apart (tensor/edges.h).
+/// Replaces the edges of a patch by Â_ij, whose components then lie apart (matrix/edges.h).
 template <class Lanes, class Real>
-TM_FLATTEN void scale_edge_slices(const tensor::SceneView<Real>& s, const tensor::Patch& patch) {
+TM_FLATTEN void scale_edge_slices(const view::PatchesView& patches, const view::MatrixView<Real>& matrix,
+                                  const view::Patch& patch) {
   using T = typename Lanes::Scalar;
-  using tensor::kEdgeSliceRows;
+  using matrix::kEdgeSliceRows;
   constexpr std::uint32_t kTile = 9 * kEdgeSliceRows;
   for (std::uint32_t slice = patch.row_begin / kEdgeSliceRows; slice < patch.row_end / kEdgeSliceRows; ++slice) {
-    for (std::uint32_t j = s.slice_begin[slice]; j < s.slice_begin[slice + 1]; ++j) {
+    for (std::uint32_t j = matrix.slice_begin[slice]; j < matrix.slice_begin[slice + 1]; ++j) {
       Real blocks[kTile];
-      Real* tile = s.edges + std::size_t{j} * kTile;
+      Real* tile = matrix.edges + std::size_t{j} * kTile;
       std::memcpy(blocks, tile, sizeof blocks);
       for (std::uint32_t first = 0; first < kEdgeSliceRows; first += Lanes::kWidth) {
-        const std::uint32_t* columns = s.columns + std::size_t{j} * kEdgeSliceRows + first;
+        const std::uint32_t* columns = matrix.columns + std::size_t{j} * kEdgeSliceRows + first;
         T own[8], other[8], block[9];
         Lanes::gather_records(own, [&](std::uint32_t lane) {
-          return s.diagonal + std::size_t{8} * (slice * kEdgeSliceRows + first + lane);
+          return matrix.diagonal + std::size_t{8} * (slice * kEdgeSliceRows + first + lane);
         });
         Lanes::gather_records(other, [&](std::uint32_t lane) {
-          return s.diagonal + std::size_t{8} * tensor::global_row(s, patch, columns[lane]);
+          return matrix.diagonal + std::size_t{8} * view::global_row(patches, patch, columns[lane]);
         });
         Lanes::gather_records(block, [&](std::uint32_t lane) { return blocks + 9 * (first + lane); });
         scale_block(own, block, other);
@@ -148,17 +151,19 @@ TM_FLATTEN void scale_edge_slices(const tensor::SceneView<Real>& s, const tensor
 
 /// Replaces edges by Â_ij.
 template <class Team, class Real>
-TM_HOST_DEVICE void scale_edges(const Team& team, const tensor::SceneView<Real>& s) {
-  const tensor::Patch patch = tensor::patch_of(s, team.patch());
+TM_HOST_DEVICE void scale_edges(const Team& team, const view::PatchesView& patches,
+                                const view::MatrixView<Real>& matrix) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
   if constexpr (requires { Team::kOneThread; }) {
-    if (tensor::stores_edges(s)) return scale_edge_slices<typename Team::template Lanes<Real>>(s, patch);
+    if (matrix::stores_edges(matrix))
+      return scale_edge_slices<typename Team::template Lanes<Real>>(patches, matrix, patch);
   }
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const Mat3<Real> own = load_lower<Real>(s.diagonal, row);
-    tensor::for_each_slot(s, row, [&](std::size_t slot, std::uint32_t column) {
-      const Mat3<Real> other = load_lower<Real>(s.diagonal, tensor::global_row(s, patch, column));
-      const Mat3<Real> left = own * tensor::load_block<Real>(s.edges, slot);
-      tensor::store_block<Real>(s.edges, slot, left * other.transpose());
+    const Mat3<Real> own = load_lower<Real>(matrix.diagonal, row);
+    view::for_each_slot(matrix, row, [&](std::size_t slot, std::uint32_t column) {
+      const Mat3<Real> other = load_lower<Real>(matrix.diagonal, view::global_row(patches, patch, column));
+      const Mat3<Real> left = own * view::load_block<Real>(matrix.edges, slot);
+      view::store_block<Real>(matrix.edges, slot, left * other.transpose());
     });
   });
 }

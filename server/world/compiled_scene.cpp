@@ -1,7 +1,7 @@
 #include "world/compiled_scene.h"
 
 #include "model/compile.h"
-#include "model/plan.h"
+#include "step/plan.h"
 
 namespace tensormass::world {
 
@@ -21,7 +21,7 @@ Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions&
                                     const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(backend, make_backend(options));
   TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(scene), progress));
-  v1::SceneReport report = model::make_report(model, backend->rates(scene));
+  v1::SceneReport report = step::make_report(model, backend->rates(scene));
   return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
 }
 

@@ -29,7 +29,7 @@ struct Measured {
 /// Deformation gradient, stress and all that of one element, its quadrature points summed up, or what both wedges of a
 /// pair have together: added to what is there. `first_element`: of the body whose elements `measured` holds.
 template <class Shape, class Law>
-void measure_element(const model::ElementGroup& group, std::span<const double> history, double history_dt_s,
+void measure_element(const model::ElementGroup& group, std::span<const double> history, double internal_dt_s,
                      std::uint32_t e, const std::vector<double>& displacement, std::uint32_t first_element,
                      Measured& measured) {
   const auto at = [&](const std::vector<double>& items, std::size_t component) {
@@ -39,7 +39,7 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
   std::uint32_t rows[Shape::kNodes];
   for (std::size_t k = 0; k < Shape::kNodes; ++k) {
     rows[k] = group.rows[k * group.stride + e];
-    u[k] = tensor::load3<double>(displacement.data(), rows[k]);
+    u[k] = view::load3<double>(displacement.data(), rows[k]);
   }
   physics::PointShares volume{0, 0};
   Mat3<double> cauchy = Mat3<double>::Zero();
@@ -64,7 +64,7 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
               history[((std::size_t{q} * group.prony.size() + i) * physics::kSymmetricReals + c) * group.stride + e];
         }
         const physics::PronyTerm& term = group.prony[i];
-        const auto step = physics::prony_step(term.share, term.relaxation_time_s, history_dt_s);
+        const auto step = physics::prony_step(term.share, term.relaxation_time_s, internal_dt_s);
         viscous.instant -= step.gain;
         viscous.memory += physics::symmetric(gamma) * step.decay;
       }
@@ -107,24 +107,24 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
   measured.cauchy.assign(body.element_count, {});
   measured.det_f.assign(body.element_count, std::numeric_limits<double>::infinity());
   measured.energy.assign(body.element_count, 0);
-  std::span<const double> histories = state.histories;
+  std::span<const double> histories = state.internal_variables;
   for (const model::ElementGroup& group : m.groups) {
-    const std::span<const double> history = histories.first(group.history_reals());
-    histories = histories.subspan(group.history_reals());
+    const std::span<const double> history = histories.first(group.internal_variable_reals());
+    histories = histories.subspan(group.internal_variable_reals());
     physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
       for (std::uint32_t e = 0; e < group.elements.size(); ++e) {
         // Wraps around for the bodies before; kNone is of no body.
         if (group.elements[e] - body.element_begin >= body.element_count) continue;
         measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
-            group, history, state.history_dt_s, e, state.displacement, body.element_begin, measured);
+            group, history, state.internal_dt_s, e, state.displacement, body.element_begin, measured);
       }
     });
   }
   for (const auto& face : m.pressure.faces) {
     Vec3<double> x[physics::kMaxFaceNodes];
     for (std::uint32_t k = 0; k < face.node_count; ++k) {
-      x[k] = tensor::load3<double>(m.rest.data(), face.rows[k]) +
-             tensor::load3<double>(state.displacement.data(), face.rows[k]);
+      x[k] = view::load3<double>(m.rest.data(), face.rows[k]) +
+             view::load3<double>(state.displacement.data(), face.rows[k]);
     }
     for (std::uint32_t k = 0; k < face.node_count; ++k) {
       measured.force[face.rows[k]] -=
@@ -144,7 +144,7 @@ double kinetic_energy(const model::Model& m, const std::vector<double>& velocity
   double twice = 0;
   for (std::uint32_t node = 0; node < body.node_count; ++node) {
     const std::uint32_t row = m.layout.row_of_node[body.node_begin + node];
-    const Vec3<double> v = tensor::load3<double>(velocity.data(), row);
+    const Vec3<double> v = view::load3<double>(velocity.data(), row);
     twice += m.inertia[4 * std::size_t{row}] * v.squaredNorm();
     if (m.mass_edges.empty()) continue;
     const std::uint32_t height = m.layout.slice_rows(), slice = row / height;
@@ -152,8 +152,8 @@ double kinetic_energy(const model::Model& m, const std::vector<double>& velocity
       const std::size_t slot = std::size_t{j} * height + row % height;
       const std::uint32_t other = m.layout.neighbour_rows[slot];
       if (other == mesh::kNone) continue;
-      const double uses = !m.layout.slice_halo.empty() && j < m.layout.slice_halo[slice] ? 2 : 1;  // tensor/edges.h
-      twice += uses * m.mass_edges[slot] * v.dot(tensor::load3<double>(velocity.data(), other));
+      const double uses = !m.layout.slice_halo.empty() && j < m.layout.slice_halo[slice] ? 2 : 1;  // matrix/edges.h
+      twice += uses * m.mass_edges[slot] * v.dot(view::load3<double>(velocity.data(), other));
     }
   }
   return twice / 2;
@@ -190,18 +190,18 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
     switch (field) {
       case v1::FIELD_DISPLACEMENT:
         components = 3;
-        by_node([&](std::size_t row) { return tensor::load3<double>(state.displacement.data(), row); });
+        by_node([&](std::size_t row) { return view::load3<double>(state.displacement.data(), row); });
         break;
       case v1::FIELD_VELOCITY:
         components = 3;
-        by_node([&](std::size_t row) { return tensor::load3<double>(velocity.data(), row); });
+        by_node([&](std::size_t row) { return view::load3<double>(velocity.data(), row); });
         break;
       case v1::FIELD_REACTION_FORCE:
         components = 3;
         by_node([&](std::size_t row) {
           const auto free = static_cast<std::uint32_t>(m.rest[4 * row + 3]);
           Vec3<double> force = -measured.force[row];
-          if (!m.external.empty()) force -= tensor::load3<double>(m.external.data(), row);
+          if (!m.external.empty()) force -= view::load3<double>(m.external.data(), row);
           for (int c = 0; c < 3; ++c) {
             if ((free >> c & 1) != 0) force[c] = 0;
           }

@@ -40,7 +40,7 @@ void Findings::take_step(const World& world) {
     made_again_.store(window_again_, kRelaxed);
     window_steps_ = window_again_ = 0;
   }
-  const backend::StepResult& result = world.last();
+  const solver::StepResult& result = world.last();
   kinetic_j_.store(world.energy().kinetic_j(), kRelaxed);
   work_j_.store(world.energy().work_j(), kRelaxed);
   cg_iterations_.store(result.cg_iterations, kRelaxed);

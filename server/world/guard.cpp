@@ -74,7 +74,7 @@ double least_energy(const model::Model& m) {
 
 }  // namespace
 
-bool counts_all_work(const model::Model& m) { return m.driven.driven.empty() && m.pressure.faces.empty(); }
+bool counts_all_work(const model::Model& m) { return m.prescribed_rows.rows.empty() && m.pressure.faces.empty(); }
 
 bool counts_all_energy(const model::Model& m) {
   return m.integrator != model::Integrator::kQuasiStatic && m.mass_edges.empty() &&
@@ -140,7 +140,7 @@ Guard::Guard(const model::Model& m)
   }
 }
 
-Verdict Guard::judge(const backend::StepResult& result, const StepEnergy& energy) const {
+Verdict Guard::judge(const solver::StepResult& result, const StepEnergy& energy) const {
   if (!result.finite) return {Breach::kNotFinite};
   if (!(result.max_move_m <= max_move_m_)) return {Breach::kMove, result.max_move_m, max_move_m_};
   if (!(result.max_distance_m <= max_distance_m_)) return {Breach::kDistance, result.max_distance_m, max_distance_m_};

@@ -72,7 +72,7 @@ struct StepEnergy {
 class Guard {
  public:
   explicit Guard(const model::Model& model);
-  Verdict judge(const backend::StepResult& result, const StepEnergy& energy) const;
+  Verdict judge(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:
   double max_move_m_, max_distance_m_, max_residual_, least_energy_j_;
@@ -83,7 +83,7 @@ class Guard {
 struct Retry {
   std::uint32_t steps;             ///< equal parts of dt
   std::uint32_t iteration_factor;  ///< of cg_max_iterations
-  bool careful;                    ///< StepInput::careful
+  bool fallback_settings;          ///< StepInput::careful
   Breach only_for;                 ///< kNone: any
 };
 /// In this order. The first where iterations were lowered for a budget.

@@ -13,7 +13,7 @@ constexpr double kNearFloor = 0.5;
 
 IterationBudget::IterationBudget(const model::Model& model) : model_(model), limit_(model.cg_max_iterations) {}
 
-void IterationBudget::take_step(double step_s, const backend::StepResult& result, const GuardEvent* event) {
+void IterationBudget::take_step(double step_s, const solver::StepResult& result, const GuardEvent* event) {
   if (model_.budget_s == 0) return;
   if (event != nullptr) {
     // Time and result are those of the step made in another way, and say nothing of this limit.

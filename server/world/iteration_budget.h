@@ -21,7 +21,7 @@ class IterationBudget {
   explicit IterationBudget(const model::Model& model);
 
   /// event: World::guard_event.
-  void take_step(double step_s, const backend::StepResult& result, const GuardEvent* event = nullptr);
+  void take_step(double step_s, const solver::StepResult& result, const GuardEvent* event = nullptr);
   /// The scene is at rest again.
   void clear();
 

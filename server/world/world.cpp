@@ -47,7 +47,7 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
 void World::write_start() {
   const std::vector<double> rest(4 * std::size_t{model_->layout.row_count}, 0.0);
   std::size_t histories = 0;
-  for (const model::ElementGroup& group : model_->groups) histories += group.history_reals();
+  for (const model::ElementGroup& group : model_->groups) histories += group.internal_variable_reals();
   const auto or_rest = [&](const std::vector<double>& start) { return start.empty() ? rest : start; };
   state_->write(
       {or_rest(model_->initial_displacement), or_rest(model_->initial_velocity), std::vector<double>(histories, 0.0)});
@@ -147,9 +147,10 @@ Verdict World::retry(const Verdict& first) {
 
 /// A step in equal parts, each of which must hold the bounds. `keeps`: the state that it begins with is the one to go
 /// back to.
-Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool keeps, bool gather_visible) {
+Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint,
+                         bool gather_visible) {
   tools_work_j_ = 0;
-  backend::StepResult before;  // of the parts so far
+  solver::StepResult before;  // of the parts so far
   before.newton_iterations = 0;
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {before_[i].center_m, before_[i].force_n};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
@@ -162,8 +163,8 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
                           .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
                           .dt_s = model_->dt_s / how.steps,
                           .cg_max_iterations = cg_max_iterations,
-                          .keeps = keeps,
-                          .careful = how.careful,
+                          .saves_checkpoint = saves_checkpoint,
+                          .fallback_settings = how.fallback_settings,
                           .gather_visible = gather_visible},
                          forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
@@ -187,9 +188,9 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
 }
 
 double World::watch_elastic_energy() {
-  state_->watch(watched_);
+  state_->diagnose(watched_);
   double elastic_j = 0;
-  for (const backend::GroupWatch& group : watched_) elastic_j += group.elastic_energy_j;
+  for (const backend::GroupDiagnostics& group : watched_) elastic_j += group.elastic_energy_j;
   return elastic_j;
 }
 
@@ -197,7 +198,7 @@ void World::watch() { energy_.look(watch_elastic_energy()); }
 
 void World::reset() {
   write_start();
-  std::fill(watched_.begin(), watched_.end(), backend::GroupWatch{});
+  std::fill(watched_.begin(), watched_.end(), backend::GroupDiagnostics{});
   step_count_ = 0;
   last_ = {};
   has_event_ = false;

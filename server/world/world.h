@@ -60,11 +60,11 @@ class World {
 
   std::uint64_t step_count() const { return step_count_; }
   double simulated_time_s() const { return static_cast<double>(step_count_) * model_->dt_s; }
-  const backend::StepResult& last() const { return last_; }
+  const solver::StepResult& last() const { return last_; }
   const EnergyBalance& energy() const { return energy_; }
   std::span<const ToolReading> readings() const { return readings_; }
   /// Of the last watch; [group_count].
-  std::span<const backend::GroupWatch> watched() const { return watched_; }
+  std::span<const backend::GroupDiagnostics> watched() const { return watched_; }
 
   /// [visible_count, 3] m, of the last step that gathered.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
@@ -82,7 +82,7 @@ class World {
   void move_tools();
   void read_tools();
   Verdict retry(const Verdict& first);
-  Verdict make_step(const Retry& how, std::uint32_t cg_max_iterations, bool keeps, bool gather_visible);
+  Verdict make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint, bool gather_visible);
 
   /// A tool where a step begins.
   struct Before {
@@ -104,14 +104,14 @@ class World {
   std::vector<Touch> touches_;         // at the end of the part before
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
-  std::vector<backend::GroupWatch> watched_;
+  std::vector<backend::GroupDiagnostics> watched_;
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // of the step at hand
   GuardEvent event_;
   bool has_event_ = false;
   std::uint32_t cg_limit_;
-  backend::StepResult last_;
+  solver::StepResult last_;
   std::uint64_t step_count_ = 0;
 };
 

@@ -15,7 +15,7 @@
 
 #include "backend/backend.h"
 #include "model/compile.h"
-#include "model/plan.h"
+#include "step/plan.h"
 #include "support/laws.h"
 #include "support/scenes.h"
 #include "world/runner.h"
@@ -164,7 +164,6 @@ struct Row {
 void leave_volumes_unchecked(model::Model& model) {
   for (model::ElementGroup& group : model.groups) group.checks_volume = group.solve_checks_volume = false;
   model.checked = {};
-  std::erase_if(model.stages, [](const model::Stage& stage) { return stage.kind == model::StageKind::kCheckVolume; });
 }
 
 Result<Measured> time_steps(const Case& one, const backend::Backend& backend, std::uint32_t steps, Row& row) {
@@ -172,7 +171,7 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   const Clock::time_point begin = Clock::now();
   TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend.patch_policy(scene)));
   if (!one.checks_volume) leave_volumes_unchecked(model);
-  const v1::SceneReport report = model::make_report(model, backend.rates(scene));
+  const v1::SceneReport report = step::make_report(model, backend.rates(scene));
   row.elements = model.bodies[0].element_count;
   row.nodes = model.bodies[0].node_count;
   row.patches = model.layout.patch_count;

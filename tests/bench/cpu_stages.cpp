@@ -6,7 +6,7 @@
 
 #include <CLI/CLI.hpp>
 
-#include "model/plan.h"
+#include "step/plan.h"
 #include "support/scenes.h"
 #include "support/staged_scene.h"
 
@@ -66,20 +66,23 @@ int main(int argc, char** argv) {
                   slots);
   std::printf("%-42s %10s %10s %10s %10s\n", "stage", "ms", "MB", "GB/s", "of triad");
   // Whole steps, so that each stage finds in the caches what the ones before left there.
-  const std::vector<model::Stage>& stages = staged.model.stages;
+  const std::vector<step::Stage> stages = step::list_stages(staged.model);
+  const auto is_timed = [&](std::size_t i) {
+    return stages[i].info->phase != step::Phase::kDiagnostics && stages[i].info->phase != step::Phase::kFrame;
+  };
   std::vector<double> best(stages.size(), 1e9);
   for (int repeat = 0; repeat < repeats; ++repeat) {
     for (std::size_t i = 0; i < stages.size(); ++i) {
-      if (stages[i].phase == model::Phase::kWatch) continue;
+      if (!is_timed(i)) continue;
       best[i] = std::min(best[i], fastest_s(1, [&] { staged.run(stages[i]); }));
     }
   }
-  const v1::SceneReport report = model::make_report(staged.model, {});
+  const v1::SceneReport report = step::make_report(staged.model, {});
   double total = 0;
   for (std::size_t i = 0; i < stages.size(); ++i) {
-    if (stages[i].phase == model::Phase::kWatch) continue;
+    if (!is_timed(i)) continue;
     const v1::PlanStage& planned = report.stages(static_cast<int>(i));
-    const bool solve = stages[i].kind == model::StageKind::kSolve;
+    const bool solve = stages[i].info->kind == step::StageKind::kSolve;
     const double seconds = best[i] / (solve ? staged.model.cg_max_iterations : 1);
     const double rate = static_cast<double>(planned.bytes()) / seconds;
     std::printf("%-42s %10.3f %10.2f %10.1f %9.0f %%\n", (planned.name() + (solve ? ", an iteration" : "")).c_str(),

@@ -11,20 +11,20 @@
 namespace tensormass::contact {
 namespace {
 
-using model::StageKind;
+using step::StageKind;
 using tests::StagedScene;
 
 constexpr double kPenalty = 4e6;  // Pa/m
 
 void place(StagedScene<double>& staged, const Vec3<double>& center, double radius_m) {
   // The view hands tools to the stages as constants; between steps they are the backend's to write.
-  auto& tool = const_cast<tensor::ToolState<double>&>(staged.view.tools[0]);
+  auto& tool = const_cast<view::ToolState<double>&>(staged.view.contact.tools[0]);
   tool = {{center[0], center[1], center[2]}, radius_m, kPenalty};
 }
 
 backend::ToolForce measured(const StagedScene<double>& staged) {
   backend::ToolForce force;
-  backend::read_forces<double>({staged.view.tool_loads, staged.view.patch_count}, {&force, 1});
+  backend::read_forces<double>({staged.view.contact.tool_loads, staged.view.patches.patch_count}, {&force, 1});
   return force;
 }
 
@@ -87,8 +87,8 @@ TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
   StagedScene<double> staged(scene, GetParam());
   const Eigen::Index size = 3 * staged.node_count();
   const Eigen::VectorXd u = tests::random_field(size, 0.01, 1), v = tests::random_field(size, 0.5, 2);
-  staged.put(staged.view.displacement, u);
-  staged.put(staged.view.velocity, v);
+  staged.put(staged.view.state.displacement, u);
+  staged.put(staged.view.state.velocity, v);
   const double dt = staged.model.dt_s;
   const tests::DenseSystem tissue = tests::dense_system(scene, u);
   // Over a face, over an edge, at a corner.
@@ -100,7 +100,7 @@ TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
     const Eigen::MatrixXd a = tissue.a(dt) + contact.a;
     const Eigen::VectorXd b = tissue.b(dt, v) + contact.b;
     EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * contact.a.norm());
-    EXPECT_LT((staged.by_node(staged.view.rhs) - b).norm(), 1e-12 * b.norm());
+    EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - b).norm(), 1e-12 * b.norm());
   }
 }
 
@@ -110,7 +110,8 @@ TEST_P(Probe, ActsOnTheTissueAsTheTissueOnIt) {
   const Vec3<double> center(0.4, 1.1, 0.6);
   place(staged, center, 0.3);
   staged.step();
-  const Eigen::VectorXd v = staged.by_node(staged.view.velocity), u = staged.by_node(staged.view.displacement);
+  const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity),
+                        u = staged.by_node(staged.view.state.displacement);
   Vec3<double> momentum = Vec3<double>::Zero(), angular = Vec3<double>::Zero();
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     const Vec3<double> mv = staged.model.inertia[4 * std::size_t{staged.row(node)}] * v.segment<3>(3 * node);
@@ -130,8 +131,8 @@ TEST_P(Probe, OutOfReachIsExactlyNothing) {
   without.clear_tools();
   StagedScene<double> touching_nothing(with, GetParam()), alone(without, GetParam());
   const Eigen::VectorXd v = tests::random_field(3 * alone.node_count(), 0.5, 2);
-  alone.put(alone.view.velocity, v);
-  touching_nothing.put(touching_nothing.view.velocity, v);
+  alone.put(alone.view.state.velocity, v);
+  touching_nothing.put(touching_nothing.view.state.velocity, v);
   place(touching_nothing, {0.5, 1.6, 0.5}, 0.3);
   for (int i = 0; i < 3; ++i) {
     alone.step();
@@ -139,7 +140,8 @@ TEST_P(Probe, OutOfReachIsExactlyNothing) {
   }
   EXPECT_EQ(measured(touching_nothing).force_n, (Vec3<double>(Vec3<double>::Zero())));
   EXPECT_EQ(measured(touching_nothing).torque_n_m, (Vec3<double>(Vec3<double>::Zero())));
-  EXPECT_EQ(touching_nothing.by_node(touching_nothing.view.displacement), alone.by_node(alone.view.displacement));
+  EXPECT_EQ(touching_nothing.by_node(touching_nothing.view.state.displacement),
+            alone.by_node(alone.view.state.displacement));
 }
 
 /// What a step left in its buffers must not push in the next.
@@ -208,7 +210,7 @@ TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
     StagedScene<double> staged(scene, patches);
     place(staged, {0.97, 0.4, 0.6}, 0.1);  // 3 cm inside of the first, 5 cm before the second
     staged.step();
-    const Eigen::VectorXd v = staged.by_node(staged.view.velocity);
+    const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity);
     Vec3<double> momentum[2] = {Vec3<double>::Zero(), Vec3<double>::Zero()};
     for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
       momentum[node / 27] += staged.model.inertia[4 * std::size_t{staged.row(node)}] * v.segment<3>(3 * node);
@@ -244,7 +246,7 @@ int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t see
     inside_count += inside ? 1 : 0;
     place(staged, p, 0.05);
     staged.run(StageKind::kDetectContact);
-    const auto* first = staged.view.closest;
+    const auto* first = staged.view.contact.closest;
     const auto* nearest = std::min_element(
         first, first + patches, [](const auto& a, const auto& b) { return a.distance_squared < b.distance_squared; });
     EXPECT_EQ(nearest->side < 0, inside) << "point " << p.transpose() << ", " << std::sqrt(nearest->distance_squared)

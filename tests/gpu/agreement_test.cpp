@@ -22,7 +22,7 @@ struct Trajectory {
   std::vector<Vec3<double>> forces;  // of each step
   double min_det_f = 1;              // of the last step
   std::uint32_t patches = 0, largest_patch = 0;
-  tensor::Storage storage = tensor::Storage::kRows;
+  matrix::Storage storage = matrix::Storage::kRows;
   bool solve_checks_volume = false;
 };
 
@@ -230,7 +230,7 @@ TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
     const Trajectory rest = run(*cpu_, scene, 0, false), cpu = run(*cpu_, scene, size.steps, false);
     const Trajectory cuda = run(*cuda_, scene, size.steps, false, &policy);
     const Trajectory again = run(*cuda_, scene, size.steps, false, &policy);
-    EXPECT_EQ(cuda.storage, tensor::Storage::kTiles) << "else this shows nothing";
+    EXPECT_EQ(cuda.storage, matrix::Storage::kTiles) << "else this shows nothing";
     EXPECT_EQ(cuda.largest_patch > 1u << 15, size.cells == 32) << "else the columns are of as many bits as another's";
     EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
     EXPECT_EQ(cuda.positions, again.positions);
@@ -238,7 +238,7 @@ TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
     // The matrix is read in fewer digits than float has, but no more is lost (tensor/packed_block.h): as much as by the
     // solve for smaller patches, which keeps all.
     const Trajectory resident = run(*cuda_, scene, size.steps, false);
-    EXPECT_EQ(resident.storage, tensor::Storage::kRows) << "else this shows nothing";
+    EXPECT_EQ(resident.storage, matrix::Storage::kRows) << "else this shows nothing";
     beam.double_precision = true;
     beam.cg_tolerance = 1e-14;
     const Trajectory exact = run(*cpu_, tests::beam_scene(beam), size.steps, false);

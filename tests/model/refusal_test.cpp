@@ -445,7 +445,7 @@ std::vector<Refusal> support_refusals() {
          drive_top(s, 0.01);
          drive_top(s, 0.02);
        },
-       {"body 'beam'.prescribed[1]", "two places in y"}},
+       {"body 'beam'.prescribed[1]", "two prescribed displacements in y"}},
       {"NanDrive", [](auto& s) { drive_top(s, kNan); }, {"body 'beam'.prescribed[0]", "nan"}},
       {"ScheduleOfUnequalLengths",
        [](auto& s) { drive_top(s, 0.01).mutable_schedule()->add_time_s(1); },

@@ -11,7 +11,7 @@
 namespace tensormass::solver {
 namespace {
 
-using model::StageKind;
+using step::StageKind;
 using tests::StagedScene;
 
 constexpr tests::Beam kBeam{.cells_x = 6,
@@ -24,7 +24,7 @@ constexpr tests::Beam kBeam{.cells_x = 6,
 /// How the matrix is cut and stored.
 struct Cut {
   std::uint32_t patches;
-  tensor::Storage storage = tensor::Storage::kEdges;
+  matrix::Storage storage = matrix::Storage::kEdges;
 };
 
 /// A beam in motion, ready to be solved.
@@ -38,8 +38,8 @@ StagedScene<Real> assembled(Cut cut, tests::Beam beam = kBeam) {
     u.segment<3>(3 * node).setZero();
     v.segment<3>(3 * node).setZero();
   }
-  staged.put(staged.view.displacement, u);
-  staged.put(staged.view.velocity, v);
+  staged.put(staged.view.state.displacement, u);
+  staged.put(staged.view.state.velocity, v);
   staged.run_through(StageKind::kExternalForces);
   return staged;
 }
@@ -48,7 +48,7 @@ StagedScene<Real> assembled(Cut cut, tests::Beam beam = kBeam) {
 template <class Real>
 Eigen::VectorXd dense_solution(const StagedScene<Real>& staged) {
   Eigen::MatrixXd a = staged.matrix();
-  Eigen::VectorXd b = staged.by_node(staged.view.rhs);
+  Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs);
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     if (!staged.is_fixed(node)) continue;
     a.middleRows<3>(3 * node).setZero();
@@ -62,11 +62,11 @@ Eigen::VectorXd dense_solution(const StagedScene<Real>& staged) {
 /// Runs the rest of the step and gives Δv.
 template <class Real>
 Eigen::VectorXd solve(StagedScene<Real>& staged) {
-  const Eigen::VectorXd before = staged.by_node(staged.view.velocity);
+  const Eigen::VectorXd before = staged.by_node(staged.view.state.velocity);
   for (const StageKind kind : {StageKind::kFactorize, StageKind::kScaleEdges, StageKind::kSolve, StageKind::kAdvance}) {
     staged.run(kind);
   }
-  return staged.by_node(staged.view.velocity) - before;
+  return staged.by_node(staged.view.state.velocity) - before;
 }
 
 class Patches : public testing::TestWithParam<Cut> {};
@@ -76,9 +76,9 @@ TEST_P(Patches, SolveTheSystemThatADenseFactorizationSolves) {
   const Eigen::VectorXd expected = dense_solution(staged);
   const Eigen::VectorXd change = solve(staged);
   EXPECT_LT((change - expected).norm(), 1e-11 * expected.norm());
-  EXPECT_LE(staged.view.solve_report->relative_residual, kBeam.cg_tolerance);
-  EXPECT_GT(staged.view.solve_report->iterations, 20u);
-  EXPECT_EQ(staged.view.solve_report->negative_curvature, 0u);
+  EXPECT_LE(staged.view.solve.report->relative_residual, kBeam.cg_tolerance);
+  EXPECT_GT(staged.view.solve.report->iterations, 20u);
+  EXPECT_EQ(staged.view.solve.report->negative_curvature, 0u);
 }
 
 TEST_P(Patches, SolveInFloatToFloatsOwnPrecision) {
@@ -91,7 +91,7 @@ TEST_P(Patches, SolveInFloatToFloatsOwnPrecision) {
 
 TEST_P(Patches, KeepFixedNodesWhereTheyAre) {
   StagedScene<double> staged = assembled<double>(GetParam());
-  const Eigen::VectorXd change = solve(staged), u = staged.by_node(staged.view.displacement);
+  const Eigen::VectorXd change = solve(staged), u = staged.by_node(staged.view.state.displacement);
   std::uint32_t fixed = 0;
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     if (!staged.is_fixed(node)) {
@@ -111,7 +111,7 @@ TEST_P(Patches, RepeatBitwise) {
   for (int round = 0; round < 3; ++round) {
     StagedScene<float> again = assembled<float>(GetParam());
     EXPECT_EQ(solve(again), expected);
-    EXPECT_EQ(again.view.solve_report->iterations, first.view.solve_report->iterations);
+    EXPECT_EQ(again.view.solve.report->iterations, first.view.solve.report->iterations);
   }
 }
 
@@ -141,16 +141,16 @@ TEST_P(Patches, ReportTheResidualThatIsLeft) {
   staged.run(StageKind::kFactorize);
   staged.run(StageKind::kScaleEdges);
   staged.run(StageKind::kSolve);
-  EXPECT_EQ(staged.view.solve_report->iterations, 12u);
+  EXPECT_EQ(staged.view.solve.report->iterations, 12u);
 
-  const Eigen::VectorXd b = staged.by_node(staged.view.rhs), x = staged.by_node(staged.view.solution);
+  const Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs), x = staged.by_node(staged.view.solve.solution);
   Eigen::MatrixXd scaled = staged.matrix(false);
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     if (!staged.is_fixed(node)) scaled.block<3, 3>(3 * node, 3 * node).setIdentity();
   }
   const double left = (b - scaled * x).norm() / b.norm();
   EXPECT_GT(left, 1e-6) << "twelve iterations do not finish";
-  EXPECT_NEAR(staged.view.solve_report->relative_residual, left, 1e-6 * left);
+  EXPECT_NEAR(staged.view.solve.report->relative_residual, left, 1e-6 * left);
 }
 
 TEST_P(Patches, StopAtTheToleranceAndNotLater) {
@@ -160,10 +160,10 @@ TEST_P(Patches, StopAtTheToleranceAndNotLater) {
     beam.cg_tolerance = tolerance;
     StagedScene<double> staged = assembled<double>(GetParam(), beam);
     solve(staged);
-    EXPECT_LE(staged.view.solve_report->relative_residual, tolerance);
-    EXPECT_GT(staged.view.solve_report->relative_residual, 1e-3 * tolerance);
-    EXPECT_GT(staged.view.solve_report->iterations, before);
-    before = staged.view.solve_report->iterations;
+    EXPECT_LE(staged.view.solve.report->relative_residual, tolerance);
+    EXPECT_GT(staged.view.solve.report->relative_residual, 1e-3 * tolerance);
+    EXPECT_GT(staged.view.solve.report->iterations, before);
+    before = staged.view.solve.report->iterations;
   }
 }
 
@@ -176,34 +176,34 @@ TEST_P(Patches, SayWhenTheMatrixIsIndefinite) {
   const Mat3<double> strong = 100 * Mat3<double>::Identity();
   staged.put_scaled_block(a, b, strong);
   staged.run(StageKind::kSolve);
-  EXPECT_EQ(staged.view.solve_report->negative_curvature, 1u);
-  EXPECT_TRUE(staged.by_node(staged.view.solution).allFinite());
-  EXPECT_LT(staged.view.solve_report->iterations, 100u);
+  EXPECT_EQ(staged.view.solve.report->negative_curvature, 1u);
+  EXPECT_TRUE(staged.by_node(staged.view.solve.solution).allFinite());
+  EXPECT_LT(staged.view.solve.report->iterations, 100u);
 }
 
 TEST_P(Patches, AnswerZeroForNothingToDo) {
   StagedScene<double> staged = assembled<double>(GetParam());
-  staged.put(staged.view.rhs, Eigen::VectorXd::Zero(3 * staged.node_count()));
+  staged.put(staged.view.matrix.rhs, Eigen::VectorXd::Zero(3 * staged.node_count()));
   EXPECT_EQ(solve(staged).norm(), 0);
-  EXPECT_EQ(staged.view.solve_report->iterations, 0u);
-  EXPECT_EQ(staged.view.solve_report->relative_residual, 0);
+  EXPECT_EQ(staged.view.solve.report->iterations, 0u);
+  EXPECT_EQ(staged.view.solve.report->relative_residual, 0);
 }
 
 /// Where a value stopped being a number, the report must not look like success, whoever owns the value.
 TEST_P(Patches, SayWhenAValueIsNoNumber) {
   for (const std::uint32_t node : {5u, 60u, 111u}) {
     StagedScene<double> staged = assembled<double>(GetParam());
-    Eigen::VectorXd b = staged.by_node(staged.view.rhs);
+    Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs);
     b[3 * node + 1] = std::numeric_limits<double>::quiet_NaN();
-    staged.put(staged.view.rhs, b);
+    staged.put(staged.view.matrix.rhs, b);
     solve(staged);
-    EXPECT_FALSE(
-        backend::read_step<double>(*staged.view.solve_report, {staged.view.patch_reports, staged.view.patch_count})
-            .finite);
+    EXPECT_FALSE(solver::read_step<double>(*staged.view.solve.report,
+                                           {staged.view.guard.patch_reports, staged.view.patches.patch_count})
+                     .finite);
   }
 }
 
-using tensor::Storage;
+using matrix::Storage;
 INSTANTIATE_TEST_SUITE_P(
     Counts, Patches, testing::Values(Cut{1}, Cut{2}, Cut{3}, Cut{8}, Cut{1, Storage::kRows}, Cut{3, Storage::kRows}),
     [](const auto& one) {

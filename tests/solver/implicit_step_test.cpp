@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "solver/advance.h"
+#include "solver/time_scheme.h"
 #include "support/dense_system.h"
 #include "support/staged_scene.h"
 
@@ -25,10 +25,11 @@ TEST(ImplicitStep, SatisfiesTheEquationOfMotionAtItsEnd) {
   StagedScene<double> staged(scene, 2);
   const Eigen::Index size = 3 * staged.node_count();
   const Eigen::VectorXd u0 = tests::random_field(size, 0.02, 1), v0 = tests::random_field(size, 1, 2);
-  staged.put(staged.view.displacement, u0);
-  staged.put(staged.view.velocity, v0);
+  staged.put(staged.view.state.displacement, u0);
+  staged.put(staged.view.state.velocity, v0);
   staged.step();
-  const Eigen::VectorXd u1 = staged.by_node(staged.view.displacement), v1 = staged.by_node(staged.view.velocity);
+  const Eigen::VectorXd u1 = staged.by_node(staged.view.state.displacement),
+                        v1 = staged.by_node(staged.view.state.velocity);
   const double dt = staged.model.dt_s;
   EXPECT_LT((u1 - u0 - dt * v1).norm(), 1e-14 * u1.norm());
 
@@ -44,24 +45,24 @@ TEST(Advance, KeepsPositionsThatAreThoseOfTheDisplacement) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2});
   scene.mutable_solver()->set_newton_max_iterations(5);
   StagedScene<float> staged(scene, 2);
-  ASSERT_NE(staged.view.relative_position, nullptr);
+  ASSERT_NE(staged.view.guard.relative_position, nullptr);
   const auto expect_same = [&] {
     float most = 0;
-    for (std::uint32_t row = 0; row < staged.view.row_count; ++row) {
-      const Vec3<float> u = tensor::load3<float>(staged.view.displacement, row);
-      const Vec3<float> x = tensor::relative_rest(staged.view, row) + u;
-      EXPECT_EQ(tensor::load3<float>(staged.view.relative_position, row), x) << row;
+    for (std::uint32_t row = 0; row < staged.view.patches.row_count; ++row) {
+      const Vec3<float> u = view::load3<float>(staged.view.state.displacement, row);
+      const Vec3<float> x = view::relative_rest(staged.view.state, row) + u;
+      EXPECT_EQ(view::load3<float>(staged.view.guard.relative_position, row), x) << row;
       most = std::max(most, u.norm());
     }
     return most;
   };
-  staged.put(staged.view.increment, tests::random_field(3 * staged.node_count(), 1, 1));
-  auto& newton = *const_cast<tensor::NewtonControl*>(staged.view.newton);
+  staged.put(staged.view.newton.increment, tests::random_field(3 * staged.node_count(), 1, 1));
+  auto& newton = *const_cast<view::NewtonControl*>(staged.view.newton.control);
   newton = {.positive_stiffness = 1, .begins_step = 1, .line_share = 0.25F};
-  staged.run_through(model::StageKind::kAdvance);
+  staged.run_through(step::StageKind::kAdvance);
   EXPECT_GT(expect_same(), 0);
-  staged.put(staged.view.increment, tests::random_field(3 * staged.node_count(), 1, 1));
-  staged.run(model::StageKind::kBacktrack);
+  staged.put(staged.view.newton.increment, tests::random_field(3 * staged.node_count(), 1, 1));
+  staged.run(step::StageKind::kBacktrack);
   EXPECT_GT(expect_same(), 1e-3F);
 }
 
@@ -70,12 +71,12 @@ TEST(Advance, ReportsTheFastestNodeOfEachPatch) {
   Eigen::VectorXd v = Eigen::VectorXd::Zero(3 * staged.node_count());
   const std::uint32_t node = 20;
   v.segment<3>(3 * node) = Vec3<double>(3, 4, 12);
-  staged.put(staged.view.velocity, v);
-  staged.run(model::StageKind::kAdvance);  // nothing was solved: the velocity stays
+  staged.put(staged.view.state.velocity, v);
+  staged.run(step::StageKind::kAdvance);  // nothing was solved: the velocity stays
   const std::uint32_t owner = staged.model.layout.patch_of_row(staged.row(node));
   for (std::uint32_t patch = 0; patch < 3; ++patch) {
-    EXPECT_NEAR(staged.view.patch_reports[patch].max_speed_m_per_s, patch == owner ? 13 : 0, 1e-12);
-    EXPECT_EQ(staged.view.patch_reports[patch].finite, 1);
+    EXPECT_NEAR(staged.view.guard.patch_reports[patch].max_speed_m_per_s, patch == owner ? 13 : 0, 1e-12);
+    EXPECT_EQ(staged.view.guard.patch_reports[patch].finite, 1);
   }
 }
 
@@ -85,11 +86,11 @@ TEST(Advance, ReportsAPatchThatLeftTheNumbers) {
     StagedScene<double> staged(tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2}), 3);
     Eigen::VectorXd v = Eigen::VectorXd::Zero(3 * staged.node_count());
     v[3 * 20 + 2] = value;
-    staged.put(staged.view.velocity, v);
-    staged.run(model::StageKind::kAdvance);
+    staged.put(staged.view.state.velocity, v);
+    staged.run(step::StageKind::kAdvance);
     const std::uint32_t owner = staged.model.layout.patch_of_row(staged.row(20));
     for (std::uint32_t patch = 0; patch < 3; ++patch) {
-      EXPECT_EQ(staged.view.patch_reports[patch].finite, patch == owner ? 0 : 1) << value;
+      EXPECT_EQ(staged.view.guard.patch_reports[patch].finite, patch == owner ? 0 : 1) << value;
     }
   }
 }

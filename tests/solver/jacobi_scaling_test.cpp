@@ -42,12 +42,12 @@ TEST(InverseCholesky, StaysFiniteWhereRoundingMadeAPivotNegative) {
 TEST(Scaling, GivesUnitBlocksAndTheScaledMatrix) {
   v1::Scene scene = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = true});
   tests::StagedScene<double> staged(scene, 2);
-  staged.put(staged.view.displacement, tests::random_field(3 * staged.node_count(), 0.02, 5));
-  staged.run_through(model::StageKind::kExternalForces);
+  staged.put(staged.view.state.displacement, tests::random_field(3 * staged.node_count(), 0.02, 5));
+  staged.run_through(step::StageKind::kExternalForces);
   const Eigen::MatrixXd a = staged.matrix();
-  const Eigen::VectorXd b = staged.by_node(staged.view.rhs);
-  staged.run(model::StageKind::kFactorize);
-  staged.run(model::StageKind::kScaleEdges);
+  const Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs);
+  staged.run(step::StageKind::kFactorize);
+  staged.run(step::StageKind::kScaleEdges);
 
   Eigen::MatrixXd l = Eigen::MatrixXd::Zero(a.rows(), a.cols());
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
@@ -59,7 +59,7 @@ TEST(Scaling, GivesUnitBlocksAndTheScaledMatrix) {
   Eigen::MatrixXd scaled = l * a * l.transpose();
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) scaled.block<3, 3>(3 * node, 3 * node).setZero();
   EXPECT_LT((staged.matrix(false) - scaled).norm(), 1e-12 * scaled.norm());
-  EXPECT_LT((staged.by_node(staged.view.rhs) - l * b).norm(), 1e-12 * (l * b).norm());
+  EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - l * b).norm(), 1e-12 * (l * b).norm());
 }
 
 }  // namespace

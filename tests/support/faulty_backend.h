@@ -29,14 +29,14 @@ class FaultyState final : public backend::SceneState {
   FaultyState(std::unique_ptr<backend::SceneState> sound, FaultPlan plan)
       : sound_(std::move(sound)), plan_(std::move(plan)) {}
 
-  backend::StepResult step(const backend::StepInput& input, std::span<backend::ToolForce> forces) override {
-    if (input.keeps) {
+  solver::StepResult step(const backend::StepInput& input, std::span<backend::ToolForce> forces) override {
+    if (input.saves_checkpoint) {
       ++step_;
       call_ = 0;
     } else {
       ++call_;
     }
-    backend::StepResult result = sound_->step(input, forces);
+    solver::StepResult result = sound_->step(input, forces);
     const std::optional<Fault> fault = plan_(step_, call_);
     if (!fault) return result;
     backend::RowState state = sound_->read();
@@ -63,7 +63,7 @@ class FaultyState final : public backend::SceneState {
   void restore() override { sound_->restore(); }
   std::span<const float> visible_positions() override { return sound_->visible_positions(); }
   void gather_visible() override { sound_->gather_visible(); }
-  void watch(std::span<backend::GroupWatch> groups) override { sound_->watch(groups); }
+  void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }
   void write(const backend::RowState& state) override { sound_->write(state); }
 
@@ -81,7 +81,7 @@ class FaultyBackend final : public backend::Backend {
   std::string name() const override { return sound_->name(); }
   std::string device() const override { return sound_->device(); }
   model::PatchPolicy patch_policy(const v1::Scene& scene) const override { return sound_->patch_policy(scene); }
-  model::MachineRates rates(const v1::Scene& scene) const override { return sound_->rates(scene); }
+  step::MachineRates rates(const v1::Scene& scene) const override { return sound_->rates(scene); }
   double measure_bandwidth_bytes_per_s() const override { return sound_->measure_bandwidth_bytes_per_s(); }
   Result<std::unique_ptr<backend::SceneState>> create(const model::Model& model) const override {
     TM_ASSIGN_OR_RETURN(state, sound_->create(model));

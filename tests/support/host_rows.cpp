@@ -6,15 +6,15 @@
 #include <algorithm>
 #include <vector>
 
+#include "matrix/rows.h"
 #include "physics/lists.h"
-#include "tensor/rows.h"
 
 // TM_REAL, float or double, comes from the build.
 namespace tensormass::tests {
 
 namespace {
 
-/// What a device keeps in near memory.
+/// The blocks of a row, which a GPU keeps in shared memory.
 template <class Real>
 class HostBlocks {
  public:
@@ -27,7 +27,7 @@ class HostBlocks {
     return held_;
   }
   bool holds(std::uint32_t place) const { return place - first_ < held_; }
-  void clear(std::uint32_t place, const tensor::RowNeighbour<Real>& neighbour) {
+  void clear(std::uint32_t place, const matrix::RowNeighbour<Real>& neighbour) {
     at(place) = {Mat3<Real>::Zero(), neighbour};
   }
   template <std::size_t Count>
@@ -42,12 +42,12 @@ class HostBlocks {
   Vec3<Real> ahead(std::uint32_t place) const { return at(place).neighbour.ahead; }
   Mat3<Real> block(std::uint32_t place) const { return at(place).block; }
   void meet() const {}
-  bool leads(const tensor::RowSums<Real>&) const { return true; }
+  bool leads(const matrix::RowSums<Real>&) const { return true; }
 
  private:
   struct Column {
     Mat3<Real> block;
-    tensor::RowNeighbour<Real> neighbour;
+    matrix::RowNeighbour<Real> neighbour;
   };
   Column& at(std::uint32_t place) { return columns_.at(place - first_); }
   const Column& at(std::uint32_t place) const { return columns_.at(place - first_); }
@@ -55,48 +55,23 @@ class HostBlocks {
   std::uint32_t first_ = 0, held_ = 0;
 };
 
-/// A patch, its rows one by one.
-struct RowTeam {
-  std::uint32_t index;
-  std::uint32_t patch() const { return index; }
-  template <class Body>
-  void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
-    for (std::uint32_t i = begin; i < end; ++i) body(i);
-  }
-};
-
 }  // namespace
 
 template <class Real>
-void assemble_rows(int shape, int law, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e,
+void assemble_rows(int shape, int law, const view::SceneView<Real>& s, const view::ElementView<Real>& e,
                    std::uint32_t capacity) {
   physics::with_shape_and_law(shape, law, [&](auto shape_tag, auto law_tag) {
-    for (std::uint32_t patch = 0; e.decompositions != nullptr && patch < s.patch_count; ++patch) {
-      tensor::decompose<typename decltype(shape_tag)::Type>(RowTeam{patch}, s, e);
-    }
     for (std::uint32_t index = 0; index < e.slice_count; ++index) {
-      for (std::uint32_t lane = 0; lane < tensor::kSliceRows; ++lane) {
+      for (std::uint32_t lane = 0; lane < view::kSliceRows; ++lane) {
         HostBlocks<Real> blocks(capacity);
-        tensor::assemble_row<typename decltype(shape_tag)::Type, typename decltype(law_tag)::Type>(s, e, index, lane,
-                                                                                                   blocks);
+        matrix::assemble_row<typename decltype(shape_tag)::Type, typename decltype(law_tag)::Type>(
+            s.patches, s.state, s.matrix, s.newton, e, index, lane, blocks);
       }
     }
   });
 }
 
-template <class Real>
-void finish_rows(bool has_constant, const tensor::SceneView<Real>& s) {
-  for (std::uint32_t patch = 0; patch < s.patch_count; ++patch) {
-    if (has_constant) {
-      tensor::finish_rows<true>(RowTeam{patch}, s);
-    } else {
-      tensor::finish_rows<false>(RowTeam{patch}, s);
-    }
-  }
-}
-
-template void assemble_rows(int, int, const tensor::SceneView<TM_REAL>&, const tensor::ElementView<TM_REAL>&,
+template void assemble_rows(int, int, const view::SceneView<TM_REAL>&, const view::ElementView<TM_REAL>&,
                             std::uint32_t);
-template void finish_rows(bool, const tensor::SceneView<TM_REAL>&);
 
 }  // namespace tensormass::tests

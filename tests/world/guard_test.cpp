@@ -88,8 +88,8 @@ TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
     double most_force_n = 0;
     for (int i = 0; i < 5; ++i) {
       ASSERT_TRUE(faulty->step(false)) << kind.name;
-      backend::StepResult halves[2];
-      for (backend::StepResult& half : halves) {
+      solver::StepResult halves[2];
+      for (solver::StepResult& half : halves) {
         ASSERT_TRUE(sound->step(false)) << kind.name;
         half = sound->last();
       }
@@ -297,26 +297,26 @@ TEST(GuardBounds, AreEachAsked) {
   const model::Model model = model_of(scene);
   const Guard guard(model);
   const StepEnergy energy{.available_j = 1};
-  const backend::StepResult good{.max_move_m = 0.14,
-                                 .max_distance_m = 1.4,
-                                 .kinetic_energy_j = 3.9,
-                                 .min_det_f = 1e-6,
-                                 .newton_residual = 0.9,
-                                 .converged = false};
+  const solver::StepResult good{.max_move_m = 0.14,
+                                .max_distance_m = 1.4,
+                                .kinetic_energy_j = 3.9,
+                                .min_det_f = 1e-6,
+                                .newton_residual = 0.9,
+                                .converged = false};
   EXPECT_TRUE(guard.judge(good, energy).good()) << to_text(guard.judge(good, energy));
-  backend::StepResult at_rest = good;
+  solver::StepResult at_rest = good;
   at_rest.newton_residual = 1.1;
   at_rest.converged = true;
   EXPECT_TRUE(guard.judge(at_rest, energy).good()) << "what is left of forces that are rounding moves nothing";
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const auto breach = [&](auto member, auto value) {
-    backend::StepResult bad = good;
+    solver::StepResult bad = good;
     bad.*member = value;
     const Verdict verdict = guard.judge(bad, energy);
     EXPECT_FALSE(to_text(verdict).empty());
     return verdict.breach;
   };
-  using Result = backend::StepResult;
+  using Result = solver::StepResult;
   EXPECT_EQ(breach(&Result::finite, false), Breach::kNotFinite);
   EXPECT_EQ(breach(&Result::max_move_m, 0.16), Breach::kMove);
   EXPECT_EQ(breach(&Result::max_distance_m, 1.6), Breach::kDistance);
@@ -331,12 +331,12 @@ TEST(GuardBounds, AreEachAsked) {
 TEST(GuardBounds, EnergyMayBeWhatCameInSinceTheLastLook) {
   const model::Model model = model_of(tests::block_with_probe());
   const Guard guard(model);
-  const backend::StepResult moving{.kinetic_energy_j = 1};
+  const solver::StepResult moving{.kinetic_energy_j = 1};
   EXPECT_EQ(guard.judge(moving, {}).breach, Breach::kEnergy);
   EXPECT_TRUE(guard.judge(moving, {.available_j = 1}).good());
   EXPECT_TRUE(guard.judge(moving, {.tools_work_j = 1}).good());
   EXPECT_TRUE(guard.judge(moving, {.contacts_j = 1}).good());
-  backend::StepResult loaded = moving;
+  solver::StepResult loaded = moving;
   loaded.work_j = 1;
   EXPECT_TRUE(guard.judge(loaded, {}).good());
   EXPECT_EQ(guard.judge(moving, {.available_j = 0.2, .tools_work_j = -10}).breach, Breach::kEnergy);
@@ -355,7 +355,7 @@ TEST(GuardBounds, AreWideWhereAScenePrescribesIt) {
   v1::Scene scene = tests::block_with_probe();
   v1::Scene loose = scene;
   loose.mutable_bodies(0)->clear_fixed();
-  const backend::StepResult far{.max_distance_m = 100};
+  const solver::StepResult far{.max_distance_m = 100};
   EXPECT_EQ(Guard(model_of(scene)).judge(far, {}).breach, Breach::kDistance);
   EXPECT_TRUE(Guard(model_of(loose)).judge(far, {}).good()) << "nothing holds it";
 

@@ -92,7 +92,7 @@ TEST(IterationBudget, RisesAtOnceWhereAStepHadToBeMadeAgainForItsResidual) {
   run(budget, 400, 1, 1, 1e-4);
   ASSERT_EQ(budget.limit(), 20u);
   // Made again with all iterations it is solved well, and slow.
-  const backend::StepResult again{.cg_iterations = 100, .cg_relative_residual = 1e-5};
+  const solver::StepResult again{.cg_iterations = 100, .cg_relative_residual = 1e-5};
   GuardEvent event;
   event.first.breach = Breach::kResidual;
   budget.take_step(2, again, &event);

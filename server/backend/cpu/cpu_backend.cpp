@@ -14,10 +14,10 @@
 #include "backend/cpu/arena.h"
 #include "backend/cpu/elements.h"
 #include "backend/cpu/team.h"
-#include "backend/newton.h"
 #include "backend/results.h"
-#include "backend/stages.h"
 #include "model/bind.h"
+#include "solver/newton.h"
+#include "step/run.h"
 
 namespace tensormass::backend {
 
@@ -28,18 +28,19 @@ class CpuState final : public SceneState {
  public:
   explicit CpuState(const model::Model& model)
       : model_(model),
+        stages_(step::list_stages(model)),
         view_(model::bind<Real>(model, arena_)),
-        tools_(const_cast<tensor::ToolState<Real>*>(view_.tools)),
-        control_(const_cast<tensor::StepControl<Real>*>(view_.control)),
-        newton_(const_cast<tensor::NewtonControl*>(view_.newton)),
-        prescribed_(const_cast<Real*>(view_.prescribed)),
-        barrier_(view_.patch_count) {
+        tools_(const_cast<view::ToolState<Real>*>(view_.contact.tools)),
+        control_(const_cast<view::StepControl<Real>*>(view_.state.control)),
+        newton_(const_cast<view::NewtonControl*>(view_.newton.control)),
+        prescribed_(const_cast<Real*>(view_.prescribed.displacement)),
+        barrier_(view_.patches.patch_count) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
       groups_.push_back(model::bind<Real>(model, g, arena_));
       passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
     }
     try {
-      for (std::uint32_t patch = 1; patch < view_.patch_count; ++patch) {
+      for (std::uint32_t patch = 1; patch < view_.patches.patch_count; ++patch) {
         workers_.emplace_back([this, patch] { work(patch); });
       }
     } catch (...) {
@@ -61,64 +62,74 @@ class CpuState final : public SceneState {
       tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_);
-    *control_ = memory_.begin(model_, input);
+    *control_ = checkpoint_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
-      result = newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance, input.careful,
-                                 memory_.largest_force_squared());
+      result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
+                                         input.fallback_settings, checkpoint_.largest_force_squared());
       if (input.gather_visible) gather_visible();
     } else {
-      run_team(kWholeStep | (input.gather_visible ? kGather : 0));
+      run_team(kWholeStep | (input.gather_visible ? command(step::Phase::kFrame) : 0));
       result = this->result();
     }
-    read_forces<Real>({view_.tool_loads, std::size_t{view_.tool_count} * view_.patch_count}, forces);
-    result.min_det_f =
-        read_volume<Real>(model_, result.min_det_f, {view_.min_det_f, model_.groups.size() * view_.patch_count});
-    memory_.end(input);
+    read_forces<Real>({view_.contact.tool_loads, std::size_t{view_.contact.tool_count} * view_.patches.patch_count},
+                      forces);
+    result.min_det_f = read_volume<Real>(model_, result.min_det_f,
+                                         {view_.guard.min_det_f, model_.groups.size() * view_.patches.patch_count});
+    checkpoint_.end(input);
     return result;
   }
 
   void restore() override {
-    memory_.restore(model_, view_, std::span<const tensor::ElementView<Real>>(groups_),
-                    [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); });
+    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_),
+                        [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); });
   }
 
   std::span<const float> visible_positions() override {
-    return {view_.visible_positions, 3 * std::size_t{view_.visible_count}};
+    return {view_.surface.positions, 3 * std::size_t{view_.surface.vertex_count}};
   }
-  void gather_visible() override { run_team(kGather); }
+  void gather_visible() override { run(step::Phase::kFrame); }
 
-  void watch(std::span<GroupWatch> groups) override {
-    run_team(command(model::Phase::kWatch));
-    read_watch<Real>({view_.watch, groups.size() * view_.patch_count}, groups);
+  void diagnose(std::span<GroupDiagnostics> groups) override {
+    run(step::Phase::kDiagnostics);
+    read_diagnostics<Real>({view_.guard.diagnostics, groups.size() * view_.patches.patch_count}, groups);
   }
 
   RowState read() override {
-    return read_state(model_, view_, std::span<const tensor::ElementView<Real>>(groups_), memory_.history_dt_s(),
+    return read_state(model_, view_, std::span<const view::ElementView<Real>>(groups_), checkpoint_.internal_dt_s(),
                       [](const Real* from, std::size_t count) { return std::vector<double>(from, from + count); });
   }
   void write(const RowState& state) override {
-    write_state(model_, view_, std::span<const tensor::ElementView<Real>>(groups_), state,
+    write_state(model_, view_, std::span<const view::ElementView<Real>>(groups_), state,
                 [](Real* to, std::span<const double> from) {
                   std::transform(from.begin(), from.end(), to, [](double value) { return static_cast<Real>(value); });
                 });
-    memory_.start_anew(state.history_dt_s);
+    checkpoint_.start_anew(state.internal_dt_s);
   }
 
-  // What newton_step needs of a device.
-  void run(model::Phase phase) { run_team(command(phase)); }
-  tensor::NewtonControl& control() { return *newton_; }
-  Imbalance imbalance() const { return read_imbalance<Real>({view_.residuals, view_.patch_count}); }
-  StepResult result() const { return read_step<Real>(*view_.solve_report, {view_.patch_reports, view_.patch_count}); }
+  // solver::newton_step calls these.
+  void begin() { run(step::Phase::kBegin); }
+  void evaluate() { run(step::Phase::kEvaluate); }
+  void solve() { run(step::Phase::kSolve); }
+  void backtrack() { run(step::Phase::kBacktrack); }
+  void end() { run(step::Phase::kEnd); }
+  view::NewtonControl& control() { return *newton_; }
+  solver::NewtonResidual residual() const {
+    return solver::read_residual<Real>({view_.newton.residuals, view_.patches.patch_count});
+  }
+  StepResult result() const {
+    return solver::read_step<Real>(*view_.solve.report, {view_.guard.patch_reports, view_.patches.patch_count});
+  }
 
  private:
-  /// What the team is to run: a bit for each phase, and two more.
+  /// What the team must run: a bit for each phase, and one to quit.
   using Command = unsigned;
-  static constexpr Command command(model::Phase phase) { return 1u << static_cast<unsigned>(phase); }
-  static constexpr Command kGather = 1u << model::kPhases, kQuit = kGather << 1;
-  static constexpr Command kWholeStep = command(model::Phase::kBegin) | command(model::Phase::kEvaluate) |
-                                        command(model::Phase::kSolve) | command(model::Phase::kEnd);
+  static constexpr Command command(step::Phase phase) { return 1u << static_cast<unsigned>(phase); }
+  static constexpr Command kQuit = 1u << step::kPhases;
+  static constexpr Command kWholeStep = command(step::Phase::kBegin) | command(step::Phase::kEvaluate) |
+                                        command(step::Phase::kSolve) | command(step::Phase::kEnd);
 
+  void run(step::Phase phase) { run_team(command(phase)); }
   /// The calling thread is patch 0. A barrier starts the team and one ends it.
   void run_team(Command what) {
     command_ = what;
@@ -145,38 +156,35 @@ class CpuState final : public SceneState {
   }
 
   void run_patch(std::uint32_t patch, Command what) {
-    cpu::Team team(patch, view_.patch_count, barrier_);
-    for (const model::Stage& stage : model_.stages) {
-      if ((what & command(stage.phase)) == 0) continue;
-      if (stage.kind == model::StageKind::kElements) {
+    cpu::Team team(patch, view_.patches.patch_count, barrier_);
+    for (const step::Stage& stage : stages_) {
+      if ((what & command(stage.info->phase)) == 0) continue;
+      if (stage.info->kind == step::StageKind::kElements) {
         passes_[stage.group].tensors(team, view_, groups_[stage.group]);
-      } else if (stage.kind == model::StageKind::kWatch) {
-        passes_[stage.group].watch(team, view_, groups_[stage.group]);
+      } else if (stage.info->kind == step::StageKind::kDiagnostics) {
+        passes_[stage.group].diagnose(team, view_, groups_[stage.group]);
       } else {
-        with_stage(model_, stage, [&](auto type) {
-          decltype(type)::run(team, view_, groups_.empty() ? tensor::ElementView<Real>{} : groups_[stage.group]);
+        step::with_stage(model_, stage, [&](auto type) {
+          decltype(type)::run(team, view_, groups_.empty() ? view::ElementView<Real>{} : groups_[stage.group]);
         });
       }
-      barrier_.arrive_and_wait();
-    }
-    if ((what & kGather) != 0) {
-      GatherVisible::run(team, view_, {});
       barrier_.arrive_and_wait();
     }
   }
 
   const model::Model& model_;
+  const std::vector<step::Stage> stages_;
   cpu::Arena arena_;
-  const tensor::SceneView<Real> view_;
-  tensor::ToolState<Real>* const tools_;
-  tensor::StepControl<Real>* const control_;
-  tensor::NewtonControl* const newton_;
+  const view::SceneView<Real> view_;
+  view::ToolState<Real>* const tools_;
+  view::StepControl<Real>* const control_;
+  view::NewtonControl* const newton_;
   Real* const prescribed_;
-  std::vector<tensor::ElementView<Real>> groups_;
+  std::vector<view::ElementView<Real>> groups_;
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
-  Memory<Real> memory_;
+  Checkpoint<Real> checkpoint_;
   std::atomic<Gate> gate_{Gate::kClosed};
   std::vector<std::thread> workers_;
 };
@@ -200,9 +208,9 @@ class CpuBackend final : public Backend {
   model::PatchPolicy patch_policy(const v1::Scene& scene) const override {
     // Below that, waiting for each other costs more than the work saved.
     constexpr std::uint32_t kMinNodesPerThread = 512;
-    return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread, tensor::Storage::kEdges};
+    return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread, matrix::Storage::kEdges};
   }
-  model::MachineRates rates(const v1::Scene& scene) const override {
+  step::MachineRates rates(const v1::Scene& scene) const override {
     // Of one core of a current server, with vectors; measured by tensormass-bench where it matters.
     const double threads = model::requested_cpu_threads(scene, default_threads_);
     return {.bytes_per_s = 8e9 * threads,

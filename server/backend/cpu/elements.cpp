@@ -1,9 +1,24 @@
 #include "backend/cpu/elements.h"
 
-#include "tensor/assembly.h"
+#include "matrix/edge_assembly.h"
+#include "step/diagnostics.h"
 
 // TM_LAW, an index into physics::Laws, comes from the build.
 namespace tensormass::backend::cpu {
+
+namespace {
+
+/// Passes a stage over elements the parts of the scene that it may touch, as step/run.h does for the others.
+template <class Shape, class Law, class Real>
+void element_tensors(const Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
+  matrix::element_pass<Shape, Law>(team, s.patches, s.state, s.matrix, s.newton, e);
+}
+template <class Shape, class Law, class Real>
+void diagnose(const Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
+  step::diagnose_elements<Shape, Law>(team, s.patches, s.state, s.guard, e);
+}
+
+}  // namespace
 
 template <int Law, class Real>
 ElementPasses<Real> element_passes_of_law(int shape) {
@@ -11,8 +26,8 @@ ElementPasses<Real> element_passes_of_law(int shape) {
   physics::for_each_type(physics::Shapes{}, [&](auto shape_tag, int index) {
     using Shape = typename decltype(shape_tag)::Type;
     if (index != shape) return;
-    passes.tensors = &tensor::element_pass<Shape, physics::LawAt<Law>, Team, Real>;
-    passes.watch = &tensor::watch_elements<Shape, physics::LawAt<Law>, Team, Real>;
+    passes.tensors = &element_tensors<Shape, physics::LawAt<Law>, Real>;
+    passes.diagnose = &diagnose<Shape, physics::LawAt<Law>, Real>;
   });
   return passes;
 }

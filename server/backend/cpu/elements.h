@@ -4,19 +4,19 @@
 
 #include "backend/cpu/team.h"
 #include "physics/lists.h"
-#include "tensor/view.h"
+#include "view/scene.h"
 
 /// The passes over elements on the CPU. elements.cpp is compiled once for each law: they are many, and the longest to
 /// compile.
 namespace tensormass::backend::cpu {
 
 template <class Real>
-using ElementPass = void (*)(const Team&, const tensor::SceneView<Real>&, const tensor::ElementView<Real>&);
+using ElementPass = void (*)(const Team&, const view::SceneView<Real>&, const view::ElementView<Real>&);
 
 template <class Real>
 struct ElementPasses {
-  ElementPass<Real> tensors = nullptr;  ///< tensor::element_pass
-  ElementPass<Real> watch = nullptr;    ///< tensor::watch_elements
+  ElementPass<Real> tensors = nullptr;   ///< matrix::element_pass
+  ElementPass<Real> diagnose = nullptr;  ///< step::diagnose_elements
 };
 
 /// Of the law at this index of physics::Laws.

@@ -41,7 +41,7 @@ class Team {
   template <class Real>
   using Lanes = NativeLanes<Real>;
 
-  /// What no other thread writes, it may write in any order: a matrix may store edges (tensor/edges.h).
+  /// What no other thread writes, it may write in any order: a matrix may store edges (matrix/edges.h).
   static constexpr bool kOneThread = true;
 
   Team(std::uint32_t patch, std::uint32_t patch_count, Barrier& barrier)

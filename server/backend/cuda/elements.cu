@@ -2,23 +2,25 @@
 
 #include "backend/cuda/launch.cuh"
 #include "backend/cuda/rows.cuh"
+#include "step/diagnostics.h"
 
 // TM_LAW, an index into physics::Laws, comes from the build.
 namespace tensormass::backend::cuda {
 
+/// The stages over elements pass the parts of the scene that they may touch, as step/run.h does for the others.
 template <class Shape, class Law>
-struct MoveHistories {
+struct InternalVariables {
   template <class Team, class Real>
-  __device__ static void run(Team& team, const SceneView<Real>& s, const ElementView<Real>& e) {
-    tensor::move_histories<Shape, Law>(team, s, e);
+  __device__ static void run(Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
+    matrix::advance_internal_variables<Shape, Law>(team, s.patches, s.state, s.newton, e);
   }
 };
 
 template <class Shape, class Law>
-struct Watch {
+struct Diagnostics {
   template <class Team, class Real>
-  __device__ static void run(Team& team, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e) {
-    tensor::watch_elements<Shape, Law>(team, s, e);
+  __device__ static void run(Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
+    step::diagnose_elements<Shape, Law>(team, s.patches, s.state, s.guard, e);
   }
 };
 
@@ -30,10 +32,11 @@ ElementKernels element_kernels_of_law(int shape) {
     using Of = physics::LawAt<Law>;
     if (index != shape) return;
     kernels.assemble = reinterpret_cast<const void*>(&assemble_rows<Shape, Of, Real>);
-    kernels.keeps_neighbours = tensor::kKeepsNeighbours<Shape>;
-    kernels.adds_in_turns = tensor::kAddsInTurns<Shape>;
-    kernels.move_histories = reinterpret_cast<const void*>(&run_stage<MoveHistories<Shape, Of>, Real, kStageThreads>);
-    kernels.watch = reinterpret_cast<const void*>(&run_stage<Watch<Shape, Of>, Real>);
+    kernels.keeps_neighbours = matrix::kKeepsNeighbours<Shape>;
+    kernels.adds_in_turns = matrix::kAddsInTurns<Shape>;
+    kernels.internal_variables =
+        reinterpret_cast<const void*>(&run_stage<InternalVariables<Shape, Of>, Real, kStageThreads>);
+    kernels.diagnostics = reinterpret_cast<const void*>(&run_stage<Diagnostics<Shape, Of>, Real>);
   });
   return kernels;
 }

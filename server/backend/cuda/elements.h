@@ -10,11 +10,11 @@ namespace tensormass::backend::cuda {
 
 struct ElementKernels {
   const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
-  bool keeps_neighbours = false;   ///< tensor::kKeepsNeighbours of the shape
-  bool adds_in_turns = false;      ///< tensor::kAddsInTurns of the shape
+  bool keeps_neighbours = false;   ///< matrix::kKeepsNeighbours of the shape
+  bool adds_in_turns = false;      ///< matrix::kAddsInTurns of the shape
   // Of the signature of run_stage (launch.cuh):
-  const void* move_histories = nullptr;  ///< tensor::move_histories; does not reduce
-  const void* watch = nullptr;           ///< tensor::watch_elements; reduces
+  const void* internal_variables = nullptr;  ///< matrix::advance_internal_variables; does not reduce
+  const void* diagnostics = nullptr;         ///< step::diagnose_elements; reduces
 };
 
 /// Of the law at this index of physics::Laws.

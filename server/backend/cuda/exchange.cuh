@@ -3,7 +3,7 @@
 #include <cstdint>
 
 #include "backend/cuda/team.cuh"
-#include "tensor/view.h"
+#include "view/scene.h"
 
 namespace tensormass::backend::cuda {
 
@@ -23,12 +23,12 @@ class Exchange {
     std::uint32_t tag;
   };
 
-  __device__ Exchange(const tensor::SceneView<float>& s, std::uint32_t patch)
-      : cells_(reinterpret_cast<Cell*>(s.product)),
-        sums_(reinterpret_cast<Cell*>(s.reduction)),
-        tags_(s.exchange_tags),
-        rows_(s.row_count),
-        patches_(s.patch_count),
+  __device__ Exchange(const view::SceneView<float>& s, std::uint32_t patch)
+      : cells_(reinterpret_cast<Cell*>(s.solve.product)),
+        sums_(reinterpret_cast<Cell*>(s.solve.reduction)),
+        tags_(s.solve.exchange_tags),
+        rows_(s.patches.row_count),
+        patches_(s.patches.patch_count),
         patch_(patch),
         tag_(tags_[patch]) {}
 
@@ -99,7 +99,7 @@ class Exchange {
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
   }
   __device__ Cell* sums_of(std::uint32_t patch) const {
-    return sums_ + (std::size_t{tag_ & 1} * patches_ + patch) * (tensor::kPatchSums / 4);
+    return sums_ + (std::size_t{tag_ & 1} * patches_ + patch) * (view::kPatchSums / 4);
   }
   template <int Count, class PlaceOf>
   __device__ void wait_for(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const PlaceOf& place_of,

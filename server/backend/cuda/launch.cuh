@@ -1,7 +1,7 @@
 #pragma once
 
 #include "backend/cuda/team.cuh"
-#include "tensor/view.h"
+#include "view/scene.h"
 
 namespace tensormass::backend::cuda {
 
@@ -10,8 +10,8 @@ inline constexpr unsigned kStageThreads = 128;
 
 /// Every stage is a kernel of this form. Fewer threads leave more registers to each.
 template <class StageType, class Real, unsigned MaxThreads = kMaxBlockThreads>
-__global__ void __launch_bounds__(MaxThreads) run_stage(const __grid_constant__ tensor::SceneView<Real> view,
-                                                        const __grid_constant__ tensor::ElementView<Real> elements) {
+__global__ void __launch_bounds__(MaxThreads) run_stage(const __grid_constant__ view::SceneView<Real> view,
+                                                        const __grid_constant__ view::ElementView<Real> elements) {
   Team team;
   StageType::run(team, view, elements);
 }

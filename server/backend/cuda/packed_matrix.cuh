@@ -3,15 +3,15 @@
 #include <cuda_fp16.h>
 
 #include "backend/cuda/team.cuh"
+#include "matrix/packed_block.h"
+#include "matrix/tiles.h"
 #include "solver/jacobi_scaling.h"
-#include "tensor/packed_block.h"
-#include "tensor/tiles.h"
 
 /// The matrix as streamed_solve.cuh reads it from memory in each iteration, and a warp's way through it.
 namespace tensormass::backend::cuda {
 
-using tensor::kSliceRows;
-using tensor::SceneView;
+using view::kSliceRows;
+using view::SceneView;
 
 __device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
 
@@ -19,10 +19,11 @@ __device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cel
 struct ReadColumns {
   std::uint32_t begin, end;
   __device__ ReadColumns(const SceneView<float>& s, std::uint32_t slice)
-      : begin(s.slice_begin[slice]), end(s.slice_read != nullptr ? s.slice_read[slice] : s.slice_begin[slice + 1]) {}
+      : begin(s.matrix.slice_begin[slice]),
+        end(s.matrix.slice_read != nullptr ? s.matrix.slice_read[slice] : s.matrix.slice_begin[slice + 1]) {}
 };
 
-/// The patch-local row behind a slot, and in the top bit whether the block serves that row, too (tensor/tiles.h). 16
+/// The patch-local row behind a slot, and in the top bit whether the block serves that row, too (matrix/tiles.h). 16
 /// bits where a patch is small enough.
 template <class Word>
 struct Neighbour {
@@ -45,7 +46,7 @@ struct PackedColumn {
 
   __device__ PackedColumn(const SceneView<float>& s, std::uint32_t column) {
     constexpr std::uint32_t kPairs = 3;
-    pairs = reinterpret_cast<uint2*>(s.edges + tensor::block_begin(std::size_t{column} * kSliceRows));
+    pairs = reinterpret_cast<uint2*>(s.matrix.edges + view::block_begin(std::size_t{column} * kSliceRows));
     neighbours = reinterpret_cast<Word*>(pairs + kPairs * kSliceRows);
     diagonals = reinterpret_cast<uint2*>(neighbours + kSliceRows);
     static_assert(kPairs * sizeof(uint2) + sizeof(Word) + sizeof(uint2) <= 9 * sizeof(float));
@@ -59,12 +60,12 @@ struct RowLoss {
 
   static constexpr float kUnit = 0x1p20f;  // 1 is the middle of what halves have
   __device__ static RowLoss none() { return {}; }
-  __device__ void add(const tensor::UpperTriangle& lost) {
+  __device__ void add(const matrix::UpperTriangle& lost) {
     sums[0] = __hadd2(sums[0], __floats2half2_rn(lost.xx * kUnit, lost.xy * kUnit));
     sums[1] = __hadd2(sums[1], __floats2half2_rn(lost.xz * kUnit, lost.yy * kUnit));
     sums[2] = __hadd2(sums[2], __floats2half2_rn(lost.yz * kUnit, lost.zz * kUnit));
   }
-  __device__ tensor::UpperTriangle sum() const {
+  __device__ matrix::UpperTriangle sum() const {
     const float2 a = __half22float2(sums[0]), b = __half22float2(sums[1]), c = __half22float2(sums[2]);
     constexpr float kFactor = 1 / kUnit;
     return {a.x * kFactor, a.y * kFactor, b.x * kFactor, b.y * kFactor, c.x * kFactor, c.y * kFactor};
@@ -74,8 +75,8 @@ static_assert(sizeof(RowLoss) == sizeof(float4));
 
 /// Â, packed, for A in what is read of a tile's rows. By its warp. losses: of the tile, in shared memory.
 template <class Word>
-__device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t first,
-                           std::uint32_t last, RowLoss* losses) {
+__device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, std::uint32_t first, std::uint32_t last,
+                           RowLoss* losses) {
   const std::uint32_t lane = threadIdx.x % kWarp;
   for (std::uint32_t local = first + lane; local < last; local += kWarp) losses[local - first] = RowLoss::none();
   __syncwarp();
@@ -83,8 +84,8 @@ __device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch
   for (std::uint32_t local = first + lane; local < last; local += kWarp) {
     const std::uint32_t row = patch.row_begin + local;
     const ReadColumns columns(s, row / kSliceRows);
-    const Mat3<float> own = solver::load_lower<float>(s.diagonal, row);
-    tensor::UpperTriangle lost_here;
+    const Mat3<float> own = solver::load_lower<float>(s.matrix.diagonal, row);
+    matrix::UpperTriangle lost_here;
     // Some at once, as each waits for memory twice.
     constexpr std::uint32_t kAtOnce = 3;
 #pragma unroll 1
@@ -95,13 +96,13 @@ __device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch
       for (std::uint32_t i = 0; i < kAtOnce; ++i) {
         const std::uint32_t column = minimum(begin + i, columns.end - 1);
         const std::size_t slot = std::size_t{column} * kSliceRows + lane;
-        other[i] = s.columns[slot];
-        twice[i] = s.used_twice != nullptr ? s.used_twice[column] >> lane & 1 : 0;
-        block[i] = tensor::load_block<float>(s.edges, slot);
+        other[i] = s.matrix.columns[slot];
+        twice[i] = s.matrix.used_twice != nullptr ? s.matrix.used_twice[column] >> lane & 1 : 0;
+        block[i] = view::load_block<float>(s.matrix.edges, slot);
       }
 #pragma unroll
       for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-        factor[i] = solver::load_lower<float>(s.diagonal, tensor::global_row(s, patch, other[i]));
+        factor[i] = solver::load_lower<float>(s.matrix.diagonal, view::global_row(s.patches, patch, other[i]));
       }
       __syncwarp();  // each lane has read what others write over
 #pragma unroll
@@ -110,14 +111,14 @@ __device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch
         const Mat3<float> scaled = own * block[i] * factor[i].transpose();
         float numbers[9], unpacked[9];
         for (int c = 0; c < 9; ++c) numbers[c] = scaled(c / 3, c % 3);
-        const auto packed = tensor::PackedBlock::of(numbers);
+        const auto packed = matrix::PackedBlock::of(numbers);
         const PackedColumn<Word> to(s, begin + i);
         for (int pair = 0; pair < 3; ++pair) {
           to.pairs[pair * kSliceRows + lane] = {packed.words[2 * pair], packed.words[2 * pair + 1]};
         }
         to.neighbours[lane] = Neighbour<Word>::of(other[i], twice[i] != 0);
         packed.unpack(unpacked);
-        const tensor::UpperTriangle lost = tensor::lost(numbers, unpacked);
+        const matrix::UpperTriangle lost = matrix::lost(numbers, unpacked);
         lost_here += lost;
         if (twice[i] != 0) losses[other[i] - first].add(lost);
         __syncwarp();  // the next column adds to the same rows
@@ -128,9 +129,9 @@ __device__ void scale_tile(const SceneView<float>& s, const tensor::Patch& patch
   }
   for (std::uint32_t local = first + lane; local < last; local += kWarp) {
     const std::uint32_t slice = (patch.row_begin + local) / kSliceRows;
-    if (s.slice_begin[slice] == s.slice_begin[slice + 1]) continue;  // rows without neighbours
-    const auto packed = tensor::PackedDiagonal::of(losses[local - first].sum());
-    PackedColumn<Word>(s, s.slice_begin[slice]).diagonals[lane] = {packed.words[0], packed.words[1]};
+    if (s.matrix.slice_begin[slice] == s.matrix.slice_begin[slice + 1]) continue;  // rows without neighbours
+    const auto packed = matrix::PackedDiagonal::of(losses[local - first].sum());
+    PackedColumn<Word>(s, s.matrix.slice_begin[slice]).diagonals[lane] = {packed.words[0], packed.words[1]};
   }
   __syncwarp();
 }
@@ -141,7 +142,7 @@ template <unsigned Warps, class Word>
 class TileWalk {
  public:
   /// A warp that has no tile is not to multiply.
-  __device__ TileWalk(const SceneView<float>& s, const tensor::Patch& patch, std::uint32_t tile_rows)
+  __device__ TileWalk(const SceneView<float>& s, const view::Patch& patch, std::uint32_t tile_rows)
       : s_(s), patch_(patch), tile_rows_(tile_rows), own_(patch.own()), begin_(threadIdx.x / kWarp * tile_rows) {
     if (begin_ >= own_) return;
     begin_tile(begin_);
@@ -149,7 +150,7 @@ class TileWalk {
   }
 
   /// q = Â p on the rows of the tile at hand, all of it: what other tiles' rows have to do with them is read here
-  /// (tensor/tiles.h). Then the warp's next tile is at hand. p: of the patch; q: of the tile, in shared memory; four
+  /// (matrix/tiles.h). Then the warp's next tile is at hand. p: of the patch; q: of the tile, in shared memory; four
   /// floats a row.
   __device__ void multiply(const float4* p, float4* q) {
     const std::uint32_t first = first_, last = minimum(first + tile_rows_, own_);
@@ -234,7 +235,7 @@ class TileWalk {
       const PackedColumn<Word> from(s_, next_ + i);
       neighbour_[i] = more ? __ldcs(from.neighbours + lane()) : Word(0);
       for (int pair = 0; pair < 3; ++pair) {
-        constexpr uint2 kZero{tensor::PackedBlock::kZeroWords[0], tensor::PackedBlock::kZeroWords[1]};
+        constexpr uint2 kZero{matrix::PackedBlock::kZeroWords[0], matrix::PackedBlock::kZeroWords[1]};
         const uint2 words = more ? __ldcs(from.pairs + pair * kSliceRows + lane()) : kZero;
         block_[i].words[2 * pair] = words.x;
         block_[i].words[2 * pair + 1] = words.y;
@@ -243,14 +244,14 @@ class TileWalk {
   }
 
   const SceneView<float>& s_;
-  const tensor::Patch& patch_;
+  const view::Patch& patch_;
   const std::uint32_t tile_rows_, own_, begin_;  // where the warp's first tile begins
   std::uint32_t first_;                          // where the tile at hand does
   std::uint32_t slice_, slices_;                 // of it
   std::uint32_t next_, end_;                     // columns of the slice
   std::uint32_t begin_of_, end_of_;              // the same of the lane's slice
-  tensor::PackedDiagonal diagonal_;              // of the lane's row in the slice
-  tensor::PackedBlock block_[kAtOnce];
+  matrix::PackedDiagonal diagonal_;              // of the lane's row in the slice
+  matrix::PackedBlock block_[kAtOnce];
   Word neighbour_[kAtOnce];
 };
 

@@ -5,66 +5,65 @@
 #include <cuda_pipeline.h>
 
 #include "backend/cuda/exchange.cuh"
-#include "solver/advance.h"
-#include "tensor/check_volume.h"
+#include "solver/time_scheme.h"
+#include "step/inversion_check.h"
 
 namespace tensormass::backend::cuda {
 
-/// Looks for tetrahedra of a patch (tensor/patch_tetrahedra.h) that are turned inside out where a solve ends: patches
-/// tell each other how far their rows have moved, and each looks at its own tetrahedra in shared memory. A kernel of
-/// its own takes longer to begin and to be waited for than this takes in all.
+/// Finds inverted tetrahedra of a patch (matrix/patch_tetrahedra.h) at the end of a solve. Patches exchange the
+/// displacements of their rows, and each checks its own tetrahedra in shared memory. A separate kernel would take
+/// longer to launch and to wait for than this whole check.
 template <unsigned Threads>
 class PatchVolume {
  public:
-  /// Where the patch's tetrahedra are, of own rows only and the others. A kernel reads it when it begins and keeps it
-  /// in shared memory, so that its end does not wait for it.
+  /// The ranges of the patch's tetrahedra: those of own rows only, then those with rows of the halo. A kernel reads
+  /// them at its start into shared memory, so that its end does not wait for them.
   struct Parts {
     std::uint32_t begin, halo_begin, end;
   };
-  __device__ static Parts parts_of(const tensor::SceneView<float>& s, const tensor::Patch& patch) {
-    const std::uint32_t* const parts = s.patch_tetrahedra + 2 * patch.index;
+  __device__ static Parts parts_of(const view::SceneView<float>& s, const view::Patch& patch) {
+    const std::uint32_t* const parts = s.guard.patch_tetrahedra + 2 * patch.index;
     return {parts[0], parts[1], parts[2]};
   }
 
-  /// Has what a check reads brought near. A solve takes long enough for caches to lose it.
-  __device__ static void expect(const tensor::SceneView<float>& s, const Parts& parts) {
+  /// Prefetches what the check reads. A solve takes long enough for caches to lose it.
+  __device__ static void expect(const view::SceneView<float>& s, const Parts& parts) {
     constexpr std::uint32_t kLine = 16;  // tetrahedra in 128 bytes
     for (std::uint32_t t = parts.begin + kLine * threadIdx.x; t < parts.end; t += kLine * Threads) {
-      tensormass::expect(s.tetrahedron_rows + std::size_t{4} * t);
+      tensormass::expect(s.guard.tetrahedron_rows + std::size_t{4} * t);
     }
   }
 
-  /// By all threads, when nothing in shared memory is in use any more. What the solve does not change is on its way
-  /// from now on.
-  __device__ PatchVolume(const tensor::SceneView<float>& s, const tensor::Patch& patch, const Parts& parts,
+  /// All threads must call it, once shared memory is free. It starts reading what the solve does not change.
+  __device__ PatchVolume(const view::SceneView<float>& s, const view::Patch& patch, const Parts& parts,
                          Exchange& exchange, float4* shared)
       : s_(s),
         patch_(patch),
         exchange_(exchange),
         positions_(shared),
-        tetrahedra_(reinterpret_cast<const uint2*>(s.tetrahedron_rows)),
+        tetrahedra_(reinterpret_cast<const uint2*>(s.guard.tetrahedron_rows)),
         begin_(parts.begin),
         halo_begin_(parts.halo_begin),
         end_(parts.end),
-        origin_(tensor::load3<float>(s.rest, patch.row_begin)) {
+        origin_(view::load3<float>(s.state.rest, patch.row_begin)) {
     exchange_.begin();
     halo_.read(*this, threadIdx.x);
     read_ahead(begin_ + threadIdx.x, halo_begin_);
   }
 
-  /// What solver::move_rows wants: for each own row, where it is at rest, and where it has moved to.
-  __device__ Vec3<float> read(std::uint32_t row) const { return tensor::load3<float>(s_.rest, row); }
+  /// `moved` of solver::move_rows: reads a row's rest position, then publishes and stores where it has moved.
+  __device__ Vec3<float> read(std::uint32_t row) const { return view::load3<float>(s_.state.rest, row); }
   __device__ void operator()(std::uint32_t row, const Vec3<float>& u, const Vec3<float>& rest) const {
     exchange_.publish_row(row, u[0], u[1], u[2]);
     positions_[row - patch_.row_begin] = position(rest, u);
   }
 
-  /// By all threads, after that: whether one of the tetrahedra that the thread looks at seems inside out.
+  /// All threads must call it, after move_rows. Returns whether one of the thread's tetrahedra seems inverted.
   __device__ bool finds() {
-    bool inside_out = false;
+    bool inverted = false;
     std::uint32_t t = begin_ + threadIdx.x, end = halo_begin_;
-    // First what needs no row of the halo, which is on its way meanwhile. Both by the same instructions: what runs once
-    // waits for them.
+    // Tetrahedra of own rows first, while rows of the halo arrive. One loop serves both: code that runs once waits for
+    // its instructions.
 #pragma unroll 1
     for (bool ends = false;; ends = true) {
       __syncthreads();
@@ -75,17 +74,17 @@ class PatchVolume {
         for (std::uint32_t i = 0; i < kAtOnce; ++i) nodes[i] = ahead_[i];
         read_ahead(t + kAtOnce * Threads, end);
 #pragma unroll
-        for (std::uint32_t i = 0; i < kAtOnce; ++i) inside_out |= !has_volume(nodes[i]);
+        for (std::uint32_t i = 0; i < kAtOnce; ++i) inverted |= !has_volume(nodes[i]);
       }
-      if (ends) return inside_out;
+      if (ends) return inverted;
       t = halo_begin_ + threadIdx.x;
       end = end_;
       read_ahead(t, end);
       place_halo();
     }
   }
-  /// By all threads, which meet here: of the patch's tetrahedra that seem inside out; infinity where no thread has
-  /// found one, as in nearly all steps.
+  /// All threads must call it; they synchronize here. Returns the smallest det F of the patch's tetrahedra that seem
+  /// inverted; infinity if no thread has found one, as in nearly all steps.
   __device__ float least_det_f(const Team& team, bool found) const {
     float least = std::numeric_limits<float>::infinity();
     if (__syncthreads_or(found ? 1 : 0) == 0) return least;
@@ -97,7 +96,7 @@ class PatchVolume {
   }
 
  private:
-  // Some at once hide what each waits for.
+  // Several in flight hide each other's latency.
   static constexpr std::uint32_t kAtOnce = 3, kHaloAtOnce = 4;
 
   /// Rows h, h + Threads, .. of the halo.
@@ -109,10 +108,10 @@ class PatchVolume {
 #pragma unroll
       for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
         const std::uint32_t place = h + i * Threads;
-        rows[i] = place < of.patch_.halo_count ? of.s_.halo[of.patch_.halo_begin + place] : 0;
+        rows[i] = place < of.patch_.halo_count ? of.s_.patches.halo[of.patch_.halo_begin + place] : 0;
       }
 #pragma unroll
-      for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) rest[i] = tensor::load3<float>(of.s_.rest, rows[i]);
+      for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) rest[i] = view::load3<float>(of.s_.state.rest, rows[i]);
     }
     __device__ void place(const PatchVolume& of, std::uint32_t h) const {
       Exchange::Cell cells[kHaloAtOnce];
@@ -127,7 +126,7 @@ class PatchVolume {
     }
   };
 
-  /// The thread's next; beyond the end the last one again, which does no harm.
+  /// Reads the thread's next tetrahedra. Beyond the end it reads the last one again, which is harmless.
   __device__ void read_ahead(std::uint32_t t, std::uint32_t end) {
 #pragma unroll
     for (std::uint32_t i = 0; i < kAtOnce; ++i) {
@@ -142,7 +141,7 @@ class PatchVolume {
     }
   }
 
-  /// Relative to a row of the patch: rounded to what the patch is large, not the scene.
+  /// Position relative to a row of the patch, so that rounding depends on the patch's size and not the scene's.
   __device__ float4 position(const Vec3<float>& rest, const Vec3<float>& u) const {
     const Vec3<float> x = (rest - origin_) + u;
     return {x[0], x[1], x[2], 0};
@@ -150,7 +149,8 @@ class PatchVolume {
   __device__ static std::uint32_t local_of(uint2 nodes, std::uint32_t k) {
     return (k < 2 ? nodes.x : nodes.y) >> (16 * (k % 2)) & 0xFFFF;
   }
-  /// As far as rounded positions tell: a tetrahedron whose height is a millionth of its patch may be taken for flat.
+  /// Whether the volume is positive, within rounding: a tetrahedron whose height is a millionth of its patch may count
+  /// as flat.
   __device__ bool has_volume(uint2 nodes) const {
     Vec3<float> x[4];
 #pragma unroll
@@ -163,18 +163,18 @@ class PatchVolume {
   __device__ float det_f(uint2 nodes) const {
     Vec3<float> rest[4], displacement[4];
     for (std::uint32_t k = 0; k < 4; ++k) {
-      const std::uint32_t row = tensor::global_row(s_, patch_, local_of(nodes, k));
-      rest[k] = tensor::load3<float>(s_.rest, row);
+      const std::uint32_t row = view::global_row(s_.patches, patch_, local_of(nodes, k));
+      rest[k] = view::load3<float>(s_.state.rest, row);
       const Exchange::Cell cell = exchange_.row(row);
       displacement[k] = {cell.x, cell.y, cell.z};
     }
-    return tensor::det_f_of_nodes(rest, displacement);
+    return step::det_f_of_nodes(rest, displacement);
   }
 
-  const tensor::SceneView<float>& s_;
-  const tensor::Patch& patch_;
+  const view::SceneView<float>& s_;
+  const view::Patch& patch_;
   Exchange& exchange_;
-  float4* const positions_;  // [own and halo], where q and direction have been
+  float4* const positions_;  // [own and halo], in the place of q and direction
   const uint2* const tetrahedra_;
   const std::uint32_t begin_, halo_begin_, end_;  // tetrahedra of own rows only, then the others
   const Vec3<float> origin_;
@@ -182,21 +182,24 @@ class PatchVolume {
   uint2 ahead_[kAtOnce];
 };
 
-/// Ends a solve: moves the patch's rows by the change of velocity that `change_of(row)` says, reports on them, and has
-/// the volume of the tetrahedra checked where the scene asks for it. By all threads, when nothing in shared memory is
-/// in use any more.
+/// The epilogue of a solve: moves the patch's rows, writes the patch's report and, if the scene asks for it, checks the
+/// volume of its tetrahedra. All threads must call it, once shared memory is free.
+///   change_of(row) -> Vec3<float>   Δv of the row
 template <unsigned Threads, class Change>
-__device__ void end_solve(const tensor::SceneView<float>& s, const tensor::Patch& patch,
+__device__ void end_solve(const view::SceneView<float>& s, const view::Patch& patch,
                           const typename PatchVolume<Threads>::Parts& tetrahedra, Exchange& exchange, float4* shared,
                           const Change& change_of) {
   const Team team;
-  if (s.patch_tetrahedra == nullptr) {
-    solver::report(team, s, solver::advance_by(team, s, change_of, solver::Unasked{}));
+  if (s.guard.patch_tetrahedra == nullptr) {
+    solver::report(
+        team, s.guard,
+        solver::advance_by(team, s.patches, s.state, s.newton, s.guard, change_of, solver::DiscardPosition{}));
   } else {
     PatchVolume<Threads> volume(s, patch, tetrahedra, exchange, shared);
-    const solver::Motion<float> motion = solver::advance_by(team, s, change_of, volume);
+    const solver::Motion<float> motion =
+        solver::advance_by(team, s.patches, s.state, s.newton, s.guard, change_of, volume);
     const bool found = volume.finds();
-    solver::report(team, s, motion, [&] { return volume.least_det_f(team, found); });
+    solver::report(team, s.guard, motion, [&] { return volume.least_det_f(team, found); });
   }
   if (threadIdx.x == 0) exchange.remember();
 }

@@ -5,9 +5,9 @@
 #include "backend/cuda/patch_sums.cuh"
 #include "backend/cuda/patch_volume.cuh"
 #include "core/strided.h"
-#include "solver/advance.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
+#include "solver/time_scheme.h"
 
 /// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
 /// solve and has one or two rows a thread: matrix, vectors and direction stay in registers and shared memory. What
@@ -15,8 +15,8 @@
 /// patches.
 namespace tensormass::backend::cuda {
 
-using tensor::kSliceRows;
-using tensor::SceneView;
+using view::kSliceRows;
+using view::SceneView;
 
 /// Rows of a patch in resident_solve, at most.
 inline constexpr std::uint32_t kMostResidentRows = 512;
@@ -43,7 +43,7 @@ __global__ void __launch_bounds__(Threads, 1)
   extern __shared__ float4 shared[];
   __shared__ PatchSums<Threads> sums;
   __shared__ typename PatchVolume<Threads>::Parts tetrahedra;
-  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const view::Patch patch = view::patch_of(s.patches, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   float4* const direction = shared;                                        // [locals]
   float4* const halo_residual = direction + locals;                        // [halo]
@@ -51,7 +51,7 @@ __global__ void __launch_bounds__(Threads, 1)
   float4* const inverse = halo_product + patch.halo_count;                 // [locals] of L⁻¹ four reals
   auto* const inverse_rest = reinterpret_cast<float2*>(inverse + locals);  // [locals] and the other two
   float* const blocks =
-      reinterpret_cast<float*>(inverse_rest) + tensor::round_to_four(2 * locals);  // [column][9][kSliceRows]
+      reinterpret_cast<float*>(inverse_rest) + view::round_to_four(2 * locals);  // [column][9][kSliceRows]
   auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * column_capacity);
 
   const std::uint32_t thread = computed_once(threadIdx.x), lane = thread % kWarp, warp = thread / kWarp;
@@ -65,7 +65,7 @@ __global__ void __launch_bounds__(Threads, 1)
   std::uint32_t row[Rows], first[Rows], width[Rows], shared_begin[Rows], shared_width[Rows];
   {
     const std::uint32_t slices = own / kSliceRows, slice = patch.row_begin / kSliceRows + minimum(lane, slices - 1);
-    const std::uint32_t begin = s.slice_begin[slice], columns = s.slice_begin[slice + 1] - begin;
+    const std::uint32_t begin = s.matrix.slice_begin[slice], columns = s.matrix.slice_begin[slice + 1] - begin;
     const std::uint32_t further = lane < slices && columns > Held ? columns - Held : 0;
     std::uint32_t up_to = further;
     for (unsigned distance = 1; distance < kWarp; distance *= 2) {
@@ -106,13 +106,13 @@ __global__ void __launch_bounds__(Threads, 1)
     Vec3<float> rhs;
   };
   const auto read_row = [&](std::uint32_t local) {
-    const std::uint32_t global = tensor::global_row(s, patch, local);
-    const auto* diagonal = reinterpret_cast<const float4*>(s.diagonal + std::size_t{8} * global);
+    const std::uint32_t global = view::global_row(s.patches, patch, local);
+    const auto* diagonal = reinterpret_cast<const float4*>(s.matrix.diagonal + std::size_t{8} * global);
     const float4 a = diagonal[0], b = diagonal[1];
-    return Row{tensor::free_bits(s, global),
+    return Row{view::free_bits(s.state, global),
                {a.x, a.y, a.z, a.w, b.x, b.y},
-               solver::body_weight(s, global),
-               tensor::load3<float>(s.rhs, global)};
+               solver::body_weight(s.state, global),
+               view::load3<float>(s.matrix.rhs, global)};
   };
   const auto factorize = [&](std::uint32_t local, const Row& row) {
     float factor[6];
@@ -129,7 +129,7 @@ __global__ void __launch_bounds__(Threads, 1)
   for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) rows[i] = read_row(minimum(thread + i * Threads, locals - 1));
   for (int k = 0; k < Rows; ++k) {
     for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
-      const float* from = s.edges + tensor::block_begin(slot_of(k, Held + j));
+      const float* from = s.matrix.edges + view::block_begin(slot_of(k, Held + j));
       float* const to = blocks + (shared_begin[k] + j) * kColumnReals;
       for (std::uint32_t c = 0; c < 9; ++c) {
         const std::uint32_t place = c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane);
@@ -140,7 +140,7 @@ __global__ void __launch_bounds__(Threads, 1)
   __pipeline_commit();
   for (int k = 0; k < Rows; ++k) {
     for_each_strided(
-        0, shared_width[k], 1, [&](std::uint32_t j) { return s.columns[slot_of(k, Held + j)]; },
+        0, shared_width[k], 1, [&](std::uint32_t j) { return s.matrix.columns[slot_of(k, Held + j)]; },
         [&](std::uint32_t j, std::uint32_t column) {
           columns[(shared_begin[k] + j) * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
         });
@@ -175,8 +175,8 @@ __global__ void __launch_bounds__(Threads, 1)
       for (int i = begin; i < begin + kAtOnce; ++i) {
         if (i >= kBlocks) break;
         const int k = i / Held, j = i % Held;
-        column[i] = j < width[k] ? s.columns[slot_of(k, j)] : 0;
-        const float* block = s.edges + tensor::block_begin(slot_of(k, j));
+        column[i] = j < width[k] ? s.matrix.columns[slot_of(k, j)] : 0;
+        const float* block = s.matrix.edges + view::block_begin(slot_of(k, j));
         for (int c = 0; c < 9; ++c) held[k][j][c] = j < width[k] ? block[c * kSliceRows] : 0;
       }
     };
@@ -209,10 +209,10 @@ __global__ void __launch_bounds__(Threads, 1)
       to[8 * kSliceRows + lane] = block[8];
     }
     for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
-      float* const from = s.edges + tensor::block_begin(slot_of(k, j));
+      float* const from = s.matrix.edges + view::block_begin(slot_of(k, j));
       float block[9];
       for (int c = 0; c < 9; ++c) block[c] = from[c * kSliceRows];
-      scale(k, block, s.columns[slot_of(k, j)]);
+      scale(k, block, s.matrix.columns[slot_of(k, j)]);
       for (int c = 0; c < 9; ++c) from[c * kSliceRows] = block[c];
     }
   }
@@ -222,9 +222,9 @@ __global__ void __launch_bounds__(Threads, 1)
     const float4 start = has_row[k] ? direction[thread + k * Threads] : float4{};
     p[k] = r[k] = Vec3<float>(start.x, start.y, start.z);
     x[k].setZero();
-    solver::expect_move(s, row[k]);
+    solver::prefetch_move(s.state, s.guard, row[k]);
   }
-  if (s.patch_tetrahedra != nullptr) {
+  if (s.guard.patch_tetrahedra != nullptr) {
     const auto parts = PatchVolume<Threads>::parts_of(s, patch);
     PatchVolume<Threads>::expect(s, parts);
     if (thread == 0) tetrahedra = parts;
@@ -234,10 +234,10 @@ __global__ void __launch_bounds__(Threads, 1)
   std::uint32_t halo_rows[kHaloAtOnce];
   for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
     const std::uint32_t h = thread + i * kHaloThreads;
-    halo_rows[i] = h < patch.halo_count ? s.halo[patch.halo_begin + h] : 0;
+    halo_rows[i] = h < patch.halo_count ? s.patches.halo[patch.halo_begin + h] : 0;
   }
   Exchange exchange(s, patch.index);
-  solver::Recurrence<float> recurrence(s);
+  solver::Recurrence<float> recurrence(s.state, s.solve);
   do {
     exchange.begin();
     Exchange::Cell own_sums{0, 0, 0, 0};
@@ -272,20 +272,21 @@ __global__ void __launch_bounds__(Threads, 1)
       }
       for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
         const std::size_t slot = slot_of(k, j);
-        add(s.edges + tensor::block_begin(slot), kSliceRows, s.columns[slot] * 16);
+        add(s.matrix.edges + view::block_begin(slot), kSliceRows, s.matrix.columns[slot] * 16);
       }
       if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
       own_sums.x += p[k].dot(q[k]);
       own_sums.y += q[k].dot(q[k]);
       own_sums.z += r[k].dot(r[k]);
     }
-    sums.exchange(exchange, s.patch_count, own_sums);
+    sums.exchange(exchange, s.patches.patch_count, own_sums);
     if (thread < kHaloThreads) {
       for (std::uint32_t h = thread; h < patch.halo_count; h += kHaloAtOnce * kHaloThreads) {
         Exchange::Cell cells[kHaloAtOnce];
         exchange.wait_for_rows(
             h, kHaloThreads, patch.halo_count,
-            [&](int i) { return h == thread ? halo_rows[i] : s.halo[patch.halo_begin + h + i * kHaloThreads]; }, cells);
+            [&](int i) { return h == thread ? halo_rows[i] : s.patches.halo[patch.halo_begin + h + i * kHaloThreads]; },
+            cells);
         for (std::uint32_t i = 0; i < kHaloAtOnce; ++i) {
           const std::uint32_t place = h + i * kHaloThreads;
           if (place < patch.halo_count) halo_product[place] = {cells[i].x, cells[i].y, cells[i].z, 0};
@@ -328,12 +329,12 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
-  if (thread == 0 && patch.index == 0) recurrence.report(s);
+  if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
   Vec3<float> change[Rows];
   for (int k = 0; k < Rows; ++k) {
     float factor[6];
     read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
-    change[k] = solver::unscaled(s, row[k], solver::lower(factor), x[k]);
+    change[k] = solver::unscaled(s.state, row[k], solver::lower(factor), x[k]);
   }
   __syncthreads();  // all factors have been read
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {

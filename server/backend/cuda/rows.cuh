@@ -1,14 +1,14 @@
 #pragma once
 
 #include "backend/cuda/team.cuh"
-#include "tensor/rows.h"
+#include "matrix/rows.h"
 
-/// tensor/rows.h with a warp a slice: a thread a row, its blocks in shared memory.
+/// matrix/rows.h with a warp a slice: a thread a row, its blocks in shared memory.
 namespace tensormass::backend::cuda {
 
-using tensor::ElementView;
-using tensor::kSliceRows;
-using tensor::SceneView;
+using view::ElementView;
+using view::kSliceRows;
+using view::SceneView;
 
 /// Reals of a part's sums of a row.
 inline constexpr std::uint32_t kSumsReals = 15;
@@ -43,7 +43,7 @@ class SharedBlocks {
   }
   __device__ bool holds(std::uint32_t place) const { return place - first_ < held_; }
 
-  __device__ void clear(std::uint32_t place, const tensor::RowNeighbour<Real>& neighbour) {
+  __device__ void clear(std::uint32_t place, const matrix::RowNeighbour<Real>& neighbour) {
 #pragma unroll 1
     for (std::uint32_t sum = 0; sum < sums(); ++sum) {
       Quad* quads = quads_at(place, sum);
@@ -82,7 +82,7 @@ class SharedBlocks {
     for (std::uint32_t sum = 1; sum < sums(); ++sum) all += of_sum(place, sum);
     return all;
   }
-  __device__ bool leads(tensor::RowSums<Real>& sums) const {
+  __device__ bool leads(matrix::RowSums<Real>& sums) const {
     if (parts_ == 1) return true;
     meet();  // the blocks have been read
     const auto place = [&](std::uint32_t part) {
@@ -195,7 +195,7 @@ struct RowsLaunch {
   std::size_t shared_bytes;
 };
 
-/// slices: of the group; widest: in columns; keeps_neighbours, adds_in_turns: of its shape (tensor/rows.h).
+/// slices: of the group; widest: in columns; keeps_neighbours, adds_in_turns: of its shape (matrix/rows.h).
 template <class Real>
 RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_neighbours, bool adds_in_turns,
                        const cudaDeviceProp& device) {
@@ -222,8 +222,8 @@ __global__ void __launch_bounds__(kMostParts* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];
-  SharedBlocks<Real, tensor::kKeepsNeighbours<Shape>, tensor::kAddsInTurns<Shape>> blocks(shared, capacity);
-  tensor::assemble_row<Shape, Law>(s, e, blockIdx.x, threadIdx.x % kWarp, blocks);
+  SharedBlocks<Real, matrix::kKeepsNeighbours<Shape>, matrix::kAddsInTurns<Shape>> blocks(shared, capacity);
+  matrix::assemble_row<Shape, Law>(s.patches, s.state, s.matrix, s.newton, e, blockIdx.x, threadIdx.x % kWarp, blocks);
 }
 
 }  // namespace tensormass::backend::cuda

@@ -6,7 +6,7 @@
 
 #include "backend/cuda/resident_solve.cuh"
 #include "backend/cuda/streamed_solve.cuh"
-#include "tensor/layout.h"
+#include "matrix/layout.h"
 
 /// Which of the solves a scene gets, and its launch.
 namespace tensormass::backend::cuda {
@@ -47,7 +47,7 @@ inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
   return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / kBytesPerRow);
 }
 
-inline SolvePlan plan_solve(const tensor::Layout& layout) {
+inline SolvePlan plan_solve(const matrix::Layout& layout) {
   const std::uint32_t most_locals = layout.largest_patch();
   std::uint32_t most_rows = 0, most_halo = 0;
   for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
@@ -68,8 +68,8 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     std::uint32_t needed = 0;
     for (std::uint32_t p = 0; p < layout.patch_count; ++p) {
       std::uint32_t columns = 0;
-      for (std::uint32_t i = layout.patch_rows[p] / tensor::kSliceRows;
-           i < layout.patch_rows[p + 1] / tensor::kSliceRows; ++i) {
+      for (std::uint32_t i = layout.patch_rows[p] / view::kSliceRows; i < layout.patch_rows[p + 1] / view::kSliceRows;
+           ++i) {
         const std::uint32_t width = layout.slice_begin[i + 1] - layout.slice_begin[i];
         columns += width > Held ? width - Held : 0;
       }
@@ -90,8 +90,8 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
     const auto far = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint16_t, false>);
     const auto farthest = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint32_t, false>);
     plan.threads = kStreamedThreads;
-    const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : tensor::kMostTileRows;
-    plan.shared_bytes = std::min(most_rows, tensor::kTilesAtOnce * tile_rows) * kStreamedBytesPerCell;
+    const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
+    plan.shared_bytes = std::min(most_rows, matrix::kTilesAtOnce * tile_rows) * kStreamedBytesPerCell;
     // What stays free of shared memory is the cache of the rest.
     std::size_t most = allow_all_shared_bytes(near);
     for (const void* kernel : {far, farthest}) most = std::min(most, allow_all_shared_bytes(kernel));
@@ -110,10 +110,11 @@ inline SolvePlan plan_solve(const tensor::Layout& layout) {
   return plan;
 }
 
-inline cudaError_t launch_solve(const SolvePlan& plan, const tensor::SceneView<float>& view, cudaStream_t stream) {
+inline cudaError_t launch_solve(const SolvePlan& plan, const view::SceneView<float>& view, cudaStream_t stream) {
   std::uint32_t argument = plan.argument;
-  void* arguments[] = {const_cast<tensor::SceneView<float>*>(&view), &argument};
-  return cudaLaunchCooperativeKernel(plan.kernel, view.patch_count, plan.threads, arguments, plan.shared_bytes, stream);
+  void* arguments[] = {const_cast<view::SceneView<float>*>(&view), &argument};
+  return cudaLaunchCooperativeKernel(plan.kernel, view.patches.patch_count, plan.threads, arguments, plan.shared_bytes,
+                                     stream);
 }
 
 }  // namespace tensormass::backend::cuda

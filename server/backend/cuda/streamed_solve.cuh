@@ -3,8 +3,8 @@
 #include "backend/cuda/packed_matrix.cuh"
 #include "backend/cuda/patch_sums.cuh"
 #include "backend/cuda/patch_volume.cuh"
-#include "solver/advance.h"
 #include "solver/conjugate_gradients.h"
+#include "solver/time_scheme.h"
 
 /// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
 /// solve and has more rows than threads: the matrix comes from memory in each iteration, vectors stay as near as they
@@ -30,7 +30,7 @@ __device__ inline float4 cell_of(const Vec3<float>& v) { return {v[0], v[1], v[2
 
 /// Shared memory of streamed_solve [bytes], and its threads: a warp a tile at once.
 inline constexpr std::size_t kStreamedBytesPerCell = 16, kStreamedBytesPerVector = 12;
-inline constexpr unsigned kStreamedThreads = tensor::kTilesAtOnce * kWarp;
+inline constexpr unsigned kStreamedThreads = matrix::kTilesAtOnce * kWarp;
 
 /// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Beside them tiles add up their q
 /// there (kStreamedBytesPerCell a row): all of q where each warp has one tile.
@@ -43,13 +43,13 @@ __global__ void __launch_bounds__(Threads, 1)
   extern __shared__ float4 shared[];
   __shared__ PatchSums<Threads> sums;
   __shared__ typename PatchVolume<Threads>::Parts tetrahedra;
-  const tensor::Patch patch = tensor::patch_of(s, blockIdx.x);
+  const view::Patch patch = view::patch_of(s.patches, blockIdx.x);
   const std::uint32_t own = patch.own(), locals = own + patch.halo_count;
   const std::uint32_t thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
-  const std::uint32_t tile_rows = s.tile_rows != 0 ? s.tile_rows : tensor::kMostTileRows;
+  const std::uint32_t tile_rows = s.matrix.tile_rows != 0 ? s.matrix.tile_rows : matrix::kMostTileRows;
 
   constexpr std::uint32_t kWarps = Threads / kWarp;
-  static_assert(kWarps == tensor::kTilesAtOnce);
+  static_assert(kWarps == matrix::kTilesAtOnce);
   const std::uint32_t held_rows = minimum(own, kWarps * tile_rows);
   float4* const tile = shared + std::size_t{warp} * tile_rows;
   float* next = &shared[held_rows].x;
@@ -64,14 +64,15 @@ __global__ void __launch_bounds__(Threads, 1)
     p = shared + held_rows;
     next += kStreamedBytesPerCell / sizeof(float) * locals;
   } else {
-    p = reinterpret_cast<float4*>(s.direction + 4 * patch.local_begin);
+    p = reinterpret_cast<float4*>(s.solve.direction + 4 * patch.local_begin);
   }
-  const Vectors r{place(kNearResidual, kStreamedBytesPerVector, locals, s.residual + 4 * patch.local_begin)};
-  const Vectors x{place(kNearSolution, kStreamedBytesPerVector, own, s.solution + std::size_t{4} * patch.row_begin)};
+  const Vectors r{place(kNearResidual, kStreamedBytesPerVector, locals, s.solve.residual + 4 * patch.local_begin)};
+  const Vectors x{
+      place(kNearSolution, kStreamedBytesPerVector, own, s.solve.solution + std::size_t{4} * patch.row_begin)};
 
   float residual_squared = 0;
   for (std::uint32_t i = thread; i < locals; i += Threads) {
-    const Vec3<float> b = tensor::load3<float>(s.rhs, tensor::global_row(s, patch, i));
+    const Vec3<float> b = view::load3<float>(s.matrix.rhs, view::global_row(s.patches, patch, i));
     p[i] = cell_of(b);
     r.set(i, b);
     if (i >= own) continue;
@@ -80,9 +81,9 @@ __global__ void __launch_bounds__(Threads, 1)
   }
   __syncthreads();
 
-  if (s.patch_tetrahedra != nullptr && thread == 0) tetrahedra = PatchVolume<Threads>::parts_of(s, patch);
+  if (s.guard.patch_tetrahedra != nullptr && thread == 0) tetrahedra = PatchVolume<Threads>::parts_of(s, patch);
   Exchange exchange(s, patch.index);
-  solver::Recurrence<float> recurrence(s);
+  solver::Recurrence<float> recurrence(s.state, s.solve);
   for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
@@ -108,7 +109,7 @@ __global__ void __launch_bounds__(Threads, 1)
       }
       __syncwarp();  // the next tile is added up in the same place
     }
-    sums.exchange(exchange, s.patch_count, own_sums);
+    sums.exchange(exchange, s.patches.patch_count, own_sums);
     __syncthreads();
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
@@ -146,7 +147,8 @@ __global__ void __launch_bounds__(Threads, 1)
     for (std::uint32_t h = thread; h < patch.halo_count; h += kAtOnce * Threads) {
       Exchange::Cell cells[kAtOnce];
       exchange.wait_for_rows(
-          h, Threads, patch.halo_count, [&](int i) { return s.halo[patch.halo_begin + h + i * Threads]; }, cells);
+          h, Threads, patch.halo_count, [&](int i) { return s.patches.halo[patch.halo_begin + h + i * Threads]; },
+          cells);
       for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
         const std::uint32_t local = own + h + i * Threads;
         const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;
@@ -165,10 +167,10 @@ __global__ void __launch_bounds__(Threads, 1)
       x.set(local, x[local] + (three_of(p[local]) - r[local]) * gamma);
     }
   }
-  if (thread == 0 && patch.index == 0) recurrence.report(s);
+  if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
   // x is behind what the end has another use for.
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
-    return solver::unscaled(s, row, solver::load_lower<float>(s.diagonal, row), x[row - patch.row_begin]);
+    return solver::unscaled(s.state, row, solver::load_lower<float>(s.matrix.diagonal, row), x[row - patch.row_begin]);
   });
 }
 

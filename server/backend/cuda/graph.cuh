@@ -1,0 +1,69 @@
+#pragma once
+
+#include <ctime>
+#include <memory>
+
+#include <cuda_runtime.h>
+#include <sys/prctl.h>
+
+#include "backend/cuda/memory.cuh"
+
+/// Streams and graphs that end with their owner, and waiting for them.
+namespace tensormass::backend::cuda {
+
+/// A stream, at the end of which nothing of it is under way.
+struct EndStream {
+  void operator()(cudaStream_t stream) const {
+    cudaStreamSynchronize(stream);
+    cudaStreamDestroy(stream);
+  }
+};
+using Stream = std::unique_ptr<CUstream_st, EndStream>;
+
+inline Stream make_stream() {
+  cudaStream_t stream = nullptr;
+  check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "stream");
+  return Stream(stream);
+}
+
+struct DestroyGraph {
+  void operator()(cudaGraphExec_t graph) const { cudaGraphExecDestroy(graph); }
+};
+using Graph = std::unique_ptr<CUgraphExec_st, DestroyGraph>;
+
+/// Waits until a stream has done what it was given, without holding a processor: many scenes have more threads than a
+/// machine has processors. An event that blocks comes late, and makes all scenes meet at a lock of the driver.
+inline cudaError_t wait_asleep(cudaStream_t stream) {
+  constexpr long kSleepNs = 20'000;
+  thread_local const bool precise = prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL) == 0;
+  static_cast<void>(precise);
+  for (;;) {
+    if (const cudaError_t status = cudaStreamQuery(stream); status != cudaErrorNotReady) return status;
+    const timespec sleep{0, kSleepNs};
+    nanosleep(&sleep, nullptr);
+  }
+}
+
+/// Records what enqueue() puts into the stream as a graph. enqueue may throw.
+template <class Enqueue>
+Graph record_graph(cudaStream_t stream, const Enqueue& enqueue) {
+  cudaGraph_t graph = nullptr;
+  cudaGraphExec_t executable = nullptr;
+  // Capture is local to the thread: other scenes allocate and launch at the same time.
+  check(cudaStreamBeginCapture(stream, cudaStreamCaptureModeThreadLocal), "start of the step's graph");
+  try {
+    enqueue();
+  } catch (...) {
+    // A thread that is still recording could load no other scene.
+    cudaStreamEndCapture(stream, &graph);
+    if (graph) cudaGraphDestroy(graph);
+    throw;
+  }
+  check(cudaStreamEndCapture(stream, &graph), "end of the step's graph");
+  const cudaError_t status = cudaGraphInstantiate(&executable, graph, 0);
+  cudaGraphDestroy(graph);
+  check(status, "the step's graph");
+  return Graph(executable);
+}
+
+}  // namespace tensormass::backend::cuda

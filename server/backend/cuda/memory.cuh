@@ -1,0 +1,135 @@
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <cuda_runtime.h>
+
+/// Memory of a scene on a device, and what goes between it and the host.
+namespace tensormass::backend::cuda {
+
+struct CudaFailure : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+inline void check(cudaError_t status, const char* what) {
+  if (status != cudaSuccess) throw CudaFailure(std::string(what) + ": " + cudaGetErrorString(status));
+}
+
+/// Buffers of a scene in device memory. Small ones share blocks of the size in which the driver gives memory: each
+/// allocation and each release may wait for what other scenes do.
+class DeviceArena {
+ public:
+  DeviceArena() = default;
+  DeviceArena(const DeviceArena&) = delete;
+  DeviceArena& operator=(const DeviceArena&) = delete;
+  ~DeviceArena() {
+    for (void* block : blocks_) cudaFree(block);
+  }
+
+  template <class T, class U>
+  const T* constant(std::string_view name, const std::vector<U>& items) {
+    return generated<T>(name, items.size(), [&](T* to) {
+      std::transform(items.begin(), items.end(), to, [](U item) { return static_cast<T>(item); });
+    });
+  }
+  template <class T, class Fill>
+  const T* generated(std::string_view name, std::size_t count, const Fill& fill) {
+    T* copy = zeros<T>(name, count);
+    if (count == 0) return copy;
+    std::vector<T> items(count);
+    fill(items.data());
+    check(cudaMemcpy(copy, items.data(), count * sizeof(T), cudaMemcpyHostToDevice), "upload");
+    return copy;
+  }
+  template <class T>
+  T* zeros(std::string_view, std::size_t count) {
+    if (count == 0) return nullptr;
+    return static_cast<T*>(take(count * sizeof(T)));
+  }
+
+ private:
+  /// Cleared, and aligned for every type.
+  void* take(std::size_t bytes) {
+    constexpr std::size_t kAlignment = 256, kBlockBytes = std::size_t{2} << 20;
+    bytes = (bytes + kAlignment - 1) / kAlignment * kAlignment;
+    if (bytes > left_) {
+      const std::size_t size = std::max(bytes, kBlockBytes);
+      void* block = nullptr;
+      check(cudaMalloc(&block, size), "device memory of the scene's buffers");
+      blocks_.push_back(block);
+      check(cudaMemset(block, 0, size), "clear");
+      if (size - bytes < left_) return block;  // what is left of the last one is more
+      next_ = static_cast<char*>(block);
+      left_ = size;
+    }
+    void* taken = next_;
+    next_ += bytes;
+    left_ -= bytes;
+    return taken;
+  }
+
+  std::vector<void*> blocks_;
+  char* next_ = nullptr;
+  std::size_t left_ = 0;
+};
+
+/// Page-locked host memory, which copies beside the kernels.
+template <class T>
+class Pinned {
+ public:
+  explicit Pinned(std::size_t count, const T& value = {}) : count_(count) {
+    if (count > 0) check(cudaMallocHost(&data_, count * sizeof(T)), "page-locked host memory");
+    std::fill_n(data_, count, value);
+  }
+  Pinned(const Pinned&) = delete;
+  Pinned& operator=(const Pinned&) = delete;
+  ~Pinned() { cudaFreeHost(data_); }
+  T* data() const { return data_; }
+  std::size_t size() const { return count_; }
+  std::span<T> span() const { return {data_, count_}; }
+  std::size_t bytes() const { return count_ * sizeof(T); }
+
+ private:
+  std::size_t count_;
+  T* data_ = nullptr;
+};
+
+/// What a step is told, in host memory and in the device's: one copy brings all of it.
+class StepInputs {
+ public:
+  template <class T>
+  struct Item {
+    T* host;
+    const T* device;
+  };
+  /// Of all items.
+  explicit StepInputs(std::size_t bytes, DeviceArena& arena)
+      : host_(bytes), device_(arena.zeros<std::byte>("what a step is told", bytes)) {}
+  template <class T>
+  static std::size_t bytes_of(std::size_t count) {
+    return (count * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment;
+  }
+  template <class T>
+  Item<T> add(std::size_t count) {
+    const std::size_t at = used_;
+    used_ += bytes_of<T>(count);
+    return {reinterpret_cast<T*>(host_.data() + at), reinterpret_cast<const T*>(device_ + at)};
+  }
+  cudaError_t upload(cudaStream_t stream) const {
+    return cudaMemcpyAsync(device_, host_.data(), host_.bytes(), cudaMemcpyHostToDevice, stream);
+  }
+
+ private:
+  static constexpr std::size_t kAlignment = 64;
+  Pinned<std::byte> host_;
+  std::byte* device_;
+  std::size_t used_ = 0;
+};
+
+}  // namespace tensormass::backend::cuda

@@ -1,0 +1,330 @@
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <limits>
+#include <span>
+#include <vector>
+
+#include <cuda_runtime.h>
+
+#include "backend/backend.h"
+#include "backend/cuda/elements.h"
+#include "backend/cuda/graph.cuh"
+#include "backend/cuda/launch.cuh"
+#include "backend/cuda/memory.cuh"
+#include "backend/cuda/rows.cuh"
+#include "backend/cuda/solve_plan.cuh"
+#include "backend/results.h"
+#include "model/bind.h"
+#include "solver/newton.h"
+#include "step/run.h"
+
+/// One scene on a CUDA device.
+///
+///   host                                   device (one stream)
+///   inputs_: tools, prescribed, control ──> one copy
+///   graph of the step ────────────────────> a kernel for each stage, one thread block a patch; the solve is
+///   cooperative wait <── reports in page-locked memory, written by the kernels: no copy comes back
+///
+/// A step with Newton iterations is a graph for each of its phases instead, and the host decides between them.
+namespace tensormass::backend::cuda {
+
+template <class Real>
+class CudaState final : public SceneState {
+ public:
+  /// device: what the scene has of it. shares: other scenes step on the device at the same time.
+  CudaState(const model::Model& model, const cudaDeviceProp& device, bool shares)
+      : model_(model),
+        stages_(step::list_stages(model)),
+        device_(device),
+        shares_(shares),
+        inputs_(StepInputs::bytes_of<view::ToolState<Real>>(model.tools.size()) +
+                    StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
+                    StepInputs::bytes_of<view::StepControl<Real>>(1),
+                arena_),
+        tools_(inputs_.add<view::ToolState<Real>>(model.tools.size())),
+        prescribed_(inputs_.add<Real>(4 * model.prescribed.size())),
+        control_(inputs_.add<view::StepControl<Real>>(1)),
+        newton_(model.iterates() ? 1 : 0),
+        solve_(1),
+        patches_(model.layout.patch_count),
+        residuals_(model.iterates() ? model.layout.patch_count : 0),
+        diagnostics_(model.groups.size() * model.layout.patch_count),
+        volume_parts_(parts_of(model)),
+        min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0,
+                   std::numeric_limits<Real>::infinity()),
+        loads_(model.tools.size() * model.layout.patch_count),
+        visible_(3 * std::size_t{model.visible.count()}),
+        view_(model::bind<Real>(model, arena_, exchange())) {
+    for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
+    std::uint32_t largest = 0;
+    for (std::uint32_t p = 0; p < view_.patches.patch_count; ++p) {
+      largest = std::max(largest, model.layout.patch_rows[p + 1] - model.layout.patch_rows[p]);
+    }
+    threads_ = std::clamp(largest, 128u, kMaxBlockThreads) / kWarp * kWarp;
+    if constexpr (kSinglePrecision) solve_plan_ = plan_solve(model.layout);
+    if (model.solve_keeps_vectors && !solve_plan_.keeps_vectors()) throw CudaFailure("no room for the solve's vectors");
+    if (model.iterates()) {
+      for (const step::Phase phase : {step::Phase::kBegin, step::Phase::kEvaluate, step::Phase::kSolve,
+                                      step::Phase::kBacktrack, step::Phase::kEnd}) {
+        graph(phase) = record_graph(stream(), [&] { enqueue_phase(phase); });
+      }
+    } else {
+      step_ = record_graph(stream(), [&] {
+        for (const step::Phase phase :
+             {step::Phase::kBegin, step::Phase::kEvaluate, step::Phase::kSolve, step::Phase::kEnd}) {
+          enqueue_phase(phase);
+        }
+      });
+    }
+    graph(step::Phase::kDiagnostics) = record_graph(stream(), [&] { enqueue_phase(step::Phase::kDiagnostics); });
+    if (view_.surface.vertex_count > 0) {
+      graph(step::Phase::kFrame) = record_graph(stream(), [&] { enqueue_phase(step::Phase::kFrame); });
+    }
+    finish_copies("start of the scene");
+  }
+
+  StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
+    for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
+      tools_.host[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
+    }
+    write_prescribed(model_, input.end_time_s, prescribed_.host);
+    *control_.host = checkpoint_.begin(model_, input);
+    StepResult result;
+    if (model_.iterates()) {
+      result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
+                                         input.fallback_settings, checkpoint_.largest_force_squared());
+    } else {
+      launch_graph(step_, "step");
+    }
+    if (input.gather_visible) launch_frame();
+    wait("step");
+    read_forces<Real>(loads_.span(), forces);
+    if (!model_.iterates()) result = this->result();
+    result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
+    checkpoint_.end(input);
+    return result;
+  }
+
+  void restore() override {
+    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_),
+                        [&](const Real* from, std::size_t count, Real* to) {
+                          if (count == 0) return;
+                          check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()),
+                                "restore");
+                        });
+    wait("restore");  // reading back does not go by this stream
+  }
+
+  std::span<const float> visible_positions() override { return visible_.span(); }
+
+  void gather_visible() override {
+    launch_frame();
+    wait("frame");
+  }
+
+  void diagnose(std::span<GroupDiagnostics> groups) override {
+    run(step::Phase::kDiagnostics);
+    wait("diagnostics");
+    read_diagnostics<Real>(diagnostics_.span(), groups);
+  }
+
+  RowState read() override {
+    return read_state(model_, view_, std::span<const view::ElementView<Real>>(groups_), checkpoint_.internal_dt_s(),
+                      [&](const Real* from, std::size_t count) { return download(from, count); });
+  }
+  void write(const RowState& state) override {
+    write_state(model_, view_, std::span<const view::ElementView<Real>>(groups_), state,
+                [&](Real* to, std::span<const double> from) { upload(to, from); });
+    checkpoint_.start_anew(state.internal_dt_s);
+    finish_copies("write");
+  }
+
+  // solver::newton_step calls these.
+  void begin() { run(step::Phase::kBegin); }
+  void evaluate() { run(step::Phase::kEvaluate); }
+  void solve() { run(step::Phase::kSolve); }
+  void backtrack() { run(step::Phase::kBacktrack); }
+  void end() { run(step::Phase::kEnd); }
+  void run(step::Phase phase) { launch_graph(graph(phase), "step"); }
+  view::NewtonControl& control() {
+    wait("step");  // the last launch has read it
+    return *newton_.data();
+  }
+  solver::NewtonResidual residual() {
+    wait("step");
+    return solver::read_residual<Real>(residuals_.span());
+  }
+  StepResult result() {
+    wait("step");
+    return solver::read_step<Real>(*solve_.data(), patches_.span());
+  }
+
+ private:
+  /// Single precision has fused solves (step::Scope::kFusedOnDevice).
+  static constexpr bool kSinglePrecision = std::is_same_v<Real, float>;
+
+  void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
+  void launch_frame() {
+    if (const Graph& frame = graph(step::Phase::kFrame)) launch_graph(frame, "frame");
+  }
+  void wait(const char* what) { check(shares_ ? wait_asleep(stream()) : cudaStreamSynchronize(stream()), what); }
+  cudaStream_t stream() const { return stream_.get(); }
+  /// Copies from pageable memory and clearing are under way in a stream of their own. Not by waiting for the device:
+  /// other scenes may never leave it idle.
+  static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
+  Graph& graph(step::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
+
+  std::vector<double> download(const Real* from, std::size_t count) {
+    std::vector<Real> copy(count);
+    check(cudaMemcpy(copy.data(), from, copy.size() * sizeof(Real), cudaMemcpyDeviceToHost), "read back");
+    return {copy.begin(), copy.end()};
+  }
+  void upload(Real* to, std::span<const double> from) {
+    const std::vector<Real> copy(from.begin(), from.end());
+    check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
+  }
+
+  /// Few elements a thread, and few blocks: each has a number to report.
+  static std::uint32_t parts_of(const model::Model& model) {
+    constexpr std::uint32_t kMostParts = 8, kItemsOfThread = 2;
+    std::uint32_t most = 0;
+    for (const model::ElementGroup& group : model.groups) {
+      if (!group.checks_volume || group.solve_checks_volume) continue;
+      most = std::max(most, group.element_count * std::min(group.point_count, step::kThreadsOfPoints));
+    }
+    const std::uint32_t of_part = model.layout.patch_count * kStageThreads * kItemsOfThread;
+    return std::clamp((most + of_part - 1) / of_part, 1u, kMostParts);
+  }
+
+  /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
+  model::StepExchange<Real> exchange() const {
+    return {.control = control_.device,
+            .tools = tools_.device,
+            .prescribed = prescribed_.device,
+            .solve_report = solve_.data(),
+            .patch_reports = patches_.data(),
+            .residuals = residuals_.data(),
+            .diagnostics = diagnostics_.data(),
+            .min_det_f = min_det_f_.data(),
+            .tool_loads = loads_.data()};
+  }
+
+  /// items: how many the stage has in all, a thread for each; 0: as many as rows, or as the surface has triangles.
+  void launch(step::Communication communication, const void* kernel, const view::ElementView<Real>& elements,
+              std::uint32_t items = 0) {
+    void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), const_cast<view::ElementView<Real>*>(&elements)};
+    if (communication == step::Communication::kExchanges) {
+      int resident = 0, processors = 0, device = 0;
+      check(cudaGetDevice(&device), "device");
+      check(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device), "device");
+      check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, kernel, static_cast<int>(threads_), 0), "solve");
+      if (static_cast<std::uint64_t>(resident) * static_cast<std::uint64_t>(processors) < view_.patches.patch_count) {
+        throw CudaFailure("the scene's patches do not fit on the device at once");
+      }
+      check(cudaLaunchCooperativeKernel(kernel, view_.patches.patch_count, threads_, arguments, 0, stream()), "solve");
+    } else if (communication == step::Communication::kReducesInParts) {
+      const dim3 grid(view_.patches.patch_count, volume_parts_);
+      check(cudaLaunchKernel(kernel, grid, kStageThreads, arguments, 0, stream()), "stage");
+    } else if (communication == step::Communication::kReduces) {
+      check(cudaLaunchKernel(kernel, view_.patches.patch_count, threads_, arguments, 0, stream()), "stage");
+    } else {
+      if (items == 0) items = std::max(view_.patches.row_count, view_.contact.triangle_count);
+      const dim3 grid(view_.patches.patch_count, items / view_.patches.patch_count / kStageThreads + 1);
+      check(cudaLaunchKernel(kernel, grid, kStageThreads, arguments, 0, stream()), "stage");
+    }
+  }
+
+  void launch_elements(const model::ElementGroup& group, const view::ElementView<Real>& elements) {
+    const ElementKernels kernels = element_kernels<Real>(group.shape, group.law);
+    RowsLaunch rows = rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), kernels.keeps_neighbours,
+                                        kernels.adds_in_turns, device_);
+    allow_all_shared_bytes(kernels.assemble);
+    void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), const_cast<view::ElementView<Real>*>(&elements),
+                         &rows.capacity};
+    check(
+        cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream()),
+        "element tensors");
+  }
+
+  void launch_stage(const step::Stage& stage) {
+    using step::StageKind;
+    const bool of_group = step::is_of_group(stage.info->scope);
+    const view::ElementView<Real> elements = of_group ? groups_[stage.group] : view::ElementView<Real>{};
+    if (stage.info->scope == step::Scope::kFusedOnDevice) {
+      if constexpr (kSinglePrecision) check(launch_solve(solve_plan_, view_, stream()), "solve");
+      return;
+    }
+    if (stage.info->scope == step::Scope::kShapeAndLaw) {
+      const model::ElementGroup& group = model_.groups[stage.group];
+      if (stage.info->kind == StageKind::kElements) return launch_elements(group, groups_[stage.group]);
+      const ElementKernels kernels = element_kernels<Real>(group.shape, group.law);
+      if (stage.info->kind == StageKind::kInternalVariables) {
+        return launch(stage.info->communication, kernels.internal_variables, elements, elements.count);
+      }
+      return launch(stage.info->communication, kernels.diagnostics, elements);
+    }
+    std::uint32_t items = 0;
+    if (stage.info->kind == StageKind::kDecompose) items = elements.count * elements.point_count;
+    if (stage.info->kind == StageKind::kGatherSurface) items = view_.surface.vertex_count;
+    step::with_stage(model_, stage, [&](auto type) {
+      launch(stage.info->communication, reinterpret_cast<const void*>(&run_stage<decltype(type), Real>), elements,
+             items);
+    });
+  }
+
+  void enqueue_phase(step::Phase phase) {
+    using step::Phase;
+    if (phase == Phase::kBegin) {
+      check(inputs_.upload(stream()), "inputs of the step");
+    }
+    if (phase == Phase::kEvaluate || phase == Phase::kBacktrack)
+      upload_pinned(view_.newton.control, newton_, "Newton's control");
+    for (const step::Stage& stage : stages_) {
+      if (stage.info->phase == phase) launch_stage(stage);
+    }
+    if (phase == Phase::kFrame) download_pinned(visible_, view_.surface.positions);
+  }
+
+  template <class T>
+  void upload_pinned(const T* to, const Pinned<T>& from, const char* what) {
+    if (from.size() == 0) return;
+    check(cudaMemcpyAsync(const_cast<T*>(to), from.data(), from.bytes(), cudaMemcpyHostToDevice, stream()), what);
+  }
+  template <class T>
+  void download_pinned(const Pinned<T>& to, const T* from) {
+    if (to.size() == 0) return;
+    check(cudaMemcpyAsync(to.data(), from, to.bytes(), cudaMemcpyDeviceToHost, stream()), "results");
+  }
+
+  const model::Model& model_;
+  const std::vector<step::Stage> stages_;
+  const cudaDeviceProp device_;
+  const bool shares_;
+  DeviceArena arena_;
+  StepInputs inputs_;
+  const StepInputs::Item<view::ToolState<Real>> tools_;
+  const StepInputs::Item<Real> prescribed_;  // [.., 4]
+  const StepInputs::Item<view::StepControl<Real>> control_;
+  Pinned<view::NewtonControl> newton_;
+  Pinned<view::SolveReport<Real>> solve_;
+  Pinned<view::PatchReport<Real>> patches_;
+  Pinned<view::PatchResidual<Real>> residuals_;
+  Pinned<view::PatchDiagnostics<Real>> diagnostics_;
+  const std::uint32_t volume_parts_;  // blocks of a patch in the stages that reduce in parts
+  Pinned<Real> min_det_f_;
+  Pinned<view::ToolLoad<Real>> loads_;
+  Pinned<float> visible_;
+  const view::SceneView<Real> view_;
+  std::vector<view::ElementView<Real>> groups_;
+  unsigned threads_ = 0;
+  SolvePlan solve_plan_;
+  Checkpoint<Real> checkpoint_;
+  Graph step_;
+  std::array<Graph, step::kPhases> phases_{};
+  const Stream stream_ = make_stream();  // last, so that its work has ended before anything that it uses goes
+};
+
+}  // namespace tensormass::backend::cuda

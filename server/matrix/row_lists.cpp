@@ -1,0 +1,117 @@
+#include "matrix/row_lists.h"
+
+#include <algorithm>
+#include <numeric>
+
+#include "core/parallel.h"
+#include "matrix/row_elements.h"
+
+namespace tensormass::matrix {
+
+namespace {
+
+/// The elements of a group at each row, ascending: 16 times the element and the node that the row is.
+struct Incidence {
+  std::vector<std::uint32_t> begin;
+  std::vector<std::uint64_t> items;
+  std::span<const std::uint64_t> at(std::uint32_t row) const {
+    return std::span(items).subspan(begin[row], begin[row + 1] - begin[row]);
+  }
+};
+
+Incidence incidence_of(const ElementRows& group, std::uint32_t row_count) {
+  Incidence out;
+  out.begin.assign(row_count + std::size_t{1}, 0);
+  const auto row = [&](std::uint32_t k, std::uint32_t e) { return group.rows[std::size_t{k} * group.stride + e]; };
+  for (std::uint32_t k = 0; k < group.node_count; ++k) {
+    for (std::uint32_t e = 0; e < group.element_count; ++e) ++out.begin[row(k, e) + 1];
+  }
+  std::partial_sum(out.begin.begin(), out.begin.end(), out.begin.begin());
+  out.items.resize(out.begin.back());
+  std::vector<std::uint32_t> next(out.begin.begin(), out.begin.end() - 1);
+  for (std::uint32_t e = 0; e < group.element_count; ++e) {
+    for (std::uint32_t k = 0; k < group.node_count; ++k) out.items[next[row(k, e)]++] = std::uint64_t{16} * e + k;
+  }
+  return out;
+}
+
+std::uint32_t length_of(const Incidence& incidence, std::uint32_t slice) {
+  std::uint32_t longest = 0;
+  for (std::uint32_t row = slice * kSliceRows; row < (slice + 1) * kSliceRows; ++row) {
+    longest = std::max(longest, incidence.begin[row + 1] - incidence.begin[row]);
+  }
+  return longest;
+}
+
+/// Writes the lists of a slice, whose columns begin at `column`.
+void fill_slice(const Layout& layout, const ElementRows& group, const Incidence& incidence, std::uint32_t slice,
+                std::uint32_t column, RowLists& out) {
+  const std::uint32_t words = place_words(group.node_count, out.place_bits), in_word = 32 / out.place_bits;
+  const std::uint32_t first = layout.slice_begin[slice];
+  for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
+    const std::uint32_t own = slice * kSliceRows + lane;
+    std::size_t at = column;
+    for (const std::uint64_t item : incidence.at(own)) {
+      const auto element = static_cast<std::uint32_t>(item / 16), own_node = static_cast<std::uint32_t>(item % 16);
+      out.listed[at * kSliceRows + lane] = element;
+      for (std::uint32_t l = 0; l < group.node_count; ++l) {
+        std::uint32_t place = own_place(out.place_bits);
+        if (l != own_node) {
+          place = layout.slot(own, group.rows[std::size_t{l} * group.stride + element]) / kSliceRows - first;
+        }
+        out.places[(at * words + l / in_word) * kSliceRows + lane] |= place << (out.place_bits * (l % in_word));
+      }
+      ++at;
+    }
+  }
+}
+
+}  // namespace
+
+GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> groups, bool finishes) {
+  const std::uint32_t slice_count = layout.row_count / kSliceRows;
+  constexpr std::uint32_t kNone = 0xFFFFFFFFu;
+  GroupRowLists out;
+  std::vector<std::uint32_t> last_group(slice_count, kNone);
+  std::vector<Incidence> incidences;
+  for (std::uint32_t g = 0; g < groups.size(); ++g) {
+    incidences.push_back(incidence_of(groups[g], layout.row_count));
+    for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
+      if (length_of(incidences[g], slice) > 0) last_group[slice] = g;
+    }
+  }
+  std::vector<std::uint8_t> begun(slice_count, 0);
+  const std::vector<std::uint32_t> patch_of_slice = layout.patch_of_slice();
+  for (std::uint32_t g = 0; g < groups.size(); ++g) {
+    RowLists& lists = out.groups.emplace_back();
+    lists.place_bits = layout.widest_slice() < own_place(8) ? 8 : 16;
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> by_length;  // and the slice
+    for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
+      if (const std::uint32_t length = length_of(incidences[g], slice)) by_length.emplace_back(length, slice);
+    }
+    std::stable_sort(by_length.begin(), by_length.end(),
+                     [](const auto& a, const auto& b) { return a.first > b.first; });
+    std::uint32_t columns = 0;
+    for (const auto& [length, slice] : by_length) {
+      const std::uint32_t patch = patch_of_slice[slice];
+      lists.slices.push_back(
+          {4 * slice + begun[slice] + (finishes && last_group[slice] == g ? 2 : 0), layout.slice_begin[slice],
+           layout.slice_begin[slice + 1], columns, columns + length,
+           PatchColumns{layout.patch_rows[patch], layout.patch_rows[patch + 1], layout.patch_halo[patch]}});
+      columns += length;
+      begun[slice] = 1;
+    }
+    lists.listed.assign(std::size_t{columns} * kSliceRows, kNoPlace);
+    lists.places.assign(std::size_t{columns} * place_words(groups[g].node_count, lists.place_bits) * kSliceRows, 0);
+    constexpr std::size_t kGrain = 64;
+    parallel_ranges(lists.slices.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        fill_slice(layout, groups[g], incidences[g], lists.slices[i].slice(), lists.slices[i].list_begin, lists);
+      }
+    });
+  }
+  if (!finishes) out.begun_slices = std::move(begun);
+  return out;
+}
+
+}  // namespace tensormass::matrix

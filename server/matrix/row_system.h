@@ -1,0 +1,145 @@
+#pragma once
+
+#include "view/matrix.h"
+#include "view/newton.h"
+#include "view/state.h"
+
+/// The linear system of one implicit step, row by row.
+///
+/// The step ends at u' = û + h v' with M (v' − v̂) / h = f(u') + f_ext − α M v' − β K v' (u, v, û, v̂, h: view/state.h;
+/// α, β: Rayleigh damping C = α M + β K). The elements are evaluated at u. Linearized about u and about any velocity v,
+/// with d = û + h v − u:
+///
+///   A (v' − v) = b,   A = (1 + α h) M + h (β + h) K
+///                     b = h (f + f_ext − α M v − K (β v + d)) + M (v̂ − v)
+///
+/// 1. Implicit Euler has u = û and v = v̂: this is then Baraff and Witkin 1998.
+/// 2. In a later Newton iteration d = 0, and b is the residual.
+/// 3. A rigid translation causes no force, so the diagonal tensor is K_kk = −Σ K_kl over the row's edges. Only edge
+///    tensors are summed, and K d of a row is the sum of K_kl (d_l − d_k).
+namespace tensormass::matrix {
+
+using namespace view;
+
+/// The factors of M and K in A and b for one row (row_system.h). Neighbours of a row belong to the same body and have
+/// the same damping, so a row's factors hold for all of its blocks.
+template <class Real>
+struct RowTerms {
+  const view::StateView<Real>& state;
+  Real h, mass, alpha, beta;
+
+  TM_HOST_DEVICE RowTerms(const view::StateView<Real>& of_state, std::size_t row)
+      : state(of_state),
+        h(step_size(of_state)),
+        mass(of_state.inertia[4 * row]),
+        alpha(of_state.inertia[4 * row + 1]),
+        beta(of_state.inertia[4 * row + 2]) {}
+
+  TM_HOST_DEVICE Real mass_share() const { return 1 + alpha * h; }
+  TM_HOST_DEVICE Real stiffness_share() const { return h * (beta + h); }
+  TM_HOST_DEVICE Vec3<Real> momentum_gap(std::size_t row) const {
+    const Vec3<Real> velocity = load3<Real>(state.velocity, row);
+    const Vec3<Real> lost = velocity * (-alpha * h);
+    if (state.base_velocity == nullptr) return lost;
+    return lost + load3<Real>(state.base_velocity, row) - velocity;
+  }
+  TM_HOST_DEVICE Vec3<Real> stretch_ahead(std::size_t row) const {
+    return change_ahead(state, row) + load3<Real>(state.velocity, row) * beta;
+  }
+};
+
+/// The sums from which a row of A and b follows.
+template <class Real>
+struct RowSums {
+  Vec3<Real> force = Vec3<Real>::Zero();  // of the elements [N]
+  Mat3<Real> vertex = Mat3<Real>::Zero();
+  Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();  // K (β v + d)
+  Vec3<Real> momentum = Vec3<Real>::Zero();         // of the neighbours
+};
+
+/// One row of A and b from the edge tensors K_kl of its slots.
+template <bool HasConstant, class Real>
+class RowAssembly {
+ public:
+  /// Reads what is needed of the row itself, so that nothing waits for it later.
+  TM_HOST_DEVICE RowAssembly(const view::PatchesView& patches, const view::StateView<Real>& state,
+                             const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton,
+                             const PatchColumns& patch, std::uint32_t row)
+      : patches_(patches),
+        state_(state),
+        matrix_(matrix),
+        newton_(newton),
+        patch_(patch),
+        row_(row),
+        terms_(state, row),
+        displacement_(load3<Real>(state.displacement, row)),
+        own_ahead_(terms_.stretch_ahead(row)),
+        momentum_gap_(terms_.momentum_gap(row)),
+        external_(state.external != nullptr ? load3<Real>(state.external, row) : Vec3<Real>(Vec3<Real>::Zero())) {}
+
+  /// What coupling to the row behind a slot needs. It is read before the refreshed tensors, so that the reads overlap.
+  struct Neighbour {
+    std::uint32_t row;
+    Vec3<Real> ahead;
+    Vec3<Real> stretch;  // like `constant`, only with constant tensors
+    Mat3<Real> constant;
+  };
+  TM_HOST_DEVICE Neighbour neighbour(std::size_t slot) const {
+    Neighbour out;
+    out.row = global_row(patches_, patch_, matrix_.columns[slot]);
+    out.ahead = terms_.stretch_ahead(out.row);
+    if constexpr (HasConstant) {
+      out.stretch = load3<Real>(state_.displacement, out.row) - displacement_;
+      out.constant = load_block_once(matrix_.constant_edges, slot);
+    }
+    return out;
+  }
+  /// Likewise without constant tensors, where the caller knows how far the row behind the slot moves.
+  TM_HOST_DEVICE Neighbour neighbour(std::size_t slot, const Vec3<Real>& ahead) const {
+    static_assert(!HasConstant);
+    Neighbour out;
+    out.row = matrix_.mass_edges != nullptr ? global_row(patches_, patch_, matrix_.columns[slot]) : 0;
+    out.ahead = ahead;
+    return out;
+  }
+  /// Adds the neighbour's part to the sums and returns the block of A. edge: K_kl of the refreshed elements.
+  TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, const Neighbour& neighbour, Mat3<Real> edge,
+                                   RowSums<Real>& sums) const {
+    if constexpr (HasConstant) {
+      sums.force -= neighbour.constant * neighbour.stretch;
+      edge += neighbour.constant;
+    }
+    // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
+    sums.vertex -= edge;
+    sums.stiffness_ahead += edge * (neighbour.ahead - own_ahead_);
+    edge *= terms_.stiffness_share();
+    if (matrix_.mass_edges != nullptr) {
+      const Real shared = matrix_.mass_edges[slot];
+      edge += Mat3<Real>::Identity() * (shared * terms_.mass_share());
+      sums.momentum += terms_.momentum_gap(neighbour.row) * shared;
+    }
+    return edge;
+  }
+  /// Writes the row's diagonal block and right-hand side from the sums of all of its slots.
+  TM_HOST_DEVICE void finish(const RowSums<Real>& sums) const {
+    const Mat3<Real> diagonal =
+        sums.vertex * terms_.stiffness_share() + Mat3<Real>::Identity() * (terms_.mass * terms_.mass_share());
+    store_symmetric(matrix_.diagonal, row_, diagonal);
+    const Vec3<Real> momentum = sums.momentum + momentum_gap_ * terms_.mass;
+    const Vec3<Real> force = sums.force - sums.stiffness_ahead + external_;
+    store3<Real>(matrix_.rhs, row_, force * terms_.h + momentum);
+    if (newton_.internal_force != nullptr) store3<Real>(newton_.internal_force, row_, sums.force);
+  }
+
+ private:
+  const view::PatchesView& patches_;
+  const view::StateView<Real>& state_;
+  const view::MatrixView<Real>& matrix_;
+  const view::NewtonView<Real>& newton_;
+  const PatchColumns& patch_;
+  const std::uint32_t row_;
+  const RowTerms<Real> terms_;
+  const Vec3<Real> displacement_, own_ahead_, momentum_gap_, external_;
+};
+
+}  // namespace tensormass::matrix

@@ -1,0 +1,297 @@
+#include <algorithm>
+#include <map>
+#include <numeric>
+#include <set>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "mesh/surface.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+#include "physics/element/face.h"
+
+/// What holds a body, what acts on it and how it starts: fixed and prescribed nodes, forces, tractions, pressures,
+/// gravity, initial displacements and velocities.
+namespace tensormass::model {
+
+namespace {
+
+constexpr std::uint32_t kAllDirections = 7;
+static_assert(mesh::kMaxFaceNodes == physics::kMaxFaceNodes);
+
+/// A row's prescribed displacement in some directions.
+struct PrescribedDirections {
+  std::uint32_t row, prescribed, bits;
+};
+
+class Supports {
+ public:
+  explicit Supports(Compilation& c)
+      : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0), fixed_(c.model.layout.row_count, false) {}
+
+  Result<void> run() {
+    for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
+      const v1::Body& body = c_.scene.bodies(static_cast<int>(b));
+      const std::string where = fmt::format("body '{}'", body.name());
+      TM_ASSIGN_OR_RETURN(sets, read_sets(body, c_.bodies[b].mesh.nodes, where));
+      TM_RETURN_IF_ERROR(fix(body, b, sets, where));
+      TM_RETURN_IF_ERROR(prescribe(body, b, sets, where));
+      TM_RETURN_IF_ERROR(load(body, b, sets, where));
+      TM_RETURN_IF_ERROR(start(body, b, where));
+      BodyModel& out = c_.model.bodies[b];
+      for (std::uint32_t node = 0; node < out.node_count; ++node) {
+        if (c_.model.rest[4 * row(b, node) + 3] != kAllDirections) ++out.fixed_node_count;
+      }
+    }
+    add_gravity();
+    if (any_external_) c_.model.external = std::move(external_);
+    group_prescribed_rows();
+    group_pressure();
+    return {};
+  }
+
+ private:
+  std::size_t row(std::size_t body, std::uint32_t node) const {
+    return c_.model.layout.row_of_node[c_.model.bodies[body].node_begin + node];
+  }
+  void hold(std::size_t row, std::uint32_t bits) {
+    double& free = c_.model.rest[4 * row + 3];
+    free = static_cast<std::uint32_t>(free) & ~bits;
+  }
+
+  Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    for (int i = 0; i < body.fixed_size(); ++i) {
+      TM_ASSIGN_OR_RETURN(
+          nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
+      for (const std::uint32_t node : nodes) {
+        hold(row(b, node), kAllDirections);
+        fixed_[row(b, node)] = true;
+      }
+    }
+    return {};
+  }
+
+  Result<void> prescribe(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    for (int i = 0; i < body.prescribed_size(); ++i) {
+      const std::string at = fmt::format("{}.prescribed[{}]", where, i);
+      const v1::PrescribedDisplacement& p = body.prescribed(i);
+      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      v1::Vector3 vector;
+      vector.set_x(p.x_m());
+      vector.set_y(p.y_m());
+      vector.set_z(p.z_m());
+      TM_ASSIGN_OR_RETURN(displacement, read_vector(vector, at));
+      const std::uint32_t bits = (p.has_x_m() ? 1u : 0) | (p.has_y_m() ? 2u : 0) | (p.has_z_m() ? 4u : 0);
+      if (bits == 0) return invalid(fmt::format("{}: no direction; give x_m, y_m or z_m", at));
+      Prescribed out{displacement, {}, {}};
+      TM_RETURN_IF_ERROR(read_schedule(p.schedule(), out, at + ".schedule"));
+      c_.model.prescribed.push_back(std::move(out));
+      const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
+      for (const std::uint32_t node : nodes) {
+        TM_RETURN_IF_ERROR(drive(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
+      }
+    }
+    return {};
+  }
+
+  static Result<void> read_schedule(const v1::Schedule& schedule, Prescribed& out, std::string_view where) {
+    if (schedule.time_s_size() > limits::kMaxSchedulePoints) {
+      return invalid(fmt::format("{}: {} points exceed limits::kMaxSchedulePoints = {}", where, schedule.time_s_size(),
+                                 limits::kMaxSchedulePoints));
+    }
+    if (schedule.time_s_size() != schedule.factor_size()) {
+      return invalid(fmt::format("{}: {} times and {} factors; give one factor a time", where, schedule.time_s_size(),
+                                 schedule.factor_size()));
+    }
+    for (int i = 0; i < schedule.time_s_size(); ++i) {
+      TM_ASSIGN_OR_RETURN(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
+      TM_ASSIGN_OR_RETURN(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
+      if (!out.time_s.empty() && !(time > out.time_s.back())) {
+        return invalid(fmt::format("{}.time_s[{}]: {} does not come after {}", where, i, time, out.time_s.back()));
+      }
+      out.time_s.push_back(time);
+      out.factor.push_back(factor);
+    }
+    return {};
+  }
+
+  /// Edges and corners belong to several regions: the same displacement given twice is one.
+  template <class Where>
+  Result<void> drive(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
+    const Prescribed& mine = c_.model.prescribed[index];
+    std::uint32_t open = bits;  // directions that no entry before this one has
+    std::vector<PrescribedDirections>& of_row = prescribed_[static_cast<std::uint32_t>(row)];
+    for (const PrescribedDirections& other : of_row) {
+      for (std::uint32_t c = 0; c < 3; ++c) {
+        const auto axis = static_cast<Eigen::Index>(c);
+        if ((other.bits & bits & 1u << c) == 0) continue;
+        open &= ~(1u << c);
+        const Prescribed& theirs = c_.model.prescribed[other.prescribed];
+        const bool same =
+            mine.displacement_m[axis] == theirs.displacement_m[axis] &&
+            (mine.displacement_m[axis] == 0 || (mine.time_s == theirs.time_s && mine.factor == theirs.factor));
+        if (!same)
+          return invalid(fmt::format("{} has two prescribed displacements in {}; choose one", where(), "xyz"[c]));
+      }
+    }
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      if (fixed_[row] && (bits >> c & 1) != 0 && mine.displacement_m[static_cast<Eigen::Index>(c)] != 0) {
+        return invalid(fmt::format("{} is fixed and prescribed in {}; choose one", where(), "xyz"[c]));
+      }
+    }
+    if (open != 0) of_row.push_back({static_cast<std::uint32_t>(row), index, open});
+    hold(row, bits);
+    return {};
+  }
+
+  Result<void> load(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
+    std::vector<mesh::BoundaryFace> faces;
+    for (int i = 0; i < body.loads_size(); ++i) {
+      const std::string at = fmt::format("{}.loads[{}]", where, i);
+      const v1::Load& load = body.loads(i);
+      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      if (load.kind_case() == v1::Load::kForceN) {
+        TM_ASSIGN_OR_RETURN(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
+        for (const std::uint32_t node : nodes) {
+          add_external(row(b, node), force / static_cast<double>(nodes.size()));
+        }
+        continue;
+      }
+      if (load.kind_case() == v1::Load::KIND_NOT_SET) {
+        return invalid(fmt::format("{}: no load; give force_n, traction_pa or pressure_pa", at));
+      }
+      if (faces.empty()) faces = mesh::boundary_faces(c_.bodies[b].mesh);
+      const std::set<std::uint32_t> chosen(nodes.begin(), nodes.end());
+      std::vector<mesh::FaceNodes> loaded;
+      for (const mesh::BoundaryFace& face : faces) {
+        if (std::all_of(face.nodes.begin(), face.nodes.end(), [&](std::uint32_t n) { return chosen.contains(n); })) {
+          loaded.push_back(face.nodes);
+        }
+      }
+      if (loaded.empty()) {
+        return invalid(fmt::format("{}.region: {} nodes lie in it, but no whole face of the boundary; make it larger",
+                                   at, nodes.size()));
+      }
+      if (load.kind_case() == v1::Load::kTractionPa) {
+        TM_ASSIGN_OR_RETURN(traction, read_vector(load.traction_pa(), at + ".traction_pa", limits::kMaxPressurePa));
+        for (const mesh::FaceNodes& face : loaded) add_traction(b, face, traction);
+      } else {
+        TM_ASSIGN_OR_RETURN(pressure, read_number(load.pressure_pa(), -limits::kMaxPressurePa, limits::kMaxPressurePa,
+                                                  at + ".pressure_pa"));
+        for (const mesh::FaceNodes& face : loaded) add_pressure(b, face, pressure);
+      }
+    }
+    return {};
+  }
+
+  void add_external(std::size_t row, const Vec3<double>& force) {
+    any_external_ = any_external_ || force.squaredNorm() > 0;
+    for (std::size_t c = 0; c < 3; ++c) external_[4 * row + c] += force[static_cast<Eigen::Index>(c)];
+  }
+
+  void add_traction(std::size_t b, const mesh::FaceNodes& face, const Vec3<double>& traction) {
+    Vec3<double> x[physics::kMaxFaceNodes];
+    for (std::uint32_t k = 0; k < face.count; ++k) x[k] = c_.bodies[b].mesh.nodes[face[k]];
+    for (std::uint32_t k = 0; k < face.count; ++k) {
+      add_external(row(b, face[k]),
+                   traction * physics::face_area(x, static_cast<int>(face.count), static_cast<int>(k)));
+    }
+  }
+
+  void add_pressure(std::size_t b, const mesh::FaceNodes& face, double pressure) {
+    view::PressureFace<double> out;
+    out.node_count = face.count;
+    out.pressure_pa = pressure;
+    for (std::uint32_t k = 0; k < physics::kMaxFaceNodes; ++k) {
+      out.rows[k] = k < face.count ? static_cast<std::uint32_t>(row(b, face[k])) : 0;
+    }
+    c_.model.pressure.faces.push_back(out);
+  }
+
+  Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
+    TM_RETURN_IF_ERROR(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
+                                  c_.model.initial_displacement));
+    const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
+    if (!body.initial_velocity_m_per_s().empty() && c_.model.integrator == Integrator::kQuasiStatic) {
+      return invalid(fmt::format("{}: a quasi-static step knows no velocity; leave it out", at));
+    }
+    return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);
+  }
+
+  /// out: [row_count, 4]
+  Result<void> read_start(const std::string& bytes, std::size_t b, std::string_view where, std::vector<double>& out) {
+    if (bytes.empty()) return {};
+    TM_ASSIGN_OR_RETURN(values, read_reals(bytes, 3, where));
+    const std::size_t node_count = c_.model.bodies[b].node_count;
+    if (values.size() != 3 * node_count) {
+      return invalid(fmt::format("{}: {} values for {} nodes; give three a node", where, values.size(), node_count));
+    }
+    out.resize(4 * std::size_t{c_.model.layout.row_count}, 0);
+    for (std::uint32_t node = 0; node < node_count; ++node) {
+      for (std::size_t c = 0; c < 3; ++c) {
+        const double value = values[3 * std::size_t{node} + c];
+        const auto at = [&] { return fmt::format("{}, node {}", where, node); };
+        TM_RETURN_IF_ERROR(read_number(value, -limits::kMaxLength, limits::kMaxLength, at()));
+        if (fixed_[row(b, node)] && value != 0) {
+          return invalid(fmt::format("{} is fixed and starts at rest; give it zero", at()));
+        }
+        out[4 * row(b, node) + c] = value;
+      }
+    }
+    return {};
+  }
+
+  void add_gravity() {
+    if (!c_.model.has_gravity) return;
+    for (std::size_t i = 0; i < c_.model.layout.row_count; ++i) {
+      add_external(i, c_.model.row_mass[i] * c_.model.gravity_m_per_s2);
+    }
+  }
+
+  void group_prescribed_rows() {
+    if (prescribed_.empty()) return;
+    PrescribedRows& out = c_.model.prescribed_rows;
+    out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
+    for (const auto& [row, all] : prescribed_) {  // rows ascend, and with them the patches
+      for (const PrescribedDirections& one : all) {
+        out.rows.insert(out.rows.end(), {one.row, one.prescribed, one.bits});
+        ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
+      }
+    }
+    std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
+  }
+
+  void group_pressure() {
+    PressureSurface& out = c_.model.pressure;
+    if (out.faces.empty()) return;
+    std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // of each row: face, corner
+    for (std::uint32_t f = 0; f < out.faces.size(); ++f) {
+      for (std::uint32_t k = 0; k < out.faces[f].node_count; ++k) {
+        auto& list = corners[out.faces[f].rows[k]];
+        list.insert(list.end(), {f, k});
+      }
+    }
+    out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
+    out.corner_begin.assign(1, 0);
+    for (const auto& [row, list] : corners) {
+      out.rows.push_back(row);
+      out.corners.insert(out.corners.end(), list.begin(), list.end());
+      out.corner_begin.push_back(static_cast<std::uint32_t>(out.corners.size() / 2));
+      ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
+    }
+    std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
+  }
+
+  Compilation& c_;
+  std::vector<double> external_;
+  std::vector<bool> fixed_;  // [row_count]
+  bool any_external_ = false;
+  std::map<std::uint32_t, std::vector<PrescribedDirections>> prescribed_;
+};
+
+}  // namespace
+
+Result<void> fill_boundary_conditions(Compilation& c) { return Supports(c).run(); }
+
+}  // namespace tensormass::model

@@ -1,0 +1,79 @@
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <span>
+
+#include "view/guard.h"
+#include "view/newton.h"
+#include "view/solve.h"
+
+/// What a step reports to the host, and how the reports of patches become one: the last, short reduction, in the order
+/// of the patches, so that it repeats bitwise.
+namespace tensormass::solver {
+
+struct StepResult {
+  std::uint32_t cg_iterations = 0;  ///< of all solves of the step
+  double cg_relative_residual = 0;  ///< of the last one
+  bool negative_curvature = false;
+  bool finite = true;
+  double max_speed_m_per_s = 0;
+  double max_move_m = 0;        ///< of any node from the checkpoint
+  double max_distance_m = 0;    ///< of any node from rest
+  double kinetic_energy_j = 0;  ///< of the nodes' masses
+  double work_j = 0;            ///< of gravity and loads since the checkpoint
+  /// Smallest det F of the elements that are checked in each step; 1 if the scene checks no elements, infinity if it
+  /// does and no element is inverted.
+  double min_det_f = 1;
+  std::uint32_t newton_iterations = 1;
+  double newton_residual = 0;  ///< relative to the acting forces; 0 in a step that is linearized once
+  /// False: Newton's method ended above its tolerance, and the remaining residual would still have moved a node.
+  bool converged = true;
+};
+
+/// view::PatchResidual of the whole scene.
+struct NewtonResidual {
+  double residual_squared = 0;  ///< [N² s²]
+  double force_squared = 0;     ///< [N² s²]
+  double slope = 0;             ///< [J] residual · increment; positive: the increment still leads downhill
+  double moved = 0;             ///< largest motion of a node by the increment, relative to its own coordinates
+
+  bool finite() const { return std::isfinite(residual_squared) && std::isfinite(force_squared); }
+};
+
+template <class Real>
+NewtonResidual read_residual(std::span<const view::PatchResidual<Real>> patches) {
+  NewtonResidual sum;
+  for (const auto& patch : patches) {
+    sum.residual_squared += static_cast<double>(patch.residual_squared);
+    sum.force_squared += static_cast<double>(patch.force_squared);
+    sum.slope += static_cast<double>(patch.slope);
+    sum.moved = std::max(sum.moved, std::sqrt(static_cast<double>(patch.moved_squared)));
+  }
+  return sum;
+}
+
+/// The result of one solve and what moved with it. min_det_f: as far as the solve checks volumes.
+template <class Real>
+StepResult read_step(const view::SolveReport<Real>& solve, std::span<const view::PatchReport<Real>> patches) {
+  StepResult result;
+  result.cg_iterations = solve.iterations;
+  result.cg_relative_residual = static_cast<double>(solve.relative_residual);
+  result.negative_curvature = solve.negative_curvature != 0;
+  result.finite = std::isfinite(solve.relative_residual);
+  result.min_det_f = std::numeric_limits<double>::infinity();
+  for (const auto& patch : patches) {
+    result.finite = result.finite && patch.finite == 1;
+    result.max_speed_m_per_s = std::max(result.max_speed_m_per_s, static_cast<double>(patch.max_speed_m_per_s));
+    result.max_move_m = std::max(result.max_move_m, static_cast<double>(patch.max_move_m));
+    result.max_distance_m = std::max(result.max_distance_m, static_cast<double>(patch.max_distance_m));
+    result.kinetic_energy_j += static_cast<double>(patch.kinetic_energy_j);
+    result.work_j += static_cast<double>(patch.work_j);
+    result.min_det_f = std::min(result.min_det_f, static_cast<double>(patch.min_det_f));
+  }
+  return result;
+}
+
+}  // namespace tensormass::solver

@@ -1,0 +1,253 @@
+#pragma once
+
+#include <cmath>
+#include <limits>
+
+#include "solver/jacobi_scaling.h"
+#include "view/scene.h"
+
+/// Time schemes: where a step starts from, and how its solution moves the rows.
+///
+///   predict ───> û, v̂ from the last two steps;  v = v̂
+///   prescribe ─> v of rows whose displacement the scene gives
+///     solve for Δv (conjugate_gradients.h), once or in Newton's iterations (newton.h)
+///   advance ───> v += Δv,  u = û + h v,  and what the guards check
+///
+/// view/state.h defines u, v, û, v̂ and h. Δv = L⁻ᵀ x / s, where x solves the scaled system (jacobi_scaling.h).
+///
+/// A scene that is linearized once by implicit Euler has û = u and v̂ = v. It needs neither base fields nor `predict`;
+/// `advance` then saves the checkpoint.
+namespace tensormass::solver {
+
+enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
+
+/// The coefficients of a step of dt_s. first: no step of the same length comes before it.
+inline view::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first) {
+  switch (integrator) {
+    case Integrator::kBdf2:  // (3 y' − 4 y + y₋₁) / (2 dt) = ẏ', solved for y'
+      if (first) break;      // implicit Euler once: a single step of order one does not lower the order of the run
+      return {2 * dt_s / 3, {4.0 / 3, -1.0 / 3}, {4.0 / 3, -1.0 / 3}};
+    case Integrator::kQuasiStatic:  // "velocity" is the change of the displacement in a step
+      return {1, {1, 0}, {0, 0}};
+    case Integrator::kImplicitEuler:
+      break;
+  }
+  return {dt_s, {1, 0}, {1, 0}};
+}
+
+/// Saves the state (u, v) of a row as the checkpoint, if the step is told to.
+template <class Real>
+TM_HOST_DEVICE void save_checkpoint(const view::StateView<Real>& state, const view::GuardView<Real>& guard,
+                                    std::uint32_t row, const Vec3<Real>& u, const Vec3<Real>& v) {
+  if (state.control->saves_checkpoint == 0) return;
+  view::store3<Real>(guard.checkpoint_displacement, row, u);
+  view::store3<Real>(guard.checkpoint_velocity, row, v);
+  if (state.previous_displacement == nullptr) return;
+  view::store3<Real>(guard.checkpoint_previous_displacement, row, view::load3<Real>(state.previous_displacement, row));
+  view::store3<Real>(guard.checkpoint_previous_velocity, row, view::load3<Real>(state.previous_velocity, row));
+}
+
+/// Makes û and v̂ of the step from the last two, and starts the solve at v = v̂. Only for scenes that are not plain
+/// (model::Model::is_plain).
+/// Reads displacement, velocity; writes base and previous fields, velocity, checkpoint.
+template <class Team, class Real>
+TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::GuardView<Real>& guard) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    const Vec3<Real> u = view::load3<Real>(state.displacement, row), v = view::load3<Real>(state.velocity, row);
+    const view::StepScheme<Real>& scheme = state.control->scheme;
+    Vec3<Real> base_u = u * scheme.displacement_weights[0], base_v = v * scheme.velocity_weights[0];
+    save_checkpoint(state, guard, row, u, v);
+    if (state.previous_displacement != nullptr) {
+      base_u += view::load3<Real>(state.previous_displacement, row) * scheme.displacement_weights[1];
+      base_v += view::load3<Real>(state.previous_velocity, row) * scheme.velocity_weights[1];
+      view::store3<Real>(state.previous_displacement, row, u);
+      view::store3<Real>(state.previous_velocity, row, v);
+    }
+    view::store3<Real>(state.base_displacement, row, base_u);
+    view::store3<Real>(state.base_velocity, row, base_v);
+    view::store3<Real>(state.velocity, row, base_v);
+  });
+}
+
+/// Sets the velocities that take prescribed rows to their displacement at the end of the step.
+/// Reads prescribed displacement, û; writes velocity.
+template <class Team, class Real>
+TM_HOST_DEVICE void prescribe(const Team& team, const view::StateView<Real>& state,
+                              const view::PrescribedView<Real>& prescribed) {
+  const Real* base = state.base_displacement != nullptr ? state.base_displacement : state.displacement;
+  team.for_each(prescribed.patch_begin[team.patch()], prescribed.patch_begin[team.patch() + 1], [&](std::uint32_t i) {
+    const std::uint32_t* entry = prescribed.rows + std::size_t{3} * i;
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      if ((entry[2] >> c & 1) == 0) continue;
+      const Real target = prescribed.displacement[std::size_t{4} * entry[1] + c];
+      state.velocity[std::size_t{4} * entry[0] + c] =
+          (target - base[std::size_t{4} * entry[0] + c]) / view::step_size(state);
+    }
+  });
+}
+
+/// Prefetches what move_rows reads of a row. A solve takes long enough for caches to lose it.
+template <class Real>
+TM_HOST_DEVICE void prefetch_move(const view::StateView<Real>& state, const view::GuardView<Real>& guard,
+                                  std::uint32_t row) {
+  const std::size_t at = std::size_t{4} * row;
+  expect(state.velocity + at);
+  expect((state.base_displacement != nullptr ? state.base_displacement : state.displacement) + at);
+  expect(guard.checkpoint_displacement + at);
+  expect(state.inertia + at);
+  if (state.external != nullptr) expect(state.external + at);
+}
+
+/// What a thread has found about the rows that it moved.
+template <class Real>
+struct Motion {
+  Real maxima[3] = {0, 0, 0};  // squares of speed, move from the checkpoint, distance from rest
+  Real sums[3] = {0, 0, 0};    // rows with a value that is not a number, twice the kinetic energy, work
+};
+
+/// Reduces the motion of all threads of a patch into its report.
+///   least_det_f() -> Real   called once by every thread; returns PatchReport::min_det_f to the thread that leads the
+///                           patch. The patch's threads must synchronize within it at least once.
+template <class Team, class Real, class LeastDetF>
+TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard, Motion<Real> motion,
+                           const LeastDetF& least_det_f) {
+  using std::sqrt;
+  auto& [maxima, sums] = motion;
+  team.begin_reduce(maxima, sums);
+  const Real min_det_f = least_det_f();
+  if (!team.leads_patch()) return;
+  team.end_reduce(maxima, sums);
+  guard.patch_reports[team.patch()] = {
+      sqrt(maxima[0]), sums[0] == 0 ? Real(1) : Real(0), sqrt(maxima[1]), sqrt(maxima[2]), sums[1] / 2, sums[2],
+      min_det_f};
+}
+
+/// Reduces the motion likewise where the solve does not check volumes.
+template <class Team, class Real>
+TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard, const Motion<Real>& motion) {
+  report(team, guard, motion, [&] {
+    team.sync();
+    return std::numeric_limits<Real>::infinity();
+  });
+}
+
+/// Moves the rows of a patch to new velocities v and to u = û + h v.
+///   read(row) -> T               what v is made from; called ahead of its use, so that reads are under way together
+///   velocity_of(row, T) -> v     the new velocity
+///   moved.read(row) -> M         what moved() needs of the row; called ahead, as read(row) is
+///   moved(row, u, M)             called once the row has its new displacement
+/// saves: save the row's state (û, read(row)) as the checkpoint before overwriting it. The caller must know that û is
+/// the displacement before the step and read(row) the velocity before it.
+template <class Team, class Real, class Read, class Velocity, class Moved>
+TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView& patches,
+                                      const view::StateView<Real>& state, const view::GuardView<Real>& guard,
+                                      bool saves, const Read& read, const Velocity& velocity_of, const Moved& moved) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  const Real* base = state.base_displacement != nullptr ? state.base_displacement : state.displacement;
+  const Real h = view::step_size(state);
+  Motion<Real> motion;
+  auto& [maxima, sums] = motion;
+  struct Before {
+    Vec3<Real> of_velocity, base, checkpoint, external;
+    Real mass;
+    decltype(moved.read(0)) of_moved;
+  };
+  constexpr int kAtOnce = 2;
+  team.template for_each<kAtOnce>(
+      patch.row_begin, patch.row_end,
+      [&](std::uint32_t row) -> Before {
+        return {read(row),
+                view::load3<Real>(base, row),
+                view::load3<Real>(guard.checkpoint_displacement, row),
+                state.external != nullptr ? view::load3<Real>(state.external, row) : Vec3<Real>(Vec3<Real>::Zero()),
+                state.inertia[std::size_t{4} * row],
+                moved.read(row)};
+      },
+      [&](std::uint32_t row, const Before& before) {
+        const Vec3<Real> v = velocity_of(row, before.of_velocity);
+        const Vec3<Real> u = before.base + v * h;
+        const Vec3<Real> move = u - (saves ? before.base : before.checkpoint);
+        if (saves) save_checkpoint(state, guard, row, before.base, before.of_velocity);
+        view::store3<Real>(state.velocity, row, v);
+        view::store3<Real>(state.displacement, row, u);
+        moved(row, u, before.of_moved);
+        maxima[0] = maximum(maxima[0], v.dot(v));
+        maxima[1] = maximum(maxima[1], move.dot(move));
+        maxima[2] = maximum(maxima[2], u.dot(u));
+        if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
+        sums[1] += before.mass * v.dot(v);
+        sums[2] += before.external.dot(move);
+      });
+  return motion;
+}
+
+/// Moves the rows by a change of velocity, and stores what Newton's method needs to take part of it back.
+///   change_of(row) -> Vec3   Δv of the row
+///   moved                    as in move_rows
+/// Writes velocity, displacement, iterate, increment, checkpoint.
+template <class Team, class Real, class Change, class Moved>
+TM_HOST_DEVICE Motion<Real> advance_by(const Team& team, const view::PatchesView& patches,
+                                       const view::StateView<Real>& state, const view::NewtonView<Real>& newton,
+                                       const view::GuardView<Real>& guard, const Change& change_of,
+                                       const Moved& moved) {
+  // With base fields `predict` has saved it already.
+  const bool saves = state.base_displacement == nullptr && state.control->saves_checkpoint != 0;
+  return move_rows(
+      team, patches, state, guard, saves, [&](std::uint32_t row) { return view::load3<Real>(state.velocity, row); },
+      [&](std::uint32_t row, const Vec3<Real>& v) -> Vec3<Real> {
+        const Vec3<Real> change = change_of(row);
+        if (newton.increment != nullptr) {
+          view::store3<Real>(newton.increment, row, change);
+          view::store3<Real>(newton.iterate, row, v);
+        }
+        return v + change;
+      },
+      moved);
+}
+
+/// `moved` of move_rows in scenes where no volume check reads positions.
+struct DiscardPosition {
+  struct Nothing {};
+  TM_HOST_DEVICE Nothing read(std::uint32_t) const { return {}; }
+  template <class Vector>
+  TM_HOST_DEVICE void operator()(std::uint32_t, const Vector&, Nothing) const {}
+};
+
+/// `moved` of move_rows that stores each row's relative position.
+template <class Real>
+struct StorePosition {
+  const view::StateView<Real>& state;
+  const view::GuardView<Real>& guard;
+  Vec3<Real> read(std::uint32_t row) const { return view::relative_rest(state, row); }
+  void operator()(std::uint32_t row, const Vec3<Real>& u, const Vec3<Real>& rest) const {
+    view::store3<Real>(guard.relative_position, row, rest + u);
+  }
+};
+
+/// Moves the rows and writes the patch's report.
+///   move(moved) -> Motion   moves the rows and calls `moved` as move_rows does
+template <class Team, class Real, class Move>
+TM_HOST_DEVICE void move_and_report(const Team& team, const view::StateView<Real>& state,
+                                    const view::GuardView<Real>& guard, const Move& move) {
+  if constexpr (requires { Team::kOneThread; }) {
+    if (guard.relative_position != nullptr) return report(team, guard, move(StorePosition<Real>{state, guard}));
+  }
+  report(team, guard, move(DiscardPosition{}));
+}
+
+/// Applies the solution: v += Δv, u = û + h v.
+/// Reads solution, diagonal; writes what advance_by does, relative_position, patch_reports.
+template <class Team, class Real>
+TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::MatrixView<Real>& matrix, const view::SolveView<Real>& solve,
+                            const view::NewtonView<Real>& newton, const view::GuardView<Real>& guard) {
+  const auto change_of = [&](std::uint32_t row) -> Vec3<Real> {
+    return unscaled(state, row, load_lower<Real>(matrix.diagonal, row), view::load3<Real>(solve.solution, row));
+  };
+  move_and_report(team, state, guard,
+                  [&](const auto& moved) { return advance_by(team, patches, state, newton, guard, change_of, moved); });
+}
+
+}  // namespace tensormass::solver

@@ -1,0 +1,138 @@
+#include "step/plan.h"
+
+#include <algorithm>
+#include <numeric>
+
+#include <fmt/format.h>
+
+#include "model/bind.h"
+#include "physics/lists.h"
+
+namespace tensormass::step {
+
+namespace {
+
+/// An arena that only writes down what it is asked for.
+class CountingArena {
+ public:
+  explicit CountingArena(v1::SceneReport& report) : report_(report) {}
+
+  template <class T, class U>
+  const T* constant(std::string_view name, const std::vector<U>& items) {
+    return zeros<T>(name, items.size());
+  }
+  template <class T, class Fill>
+  const T* generated(std::string_view name, std::size_t count, const Fill&) {
+    return zeros<T>(name, count);
+  }
+  template <class T>
+  T* zeros(std::string_view name, std::size_t count) {
+    if (count == 0) return nullptr;
+    v1::PlanBuffer& buffer = *report_.add_buffers();
+    buffer.set_name(std::string(name));
+    buffer.set_bytes(count * sizeof(T));
+    report_.set_bytes_total(report_.bytes_total() + count * sizeof(T));
+    return nullptr;
+  }
+
+ private:
+  v1::SceneReport& report_;
+};
+
+template <class Real>
+void bind_all(const model::Model& model, CountingArena& arena) {
+  model::bind<Real>(model, arena);
+  for (std::size_t group = 0; group < model.groups.size(); ++group) model::bind<Real>(model, group, arena);
+}
+
+void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
+  if (m.tools.empty())
+    report.add_not_modelled("contact with tools: the scene has none; no contact stage, no contact buffer");
+  if (m.bodies.size() > 1) report.add_not_modelled("contact between bodies: they pass through each other");
+  report.add_not_modelled("self-contact of a body");
+  if (!m.tools.empty()) report.add_not_modelled("friction between tools and tissue");
+  if (m.external.empty() && m.pressure.faces.empty())
+    report.add_not_modelled("gravity and loads: the scene names none");
+  bool damped = false;
+  for (std::size_t row = 0; row < m.layout.row_count; ++row) {
+    damped = damped || m.inertia[4 * row + 1] != 0 || m.inertia[4 * row + 2] != 0;
+  }
+  if (m.integrator == model::Integrator::kQuasiStatic) {
+    report.add_not_modelled("inertia and damping: each step is an equilibrium");
+  } else if (!damped) {
+    report.add_not_modelled(fmt::format("Rayleigh damping: the scene names none; {} damps by itself",
+                                        m.integrator == model::Integrator::kBdf2 ? "BDF2 hardly" : "implicit Euler"));
+  }
+  if (std::all_of(m.groups.begin(), m.groups.end(), [](const model::ElementGroup& g) { return g.prony.empty(); })) {
+    report.add_not_modelled("viscosity: no law has prony terms");
+  }
+  if (!m.pressure.faces.empty()) {
+    report.add_not_modelled("the stiffness of pressure: its forces follow the surface, its derivative is left out");
+  }
+  report.add_not_modelled("plasticity, cutting and tearing");
+  if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");
+}
+
+}  // namespace
+
+v1::SceneReport make_report(const model::Model& model, const MachineRates& machine) {
+  v1::SceneReport report;
+  report.set_scene(model.name);
+  for (const model::BodyModel& body : model.bodies) {
+    v1::BodyReport& out = *report.add_bodies();
+    out.set_name(body.name);
+    out.set_node_count(body.node_count);
+    out.set_element_count(body.element_count);
+    out.set_fixed_node_count(body.fixed_node_count);
+    out.set_component_count(body.component_count);
+    out.set_volume_m3(body.volume_m3);
+    out.set_mass_kg(body.mass_kg);
+    out.set_min_dihedral_angle_deg(body.min_dihedral_angle_deg);
+    out.set_surface_vertex_count(body.vertex_count);
+    out.set_surface_triangle_count(static_cast<std::uint32_t>(body.triangles.size()));
+  }
+
+  double step_s = 0;
+  for (const Stage& stage : list_stages(model)) {
+    const StageInfo& info = *stage.info;
+    const Cost one = cost(model, stage);
+    v1::PlanStage& out = *report.add_stages();
+    out.set_name(std::string(info.name));
+    if (is_of_group(info.scope)) {
+      const model::ElementGroup& group = model.groups[stage.group];
+      physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
+        out.set_name(fmt::format("{}: {}, {}", info.name,
+                                 group.is_wedge_pairs() ? "volume of wedge pairs" : decltype(shape)::Type::kName,
+                                 decltype(law)::Type::kName));
+      });
+    }
+    out.set_reads(std::string(info.reads));
+    out.set_writes(std::string(info.writes));
+    out.set_bytes(static_cast<std::uint64_t>(one.bytes));
+    out.set_operations(static_cast<std::uint64_t>(one.operations));
+    const double once_s = std::max(one.bytes / machine.bytes_per_s, one.operations / machine.operations_per_s);
+    // A tolerance ends most solves early; half of the iterations is a guess, and the report says that it is one.
+    const double iterations = model.cg_tolerance > 0 ? 0.5 * model.cg_max_iterations : model.cg_max_iterations;
+    if (info.phase == Phase::kDiagnostics || info.phase == Phase::kBacktrack || info.phase == Phase::kFrame)
+      continue;  // now and then
+    const bool repeats_iterations = info.kind == StageKind::kSolve || info.scope == Scope::kFusedOnDevice;
+    const bool repeats = info.phase == Phase::kEvaluate || info.phase == Phase::kSolve;
+    // Newton converges quadratically: a handful of iterations, whatever the limit.
+    const double solves = repeats ? std::min(model.newton_max_iterations, 5u) : 1;
+    step_s += solves * (machine.stage_latency_s +
+                        (repeats_iterations ? iterations * (once_s + machine.iteration_latency_s) : once_s));
+  }
+  report.set_expected_rate_hz(1 / step_s);
+
+  CountingArena arena(report);
+  if (model.double_precision) {
+    bind_all<double>(model, arena);
+  } else {
+    bind_all<float>(model, arena);
+  }
+  list_not_modelled(model, report);
+  for (const std::string& warning : model.warnings) report.add_warnings(warning);
+  return report;
+}
+
+}  // namespace tensormass::step

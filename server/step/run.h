@@ -1,0 +1,75 @@
+#pragma once
+
+#include <type_traits>
+
+#include "contact/spherical_probe.h"
+#include "matrix/edge_assembly.h"
+#include "matrix/rows.h"
+#include "physics/lists.h"
+#include "solver/conjugate_gradients.h"
+#include "solver/jacobi_scaling.h"
+#include "solver/newton_stages.h"
+#include "solver/time_scheme.h"
+#include "step/diagnostics.h"
+#include "step/inversion_check.h"
+#include "step/loads.h"
+#include "step/stages.h"
+#include "step/visible_surface.h"
+
+/// Runs the stages of the table (stages.h). Each line passes a stage exactly the parts of the scene that it may touch.
+///
+/// Every backend runs these functions: the CPU with the team of a thread (backend/cpu/team.h), CUDA with a kernel for
+/// each stage type and the team of a thread block (backend/cuda/team.cuh).
+namespace tensormass::step {
+
+/// A stage as a type. Shape: only of Scope::kShape.
+template <StageKind kKind, class Shape = void>
+struct RunStage {
+  static constexpr const StageInfo& kInfo = info(kKind);
+
+  template <class Team, class Real>
+  TM_HOST_DEVICE static void run(Team& team, const view::SceneView<Real>& s,
+                                 [[maybe_unused]] const view::ElementView<Real>& e) {
+    using K = StageKind;
+    constexpr bool kIsCpu = requires { Team::kOneThread; };
+    if constexpr (kKind == K::kPredict) solver::predict(team, s.patches, s.state, s.guard);
+    if constexpr (kKind == K::kPrescribe) solver::prescribe(team, s.state, s.prescribed);
+    if constexpr (kKind == K::kDetectContact) contact::detect(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kRespondContact) contact::respond(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kBeginEdges && kIsCpu) matrix::begin_edges(team, s.patches, s.state, s.matrix, s.newton);
+    if constexpr (kKind == K::kDecompose) matrix::decompose<Shape>(team, s.patches, s.state, e);
+    if constexpr (kKind == K::kFinishRows) matrix::finish_rows(team, s.patches, s.state, s.matrix, s.newton);
+    if constexpr (kKind == K::kExternalForces) step::add_external_forces(team, s.patches, s.state, s.matrix);
+    if constexpr (kKind == K::kPressure) step::add_pressure(team, s.state, s.matrix, s.pressure);
+    if constexpr (kKind == K::kAssembleContact) contact::assemble(team, s.patches, s.state, s.matrix, s.contact);
+    if constexpr (kKind == K::kMeasureResidual) solver::measure_residual(team, s.patches, s.state, s.matrix, s.newton);
+    if constexpr (kKind == K::kFactorize) solver::factorize(team, s.patches, s.state, s.matrix);
+    if constexpr (kKind == K::kScaleEdges) solver::scale_edges(team, s.patches, s.matrix);
+    if constexpr (kKind == K::kSolve) solver::conjugate_gradients(team, s.patches, s.state, s.matrix, s.solve);
+    if constexpr (kKind == K::kAdvance) solver::advance(team, s.patches, s.state, s.matrix, s.solve, s.newton, s.guard);
+    if constexpr (kKind == K::kBacktrack) solver::backtrack(team, s.patches, s.state, s.newton, s.guard);
+    if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kCheckInversion) step::check_inversion<Shape>(team, s.patches, s.state, s.guard, e);
+    if constexpr (kKind == K::kGatherSurface) step::gather_surface(team, s.patches, s.state, s.surface);
+  }
+};
+
+/// Calls visit(RunStage<..>{}) for a stage. Not for Scope::kShapeAndLaw and kFusedOnDevice: those have code of the
+/// backend's own, and visit is not called.
+template <class Visit>
+void with_stage(const model::Model& m, const Stage& stage, const Visit& visit) {
+  const auto try_kind = [&](auto kind) {
+    constexpr auto kKind = static_cast<StageKind>(decltype(kind)::value);
+    if (stage.info->kind != kKind) return;
+    if constexpr (info(kKind).scope == Scope::kScene) visit(RunStage<kKind>{});
+    if constexpr (info(kKind).scope == Scope::kShape) {
+      physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
+        if (index == m.groups[stage.group].shape) visit(RunStage<kKind, typename decltype(shape)::Type>{});
+      });
+    }
+  };
+  [&]<int... Kind>(std::integer_sequence<int, Kind...>) { (try_kind(std::integral_constant<int, Kind>{}), ...); }
+  (std::make_integer_sequence<int, kStageKinds>{});
+}
+
+}  // namespace tensormass::step

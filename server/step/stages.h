@@ -1,0 +1,331 @@
+#pragma once
+
+#include <cstdint>
+#include <string_view>
+#include <vector>
+
+#include "matrix/packed_block.h"
+#include "model/model.h"
+#include "physics/lists.h"
+
+/// The table of stages: everything that a step can consist of, in the order in which it runs.
+///
+/// 1. The table is the only list. list_stages selects from it what a model needs, the plan prints those stages, both
+///    backends run them, and docs/architecture.md shows the table (tests/step checks the document).
+/// 2. A scene pays for what it names: a stage whose condition is false has neither a kernel nor a buffer.
+/// 3. Stages that a GPU fuses into one kernel are stages of their own (resident and streamed solve), so that the plan
+///    shows what runs.
+///
+///   begin ──> evaluate ──> solve ──> end ──> (frame)
+///                ^           │
+///                └───────────┘             Newton's method repeats these, and backtracks (solver/newton.h)
+///
+/// run.h says which function each stage calls.
+namespace tensormass::step {
+
+enum class StageKind : std::uint8_t {
+  kPredict,
+  kPrescribe,
+  kDetectContact,
+  kRespondContact,
+  kBeginEdges,
+  kInternalVariables,
+  kDecompose,
+  kElements,
+  kFinishRows,
+  kExternalForces,
+  kPressure,
+  kAssembleContact,
+  kMeasureResidual,
+  kFactorize,
+  kScaleEdges,
+  kSolve,
+  kAdvance,
+  kResidentSolve,
+  kStreamedSolve,
+  kBacktrack,
+  kMeasureContact,
+  kCheckInversion,
+  kDiagnostics,
+  kGatherSurface,
+};
+
+enum class Phase : std::uint8_t {
+  kBegin,        ///< once a step
+  kEvaluate,     ///< forces and matrix at the present state
+  kSolve,        ///< the linear solve and its full increment
+  kBacktrack,    ///< a fraction of the increment instead
+  kEnd,          ///< once a step
+  kDiagnostics,  ///< now and then, for the status
+  kFrame,        ///< when a frame is due
+};
+inline constexpr int kPhases = 7;
+
+/// How often a stage runs in its phase, and for what its code is compiled.
+enum class Scope : std::uint8_t {
+  kScene,         ///< once
+  kShape,         ///< once for each group; compiled for each shape
+  kShapeAndLaw,   ///< once for each group; compiled for each shape and law, in files of their own
+  kFusedOnDevice  ///< once; a GPU has a kernel of its own, other backends never run it
+};
+
+/// What the patches of a stage do beyond their own loops.
+enum class Communication : std::uint8_t {
+  kNone,
+  kReduces,         ///< a patch reduces over its own items
+  kReducesInParts,  ///< likewise, once for each part of a patch that the team has
+  kExchanges,       ///< patches talk to each other while they run
+};
+
+/// Counted from the stage's own loops: bytes that it must move at least, and floating-point operations.
+struct Cost {
+  double bytes = 0, operations = 0;
+};
+
+/// Sizes from which conditions and costs follow.
+struct StageSizes {
+  const model::Model& m;
+  const model::ElementGroup* group;  ///< of stages of a group; else nullptr
+  double real, rows, slots, tools, triangles;
+  bool edges;  ///< the matrix stores edges
+
+  StageSizes(const model::Model& model, const model::ElementGroup* of_group)
+      : m(model),
+        group(of_group),
+        real(model.double_precision ? 8 : 4),
+        rows(model.layout.row_count),
+        slots(model.layout.slot_count()),
+        tools(static_cast<double>(model.tools.size())),
+        triangles(model.contact.triangle_count()),
+        edges(model.layout.storage == matrix::Storage::kEdges) {}
+
+  bool has_tools() const { return !m.tools.empty(); }
+  bool fused() const { return m.solve != model::SolveKind::kStages; }
+  double nodes_of_element() const { return static_cast<double>(group->rows.size()) / group->stride; }
+  double points() const { return static_cast<double>(group->stride) * group->point_count; }
+  double internal_variable_bytes() const { return 2 * static_cast<double>(group->internal_variable_reals()) * real; }
+  double rest_bytes() const { return static_cast<double>(group->rest.size() + group->parameters.size()) * real; }
+  bool decomposes() const { return !edges && !group->is_constant && physics::decomposes(group->law); }
+  double decomposition_bytes() const { return decomposes() ? points() * view::kDecompositionReals * real : 0; }
+
+  Cost solve() const {  // one iteration
+    const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+    if (m.double_precision || m.layout.storage != matrix::Storage::kTiles) return whole;
+    // Tiles stream in single precision: packed blocks, and beside each a column, mostly of 16 bits.
+    const double slot = sizeof(matrix::PackedBlock) + sizeof(std::uint16_t), row = sizeof(matrix::PackedDiagonal);
+    return {m.layout.read_slot_count() * slot + rows * (row + 9 * 4 * real), whole.operations};
+  }
+};
+
+struct StageInfo {
+  StageKind kind;
+  Phase phase;
+  Scope scope;
+  Communication communication;
+  std::string_view name, reads, writes, when;
+  bool (*needed)(const StageSizes&);
+  Cost (*cost)(const StageSizes&);  ///< of one run; of solves: of one iteration
+};
+
+// clang-format off
+inline constexpr StageInfo kStages[] = {
+  {StageKind::kPredict, Phase::kBegin, Scope::kScene, Communication::kNone,
+   "predict", "displacement, velocity", "base displacement and velocity, checkpoint",
+   "the step is not implicit Euler linearized once, or displacements are prescribed",
+   [](const StageSizes& s) { return !s.m.is_plain(); },
+   [](const StageSizes& s) { return Cost{s.rows * 7 * 4 * s.real, s.rows * 12}; }},
+  {StageKind::kPrescribe, Phase::kBegin, Scope::kScene, Communication::kNone,
+   "prescribe", "prescribed displacements", "velocity of prescribed nodes",
+   "the scene prescribes displacements that are not zero",
+   [](const StageSizes& s) { return !s.m.prescribed_rows.rows.empty(); },
+   [](const StageSizes& s) {
+     const double entries = static_cast<double>(s.m.prescribed_rows.rows.size()) / 3;
+     return Cost{entries * (12 + 9 * s.real), entries * 6};
+   }},
+  {StageKind::kDetectContact, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
+   "detect contact", "displacement, tools", "closest triangle of each patch", "the scene has tools",
+   [](const StageSizes& s) { return s.has_tools(); },
+   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+  {StageKind::kRespondContact, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "respond to contact", "displacement, tools, closest", "contacts", "the scene has tools",
+   [](const StageSizes& s) { return s.has_tools(); },
+   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+  {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
+   "the matrix stores edges (CPU); element passes then add to it",
+   [](const StageSizes& s) { return s.edges; },
+   [](const StageSizes& s) {
+     const bool constant = !s.m.constant_edges.empty();
+     return Cost{s.slots * 9 * s.real * (constant ? 2 : 1) + s.rows * (3 * 4 + 8) * s.real,
+                 s.slots * (constant ? 90 : 0)};
+   }},
+  {StageKind::kInternalVariables, Phase::kEvaluate, Scope::kShapeAndLaw, Communication::kNone,
+   "advance internal variables", "displacement, internal variables", "internal variables",
+   "on a GPU, for groups with Prony terms; a CPU does this within the element pass",
+   [](const StageSizes& s) { return !s.edges && !s.group->is_constant && !s.group->prony.empty(); },
+   [](const StageSizes& s) { return Cost{s.rest_bytes() + s.internal_variable_bytes(), s.points() * 150}; }},
+  {StageKind::kDecompose, Phase::kEvaluate, Scope::kShape, Communication::kNone,
+   "decompose", "displacement, rest shapes", "F = U S V^T of each quadrature point",
+   "on a GPU, for laws of the principal stretches",
+   [](const StageSizes& s) { return s.decomposes(); },
+   [](const StageSizes& s) { return Cost{s.rest_bytes() + s.decomposition_bytes(), s.points() * 600}; }},
+  {StageKind::kElements, Phase::kEvaluate, Scope::kShapeAndLaw, Communication::kNone,
+   "element tensors", "displacement, rest shapes; on a GPU decompositions", "matrix, right-hand side",
+   "for each group whose law is not linear; on a GPU the last one forms the rows of A and b",
+   [](const StageSizes& s) { return !s.group->is_constant; },
+   [](const StageSizes& s) {
+     // Counted for StVK: about 120 for the stress of a point, 60 for each node, then 60 for each block.
+     const double nodes = s.nodes_of_element(), points = s.points(), rest = s.rest_bytes() + s.internal_variable_bytes();
+     if (!s.edges) {  // each node's row evaluates the element and its own blocks; if caches hold, it is read once
+       const auto& row_lists = s.group->row_lists;
+       const double lists = static_cast<double>(row_lists.listed.size() + row_lists.places.size()) * 4;
+       return Cost{rest + lists + s.decomposition_bytes() + s.slots * (9 * s.real + 4) + s.rows * (6 * 4 + 8) * s.real,
+                   nodes * points * (120 + 60 * nodes + 60 * (nodes - 1))};
+     }
+     const double elements = static_cast<double>(s.group->rows.size()) * (4 + 4 * s.real) + rest +
+                             static_cast<double>(s.group->pair_places.size()) * 4;
+     // The matrix and the right-hand side are read and written, too.
+     return Cost{elements + (s.slots * 9 + s.rows * (8 + 4)) * 2 * s.real,
+                 points * (120 + 30 * nodes + 30 * nodes * nodes)};
+   }},
+  {StageKind::kFinishRows, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "finish rows", "constant tensors, sums of the elements, velocity", "matrix, right-hand side",
+   "on a GPU, if there are constant tensors; otherwise the last element pass finishes rows",
+   [](const StageSizes& s) { return !s.m.begun_slices.empty(); },
+   [](const StageSizes& s) {
+     return Cost{s.slots * (9 * s.real * 2 + 4) + s.rows * (4 * 4 + 8) * s.real, s.slots * 54 + s.rows * 60};
+   }},
+  {StageKind::kExternalForces, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "external forces", "gravity and loads", "right-hand side",
+   "on a CPU, if the scene has gravity or loads; on a GPU finished rows have them",
+   [](const StageSizes& s) { return s.edges && !s.m.external.empty(); },
+   [](const StageSizes& s) { return Cost{s.rows * 12 * s.real, s.rows * 6}; }},
+  {StageKind::kPressure, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "pressure", "displacement, pressure faces", "right-hand side", "the scene has faces under pressure",
+   [](const StageSizes& s) { return !s.m.pressure.faces.empty(); },
+   [](const StageSizes& s) {
+     const double corners = static_cast<double>(s.m.pressure.corners.size()) / 2;
+     return Cost{corners * (36 + 4 * 8 * s.real), corners * 300};
+   }},
+  {StageKind::kAssembleContact, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "assemble contact", "contacts, velocity", "matrix, right-hand side", "the scene has tools",
+   [](const StageSizes& s) { return s.has_tools(); },
+   [](const StageSizes& s) {
+     const double incidences = static_cast<double>(s.m.contact.incidence.size()) / 4;
+     return Cost{s.tools * incidences * (16 + 9 * s.real), s.tools * incidences * 4};
+   }},
+  {StageKind::kMeasureResidual, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
+   "measure residual", "right-hand side, forces", "residual of each patch", "the scene solves more than once a step",
+   [](const StageSizes& s) { return s.m.iterates(); },
+   [](const StageSizes& s) { return Cost{s.rows * 4 * 4 * s.real, s.rows * 24}; }},
+  {StageKind::kFactorize, Phase::kSolve, Scope::kScene, Communication::kNone,
+   "factorize diagonal", "matrix diagonal", "inverse Cholesky factors, right-hand side",
+   "always, unless the resident solve does it",
+   [](const StageSizes& s) { return s.m.solve != model::SolveKind::kResident; },
+   [](const StageSizes& s) { return Cost{s.rows * 2 * 12 * s.real, s.rows * 60}; }},
+  {StageKind::kScaleEdges, Phase::kSolve, Scope::kScene, Communication::kNone,
+   "scale matrix", "matrix, inverse factors", "matrix", "always, unless a fused solve does it",
+   [](const StageSizes& s) { return !s.fused(); },
+   [](const StageSizes& s) { return Cost{s.slots * (2 * 9 * s.real + 4), s.slots * 90}; }},
+  {StageKind::kSolve, Phase::kSolve, Scope::kScene, Communication::kExchanges,
+   "conjugate gradients", "matrix, right-hand side", "solution", "always, unless a fused solve does it",
+   [](const StageSizes& s) { return !s.fused(); },
+   [](const StageSizes& s) { return s.solve(); }},
+  {StageKind::kAdvance, Phase::kSolve, Scope::kScene, Communication::kReduces,
+   "advance", "solution", "velocity, displacement, guard reports; the checkpoint if nothing predicts",
+   "always, unless a fused solve does it",
+   [](const StageSizes& s) { return !s.fused(); },
+   [](const StageSizes& s) {
+     return Cost{s.rows * (s.edges && s.m.checks_volume() ? 11 : 9) * 4 * s.real, s.rows * 50};
+   }},
+  {StageKind::kResidentSolve, Phase::kSolve, Scope::kFusedOnDevice, Communication::kExchanges,
+   "resident solve: factorize, scale, conjugate gradients, advance", "matrix, right-hand side",
+   "velocity, displacement, checkpoint, guard reports",
+   "on a GPU, in single precision, if a patch's rows fit its thread block",
+   [](const StageSizes& s) { return s.m.solve == model::SolveKind::kResident; },
+   [](const StageSizes& s) { return s.solve(); }},
+  {StageKind::kStreamedSolve, Phase::kSolve, Scope::kFusedOnDevice, Communication::kExchanges,
+   "streamed solve: scale, pack, conjugate gradients, advance", "matrix, inverse factors, right-hand side",
+   "velocity, displacement, checkpoint, guard reports",
+   "on a GPU, in single precision, for larger patches",
+   [](const StageSizes& s) { return s.m.solve == model::SolveKind::kStreamed; },
+   [](const StageSizes& s) { return s.solve(); }},
+  {StageKind::kBacktrack, Phase::kBacktrack, Scope::kScene, Communication::kReduces,
+   "backtrack", "increment", "velocity, displacement", "instead of a full increment that made the residual larger",
+   [](const StageSizes& s) { return s.m.iterates(); },
+   [](const StageSizes& s) { return Cost{s.rows * 5 * 4 * s.real, s.rows * 12}; }},
+  {StageKind::kDetectContact, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "detect contact", "displacement, tools", "closest triangle of each patch",
+   "once more, if the scene has tools and its step began with predict",
+   [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
+   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+  {StageKind::kRespondContact, Phase::kEnd, Scope::kScene, Communication::kNone,
+   "respond to contact", "displacement, tools, closest", "contacts",
+   "once more, if the scene has tools and its step began with predict",
+   [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
+   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+  {StageKind::kMeasureContact, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "measure contact", "contacts, velocity", "force on each tool", "the scene has tools",
+   [](const StageSizes& s) { return s.has_tools(); },
+   [](const StageSizes& s) { return Cost{s.tools * s.triangles * s.real, s.tools * s.triangles}; }},
+  {StageKind::kCheckInversion, Phase::kEnd, Scope::kShape, Communication::kReducesInParts,
+   "check inversion", "displacement; on a CPU relative positions", "smallest det F of inverted elements",
+   "for each group whose law does not recover from inversion, unless the fused solve checks it",
+   [](const StageSizes& s) { return s.group->checks_volume && !s.group->solve_checks_volume; },
+   [](const StageSizes& s) {
+     // From positions: one field where packs of elements are checked, two otherwise.
+     return Cost{static_cast<double>(s.group->rows.size()) * (4 + (s.edges ? 4 : 8) * s.real),
+                 static_cast<double>(s.group->element_count) * s.group->point_count * 80};
+   }},
+  {StageKind::kDiagnostics, Phase::kDiagnostics, Scope::kShapeAndLaw, Communication::kReduces,
+   "diagnostics", "displacement, rest shapes", "smallest det F, strain, rotation, elastic energy",
+   "four times a second, for the status",
+   [](const StageSizes&) { return true; },
+   [](const StageSizes& s) {
+     return Cost{static_cast<double>(s.group->rows.size()) * (4 + 4 * s.real) +
+                     static_cast<double>(s.group->rest.size()) * s.real,
+                 static_cast<double>(s.group->element_count) * s.group->point_count * 600};
+   }},
+  {StageKind::kGatherSurface, Phase::kFrame, Scope::kScene, Communication::kNone,
+   "gather surface", "displacement", "positions of visible vertices", "when a frame is due",
+   [](const StageSizes& s) { return s.m.visible.count() > 0; },
+   [](const StageSizes& s) {
+     const double vertices = s.m.visible.count();
+     return Cost{vertices * (4 * (4 + 9 * s.real) + 12), vertices * 24};
+   }},
+};
+// clang-format on
+
+/// Everything about a kind that does not depend on its phase. The first row of the kind.
+constexpr const StageInfo& info(StageKind kind) {
+  for (const StageInfo& stage : kStages) {
+    if (stage.kind == kind) return stage;
+  }
+  return kStages[0];  // never: the assertion below
+}
+constexpr bool is_of_group(Scope scope) { return scope == Scope::kShape || scope == Scope::kShapeAndLaw; }
+
+inline constexpr int kStageKinds = static_cast<int>(StageKind::kGatherSurface) + 1;
+static_assert(
+    [] {
+      for (int kind = 0; kind < kStageKinds; ++kind) {
+        if (info(static_cast<StageKind>(kind)).kind != static_cast<StageKind>(kind)) return false;
+      }
+      return true;
+    }(),
+    "every StageKind has a row in kStages");
+
+/// A stage of one model.
+struct Stage {
+  const StageInfo* info;
+  std::uint32_t group = 0;  ///< of stages of a group
+};
+
+/// The stages of a model, in the order in which they run. Stages of groups that follow each other in the table run
+/// group by group.
+std::vector<Stage> list_stages(const model::Model& model);
+
+/// Bytes and operations of one run of a stage; of a solve, of one iteration.
+Cost cost(const model::Model& model, const Stage& stage);
+
+}  // namespace tensormass::step

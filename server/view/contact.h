@@ -1,0 +1,62 @@
+#pragma once
+
+#include <cstdint>
+
+/// The tissue's surface and the tools that touch it (contact/). Everything is nullptr or zero in a scene without tools.
+namespace tensormass::view {
+
+inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
+
+/// A spherical probe as a step sees it.
+template <class Real>
+struct ToolState {
+  Real center_m[3];
+  Real radius_m;
+  Real penalty_pa_per_m;
+};
+
+/// Contact of one tool with one triangle in this step.
+template <class Real>
+struct TriangleContact {
+  Real weight[3];  // barycentric coordinates of the contact point
+  Real normal[3];  // direction in which the tissue is pushed
+  Real depth_m;    // penetration; zero: no contact
+  Real stiffness;  // [N/m]
+};
+
+/// Distance from a tool to a patch's closest triangle.
+template <class Real>
+struct ClosestTriangle {
+  Real distance_squared;
+  Real side;  // +1: the tool's centre is outside the tissue, −1: inside
+};
+
+/// Force and torque of a patch's tissue on a tool.
+template <class Real>
+struct ToolLoad {
+  Real force_n[3];
+  Real torque_n_m[3];  // about the tool's reference point
+};
+
+template <class Real>
+struct ContactView {
+  std::uint32_t tool_count;
+  std::uint32_t triangle_count;
+
+  const std::uint32_t* triangle_rows;        // [triangle_count, 3]
+  const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] across the edges 01, 12, 20; kNoTriangle at a rim
+  const std::uint32_t* patch_triangles;      // [patch_count + 1]
+  const Real* triangle_area;                 // [triangle_count] m², at rest
+  const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
+  const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
+  const std::uint32_t* incidence_begin;      // [surface vertex + 1]
+  const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
+  const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
+
+  const ToolState<Real>* tools;     // [tool_count]
+  ClosestTriangle<Real>* closest;   // [tool_count, patch_count]
+  TriangleContact<Real>* contacts;  // [tool_count, triangle_count]
+  ToolLoad<Real>* tool_loads;       // [tool_count, patch_count]
+};
+
+}  // namespace tensormass::view

@@ -1,0 +1,46 @@
+#pragma once
+
+#include "view/boundary.h"
+#include "view/contact.h"
+#include "view/elements.h"
+#include "view/guard.h"
+#include "view/matrix.h"
+#include "view/newton.h"
+#include "view/patches.h"
+#include "view/solve.h"
+#include "view/state.h"
+#include "view/surface.h"
+
+/// What stages see of a scene: plain pointers to host or device memory, in one precision.
+///
+/// 1. A stage takes the parts that it may touch, not the whole. Its signature then says what it reads and writes, and
+///    step/stages.h passes exactly those parts.
+/// 2. A scene that does not use a part has null pointers there. No buffer exists for it, and no stage reads it.
+/// 3. model/bind.h fills a view. It is the only function that allocates, so that host memory, device memory and the
+///    plan of `tensormass inspect` cannot disagree.
+///
+///   patches ──────> who owns which rows
+///   state ────────> u, v, rest positions, masses        read by all, moved by `advance`
+///   elements ─────> groups of (shape, law)              one ElementView each, beside the scene
+///   matrix ───────> A and b                             elements, loads and contact add to it
+///   solve ────────> conjugate gradients                 Â x = b̂
+///   newton, guard, contact, prescribed, pressure, surface: only in scenes that use them
+///
+/// A kernel takes the view by value, as its parameter.
+namespace tensormass::view {
+
+template <class Real>
+struct SceneView {
+  PatchesView patches;
+  StateView<Real> state;
+  MatrixView<Real> matrix;
+  SolveView<Real> solve;
+  NewtonView<Real> newton;
+  GuardView<Real> guard;
+  ContactView<Real> contact;
+  PrescribedView<Real> prescribed;
+  PressureView<Real> pressure;
+  SurfaceView<Real> surface;
+};
+
+}  // namespace tensormass::view

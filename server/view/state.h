@@ -1,0 +1,78 @@
+#pragma once
+
+#include "view/patches.h"
+
+/// The state of the rows, and how a step moves it.
+///
+/// Every time scheme is written as u' = û + h v' and M (v' − v̂) / h = forces, where
+///
+///   u, v    displacement [m] and velocity [m/s] now
+///   u', v'  the same at the end of the step
+///   û, v̂    base displacement and base velocity: what the scheme makes of the last two steps
+///   h       effective step [s]; dt for implicit Euler, 2 dt / 3 for BDF2, 1 for equilibrium
+///
+/// Implicit Euler has û = u and v̂ = v. Linearized once, it needs no base fields.
+namespace tensormass::view {
+
+template <class Real>
+struct StepScheme {
+  Real step_s;                   // h
+  Real displacement_weights[2];  // û = Σ weight · u of the last two steps' ends, the newer one first
+  Real velocity_weights[2];      // v̂ likewise
+};
+
+/// What the host tells the coming step. It may change from one step to the next.
+template <class Real>
+struct StepControl {
+  StepScheme<Real> scheme;
+  Real dt_s;           // length of the step
+  Real internal_dt_s;  // time by which viscoelastic internal variables lag behind; 0: they are up to date
+  std::uint32_t cg_max_iterations;
+  std::uint32_t saves_checkpoint;  // 1: save the state before the step, for a guard that takes the step back
+};
+
+/// Fields of rows, [row_count, 4] each.
+template <class Real>
+struct StateView {
+  const StepControl<Real>* control;  // [1]
+  Real size_m;                       // diagonal of the box around the scene at rest
+
+  const Real* rest;  // X [m]; 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
+  Real* displacement;
+  Real* velocity;
+  const Real* inertia;   // mass [kg], Rayleigh α [1/s], Rayleigh β [s], body weight s of solver/jacobi_scaling.h
+  const Real* external;  // constant force [N]; nullptr: the scene has neither gravity nor loads
+
+  Real* base_displacement;      // û; nullptr: the displacement itself
+  Real* base_velocity;          // v̂; nullptr: the velocity itself
+  Real* previous_displacement;  // at the end of the step before the last; nullptr: the scheme does not use it
+  Real* previous_velocity;
+};
+
+/// h of the step [s].
+template <class Real>
+TM_HOST_DEVICE Real step_size(const StateView<Real>& state) {
+  return state.control->scheme.step_s;
+}
+
+/// How far a row moves from `displacement`, where forces are evaluated, to û + h v with v as `velocity` stores it [m].
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> change_ahead(const StateView<Real>& state, std::size_t row) {
+  const Vec3<Real> ahead = load3<Real>(state.velocity, row) * step_size(state);
+  if (state.base_displacement == nullptr) return ahead;
+  return load3<Real>(state.base_displacement, row) + ahead - load3<Real>(state.displacement, row);
+}
+
+/// Bits of the directions in which a row is free.
+template <class Real>
+TM_HOST_DEVICE std::uint32_t free_bits(const StateView<Real>& state, std::size_t row) {
+  return static_cast<std::uint32_t>(state.rest[4 * row + 3]);
+}
+
+/// Current position of a row [m].
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> position(const StateView<Real>& state, std::size_t row) {
+  return load3<Real>(state.rest, row) + load3<Real>(state.displacement, row);
+}
+
+}  // namespace tensormass::view
