@@ -86,7 +86,7 @@ TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientWhateverTheStiffnes
     const Vec3<double> expected = TypeParam::stress(point) * a;
     const double scale = expected.norm() + 1e-3 * kYoungModulusPa;
     EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
   }
 }
@@ -96,7 +96,7 @@ TYPED_TEST(EveryMaterial, StiffnessAtTheAxesMakesThatOfEveryGradient) {
   for (const Mat3<double>& f : this->states()) {
     auto point = this->at(f);
     for (const bool positive : {false, true}) {
-      if (positive) TypeParam::make_positive(point);
+      if (positive) TypeParam::project_to_psd(point);
       const auto node = TypeParam::at_node(point, a);
       Mat3<double> sum = Mat3<double>::Zero();
       for (int c = 0; c < 3; ++c) sum += TypeParam::stiffness(point, node, TypeParam::at_axis(point, c)) * b[c];
@@ -222,7 +222,7 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessIsPositive) {
     const Tangent consistent = testing::tangent<TypeParam>(point);
     const double energy = TypeParam::energy(point), least = testing::least_eigenvalue(consistent);
     const Mat3<double> stress = TypeParam::stress(point), s = TypeParam::second_piola(point);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     const Tangent positive = testing::tangent<TypeParam>(point);
     EXPECT_GT(testing::least_eigenvalue(positive), -1e-12 * consistent.norm()) << "F =\n" << f;
     EXPECT_EQ(TypeParam::energy(point), energy);
@@ -242,7 +242,7 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessLeavesWhatIsPositive) {
   for (const Mat3<double>& f : this->states()) {
     auto point = this->at(f);
     const Tangent consistent = testing::tangent<TypeParam>(point);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     const Tangent positive = testing::tangent<TypeParam>(point);
     if constexpr (requires { point.w.rotation; }) {
       const Eigen::SelfAdjointEigenSolver<Tangent> eigen(consistent);
@@ -262,7 +262,7 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessLeavesWhatIsPositive) {
     auto point = this->at(random_rotation(this->random_) * f);
     const Tangent consistent = testing::tangent<TypeParam>(point);
     if (testing::least_eigenvalue(consistent) < -1e-12 * consistent.norm()) continue;
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     EXPECT_EQ(testing::tangent<TypeParam>(point), consistent) << "F =\n" << f;
     ++unchanged;
   }
@@ -276,8 +276,8 @@ TYPED_TEST(EveryMaterial, FloatAgreesWithDouble) {
     const Mat3<float> rounded = f.template cast<float>();
     auto expected = this->at(rounded.template cast<double>());
     auto actual = TypeParam::at(rounded, parameters);
-    TypeParam::make_positive(expected);
-    TypeParam::make_positive(actual);
+    TypeParam::project_to_psd(expected);
+    TypeParam::project_to_psd(actual);
     const double stiffness = testing::tangent<TypeParam>(expected).norm();
     EXPECT_LT((TypeParam::stress(actual).template cast<double>() - TypeParam::stress(expected)).norm(),
               5e-6 * stiffness)
@@ -321,11 +321,11 @@ void expect_lanes_to_agree(const std::vector<Mat3<double>>& states) {
       }
     }
     auto packed = L::at(f, packed_parameters);
-    L::make_positive(packed);
+    L::project_to_psd(packed);
     const auto actual = all(packed);
     for (int lane = 0; lane < kWidth; ++lane) {
       auto point = L::at(Mat3<Real>(states[first + lane].cast<Real>()), parameters[lane]);
-      L::make_positive(point);
+      L::project_to_psd(point);
       const auto expected = all(point);
       double size = kYoungModulusPa;
       for (const Real value : expected) size = std::max(size, std::abs(static_cast<double>(value)));

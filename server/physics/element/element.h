@@ -94,7 +94,7 @@ template <class Shape, class Law, class T, class Out>
 TM_HOST_DEVICE void add_point(const PointGradients<Shape, T>& gradients, const Mat3<T>& f,
                               typename Law::template Point<T>& point, std::type_identity_t<const Viscous<T>*> viscous,
                               Stiffness kind, bool first, Out& out) {
-  if (kind == Stiffness::kPositive) Law::make_positive(point);
+  if (kind == Stiffness::kPositive) Law::project_to_psd(point);
   Mat3<T> stress = Law::stress(point);
   T instant = gradients.weight;
   Mat3<T> memory;

@@ -97,7 +97,7 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
 
   /// ψ_ij and D are positive for every ν.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
     for (int i = 0; i < 3; ++i) p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
     p.twist = twist_of(p);
   }

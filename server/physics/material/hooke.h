@@ -75,7 +75,7 @@ struct Hooke : LameParameters {
 
   /// Its stiffness is positive semi-definite as it is.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>&) {}
+  TM_HOST_DEVICE static void project_to_psd(Point<T>&) {}
 };
 
 }  // namespace tensormass::physics

@@ -33,8 +33,8 @@
 ///   at_axis(point, c)    at_node of the unit vector along c, for little or no arithmetic. The stiffness is linear in
 ///                        each gradient: from its values at the axes those of many nodes are made
 ///   traction(point, node)  P a for the gradient of a node: cheaper than the stress where one node is asked for. Of a
-///                        point as at() made it or after make_positive
-///   make_positive(point) makes the stiffness positive semi-definite for the solver: parts of it that are not are
+///                        point as at() made it or after project_to_psd
+///   project_to_psd(point) makes the stiffness positive semi-definite for the solver: parts of it that are not are
 ///                        clamped, all others, energy and stress stay as they are. Forces stay exact, so that only the
 ///                        way to the equilibrium changes, not the equilibrium
 ///
@@ -58,7 +58,7 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::at_axis(point, 0) } -> std::same_as<decltype(node)>;
   { L::stiffness(point, node, node) } -> std::convertible_to<Mat3<double>>;
   { L::traction(point, node) } -> std::convertible_to<Vec3<double>>;
-  L::make_positive(point);
+  L::project_to_psd(point);
 };
 
 /// A law whose at() decomposes F, which costs more than all the rest, and takes a decomposition as well: where several

@@ -22,7 +22,7 @@ struct StVenantKirchhoff : LameParameters {
     Mat3<T> left_cauchy_green;     // F Fᵀ
     Mat3<T> strain;                // E
     Mat3<T> second_piola;          // S = λ tr(E) I + 2 μ E
-    Mat3<T> geometric_stress;      // S as the stiffness uses it; see make_positive
+    Mat3<T> geometric_stress;      // S as the stiffness uses it; see project_to_psd
     T lambda, mu;
   };
 
@@ -96,7 +96,7 @@ struct StVenantKirchhoff : LameParameters {
   /// by Gershgorin's lower bound of S's eigenvalues where that is negative: no branch, no eigenvectors, and unchanged
   /// in tension. The shift only damps the approach to equilibrium.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
     p.geometric_stress -= Mat3<T>::Identity() * minimum(gershgorin_lower_bound(p.second_piola), T(0));
   }
 };

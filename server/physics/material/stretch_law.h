@@ -38,7 +38,7 @@ struct StretchPoint {
 /// σ0 ≥ σ1 ≥ |σ2|. D and R are to be given in a form that does not cancel where σ_i = ±σ_j.
 ///
 /// A law may have a Point of its own, derived from StretchPoint, where its stiffness has a shorter form. It then says
-/// at, Node and what takes one, and make_positive itself.
+/// at, Node and what takes one, and project_to_psd itself.
 template <class Derived>
 struct StretchLaw {
   static constexpr bool kConstantStiffness = false;
@@ -112,7 +112,7 @@ struct StretchLaw {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void make_positive(StretchPoint<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(StretchPoint<T>& p) {
     p.w.hessian = without_negative_eigenvalues(p.w.hessian);
     for (int i = 0; i < 3; ++i) {
       p.w.distortion[i] = maximum(p.w.distortion[i], T(0));

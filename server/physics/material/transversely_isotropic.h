@@ -42,7 +42,7 @@ struct TransverselyIsotropic {
     Vec3<T> moved_fibre;  // F a0
     T stiffness;          // 2 (Δλ/2 + Δμ)
     T tension;            // 2 (Δλ/2 + Δμ) a0·E a0, the second Piola-Kirchhoff stress along the fibre
-    T geometric_tension;  // as the stiffness uses it; see make_positive
+    T geometric_tension;  // as the stiffness uses it; see project_to_psd
   };
 
   template <class T>
@@ -104,8 +104,8 @@ struct TransverselyIsotropic {
 
   /// As the matrix; and a pressed fibre, which would buckle, loses its geometric term.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
-    Matrix::make_positive(p.matrix);
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
+    Matrix::project_to_psd(p.matrix);
     p.geometric_tension = maximum(p.tension, T(0));
   }
 };
