@@ -135,7 +135,7 @@ struct StoredPoint {
     T own[maximum(Law::kParameterCount, 1)];
     for (int c = 0; c < Law::kParameterCount; ++c) own[c] = parameters[c];
     if (!Shape::kSinglePoint && e.shares != nullptr) {
-      Law::take_shares(own, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
+      Law::scale_moduli(own, T(e.shares[q].deviatoric), T(e.shares[q].volumetric));
     }
     return Law::at(f, own);
   }

@@ -35,14 +35,14 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, st
 /// Of a quadrature point F = U Σ Vᵀ: two columns of U and of V, Σ and what fills up to a multiple of four.
 inline constexpr std::uint32_t kDecompositionReals = 16;
 
-/// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::PointShares).
+/// What a quadrature point integrates of the deviatoric and of the volumetric moduli (physics::ModuliWeights).
 template <class Real>
-struct PointShares {
+struct ModuliWeights {
   Real deviatoric;
   Real volumetric;
 
-  PointShares() = default;
-  explicit PointShares(const physics::PointShares& s)
+  ModuliWeights() = default;
+  explicit ModuliWeights(const physics::ModuliWeights& s)
       : deviatoric(static_cast<Real>(s.deviatoric)), volumetric(static_cast<Real>(s.volumetric)) {}
 };
 
@@ -75,13 +75,13 @@ struct alignas(16) ListedSlice {
 /// Elements of one (shape, law). Structures of arrays, padded to a multiple of kSliceRows with elements of zero weight.
 template <class Real>
 struct ElementView {
-  std::uint32_t count;              // a multiple of kSliceRows
-  std::uint32_t point_count;        // quadrature points of an element
-  std::uint32_t watch_begin;        // of its patches in SceneView::watch
-  const std::uint32_t* rows;        // [shape nodes][count]
-  const Real* rest;                 // [quadrature points][physics::kRestReals][count]; nullptr: in records
-  const Real* parameters;           // [law parameters][count]; nullptr: in records
-  const PointShares<Real>* shares;  // [quadrature points]; nullptr: each integrates all moduli
+  std::uint32_t count;                // a multiple of kSliceRows
+  std::uint32_t point_count;          // quadrature points of an element
+  std::uint32_t watch_begin;          // of its patches in SceneView::watch
+  const std::uint32_t* rows;          // [shape nodes][count]
+  const Real* rest;                   // [quadrature points][physics::kRestReals][count]; nullptr: in records
+  const Real* parameters;             // [law parameters][count]; nullptr: in records
+  const ModuliWeights<Real>* shares;  // [quadrature points]; nullptr: each integrates all moduli
   std::uint32_t prony_count;
   PronyTerm<Real> prony[physics::kMaxPronyTerms];
   Real* history;       // Γ_i [Pa] [quadrature points][prony_count][6][count]

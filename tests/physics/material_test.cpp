@@ -188,9 +188,9 @@ TYPED_TEST(EveryMaterial, SecondPiolaIsTheStressPulledBack) {
 /// Selective integration adds up the two parts, each of which resists one thing only.
 TYPED_TEST(EveryMaterial, SharesAddUp) {
   auto deviatoric = this->parameters_, volumetric = this->parameters_, scaled = this->parameters_;
-  TypeParam::take_shares(deviatoric.data(), 1.0, 0.0);
-  TypeParam::take_shares(volumetric.data(), 0.0, 1.0);
-  TypeParam::take_shares(scaled.data(), 0.5, 2.0);
+  TypeParam::scale_moduli(deviatoric.data(), 1.0, 0.0);
+  TypeParam::scale_moduli(volumetric.data(), 0.0, 1.0);
+  TypeParam::scale_moduli(scaled.data(), 0.5, 2.0);
   for (const Mat3<double>& f : this->states()) {
     const auto shape = TypeParam::at(f, deviatoric.data()), volume = TypeParam::at(f, volumetric.data());
     const auto mixed = TypeParam::at(f, scaled.data()), whole = this->at(f);

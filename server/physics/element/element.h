@@ -218,11 +218,11 @@ TM_HOST_DEVICE void add_point_to_node(const NodeGradients<Shape, T>& gradients, 
 template <class Shape>
 struct ElementAtRest {
   std::vector<std::array<double, kRestReals<Shape>>> points;
-  std::vector<PointShares> shares;
+  std::vector<ModuliWeights> shares;
 
   ElementAtRest() = default;
   ElementAtRest(const Vec3<double> (&x)[Shape::kNodes], Quadrature quadrature)
-      : points(rest_points<Shape>(x, quadrature)), shares(point_shares<Shape>(quadrature)) {}
+      : points(rest_points<Shape>(x, quadrature)), shares(moduli_weights<Shape>(quadrature)) {}
 
   /// Calls visit(gradients, F, parameters of the point) for each quadrature point.
   template <class Law, class Visit>
@@ -233,7 +233,7 @@ struct ElementAtRest {
       std::array<double, Law::kParameterCount> own;
       std::copy_n(parameters, own.size(), own.begin());
       if (shares[q].deviatoric != 1 || shares[q].volumetric != 1) {
-        Law::take_shares(own.data(), shares[q].deviatoric, shares[q].volumetric);
+        Law::scale_moduli(own.data(), shares[q].deviatoric, shares[q].volumetric);
       }
       visit(gradients, gradients.deformation_gradient(u), own.data());
     }

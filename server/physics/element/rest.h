@@ -18,16 +18,16 @@ inline constexpr int kRestReals = 3 * (Shape::kNodes - 1) + 1;
 
 /// Of one quadrature point, for all elements of a group: the share of the deviatoric and of the volumetric moduli that
 /// it integrates (see Quadrature::kSelective).
-struct PointShares {
+struct ModuliWeights {
   double deviatoric = 1, volumetric = 1;
 };
 
 template <class Shape>
-std::vector<PointShares> point_shares(Quadrature quadrature) {
+std::vector<ModuliWeights> moduli_weights(Quadrature quadrature) {
   const std::size_t full = Shape::full_rule().size();
   if (full == 1 || quadrature == Quadrature::kReduced) return {{1, 1}};
-  if (quadrature == Quadrature::kFull) return std::vector<PointShares>(full, {1, 1});
-  std::vector<PointShares> shares(full, {1, 0});
+  if (quadrature == Quadrature::kFull) return std::vector<ModuliWeights>(full, {1, 1});
+  std::vector<ModuliWeights> shares(full, {1, 0});
   shares.push_back({0, 1});
   return shares;
 }
@@ -52,7 +52,7 @@ std::vector<double> reference_gradients() {
   return out;
 }
 
-/// [point][kRestReals], the points as point_shares counts them.
+/// [point][kRestReals], the points as moduli_weights counts them.
 template <class Shape>
 std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double> (&x)[Shape::kNodes],
                                                                Quadrature quadrature) {

@@ -51,7 +51,7 @@ struct LameParameters {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
     const T bulk = parameters[0] + parameters[1] * T(2.0 / 3);
     parameters[1] *= deviatoric;
     parameters[0] = bulk * volumetric - parameters[1] * T(2.0 / 3);

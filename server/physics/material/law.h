@@ -20,7 +20,7 @@
 ///   kParameterCount      what it stores for an element. parameters(...) makes them on the host from the protocol's
 ///                        numbers, as many as it has; their range is the caller's to check (model/material_input.cpp)
 ///   moduli_at_rest(p)    bulk and shear modulus of the small strain limit, fibres left out
-///   take_shares(p, d, v) scales the part of the energy that resists change of shape by d and the part that resists
+///   scale_moduli(p, d, v) scales the part of the energy that resists change of shape by d and the part that resists
 ///                        change of volume by v: selective integration evaluates them at different points. Energies are
 ///                        linear in the moduli, so the parts add up to the whole
 ///   Point, at(F, p)      what the following share at a quadrature point
@@ -49,7 +49,7 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::kInversion } -> std::convertible_to<Inversion>;
   { L::kParameterCount } -> std::convertible_to<int>;
   { L::moduli_at_rest(p) } -> std::same_as<Moduli>;
-  L::take_shares(p, 1.0, 1.0);
+  L::scale_moduli(p, 1.0, 1.0);
   { L::at(f, p) } -> std::same_as<decltype(point)>;
   { L::energy(point) } -> std::same_as<double>;
   { L::stress(point) } -> std::convertible_to<Mat3<double>>;

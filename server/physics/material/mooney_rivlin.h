@@ -26,7 +26,7 @@ struct MooneyRivlin : StretchLaw<MooneyRivlin> {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
     parameters[0] *= deviatoric;
     parameters[1] *= deviatoric;
     parameters[2] *= volumetric;

@@ -27,7 +27,7 @@ struct Ogden : StretchLaw<Ogden> {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
     parameters[0] *= deviatoric;
     parameters[2] *= volumetric;
   }

@@ -30,8 +30,8 @@ struct TransverselyIsotropic {
 
   /// Fibres count as resistance to change of shape.
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
-    Matrix::take_shares(parameters, deviatoric, volumetric);
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
+    Matrix::scale_moduli(parameters, deviatoric, volumetric);
     parameters[2] *= deviatoric;
   }
 
