@@ -12,10 +12,8 @@ namespace tensormass {
 /// makes. So `kAtOnce` reads are issued before the first of them is used, which hides their latency.
 ///
 ///   read(i)         returns a value. Called for up to kAtOnce indices before the first is used. In the last,
-///   incomplete
-///                   batch it is called again with the batch's first index, so it must have no side effects.
-///   use(i, value)   is called once for each i, in increasing order. What it writes must not change what `read`
-///   returns.
+///                   incomplete batch it is called again with the first index: it must have no side effects
+///   use(i, value)   is called once for each i, in increasing order. It must not change what `read` returns
 template <std::uint32_t kAtOnce = 8, class Read, class Use>
 TM_HOST_DEVICE void for_each_strided(std::uint32_t begin, std::uint32_t end, std::uint32_t step, const Read& read,
                                      const Use& use) {

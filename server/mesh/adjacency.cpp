@@ -10,9 +10,8 @@ namespace {
 /// Inverts the relation "item → rows": returns the items of each row, ascending. Makes two passes: one counts, one
 /// fills.
 ///
-///   visit_all(f)   must call f(item, rows of the item) in ascending order of items. Called twice; both calls must
-///   visit
-///                  the same.
+///   visit_all(f)   must call f(item, rows of the item) in ascending order of items. It is called twice and must visit
+///                  the same both times
 template <class VisitAll>
 Rows invert(std::uint32_t row_count, VisitAll&& visit_all) {
   Rows rows;

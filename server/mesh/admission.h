@@ -57,9 +57,8 @@ struct SkinReport {
 
 /// Checks a triangle surface from outside the server. `body` names it in messages.
 ///
-///   errors     no vertices or triangles, more than a limit of core/limits.h allows, an index out of range, a
-///   coordinate
-///              that is not finite or too large, a triangle that repeats a vertex
+///   errors     no vertices or triangles, counts beyond core/limits.h, an index out of range, a coordinate that is not
+///              finite or too large, a triangle that repeats a vertex
 ///   warnings   triangles without area and vertices without triangle, because they only look bad
 Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
                               std::string_view body);
