@@ -1,4 +1,4 @@
-// GCC does not see that a row without elements does not use what it has not read ahead.
+// GCC does not see that a row without elements uses none of the values that it reads ahead.
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
 
 #include "support/host_rows.h"
@@ -9,12 +9,12 @@
 #include "physics/lists.h"
 #include "tensor/rows.h"
 
-// TM_REAL, float or double, comes from the build.
+// The build defines TM_REAL as float or double.
 namespace tensormass::tests {
 
 namespace {
 
-/// What a device keeps in near memory.
+/// The `Blocks` of tensor/rows.h with a fixed number of columns. A device keeps them in shared memory.
 template <class Real>
 class HostBlocks {
  public:
@@ -55,7 +55,7 @@ class HostBlocks {
   std::uint32_t first_ = 0, held_ = 0;
 };
 
-/// A patch, its rows one by one.
+/// A team that processes the rows of one patch one by one.
 struct RowTeam {
   std::uint32_t index;
   std::uint32_t patch() const { return index; }

@@ -2,11 +2,13 @@
 
 #include "tensor/view.h"
 
-/// tensor/rows.h on the host, where a test can look at it: one row after the other.
+/// Runs tensor/rows.h on the host, one row after the other, so that tests can inspect the result.
 namespace tensormass::tests {
 
-/// All rows of a group. shape, law: indices of physics::Shapes and Laws. capacity: columns that a row has at once;
-/// fewer than it needs make it come in turns.
+/// Assembles all rows of an element group.
+///
+///   shape, law   indices in physics::Shapes and physics::Laws
+///   capacity     number of columns that a row's block buffer holds; a row with more columns needs several passes
 template <class Real>
 void assemble_rows(int shape, int law, const tensor::SceneView<Real>& s, const tensor::ElementView<Real>& e,
                    std::uint32_t capacity);

@@ -23,8 +23,8 @@ void StagedScene<Real>::run(const model::Stage& stage) {
     }
     for (std::thread& thread : threads) thread.join();
   };
-  if (model.layout.storage == tensor::Storage::kRows) {  // what a GPU does its own way
-    constexpr std::uint32_t kCapacity = 20;              // columns: most rows fit, some come in turns
+  if (model.layout.storage == tensor::Storage::kRows) {  // a GPU has its own version of this stage
+    constexpr std::uint32_t kCapacity = 20;              // columns: most rows fit, some need several passes
     if (stage.kind == model::StageKind::kElements) {
       const model::ElementGroup& group = model.groups[stage.group];
       return assemble_rows(group.shape, group.law, view, elements, kCapacity);
