@@ -25,8 +25,8 @@
 /// above 1e9 overflow in float.
 namespace tensormass::physics {
 
-/// Returns a lower bound of the eigenvalues of a symmetric matrix (Gershgorin): the smallest of diagonal entry minus
-/// the absolute values of the rest of its row.
+/// Returns a lower bound of the eigenvalues of a symmetric matrix (Gershgorin). It is the smallest, over rows, of the
+/// diagonal entry minus the absolute values of the other entries.
 template <class T>
 TM_HOST_DEVICE T gershgorin_lower_bound(const Mat3<T>& s) {
   const T xy = absolute(s(0, 1)), yz = absolute(s(1, 2)), zx = absolute(s(2, 0));

@@ -9,7 +9,7 @@
 namespace tensormass::physics {
 
 /// Hooke's law for the stretch, W = μ |S − I|² + λ/2 (tr S − 3)², where F = Q S with Q a rotation (Müller, Gross 2004;
-/// exact stiffness by Chao, Pinkall, Sanan, Schröder 2010). Any ν in (−1, 0.5).
+/// exact stiffness by Chao, Pinkall, Sanan, Schröder 2010). S is the stretch here, not a stress. Any ν in (−1, 0.5).
 ///
 /// Exact under rotation. The stress is linear in the stretches, so the law is soft in strong compression and stays
 /// finite in collapse. It recovers from inversion, because S keeps the sign of the smallest stretch. Resistance to

@@ -50,7 +50,7 @@
 ///   at_node(point, a)      returns the Node: what `stiffness` and `traction` need of one gradient
 ///   at_axis(point, c)      returns at_node of the unit vector along axis c, with little or no arithmetic. Stiffness is
 ///                          linear in each gradient, so its values at the axes give those of any number of nodes
-///   stiffness(point, na, nb)   returns K_ij = Σ_KL ∂²W / ∂F_iK ∂F_jL a_K b_L; na and nb are the Nodes of a and b
+///   stiffness(point, na, nb)  returns K_ij = Σ_KL ∂²W / ∂F_iK ∂F_jL a_K b_L; na and nb are the Nodes of a and b
 ///   traction(point, na)    returns P a; cheaper than the stress if only one node is needed. Valid before and after
 ///                          project_to_psd
 ///   project_to_psd(point)  makes the stiffness positive semi-definite for the solver by clamping its indefinite parts.
