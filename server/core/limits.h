@@ -3,7 +3,8 @@
 #include <cstddef>
 #include <cstdint>
 
-/// Every limit of the server, with its unit and what happens beyond it. Reaching one is reported by this name.
+/// Every limit of the server, with its unit and what happens beyond it. Error messages name the limit by its
+/// identifier.
 namespace tensormass::limits {
 
 /// Scenes loaded at once in one daemon; a further load is refused.
@@ -12,53 +13,54 @@ inline constexpr std::size_t kMaxScenes = 256;
 inline constexpr std::size_t kMaxBodies = 64;
 /// Tools of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxTools = 16;
-/// Nodes of one scene. Rows and positions are indexed with 32 bits; larger scenes are refused.
+/// Nodes of one scene; a scene with more is refused. Node indices have 32 bits.
 inline constexpr std::uint32_t kMaxNodes = 1u << 26;
 /// Elements of one scene; a scene with more is refused.
 inline constexpr std::uint32_t kMaxElements = 50'000'000;
-/// Characters of a scene's, body's or tool's name.
+/// Characters of a scene's, body's or tool's name; a longer name is refused.
 inline constexpr std::size_t kMaxNameLength = 64;
-/// Bytes of one gRPC message; a larger scene is refused by the transport. 24 bytes a node + 16 a tetrahedron (32 a
-/// hexahedron): ten million tetrahedra fit.
+/// Bytes of one gRPC message; the transport refuses a larger scene. A node takes 24 bytes, a tetrahedron 16, a
+/// hexahedron 32: ten million tetrahedra fit.
 inline constexpr std::size_t kMaxControlMessageBytes = std::size_t{512} << 20;
-/// Bytes of one message from a client on the data plane; a larger one is dropped and counted as malformed. ZeroMQ cuts
-/// the connection at 1 MiB, uncounted.
+/// Bytes of one message from a client on the data plane. A larger message is dropped and counted as malformed. Beyond 1
+/// MiB ZeroMQ closes the connection instead, and nothing is counted.
 inline constexpr std::size_t kMaxPoseMessageBytes = 4096;
-/// Steps that one StepScene call may ask for.
+/// Steps that one StepScene call may ask for; a call for more is refused.
 inline constexpr std::uint32_t kMaxStepsPerCall = 1'000'000;
-/// Steps, frames and status messages a second that a scene may ask for [Hz].
+/// Rates of steps, frames and status messages that a scene may ask for [Hz].
 inline constexpr double kMinRateHz = 1e-3;
 inline constexpr double kMaxRateHz = 20'000.0;
-/// Simulated time of a step [s].
+/// Simulated time that one step advances [s].
 inline constexpr double kMinTimeStepS = 1e-6;
 inline constexpr double kMaxTimeStepS = 10.0;
-/// Conjugate-gradient iterations of one solve; a step has as many solves as outer iterations.
+/// Conjugate-gradient iterations of one linear solve. A step makes one linear solve for each outer iteration.
 inline constexpr std::uint32_t kMaxCgIterations = 100'000;
-/// Time that a scene may ask its steps to take [s].
+/// Wall time that a scene may allow for one step [s].
 inline constexpr double kMinBudgetS = 1e-6;
 inline constexpr double kMaxBudgetS = 10.0;
 /// CPU threads of one scene.
 inline constexpr std::uint32_t kMaxCpuThreads = 256;
-/// Scenes that a daemon is told to make room for on one GPU.
+/// Largest number of concurrent scenes on one GPU that a daemon can be configured to reserve memory for.
 inline constexpr std::uint32_t kMaxGpuScenes = 4096;
-/// Largest coordinate, pose or velocity input that is accepted [m, m/s]; beyond it single precision has no metres left.
+/// Largest coordinate [m] or velocity [m/s] accepted as input. Single precision resolves only 6 cm there.
 inline constexpr double kMaxLength = 1e6;
 
-/// Named sets of a body, which each hold their nodes; a body with more is refused.
+/// Named sets of a body; a body with more is refused. Each set stores a list of its nodes.
 inline constexpr std::size_t kMaxSets = 256;
-/// Regions of one set; a set with more is refused. Reading one looks at every node.
+/// Regions of one set; a set with more is refused. The reader tests every node against each region.
 inline constexpr std::size_t kMaxRegionsOfSet = 1024;
-/// Parts of a body with a law of their own; each may become a pass of its own. A body with more is refused.
+/// Parts of a body with a law of their own; a body with more is refused. Each part may become a separate pass over
+/// elements.
 inline constexpr std::size_t kMaxLawRegions = 64;
-/// Entries of fixed, of prescribed and of loads of a body; a body with more is refused. Reading one looks at every
-/// node.
+/// Entries in each of a body's lists of fixed, prescribed and loaded nodes; a body with more is refused. The reader
+/// tests every node against each entry.
 inline constexpr std::size_t kMaxBoundaryConditions = 65'536;
-/// Points of one schedule.
+/// Points of one schedule; a schedule with more is refused.
 inline constexpr int kMaxSchedulePoints = 100'000;
-/// Largest force of a load and largest pressure that is accepted [N, Pa].
+/// Largest force [N] and largest pressure [Pa] accepted as a load.
 inline constexpr double kMaxForceN = 1e12;
 inline constexpr double kMaxPressurePa = 1e12;
-/// Outer iterations of one step.
+/// Newton iterations of one step.
 inline constexpr std::uint32_t kMaxNewtonIterations = 10'000;
 
 }  // namespace tensormass::limits

@@ -12,12 +12,13 @@
 
 #include <spdlog/spdlog.h>
 
-/// Structured log lines: an event in words and its fields, as text for people or as JSON for machines.
+/// Structured log lines: an event in words and its fields, written to stderr as text for people or as JSON for
+/// machines.
 namespace tensormass::log {
 
 enum class Format { kText, kJson };
 
-/// Text as a JSON string, with its quotes.
+/// Returns the text as a JSON string with its quotes. Escapes quotes, backslashes and control characters.
 inline std::string json_quoted(std::string_view text) {
   std::string quoted = "\"";
   for (const char c : text) {
@@ -34,6 +35,7 @@ inline std::string json_quoted(std::string_view text) {
   return quoted.append(1, '"');
 }
 
+/// A named value of a log line. Does not own the key; converts the value to text when it is made.
 struct Field {
   Field(std::string_view field_key, std::string_view text) : key(field_key), value(text), is_text(true) {}
   template <class Number>
@@ -49,7 +51,8 @@ namespace detail {
 inline std::atomic<Format> format{Format::kText};
 }
 
-/// To stderr. Before the first line and before other threads.
+/// Sets the lowest level that is written, and the format. Call it once, before the first line and before other threads
+/// start.
 inline void configure(spdlog::level::level_enum level, Format format) {
   detail::format = format;
   spdlog::set_level(level);
@@ -57,6 +60,7 @@ inline void configure(spdlog::level::level_enum level, Format format) {
                                               : "%Y-%m-%d %H:%M:%S.%e %^%-7l%$ %v");
 }
 
+/// Writes one line, or nothing if the level is disabled.
 inline void write(spdlog::level::level_enum level, std::string_view event, std::initializer_list<Field> fields = {}) {
   if (!spdlog::should_log(level)) return;
   const bool json = detail::format == Format::kJson;
@@ -70,7 +74,7 @@ inline void write(spdlog::level::level_enum level, std::string_view event, std::
       line.append(" ").append(field.key).append("=").append(plain ? field.value : json_quoted(field.value));
     }
   }
-  // Never as a format: the text may come from outside.
+  // The line is an argument, never the format string: its text may come from a client.
   spdlog::log(level, "{}", line);
 }
 
@@ -87,10 +91,11 @@ inline void error(std::string_view event, std::initializer_list<Field> fields = 
   write(spdlog::level::err, event, fields);
 }
 
-/// For lines that a client can cause at any rate: one a second, which says how many it stands for.
+/// Limits log lines that a client can cause at any rate to one a second.
 class Limiter {
  public:
-  /// How many were left out since the last one that was let through; nothing: leave this one out. From any thread.
+  /// Returns the number of lines suppressed since the last admitted one, or nullopt if this line must be suppressed
+  /// too. Thread-safe.
   std::optional<std::uint64_t> admit() {
     const std::int64_t now = std::chrono::steady_clock::now().time_since_epoch().count();
     std::int64_t next = next_.load(std::memory_order_relaxed);

@@ -12,9 +12,24 @@
 
 #include "core/scalar.h"
 
-/// A pack of numbers that the compiler keeps in one vector register: the CPU's counterpart of a few GPU threads.
-/// Formulas templated on their scalar run on it unchanged. Host only.
-/// Loops over lanes in full: a vector that is indexed by a loop's variable lives in memory.
+/// Packs: vectors of numbers that the compiler keeps in one vector register. Host only.
+///
+/// Why: the CPU evaluates several elements or nodes at once, one in each lane of a register, as a GPU does with
+/// threads. Physics is templated on its scalar type T, so the same formula runs on a number and on a pack. A formula
+/// therefore has no branch on a value; it uses minimum, maximum and select_greater.
+///
+/// Memory holds vectors as four adjacent reals (three and one of padding), but formulas want one register for each
+/// component. PackLanes converts between the two by transposing 4 × 4 blocks within registers:
+///
+///   memory                     rows, as loaded        after transpose<4>
+///   node 0: x0 y0 z0 _         x0 y0 z0 _             x: x0 x1 x2 x3
+///   node 1: x1 y1 z1 _    →    x1 y1 z1 _      →      y: y0 y1 y2 y3
+///   node 2: x2 y2 z2 _         x2 y2 z2 _             z: z0 z1 z2 z3
+///   node 3: x3 y3 z3 _         x3 y3 z3 _             padding
+///
+/// A register of eight floats holds two such blocks side by side: lanes 0 to 3 and lanes 4 to 7.
+
+/// Unrolls a loop over lanes completely. GCC otherwise keeps a vector that the loop's variable indexes in memory.
 #define TM_UNROLL_LANES _Pragma("GCC unroll 8")
 
 namespace tensormass {
@@ -26,7 +41,8 @@ struct Pack {
   Vector v;
 
   Pack() = default;
-  /// By the vector: what the compiler would generate copies it in narrow pieces, and a wide load behind these waits.
+  /// Copies the register as a whole. GCC's generated copy moves it in narrow pieces, and a wide load after narrow
+  /// stores stalls until they reach the cache.
   Pack(const Pack& other) : v(other.v) {}
   Pack& operator=(const Pack& other) {
     v = other.v;
@@ -36,6 +52,7 @@ struct Pack {
   requires std::is_arithmetic_v<Number> Pack(Number value)
       : v(Vector{} + static_cast<Real>(value)) {}  // NOLINT: numbers mix with packs in formulas
 
+  /// Makes a pack from a vector register.
   static Pack of(Vector vector) {
     Pack result;
     result.v = vector;
@@ -69,7 +86,9 @@ Pack<Real, Width> select_greater(Pack<Real, Width> a, Pack<Real, Width> b, Pack<
   return Pack<Real, Width>::of(a.v > b.v ? x.v : y.v);
 }
 
-/// f(lane) in each lane, one after the other.
+/// Applies a function to each lane, one after the other.
+///
+///   f(x)   is called with a lane's number; returns the lane's result
 template <class Real, int Width, class Function>
 Pack<Real, Width> in_each_lane(Pack<Real, Width> a, Function f) {
   for (int lane = 0; lane < Width; ++lane) a.v[lane] = f(a.v[lane]);
@@ -80,7 +99,7 @@ Pack<Real, Width> square_root(Pack<Real, Width> a) {
   return in_each_lane(a, [](Real x) { return std::sqrt(x); });
 }
 #if defined(__AVX__)
-// One instruction, which the compiler does not always find.
+// GCC does not always find the single instruction for this.
 inline Pack<float, 8> square_root(Pack<float, 8> a) { return Pack<float, 8>::of(_mm256_sqrt_ps(a.v)); }
 inline Pack<double, 4> square_root(Pack<double, 4> a) { return Pack<double, 4>::of(_mm256_sqrt_pd(a.v)); }
 #endif
@@ -97,7 +116,7 @@ Pack<Real, Width> hyperbolic_sine(Pack<Real, Width> a) {
   return in_each_lane(a, [](Real x) { return std::sinh(x); });
 }
 
-/// The interface of SingleLane for `Width` items at once.
+/// The Lanes interface (see SingleLane in core/scalar.h) for `Width` items at once; `Width` is 4 or 8.
 template <class Real_, std::uint32_t Width>
 struct PackLanes {
   using Real = Real_;
@@ -144,7 +163,10 @@ struct PackLanes {
       }
     }
   }
-  /// The other way round: the first `Count` values of each lane's own record.
+  /// Reads the first `Count` values of a record for each lane; the inverse of scatter, with records at any address.
+  /// `Count` ≥ Width. If `Count` is not a multiple of Width, the last two blocks overlap.
+  ///
+  ///   address(lane)   returns the start of the lane's record
   template <std::size_t Count, class Address>
   static void gather_records(Scalar (&values)[Count], const Address& address) {
     static_assert(Count >= Width);
@@ -160,7 +182,8 @@ struct PackLanes {
       for (std::uint32_t i = 0; i < Width; ++i) values[first + i] = Scalar::of(rows[i]);
     }
   }
-  /// Adds to the vectors that the lanes name, one lane after the other: several may name the same.
+  /// Adds each lane's value to vector index[lane]. Lanes are added one after the other, because several may name the
+  /// same vector.
   static void scatter_add3(Real* vectors, const std::uint32_t* index, const Vec3<Scalar>& value) {
     Vector rows[4] = {value[0].v, value[1].v, value[2].v, Vector{}};
     transpose<4>(rows);
@@ -177,13 +200,14 @@ struct PackLanes {
       }
     }
   }
-  /// In a fixed order, so that runs repeat bitwise.
+  /// Returns the sum over the lanes, in a fixed order so that runs repeat bitwise.
   static Real sum(Scalar value) {
     Real total = 0;
     TM_UNROLL_LANES
     for (std::uint32_t lane = 0; lane < Width; ++lane) total += value.v[lane];
     return total;
   }
+  /// Returns the largest of the lanes.
   static Real largest(Scalar value) {
     Real most = value.v[0];
     for (std::uint32_t lane = 1; lane < Width; ++lane)
@@ -195,9 +219,9 @@ struct PackLanes {
   using Vector = typename Scalar::Vector;
   using Index = std::conditional_t<sizeof(Real) == 4, std::int32_t, std::int64_t>;
   typedef Index Mask __attribute__((vector_size(sizeof(Vector))));
-  /// The four reals of one lane while they are not transposed: row lane % 4 holds lanes lane % 4 and, in registers of
-  /// eight, lane % 4 + 4. Joined in registers: a wide load behind two narrow stores would wait for both to reach the
-  /// cache.
+  /// The four reals of one lane's vector, before they are transposed. Row r of four registers holds lane r and, if
+  /// there are eight lanes, lane r + 4. The two halves are joined in registers: a wide load after two narrow stores
+  /// would stall until both reach the cache.
   typedef Real Quad __attribute__((vector_size(4 * sizeof(Real))));
   static constexpr std::uint32_t kQuads = Width / 4;
   static_assert(kQuads == 1 || kQuads == 2);
@@ -218,6 +242,9 @@ struct PackLanes {
     }
   }
 
+  /// Loads a vector of four reals for each lane and transposes them to one pack for each of three components.
+  ///
+  ///   address(lane)   returns the start of the lane's vector
   template <class Address>
   static Vec3<Scalar> to_lanes(Address address) {
     Vector rows[4];
@@ -232,7 +259,8 @@ struct PackLanes {
     return {Scalar::of(rows[0]), Scalar::of(rows[1]), Scalar::of(rows[2])};
   }
 
-  /// Transposes the Size × Size blocks that lie side by side in Size registers, by log2(Size) rounds of exchanges.
+  /// Transposes each of the Size × Size blocks that lie side by side in Size registers. Rounds with
+  /// Step = 1, 2, 4 < Size exchange the off-diagonal blocks of Step × Step numbers.
   template <std::uint32_t Size>
   static void transpose(Vector (&rows)[Size]) {
     exchange<Size, 1>(rows);
@@ -240,6 +268,8 @@ struct PackLanes {
     if constexpr (Size > 4) exchange<Size, 4>(rows);
     static_assert(Size <= 8);
   }
+  /// One round of transpose: swaps the upper lanes of row i with the lower lanes of row i + Step, for each i without
+  /// bit Step.
   template <std::uint32_t Size, std::uint32_t Step>
   static void exchange(Vector (&rows)[Size]) {
     Mask low, high;
@@ -259,7 +289,7 @@ struct PackLanes {
   }
 };
 
-/// 256-bit registers: the width that the x86-64-v3 baseline guarantees.
+/// Lanes of a 256-bit register, which the x86-64-v3 baseline guarantees.
 template <class Real>
 using NativeLanes = PackLanes<Real, 32 / sizeof(Real)>;
 

@@ -8,11 +8,13 @@
 
 namespace tensormass {
 
-/// Threads of a loop while a scene is compiled; the scenes that run keep the rest of the machine.
+/// Most threads that a loop uses while a scene is compiled. Running scenes keep the other cores.
 inline constexpr std::size_t kMaxCompileThreads = 8;
 
-/// body(i) for each i below `count`, on several threads, in any order: for work that does not depend on it. Not for the
-/// step loop. `body` must not throw.
+/// Calls body for every index below `count`, on several threads and in any order. Returns when all calls are done. For
+/// compiling scenes, not for the step loop: it starts threads.
+///
+///   body(i)   is called once for each i in [0, count), possibly at the same time for different i; must not throw
 template <class Body>
 void parallel_for(std::size_t count, const Body& body) {
   const std::size_t machine = std::max(1u, std::thread::hardware_concurrency());
@@ -26,7 +28,9 @@ void parallel_for(std::size_t count, const Body& body) {
   work();
 }
 
-/// The same by ranges: body(begin, end), each of `grain` indices.
+/// Does the same for ranges of `grain` > 0 indices; the last range may be shorter.
+///
+///   body(begin, end)   is called once for each range [begin, end); must not throw
 template <class Body>
 void parallel_ranges(std::size_t count, std::size_t grain, const Body& body) {
   parallel_for((count + grain - 1) / grain, [&](std::size_t i) { body(i * grain, std::min(count, (i + 1) * grain)); });

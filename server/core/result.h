@@ -7,7 +7,7 @@
 
 namespace tensormass {
 
-/// What a caller can do about an error; maps one to one on the gRPC status of the control plane.
+/// Kinds of errors, by what the caller can do about them. Each maps to one gRPC status code of the control plane.
 enum class ErrorCode {
   kInvalidArgument,     ///< The input is wrong; the message names the place and the remedy.
   kNotFound,            ///< No such scene, body or tool.
@@ -18,19 +18,23 @@ enum class ErrorCode {
   kCancelled,           ///< Nobody waits for the result any more.
 };
 
-/// The user's error (our own mistakes are assertions). Handled once, at the edge.
+/// An error that the user can cause and mend. Mistakes in our own code are assertions instead (core/assert.h).
+/// Functions pass an error on; the server's edge reports it once.
 struct Error {
   ErrorCode code = ErrorCode::kInvalidArgument;
   std::string message;
 };
 
+/// A value or the error that prevented it.
 template <class T>
 using Result = tl::expected<T, Error>;
 
+/// Makes a failed Result, for `return fail(code, message)`.
 inline tl::unexpected<Error> fail(ErrorCode code, std::string message) {
   return tl::make_unexpected(Error{code, std::move(message)});
 }
 
+/// Makes a failed Result with code kInvalidArgument.
 inline tl::unexpected<Error> invalid(std::string message) {
   return fail(ErrorCode::kInvalidArgument, std::move(message));
 }
@@ -43,7 +47,8 @@ inline tl::unexpected<Error> invalid(std::string message) {
     if (auto tm_result = (expression); !tm_result) return tl::make_unexpected(tm_result.error()); \
   } while (false)
 
-/// Returns the error likewise; otherwise names the value: TM_ASSIGN_OR_RETURN(mesh, read_mesh(body));
+/// Returns the error of a failed Result likewise. Otherwise declares `name` as a reference to the value:
+/// TM_ASSIGN_OR_RETURN(mesh, read_mesh(body));
 #define TM_ASSIGN_OR_RETURN(name, expression)                            \
   auto name##_result = (expression);                                     \
   if (!name##_result) return tl::make_unexpected(name##_result.error()); \

@@ -5,26 +5,28 @@
 
 #include <Eigen/Core>
 
-/// Marks what is compiled for the host and for the device from one source.
+/// Marks functions that are compiled for the host and for the device from one source.
 #if defined(__CUDACC__)
 #define TM_HOST_DEVICE __host__ __device__
 #else
 #define TM_HOST_DEVICE
 #endif
 
-/// Inlines everything that a function calls. On packs of numbers the compiler otherwise leaves Eigen's small products
-/// as calls that pass vectors through memory. Not where each access is instrumented: that takes minutes a file.
+/// Inlines every call that the marked function makes. Without it, GCC leaves Eigen's small products on packs as calls
+/// that pass vectors through memory. Disabled under sanitizers: with instrumented accesses, compiling one file takes
+/// minutes.
 #if defined(__CUDACC__) || defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define TM_FLATTEN
 #else
 #define TM_FLATTEN [[gnu::flatten]]
 #endif
 
-/// Several turns of the following loop in flight at once: what hides memory latency where a GPU thread walks a row.
+/// Unrolls the following loop `count` times on a device. A GPU thread that walks a matrix row then has several loads in
+/// flight, which hides memory latency.
 #if defined(__CUDA_ARCH__)
 #define TM_UNROLL(count) _Pragma(TM_STRING(unroll count))
 #define TM_STRING(text) #text
-/// All of them: a small array that a loop indexes stays in registers.
+/// Unrolls the following loop completely on a device, so that a small array indexed by it stays in registers.
 #define TM_UNROLL_ALL _Pragma("unroll")
 #else
 #define TM_UNROLL(count)
@@ -38,7 +40,8 @@ using Vec3 = Eigen::Matrix<T, 3, 1>;
 template <class T>
 using Mat3 = Eigen::Matrix<T, 3, 3>;
 
-/// Three numbers at the begin of four that lie together, aligned like four where a device reads them at once.
+/// Reads the first three of four adjacent reals. On a device, p must be aligned to four reals, because a float4 is
+/// loaded at once.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> read3(const Real* p) {
 #if defined(__CUDA_ARCH__)
@@ -50,7 +53,7 @@ TM_HOST_DEVICE Vec3<Real> read3(const Real* p) {
   return {p[0], p[1], p[2]};
 }
 
-/// As read3; may overwrite the fourth.
+/// Writes the first three of four adjacent reals, aligned as for read3. May overwrite the fourth.
 template <class Real>
 TM_HOST_DEVICE void write3(Real* p, const Vec3<Real>& v) {
 #if defined(__CUDA_ARCH__)
@@ -64,8 +67,8 @@ TM_HOST_DEVICE void write3(Real* p, const Vec3<Real>& v) {
   p[2] = v[2];
 }
 
-/// What a step reads once. A device's outer cache, which holds less than large scenes have, is to keep what is read
-/// again.
+/// Loads a value that a step reads only once. On a device it is marked as the first to evict from L2, which is smaller
+/// than large scenes: data that the step reads again stays cached. T has 4, 8 or 16 bytes.
 template <class T>
 TM_HOST_DEVICE T read_once(const T* p) {
 #if defined(__CUDA_ARCH__)
@@ -93,7 +96,7 @@ TM_HOST_DEVICE T read_once(const T* p) {
 #endif
 }
 
-/// Asks a device's outer cache for what is to be read later.
+/// Prefetches *p into a device's L2 cache. Does nothing on the host.
 template <class T>
 TM_HOST_DEVICE void expect([[maybe_unused]] const T* p) {
 #if defined(__CUDA_ARCH__)
@@ -101,8 +104,10 @@ TM_HOST_DEVICE void expect([[maybe_unused]] const T* p) {
 #endif
 }
 
-/// Elementary functions by overload, so that formulas are written once for numbers and for packs of numbers
-/// (core/pack.h adds the overloads for packs).
+/// Elementary functions as overloads, so that one formula serves numbers and packs of numbers (core/pack.h adds the
+/// overloads for packs).
+///
+/// If an argument is NaN, minimum and maximum return `a`, and select_greater returns y.
 template <class Real>
 TM_HOST_DEVICE constexpr Real minimum(Real a, Real b) {
   return b < a ? b : a;
@@ -115,7 +120,7 @@ template <class Real>
 TM_HOST_DEVICE constexpr Real absolute(Real a) {
   return a < Real(0) ? -a : a;
 }
-/// a > b ? x : y
+/// Returns a > b ? x : y.
 template <class Real>
 TM_HOST_DEVICE constexpr Real select_greater(Real a, Real b, Real x, Real y) {
   return a > b ? x : y;
@@ -124,8 +129,8 @@ template <class Real>
 TM_HOST_DEVICE Real square_root(Real a) {
   return std::sqrt(a);
 }
-/// a / b, in single precision on a device to two units in the last place: its exact division is a function call, and
-/// two of them stand in the chain of every iteration of a solve.
+/// Returns a / b. On a device in single precision the error is up to two units in the last place: the exact division is
+/// a function call, and two of them lie on the critical path of every CG iteration.
 template <class Real>
 TM_HOST_DEVICE Real quotient(Real a, Real b) {
 #if defined(__CUDA_ARCH__)
@@ -133,7 +138,7 @@ TM_HOST_DEVICE Real quotient(Real a, Real b) {
 #endif
   return a / b;
 }
-/// 1 / √a, on a device to two units in the last place for the same reason.
+/// Returns 1 / √a. On a device the error is up to two units in the last place, for the same reason as in quotient.
 template <class Real>
 TM_HOST_DEVICE Real inverse_square_root(Real a) {
 #if defined(__CUDA_ARCH__)
@@ -155,31 +160,40 @@ TM_HOST_DEVICE Real hyperbolic_sine(Real a) {
   return std::sinh(a);
 }
 
-/// How a loop body reads and writes `kWidth` neighbouring items at once. A GPU thread handles one.
+/// The Lanes interface: how a loop body reads and writes `kWidth` consecutive items at once. This version has one lane,
+/// which is what a GPU thread handles. PackLanes (core/pack.h) has as many as a vector register.
+///
+/// Vectors are stored as [.., 4] reals. The fourth is padding: load3 may read it and store3 may overwrite it.
 template <class Real_>
 struct SingleLane {
   using Real = Real_;
   using Scalar = Real_;
   static constexpr std::uint32_t kWidth = 1;
 
+  /// Loads kWidth consecutive reals from p.
   TM_HOST_DEVICE static Scalar load(const Real* p) { return *p; }
+  /// Stores kWidth consecutive reals to p.
   TM_HOST_DEVICE static void store(Real* p, Scalar value) { *p = value; }
-  /// vectors: [.., 4], of which three are used; the fourth is read and, by store3, may be overwritten
+  /// Loads the vectors first to first + kWidth − 1.
   TM_HOST_DEVICE static Vec3<Scalar> load3(const Real* vectors, std::uint32_t first) {
     return read3(vectors + std::size_t{4} * first);
   }
+  /// Stores to the vectors first to first + kWidth − 1.
   TM_HOST_DEVICE static void store3(Real* vectors, std::uint32_t first, const Vec3<Scalar>& value) {
     write3(vectors + std::size_t{4} * first, value);
   }
+  /// Loads vector index[lane] into each lane.
   TM_HOST_DEVICE static Vec3<Scalar> gather3(const Real* vectors, const std::uint32_t* index) {
     return load3(vectors, *index);
   }
-  /// Writes `Count` values into each lane's own record; records lie `stride` reals apart.
+  /// Writes `Count` values into a record for each lane. Records start `stride` reals apart.
   template <std::uint32_t Count>
   TM_HOST_DEVICE static void scatter(Real* records, std::size_t /*stride*/, const Scalar (&values)[Count]) {
     for (std::uint32_t c = 0; c < Count; ++c) records[c] = values[c];
   }
+  /// Returns the sum over the lanes.
   TM_HOST_DEVICE static Real sum(Scalar value) { return value; }
+  /// Returns the largest of the lanes.
   TM_HOST_DEVICE static Real largest(Scalar value) { return value; }
 };
 

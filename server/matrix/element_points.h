@@ -137,7 +137,7 @@ struct StoredPoint {
     T own[maximum(Law::kParameterCount, 1)];
     for (int c = 0; c < Law::kParameterCount; ++c) own[c] = parameters[c];
     if (!Shape::kSinglePoint && e.moduli_weights != nullptr) {
-      Law::take_shares(own, T(e.moduli_weights[q].deviatoric), T(e.moduli_weights[q].volumetric));
+      Law::scale_moduli(own, T(e.moduli_weights[q].deviatoric), T(e.moduli_weights[q].volumetric));
     }
     return Law::at(f, own);
   }

@@ -230,7 +230,7 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
         }
         if (kind == physics::Stiffness::kPositive) {
           TM_UNROLL_ALL
-          for (std::uint32_t k = 0; k < kAtOnce; ++k) Law::make_positive(points[k]);
+          for (std::uint32_t k = 0; k < kAtOnce; ++k) Law::project_to_psd(points[k]);
         }
         const auto add = [&](std::uint32_t k, const physics::Viscous<Real>* memory) {
           physics::add_point_to_node<Shape, Law>(gradients[k], f[k], points[k], memory, kind, tensors[k]);

@@ -7,7 +7,11 @@
 namespace tensormass::mesh {
 namespace {
 
-/// Inverts "item -> rows". `visit_all(f)` calls f(item, its rows) in ascending order of items, the same each time.
+/// Inverts the relation "item → rows": returns the items of each row, ascending. Makes two passes: one counts, one
+/// fills.
+///
+///   visit_all(f)   must call f(item, rows of the item) in ascending order of items. It is called twice and must visit
+///                  the same both times
 template <class VisitAll>
 Rows invert(std::uint32_t row_count, VisitAll&& visit_all) {
   Rows rows;

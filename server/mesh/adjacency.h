@@ -8,7 +8,7 @@
 
 namespace tensormass::mesh {
 
-/// Lists of indices, one a row (compressed sparse rows).
+/// One list of indices for each row (compressed sparse rows).
 struct Rows {
   std::vector<std::uint32_t> offsets{0};  ///< [row_count + 1]
   std::vector<std::uint32_t> items;
@@ -19,15 +19,15 @@ struct Rows {
   }
 };
 
-/// Elements of every node, ascending.
+/// Returns the elements of every node, ascending. [node_count] rows.
 Rows node_elements(const Mesh& mesh);
 
-/// Nodes that share an element with a node, ascending, without the node itself.
+/// Returns the nodes that share an element with each node, ascending, without the node itself. [node_count] rows.
 Rows node_neighbours(const Mesh& mesh);
-/// The same where `node_elements(mesh)` is at hand.
+/// The same; `elements` must be node_elements(mesh).
 Rows node_neighbours(const Mesh& mesh, const Rows& elements);
 
-/// Triangles of every vertex, ascending.
+/// Returns the triangles of every vertex, ascending. [vertex_count] rows.
 Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_count);
 
 }  // namespace tensormass::mesh

@@ -15,6 +15,11 @@
 #include "mesh/geometry.h"
 #include "mesh/shapes.h"
 
+/// One pass over the elements does most checks (see `admit` in admission.h for their order).
+///
+/// Each check only counts and describes its first occurrence (Finding): a broken mesh may have millions of broken
+/// elements. Volume and component count of the report come from the same pass. Errors are put together at the end, so
+/// that the user sees all kinds at once.
 namespace tensormass::mesh {
 namespace {
 
@@ -24,7 +29,7 @@ bool acceptable(const Eigen::Vector3d& point) {
   return (point.array().abs() <= limits::kMaxLength).all();  // false for NaN
 }
 
-/// Coordinates of a mesh's nodes or a skin's vertices.
+/// Checks the coordinates of a mesh's nodes or a skin's vertices. `what` names one of them in the error.
 Result<void> check_points(std::span<const Eigen::Vector3d> points, std::string_view what, std::string_view body) {
   Finding bad;
   for (std::size_t i = 0; i < points.size(); ++i) {
@@ -92,7 +97,8 @@ bool is_flat(const ElementGeometry& geometry) {
          geometry.max_edge_m == 0.0;
 }
 
-/// Elements with the same nodes, in whatever order: equal hashes are brought together by sorting, then compared.
+/// Finds elements with the same nodes in any order. Sorts elements by a hash of their nodes, then compares those with
+/// equal hashes.
 Finding find_duplicates(const Mesh& mesh, std::string_view body) {
   using Sorted = std::vector<std::uint32_t>;
   struct Entry {
@@ -106,7 +112,7 @@ Finding find_duplicates(const Mesh& mesh, std::string_view body) {
   entries.reserve(element_count(mesh));
   for_each_element(mesh, [&](std::uint32_t element, const Topology&, Nodes nodes) {
     std::uint64_t hash = 0;
-    for (const std::uint32_t node : nodes) {  // a sum: the order of the nodes does not matter
+    for (const std::uint32_t node : nodes) {  // a sum, so that the order of the nodes does not matter
       std::uint64_t mixed = (node + std::uint64_t{1}) * 0x9E3779B97F4A7C15u;
       mixed = (mixed ^ mixed >> 32) * 0xD6E8FEB86659FD93u;
       hash += mixed ^ mixed >> 32;
@@ -148,7 +154,7 @@ Finding find_duplicates(const Mesh& mesh, std::string_view body) {
   return duplicates;
 }
 
-/// Parts of a mesh, joined node by node (union-find with path halving).
+/// Connected components of a mesh: union-find over nodes with path halving. The root of a component is its lowest node.
 class Components {
  public:
   explicit Components(std::size_t node_count) : parent_(node_count) { std::iota(parent_.begin(), parent_.end(), 0u); }
@@ -187,7 +193,7 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
     return fmt::format("element {} of body '{}' (nodes {})", element, body, fmt::join(nodes, ", "));
   };
 
-  Finding duplicates;  // beside the loop below: the two take about as long
+  Finding duplicates;  // runs in parallel to the loop below: the two take about as long
   std::jthread searching([&] { duplicates = find_duplicates(mesh, body); });
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, Nodes nodes) {
     for (const std::uint32_t node : nodes) {
@@ -322,7 +328,7 @@ Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::sp
     const Eigen::Vector3d& x0 = vertices[triangle[0]];
     const Eigen::Vector3d a = vertices[triangle[1]] - x0;
     const Eigen::Vector3d b = vertices[triangle[2]] - x0;
-    // As sines and not areas, so that the size of the triangle does not matter.
+    // Compares the sine of the angle, which does not depend on the triangle's size.
     if (a.cross(b).norm() <= kMinRelativeVolume * a.norm() * b.norm()) ++flat_count;
   }
   std::string message;

@@ -11,13 +11,15 @@
 
 namespace tensormass::mesh {
 
-/// An element is refused if its least Jacobian, as the volume of a tetrahedron (geometry.h), is below this fraction of
-/// its longest edge cubed: its rest shape cannot be inverted in single precision. (A regular tetrahedron has 0.118.)
+/// Smallest accepted ratio of an element's least Jacobian (as a tetrahedron's volume, geometry.h) to its longest edge
+/// cubed. Below it, the element is refused as flat: its rest shape cannot be inverted in single precision. A regular
+/// tetrahedron has 0.118.
 inline constexpr double kMinRelativeVolume = 1e-9;
-/// Elements with a smaller dihedral angle [deg] are reported: they make the system stiff and the answer poor.
+/// Dihedral angle [deg] below which an element is reported as a sliver. Slivers make the system ill-conditioned and the
+/// result inaccurate.
 inline constexpr double kSliverDihedralDeg = 5.0;
 
-/// What was admitted.
+/// Facts about an admitted mesh.
 struct MeshReport {
   std::uint32_t node_count = 0;
   std::uint32_t element_count = 0;
@@ -28,23 +30,36 @@ struct MeshReport {
   std::vector<std::string> warnings;
 };
 
-/// Checks a mesh from outside: sizes, indices, finite coordinates, winding, the Jacobian at the nodes (geometry.h),
-/// nodes without element, repeated nodes and elements, overlaps and faces that do not conform (conformity.h).
-/// O(n log n), about 0.4 s for a million tetrahedra and 0.7 s for a million hexahedra.
+/// Checks a mesh from outside the server. `body` names the mesh in messages.
 ///
-/// The error has one line for each kind of problem; each names `body`, the first element or node concerned, how many
-/// there are, and what to do. Slivers and separate components are warnings.
+/// Why here: everything behind this function assumes a sound mesh and does not check again. The checks build on each
+/// other, so a group runs only if what it relies on has passed:
+///
+///   sizes, coordinates, indices         the first failure is returned alone
+///   each element by itself              repeated node, flat, inverted, folded (geometry.h)
+///   elements against each other         duplicates; then, if there is no error so far, overlapping and nonconforming
+///                                       faces (conformity.h)
+///   nodes                               without an element
+///   slivers, separate components        warnings, not errors
+///
+/// The error has one line for each kind of problem. Each line says the first element or node concerned, how many there
+/// are, and what to do.
+///
+/// Cost: O(n log n), about 0.4 s for a million tetrahedra and 0.7 s for a million hexahedra.
 Result<MeshReport> admit(const Mesh& mesh, std::string_view body);
 
-/// What was admitted of a skin.
+/// Facts about an admitted skin.
 struct SkinReport {
   std::uint32_t vertex_count = 0;
   std::uint32_t triangle_count = 0;
   std::vector<std::string> warnings;
 };
 
-/// Checks a triangle surface from outside: indices, finite coordinates, triangles that repeat a vertex. Triangles
-/// without area and vertices without triangle are warnings: they are ugly, not wrong.
+/// Checks a triangle surface from outside the server. `body` names it in messages.
+///
+///   errors     no vertices or triangles, counts beyond core/limits.h, an index out of range, a coordinate that is not
+///              finite or too large, a triangle that repeats a vertex
+///   warnings   triangles without area and vertices without triangle, because they only look bad
 Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
                               std::string_view body);
 

@@ -11,25 +11,27 @@
 namespace tensormass::mesh {
 namespace {
 
-/// Whether two faces with the same corners are one face seen from its two sides, mid-edge nodes included.
+/// Returns whether two faces with the same corners are the same face seen from its two sides, including mid-edge nodes.
 bool mirrored(const FaceNodes& a, const FaceNodes& b, std::uint32_t corners) {
   if (a.count != b.count) return false;
   const auto start = static_cast<std::uint32_t>(std::find(b.begin(), b.begin() + corners, a[0]) - b.begin());
   const auto back = [&](std::uint32_t steps) { return (start + 2 * corners - steps) % corners; };
   for (std::uint32_t i = 0; i < corners; ++i) {
     if (a[i] != b[back(i)]) return false;
-    // The side of `a` from corner i to i + 1 is the side of `b` that ends in back(i).
+    // Side i of `a`, from corner i to i + 1, is the side of `b` that ends in corner back(i).
     if (a.count > corners && a[corners + i] != b[corners + back(i + 1)]) return false;
   }
   return true;
 }
 
-/// Three nodes of a boundary face. Another one with the same three lies on it.
+/// Three nodes of a boundary face, as the key to find other faces that lie on it: two boundary faces with a common key
+/// overlap without being one face.
 struct Part {
   std::array<std::uint32_t, 3> key;  // ascending
   ElementFace face;
 };
 
+/// Runs the two checks while it is made.
 class Check {
  public:
   Check(const Mesh& mesh, std::string_view body) : body_(body), nodes_of_(element_nodes(mesh)) {
@@ -45,6 +47,7 @@ class Check {
   const Face& local(const ElementFace& face) const { return shapes_[face.element]->faces[face.face]; }
   FaceNodes nodes(const ElementFace& face) const { return face_nodes(local(face), nodes_of_[face.element]); }
 
+  /// Checks the faces with the same corners: one is on the boundary, two must mirror each other, more overlap.
   void check_same_corners(std::span<const ElementFace> same) {
     if (same.size() == 1) {
       boundary_.push_back(same[0]);
@@ -68,8 +71,9 @@ class Check {
     }
   }
 
+  /// Finds boundary faces that share three nodes with another boundary face, such as a triangle on a quadrilateral.
   void check_boundary() {
-    // Linear triangles on one another have the same corners and were met above.
+    // Linear triangles on each other have the same corners, so check_same_corners has met them.
     const auto compound = [&](const ElementFace& face) { return local(face).node_count > 3; };
     if (std::none_of(boundary_.begin(), boundary_.end(), compound)) return;
     std::vector<Part> parts;
@@ -91,7 +95,8 @@ class Check {
     std::sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {
       return std::tie(a.key, a.face.element) < std::tie(b.key, b.face.element);
     });
-    std::set<std::pair<std::uint32_t, std::uint32_t>> found;  // two quadrilaterals may share several parts
+    std::set<std::pair<std::uint32_t, std::uint32_t>>
+        found;  // pairs already reported: two quadrilaterals may share several keys
     for (std::size_t i = 1; i < parts.size(); ++i) {
       const ElementFace &a = parts[i - 1].face, &b = parts[i].face;
       if (parts[i - 1].key == parts[i].key && found.emplace(a.element, b.element).second) add_nonconforming(a, b);

@@ -7,16 +7,18 @@
 
 namespace tensormass::mesh {
 
-/// Where faces meet without being one face.
+/// Faces of neighbouring elements that touch without being one common face.
 struct Conformity {
-  Finding overlapping;  ///< more than two elements at a face, or two on one side of it
-  /// Faces that lie on each other and share some of their nodes only: a triangle on a quadrilateral, a linear face on a
+  Finding overlapping;  ///< more than two elements at a face, or two on the same side of it
+  /// Faces that lie on each other and share only some of their nodes: a triangle on a quadrilateral, a linear face on a
   /// quadratic one.
   Finding nonconforming;
 };
 
-/// Takes a mesh whose elements were found sound one by one; names `body`. A face in the middle of another that shares
-/// fewer than three nodes with it ("hanging nodes") is not found: it would take geometry. O(n log n).
+/// Checks that neighbouring elements share whole faces. `body` names the mesh in messages. O(n log n).
+///
+/// Needs elements that are sound one by one (admission.h). Does not find "hanging nodes": a face within another that
+/// shares fewer than three nodes with it would take geometry to find.
 Conformity check_conformity(const Mesh& mesh, std::string_view body);
 
 }  // namespace tensormass::mesh

@@ -11,12 +11,22 @@
 #include "mesh/partition.h"
 #include "mesh/shapes.h"
 
+/// Point location for embedding.
+///
+/// A skin may have as many vertices as the mesh has nodes, so testing every element for each vertex is too slow. The
+/// mesh is cut into tetrahedra ("cells"), because a point's barycentric weights in a cell are linear and need no
+/// iteration. A tree of boxes over the cells then answers each query in about log n steps:
+///
+///   elements ──cut──► cells ──bisection order──► tree ──nearest(point)──► cell, weights, distance
+///
+/// A point outside the mesh takes the nearest cell and extrapolates.
 namespace tensormass::mesh {
 namespace {
 
 using Eigen::Vector3d;
 
-/// A tetrahedron ready to be asked for barycentric coordinates: weight_k = offset_k + gradient_k · x.
+/// A tetrahedron with what its barycentric coordinates need. For k > 0, weight_k = gradient_k · (x − x_0); weight_0 is
+/// 1 minus the others.
 struct Cell {
   std::array<std::uint32_t, 4> nodes;
   std::uint32_t element;
@@ -39,6 +49,7 @@ struct Cell {
   }
 };
 
+/// Cuts each element into its shape's tetrahedra and drops the degenerate ones.
 std::vector<Cell> cells_of(const Mesh& mesh) {
   std::vector<Cell> cells;
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> nodes) {
@@ -53,7 +64,8 @@ std::vector<Cell> cells_of(const Mesh& mesh) {
       const Vector3d b = cell.corners[2] - cell.corners[0];
       const Vector3d c = cell.corners[3] - cell.corners[0];
       const double six_volume = a.dot(b.cross(c));
-      // What a distorted element's decomposition covers with such a cell, its other cells cover, too.
+      // The decomposition of a distorted element may hold a flat or inverted tetrahedron. It can be dropped: the
+      // element's other tetrahedra cover the same space.
       if (six_volume < kMinRelativeVolume * std::pow(cell.longest_edge_m(), 3)) continue;
       cell.gradients[1] = b.cross(c) / six_volume;
       cell.gradients[2] = c.cross(a) / six_volume;
@@ -65,8 +77,8 @@ std::vector<Cell> cells_of(const Mesh& mesh) {
   return cells;
 }
 
-/// The nearest point of a triangle, by the region of its plane that the point projects to (Ericson, Real-Time
-/// Collision Detection, 5.1.5).
+/// Returns the point of triangle abc nearest to p. It tells by the signs of six products to which vertex, edge or
+/// interior region p projects (Ericson, Real-Time Collision Detection, 5.1.5).
 Vector3d nearest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c) {
   const Vector3d ab = b - a, ac = c - a, ap = p - a;
   const double d1 = ab.dot(ap), d2 = ac.dot(ap);
@@ -86,14 +98,17 @@ Vector3d nearest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3
   return a + (vb * ab + vc * ac) / (va + vb + vc);
 }
 
-/// The nearest cell so far. Cells that touch are equally near to a point outside; the one with the greatest least
-/// weight extrapolates least.
+/// The nearest cell found so far.
+///
+/// A point outside the mesh is often equally near to several cells that touch. Among those the cell with the greatest
+/// smallest weight wins, because it extrapolates least.
 struct Nearest {
   double squared_distance = std::numeric_limits<double>::infinity();
   double least_weight = -std::numeric_limits<double>::infinity();
   const Cell* cell = nullptr;
   std::array<double, 4> weights{};
 
+  /// Replaces the best cell if the candidate is nearer, or equally near and extrapolates less.
   void offer(const Cell& candidate, const Vector3d& point) {
     const std::array<double, 4> w = candidate.weights(point);
     const double least = *std::min_element(w.begin(), w.end());
@@ -101,13 +116,13 @@ struct Nearest {
     if (least < 0.0) {
       squared = std::numeric_limits<double>::infinity();
       for (int i = 0; i < 4; ++i) {
-        if (w[i] >= 0.0) continue;  // the point is not in front of this face
+        if (w[i] >= 0.0) continue;  // only a face that the point is in front of can be nearest
         const Vector3d near = nearest_on_triangle(point, candidate.corners[(i + 1) % 4], candidate.corners[(i + 2) % 4],
                                                   candidate.corners[(i + 3) % 4]);
         squared = std::min(squared, (point - near).squaredNorm());
       }
     }
-    const double slack = 1e-12 * squared;  // equal but for rounding
+    const double slack = 1e-12 * squared;  // distances within rounding count as equal
     if (squared > squared_distance + slack) return;
     if (squared >= squared_distance - slack && least <= least_weight) return;
     squared_distance = squared;
@@ -117,7 +132,13 @@ struct Nearest {
   }
 };
 
-/// A tree of boxes over cells in bisection order: its parts are cut where the order was cut.
+/// A bounding box tree over cells, for nearest-cell queries.
+///
+/// Cells are sorted in bisection order (partition.h), and each box is cut where bisection_cut cut the order. A box
+/// therefore covers a contiguous range of cells, and boxes are stored in depth-first order:
+///
+///   parts_:  [ root | left subtree ... | right subtree ... ]
+///                     ^ root + 1         ^ root.right
 class Tree {
  public:
   explicit Tree(std::vector<Cell> cells) {
@@ -130,6 +151,7 @@ class Tree {
     build(0, static_cast<std::uint32_t>(cells_.size()));
   }
 
+  /// Returns the cell that contains the point, or else the nearest.
   Nearest nearest(const Vector3d& point) const {
     Nearest best;
     visit(0, point, best);
@@ -142,10 +164,11 @@ class Tree {
   struct Part {
     Eigen::AlignedBox3d box;
     std::uint32_t first = 0;
-    std::uint32_t count = 0;  // of cells; 0 if the part is cut in two
-    std::uint32_t right = 0;  // the left one follows its parent
+    std::uint32_t count = 0;  // number of cells in a leaf; 0 for an inner box
+    std::uint32_t right = 0;  // index of the right child; the left child follows its parent
   };
 
+  /// Appends the box over cells [first, first + count) and those below it; returns its index.
   std::uint32_t build(std::uint32_t first, std::uint32_t count) {
     const auto index = static_cast<std::uint32_t>(parts_.size());
     parts_.emplace_back();
@@ -166,6 +189,7 @@ class Tree {
     return index;
   }
 
+  /// Offers all cells below a box that could be better than `best`; visits the nearer child first.
   void visit(std::uint32_t index, const Vector3d& point, Nearest& best) const {
     const Part& part = parts_[index];
     if (part.count > 0) {
@@ -183,7 +207,8 @@ class Tree {
     if (worth(far_distance, best)) visit(far, point, best);
   }
 
-  /// Whether a box at this distance may hold a better cell. Inside one cell, no other is better.
+  /// Returns whether a box at this distance may hold a better cell. Once a cell contains the point, no other is better.
+  /// The slack of 1e-12 is that of Nearest::offer.
   static bool worth(double squared_distance, const Nearest& best) {
     return best.squared_distance > 0.0 && squared_distance <= best.squared_distance * (1.0 + 1e-12);
   }

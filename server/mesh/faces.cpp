@@ -6,6 +6,9 @@
 namespace tensormass::mesh {
 namespace {
 
+/// Visits every face of every element.
+///
+///   visit(ElementFace)   is called in the order of elements, and of Topology::faces within an element
 template <class Visitor>
 void for_each_face(const Mesh& mesh, Visitor&& visit) {
   for_each_element(mesh, [&](std::uint32_t element, const Topology& shape, std::span<const std::uint32_t> nodes) {
@@ -22,7 +25,7 @@ void for_each_face(const Mesh& mesh, Visitor&& visit) {
 
 }  // namespace
 
-// Faces are collected by their lowest corner (a counting sort) and compared within these short lists.
+// Faces are bucketed by their lowest corner (a counting sort), then sorted within these short buckets.
 void match_faces(const Mesh& mesh, const std::function<void(std::span<const ElementFace>)>& visit) {
   std::vector<std::uint32_t> offsets(mesh.nodes.size() + 1, 0);
   for_each_face(mesh, [&](const ElementFace& face) { ++offsets[face.corners[0] + 1]; });

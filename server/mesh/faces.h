@@ -10,7 +10,7 @@
 
 namespace tensormass::mesh {
 
-/// The mesh nodes of a face, in the order of `Face`.
+/// The mesh nodes of a face, in the order of Face::nodes.
 struct FaceNodes {
   std::uint32_t count = 0;
   std::array<std::uint32_t, kMaxFaceNodes> nodes{};  ///< kNone beyond `count`
@@ -21,6 +21,7 @@ struct FaceNodes {
   std::uint32_t operator[](std::size_t i) const { return nodes[i]; }
 };
 
+/// Returns the mesh nodes of an element's local face.
 inline FaceNodes face_nodes(const Face& face, std::span<const std::uint32_t> element_nodes) {
   FaceNodes result{face.node_count, {}};
   result.nodes.fill(kNone);
@@ -28,15 +29,19 @@ inline FaceNodes face_nodes(const Face& face, std::span<const std::uint32_t> ele
   return result;
 }
 
-/// A face as one of its elements sees it.
+/// A face together with one element that it belongs to.
 struct ElementFace {
   std::array<std::uint32_t, kMaxFaceCorners> corners;  ///< mesh nodes, ascending, then kNone
   std::uint32_t element;
   std::uint32_t face;  ///< index into the shape's `Topology::faces`
 };
 
-/// Calls visit(faces with the same corners, their elements ascending) for every set of corners, in the order of the
-/// lowest one. In a conforming mesh there are two of an inner face and one of a face on the boundary. O(n).
+/// Groups the faces of all elements by their corners. O(n).
+///
+///   visit(faces)   is called once for each set of corners, in the order of the lowest corner. `faces` are those with
+///                  these corners, their elements ascending; valid during the call only.
+///
+/// In a conforming mesh a group has two faces inside the mesh and one on the boundary.
 void match_faces(const Mesh& mesh, const std::function<void(std::span<const ElementFace>)>& visit);
 
 }  // namespace tensormass::mesh

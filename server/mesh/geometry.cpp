@@ -23,14 +23,18 @@ class Positions {
   Nodes nodes_;
 };
 
+/// Takes the Jacobian determinant at a node into the minimum. A sixth of it is the volume of a tetrahedron with the
+/// same edges.
 void meet(ElementGeometry& geometry, std::uint32_t node, double determinant) {
   if (determinant / 6.0 >= geometry.min_jacobian_m3) return;
   geometry.min_jacobian_m3 = determinant / 6.0;
   geometry.min_jacobian_node = node;
 }
 
-/// The volume by the divergence theorem about node 0, whose own faces add nothing if they are plane. A bilinear face
-/// encloses the mean of what its two triangulations enclose.
+/// Geometry of a shape without mid-edge nodes.
+///
+/// The volume follows from the divergence theorem with node 0 as the origin: faces that contain node 0 add nothing if
+/// they are plane. A bilinear face encloses the mean of what its two triangulations enclose.
 void linear_geometry(const Positions& x, const Topology& shape, ElementGeometry& geometry) {
   double six_volume = 0.0;
   for (const Face& face : shape.faces) {
@@ -46,9 +50,11 @@ void linear_geometry(const Positions& x, const Topology& shape, ElementGeometry&
   }
 }
 
-/// The Jacobian of a quadratic tetrahedron is linear over it, so that the ones of the corners give it everywhere; the
-/// derivative at corner a towards corner b is 4 x_mid - 3 x_a - x_b. Its determinant is cubic, and the volume follows
-/// exactly from the corners and the centres of the faces (Keast 1986, weights 1/240 and 9/240).
+/// Geometry of a quadratic tetrahedron.
+///
+/// Its Jacobian is linear in space, so the Jacobians J_a at the corners a determine it everywhere. The derivative at
+/// corner a towards corner b is 4 x_mid − 3 x_a − x_b. The determinant is cubic; a rule over the corners and the face
+/// centres integrates it exactly (Keast 1986, weights 1/240 and 9/240).
 void quadratic_geometry(const Positions& x, const Topology& shape, ElementGeometry& geometry) {
   std::array<std::array<Vector3d, 4>, 4> tangents;  // [from, to], zero from a corner to itself
   for (std::uint32_t corner = 0; corner < 4; ++corner) tangents[corner][corner].setZero();
@@ -99,7 +105,7 @@ double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, Nodes nodes)
   std::array<Vector3d, kMaxFaces> normals;
   for (std::size_t i = 0; i < shape.faces.size(); ++i) {
     const Face& face = shape.faces[i];
-    // Newell's normal: exact for a triangle, the average for a face that is not plane.
+    // Newell's normal: exact for a triangle, the average normal of a face that is not plane.
     Vector3d normal = Vector3d::Zero();
     const Vector3d& origin = x[face.nodes[0]];
     for (std::uint32_t corner = 2; corner < face.corner_count(); ++corner) {

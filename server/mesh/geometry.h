@@ -9,21 +9,24 @@
 
 namespace tensormass::mesh {
 
-/// What an element's nodes span.
+/// Volume, distortion and size of an element.
 struct ElementGeometry {
-  double volume_m3 = 0.0;  ///< the integral of the Jacobian's determinant, exact where faces or edges are curved, too
-  /// The least determinant of the Jacobian at the element's nodes, as the signed volume of a tetrahedron with the same
-  /// edges there: of a tetrahedron its own. At the corners, in a quadratic shape at the mid-edge nodes, too.
+  double volume_m3 = 0.0;  ///< integral of the Jacobian's determinant; exact also for curved faces
+  /// The smallest Jacobian determinant at the element's corners and mid-edge nodes, divided by 6: the signed volume of
+  /// the tetrahedron that the edges at that node span. For a linear tetrahedron it is the element's volume.
   double min_jacobian_m3 = std::numeric_limits<double>::infinity();
-  std::uint32_t min_jacobian_node = 0;  ///< local
-  double max_edge_m = 0.0;              ///< between corners
+  std::uint32_t min_jacobian_node = 0;  ///< index within the element
+  double max_edge_m = 0.0;              ///< longest edge, measured between its corners
 };
 
-/// `nodes` of an element of `mesh`. The Jacobian at a node is positive as long as the mid-edge nodes of a straight edge
-/// lie between its quarter points.
+/// Measures an element of `mesh` with the given mesh nodes.
+///
+/// For a quadratic element with straight edges, the Jacobian at the corners is positive as long as each mid-edge node
+/// lies between the quarter points of its edge.
 ElementGeometry element_geometry(const Mesh& mesh, const Topology& shape, std::span<const std::uint32_t> nodes);
 
-/// The cosine of the smallest angle between two faces, each taken plane through its corners; from -1 (180°) to 1 (0°).
+/// Returns the cosine of the smallest dihedral angle, from −1 (180°) to 1 (0°). Each face counts as plane through its
+/// corners.
 double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, std::span<const std::uint32_t> nodes);
 
 }  // namespace tensormass::mesh

@@ -12,13 +12,13 @@
 namespace tensormass::mesh {
 namespace {
 
-/// The centre of a cell, where its corners are x + 2 y + 4 z.
+/// Number of a cell's centre in the tables below. A cell's corner (x, y, z), each 0 or 1, has the number x + 2 y + 4 z.
 constexpr std::uint8_t kCentre = 8;
 
-using Cut = std::span<const std::uint8_t>;  // the corners of a cell's elements, one element after the other
+using Cut = std::span<const std::uint8_t>;  // corners of a cell's elements, element by element
 
-/// The paths from corner 0 to corner 7 along one axis at a time. The three odd permutations of the axes have two middle
-/// corners exchanged, so that every tetrahedron is positively wound.
+/// The six paths from corner 0 to corner 7 along one axis at a time (Kuhn). In the three odd permutations of the axes
+/// the two middle corners are exchanged, so that every tetrahedron has positive volume.
 constexpr std::uint8_t kTetrahedra[] = {
     0, 1, 3, 7,  // x y z
     0, 5, 1, 7,  // x z y
@@ -38,11 +38,11 @@ constexpr std::uint8_t kPyramids[] = {
 constexpr std::uint8_t kWedges[] = {0, 1, 3, 4, 5, 7, 0, 3, 2, 4, 7, 6};
 constexpr std::uint8_t kHexahedron[] = {0, 1, 3, 2, 4, 5, 7, 6};
 
-/// In the order of `Shape`.
+/// How each shape cuts a cell, in the order of `Shape`.
 constexpr Cut kCuts[] = {kTetrahedra, kPyramids, kWedges, kHexahedron, kTetrahedra};
 static_assert(std::size(kCuts) == kShapes.size());
 
-/// Points of a box of counts[0] × counts[1] × counts[2], x fastest.
+/// A lattice of counts[0] × counts[1] × counts[2] points, numbered with x fastest.
 class Lattice {
  public:
   explicit Lattice(std::array<std::uint32_t, 3> counts) : counts_(counts) {}
@@ -50,7 +50,9 @@ class Lattice {
     return i + counts_[0] * (j + counts_[1] * k);
   }
   std::size_t size() const { return std::size_t{counts_[0]} * counts_[1] * counts_[2]; }
-  /// Calls visit(i, j, k) for every point in the order of its index.
+  /// Visits every point in the order of its index.
+  ///
+  ///   visit(i, j, k)   is called with the point's coordinates in the lattice
   template <class Visitor>
   void for_each(Visitor&& visit) const {
     for (std::uint32_t k = 0; k < counts_[2]; ++k) {
@@ -73,7 +75,7 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
   const bool centres = std::find(cut.begin(), cut.end(), kCentre) != cut.end();
   const bool middles = cell_shape.has_mid_edge_nodes();
   const std::array<std::uint32_t, 3> cells{cells_x, cells_y, cells_z};
-  // As double: no product of three 32-bit numbers overflows it.
+  // Counts are double, because a product of three 32-bit numbers overflows an integer.
   double node_count = 1.0, cell_count = 1.0;
   for (std::size_t axis = 0; axis < 3; ++axis) {
     const char name = "xyz"[axis];
@@ -100,7 +102,7 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
                     cells_x, cells_y, cells_z, node_count, element_count, limits::kMaxNodes, limits::kMaxElements));
   }
 
-  // Positions count in half cells, so that corners, centres and middles are all whole.
+  // Positions are counted in half cells, so that corners, cell centres and edge middles all have integer positions.
   const Eigen::Array3d half_cells(2.0 * cells_x, 2.0 * cells_y, 2.0 * cells_z);
   Mesh mesh;
   mesh.nodes.reserve(static_cast<std::size_t>(node_count));
@@ -114,7 +116,7 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
     all_cells.for_each(
         [&](std::uint32_t i, std::uint32_t j, std::uint32_t k) { add(2 * i + 1, 2 * j + 1, 2 * k + 1); });
   }
-  // Each point of the grid of half the spacing is a corner or the middle of exactly one of Kuhn's edges.
+  // Each point of the lattice with half the spacing is a corner or the middle of exactly one of Kuhn's edges.
   const Lattice halves({2 * cells_x + 1, 2 * cells_y + 1, 2 * cells_z + 1});
   std::vector<std::uint32_t> node_of_half;
   if (middles) {

@@ -7,10 +7,9 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
-/// Meshes as the host sees them, in double precision and in the caller's own node order.
+/// Meshes on the host: double precision, the caller's node order.
 ///
-/// A mesh from outside goes through `admit` (admission.h) once; every other function of this folder takes an admitted
-/// mesh and asserts no more than that.
+/// `admit` (admission.h) checks a mesh from outside once. All other functions of this folder assume an admitted mesh.
 namespace tensormass::mesh {
 
 /// Element shapes, in the order in which physics/lists.h lists them. A shape's topology is one entry in shapes.h.
@@ -22,15 +21,17 @@ struct ElementBlock {
   std::vector<std::uint32_t> nodes;  ///< [element_count, nodes of the shape], VTK node order
 };
 
+/// A volume mesh at rest. An element's index counts through the blocks in their order.
 struct Mesh {
   std::vector<Eigen::Vector3d> nodes;  ///< [node_count] m, at rest
   std::vector<ElementBlock> blocks;
 };
 
-/// Three vertices, counter-clockwise seen from outside. Indices are into the vertices of the surface that holds it.
+/// Three vertices, counter-clockwise seen from outside: indices into the vertices of the surface that holds the
+/// triangle.
 using Triangle = std::array<std::uint32_t, 3>;
 
-/// "None" where an index is expected.
+/// An index that means "no such item".
 inline constexpr std::uint32_t kNone = 0xFFFFFFFFu;
 
 }  // namespace tensormass::mesh

@@ -6,10 +6,19 @@
 
 #include <Eigen/Geometry>
 
+/// Recursive coordinate bisection in two stages.
+///
+/// Cuts between patches come first, at the places that `offsets` prescribes, so that patches have equal sizes. Cuts
+/// within a patch go on down to leaves, at multiples of the leaf size.
+///
+///   order_patches:  [ p0 p1 | p2 p3 ]  →  [ p0 | p1 ] [ p2 | p3 ]  →  order_leaves for each patch
+///
+/// A cut (`split`) selects the lowest items along the longest side and does not sort, which keeps the whole at O(n log
+/// n).
 namespace tensormass::mesh {
 namespace {
 
-/// A point beside its index: the selection below then reads memory in order.
+/// A point and its index together, so that the selection in `split` reads memory in order.
 struct Item {
   Eigen::Vector3d position;
   std::uint32_t index;
@@ -27,7 +36,8 @@ std::vector<std::uint32_t> indices_of(const std::vector<Item>& items) {
   return indices;
 }
 
-/// Puts the `cut` lowest items across the longest side first.
+/// Reorders items so that the `cut` lowest along the bounding box's longest side come first. Equal coordinates are
+/// ordered by index.
 void split(std::span<Item> items, std::uint32_t cut) {
   Eigen::AlignedBox3d box;
   for (const Item& item : items) box.extend(item.position);
@@ -38,6 +48,7 @@ void split(std::span<Item> items, std::uint32_t cut) {
   });
 }
 
+/// Bisects items down to leaves, and sorts each leaf by index.
 void order_leaves(std::span<Item> items, std::uint32_t leaf_size) {
   const auto count = static_cast<std::uint32_t>(items.size());
   const std::uint32_t cut = bisection_cut(count, leaf_size);
@@ -50,7 +61,8 @@ void order_leaves(std::span<Item> items, std::uint32_t leaf_size) {
   order_leaves(items.subspan(cut), leaf_size);
 }
 
-/// Splits the items of the patches that `offsets` bounds, half of the patches to either side.
+/// Bisects items into the patches between `offsets`, half of the patches to either side; then bisects each patch down
+/// to leaves.
 void order_patches(std::span<Item> items, std::span<const std::uint32_t> offsets, std::uint32_t leaf_size) {
   const std::size_t patch_count = offsets.size() - 1;
   if (patch_count == 1) return order_leaves(items, leaf_size);

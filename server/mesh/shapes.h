@@ -9,16 +9,18 @@
 
 #include "mesh/mesh.h"
 
-/// The topology of every element shape. A new shape is one entry here; the rest of server/mesh reads this table and
-/// knows no shape by name.
+/// The topology of every element shape. A new shape is one entry in kShapes; the rest of server/mesh reads that table
+/// and names no shape.
 namespace tensormass::mesh {
 
 inline constexpr std::size_t kMaxFaceNodes = 6;
 inline constexpr std::size_t kMaxFaceCorners = 4;
 inline constexpr std::size_t kMaxFaces = 6;
 
-/// A face of an element: a triangle (3 nodes), a quadrilateral (4) or a quadratic triangle (6). Its local nodes are the
-/// corners, counter-clockwise seen from outside, then the middles of its sides from corner i to corner i + 1.
+/// A face of an element: a triangle (3 nodes), a quadrilateral (4) or a quadratic triangle (6).
+///
+/// Local nodes list the corners first, counter-clockwise seen from outside. Then come the middles of the sides; side i
+/// runs from corner i to corner i + 1.
 struct Face {
   std::uint8_t node_count = 0;
   std::array<std::uint8_t, kMaxFaceNodes> nodes{};
@@ -26,35 +28,38 @@ struct Face {
   constexpr std::uint8_t corner_count() const { return node_count == 6 ? 3 : node_count; }
 };
 
-/// The plane triangles that stand for a quadratic triangle, in its nodes.
+/// The four plane triangles that approximate a quadratic triangle, as indices into its nodes.
 inline constexpr std::array<std::array<std::uint8_t, 3>, 4> kQuadraticFaceTriangles{
     {{0, 3, 5}, {3, 1, 4}, {5, 4, 2}, {3, 4, 5}}};
 
-/// An edge of an element: its corners and the two faces that meet in it (indices into `Topology::faces`).
+/// An edge of an element: its two corners, and the two faces that meet at it (indices into `Topology::faces`).
 struct Edge {
   std::array<std::uint8_t, 2> nodes{};
   std::array<std::uint8_t, 2> faces{};
 };
 
-/// Four local nodes that span a tetrahedron of positive volume in a properly wound element.
+/// Four local nodes that span a tetrahedron. In an element wound as VTK says its volume is positive.
 using Simplex = std::array<std::uint8_t, 4>;
 
-/// Local nodes are in VTK order: the corners, then the middles of the edges. The node in the middle of `edges[i]` is
-/// corner_count + i, in a shape that has such nodes.
+/// Local node numbers follow VTK: the corners, then the middles of the edges. If a shape has mid-edge nodes, the one on
+/// `edges[i]` is corner_count + i.
 struct Topology {
   std::string_view name;
   std::uint32_t node_count = 0;
   std::uint32_t corner_count = 0;
   std::span<const Face> faces;
   std::span<const Edge> edges;
-  /// A decomposition into tetrahedra, for point location. Where quadrilateral faces are not plane, it differs from the
-  /// element by slivers along them, and a strongly distorted element may hold one of negative volume.
+  /// A decomposition into tetrahedra, for point location. If quadrilateral faces are not plane, it differs from the
+  /// element by slivers along them. In a strongly distorted element a tetrahedron may have negative volume.
   std::span<const Simplex> simplices;
-  /// A corner and its three neighbours: the edges to them have the determinant of the Jacobian there, up to a positive
-  /// factor. An element is admitted if all are positive. In a tetrahedron they are all the same, so that one will do;
-  /// in a pyramid the four of the base are exact (up to a positive factor det J is bilinear over the base). In wedge
-  /// and hexahedron they are the usual test: of unit cubes whose corners are moved at random by up to 0.5 in each
-  /// direction it admits 59 %, of which 0.4 % fold over somewhere inside, none of them at a point of 2×2×2 Gauss.
+  /// Corners with their three neighbours. The volume spanned has the sign of the Jacobian's determinant at the corner,
+  /// and an element is admitted if all are positive. How much this test shows:
+  ///
+  ///   tetrahedron        the Jacobian is constant, so one frame is enough
+  ///   pyramid            exact: up to a positive factor, det J is bilinear over the base, so its four corners suffice
+  ///   wedge, hexahedron  the usual test; not exact. A test with unit cubes whose corners were moved at random by up to
+  ///                      0.5 in each direction: 59 % were admitted. Of those, 0.4 % folded somewhere inside, but never
+  ///                      at a point of 2×2×2 Gauss quadrature.
   std::span<const Simplex> corner_frames;
 
   constexpr bool has_mid_edge_nodes() const { return node_count > corner_count; }
@@ -62,7 +67,7 @@ struct Topology {
 
 namespace detail {
 
-/// VTK_TETRA: (x1 - x0) · ((x2 - x0) × (x3 - x0)) > 0.
+/// VTK_TETRA: (x1 − x0) · ((x2 − x0) × (x3 − x0)) > 0.
 inline constexpr std::array<Face, 4> kTetrahedronFaces{{
     {3, {0, 2, 1}},
     {3, {0, 1, 3}},
@@ -79,7 +84,7 @@ inline constexpr std::array<Edge, 6> kTetrahedronEdges{{
 }};
 inline constexpr std::array<Simplex, 1> kTetrahedronSimplices{{{0, 1, 2, 3}}};
 
-/// VTK_PYRAMID: the base 0 1 2 3 counter-clockwise seen from the apex 4.
+/// VTK_PYRAMID: the base 0 1 2 3 is counter-clockwise seen from the apex 4.
 inline constexpr std::array<Face, 5> kPyramidFaces{{
     {4, {0, 3, 2, 1}},
     {3, {0, 1, 4}},
@@ -100,9 +105,9 @@ inline constexpr std::array<Edge, 8> kPyramidEdges{{
 inline constexpr std::array<Simplex, 2> kPyramidSimplices{{{0, 1, 2, 4}, {0, 2, 3, 4}}};
 inline constexpr std::array<Simplex, 4> kPyramidCorners{{{0, 1, 3, 4}, {1, 2, 0, 4}, {2, 3, 1, 4}, {3, 0, 2, 4}}};
 
-/// VTK_WEDGE with the base 0 1 2 counter-clockwise seen from the triangle 3 4 5: (x1 - x0) × (x2 - x0) · (x3 - x0) > 0.
-/// VTK's documentation says the opposite (the normal of 0 1 2 points outward), but with VTK's own shape functions, and
-/// in meshio, Gmsh, CalculiX (C3D6) and scikit-fem, that order has a negative Jacobian.
+/// VTK_WEDGE, the base 0 1 2 counter-clockwise seen from the triangle 3 4 5: (x1 − x0) × (x2 − x0) · (x3 − x0) > 0.
+/// VTK's documentation says the opposite (the normal of 0 1 2 points outward). But VTK's own shape functions, meshio,
+/// Gmsh, CalculiX (C3D6) and scikit-fem then have a negative Jacobian.
 inline constexpr std::array<Face, 5> kWedgeFaces{{
     {3, {0, 2, 1}},
     {3, {3, 4, 5}},
@@ -125,7 +130,7 @@ inline constexpr std::array<Simplex, 3> kWedgeSimplices{{{0, 1, 2, 3}, {1, 2, 3,
 inline constexpr std::array<Simplex, 6> kWedgeCorners{
     {{0, 1, 2, 3}, {1, 2, 0, 4}, {2, 0, 1, 5}, {3, 5, 4, 0}, {4, 3, 5, 1}, {5, 4, 3, 2}}};
 
-/// VTK_HEXAHEDRON: the base 0 1 2 3 counter-clockwise seen from the opposite face 4 5 6 7.
+/// VTK_HEXAHEDRON: the base 0 1 2 3 is counter-clockwise seen from the opposite face 4 5 6 7.
 inline constexpr std::array<Face, 6> kHexahedronFaces{{
     {4, {0, 3, 2, 1}},
     {4, {4, 5, 6, 7}},
@@ -148,20 +153,20 @@ inline constexpr std::array<Edge, 12> kHexahedronEdges{{
     {{2, 6}, {3, 4}},
     {{3, 7}, {4, 5}},
 }};
-/// About the diagonal 0 6 (Kuhn).
+/// Kuhn's six tetrahedra around the diagonal 0 6.
 inline constexpr std::array<Simplex, 6> kHexahedronSimplices{
     {{0, 1, 2, 6}, {0, 2, 3, 6}, {0, 3, 7, 6}, {0, 7, 4, 6}, {0, 4, 5, 6}, {0, 5, 1, 6}}};
 inline constexpr std::array<Simplex, 8> kHexahedronCorners{
     {{0, 1, 3, 4}, {1, 2, 0, 5}, {2, 3, 1, 6}, {3, 0, 2, 7}, {4, 7, 5, 0}, {5, 4, 6, 1}, {6, 5, 7, 2}, {7, 6, 4, 3}}};
 
-/// VTK_QUADRATIC_TETRA: corners as the tetrahedron, whose edges it shares.
+/// VTK_QUADRATIC_TETRA: corners and edges as in the linear tetrahedron.
 inline constexpr std::array<Face, 4> kQuadraticTetrahedronFaces{{
     {6, {0, 2, 1, 6, 5, 4}},
     {6, {0, 1, 3, 4, 8, 7}},
     {6, {1, 2, 3, 5, 9, 8}},
     {6, {0, 3, 2, 7, 9, 6}},
 }};
-/// Four at the corners, and the octahedron between them about its diagonal 4 9.
+/// Four tetrahedra at the corners, and the octahedron between them, cut around its diagonal 4 9.
 inline constexpr std::array<Simplex, 8> kQuadraticTetrahedronSimplices{
     {{0, 4, 6, 7}, {4, 1, 5, 8}, {6, 5, 2, 9}, {7, 8, 9, 3}, {4, 5, 6, 9}, {4, 8, 5, 9}, {4, 7, 8, 9}, {4, 6, 7, 9}}};
 
@@ -181,18 +186,21 @@ inline constexpr std::array<Topology, 5> kShapes{{
 
 constexpr const Topology& topology(Shape shape) { return kShapes[static_cast<std::size_t>(shape)]; }
 
+/// Returns the number of elements of a block.
 inline std::uint32_t element_count(const ElementBlock& block) {
   return static_cast<std::uint32_t>(block.nodes.size() / topology(block.shape).node_count);
 }
 
-/// Elements of all blocks. An element's index counts through the blocks in their order.
+/// Returns the number of elements of all blocks.
 inline std::uint32_t element_count(const Mesh& mesh) {
   std::uint32_t count = 0;
   for (const ElementBlock& block : mesh.blocks) count += element_count(block);
   return count;
 }
 
-/// Calls visit(element index, topology, nodes of the element) for every element in the order of its index.
+/// Visits every element in the order of its index, which counts through the blocks.
+///
+///   visit(element index, topology, mesh nodes of the element)   is called once for each element
 template <class Visitor>
 void for_each_element(const Mesh& mesh, Visitor&& visit) {
   std::uint32_t element = 0;
@@ -206,7 +214,7 @@ void for_each_element(const Mesh& mesh, Visitor&& visit) {
   }
 }
 
-/// The nodes of every element, by its index; valid as long as the mesh stands.
+/// Returns views of the mesh nodes of every element, by element index. They are valid as long as the mesh is unchanged.
 inline std::vector<std::span<const std::uint32_t>> element_nodes(const Mesh& mesh) {
   std::vector<std::span<const std::uint32_t>> nodes_of;
   nodes_of.reserve(element_count(mesh));
@@ -215,7 +223,7 @@ inline std::vector<std::span<const std::uint32_t>> element_nodes(const Mesh& mes
   return nodes_of;
 }
 
-/// Six times the signed volume of a tetrahedron; positive in VTK node order [m³].
+/// Returns six times the signed volume of a tetrahedron [m³]; positive in VTK node order.
 inline double six_volumes(const Eigen::Vector3d& x0, const Eigen::Vector3d& x1, const Eigen::Vector3d& x2,
                           const Eigen::Vector3d& x3) {
   return (x1 - x0).dot((x2 - x0).cross(x3 - x0));

@@ -7,7 +7,9 @@
 namespace tensormass::mesh {
 namespace {
 
-/// Calls visit(three local nodes) for each triangle of a boundary face, in the order of the face.
+/// Visits the triangles of a boundary face, in the order of the face.
+///
+///   visit(i, j, k)   is called for each triangle with indices into face.nodes
 template <class Visitor>
 void for_each_triangle(const BoundaryFace& face, Visitor&& visit) {
   const FaceNodes& nodes = face.nodes;
@@ -22,13 +24,14 @@ void for_each_triangle(const BoundaryFace& face, Visitor&& visit) {
   }
 }
 
-/// A directed edge of a triangle, found by its undirected key.
+/// A directed edge of a triangle. Its key is the same in both directions.
 struct HalfEdge {
   std::uint64_t key;
   std::uint32_t triangle;
   std::uint32_t side;
 };
 
+/// Returns Surface::neighbours: sorts all directed edges by key and pairs those that run in opposite directions.
 std::vector<std::array<std::uint32_t, 3>> edge_neighbours(const std::vector<Triangle>& triangles) {
   std::vector<HalfEdge> edges;
   edges.reserve(3 * triangles.size());

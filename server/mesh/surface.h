@@ -17,22 +17,23 @@ struct BoundaryFace {
   FaceNodes nodes;     ///< 3 (triangle), 4 (quadrilateral) or 6 (quadratic triangle), winding outward
 };
 
-/// In the order of their element and its faces: what tractions and pressures act on.
+/// Returns the boundary faces in the order of elements, and of Topology::faces within an element. Tractions and
+/// pressures act on them.
 std::vector<BoundaryFace> boundary_faces(const Mesh& mesh);
 
-/// The boundary faces as triangles over compact vertices. A quadrilateral is split along the diagonal of its lowest
-/// node number, a quadratic triangle into four, so that everyone sees the same surface.
+/// The boundary faces as triangles over compact vertices. A quadrilateral is split along the diagonal through its
+/// lowest node, a quadratic triangle into four: the surface depends only on the mesh.
 struct Surface {
   std::vector<std::uint32_t> nodes;              ///< [vertex_count] the mesh node of each vertex, ascending
   std::vector<Triangle> triangles;               ///< [triangle_count] indices into `nodes`, outward winding
   std::vector<std::uint32_t> triangle_elements;  ///< [triangle_count] the element behind each triangle, ascending
-  /// [triangle_count] the triangle across the edge from corner i to corner i + 1; kNone where not exactly two triangles
-  /// meet in an edge, in opposite directions.
+  /// [triangle_count] the triangle across the edge from corner i to corner i + 1. It is kNone unless exactly two
+  /// triangles meet at the edge and run along it in opposite directions.
   std::vector<std::array<std::uint32_t, 3>> neighbours;
   Rows vertex_triangles;  ///< [vertex_count] triangles of each vertex, ascending
 };
 
-/// Triangles come in the order of `boundary_faces`: the same mesh gives the same surface.
+/// Returns the boundary as triangles, in the order of `boundary_faces`.
 Surface boundary(const Mesh& mesh);
 
 }  // namespace tensormass::mesh

@@ -221,7 +221,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     e.place_bits = lists.place_bits;
     e.places = arena.template constant<std::uint32_t>("places of elements", lists.places);
   }
-  e.moduli_weights = arena.template constant<view::PointShares<Real>>("selective integration", group.shares);
+  e.moduli_weights = arena.template constant<view::ModuliWeights<Real>>("selective integration", group.shares);
   e.prony_count = static_cast<std::uint32_t>(group.prony.size());
   for (std::size_t i = 0; i < group.prony.size(); ++i) {
     e.prony[i] = {static_cast<Real>(group.prony[i].share), static_cast<Real>(group.prony[i].relaxation_time_s)};

@@ -46,7 +46,7 @@ struct Collected {
   std::vector<std::uint32_t> rows;  // [element][node]
   std::vector<double> rest;         // [element][..]
   std::vector<double> parameters;   // [element][..]
-  std::vector<physics::PointShares> shares;
+  std::vector<physics::ModuliWeights> shares;
   std::size_t nodes = 0;
 };
 
@@ -280,7 +280,7 @@ Result<void> group_elements(Compilation& c) {
     group.stride = static_cast<std::uint32_t>((order.size() + kSliceRows - 1) / kSliceRows * kSliceRows);
     group.is_constant = key.constant;
     group.point_count = static_cast<std::uint32_t>(elements.shares.size());
-    const auto divided = [](const physics::PointShares& one) { return one.deviatoric != 1 || one.volumetric != 1; };
+    const auto divided = [](const physics::ModuliWeights& one) { return one.deviatoric != 1 || one.volumetric != 1; };
     if (std::any_of(elements.shares.begin(), elements.shares.end(), divided)) group.shares = elements.shares;
     group.prony = memories[key.memory];
     const auto components = [&](const auto& items) { return items.size() / group.element_count; };

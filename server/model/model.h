@@ -30,11 +30,11 @@ struct ElementGroup {
   int shape = 0;  ///< index into physics::Shapes
   int law = 0;    ///< index into physics::Laws
   std::uint32_t element_count = 0;
-  std::uint32_t stride = 0;                  ///< places: a multiple of kSliceRows, at least element_count
-  bool is_constant = false;                  ///< the tensors are in Model::constant_edges
-  std::uint32_t point_count = 0;             ///< quadrature points of an element
-  std::vector<physics::PointShares> shares;  ///< [point_count]; empty: each integrates all moduli
-  std::vector<physics::PronyTerm> prony;     ///< empty: no memory
+  std::uint32_t stride = 0;                    ///< places: a multiple of kSliceRows, at least element_count
+  bool is_constant = false;                    ///< the tensors are in Model::constant_edges
+  std::uint32_t point_count = 0;               ///< quadrature points of an element
+  std::vector<physics::ModuliWeights> shares;  ///< [point_count]; empty: each integrates all moduli
+  std::vector<physics::PronyTerm> prony;       ///< empty: no memory
   /// [place] index in the scene's mesh; mesh::kNone where an element is computed once more for another patch, and in
   /// padding. May end before the padding does.
   std::vector<std::uint32_t> elements;

@@ -2,13 +2,31 @@
 
 #include "core/scalar.h"
 
-/// Eigenvalues and singular values of 3×3 matrices, without a branch: for numbers and packs, host and device.
+/// Eigenvalues and singular values of 3×3 matrices.
 ///
-/// Both are Jacobi's method, whose rotations keep U and V orthogonal whatever the matrix is. Deformation gradients are
-/// of the order of one: what is below 1e-9 may be taken for zero, and what is above 1e9 overflows in float.
+/// Why our own: these run for every quadrature point in every step, for numbers and for packs, on host and device. A
+/// pack's lanes and a warp's threads hold different matrices, so the code has no branch on values and a fixed number of
+/// sweeps. Library routines iterate until convergence.
+///
+/// Both use Jacobi's method. It builds U and V from rotations, so they are orthogonal for any input, also for a
+/// singular F.
+///
+///   F ──three plane rotations a sweep, kSweeps times──► B = F V, orthogonal columns
+///     ──order columns by length──► |b_0| ≥ |b_1| ≥ |b_2|
+///     ──complete to a rotation──► U, and σ = (|b_0|, |b_1|, u_2·b_2)
+///
+///   F         deformation gradient, no unit
+///   U, V      rotations, det = +1
+///   σ         principal stretches, σ0 ≥ σ1 ≥ |σ2|; σ2 has the sign of det F
+///   B         F V; its columns b_i end as σ_i u_i
+///   I, J      the two columns that a plane rotation mixes
+///
+/// Range: the entries of a deformation gradient are of order one. Values below 1e-9 may be treated as zero; values
+/// above 1e9 overflow in float.
 namespace tensormass::physics {
 
-/// No eigenvalue of the symmetric matrix is below (Gershgorin).
+/// Returns a lower bound of the eigenvalues of a symmetric matrix (Gershgorin). It is the smallest, over rows, of the
+/// diagonal entry minus the absolute values of the other entries.
 template <class T>
 TM_HOST_DEVICE T gershgorin_lower_bound(const Mat3<T>& s) {
   const T xy = absolute(s(0, 1)), yz = absolute(s(1, 2)), zx = absolute(s(2, 0));
@@ -17,10 +35,11 @@ TM_HOST_DEVICE T gershgorin_lower_bound(const Mat3<T>& s) {
 
 namespace detail {
 
-/// Cyclic sweeps until what is off the diagonal is rounding, also in double: seen over random, nearly singular, nearly
-/// equal and integer matrices (tests/physics/decomposition_test.cpp); convergence is quadratic.
+/// Number of cyclic sweeps after which the off-diagonal entries are at rounding level, in double too. Found by trying
+/// random, nearly singular, nearly equal and integer matrices (tests/physics/decomposition_test.cpp). Convergence is
+/// quadratic.
 inline constexpr int kSweeps = 4;
-/// What is smaller than this is not divided by. Its square is still a float.
+/// Divisors are clamped to at least this value. Its square is still a float.
 inline constexpr double kTiny = 1e-18;
 
 template <class T>
@@ -28,7 +47,8 @@ struct PlaneRotation {
   T cosine, sine;
 };
 
-/// The rotation by 45° at most that makes the symmetric [α γ; γ β] diagonal; exactly none where γ is zero.
+/// Returns the rotation by at most 45° that diagonalizes the symmetric [α γ; γ β]. It is exactly the identity if γ is
+/// zero.
 template <class T>
 TM_HOST_DEVICE PlaneRotation<T> diagonalizing(T alpha, T beta, T gamma) {
   const T difference = alpha - beta, twice = gamma + gamma;
@@ -40,7 +60,8 @@ TM_HOST_DEVICE PlaneRotation<T> diagonalizing(T alpha, T beta, T gamma) {
   return {x / norm, y / norm};
 }
 
-/// Columns I and J become c m_I + s m_J and c m_J − s m_I. Indices known to the compiler keep matrices in registers.
+/// Replaces columns I and J of m by c m_I + s m_J and c m_J − s m_I. The indices are template parameters, so that
+/// matrices stay in registers.
 template <int I, int J, class T>
 TM_HOST_DEVICE void rotate_columns(Mat3<T>& m, const PlaneRotation<T>& r) {
   for (int row = 0; row < 3; ++row) {
@@ -50,7 +71,7 @@ TM_HOST_DEVICE void rotate_columns(Mat3<T>& m, const PlaneRotation<T>& r) {
   }
 }
 
-/// Makes columns I and J of B orthogonal, by a rotation that V takes part in.
+/// Makes columns I and J of B orthogonal by a rotation, and applies the same rotation to V.
 template <int I, int J, class T>
 TM_HOST_DEVICE void orthogonalize_columns(Mat3<T>& b, Mat3<T>& v) {
   const PlaneRotation<T> r =
@@ -59,7 +80,7 @@ TM_HOST_DEVICE void orthogonalize_columns(Mat3<T>& b, Mat3<T>& v) {
   rotate_columns<I, J>(v, r);
 }
 
-/// Makes a_IJ of the symmetric A zero, by a rotation that V takes part in.
+/// Makes entry IJ of the symmetric A zero by a rotation, and applies the same rotation to V.
 template <int I, int J, class T>
 TM_HOST_DEVICE void diagonalize_plane(Mat3<T>& a, Mat3<T>& v) {
   constexpr int kOther = 3 - I - J;
@@ -74,8 +95,8 @@ TM_HOST_DEVICE void diagonalize_plane(Mat3<T>& a, Mat3<T>& v) {
   rotate_columns<I, J>(v, r);
 }
 
-/// Where key_I < key_J: exchanges them and turns columns I and J of both by a right angle, which exchanges the columns
-/// and keeps the determinants.
+/// If key_I < key_J, exchanges them and rotates columns I and J of both matrices by 90°. That exchanges the columns,
+/// one with its sign changed, and keeps the determinants.
 template <int I, int J, class T>
 TM_HOST_DEVICE void order_columns(Mat3<T>& b, Mat3<T>& v, Vec3<T>& key) {
   const T ki = key[I], kj = key[J];
@@ -89,22 +110,24 @@ TM_HOST_DEVICE void order_columns(Mat3<T>& b, Mat3<T>& v, Vec3<T>& key) {
 
 }  // namespace detail
 
-/// F = U diag(σ) Vᵀ.
+/// The decomposition F = U diag(σ) Vᵀ.
 template <class T>
 struct SignedSingularValues {
-  Mat3<T> u, v;  // rotations
+  Mat3<T> u, v;  // rotations: det = +1
   Vec3<T> sigma;
 
   TM_HOST_DEVICE Mat3<T> product() const { return u * sigma.asDiagonal() * v.transpose(); }
 };
 
-/// With rotations U and V and σ0 ≥ σ1 ≥ |σ2|: the smallest carries the sign of det F, so that an inverted element is
-/// one whose smallest stretch went through zero (Irving, Teran, Fedkiw 2004). Of a singular F any such U will do.
+/// Decomposes F into rotations U, V and principal stretches σ0 ≥ σ1 ≥ |σ2|.
+///
+/// σ2 has the sign of det F: an element counts as inverted along its smallest stretch (Irving, Teran, Fedkiw 2004). U
+/// is not unique if F is singular; any valid one is returned.
 template <class T>
 TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) {
   SignedSingularValues<T> out;
-  // One-sided Jacobi (Hestenes 1958): rotates F's columns until they are orthogonal, B = F V. It never forms FᵀF, which
-  // would lose half of the digits of a small σ.
+  // One-sided Jacobi (Hestenes 1958) rotates the columns of F until they are orthogonal: B = F V. It never forms FᵀF,
+  // which would lose half of the digits of a small σ.
   Mat3<T> b = f;
   out.v = Mat3<T>::Identity();
   for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
@@ -117,18 +140,19 @@ TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) 
   detail::order_columns<0, 2>(b, out.v, key);
   detail::order_columns<1, 2>(b, out.v, key);
 
-  // U by what B's columns are, largest first, and orthogonal also where they are zero. The first, or x:
+  // Columns of U, from those of B with the largest first; orthogonal even where a column of B is zero. u_0 is the
+  // direction of b_0, or x if b_0 is zero.
   const T tiny = T(detail::kTiny * 1e3);
   const T first = square_root(key[0]);
   const Vec3<T> x = b.col(0) / maximum(first, tiny);
   const Vec3<T> u(select_greater(first, tiny, x[0], T(1)), select_greater(first, tiny, x[1], T(0)),
                   select_greater(first, tiny, x[2], T(0)));
-  // two that complete it (Duff et al. 2017),
+  // s and t complete u_0 to a basis (Duff et al. 2017).
   const T sign = select_greater(T(0), u[2], T(-1), T(1));
   const T q = T(-1) / (sign + u[2]), xy = u[0] * u[1] * q;
   const Vec3<T> s(T(1) + sign * u[0] * u[0] * q, sign * xy, -sign * u[0]);
   const Vec3<T> t(xy, sign + u[1] * u[1] * q, -u[1]);
-  // turned about it to the second.
+  // Rotates s and t about u_0 so that the first of them points along b_1.
   const T along_s = s.dot(b.col(1)), along_t = t.dot(b.col(1));
   const T second = square_root(T(along_s * along_s + along_t * along_t));
   const T cosine = select_greater(second, tiny, T(along_s / maximum(second, tiny)), T(1));
@@ -140,7 +164,8 @@ TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) 
   return out;
 }
 
-/// The symmetric matrix with its negative eigenvalues set to zero; the same to the last bit if there are none.
+/// Returns the symmetric matrix with its negative eigenvalues set to zero. The result equals the input bitwise if there
+/// are none.
 template <class T>
 TM_HOST_DEVICE Mat3<T> without_negative_eigenvalues(const Mat3<T>& symmetric) {
   Mat3<T> a = symmetric, v = Mat3<T>::Identity();

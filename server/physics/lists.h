@@ -19,17 +19,19 @@
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
 
-/// The shapes and the laws that exist. One line here generates dispatch, instantiation on every backend and the tests
-/// that every shape and law must pass; the protocol's `Law.kind` names the law.
+/// The lists of all shapes and all laws. One line here generates dispatch, instantiation on every backend and the tests
+/// that every shape and law must pass. A law's kName is its name in the protocol's `Law.kind`.
 namespace tensormass::physics {
 
+/// A list of types.
 template <class... Types>
 struct TypeList {
   static constexpr int kCount = sizeof...(Types);
 };
 
-/// In the order of mesh::Shape.
+/// All shapes, in the order of mesh::Shape.
 using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, QuadraticTetrahedron>;
+/// All laws. Their indices are internal; the protocol uses names.
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;
 
@@ -47,19 +49,21 @@ static_assert(detail::are_laws(Laws{}));
 template <int Index>
 using LawAt = std::tuple_element_t<Index, decltype(detail::as_tuple(Laws{}))>;
 
-/// A type as a value.
+/// A type as a value, to pass it to a generic lambda.
 template <class T>
 struct TypeTag {
   using Type = T;
 };
-/// Calls visit(TypeTag<T>{}, index) for each type in order.
+/// Visits each type of a list in order.
+///
+///   visit(TypeTag<T>{}, index)   is called once for each type T
 template <class... Types, class Visit>
 constexpr void for_each_type(TypeList<Types...>, Visit&& visit) {
   int index = 0;
   (visit(TypeTag<Types>{}, index++), ...);
 }
 
-/// Where a type stands in a list.
+/// Returns the index of a type in a list; −1 if it is not in the list.
 template <class T, class... Types>
 constexpr int index_of(TypeList<Types...>) {
   int index = 0;
@@ -67,15 +71,17 @@ constexpr int index_of(TypeList<Types...>) {
   return found ? index : -1;
 }
 
-/// kDecomposes of the law at an index of the list.
+/// Returns kDecomposes of the law at an index of the list; false for any other index.
 inline bool decomposes(int law) {
   bool out = false;
   for_each_type(Laws{}, [&](auto tag, int index) { out |= index == law && kDecomposes<typename decltype(tag)::Type>; });
   return out;
 }
 
-/// Calls visit(shape tag, law tag) for the pair at these indices of the lists. The indices are checked when a scene
-/// is compiled.
+/// Visits the pair of types at these indices of the lists. Indices out of range visit nothing; they are checked when a
+/// scene is compiled.
+///
+///   visit(TypeTag<Shape>{}, TypeTag<Law>{})   is called once
 template <class Visit>
 void with_shape_and_law(int shape, int law, Visit&& visit) {
   for_each_type(Shapes{}, [&](auto shape_tag, int shape_index) {

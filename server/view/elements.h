@@ -28,14 +28,14 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, st
 /// Reals of a stored decomposition F = U Σ Vᵀ: two columns of U and of V, Σ, and padding to a multiple of four.
 inline constexpr std::uint32_t kDecompositionReals = 16;
 
-/// Selective reduced integration weights of a quadrature point (physics::PointShares).
+/// Selective reduced integration weights of a quadrature point (physics::ModuliWeights).
 template <class Real>
-struct PointShares {
+struct ModuliWeights {
   Real deviatoric;
   Real volumetric;
 
-  PointShares() = default;
-  explicit PointShares(const physics::PointShares& s)
+  ModuliWeights() = default;
+  explicit ModuliWeights(const physics::ModuliWeights& s)
       : deviatoric(static_cast<Real>(s.deviatoric)), volumetric(static_cast<Real>(s.volumetric)) {}
 };
 
@@ -62,13 +62,13 @@ struct alignas(16) ListedSlice {
 
 template <class Real>
 struct ElementView {
-  std::uint32_t count;                      // a multiple of kSliceRows
-  std::uint32_t point_count;                // quadrature points of an element
-  std::uint32_t report_begin;               // first of its patches in per-group reports (GuardView)
-  const std::uint32_t* rows;                // [shape nodes][count]
-  const Real* rest;                         // [quadrature points][physics::kRestReals][count]; nullptr: in records
-  const Real* parameters;                   // [law parameters][count]; nullptr: in records
-  const PointShares<Real>* moduli_weights;  // [quadrature points]; nullptr: each point integrates all moduli
+  std::uint32_t count;                        // a multiple of kSliceRows
+  std::uint32_t point_count;                  // quadrature points of an element
+  std::uint32_t report_begin;                 // first of its patches in per-group reports (GuardView)
+  const std::uint32_t* rows;                  // [shape nodes][count]
+  const Real* rest;                           // [quadrature points][physics::kRestReals][count]; nullptr: in records
+  const Real* parameters;                     // [law parameters][count]; nullptr: in records
+  const ModuliWeights<Real>* moduli_weights;  // [quadrature points]; nullptr: each point integrates all moduli
 
   // Viscoelastic internal variables Γ_i of each Prony term [Pa].
   std::uint32_t prony_count;

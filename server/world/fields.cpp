@@ -41,7 +41,7 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     rows[k] = group.rows[k * group.stride + e];
     u[k] = view::load3<double>(displacement.data(), rows[k]);
   }
-  physics::PointShares volume{0, 0};
+  physics::ModuliWeights volume{0, 0};
   Mat3<double> cauchy = Mat3<double>::Zero();
   double det_f = std::numeric_limits<double>::infinity(), energy = 0;
   for (std::uint32_t q = 0; q < group.point_count; ++q) {
@@ -50,8 +50,8 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     });
     std::array<double, Law::kParameterCount> parameters;
     for (std::size_t c = 0; c < parameters.size(); ++c) parameters[c] = at(group.parameters, c);
-    const physics::PointShares shares = group.shares.empty() ? physics::PointShares{} : group.shares[q];
-    if (!group.shares.empty()) Law::take_shares(parameters.data(), shares.deviatoric, shares.volumetric);
+    const physics::ModuliWeights shares = group.shares.empty() ? physics::ModuliWeights{} : group.shares[q];
+    if (!group.shares.empty()) Law::scale_moduli(parameters.data(), shares.deviatoric, shares.volumetric);
     const Mat3<double> f = gradients.deformation_gradient(u);
     const auto point = Law::at(f, parameters.data());
     Mat3<double> stress = Law::stress(point);

@@ -9,7 +9,7 @@ namespace {
 
 struct Strided : testing::TestWithParam<std::uint32_t> {};
 
-TEST_P(Strided, UsesEachOnceInOrderWithWhatWasReadOfIt) {
+TEST_P(Strided, UsesEachIndexOnceInOrderWithItsReadValue) {
   for (const std::uint32_t step : {1u, 3u}) {
     std::vector<std::uint32_t> expected, used;
     const std::uint32_t begin = 5, end = begin + GetParam();
@@ -24,7 +24,7 @@ TEST_P(Strided, UsesEachOnceInOrderWithWhatWasReadOfIt) {
   }
 }
 
-TEST_P(Strided, ReadsNothingBeyondTheEndAndSomeAheadOfTheFirstUse) {
+TEST_P(Strided, ReadsABatchBeforeTheFirstUseAndNothingBeyondTheEnd) {
   const std::uint32_t end = GetParam();
   std::uint32_t reads = 0, reads_before_use = 0;
   for_each_strided<4>(

@@ -12,21 +12,22 @@
 #include "support/scenes.h"
 #include "world/world.h"
 
-/// What CUDA computes is what the CPU computes. The numbers of patches differ, so sums are ordered differently and
-/// compilers contract differently: the two agree to rounding, amplified by 100 steps, and not bitwise.
+/// CUDA and the CPU compute the same. They agree to rounding, amplified by 100 steps, but not bitwise: patch counts
+/// differ, so sums have another order, and compilers fuse other operations.
 namespace tensormass {
 namespace {
 
 struct Trajectory {
   std::vector<double> positions;
-  std::vector<Vec3<double>> forces;  // of each step
-  double min_det_f = 1;              // of the last step
+  std::vector<Vec3<double>> forces;  // [step] force on the tool [N]
+  double min_det_f = 1;              // StepResult::min_det_f of the last step
   std::uint32_t patches = 0, largest_patch = 0;
   matrix::Storage storage = matrix::Storage::kRows;
   bool solve_checks_volume = false;
 };
 
-/// policy: in place of the backend's.
+/// Steps a scene and returns where it ends. `press` moves the tool into the block; `policy` replaces the backend's
+/// patch policy.
 Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int steps, bool press,
                const model::PatchPolicy* policy = nullptr) {
   auto model = model::compile(scene, policy != nullptr ? *policy : backend.patch_policy(scene));
@@ -48,7 +49,7 @@ Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int step
   return out;
 }
 
-/// ‖a − b‖ / ‖a − rest‖: relative to what moved.
+/// Returns ‖a − b‖ / ‖a − rest‖: the difference relative to the displacement.
 double relative_difference(const std::vector<double>& a, const std::vector<double>& b,
                            const std::vector<double>& rest) {
   double difference = 0, moved = 0;
@@ -84,7 +85,7 @@ TEST_P(CudaAgreement, BeamAfterAHundredSteps) {
   tests::Beam beam;
   beam.linear = GetParam().linear;
   beam.double_precision = GetParam().double_precision;
-  // The solve runs to rounding, so that what is compared is arithmetic and not where an unfinished iteration stands.
+  // The solve converges to rounding level, so that the comparison sees arithmetic and not an unfinished iteration.
   beam.cg_max_iterations = 400;
   beam.cg_tolerance = beam.double_precision ? 1e-14 : 1e-6;
   const v1::Scene scene = tests::beam_scene(beam);
@@ -96,7 +97,7 @@ TEST_P(CudaAgreement, BeamAfterAHundredSteps) {
   RecordProperty("relative_difference", std::to_string(difference));
   EXPECT_LT(difference, tolerance());
   EXPECT_EQ(cuda.solve_checks_volume, !GetParam().linear && !GetParam().double_precision);
-  const double found = GetParam().linear ? 1 : std::numeric_limits<double>::infinity();  // nothing is inside out
+  const double found = GetParam().linear ? 1 : std::numeric_limits<double>::infinity();  // no element is inverted
   EXPECT_EQ(cpu.min_det_f, found);
   EXPECT_EQ(cuda.min_det_f, found);
 }
@@ -117,10 +118,10 @@ TEST_P(CudaAgreement, ProbePressedIntoABlock) {
   EXPECT_LT((cpu.forces.back() - cuda.forces.back()).norm(), tolerance() * 10 * cpu.forces.back().norm());
 }
 
-/// One node is pushed through its neighbours: what is inside out is seen in whichever patch it is, by a stage or by the
-/// solve, resident or streamed.
-TEST_P(CudaAgreement, WhatIsInsideOutIsSeenWhereverItIs) {
-  if (GetParam().linear) GTEST_SKIP() << "Hooke's law does not ask for it";
+/// Pushes one node through its neighbours. The inverted element must be detected in every patch, by a stage or by the
+/// solve, with a resident or a streamed matrix.
+TEST_P(CudaAgreement, DetectsAnInvertedElementInEveryPatch) {
+  if (GetParam().linear) GTEST_SKIP() << "Hooke's law has no inversion check";
   tests::Beam beam;
   beam.cells_y = beam.cells_z = 8;
   beam.double_precision = GetParam().double_precision;
@@ -168,7 +169,7 @@ TEST_P(CudaAgreement, RepeatsBitwise) {
   EXPECT_TRUE(std::equal(first.forces.begin(), first.forces.end(), second.forces.begin()));
 }
 
-/// The beams of docs/performance.md, which have the whole device.
+/// The beams of docs/performance.md, each with the whole device.
 TEST_P(CudaAgreement, LargeBeamsRepeatBitwise) {
   constexpr int kSteps = 3;
   for (const v1::Shape shape : {v1::SHAPE_TETRAHEDRON, v1::SHAPE_HEXAHEDRON}) {
@@ -179,14 +180,14 @@ TEST_P(CudaAgreement, LargeBeamsRepeatBitwise) {
                                          .double_precision = GetParam().double_precision});
     scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
     const Trajectory first = run(*cuda_, scene, kSteps, false), second = run(*cuda_, scene, kSteps, false);
-    EXPECT_EQ(first.patches, cuda_->patch_policy(scene).max_patches) << "else this shows less than it should";
+    EXPECT_EQ(first.patches, cuda_->patch_policy(scene).max_patches) << "the test needs a scene that uses every patch";
     EXPECT_EQ(first.positions, second.positions) << v1::Shape_Name(shape);
   }
 }
 
-/// Scenes that share the device come to the same bits side by side as one of them alone, and to the same state as a
-/// scene that has the device to itself, whose sums are ordered differently.
-TEST_P(CudaAgreement, ScenesSideBySideDoNotNoticeEachOther) {
+/// Concurrent scenes on one device give the same bits as one of them alone. A scene with the whole device gives the
+/// same state to rounding, because its sums have another order.
+TEST_P(CudaAgreement, ConcurrentScenesDoNotAffectEachOther) {
   constexpr int kScenes = 6, kSteps = 50;
   auto shared = backend::make_cuda_backend(100);
   ASSERT_TRUE(shared) << shared.error().message;
@@ -205,8 +206,9 @@ TEST_P(CudaAgreement, ScenesSideBySideDoNotNoticeEachOther) {
   for (const Trajectory& one : together) EXPECT_EQ(one.positions, alone.positions);
 }
 
-/// Patches of more rows than a thread block has threads: tiles stream the matrix, and blocks serve two rows
-/// (tensor/tiles.h). All vectors near; q of a tile at a time; no room for most vectors; columns of more than 16 bits.
+/// Patches with more rows than a thread block has threads: tiles stream the matrix, and blocks serve two rows
+/// (matrix/tiles.h). The sizes cover all vectors in shared memory, q one tile at a time, no room for most vectors, and
+/// columns of more than 16 bits.
 TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
   struct Size {
     std::uint32_t cells_x, cells, patches;
@@ -230,15 +232,16 @@ TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
     const Trajectory rest = run(*cpu_, scene, 0, false), cpu = run(*cpu_, scene, size.steps, false);
     const Trajectory cuda = run(*cuda_, scene, size.steps, false, &policy);
     const Trajectory again = run(*cuda_, scene, size.steps, false, &policy);
-    EXPECT_EQ(cuda.storage, matrix::Storage::kTiles) << "else this shows nothing";
-    EXPECT_EQ(cuda.largest_patch > 1u << 15, size.cells == 32) << "else the columns are of as many bits as another's";
+    EXPECT_EQ(cuda.storage, matrix::Storage::kTiles) << "the test needs a streamed matrix";
+    EXPECT_EQ(cuda.largest_patch > 1u << 15, size.cells == 32)
+        << "only the largest size must need columns of more than 16 bits";
     EXPECT_LT(relative_difference(cpu.positions, cuda.positions, rest.positions), tolerance());
     EXPECT_EQ(cuda.positions, again.positions);
     if (beam.double_precision) continue;
-    // The matrix is read in fewer digits than float has, but no more is lost (tensor/packed_block.h): as much as by the
-    // solve for smaller patches, which keeps all.
+    // The streamed matrix has fewer digits than float (matrix/packed_block.h). The error must still be that of the
+    // solve for smaller patches, which stores full floats.
     const Trajectory resident = run(*cuda_, scene, size.steps, false);
-    EXPECT_EQ(resident.storage, matrix::Storage::kRows) << "else this shows nothing";
+    EXPECT_EQ(resident.storage, matrix::Storage::kRows) << "the comparison needs a resident matrix";
     beam.double_precision = true;
     beam.cg_tolerance = 1e-14;
     const Trajectory exact = run(*cpu_, tests::beam_scene(beam), size.steps, false);
@@ -255,7 +258,7 @@ INSTANTIATE_TEST_SUITE_P(Laws, CudaAgreement,
                                          Parameters{true, true}),
                          [](const auto& one) { return testing::PrintToString(one.param); });
 
-/// The same properties between different numbers of CPU threads, which need no GPU.
+/// The same properties for different numbers of CPU threads; needs no GPU.
 TEST(CpuTeams, AgreeAndRepeat) {
   tests::Beam beam;
   beam.double_precision = true;
@@ -268,7 +271,7 @@ TEST(CpuTeams, AgreeAndRepeat) {
   const Trajectory single = run(*one, scene, 30, false), team = run(*three, scene, 30, false),
                    again = run(*three, scene, 30, false);
   EXPECT_EQ(single.patches, 1u);
-  EXPECT_EQ(team.patches, 3u) << "else this shows nothing";
+  EXPECT_EQ(team.patches, 3u) << "the test needs several patches";
   EXPECT_EQ(team.positions, again.positions);
   EXPECT_LT(relative_difference(single.positions, team.positions, rest.positions), 1e-10);
 }

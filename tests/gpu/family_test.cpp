@@ -9,11 +9,12 @@
 #include "support/laws.h"
 #include "support/scenes.h"
 
-/// CUDA and the CPU run the same functions on every law in every shape: after some steps they stand at the same place.
+/// CUDA and the CPU run the same functions for every law in every shape, so they must reach the same state after some
+/// steps.
 namespace tensormass {
 namespace {
 
-/// A bar of 8 × 2 × 2 cells, clamped at x = 0, that gravity bends and a traction pulls.
+/// A bar of 8 × 2 × 2 cells, fixed at x = 0, bent by gravity and pulled by a traction.
 v1::Scene bar(v1::Shape shape, const std::string& law, bool double_precision) {
   v1::Scene scene = tests::beam_scene({.cells_x = 8,
                                        .cells_y = 2,
@@ -51,7 +52,7 @@ class Agreement : public testing::Test {
     if (!made) GTEST_SKIP() << "no GPU here: " << made.error().message;
     cuda_ = std::move(*made);
   }
-  /// ‖cpu − cuda‖ / ‖cpu − rest‖
+  /// Returns ‖cpu − cuda‖ / ‖cpu − rest‖ after some steps.
   double difference(const v1::Scene& scene, int steps) {
     const auto rest = positions_after(*cpu_, scene, 0), cpu = positions_after(*cpu_, scene, steps),
                cuda = positions_after(*cuda_, scene, steps);
@@ -71,7 +72,7 @@ class Agreement : public testing::Test {
 using Entry = std::tuple<v1::Shape, std::string, bool>;
 class EveryEntry : public Agreement, public testing::WithParamInterface<Entry> {};
 
-TEST_P(EveryEntry, StandsAtTheSamePlace) {
+TEST_P(EveryEntry, ReachesTheSameState) {
   const auto& [shape, law, double_precision] = GetParam();
   const double found = difference(bar(shape, law, double_precision), 20);
   RecordProperty("relative_difference", std::to_string(found));
@@ -90,7 +91,7 @@ INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
 using Features = Agreement;
 
 /// Wedges share their volumetric points in pairs.
-TEST_F(Features, MemoryAndSelectivePoints) {
+TEST_F(Features, ViscoelasticWithSelectivePoints) {
   for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE}) {
     v1::Scene scene = bar(shape, "neo_hookean", true);
     v1::Body& body = *scene.mutable_bodies(0);

@@ -15,7 +15,7 @@ namespace {
 
 Mesh tetrahedron() { return tests::reference_element(Shape::kTetrahedron); }
 
-/// Expects a refusal whose message holds every one of `parts`.
+/// Expects a refusal whose message contains every one of `parts`.
 void expect_refused(const Mesh& mesh, std::initializer_list<std::string_view> parts) {
   const Result<MeshReport> report = admit(mesh, "liver");
   ASSERT_FALSE(report);
@@ -37,7 +37,7 @@ TEST(Admission, ReportsWhatItAdmits) {
 }
 
 TEST(Admission, ReportsTheSmallestDihedralAngleAndItsElement) {
-  // The angle between the faces that meet in an edge is the one between the directions away from it.
+  // The dihedral angle at an edge is the angle between the two directions within the faces, perpendicular to the edge.
   const Mesh mesh = testing::random_mesh(7, 3, 0.8);
   double least = 180.0;
   std::uint32_t where = kNone;
@@ -122,7 +122,7 @@ TEST_P(AdmissionOf, RefusesAMirrorImage) {
   expect_refused(mesh, {"element 0", "'liver'", "inverted", "VTK order"});
 }
 
-TEST_P(AdmissionOf, RefusesAFlatOne) {
+TEST_P(AdmissionOf, RefusesAFlatElement) {
   Mesh mesh = mesh_;
   for (Eigen::Vector3d& node : mesh.nodes) node.z() *= 1e-10;
   expect_refused(mesh, {"element 0", "'liver'", "flat"});
@@ -132,7 +132,7 @@ INSTANTIATE_TEST_SUITE_P(Shapes, AdmissionOf, ::testing::ValuesIn(testing::every
                          [](const auto& shape) { return testing::test_name(shape.param); });
 
 TEST(Admission, RefusesAnElementThatIsFoldedAtACorner) {
-  // One corner of a face is moved past the line between its neighbours: the volume stays positive.
+  // Moves one corner of a face past the line between its neighbours; the volume stays positive.
   Mesh mesh = tests::reference_element(Shape::kPyramid);
   mesh.nodes[1] = {-0.2, 0.2, 0.0};
   expect_refused(mesh, {"element 0", "'liver'", "pyramid is folded over at node 1", "remesh"});
@@ -194,7 +194,7 @@ TEST(Admission, RefusesANodeWithoutElement) {
   expect_refused(mesh, {"node 4", "'liver'", "no element"});
 }
 
-TEST(Admission, RefusesADuplicateInWhateverOrder) {
+TEST(Admission, RefusesADuplicateInAnyNodeOrder) {
   Mesh mesh = testing::unit_grid(2);
   auto& nodes = mesh.blocks[0].nodes;
   const std::vector<std::uint32_t> rotated{nodes[4 * 3 + 1], nodes[4 * 3 + 2], nodes[4 * 3], nodes[4 * 3 + 3]};
@@ -209,7 +209,7 @@ TEST(Admission, NamesEveryKindOfProblemAtOnce) {
   expect_refused(mesh, {"element 0", "inverted", "\n", "node 27", "no element"});
 }
 
-TEST(Admission, WarnsOfSlivers) {
+TEST(Admission, WarnsAboutSlivers) {
   Mesh mesh = tetrahedron();
   mesh.nodes[3] = {0.3, 0.3, 1e-3};
   const MeshReport report = admit(mesh, "liver").value();
@@ -218,7 +218,7 @@ TEST(Admission, WarnsOfSlivers) {
   EXPECT_NE(report.warnings[0].find("in element 0"), std::string::npos);
 }
 
-TEST(Admission, WarnsOfSeparateParts) {
+TEST(Admission, WarnsAboutSeparateParts) {
   Mesh mesh = tetrahedron();
   for (int i = 0; i < 4; ++i) mesh.nodes.push_back(mesh.nodes[i] + Eigen::Vector3d(5.0, 0.0, 0.0));
   mesh.blocks.push_back({Shape::kTetrahedron, {4, 5, 6, 7}});

@@ -24,7 +24,7 @@ void expect_nonconforming(const Mesh& mesh, std::initializer_list<std::string_vi
   EXPECT_NE(message.find("put a pyramid between"), std::string::npos) << message;
 }
 
-/// A hexahedron on [0, 1]³ with the node 8 above its top 4 5 6 7.
+/// Returns a hexahedron on [0, 1]³ with node 8 above its top face 4 5 6 7.
 Mesh hexahedron_and_apex() {
   Mesh mesh = tests::reference_element(Shape::kHexahedron);
   mesh.nodes.push_back({0.5, 0.5, 2.0});
@@ -62,7 +62,7 @@ TEST(Conformity, RefusesQuadrilateralsThatShareThreeCorners) {
   expect_nonconforming(mesh, {"face 4 5 6 7", "face 4 7 8 5"});
 }
 
-/// Two tetrahedra on the triangle 0 1 2, above it a quadratic one.
+/// Returns a quadratic tetrahedron above the triangle 0 1 2, and a node below it that belongs to no element yet.
 Mesh quadratic_and_linear() {
   Mesh mesh = tests::reference_element(Shape::kQuadraticTetrahedron);
   mesh.nodes.push_back({0.2, 0.2, -1.0});
@@ -87,7 +87,7 @@ TEST(Conformity, RefusesQuadraticNeighboursWithMidEdgeNodesOfTheirOwn) {
   Mesh mesh = make_grid({0, 0, 0}, {1, 1, 1}, 1, 1, 1, Shape::kQuadraticTetrahedron).value();
   ASSERT_EQ(refusal(mesh), "");
   mesh.nodes.push_back(
-      mesh.nodes[mesh.blocks[0].nodes[4 + 2]]);  // the middle of 0 2, which is inside of the cell's side
+      mesh.nodes[mesh.blocks[0].nodes[4 + 2]]);  // the middle of 0 2, which lies within the cell's side
   mesh.blocks[0].nodes[4 + 2] = static_cast<std::uint32_t>(mesh.nodes.size() - 1);
   expect_nonconforming(mesh, {"element 0 (quadratic tetrahedron", "same mid-edge nodes"});
 }
@@ -110,8 +110,8 @@ TEST_P(ConformityOfEveryMesh, FindsNothingInRandomMeshes) {
   EXPECT_EQ(refusal(testing::random_mesh(seed_, 3, 0.6, shape_)), "");
 }
 
-TEST_P(ConformityOfEveryMesh, MeetsAFaceInWhateverOrderItsElementsHaveTheirNodes) {
-  // The grid's elements turned about an axis of theirs, each by its own.
+TEST_P(ConformityOfEveryMesh, MatchesFacesInAnyNodeOrder) {
+  // Rotates the local numbering of each of the grid's elements a random number of times.
   Mesh mesh = testing::unit_grid(2, shape_);
   const std::vector<std::uint32_t> turned = testing::turned(shape_);
   auto& nodes = mesh.blocks[0].nodes;

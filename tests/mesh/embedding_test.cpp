@@ -29,8 +29,8 @@ double least_weight(const Embedding& embedding, std::size_t point) {
   return *std::min_element(embedding.weights[point].begin(), embedding.weights[point].end());
 }
 
-/// Distance from a tetrahedron by projection on the convex hull of its corners (active sets of 1 to 4 corners): slow,
-/// and nothing in common with the code under test.
+/// Returns the distance from a tetrahedron: the smallest among projections on the hull of 1 to 4 corners (active sets).
+/// Slow, and it shares nothing with the code under test.
 double brute_distance(const Vector3d& p, const std::array<Vector3d, 4>& corners) {
   double best = std::numeric_limits<double>::infinity();
   for (unsigned set = 1; set < 16; ++set) {
@@ -103,7 +103,7 @@ TEST_P(Embed, FollowsAnAffineMotionExactly) {
 TENSORMASS_EVERY_MESH(Embed);
 
 TEST(EmbedOutside, PrefersTheElementThatExtrapolatesLeast) {
-  // Nearest to a corner of the cube that six elements share, and to an edge that two share.
+  // These points are nearest to a corner of the cube that six elements share, or to an edge that two share.
   const Mesh mesh = testing::unit_grid(1);
   const std::vector<Vector3d> points{{1.1, 1.15, 1.2}, {1.3, 1.2, 1.1}, {1.1, 0.5, 1.2}, {1.2, 0.5, 1.1}};
   const Embedding embedding = embed(mesh, points, "test points").value();
@@ -137,8 +137,8 @@ TEST(EmbedOutside, RefusesAPointFarAway) {
   EXPECT_NE(refused.error().message.find("point 1 of the skin of body 'liver'"), std::string::npos);
 }
 
-TEST(EmbedDistorted, LeavesOutTetrahedraOfTheDecompositionThatAreInverted) {
-  // A valid hexahedron, one of whose tetrahedra has a negative volume.
+TEST(EmbedDistorted, DropsInvertedTetrahedraOfTheDecomposition) {
+  // This hexahedron is valid, but one of its tetrahedra has a negative volume.
   const Mesh reference = tests::reference_element(Shape::kHexahedron);
   Mesh mesh = reference;
   mesh.nodes[4] = {-0.6, 0.6, 0.3};
@@ -150,7 +150,7 @@ TEST(EmbedDistorted, LeavesOutTetrahedraOfTheDecompositionThatAreInverted) {
   ASSERT_TRUE(std::any_of(simplices.begin(), simplices.end(), [&](const Simplex& s) { return volume(s) < -0.2; }));
 
   std::vector<Vector3d> points;
-  for (const Vector3d& r : random_points(1, 500, 0.0, 1.0)) {  // mapped from the cube
+  for (const Vector3d& r : random_points(1, 500, 0.0, 1.0)) {  // mapped from the unit cube
     Vector3d& x = points.emplace_back(Vector3d::Zero());
     for (std::size_t corner = 0; corner < 8; ++corner) {
       const Eigen::Array3d at = reference.nodes[corner].array();

@@ -14,7 +14,7 @@ namespace {
 
 using Eigen::Vector3d;
 
-/// Moves the nodes of a reference element about.
+/// Moves the nodes of a reference element at random.
 Mesh distorted(Shape shape, std::uint32_t seed, double reach) {
   Mesh mesh = tests::reference_element(shape);
   std::mt19937 random(seed);
@@ -27,8 +27,9 @@ ElementGeometry geometry(const Mesh& mesh) {
   return element_geometry(mesh, topology(mesh.blocks[0].shape), mesh.blocks[0].nodes);
 }
 
-/// The usual shape functions on the reference elements of support/meshes.h, here by way of products over corners: none
-/// of it is in the code under test. The pyramid's are rational (Bedrosian) on a base from -1 to 1.
+/// Maps a point r of the reference elements of support/meshes.h to the element. The shape functions are written as
+/// products over corners, so that they share nothing with the code under test. The pyramid's are rational (Bedrosian)
+/// on a base from −1 to 1.
 Vector3d map(const Mesh& mesh, const Vector3d& r) {
   const auto& x = mesh.nodes;
   const double l[4] = {1.0 - r.x() - r.y() - r.z(), r.x(), r.y(), r.z()};
@@ -87,15 +88,15 @@ class Geometry : public testing::EveryMesh {
   const Mesh reference_ = tests::reference_element(shape_);
 };
 
-TEST_P(Geometry, LeastJacobianIsThatOfTheShapeFunctionsAtANode) {
+TEST_P(Geometry, LeastJacobianAgreesWithTheShapeFunctions) {
   for (std::uint32_t variant = 0; variant < 20; ++variant) {
     const Mesh mesh = distorted(shape_, 20 * seed_ + variant, 0.3);
     double least = std::numeric_limits<double>::infinity();
     std::size_t where = 0;
     for (std::size_t node = 0; node < mesh.nodes.size(); ++node) {
-      if (shape_ == Shape::kPyramid && node == 4) continue;  // no single value at the apex
+      if (shape_ == Shape::kPyramid && node == 4) continue;  // the Jacobian has no limit at the apex
       const Vector3d& r = reference_.nodes[node];
-      // Equal to the determinant of the Jacobian up to the factor that makes them equal in the reference element.
+      // The least Jacobian is the determinant times a constant, which the reference element gives.
       const double scale = geometry(reference_).min_jacobian_m3 / jacobian_determinant(reference_, r);
       const double determinant = scale * jacobian_determinant(mesh, r);
       if (determinant >= least - 1e-9) continue;
@@ -109,7 +110,8 @@ TEST_P(Geometry, LeastJacobianIsThatOfTheShapeFunctionsAtANode) {
 }
 
 TEST_P(Geometry, VolumeIsTheIntegralOfTheJacobian) {
-  // The midpoint rule in a cube that is mapped to the reference element; second order, extrapolated (Richardson).
+  // Integrates with the midpoint rule in a cube that is mapped to the reference element. The rule is of second order;
+  // two step widths are extrapolated (Richardson).
   const auto integral = [&](int cells) {
     double sum = 0.0;
     for (int i = 0; i < cells * cells * cells; ++i) {

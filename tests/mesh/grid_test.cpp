@@ -49,7 +49,7 @@ TEST_P(GridOf, CornersAreNumberedAlikeForEveryShape) {
   std::set<std::array<double, 3>> places;
   for (const Eigen::Vector3d& node : mesh_.nodes) places.insert({node.z(), node.y(), node.x()});
   EXPECT_EQ(places.size(), mesh_.nodes.size());
-  // The others follow, x fastest.
+  // The remaining nodes follow, x fastest.
   EXPECT_TRUE(std::is_sorted(
       mesh_.nodes.begin() + static_cast<long>(tetrahedra.nodes.size()), mesh_.nodes.end(),
       [](const auto& a, const auto& b) { return std::tuple(a.z(), a.y(), a.x()) < std::tuple(b.z(), b.y(), b.x()); }));
@@ -68,7 +68,7 @@ TEST_P(GridOf, FacesConformAcrossCells) {
   for (const auto& [key, count] : uses) {
     ASSERT_LE(count, 2);
     if (count == 2) continue;
-    ++outside;  // such a face must lie in a side of the box
+    ++outside;  // a face of one element must lie in a side of the box
     bool in_side = false;
     for (int axis = 0; axis < 3; ++axis) {
       for (const double side : {0.0, mesh_.nodes[2 + 3 * (3 + 4 * 4)][axis]}) {
@@ -99,7 +99,7 @@ TEST_P(GridOf, MidEdgeNodesAreInTheMiddle) {
 INSTANTIATE_TEST_SUITE_P(Shapes, GridOf, ::testing::ValuesIn(testing::every_shape()),
                          [](const auto& shape) { return testing::test_name(shape.param); });
 
-TEST(Grid, RefusesWhatIsNoBox) {
+TEST(Grid, RefusesInvalidBoxes) {
   const Eigen::Vector3d zero = Eigen::Vector3d::Zero(), one = Eigen::Vector3d::Ones();
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto message = [](const Result<Mesh>& mesh) { return mesh ? std::string("accepted") : mesh.error().message; };
@@ -110,7 +110,7 @@ TEST(Grid, RefusesWhatIsNoBox) {
   const Result<Mesh> huge = make_grid(zero, one, 0xFFFFFFFFu, 0xFFFFFFFFu, 0xFFFFFFFFu);
   EXPECT_NE(message(huge).find("kMaxNodes"), std::string::npos);
   EXPECT_EQ(huge.error().code, ErrorCode::kResourceExhausted);
-  // Within the limits as tetrahedra, but not with the nodes in the middles of their edges.
+  // This grid is within the limits as linear tetrahedra, but not with mid-edge nodes.
   const Result<Mesh> fine = make_grid(zero, one, 204, 204, 204, Shape::kQuadraticTetrahedron);
   EXPECT_NE(message(fine).find("68417929 nodes"), std::string::npos) << message(fine);
 }

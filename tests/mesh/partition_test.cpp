@@ -43,7 +43,7 @@ TEST(Partition, MorePatchesThanNodesLeavesSomeEmpty) {
 }
 
 TEST(Partition, PatchesAreCompact) {
-  // A long beam in four patches: cut across its length, each patch a quarter of it.
+  // A long beam in four patches must be cut across its length into quarters.
   const Mesh mesh = make_grid({0, 0, 0}, {8.0, 1.0, 0.8}, 64, 8, 6).value();
   const Partition result = partition(mesh, 4, 32);
   for (std::uint32_t patch = 0; patch < 4; ++patch) {
@@ -56,7 +56,7 @@ TEST(Partition, PatchesAreCompact) {
 }
 
 TEST(Partition, CutsFewEdges) {
-  // 216 nodes a patch of 6 x 6 x 6 in the best case; a random partition cuts 96 % of the edges, slabs about 40 %.
+  // A patch has 216 nodes, at best 6 × 6 × 6. A random partition cuts 96 % of the edges, slabs cut about 40 %.
   const Mesh mesh = testing::unit_grid(17);
   const Partition result = partition(mesh, 27, 32);
   std::vector<std::uint32_t> patch_of(mesh.nodes.size());
@@ -90,7 +90,7 @@ TEST(Partition, LeavesAreFullAndAscending) {
   EXPECT_FALSE(std::is_sorted(order.begin(), order.end()));
 }
 
-TEST(Partition, CutsInHalvesOfWholeLeaves) {
+TEST(Partition, CutsAtAWholeNumberOfLeaves) {
   EXPECT_EQ(bisection_cut(100, 8), 56u);  // 13 leaves: 7 to the left
   EXPECT_EQ(bisection_cut(16, 8), 8u);
   EXPECT_EQ(bisection_cut(9, 8), 8u);
@@ -98,7 +98,7 @@ TEST(Partition, CutsInHalvesOfWholeLeaves) {
   EXPECT_EQ(bisection_cut(0xFFFFFFFFu, 1), 0x80000000u);
 }
 
-TEST(Partition, NoPointsIsNoOrder) { EXPECT_TRUE(bisection_order({}, 4).empty()); }
+TEST(Partition, NoPointsGiveAnEmptyOrder) { EXPECT_TRUE(bisection_order({}, 4).empty()); }
 
 }  // namespace
 }  // namespace tensormass::mesh

@@ -11,7 +11,7 @@
 #include "mesh/grid.h"
 #include "mesh/shapes.h"
 
-/// Meshes with nothing regular about them, for comparison with brute force.
+/// Irregular meshes of every shape, for comparison with brute force.
 namespace tensormass::mesh::testing {
 
 inline std::vector<Shape> every_shape() {
@@ -20,20 +20,23 @@ inline std::vector<Shape> every_shape() {
   return shapes;
 }
 
-/// As GoogleTest wants it in the name of a test.
+/// Returns the shape's name in the form that GoogleTest allows in a test's name.
 inline std::string test_name(Shape shape) {
   std::string name(topology(shape).name);
   std::replace(name.begin(), name.end(), ' ', '_');
   return name;
 }
 
-/// A grid of `cells` cells a side over [0, 1]³ m.
+/// Returns a grid of [0, 1]³ m with `cells` cells along each side.
 inline Mesh unit_grid(std::uint32_t cells, Shape shape = Shape::kTetrahedron) {
   return make_grid(Eigen::Vector3d::Zero(), Eigen::Vector3d::Ones(), cells, cells, cells, shape).value();
 }
 
-/// A grid with moved nodes, about `kept` of its elements, and nodes and elements in random order. Admitted, with holes,
-/// and usually with non-manifold edges and several components. Quadrilaterals are not plane, edges not straight.
+/// Returns an irregular but admissible mesh: a grid with randomly moved nodes, the fraction `kept` of its elements, and
+/// nodes and elements in random order.
+///
+/// It has holes, and usually non-manifold edges and several components. Quadrilaterals are not plane, quadratic edges
+/// not straight.
 inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept, Shape shape = Shape::kTetrahedron) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> uniform(0.0, 1.0);
@@ -55,7 +58,7 @@ inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept, Sh
   }
   std::shuffle(old_nodes.begin(), old_nodes.end(), random);
 
-  const double reach = topology(shape).has_mid_edge_nodes() ? 0.1 : 0.2;  // too little to invert an element
+  const double reach = topology(shape).has_mid_edge_nodes() ? 0.1 : 0.2;  // too small to invert an element
   Mesh mesh;
   std::vector<std::uint32_t> new_node(grid.nodes.size(), kNone);
   for (const std::uint32_t node : old_nodes) {
@@ -71,7 +74,7 @@ inline Mesh random_mesh(std::uint32_t seed, std::uint32_t cells, double kept, Sh
   return mesh;
 }
 
-/// The nodes of an element of that shape after a turn about an axis of it.
+/// Returns the local node order of an element after a rotation that maps the shape to itself.
 inline std::vector<std::uint32_t> turned(Shape shape) {
   switch (shape) {
     case Shape::kTetrahedron:
@@ -88,7 +91,7 @@ inline std::vector<std::uint32_t> turned(Shape shape) {
   return {};
 }
 
-/// Random meshes of every shape, three of each.
+/// Fixture for tests over three random meshes of every shape.
 class EveryMesh : public ::testing::TestWithParam<std::tuple<Shape, std::uint32_t>> {
  protected:
   const Shape shape_ = std::get<0>(GetParam());

@@ -52,7 +52,7 @@ TEST_P(EveryShape, SimplicesMeetInWholeTriangles) {
   EXPECT_EQ(outside, expected);
 }
 
-TEST_P(EveryShape, FacesCloseAndLookOutward) {
+TEST_P(EveryShape, FacesCloseAndPointOutward) {
   Eigen::Vector3d center = Eigen::Vector3d::Zero();
   for (const Eigen::Vector3d& node : nodes_) center += node / static_cast<double>(nodes_.size());
   std::map<std::pair<int, int>, int> directed;

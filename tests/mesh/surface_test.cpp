@@ -28,7 +28,8 @@ class Boundary : public testing::EveryMesh {
   Vector3d area(const Triangle& t) const {
     return 0.5 * (mesh_.nodes[t[1]] - mesh_.nodes[t[0]]).cross(mesh_.nodes[t[2]] - mesh_.nodes[t[0]]);
   }
-  /// ∫ x·dA / 3 over a quadratic triangle: a polynomial of degree 4 in (r, s), by a product of Gauss rules.
+  /// Returns ∫ x·dA / 3 over a quadratic triangle. The integrand has degree 4 in (r, s); a product of Gauss rules is
+  /// exact.
   double quadratic_cone_m3(const FaceNodes& n) const {
     const double root = std::sqrt(0.6);
     const double points[3][2] = {{0.5 - 0.5 * root, 5.0 / 18.0}, {0.5, 8.0 / 18.0}, {0.5 + 0.5 * root, 5.0 / 18.0}};
@@ -54,7 +55,7 @@ class Boundary : public testing::EveryMesh {
 };
 
 TEST_P(Boundary, IsEveryFaceOfExactlyOneElement) {
-  // Brute force: faces in the order of elements, kept if no other element has the same nodes.
+  // Brute force: keeps a face if no other element has the same nodes.
   using Key = std::set<std::uint32_t>;
   std::map<Key, int> uses;
   std::vector<BoundaryFace> faces;
@@ -78,7 +79,8 @@ TEST_P(Boundary, IsEveryFaceOfExactlyOneElement) {
 }
 
 TEST_P(Boundary, FacesEncloseTheVolumeFromOutside) {
-  // Divergence theorem; negative if the winding were inward. A bilinear face encloses the mean of its triangulations.
+  // Divergence theorem; the result would be negative if faces were wound inward. A bilinear face encloses the mean of
+  // its two triangulations.
   double enclosed_m3 = 0.0;
   for (const BoundaryFace& face : faces_) {
     const auto& n = face.nodes;
@@ -110,7 +112,7 @@ TEST_P(Boundary, TrianglesFollowTheFaces) {
       }
     }
     EXPECT_EQ(used, std::set<std::uint32_t>(n.begin(), n.end()));
-    // The vector area depends on the outline alone.
+    // The vector area depends only on the outline.
     Vector3d outline = Vector3d::Zero();
     const std::vector<std::uint32_t> loop =
         n.count == 6 ? std::vector{n[0], n[3], n[1], n[4], n[2], n[5]} : std::vector(n.begin(), n.end());

@@ -18,7 +18,8 @@ double distance_to_segment(const Point& p, const Point& a, const Point& b) {
   return (p - a - t * (b - a)).norm();
 }
 
-/// By cases that share nothing with the code under test: the plane if the foot is inside, else the nearest edge.
+/// Returns the distance from a triangle by cases that share nothing with the code under test: to the plane if the foot
+/// lies inside, else to the nearest edge.
 double brute_force_distance(const Point& p, const Point (&x)[3]) {
   const Point n = (x[1] - x[0]).cross(x[2] - x[0]).normalized();
   const Point foot = p - n * n.dot(p - x[0]);
@@ -30,7 +31,7 @@ double brute_force_distance(const Point& p, const Point (&x)[3]) {
   return best;
 }
 
-/// Weights that are not zero; a face has three, an edge two, a vertex one.
+/// Returns the number of weights above zero: three on a face, two on an edge, one at a vertex.
 int support(const Vec3<double>& weights) { return static_cast<int>((weights.array() > 0).count()); }
 
 TEST(ClosestPoint, AgreesWithBruteForce) {
@@ -51,17 +52,17 @@ TEST(ClosestPoint, AgreesWithBruteForce) {
     } else if (closest.feature < TriangleFeature::kVertex0) {
       ++edges;
       const int edge = static_cast<int>(closest.feature) - static_cast<int>(TriangleFeature::kEdge01);
-      EXPECT_EQ(closest.weights[(edge + 2) % 3], 0) << "an edge's point has no share of the corner across";
+      EXPECT_EQ(closest.weights[(edge + 2) % 3], 0) << "a point of an edge has no weight at the opposite corner";
       EXPECT_EQ(support(closest.weights), 2);
     } else {
       ++vertices;
       EXPECT_EQ(closest.weights[static_cast<int>(closest.feature) - static_cast<int>(TriangleFeature::kVertex0)], 1);
     }
   }
-  EXPECT_GT(std::min({faces, edges, vertices}), 1000) << "every kind of feature was met";
+  EXPECT_GT(std::min({faces, edges, vertices}), 1000) << "too few points near one kind of feature";
 }
 
-TEST(ClosestPoint, DegenerateTriangleAnswersWithAPointOfIt) {
+TEST(ClosestPoint, DegenerateTriangleReturnsAPointOnIt) {
   const Point a(1, 2, 3);
   const auto same = closest_point_on_triangle<double>(Point(0, 0, 0), a, a, a);
   EXPECT_TRUE(same.weights.allFinite());

@@ -27,7 +27,8 @@ class Decomposition : public ::testing::Test {
     return q.normalized().toRotationMatrix().template cast<Real>();
   }
 
-  /// What deformation gradients can be, and what they should never be.
+  /// Returns likely and unlikely deformation gradients: random, nearly at rest, singular, inverted, with equal
+  /// stretches, tiny and large.
   std::vector<Matrix> matrices() {
     std::vector<Matrix> out;
     std::uniform_real_distribution<double> exponent(-4, 1);
@@ -39,7 +40,7 @@ class Decomposition : public ::testing::Test {
       out.push_back(Matrix::NullaryExpr([&] { return static_cast<Real>(digit(random_)); }));
       const auto size = [&] { return static_cast<Real>(std::pow(10.0, exponent(random_))); };
       out.push_back(rotation() * Vec3<Real>(size(), size(), -size()).asDiagonal() * rotation());
-      // Two equal, and one or two vanishing.
+      // Two equal stretches, and one or two zero stretches.
       const Real twice = size();
       out.push_back(rotation() * Vec3<Real>(twice, size(), twice).asDiagonal() * rotation());
       out.push_back(rotation() * Vec3<Real>(0, size(), size()).asDiagonal() * rotation());
@@ -66,13 +67,13 @@ class Decomposition : public ::testing::Test {
 using Reals = ::testing::Types<float, double>;
 TYPED_TEST_SUITE(Decomposition, Reals);
 
-TYPED_TEST(Decomposition, SingularValuesAreThoseOfTheMatrix) {
+TYPED_TEST(Decomposition, SingularValuesReproduceTheMatrix) {
   using Real = TypeParam;
   const double tolerance = 20 * this->kEpsilon;
   for (const auto& f : this->matrices()) {
     const SignedSingularValues<Real> found = signed_singular_values(f);
     const double scale = f.template cast<double>().norm();
-    const double floor = scale < 1e-8 ? 1e-9 : 0;  // columns that small count as zero
+    const double floor = scale < 1e-8 ? 1e-9 : 0;  // columns this small count as zero
     for (const auto& q : {found.u, found.v}) {
       ASSERT_LT((q * q.transpose() - Mat3<Real>::Identity()).norm(), tolerance) << "F =\n" << f;
       ASSERT_NEAR(q.determinant(), 1, tolerance) << "F =\n" << f;
@@ -93,7 +94,7 @@ TYPED_TEST(Decomposition, SingularValuesAreThoseOfTheMatrix) {
   }
 }
 
-/// What rests has no rounding to start from.
+/// Exact, so that a body at rest has no rounding errors to start from.
 TYPED_TEST(Decomposition, IdentityAndStretchAlongTheAxesAreExact) {
   using Real = TypeParam;
   for (const Vec3<Real>& sigma : {Vec3<Real>(1, 1, 1), Vec3<Real>(1.5, 1.25, 0.7), Vec3<Real>(2, 1, -0.5)}) {
@@ -104,7 +105,7 @@ TYPED_TEST(Decomposition, IdentityAndStretchAlongTheAxesAreExact) {
   }
 }
 
-TYPED_TEST(Decomposition, NegativeEigenvaluesAreRemovedAndNothingElse) {
+TYPED_TEST(Decomposition, OnlyNegativeEigenvaluesAreRemoved) {
   using Real = TypeParam;
   int unchanged = 0;
   for (const auto& f : this->matrices()) {

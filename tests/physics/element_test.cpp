@@ -9,14 +9,14 @@
 #include "physics/laws.h"
 #include "support/meshes.h"
 
-/// What every shape must satisfy, and every law in every shape. The lists of physics/lists.h drive all of it: a new
-/// line there is tested here without a change.
+/// Properties that every shape must have, and every law in every shape. The lists of physics/lists.h drive all tests: a
+/// new entry there is tested here without a change.
 namespace tensormass::physics {
 namespace {
 
 constexpr Quadrature kQuadratures[] = {Quadrature::kFull, Quadrature::kReduced, Quadrature::kSelective};
 
-/// An element 2 cm large whose nodes were moved a little at random, and what tests do with it.
+/// An element of 2 cm whose nodes were moved a little at random.
 template <class Shape>
 struct Element {
   Vec3<double> x[Shape::kNodes];
@@ -25,7 +25,7 @@ struct Element {
     const mesh::Mesh mesh = tests::reference_element(static_cast<mesh::Shape>(index_of<Shape>(Shapes{})));
     std::uniform_real_distribution<double> uniform(-shift, shift);
     for (int k = 0; k < Shape::kNodes; ++k) {
-      const double share = Shape::kNodes == 10 && k >= 4 ? 0.3 : 1;  // the middle of an edge stays near its middle
+      const double share = Shape::kNodes == 10 && k >= 4 ? 0.3 : 1;  // a mid-edge node stays near the middle
       x[k] = 0.02 * (mesh.nodes[static_cast<std::size_t>(k)] +
                      share * Vec3<double>(uniform(random), uniform(random), uniform(random)));
     }
@@ -35,7 +35,7 @@ struct Element {
 template <class Shape>
 using Nodes = Vec3<double>[Shape::kNodes];
 
-/// u_k = F x_k − x_k
+/// Sets the displacements of an affine motion, u_k = F x_k − x_k.
 template <class Shape>
 void affine(const Element<Shape>& element, const Mat3<double>& f, Nodes<Shape>& u) {
   for (int k = 0; k < Shape::kNodes; ++k) u[k] = f * element.x[k] - element.x[k];
@@ -103,7 +103,7 @@ TYPED_TEST(EveryShape, FunctionsAreOneAtTheirNodeAndAddUpToOne) {
   }
 }
 
-/// ∫∇(F x) = F V for any rule: what the patch test needs, also of bent elements.
+/// Checks ∫∇(F x) dV = F V for every rule. The patch test needs it, for distorted elements too.
 TYPED_TEST(EveryShape, GradientsReproduceAffineFieldsAndTheVolume) {
   using Shape = TypeParam;
   const Element<Shape> element(this->random_);
@@ -127,14 +127,14 @@ TYPED_TEST(EveryShape, GradientsReproduceAffineFieldsAndTheVolume) {
       deviatoric += rest.shares[q].deviatoric * point.weight;
       volumetric += rest.shares[q].volumetric * point.weight;
     }
-    // The rules of elements with curved or rational maps are not exact for their volume.
+    // Rules for elements with curved or rational maps are not exact for their volume.
     const double tolerance = Shape::kNodes == 10 || Shape::kNodes == 5 ? 1e-2 : 1e-12;
     EXPECT_NEAR(deviatoric, exact, tolerance * exact);
     EXPECT_NEAR(volumetric, deviatoric, 1e-12 * exact);
   }
 }
 
-TYPED_TEST(EveryShape, MassIsThatOfTheVolumeAndPositive) {
+TYPED_TEST(EveryShape, MassIsPositiveAndAddsUpToTheVolume) {
   using Shape = TypeParam;
   const Element<Shape> element(this->random_);
   const auto consistent = mass_integrals<Shape>(element.x);
@@ -146,7 +146,7 @@ TYPED_TEST(EveryShape, MassIsThatOfTheVolumeAndPositive) {
   }
   EXPECT_NEAR(sum, consistent.sum(), 1e-12 * sum);
   EXPECT_GT(testing::least_eigenvalue(consistent), 0);
-  // Kinetic energy of a linear velocity field against quadrature of the field itself.
+  // Compares the kinetic energy of a linear velocity field with quadrature of the field itself.
   Eigen::Matrix<double, Shape::kNodes, 1> v;
   for (int k = 0; k < Shape::kNodes; ++k) v[k] = element.x[k].dot(Vec3<double>(1, 2, 3));
   double exact = 0;
@@ -162,9 +162,9 @@ TYPED_TEST(EveryShape, MassIsThatOfTheVolumeAndPositive) {
   EXPECT_NEAR(v.dot(consistent * v), exact, 1e-12 * exact);
 }
 
-/// Full quadrature knows every deformation: only the six rigid motions cost no energy. Reduced quadrature of shapes
-/// that bend knows fewer, and that is its price.
-TYPED_TEST(EveryShape, ModesWithoutEnergyAreSixUnlessReduced) {
+/// With full quadrature only the six rigid motions cost no energy. Reduced quadrature of shapes that bend has more such
+/// modes: that is its price.
+TYPED_TEST(EveryShape, OnlyRigidModesCostNoEnergyUnlessReduced) {
   using Shape = TypeParam;
   const Element<Shape> element(this->random_);
   const auto parameters = testing::parameters<Hooke>();
@@ -178,7 +178,8 @@ TYPED_TEST(EveryShape, ModesWithoutEnergyAreSixUnlessReduced) {
     if (quadrature == Quadrature::kReduced && Shape::kNodes > 4) {
       EXPECT_EQ(zeros, 3 * Shape::kNodes - 6);
     } else if (quadrature == Quadrature::kSelective && Shape::kNodes == 10) {
-      // Conformal maps, 2 (c·x) x − |x|² c, change no shape and no mean volume; neighbours do not share them.
+      // Conformal maps, 2 (c·x) x − |x|² c, change neither shape nor mean volume. Neighbouring elements cannot share
+      // such a mode.
       EXPECT_EQ(zeros, 9);
     } else {
       EXPECT_EQ(zeros, 6);
@@ -213,7 +214,9 @@ TEST(Lists, WithShapeAndLawVisitsExactlyThePairNamed) {
 template <class Law>
 class EveryPair : public ::testing::Test {
  protected:
-  /// Calls check(shape tag, element at rest, displacement) for each shape and quadrature.
+  /// Runs a check on a random element of each shape with each quadrature.
+  ///
+  ///   check(shape tag, element, element at rest, displacements)   may change the displacements
   template <class Check>
   void for_each_shape(double scale_m, const Check& check) {
     for_each_type(Shapes{}, [&](auto tag, int) {
@@ -264,7 +267,7 @@ TYPED_TEST(EveryPair, RigidMotionGivesNoForce) {
   using Law = TypeParam;
   Mat3<double> rotation = testing::random_rotation(this->random_);
   if constexpr (Law::kConstantStiffness) {
-    // A linear law knows rotations to first order only: x + ω × x.
+    // A linear law is invariant only under infinitesimal rotations: x + ω × x.
     const Vec3<double> w = 0.1 * rotation.col(0);
     rotation << 1, -w[2], w[1], w[2], 1, -w[0], -w[1], w[0], 1;
   }
@@ -279,7 +282,7 @@ TYPED_TEST(EveryPair, RigidMotionGivesNoForce) {
   });
 }
 
-/// Forces of an element on itself: no net force; no net torque about the deformed shape of an objective law.
+/// The net force of an element on itself is zero. For an objective law, so is the net torque about the deformed shape.
 TYPED_TEST(EveryPair, ForcesBalance) {
   using Law = TypeParam;
   this->for_each_shape(1.5e-3, [&](auto tag, const auto& element, const auto& rest, auto& u) {
@@ -296,7 +299,7 @@ TYPED_TEST(EveryPair, ForcesBalance) {
   });
 }
 
-TYPED_TEST(EveryPair, PositiveStiffnessIsPositiveAndLeavesForcesAsTheyAre) {
+TYPED_TEST(EveryPair, ProjectedStiffnessIsPsdAndForcesAreUnchanged) {
   using Law = TypeParam;
   for (const double pressed : {0.6, 1.0, 1.4}) {
     this->for_each_shape(1.5e-3, [&](auto tag, const auto& element, const auto& rest, auto& u) {
@@ -311,8 +314,8 @@ TYPED_TEST(EveryPair, PositiveStiffnessIsPositiveAndLeavesForcesAsTheyAre) {
   }
 }
 
-/// With a memory H the tensors are those of the energy g W(F) − H:E, E the law's own strain.
-TYPED_TEST(EveryPair, MemoryIsAConstantStressInTheLawsOwnMeasure) {
+/// Viscoelastic internal variables H add the energy −H:E, where E is the law's own strain: the total is g W(F) − H:E.
+TYPED_TEST(EveryPair, InternalVariablesAddAConstantStress) {
   using Law = TypeParam;
   Mat3<double> memory = Mat3<double>::Random();
   memory = (300 * (memory + memory.transpose())).eval();

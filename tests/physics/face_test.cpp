@@ -6,7 +6,7 @@
 namespace tensormass::physics {
 namespace {
 
-/// Faces on the unit square or triangle, bent by `bend`.
+/// Returns a face on the unit square or triangle, bent by `bend`.
 std::vector<Vec3<double>> face(int nodes, double bend = 0) {
   if (nodes == 4) return {{0, 0, 0}, {1, 0, bend}, {1, 1, 0}, {0, 1, bend}};
   std::vector<Vec3<double>> x{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
@@ -29,20 +29,20 @@ TEST_P(EveryFace, PlaneFacesGiveTheirArea) {
   const double exact = GetParam() == 4 ? 1 : 0.5;
   EXPECT_NEAR(area, exact, 1e-14);
   EXPECT_LT((vector - Vec3<double>(0, 0, exact)).norm(), 1e-14);
-  // A linear pressure field's moment about the origin: exact for the shape functions' own order.
+  // The moment of a linear pressure field about the origin is exact, because shape functions reproduce it.
   double first = 0;
   for (int k = 0; k < GetParam(); ++k) first += face_area(x.data(), GetParam(), k) * x[static_cast<std::size_t>(k)][0];
   EXPECT_NEAR(first, GetParam() == 4 ? 0.5 : 1.0 / 6, 1e-14);
 }
 
-/// The vector area of a surface depends on its rim alone.
+/// The vector area of a surface depends only on its rim.
 TEST_P(EveryFace, BentFacesHaveTheVectorAreaOfTheirRim) {
   const auto x = face(GetParam(), 0.3);
   Vec3<double> vector = Vec3<double>::Zero();
   for (int k = 0; k < GetParam(); ++k) vector += face_area_vector(x.data(), GetParam(), k);
   Vec3<double> rim = Vec3<double>::Zero();
   if (GetParam() == 6) {
-    // ½ ∮ x × dx over three parabolas, by Gauss points of each.
+    // The rim gives ½ ∮ x × dx: three parabolas, each integrated at Gauss points.
     for (int e = 0; e < 3; ++e) {
       const Vec3<double>&a = x[static_cast<std::size_t>(e)], &b = x[static_cast<std::size_t>((e + 1) % 3)],
             &m = x[static_cast<std::size_t>(e + 3)];

@@ -20,7 +20,7 @@ TEST(Hertz, TangentIsTheDerivativeOfTheForce) {
   }
 }
 
-TEST(Hertz, NoForceMeansNoStiffness) {
+TEST(Hertz, NoForceGivesNoStiffness) {
   EXPECT_EQ(hertz_tangent_stiffness(0, kModulusPa, kRadiusM), 0);
   EXPECT_EQ(hertz_tangent_stiffness(-1, kModulusPa, kRadiusM), 0);
   EXPECT_EQ(hertz_tangent_stiffness(std::nan(""), kModulusPa, kRadiusM), 0);

@@ -16,14 +16,14 @@
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
 
-/// The laws of physics/lists.h as a typed test, and parameters to test them with.
+/// The laws of physics/lists.h as the parameter of typed tests, and parameters to test them with.
 namespace tensormass::physics::testing {
 
 inline constexpr double kYoungModulusPa = 4e3, kPoissonRatio = 0.4;
 inline constexpr double kOgdenAlpha = -5, kFibreModulusPa = 6e3;
 
-/// What a law stores so that its small strain, without fibres, is Hooke's of these moduli. A law with numbers of its
-/// own needs a specialization here.
+/// Returns a law's parameters such that its small-strain limit, without fibres, is Hooke's law with these moduli. A law
+/// with other parameters needs a specialization here.
 template <class Law>
 std::array<double, Law::kParameterCount> parameters(double young_modulus_pa = kYoungModulusPa,
                                                     double poisson_ratio = kPoissonRatio) {
@@ -49,11 +49,11 @@ inline std::array<double, 6> parameters<TransverselyIsotropic>(double young_modu
 
 template <class Law>
 inline constexpr bool kIsotropic = !std::is_same_v<Law, TransverselyIsotropic>;
-/// Its energy has no value where det F is not positive.
+/// True if the law is undefined where det F is not positive.
 template <class Law>
 inline constexpr bool kNeedsPositiveVolume = std::is_same_v<Law, NeoHookean> || std::is_same_v<Law, MooneyRivlin> ||
                                              std::is_same_v<Law, Ogden> || std::is_same_v<Law, Hencky>;
-/// Finds back from collapse and inversion.
+/// True if the law recovers from collapse and inversion.
 template <class Law>
 inline constexpr bool kRecovers = Law::kInversion == Inversion::kRecovers;
 
@@ -77,14 +77,14 @@ inline Mat3<double> random_rotation(std::mt19937& random) {
   return q.normalized().toRotationMatrix();
 }
 
-/// Principal stretches between the two, in random directions.
+/// Returns a random deformation gradient with principal stretches in [least, most].
 inline Mat3<double> random_deformation(std::mt19937& random, double least, double most) {
   std::uniform_real_distribution<double> stretch(least, most);
   const Vec3<double> stretches(stretch(random), stretch(random), stretch(random));
   return random_rotation(random) * stretches.asDiagonal() * random_rotation(random).transpose();
 }
 
-/// ∂P/∂F, column-major indices of P and F.
+/// Returns ∂P/∂F, with column-major indices of P and F.
 template <class Law, class Point>
 Eigen::Matrix<double, 9, 9> tangent(const Point& point) {
   Eigen::Matrix<double, 9, 9> out;

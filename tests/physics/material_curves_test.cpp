@@ -2,7 +2,7 @@
 
 #include "physics/laws.h"
 
-/// Each law against its own closed forms, and what its header says of collapse and inversion.
+/// Compares each law with its closed forms, and checks what its header says about collapse and inversion.
 namespace tensormass::physics {
 namespace {
 
@@ -16,11 +16,11 @@ Mat3<double> stress(const Mat3<double>& f, const std::array<double, L::kParamete
 }
 
 struct Uniaxial {
-  double contraction;  // stretch across
+  double contraction;  // lateral stretch
   double stress_pa;    // first Piola-Kirchhoff
 };
 
-/// A bar stretched along x whose sides are free: finds the stretch across by bisection.
+/// Stretches a bar along x with free sides. Finds the lateral stretch by bisection.
 template <class L>
 Uniaxial pull(double stretch, const std::array<double, L::kParameterCount>& parameters) {
   double low = 0.2, high = 3;
@@ -41,7 +41,9 @@ double shear_stress(double gamma, const std::array<double, L::kParameterCount>& 
   return stress<L>(f, parameters)(0, 1);
 }
 
-/// Two shears, to be compared over a range of γ.
+/// Compares the shear stress with a closed form over a range of shears γ.
+///
+///   expected(gamma)   returns the shear stress [Pa]
 template <class L, class Expected>
 void expect_shear(const Expected& expected,
                   const std::array<double, L::kParameterCount>& parameters = testing::parameters<L>()) {
@@ -50,7 +52,7 @@ void expect_shear(const Expected& expected,
   }
 }
 
-TEST(Hooke, PullsAndShearsLinearly) {
+TEST(Hooke, IsLinearInTensionAndShear) {
   for (const double stretch : {0.7, 1.2, 1.8}) {
     const Uniaxial found = pull<Hooke>(stretch, testing::parameters<Hooke>());
     EXPECT_NEAR(found.contraction, 1 - kPoisson * (stretch - 1), 1e-12);
@@ -59,7 +61,7 @@ TEST(Hooke, PullsAndShearsLinearly) {
   expect_shear<Hooke>([](double gamma) { return kMu * gamma; });
 }
 
-TEST(StVenantKirchhoff, PullsByGreensStrain) {
+TEST(StVenantKirchhoff, FollowsGreensStrainInTension) {
   for (const double stretch : {0.7, 1.2, 1.5}) {
     const Uniaxial found = pull<StVenantKirchhoff>(stretch, testing::parameters<StVenantKirchhoff>());
     const double twice_strain = stretch * stretch - 1;
@@ -70,7 +72,7 @@ TEST(StVenantKirchhoff, PullsByGreensStrain) {
       [](double gamma) { return kMu * gamma + (kLambda / 2 + kMu) * gamma * gamma * gamma; });
 }
 
-TEST(Corotational, PullsLinearlyAndShearsByItsRotation) {
+TEST(Corotational, IsLinearInTensionAndRotatesInShear) {
   for (const double stretch : {0.5, 1.2, 1.8}) {
     const Uniaxial found = pull<Corotational>(stretch, testing::parameters<Corotational>());
     EXPECT_NEAR(found.contraction, 1 - kPoisson * (stretch - 1), 1e-12);
@@ -82,7 +84,7 @@ TEST(Corotational, PullsLinearlyAndShearsByItsRotation) {
   });
 }
 
-TEST(NeoHookean, PullsByItsLogarithmAndShearsLinearly) {
+TEST(NeoHookean, FollowsItsLogarithmInTensionAndIsLinearInShear) {
   for (const double stretch : {0.3, 0.7, 1.2, 2.5}) {
     const Uniaxial found = pull<NeoHookean>(stretch, testing::parameters<NeoHookean>());
     const double across = found.contraction * found.contraction;
@@ -93,8 +95,8 @@ TEST(NeoHookean, PullsByItsLogarithmAndShearsLinearly) {
   expect_shear<NeoHookean>([](double gamma) { return kMu * gamma; });
 }
 
-/// Against the paper's own form, with α.
-TEST(StableNeoHookean, PullsAndShearsAsPublished) {
+/// Compares with the formula of the paper, which contains α.
+TEST(StableNeoHookean, FollowsThePublishedFormulasInTensionAndShear) {
   const double mu = 4 * kMu / 3, lambda = kLambda + 5 * kMu / 6, alpha = 1 + mu / lambda - mu / (4 * lambda);
   for (const double stretch : {0.3, 0.7, 1.2, 2.5}) {
     const Uniaxial found = pull<StableNeoHookean>(stretch, testing::parameters<StableNeoHookean>());
@@ -106,8 +108,8 @@ TEST(StableNeoHookean, PullsAndShearsAsPublished) {
   expect_shear<StableNeoHookean>([&](double gamma) { return mu * (1 - 1 / (4 + gamma * gamma)) * gamma; });
 }
 
-/// Nearly incompressible, the textbook's forms of the incompressible solid hold.
-TEST(MooneyRivlin, PullsAndShearsAsRivlinFound) {
+/// A nearly incompressible solid follows the textbook formulas of the incompressible one.
+TEST(MooneyRivlin, FollowsRivlinsFormulasInTensionAndShear) {
   const double c10 = 300, c01 = 120;
   const auto parameters = MooneyRivlin::parameters(c10, c01, 1e7 * (c10 + c01));
   for (const double stretch : {0.5, 0.8, 1.5, 3.0}) {
@@ -116,7 +118,7 @@ TEST(MooneyRivlin, PullsAndShearsAsRivlinFound) {
     EXPECT_NEAR(found.contraction, 1 / std::sqrt(stretch), 1e-6);
     EXPECT_NEAR(found.stress_pa, expected, 1e-6 * std::abs(expected));
   }
-  // Simple shear keeps the volume, whatever K.
+  // Simple shear keeps the volume, so K does not matter.
   expect_shear<MooneyRivlin>([&](double gamma) { return 2 * (c10 + c01) * gamma; },
                              MooneyRivlin::parameters(c10, c01, 9e3));
   const double bulk_pa = 9e3, stretch = 1.3;
@@ -125,7 +127,7 @@ TEST(MooneyRivlin, PullsAndShearsAsRivlinFound) {
   EXPECT_NEAR(swollen(0, 0), bulk_pa * (std::pow(stretch, 3) - 1) * stretch * stretch, 1e-10 * bulk_pa);
 }
 
-TEST(Ogden, PullsAndShearsByItsPowers) {
+TEST(Ogden, FollowsItsPowersInTensionAndShear) {
   for (const double alpha : {-9.0, -2.0, 2.0, 7.5}) {
     const double mu = 2 * kMu / alpha;
     const auto stiff = Ogden::parameters(mu, alpha, 1e7 * kMu);
@@ -144,8 +146,8 @@ TEST(Ogden, PullsAndShearsByItsPowers) {
   }
 }
 
-/// With α = 2 Ogden's energy is Mooney-Rivlin's with C01 = 0.
-TEST(Ogden, OfSecondPowerIsMooneyRivlins) {
+/// With α = 2 Ogden's law is Mooney-Rivlin's with C01 = 0.
+TEST(Ogden, IsMooneyRivlinForAlphaTwo) {
   std::mt19937 random(3);
   for (int trial = 0; trial < 50; ++trial) {
     const Mat3<double> f = testing::random_deformation(random, 0.3, 1.8);
@@ -160,11 +162,12 @@ TEST(Ogden, OfSecondPowerIsMooneyRivlins) {
   }
 }
 
-/// Fibres stretched along themselves add Δλ + 2 Δμ to C_11; across, nothing; at an angle by cos⁴.
-TEST(TransverselyIsotropic, FibresPullAlongThemselvesOnly) {
+/// Fibres along the stretch add Δλ + 2 Δμ to C_11; fibres across add nothing; at an angle θ the addition scales with
+/// cos⁴ θ.
+TEST(TransverselyIsotropic, FibresStiffenAlongThemselvesOnly) {
   const double modulus = testing::kFibreModulusPa;
   for (const double angle : {0.0, 0.4, 1.0, M_PI / 2}) {
-    const Vec3<double> along(3 * std::cos(angle), 3 * std::sin(angle), 0);  // of any length
+    const Vec3<double> along(3 * std::cos(angle), 3 * std::sin(angle), 0);  // the length does not matter
     const auto fibres = TransverselyIsotropic::parameters(kYoungPa, kPoisson, modulus, along);
     for (const double stretch : {0.8, 1 + 1e-6, 1.4}) {
       const Mat3<double> f = Vec3<double>(stretch, 1, 1).asDiagonal();
@@ -185,8 +188,9 @@ template <class L>
 class CollapsedMaterial : public ::testing::Test {};
 TYPED_TEST_SUITE(CollapsedMaterial, testing::AllLaws, testing::LawNames);
 
-/// Finite and, to the solver, positive wherever an element may fall; and pushed back out of it.
-TYPED_TEST(CollapsedMaterial, RecoversOrIsNotANumberOrIsFinite) {
+/// For collapsed and inverted F: a law returns either NaN, or finite values with a positive semi-definite projected
+/// stiffness. A law that recovers also pushes back.
+TYPED_TEST(CollapsedMaterial, RecoversOrIsNaNOrIsFinite) {
   using L = TypeParam;
   const auto parameters = testing::parameters<L>();
   Mat3<double> rank_one = Mat3<double>::Zero();
@@ -198,14 +202,14 @@ TYPED_TEST(CollapsedMaterial, RecoversOrIsNotANumberOrIsFinite) {
     auto point = L::at(f, parameters.data());
     const Mat3<double> stress = L::stress(point);
     if constexpr (testing::kNeedsPositiveVolume<L>) {
-      EXPECT_FALSE(stress.allFinite()) << "the guard would not see F =\n" << f;
+      EXPECT_FALSE(stress.allFinite()) << "the guard cannot detect F =\n" << f;
       continue;
     }
     EXPECT_TRUE(std::isfinite(L::energy(point)));
     EXPECT_TRUE(stress.allFinite());
     EXPECT_TRUE(testing::tangent<L>(point).allFinite());
     EXPECT_LT(L::second_piola(point).norm(), 1e3 * kYoungPa) << "F =\n" << f;
-    L::make_positive(point);
+    L::project_to_psd(point);
     const auto positive = testing::tangent<L>(point);
     EXPECT_TRUE(positive.allFinite());
     EXPECT_GE(testing::least_eigenvalue(positive), -1e-12 * positive.norm()) << "F =\n" << f;
@@ -215,14 +219,15 @@ TYPED_TEST(CollapsedMaterial, RecoversOrIsNotANumberOrIsFinite) {
     EXPECT_TRUE(L::stress(L::at(Mat3<float>(f.cast<float>()), narrow)).allFinite());
   }
   if constexpr (testing::kRecovers<L>) {
-    // Beyond −1 another stretch is the smallest, and to a law of stretches that one is inverted.
+    // Below a height of −1 another stretch is the smallest. Laws in principal stretches then count that one as
+    // inverted.
     for (double height = 0.95; height > -1; height -= 0.1) {
       EXPECT_LT(stress<L>(Vec3<double>(1, 1, height).asDiagonal(), parameters)(2, 2), 0) << "at " << height;
     }
   }
 }
 
-/// Every ν that the protocol takes; stable neo-Hookean divides by λ in its published form.
+/// Any ν of the protocol works; the published form of stable neo-Hookean divides by λ.
 TEST(StableNeoHookean, WorksWhereLambdaIsZeroOrNegative) {
   for (const double poisson : {-0.9, -0.3, 0.0}) {
     const auto parameters = testing::parameters<StableNeoHookean>(kYoungPa, poisson);

@@ -6,8 +6,8 @@
 #include "core/pack.h"
 #include "physics/laws.h"
 
-/// What every law must satisfy at a point, whatever the shape. The list is physics/lists.h's own: a new line there is
-/// tested here without a change.
+/// Properties that every law must have at a point, for any shape. The list is that of physics/lists.h: a new entry
+/// there is tested here without a change.
 namespace tensormass::physics {
 namespace {
 
@@ -29,14 +29,14 @@ class EveryMaterial : public ::testing::Test {
   double energy(const Mat3<double>& f) const { return L::energy(at(f)); }
   Mat3<double> stress(const Mat3<double>& f) const { return L::stress(at(f)); }
 
-  /// Mild to severe; inverted too where the law has a value there.
+  /// Returns mild to severe deformations; also inverted ones if the law is defined there.
   std::vector<Mat3<double>> states() {
     std::vector<Mat3<double>> out;
     for (int i = 0; i < 40; ++i) {
       out.push_back(random_deformation(random_, 0.9, 1.1));
       out.push_back(random_deformation(random_, 0.3, 1.8));
       if constexpr (!kNeedsPositiveVolume<L>) {
-        // The smallest is the inverted one, so that no two stretches add up to nothing.
+        // The smallest stretch is the inverted one, so that no two stretches add up to zero.
         out.push_back(random_rotation(random_) * Vec3<double>(1.3, 0.9, -0.02 * i).asDiagonal() *
                       random_rotation(random_).transpose());
       }
@@ -79,24 +79,24 @@ TYPED_TEST(EveryMaterial, StiffnessIsTheDerivativeOfTheStress) {
   }
 }
 
-TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientWhateverTheStiffness) {
+TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientAlsoAfterProjection) {
   const Vec3<double> a(0.3, -1.2, 0.7);
   for (const Mat3<double>& f : this->states()) {
     auto point = this->at(f);
     const Vec3<double> expected = TypeParam::stress(point) * a;
     const double scale = expected.norm() + 1e-3 * kYoungModulusPa;
     EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     EXPECT_LT((TypeParam::traction(point, TypeParam::at_node(point, a)) - expected).norm(), 1e-12 * scale);
   }
 }
 
-TYPED_TEST(EveryMaterial, StiffnessAtTheAxesMakesThatOfEveryGradient) {
+TYPED_TEST(EveryMaterial, StiffnessAtTheAxesGivesThatOfEveryGradient) {
   const Vec3<double> a(0.3, -1.2, 0.7), b(-0.4, 0.9, 1.1);
   for (const Mat3<double>& f : this->states()) {
     auto point = this->at(f);
     for (const bool positive : {false, true}) {
-      if (positive) TypeParam::make_positive(point);
+      if (positive) TypeParam::project_to_psd(point);
       const auto node = TypeParam::at_node(point, a);
       Mat3<double> sum = Mat3<double>::Zero();
       for (int c = 0; c < 3; ++c) sum += TypeParam::stiffness(point, node, TypeParam::at_axis(point, c)) * b[c];
@@ -106,7 +106,7 @@ TYPED_TEST(EveryMaterial, StiffnessAtTheAxesMakesThatOfEveryGradient) {
   }
 }
 
-/// To the last bit, so that what rests keeps resting; also in float.
+/// Exactly zero, in float too, so that a body at rest stays at rest.
 TYPED_TEST(EveryMaterial, RestIsFreeOfStressAndEnergy) {
   const Mat3<double> rest = Mat3<double>::Identity();
   EXPECT_EQ(this->energy(rest), 0);
@@ -120,7 +120,7 @@ TYPED_TEST(EveryMaterial, RestIsFreeOfStressAndEnergy) {
   EXPECT_EQ(TypeParam::stress(point).norm(), 0);
 }
 
-/// Only a law whose stiffness is constant may know left from right: it is linear, and that is its stated limit.
+/// Only a law with constant stiffness may depend on rotation: it is linear, and its header says so.
 TYPED_TEST(EveryMaterial, IsObjectiveUnlessLinear) {
   for (const Mat3<double>& f : this->states()) {
     const Mat3<double> rotation = random_rotation(this->random_), turned = rotation * f;
@@ -136,8 +136,8 @@ TYPED_TEST(EveryMaterial, IsObjectiveUnlessLinear) {
   }
 }
 
-/// Turning what is cut out of an isotropic solid before deforming it changes nothing; fibres notice.
-TYPED_TEST(EveryMaterial, HasNoDirectionUnlessFibres) {
+/// Rotating an isotropic solid before it is deformed changes nothing; with fibres it changes the energy.
+TYPED_TEST(EveryMaterial, IsIsotropicUnlessItHasFibres) {
   for (int trial = 0; trial < 20; ++trial) {
     const Mat3<double> f = random_deformation(this->random_, 0.6, 1.5), rotation = random_rotation(this->random_);
     const Mat3<double> turned =
@@ -163,7 +163,7 @@ TYPED_TEST(EveryMaterial, SmallStrainIsHooke) {
     const Tangent expected = testing::tangent<Hooke>(Hooke::at(rest, linear.data()));
     Tangent difference = testing::tangent<TypeParam>(TypeParam::at(rest, own.data())) - expected;
     if constexpr (!kIsotropic<TypeParam>) {
-      // The fibres' share: modulus a0 ⊗ a0 ⊗ a0 ⊗ a0.
+      // Fibres add modulus a0 ⊗ a0 ⊗ a0 ⊗ a0.
       const Vec3<double> a0 = Vec3<double>(1, 2, -1).normalized();
       const Eigen::Matrix<double, 9, 1> fibre = (a0 * a0.transpose()).reshaped();
       difference -= testing::kFibreModulusPa * fibre * fibre.transpose();
@@ -185,12 +185,12 @@ TYPED_TEST(EveryMaterial, SecondPiolaIsTheStressPulledBack) {
   }
 }
 
-/// Selective integration adds up the two parts, each of which resists one thing only.
-TYPED_TEST(EveryMaterial, SharesAddUp) {
+/// Selective reduced integration adds two parts: one resists change of shape only, the other change of volume only.
+TYPED_TEST(EveryMaterial, DeviatoricAndVolumetricPartsAddUp) {
   auto deviatoric = this->parameters_, volumetric = this->parameters_, scaled = this->parameters_;
-  TypeParam::take_shares(deviatoric.data(), 1.0, 0.0);
-  TypeParam::take_shares(volumetric.data(), 0.0, 1.0);
-  TypeParam::take_shares(scaled.data(), 0.5, 2.0);
+  TypeParam::scale_moduli(deviatoric.data(), 1.0, 0.0);
+  TypeParam::scale_moduli(volumetric.data(), 0.0, 1.0);
+  TypeParam::scale_moduli(scaled.data(), 0.5, 2.0);
   for (const Mat3<double>& f : this->states()) {
     const auto shape = TypeParam::at(f, deviatoric.data()), volume = TypeParam::at(f, volumetric.data());
     const auto mixed = TypeParam::at(f, scaled.data()), whole = this->at(f);
@@ -213,7 +213,7 @@ TYPED_TEST(EveryMaterial, SharesAddUp) {
   }
 }
 
-TYPED_TEST(EveryMaterial, PositiveStiffnessIsPositive) {
+TYPED_TEST(EveryMaterial, ProjectedStiffnessIsPsd) {
   auto states = this->states();
   for (int i = 0; i < 300; ++i) states.push_back(random_deformation(this->random_, 0.1, 1.5));
   int indefinite = 0;
@@ -222,7 +222,7 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessIsPositive) {
     const Tangent consistent = testing::tangent<TypeParam>(point);
     const double energy = TypeParam::energy(point), least = testing::least_eigenvalue(consistent);
     const Mat3<double> stress = TypeParam::stress(point), s = TypeParam::second_piola(point);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     const Tangent positive = testing::tangent<TypeParam>(point);
     EXPECT_GT(testing::least_eigenvalue(positive), -1e-12 * consistent.norm()) << "F =\n" << f;
     EXPECT_EQ(TypeParam::energy(point), energy);
@@ -231,18 +231,18 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessIsPositive) {
     indefinite += least < -1e-6 * consistent.norm();
   }
   if constexpr (!TypeParam::kConstantStiffness) {
-    EXPECT_GT(indefinite, 20) << "states that make the consistent stiffness indefinite were met";
+    EXPECT_GT(indefinite, 20) << "too few states have an indefinite stiffness";
   }
 }
 
-/// To the last bit. In tension for every law; for those by principal stretches wherever it is positive, and where it is
-/// not, only the negative eigenvalues change.
-TYPED_TEST(EveryMaterial, PositiveStiffnessLeavesWhatIsPositive) {
+/// A stiffness that is already positive semi-definite is unchanged bitwise by the projection: in tension for every law.
+/// Laws in principal stretches keep it wherever it is positive; elsewhere only negative eigenvalues change.
+TYPED_TEST(EveryMaterial, ProjectionKeepsAPositiveStiffness) {
   int unchanged = 0;
   for (const Mat3<double>& f : this->states()) {
     auto point = this->at(f);
     const Tangent consistent = testing::tangent<TypeParam>(point);
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     const Tangent positive = testing::tangent<TypeParam>(point);
     if constexpr (requires { point.w.rotation; }) {
       const Eigen::SelfAdjointEigenSolver<Tangent> eigen(consistent);
@@ -262,7 +262,7 @@ TYPED_TEST(EveryMaterial, PositiveStiffnessLeavesWhatIsPositive) {
     auto point = this->at(random_rotation(this->random_) * f);
     const Tangent consistent = testing::tangent<TypeParam>(point);
     if (testing::least_eigenvalue(consistent) < -1e-12 * consistent.norm()) continue;
-    TypeParam::make_positive(point);
+    TypeParam::project_to_psd(point);
     EXPECT_EQ(testing::tangent<TypeParam>(point), consistent) << "F =\n" << f;
     ++unchanged;
   }
@@ -276,8 +276,8 @@ TYPED_TEST(EveryMaterial, FloatAgreesWithDouble) {
     const Mat3<float> rounded = f.template cast<float>();
     auto expected = this->at(rounded.template cast<double>());
     auto actual = TypeParam::at(rounded, parameters);
-    TypeParam::make_positive(expected);
-    TypeParam::make_positive(actual);
+    TypeParam::project_to_psd(expected);
+    TypeParam::project_to_psd(actual);
     const double stiffness = testing::tangent<TypeParam>(expected).norm();
     EXPECT_LT((TypeParam::stress(actual).template cast<double>() - TypeParam::stress(expected)).norm(),
               5e-6 * stiffness)
@@ -321,15 +321,15 @@ void expect_lanes_to_agree(const std::vector<Mat3<double>>& states) {
       }
     }
     auto packed = L::at(f, packed_parameters);
-    L::make_positive(packed);
+    L::project_to_psd(packed);
     const auto actual = all(packed);
     for (int lane = 0; lane < kWidth; ++lane) {
       auto point = L::at(Mat3<Real>(states[first + lane].cast<Real>()), parameters[lane]);
-      L::make_positive(point);
+      L::project_to_psd(point);
       const auto expected = all(point);
       double size = kYoungModulusPa;
       for (const Real value : expected) size = std::max(size, std::abs(static_cast<double>(value)));
-      // Equal but for where the compiler fuses a multiplication with an addition.
+      // Equal except where the compiler fuses a multiplication with an addition.
       for (std::size_t i = 0; i < expected.size(); ++i) {
         EXPECT_NEAR(actual[i].v[lane], expected[i], 300 * epsilon * size) << "value " << i << " of lane " << lane;
       }

@@ -6,8 +6,8 @@
 namespace tensormass::physics {
 namespace {
 
-/// A strain that is put on at once and held: the stress sinks from S⁰ to S⁰ (1 − α), as (1 + Δt/τ)⁻ⁿ in n steps.
-TEST(Prony, ASuddenStrainRelaxesByItsShare) {
+/// After a sudden constant strain the stress relaxes from S⁰ to S⁰ (1 − α), as (1 + Δt/τ)⁻ⁿ in n steps.
+TEST(Prony, StressRelaxesAfterASuddenStrain) {
   const double share = 0.4, time = 0.25, dt = 0.01;
   const PronyStep<double> step = prony_step(share, time, dt);
   double gamma = 0;
@@ -18,7 +18,7 @@ TEST(Prony, ASuddenStrainRelaxesByItsShare) {
   EXPECT_NEAR(gamma, share, 1e-6);
 }
 
-TEST(Prony, StressesComeBackFromSixReals) {
+TEST(Prony, SymmetricStressRoundTripsThroughSixReals) {
   Mat3<double> s = Mat3<double>::Random();
   s = (s + s.transpose()).eval();
   double reals[kSymmetricReals];
@@ -33,7 +33,7 @@ struct Objective {
   static constexpr bool kConstantStiffness = false;
 };
 
-TEST(Prony, GeometricTermIsMinusTheMemoryMadePositiveOnRequest) {
+TEST(Prony, GeometricTermIsMinusHAndProjectedOnRequest) {
   Mat3<double> memory = Mat3<double>::Random();
   memory = (memory + memory.transpose()).eval();
   const Viscous<double> viscous{0.8, memory};

@@ -11,10 +11,10 @@
 #include "model/compile.h"
 #include "world/world.h"
 
-/// Tests that step a scene take the backend as their parameter; a machine without a device skips those, out loud.
+/// Fixture for tests that run on every backend. Tests of a backend whose device is missing are skipped with the reason.
 namespace tensormass::tests {
 
-/// A test whose parameter is a backend's name. CPU scenes take their thread count from the scene.
+/// The parameter is the backend's name, "cpu" or "cuda". The CPU takes its thread count from the scene.
 class OnBackend : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override {
@@ -27,7 +27,8 @@ class OnBackend : public testing::TestWithParam<const char*> {
     backend_ = std::move(*cuda);
   }
 
-  /// The scene as a world on this backend. A scene that is refused ends the test with the refusal.
+  /// Returns the scene as a world on this backend. Throws the refusal of a refused scene, which ends the test with its
+  /// message.
   std::unique_ptr<world::World> start(const v1::Scene& scene) const {
     auto model = model::compile(scene, backend_->patch_policy(scene));
     if (!model) throw std::runtime_error(model.error().message);

@@ -11,17 +11,18 @@
 
 #include "backend/backend.h"
 
-/// A backend whose steps go wrong when a test says so, in the state and in the report alike.
+/// A backend that injects faults into steps, in the state and in the result alike.
 namespace tensormass::tests {
 
 enum class Fault {
-  kNotANumber,   ///< the state is not finite any more
+  kNotANumber,   ///< the state is no longer finite
   kExplosion,    ///< velocities a thousand times too large
   kStall,        ///< the linear solve did not converge
   kDeviceError,  ///< the device throws
 };
 
-/// What goes wrong in the `call`-th solve (from 0) that a world makes for its `step`-th step (from 1).
+/// Returns the fault to inject into the `call`-th solve (from 0) that a world makes for its `step`-th step (from 1), or
+/// nullopt.
 using FaultPlan = std::function<std::optional<Fault>(std::uint64_t step, std::uint64_t call)>;
 
 class FaultyState final : public backend::SceneState {

@@ -1,4 +1,4 @@
-// GCC does not see that a row without elements does not use what it has not read ahead.
+// GCC does not see that a row without elements uses none of the values that it reads ahead.
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
 
 #include "support/host_rows.h"
@@ -9,7 +9,7 @@
 #include "matrix/rows.h"
 #include "physics/lists.h"
 
-// TM_REAL, float or double, comes from the build.
+// The build defines TM_REAL as float or double.
 namespace tensormass::tests {
 
 namespace {

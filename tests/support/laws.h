@@ -7,7 +7,7 @@
 #include "physics/lists.h"
 #include "tensormass/v1/scene.pb.h"
 
-/// Laws by their names, for tests that run over all of them.
+/// Laws by name and all shapes, for tests that run over all of them.
 namespace tensormass::tests {
 
 inline std::vector<std::string> law_names() {
@@ -21,8 +21,8 @@ inline std::vector<v1::Shape> shapes() {
           v1::SHAPE_QUADRATIC_TETRAHEDRON};
 }
 
-/// The law of this name with these moduli at rest (fibres come on top). A law with constants of its own needs a branch
-/// here.
+/// Returns the law of this name with these moduli at rest, plus fibres if it has them. A law with parameters of its own
+/// needs a branch here.
 inline v1::Law law(const std::string& name, double young_modulus_pa, double poisson_ratio) {
   v1::Law out;
   const double shear = young_modulus_pa / (2 * (1 + poisson_ratio));
@@ -44,7 +44,7 @@ inline v1::Law law(const std::string& name, double young_modulus_pa, double pois
     fibres.mutable_fibre_direction()->set_y(0.5);
   } else {
     const auto* field = v1::Law::descriptor()->FindFieldByName(name);
-    if (field == nullptr) throw std::invalid_argument(name + " is no kind of Law in scene.proto");
+    if (field == nullptr) throw std::invalid_argument(name + " is not a kind of Law in scene.proto");
     auto* moduli = dynamic_cast<v1::IsotropicElastic*>(out.GetReflection()->MutableMessage(&out, field));
     if (moduli == nullptr) throw std::invalid_argument(name + " needs a branch in tests/support/laws.h");
     moduli->set_young_modulus_pa(young_modulus_pa);

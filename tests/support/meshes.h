@@ -7,10 +7,10 @@
 
 #include "mesh/shapes.h"
 
-/// Small meshes that tests build in code.
+/// Small meshes built in code.
 namespace tensormass::tests {
 
-/// One element with the natural corners of its shape; straight edges.
+/// Returns one element on its shape's reference corners, with straight edges.
 inline mesh::Mesh reference_element(mesh::Shape shape) {
   mesh::Mesh mesh;
   switch (shape) {
@@ -39,12 +39,14 @@ inline mesh::Mesh reference_element(mesh::Shape shape) {
   return mesh;
 }
 
-/// [0, 2] × [0, 1] × [0, 1.5] m of 4 × 2 × 3 cells, conforming, with every linear shape: hexahedra below in the left
-/// half, wedges below in the right half, and in the top layer cells cut about their centres into pyramids on
-/// quadrilaterals and tetrahedra on the wedges' triangles.
+/// Returns a conforming mesh with every linear shape: [0, 2] × [0, 1] × [0, 1.5] m in 4 × 2 × 3 cells.
 ///
-/// `shift` moves every node inside by up to that fraction of a cell in each direction, so that faces are not plane and
-/// no two elements alike; the surface stays where it is. Up to 0.2 the mesh is admitted.
+///   top layer      pyramids and tetrahedra around each cell's centre; tetrahedra on the triangles of the wedges below
+///   below, left    hexahedra
+///   below, right   wedges
+///
+/// `shift` moves every inner node by up to that fraction of a cell in each direction, so that faces are not plane and
+/// no two elements are alike. The surface does not move. Up to 0.2 the mesh is admissible.
 inline mesh::Mesh mixed_mesh(double shift = 0.1) {
   constexpr std::uint32_t kCells[3] = {4, 2, 3};
   constexpr double kCell = 0.5;  // [m]
@@ -68,7 +70,7 @@ inline mesh::Mesh mixed_mesh(double shift = 0.1) {
   for (std::uint32_t k = 0; k < kCells[2]; ++k) {
     for (std::uint32_t j = 0; j < kCells[1]; ++j) {
       for (std::uint32_t i = 0; i < kCells[0]; ++i) {
-        std::array<std::uint32_t, 8> corners;  // in the order of a hexahedron
+        std::array<std::uint32_t, 8> corners;  // in the node order of a hexahedron
         const mesh::Mesh cell = reference_element(mesh::Shape::kHexahedron);
         for (std::size_t c = 0; c < 8; ++c) {
           const Eigen::Vector3d& at = cell.nodes[c];
@@ -88,13 +90,13 @@ inline mesh::Mesh mixed_mesh(double shift = 0.1) {
           const auto faces = mesh::topology(mesh::Shape::kHexahedron).faces;
           for (std::size_t f = 0; f < faces.size(); ++f) {
             const auto& n = faces[f].nodes;
-            if (f == 0 && !left) {  // the bottom, along the diagonal of the wedges
+            if (f == 0 && !left) {  // the bottom face, cut along the diagonal of the wedges
               add(tetrahedra, corners, {0, 1, 2});
               tetrahedra.push_back(centre);
               add(tetrahedra, corners, {0, 2, 3});
               tetrahedra.push_back(centre);
             } else {
-              add(pyramids, corners, {n[3], n[2], n[1], n[0]});  // seen from the centre
+              add(pyramids, corners, {n[3], n[2], n[1], n[0]});  // the face as seen from the centre
               pyramids.push_back(centre);
             }
           }

@@ -5,7 +5,7 @@
 
 #include "tensormass/v1/scene.pb.h"
 
-/// Scenes that tests and the benchmark build in code.
+/// Scenes built in code, for tests and the benchmark.
 namespace tensormass::tests {
 
 inline void set(v1::Vector3& v, double x, double y, double z) {
@@ -17,7 +17,7 @@ inline void set(v1::Vector3& v, double x, double y, double z) {
 struct Beam {
   std::uint32_t cells_x = 24, cells_y = 4, cells_z = 4;
   double size_x_m = 8, size_y_m = 1, size_z_m = 0.8;
-  bool linear = false;  ///< Hooke, else St-Venant-Kirchhoff
+  bool linear = false;  ///< Hooke's law, else St-Venant-Kirchhoff's
   bool double_precision = false;
   double young_modulus_pa = 1e6;
   double poisson_ratio = 0.4;
@@ -27,7 +27,7 @@ struct Beam {
   double frame_rate_hz = 0;
 };
 
-/// The beam of the field's comparisons: clamped at x = 0, ρ 1000 kg/m³, falling in -y, in lockstep.
+/// Returns the beam that is common in comparisons: fixed at x = 0, density 1000 kg/m³, gravity along −y, lockstep.
 inline v1::Scene beam_scene(const Beam& beam = {}) {
   v1::Scene scene;
   scene.set_name("beam");
@@ -57,7 +57,7 @@ inline v1::Scene beam_scene(const Beam& beam = {}) {
   return scene;
 }
 
-/// Adds a spherical probe called `name`, its centre at `x, y, z`.
+/// Adds a spherical probe with its centre at (x, y, z) [m].
 inline v1::Tool& add_probe(v1::Scene& scene, const std::string& name, double radius_m, double x, double y, double z) {
   v1::Tool& tool = *scene.add_tools();
   tool.set_name(name);
@@ -66,7 +66,8 @@ inline v1::Tool& add_probe(v1::Scene& scene, const std::string& name, double rad
   return tool;
 }
 
-/// A block of soft tissue, 0.1 × 0.05 × 0.1 m, clamped at its bottom (y = 0), with a probe of 10 mm above its top.
+/// Returns a block of soft tissue, 0.1 × 0.05 × 0.1 m, fixed at its bottom (y = 0), with a probe of 10 mm radius above
+/// its top.
 inline v1::Scene block_with_probe(bool double_precision = false, std::uint32_t cells = 10) {
   Beam block;
   block.cells_x = block.cells_z = cells;

@@ -15,7 +15,7 @@
 #include "model/compile.h"
 #include "step/stages.h"
 
-/// A compiled scene whose stages a test runs one by one on CPU teams, with every buffer in reach.
+/// A compiled scene on CPU teams: a test runs its stages one by one and has access to every buffer.
 namespace tensormass::tests {
 
 /// Compiles or throws the refusal, which ends a test with its message. Exactly `patches` patches.
@@ -58,7 +58,7 @@ class StagedScene {
   std::uint32_t row(std::uint32_t node) const { return model.layout.row_of_node[node]; }
   bool is_fixed(std::uint32_t node) const { return model.rest[4 * std::size_t{row(node)} + 3] == 0; }
 
-  /// A field of rows as one vector of the scene's nodes, [3 node_count], and back.
+  /// Converts a field of rows to one vector in node order, [3 node_count], and back.
   Eigen::VectorXd by_node(const Real* rows) const {
     Eigen::VectorXd out(3 * node_count());
     for (std::uint32_t node = 0; node < node_count(); ++node) {
@@ -72,7 +72,8 @@ class StagedScene {
     }
   }
 
-  /// The matrix of the view, by node; of the assembled, unscaled system if `with_diagonal`, else its edges alone.
+  /// Returns the view's matrix in node order: the assembled, unscaled matrix if `with_diagonal`, else only the scaled
+  /// edges.
   Eigen::MatrixXd matrix(bool with_diagonal = true) const {
     Eigen::MatrixXd a = Eigen::MatrixXd::Zero(3 * node_count(), 3 * node_count());
     const auto node_of = [&](const view::Patch& patch, std::uint32_t column) {
@@ -106,7 +107,7 @@ class StagedScene {
     }
     return a;
   }
-  /// Writes a block of the scaled matrix, and by symmetry its transpose.
+  /// Writes a block of the scaled matrix and, by symmetry, its transpose.
   void put_scaled_block(std::uint32_t row_k, std::uint32_t row_l, const Mat3<Real>& block) const {
     model.layout.for_each_place(row_k, row_l, [&](std::uint32_t slot, bool transposed) {
       const Mat3<Real> stored = transposed ? Mat3<Real>(block.transpose()) : block;

@@ -2,25 +2,30 @@
 
 #include "core/scalar.h"
 
-/// Loads on a face: of three nodes (linear), four (bilinear) or six (quadratic: corners, then the middles of the edges
-/// 01 12 20), counter-clockwise seen from outside.
+/// Integrals over an element's face, for tractions and pressures. The face has three nodes (linear), four (bilinear) or
+/// six (quadratic: corners, then the middles of the edges 01 12 20), counter-clockwise seen from outside.
+///
+///   (r, s)      coordinates of the reference face: [0, 1]², or the triangle r, s ≥ 0, r + s ≤ 1
+///   N_k         shape function of node k
+///   x           position; x_r and x_s are its derivatives by r and s
+///   n, da       outward unit normal and area element
 namespace tensormass::physics {
 
 inline constexpr int kMaxFaceNodes = 6;
 
-/// A point of a face's rule with everything that an integral over the face needs.
+/// A quadrature point of a face, with the values that an integral over the face needs.
 template <class T>
 struct FacePoint {
   T weight;
   T n[kMaxFaceNodes];      // shape functions
-  T dn[kMaxFaceNodes][2];  // and their slopes
+  T dn[kMaxFaceNodes][2];  // their derivatives by r and s
 };
 
 namespace detail {
 
 template <class T>
 TM_HOST_DEVICE FacePoint<T> quadrilateral_point(int q) {
-  // 2×2 Gauss on [0, 1]²: exact for N_k (x_r × x_s), whose degree is three in each direction.
+  // 2×2 Gauss on [0, 1]². Exact for N_k (x_r × x_s), whose degree is three in each direction.
   const T near = T(0.21132486540518713), far = T(0.78867513459481287);
   const T r = q % 2 == 0 ? near : far, s = q / 2 == 0 ? near : far;
   return {T(0.25),
@@ -56,14 +61,16 @@ TM_HOST_DEVICE FacePoint<T> triangle_point(int nodes, int q) {
 
 }  // namespace detail
 
+/// Returns the number of quadrature points of a face with 3, 4 or 6 nodes.
 TM_HOST_DEVICE constexpr int face_points(int nodes) { return nodes == 3 ? 1 : nodes == 4 ? 4 : 6; }
 
+/// Returns quadrature point q of a face with 3, 4 or 6 nodes; 0 ≤ q < face_points(nodes).
 template <class T>
 TM_HOST_DEVICE FacePoint<T> face_point(int nodes, int q) {
   return nodes == 4 ? detail::quadrilateral_point<T>(q) : detail::triangle_point<T>(nodes, q);
 }
 
-/// x_r × x_s at a point of the face: normal times density of area.
+/// Returns x_r × x_s at a point of the face: the normal times the area element per unit of reference area [m²].
 template <class T>
 TM_HOST_DEVICE Vec3<T> face_normal(const FacePoint<T>& p, const Vec3<T>* x, int nodes) {
   Vec3<T> r = Vec3<T>::Zero(), s = Vec3<T>::Zero();
@@ -74,7 +81,7 @@ TM_HOST_DEVICE Vec3<T> face_normal(const FacePoint<T>& p, const Vec3<T>* x, int 
   return {r[1] * s[2] - r[2] * s[1], r[2] * s[0] - r[0] * s[2], r[0] * s[1] - r[1] * s[0]};
 }
 
-/// ∫ N_corner n da [m²] over the face at positions x: a pressure p puts −p times it on the node.
+/// Returns ∫ N_corner n da [m²] over the face at positions x. A pressure p loads the node with −p times this vector.
 template <class T>
 TM_HOST_DEVICE Vec3<T> face_area_vector(const Vec3<T>* x, int nodes, int corner) {
   Vec3<T> sum = Vec3<T>::Zero();
@@ -85,7 +92,7 @@ TM_HOST_DEVICE Vec3<T> face_area_vector(const Vec3<T>* x, int nodes, int corner)
   return sum;
 }
 
-/// ∫ N_corner da [m²]: a traction puts that times itself on the node. Exact for plane faces.
+/// Returns ∫ N_corner da [m²]. A traction loads the node with this area times the traction. Exact for plane faces.
 template <class T>
 TM_HOST_DEVICE T face_area(const Vec3<T>* x, int nodes, int corner) {
   T sum = 0;

@@ -4,7 +4,9 @@
 
 namespace tensormass::physics {
 
-/// Eight nodes, trilinear, on the cube [0, 1]³.
+/// Hexahedron with eight nodes, trilinear, on the cube [0, 1]³.
+///
+/// Nodes in VTK order: base (r₂ = 0) 0 1 2 3, then 4 5 6 7 above it. The static interface is that of LinearTetrahedron.
 struct Hexahedron {
   static constexpr const char* kName = "hexahedron";
   static constexpr int kOrder = 1;

@@ -3,46 +3,63 @@
 #include "core/scalar.h"
 #include "physics/decomposition.h"
 
-/// Visco-elasticity on top of any law: the stress remembers. With S⁰ the law's second Piola-Kirchhoff stress,
+/// Viscoelasticity on top of any law: Prony series. Stress relaxes after a change of strain, in up to kMaxPronyTerms
+/// terms with a relaxation time each.
+///
+///   S⁰         second Piola-Kirchhoff stress of the law alone [Pa]
+///   S          viscoelastic second Piola-Kirchhoff stress [Pa]
+///   α_i, τ_i   relaxing fraction of the stress (no unit) and relaxation time [s] of term i
+///   Γ_i        viscoelastic internal variable of term i, a symmetric stress [Pa]
+///   g, H       instantaneous fraction of the stress within a step (no unit); what the past steps take off it [Pa]
+///
+/// The model (Schwartz et al. 2005; Marchesseau et al. 2010):
 ///
 ///   S = S⁰ − Σ Γ_i,   dΓ_i/dt = (α_i S⁰ − Γ_i) / τ_i
 ///
-/// and implicit Euler over a step, Γ_i ← A_i S⁰ + B_i Γ_i with A_i = α_i Δt / (Δt + τ_i), B_i = τ_i / (Δt + τ_i)
-/// (Schwartz et al. 2005; Marchesseau et al. 2010). Within a step the old Γ_i stand still, so that
+/// Implicit Euler over a step Δt:
+///
+///   Γ_i ← A_i S⁰ + B_i Γ_i,   A_i = α_i Δt / (Δt + τ_i),   B_i = τ_i / (Δt + τ_i)
+///
+/// Within a step the old Γ_i are constant. The stress is therefore
 ///
 ///   S = g S⁰ − H,   g = 1 − Σ A_i,   H = Σ B_i Γ_i
 ///
-/// is the law scaled by g with a constant stress in addition: its tensors are g K and a geometric term of −H.
+/// That is the law scaled by g, with a constant stress −H added. Its stiffness is g K plus a geometric term of −H.
+///
+/// The members `memory` and `instant` are H and g.
 namespace tensormass::physics {
 
-/// Terms of one law; a scene with more is refused.
+/// Largest number of terms of one law; a scene with more is refused.
 inline constexpr int kMaxPronyTerms = 4;
-/// Reals of a symmetric stress in a history: xx yy zz yz xz xy.
+/// Number of reals of a symmetric stress: xx yy zz yz xz xy.
 inline constexpr int kSymmetricReals = 6;
 
-/// A term: α_i, τ_i.
+/// A term: α_i and τ_i.
 struct PronyTerm {
   double share = 0;
   double relaxation_time_s = 0;
   bool operator==(const PronyTerm&) const = default;
 };
 
-/// A_i, B_i of a step.
+/// A_i and B_i of a step.
 template <class Real>
 struct PronyStep {
   Real gain, decay;
 };
+/// Returns A_i and B_i of a term for a step of dt_s.
 template <class Real>
 TM_HOST_DEVICE constexpr PronyStep<Real> prony_step(Real share, Real relaxation_time_s, Real dt_s) {
   return {share * dt_s / (dt_s + relaxation_time_s), relaxation_time_s / (dt_s + relaxation_time_s)};
 }
 
+/// Returns the symmetric matrix with the given six reals.
 template <class T>
 TM_HOST_DEVICE Mat3<T> symmetric(const T (&s)[kSymmetricReals]) {
   Mat3<T> m;
   m << s[0], s[5], s[4], s[5], s[1], s[3], s[4], s[3], s[2];
   return m;
 }
+/// Writes the six reals of a symmetric matrix.
 template <class T>
 TM_HOST_DEVICE void to_symmetric(const Mat3<T>& m, T (&s)[kSymmetricReals]) {
   s[0] = m(0, 0);
@@ -53,26 +70,28 @@ TM_HOST_DEVICE void to_symmetric(const Mat3<T>& m, T (&s)[kSymmetricReals]) {
   s[5] = m(0, 1);
 }
 
-/// What a point's history does to it within a step.
+/// The viscoelastic part of a quadrature point within a step, from its internal variables.
 template <class T>
 struct Viscous {
   T instant;       // g
   Mat3<T> memory;  // H [Pa]
 
-  /// First Piola-Kirchhoff stress from the law's own, `elastic`. A linear law does not tell the two apart.
+  /// Returns the first Piola-Kirchhoff stress g P⁰ − F H from the law's own stress P⁰ (`elastic`). A linear law does
+  /// not distinguish first and second, so it subtracts H.
   template <class Law>
   TM_HOST_DEVICE Mat3<T> stress(const Mat3<T>& deformation_gradient, const Mat3<T>& elastic) const {
     if constexpr (Law::kConstantStiffness) return elastic * instant - memory;
     return elastic * instant - deformation_gradient * memory;
   }
-  /// What the memory takes off P a.
+  /// Returns what the internal variables take off the traction P a: F H a, or H a for a linear law.
   template <class Law>
   TM_HOST_DEVICE Vec3<T> relief(const Mat3<T>& deformation_gradient, const Vec3<T>& a) const {
     const Vec3<T> kept = memory * a;
     if constexpr (Law::kConstantStiffness) return kept;
     return deformation_gradient * kept;
   }
-  /// G of the geometric term (a·G b) I.
+  /// Returns G of the geometric stiffness (a·G b) I: −H, or zero for a linear law. If `positive`, G is projected to
+  /// positive semi-definite by Gershgorin's bound.
   template <class Law>
   TM_HOST_DEVICE Mat3<T> geometric(bool positive) const {
     if (Law::kConstantStiffness) return Mat3<T>::Zero();

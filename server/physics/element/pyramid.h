@@ -4,15 +4,18 @@
 
 namespace tensormass::physics {
 
-/// Five nodes: a quadrilateral 0 1 2 3 and the apex 4. On [−1, 1]² at r₂ = 0 with the apex at (0, 0, 1), where the
-/// rational functions of Bedrosian (1992) conform to linear triangles and to the bilinear base.
+/// Pyramid with five nodes: the base 0 1 2 3 and the apex 4.
+///
+/// The reference shape has the base [−1, 1]² at r₂ = 0 and the apex at (0, 0, 1). The rational shape functions of
+/// Bedrosian (1992) conform to linear triangles and to the bilinear base. The static interface is that of
+/// LinearTetrahedron.
 struct Pyramid {
   static constexpr const char* kName = "pyramid";
   static constexpr int kOrder = 1;
   static constexpr int kNodes = 5;
   static constexpr bool kSinglePoint = false;
 
-  /// The gradients have no limit at the apex; no quadrature point lies there.
+  /// Not valid at the apex, where the gradients have no limit. No quadrature point lies there.
   static void values(const Vec3<double>& r, double (&n)[kNodes]) {
     const double t = 1 - r[2];
     for (int k = 0; k < 4; ++k) {
@@ -30,7 +33,7 @@ struct Pyramid {
     dn[4] = Vec3<double>::Unit(2);
   }
 
-  /// 2×2×2 conical product: Gauss-Legendre over the section, Gauss-Jacobi for the weight t² along the axis.
+  /// 2×2×2 conical product: Gauss-Legendre over the cross-section, Gauss-Jacobi for the weight t² along the axis.
   static QuadratureRule full_rule() {
     const double offset = std::sqrt(8.0 / 45) / 2;
     const double t[2] = {2.0 / 3 - offset, 2.0 / 3 + offset};

@@ -4,7 +4,9 @@
 
 namespace tensormass::physics {
 
-/// Ten nodes: the corners, then the middles of the edges 01 12 02 03 13 23. Bends without locking.
+/// Tetrahedron with ten nodes: the corners, then the middles of the edges 01 12 02 03 13 23. It bends without locking.
+///
+/// The static interface is that of LinearTetrahedron, and so is the reference shape.
 struct QuadraticTetrahedron {
   static constexpr const char* kName = "quadratic_tetrahedron";
   static constexpr int kOrder = 2;
@@ -29,7 +31,7 @@ struct QuadraticTetrahedron {
     }
   }
 
-  /// Four points, exact for polynomials of second degree.
+  /// Four points, exact for polynomials of degree two.
   static QuadratureRule full_rule() {
     const double near = (5 + 3 * std::sqrt(5.0)) / 20, far = (5 - std::sqrt(5.0)) / 20;
     QuadratureRule rule{{Vec3<double>::Constant(far), 1.0 / 24}};

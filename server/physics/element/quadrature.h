@@ -6,18 +6,19 @@
 
 #include "core/scalar.h"
 
-/// Where a shape's integrals are evaluated. Host only: a compiled scene holds gradients and weights, not rules.
+/// Quadrature rules: the points where a shape's integrals are evaluated. Host only: a compiled scene holds gradients
+/// and weights, not rules.
 namespace tensormass::physics {
 
-/// How many points an element's energy is summed over (v1::Quadrature).
+/// How an element's energy is integrated (v1::Quadrature).
 enum class Quadrature : std::uint8_t {
-  kFull,       ///< enough points that no deformation is free of energy
-  kReduced,    ///< one point with the mean gradients: cheapest, and blind to bending modes ("hourglasses")
-  kSelective,  ///< full for the change of shape, one point for the change of volume (Malkus, Hughes 1978; the mean
-               ///< gradients of Flanagan, Belytschko 1981 keep the patch test): does not lock near ν = 0.5
+  kFull,       ///< enough points that every deformation costs energy
+  kReduced,    ///< one point with the mean gradients: cheapest, but bending modes cost no energy ("hourglasses")
+  kSelective,  ///< full for the deviatoric energy, one point for the volumetric (Malkus, Hughes 1978): does not lock
+               ///< near ν = 0.5. Mean gradients (Flanagan, Belytschko 1981) keep the patch test
 };
 
-/// A point of a reference shape; the weights of a rule add up to the reference volume.
+/// A point of a reference shape and its weight. The weights of a rule add up to the reference volume.
 struct QuadraturePoint {
   Vec3<double> at;
   double weight;
@@ -26,15 +27,16 @@ using QuadratureRule = std::vector<QuadraturePoint>;
 
 namespace detail {
 
-/// Gauss-Legendre on [0, 1].
+/// Gauss-Legendre rules on [0, 1]: {point, weight}.
 inline constexpr std::array<std::array<double, 2>, 2> kGauss2{{{0.21132486540518713, 0.5}, {0.78867513459481287, 0.5}}};
 inline constexpr std::array<std::array<double, 2>, 4> kGauss4{{{0.06943184420297371, 0.17392742256872692},
                                                                {0.33000947820757187, 0.32607257743127307},
                                                                {0.66999052179242813, 0.32607257743127307},
                                                                {0.93056815579702629, 0.17392742256872692}}};
 
-/// The product of a rule on [0, 1] with itself, each point (a, b, c) of the cube mapped by `map` to the point and the
-/// density of a shape.
+/// Returns the product of a rule on [0, 1] with itself, mapped from the cube to a shape.
+///
+///   map(a, b, c)   returns the shape's point for a point of the cube, and as weight the density of the map
 template <class Line, class Map>
 QuadratureRule product_rule(const Line& line, Map&& map) {
   QuadratureRule rule;

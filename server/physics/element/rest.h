@@ -7,32 +7,48 @@
 
 #include "physics/element/quadrature.h"
 
-/// An element at rest, evaluated on the host in double precision when a scene is compiled. Positive volume is the
-/// caller's to check.
+/// The rest shape of one element as the element pass needs it: shape gradients and weights of its quadrature points,
+/// and its masses. Evaluated on the host in double precision when a scene is compiled.
+///
+///   N_k, dn_k        shape function of node k, and ∂N_k/∂r
+///   r, x             point of the reference shape; its position at rest [m]
+///   j                Jacobian ∂x/∂r at rest [m]
+///   a_k              shape gradient ∇N_k at rest [1/m]
+///
+/// All functions need an element with a positive Jacobian; the caller checks it (mesh/admission.h).
+///
+/// Selective reduced integration evaluates the deviatoric energy at all points, and the volumetric energy at one more
+/// point with the mean gradients. It is data, not code: each point has weights for the two kinds of moduli.
+///
+///   quadrature     points of a shape with n > 1 points        ModuliWeights {deviatoric, volumetric}
+///   kFull          n points of the full rule                  {1, 1} each
+///   kReduced       1 point with the mean gradients            {1, 1}
+///   kSelective     n points, then 1 with mean gradients       {1, 0} each, then {0, 1}
 namespace tensormass::physics {
 
-/// Of one quadrature point, what the element pass reads: the gradients of nodes 1 to Nodes − 1 (node 0 has minus their
-/// sum) [1/m] and the weight [m³].
+/// Number of reals of a quadrature point: the gradients of nodes 1 to Nodes − 1 [1/m], then the weight [m³]. The
+/// gradient of node 0 is minus the sum of the others, so it is not stored.
 template <class Shape>
 inline constexpr int kRestReals = 3 * (Shape::kNodes - 1) + 1;
 
-/// Of one quadrature point, for all elements of a group: the share of the deviatoric and of the volumetric moduli that
-/// it integrates (see Quadrature::kSelective).
-struct PointShares {
+/// Selective reduced integration weights of a quadrature point: factors of the deviatoric and of the volumetric moduli
+/// there (see Quadrature::kSelective). They are the same for all elements of a group.
+struct ModuliWeights {
   double deviatoric = 1, volumetric = 1;
 };
 
+/// Returns the weights of each quadrature point, in the order of the table above.
 template <class Shape>
-std::vector<PointShares> point_shares(Quadrature quadrature) {
+std::vector<ModuliWeights> moduli_weights(Quadrature quadrature) {
   const std::size_t full = Shape::full_rule().size();
   if (full == 1 || quadrature == Quadrature::kReduced) return {{1, 1}};
-  if (quadrature == Quadrature::kFull) return std::vector<PointShares>(full, {1, 1});
-  std::vector<PointShares> shares(full, {1, 0});
+  if (quadrature == Quadrature::kFull) return std::vector<ModuliWeights>(full, {1, 1});
+  std::vector<ModuliWeights> shares(full, {1, 0});
   shares.push_back({0, 1});
   return shares;
 }
 
-/// Jacobian ∂x/∂r at a point of the reference shape.
+/// Returns the Jacobian ∂x/∂r at a point of the reference shape, from the gradients dn there.
 template <class Shape>
 Mat3<double> jacobian(const Vec3<double> (&x)[Shape::kNodes], const Vec3<double> (&dn)[Shape::kNodes]) {
   Mat3<double> j = Mat3<double>::Zero();
@@ -40,7 +56,8 @@ Mat3<double> jacobian(const Vec3<double> (&x)[Shape::kNodes], const Vec3<double>
   return j;
 }
 
-/// ∂N_k/∂r at the points of the full rule, [point][node][3]: of the reference shape, and so the same for all elements.
+/// Returns ∂N_k/∂r at the points of the full rule, [point][node][3]. They belong to the reference shape, so all
+/// elements share them.
 template <class Shape>
 std::vector<double> reference_gradients() {
   std::vector<double> out;
@@ -52,7 +69,7 @@ std::vector<double> reference_gradients() {
   return out;
 }
 
-/// [point][kRestReals], the points as point_shares counts them.
+/// Returns [point][kRestReals] gradients and weight of each point, in the order of moduli_weights.
 template <class Shape>
 std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double> (&x)[Shape::kNodes],
                                                                Quadrature quadrature) {
@@ -84,7 +101,7 @@ std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double
   return out;
 }
 
-/// ∫ N_k N_l dV [m³], exact for straight-sided elements.
+/// Returns ∫ N_k N_l dV [m³], the mass matrix for a density of one. Exact for straight-sided elements.
 template <class Shape>
 Eigen::Matrix<double, Shape::kNodes, Shape::kNodes> mass_integrals(const Vec3<double> (&x)[Shape::kNodes]) {
   static const QuadratureRule rule = Shape::mass_rule();
@@ -102,8 +119,10 @@ Eigen::Matrix<double, Shape::kNodes, Shape::kNodes> mass_integrals(const Vec3<do
   return out;
 }
 
-/// Volume that each node carries [m³]: row sums where they are positive by nature (first order); for second order,
-/// whose corners would get negative masses, in proportion to the diagonal (Hinton, Rock, Zienkiewicz 1976).
+/// Returns the volume that each node carries [m³], for lumped masses.
+///
+/// First-order shapes take row sums of the mass matrix, which are positive. Second-order shapes would get negative
+/// masses at the corners, so they distribute the volume in proportion to the diagonal (Hinton, Rock, Zienkiewicz 1976).
 template <class Shape>
 std::array<double, Shape::kNodes> lumped_volumes(const Vec3<double> (&x)[Shape::kNodes]) {
   std::array<double, Shape::kNodes> out;

@@ -4,8 +4,10 @@
 
 namespace tensormass::physics {
 
-/// Six nodes: a triangle 0 1 2 and its copy 3 4 5, seen counter-clockwise from the copy. Linear in the triangle
-/// (r₀, r₁), linear along r₂ in [0, 1].
+/// Wedge with six nodes: a triangle 0 1 2 and its copy 3 4 5. Seen from the copy, 0 1 2 runs counter-clockwise.
+///
+/// Shape functions are linear in the triangle (r₀, r₁) and linear along r₂ in [0, 1]. The static interface is that of
+/// LinearTetrahedron.
 struct Wedge {
   static constexpr const char* kName = "wedge";
   static constexpr int kOrder = 1;

@@ -8,20 +8,23 @@
 
 namespace tensormass::physics {
 
-/// W = μ |S − I|² + λ/2 (tr S − 3)² with F = Q S, Q a rotation: Hooke's law of the stretch (Müller, Gross 2004; with
-/// the exact stiffness of Chao, Pinkall, Sanan, Schröder 2010).
+/// Hooke's law for the stretch, W = μ |S − I|² + λ/2 (tr S − 3)², where F = Q S with Q a rotation (Müller, Gross 2004;
+/// exact stiffness by Chao, Pinkall, Sanan, Schröder 2010). S is the stretch here, not a stress. Any ν in (−1, 0.5).
 ///
-/// Exact under rotation; stress is linear in the stretches, so it is soft in strong compression and stays finite in
-/// collapse. Recovers from inversion: S keeps the sign of the smallest stretch. Any ν in (−1, 0.5), though resistance
-/// to change of volume is of first order only. Where two stretches add up to nothing Q is not unique and the stress
-/// jumps; the stiffness against rotation there is bounded.
+/// Exact under rotation. The stress is linear in the stretches, so the law is soft in strong compression and stays
+/// finite in collapse. It recovers from inversion, because S keeps the sign of the smallest stretch. Resistance to
+/// change of volume is of first order only. Where two stretches add up to zero, Q is not unique and the stress jumps;
+/// the stiffness against rotation is bounded there.
 ///
-/// Its D is 2 μ in all planes and its ψ_ij is 2 μ δ_ij + λ, so that of the stiffness in the axes of U (stretch_law.h)
-/// only what rotations add needs these axes. With Q = U Vᵀ, a' = Q a and [a']× the matrix of a' × ..,
+/// Why its own stiffness: with the symbols of stretch_law.h, all D are 2 μ and ψ_ij is 2 μ δ_ij + λ. Only the term for
+/// rotations (R − D) therefore needs the axes of U:
 ///
 ///   K = 2 μ (a'·b') I + λ a' b'ᵀ + [a']× H [b']×ᵀ,   H = Σ_k (R_k − D_k)/2 u_k u_kᵀ
 ///
-/// where u_k are the columns of U, and D_k and R_k are D and R of the plane that u_k is normal to.
+///   Q = U Vᵀ      the rotation of F
+///   a', b'        Q a and Q b: shape gradients of two nodes, rotated with the element
+///   [a']×         the matrix with [a']× x = a' × x
+///   u_k           columns of U; D_k and R_k belong to the plane normal to u_k
 struct Corotational : StretchLaw<Corotational>, LameParameters {
   static constexpr const char* kName = "corotational";
   static constexpr Inversion kInversion = Inversion::kRecovers;
@@ -43,6 +46,7 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
     return w;
   }
 
+  /// A stretch point with the rotation of F and the matrix H.
   template <class T>
   struct Point : StretchPoint<T> {
     Mat3<T> turn;   // Q = U Vᵀ
@@ -88,21 +92,22 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
     const T two_mu = p.w.distortion[0], lambda = p.w.hessian(0, 1);
     Mat3<T> k = (a.turned * lambda) * y.transpose();
     k.diagonal().array() += two_mu * a.turned.dot(y);
-    for (int c = 0; c < 3; ++c) {  // + M [y]×ᵀ
+    for (int c = 0; c < 3; ++c) {  // + M [y]×ᵀ with M = [a']× H
       const int i = (c + 1) % 3, j = (c + 2) % 3;
       k.col(c) += a.twisted.col(j) * y[i] - a.twisted.col(i) * y[j];
     }
     return k;
   }
 
-  /// ψ_ij and D are positive for every ν.
+  /// Clamps R. The rest is positive already: D and the eigenvalues of ψ_ij are, for every ν.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
     for (int i = 0; i < 3; ++i) p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
     p.twist = twist_of(p);
   }
 
  private:
+  /// Smallest sum of two stretches that R divides by; bounds the stiffness where Q is not unique.
   static constexpr double kLeastSum = 0.01;
 
   template <class T>

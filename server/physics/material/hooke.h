@@ -7,15 +7,16 @@ namespace tensormass::physics {
 
 /// Linear elasticity, W = λ/2 (tr ε)² + μ ε:ε with ε = sym(F) − I (Cotin, Delingette, Ayache 2000).
 ///
-/// Valid for small strain and small rotation only: a rotated body sees spurious strain. Its stiffness does not depend
-/// on F, so its tensors are assembled once. All measures of stress are one for small strain: S is P.
+/// Valid for small strain and small rotation only: a rotated body shows spurious strain. The stiffness does not depend
+/// on F, so its tensors are assembled once. The law does not distinguish stress measures: S and P are the same.
 struct Hooke : LameParameters {
   static constexpr const char* kName = "hooke";
   static constexpr Inversion kInversion = Inversion::kOutOfRange;
   static constexpr bool kConstantStiffness = true;
 
-  /// Where its range ends: beyond, what it leaves out (squares of the strain, the strain θ²/2 that a rotation of θ
-  /// radians seems to have) passes half a percent or a tenth of what it computes.
+  /// End of the range of validity: largest strain, and largest rotation [rad]. Beyond them, the neglected terms exceed
+  /// half a percent or a tenth of the result. These terms are the squares of the strain, and the spurious strain θ²/2
+  /// of a rotation by θ.
   static constexpr double kMaxStrain = 0.05;
   static constexpr double kMaxRotation = 0.1;
 
@@ -66,16 +67,16 @@ struct Hooke : LameParameters {
     return stress(p) * a.gradient;
   }
 
-  /// λ a bᵀ + μ b aᵀ + μ (a·b) I.
+  /// Returns λ a bᵀ + μ b aᵀ + μ (a·b) I.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& at_a, const Node<T>& at_b) {
     const Vec3<T>&a = at_a.gradient, &b = at_b.gradient;
     return (a * b.transpose()) * p.lambda + (b * a.transpose()) * p.mu + Mat3<T>::Identity() * (p.mu * a.dot(b));
   }
 
-  /// Its stiffness is positive semi-definite as it is.
+  /// Does nothing: the stiffness is positive semi-definite already.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>&) {}
+  TM_HOST_DEVICE static void project_to_psd(Point<T>&) {}
 };
 
 }  // namespace tensormass::physics

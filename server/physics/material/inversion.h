@@ -2,11 +2,11 @@
 
 namespace tensormass::physics {
 
-/// What a law promises for an element that is pressed flat or turned inside out.
+/// What a law promises for an element that is collapsed or inverted.
 enum class Inversion {
   kRecovers,    ///< forces lead back from any F; the step goes on
-  kCaught,      ///< its forces lead away from rest or are none: no step that ends with det F ≤ 0 is published
-  kOutOfRange,  ///< linear: does not notice it, and has left its range long before, which the status says
+  kCaught,      ///< forces lead away from rest, vanish or are NaN; a step that ends with det F ≤ 0 is not published
+  kOutOfRange,  ///< linear: does not detect inversion, and has left its range long before, which the status reports
 };
 
 }  // namespace tensormass::physics

@@ -7,38 +7,57 @@
 #include "physics/material/inversion.h"
 #include "physics/material/isotropic.h"
 
-/// What a law of elasticity is to the rest of the engine.
+/// The interface of a law of elasticity.
 ///
-/// A law is a struct of pure functions of the deformation gradient F and of its parameters: no state, no branch on
-/// values. T is a number or a pack of numbers. Moduli are in Pa, energies in J for each m³ at rest; F has no unit.
+/// A law is a struct of static functions of the deformation gradient F and of its parameters. They are pure and have no
+/// branch on values, because T is a number or a pack of numbers. The element pass (element/element.h) calls them for
+/// each quadrature point:
+///
+///   parameters ─► at(F, p) ─► Point ─┬─► energy, stress, second_piola
+///                                    ├─► project_to_psd      (solver only; changes the Point)
+///                                    └─► at_node(point, a), at_axis(point, c) ─► Node ─► traction, stiffness
+///
+/// Symbols and units:
+///
+///   F         deformation gradient; J = det F                                     no unit
+///   W         energy density                                                      J for each m³ at rest
+///   P         first Piola-Kirchhoff stress, ∂W/∂F                                 Pa
+///   S         second Piola-Kirchhoff stress, F⁻¹ P                                Pa
+///   a, b      shape gradients of two nodes, often times the weight                1/m, or m²
+///   K         stiffness between two nodes                                         Pa times the units of a and b
+///
+/// Constants of a law:
 ///
 ///   kName                the protocol's name for it
-///   kConstantStiffness   the stiffness does not depend on F: its tensors are assembled once
+///   kConstantStiffness   true if the stiffness does not depend on F: its tensors are assembled once
 ///   kInversion           what it promises where det F ≤ 0
-///   kMaxStrain, kMaxRotation  only of Inversion::kOutOfRange: where its range ends, the rotation in radians
-///   kLeastStretch        optional: the principal stretch below which the law is no good any more
-///   kParameterCount      what it stores for an element. parameters(...) makes them on the host from the protocol's
-///                        numbers, as many as it has; their range is the caller's to check (model/material_input.cpp)
-///   moduli_at_rest(p)    bulk and shear modulus of the small strain limit, fibres left out
-///   take_shares(p, d, v) scales the part of the energy that resists change of shape by d and the part that resists
-///                        change of volume by v: selective integration evaluates them at different points. Energies are
-///                        linear in the moduli, so the parts add up to the whole
-///   Point, at(F, p)      what the following share at a quadrature point
-///   energy(point)        W, zero at rest
-///   stress(point)        first Piola-Kirchhoff stress P = ∂W/∂F
-///   second_piola(point)  S = F⁻¹ P, finite also where F is singular
-///   Node, at_node(point, a), stiffness(point, a, b)
-///                        K_ij = ∂²W / ∂F_iK ∂F_jL a_K b_L for the shape gradients a, b of two nodes, in Pa times the
-///                        gradients' unit squared; what needs one gradient only is done once for each node
-///   at_axis(point, c)    at_node of the unit vector along c, for little or no arithmetic. The stiffness is linear in
-///                        each gradient: from its values at the axes those of many nodes are made
-///   traction(point, node)  P a for the gradient of a node: cheaper than the stress where one node is asked for. Of a
-///                        point as at() made it or after make_positive
-///   make_positive(point) makes the stiffness positive semi-definite for the solver: parts of it that are not are
-///                        clamped, all others, energy and stress stay as they are. Forces stay exact, so that only the
-///                        way to the equilibrium changes, not the equilibrium
+///   kMaxStrain, kMaxRotation   only for Inversion::kOutOfRange: largest strain and rotation [rad] of its range
+///   kLeastStretch        optional: the principal stretch below which the law is not valid
+///   kParameterCount      number of parameters stored for each element
 ///
-/// A law that has no meaning for some F (J ≤ 0 in a logarithm) gives NaN there, which the step's guard reports.
+/// Functions of a law:
+///
+///   parameters(...)        makes the parameters on the host from the protocol's numbers, as many as it has. The caller
+///                          checks their ranges (model/material_input.cpp)
+///   moduli_at_rest(p)      returns bulk and shear modulus of the small-strain limit, without fibres
+///   scale_moduli(p, d, v)  multiplies the deviatoric part of the energy by d and the volumetric part by v. Selective
+///                          reduced integration evaluates the two at different points. Energy is linear in the moduli,
+///                          so the parts add up to the whole
+///   at(F, p)               returns the Point: what the functions below share at a quadrature point
+///   energy(point)          returns W, which is zero at rest
+///   stress(point)          returns P
+///   second_piola(point)    returns S; finite also where F is singular
+///   at_node(point, a)      returns the Node: what `stiffness` and `traction` need of one gradient
+///   at_axis(point, c)      returns at_node of the unit vector along axis c, with little or no arithmetic. Stiffness is
+///                          linear in each gradient, so its values at the axes give those of any number of nodes
+///   stiffness(point, na, nb)  returns K_ij = Σ_KL ∂²W / ∂F_iK ∂F_jL a_K b_L; na and nb are the Nodes of a and b
+///   traction(point, na)    returns P a; cheaper than the stress if only one node is needed. Valid before and after
+///                          project_to_psd
+///   project_to_psd(point)  makes the stiffness positive semi-definite for the solver by clamping its indefinite parts.
+///                          Energy, stress and the other parts are unchanged. Forces stay exact, so only the path to
+///                          the equilibrium changes, not the equilibrium
+///
+/// A law that is undefined for some F (a logarithm of J ≤ 0) returns NaN there. The step's guard then reports it.
 namespace tensormass::physics {
 
 template <class L>
@@ -49,7 +68,7 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::kInversion } -> std::convertible_to<Inversion>;
   { L::kParameterCount } -> std::convertible_to<int>;
   { L::moduli_at_rest(p) } -> std::same_as<Moduli>;
-  L::take_shares(p, 1.0, 1.0);
+  L::scale_moduli(p, 1.0, 1.0);
   { L::at(f, p) } -> std::same_as<decltype(point)>;
   { L::energy(point) } -> std::same_as<double>;
   { L::stress(point) } -> std::convertible_to<Mat3<double>>;
@@ -58,11 +77,11 @@ concept Law = requires(const Mat3<double>& f, const Vec3<double>& a, double* p,
   { L::at_axis(point, 0) } -> std::same_as<decltype(node)>;
   { L::stiffness(point, node, node) } -> std::convertible_to<Mat3<double>>;
   { L::traction(point, node) } -> std::convertible_to<Vec3<double>>;
-  L::make_positive(point);
+  L::project_to_psd(point);
 };
 
-/// A law whose at() decomposes F, which costs more than all the rest, and takes a decomposition as well: where several
-/// threads evaluate an element it is made once.
+/// True if a law's at() decomposes F and also accepts a ready decomposition. The decomposition costs more than the rest
+/// of the law, so threads that share an element compute it once.
 template <class L>
 inline constexpr bool kDecomposes = requires(const SignedSingularValues<double>& f, const double* p) {
   L::template at<double>(f, p);

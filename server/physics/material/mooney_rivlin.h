@@ -8,16 +8,18 @@
 
 namespace tensormass::physics {
 
-/// W = C10 (J^−2/3 I1 − 3) + C01 (J^−4/3 I2 − 3) + K/2 (J − 1)² (Mooney 1940, Rivlin 1948; shape and volume apart as in
-/// Holzapfel 2000). Shear modulus at rest 2 (C10 + C01).
+/// W = C10 (J^−2/3 I1 − 3) + C01 (J^−4/3 I2 − 3) + K/2 (J − 1)² (Mooney 1940, Rivlin 1948; split into isochoric and
+/// volumetric parts as in Holzapfel 2000). The shear modulus at rest is 2 (C10 + C01).
 ///
-/// Made for rubber and nearly incompressible tissue: meant for K well above the shear modulus. For J > 0; at J ≤ 0 it
-/// is NaN, which stops the scene. A uniform collapse costs K/2 only.
+/// For rubber and nearly incompressible tissue, with K well above the shear modulus. A uniform collapse costs only K/2.
+///
+/// Defined for J > 0. At J ≤ 0 it is NaN, which stops the scene.
 struct MooneyRivlin : StretchLaw<MooneyRivlin> {
   static constexpr const char* kName = "mooney_rivlin";
   static constexpr Inversion kInversion = Inversion::kCaught;
   static constexpr int kParameterCount = 3;
 
+  /// All moduli in Pa.
   static std::array<double, kParameterCount> parameters(double c10_pa, double c01_pa, double bulk_modulus_pa) {
     return {c10_pa, c01_pa, bulk_modulus_pa};
   }
@@ -26,7 +28,7 @@ struct MooneyRivlin : StretchLaw<MooneyRivlin> {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
     parameters[0] *= deviatoric;
     parameters[1] *= deviatoric;
     parameters[2] *= volumetric;
@@ -38,7 +40,7 @@ struct MooneyRivlin : StretchLaw<MooneyRivlin> {
     const T inverse_j = T(1) / invariants.j, dilatation = invariants.j - T(1), bulk = parameters[2];
     const T root = exponential(T(logarithm(invariants.j) * T(-2.0 / 3)));  // J^−2/3
     const T c1 = parameters[0] * root, c2 = parameters[1] * root * root;
-    // A third of each part, so that at rest nothing is left of what cancels.
+    // Computes with a third of each part, so that terms which cancel at rest cancel without rounding.
     const T third1 = c1 * (invariants.i1 * T(1.0 / 3)), third2 = c2 * (invariants.i2 * T(1.0 / 3));
     InvariantEnergy<T> w;
     w.energy = parameters[0] * (root * invariants.i1 - T(3)) + parameters[1] * (root * root * invariants.i2 - T(3)) +

@@ -6,10 +6,11 @@
 
 namespace tensormass::physics {
 
-/// W = μ/2 (I1 − 3) − μ ln J + λ/2 (ln J)² (Bonet, Wood 2008).
+/// W = μ/2 (I1 − 3) − μ ln J + λ/2 (ln J)² (Bonet, Wood 2008), for any ν in (−1, 0.5).
 ///
-/// For J > 0: resistance grows without bound towards collapse, and at J ≤ 0 the logarithm is NaN, which stops the
-/// scene. λ (ln J)² softens in strong expansion, beyond J = e. Any ν in (−1, 0.5).
+/// Resistance grows without bound towards collapse. The term λ (ln J)² softens in strong expansion, beyond J = e.
+///
+/// Defined for J > 0. At J ≤ 0 the logarithm is NaN, which stops the scene.
 struct NeoHookean : StretchLaw<NeoHookean>, LameParameters {
   static constexpr const char* kName = "neo_hookean";
   static constexpr Inversion kInversion = Inversion::kCaught;

@@ -8,8 +8,8 @@ namespace tensormass::physics {
 
 /// W = λ/2 (tr E)² + μ E:E with the Green-Lagrange strain E = (FᵀF − I)/2 (Picinbono, Delingette, Ayache 2003).
 ///
-/// Exact under rotation. It softens under strong compression (in uniaxial compression its stress peaks at a stretch of
-/// 1/√3) and has no resistance to inversion: states beyond that are caught, not recovered.
+/// Exact under rotation. It softens in strong compression: the uniaxial stress peaks at a stretch of 1/√3. It has no
+/// resistance to inversion, so states beyond that are detected, not recovered.
 struct StVenantKirchhoff : LameParameters {
   static constexpr const char* kName = "st_venant_kirchhoff";
   static constexpr Inversion kInversion = Inversion::kCaught;
@@ -22,7 +22,7 @@ struct StVenantKirchhoff : LameParameters {
     Mat3<T> left_cauchy_green;     // F Fᵀ
     Mat3<T> strain;                // E
     Mat3<T> second_piola;          // S = λ tr(E) I + 2 μ E
-    Mat3<T> geometric_stress;      // S as the stiffness uses it; see make_positive
+    Mat3<T> geometric_stress;      // S for the stiffness only; see project_to_psd
     T lambda, mu;
   };
 
@@ -46,7 +46,7 @@ struct StVenantKirchhoff : LameParameters {
     return quadratic_energy(p.strain, p.lambda, p.mu);
   }
 
-  /// P = F S.
+  /// Returns P = F S.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stress(const Point<T>& p) {
     return p.deformation_gradient * p.second_piola;
@@ -74,14 +74,14 @@ struct StVenantKirchhoff : LameParameters {
     return {Vec3<T>::Unit(axis), p.deformation_gradient.col(axis), p.geometric_stress.col(axis)};
   }
 
-  /// F S a.
+  /// Returns F S a.
   template <class T>
   TM_HOST_DEVICE static Vec3<T> traction(const Point<T>& p, const Node<T>& a) {
     const Vec3<T> pulled = p.second_piola * a.gradient;
     return p.deformation_gradient * pulled;
   }
 
-  /// (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ.
+  /// Returns (a·S b) I + λ (Fa)(Fb)ᵀ + μ (Fb)(Fa)ᵀ + μ (a·b) F Fᵀ.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
     const Vec3<T> dilated = a.moved * p.lambda, sheared = a.moved * p.mu;
@@ -92,11 +92,13 @@ struct StVenantKirchhoff : LameParameters {
     return block;
   }
 
-  /// Compression makes the geometric term (a·S b) I indefinite, which conjugate gradients cannot take. It is shifted
-  /// by Gershgorin's lower bound of S's eigenvalues where that is negative: no branch, no eigenvectors, and unchanged
-  /// in tension. The shift only damps the approach to equilibrium.
+  /// Makes the geometric term (a·S b) I positive semi-definite; compression makes it indefinite, and conjugate
+  /// gradients then fail.
+  ///
+  /// If Gershgorin's lower bound of S's eigenvalues is negative, S is shifted up by it. That needs no branch and no
+  /// eigenvectors, and leaves tension unchanged. The shift only damps the approach to equilibrium.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
     p.geometric_stress -= Mat3<T>::Identity() * minimum(gershgorin_lower_bound(p.second_piola), T(0));
   }
 };

@@ -4,41 +4,60 @@
 
 /// Isotropic laws as functions of the principal stretches.
 ///
-/// With F = U diag(σ) Vᵀ, W(F) = ψ(σ), and in the axes of U and V, where F' = diag(σ),
+/// Why: in the axes of the stretches the stiffness falls apart into blocks with known eigenvalues, so each indefinite
+/// part is clamped exactly and alone. A law only writes down its energy ψ(σ) and derivatives; this file does the rest.
+///
+///   F ──signed_singular_values──► U, σ, V ──Derived::in_stretches──► ψ, ψ_i, ψ_ij, D, R ──► stress, stiffness
+///
+/// Symbols; planes are numbered by the axis k normal to them, and i ≠ j are the other two axes:
+///
+///   F = U diag(σ) Vᵀ      rotations U, V and principal stretches σ0 ≥ σ1 ≥ |σ2|
+///   ψ(σ) = W(F)           energy density [J/m³]
+///   ψ_i, ψ_ij             ∂ψ/∂σ_i and ∂²ψ/∂σ_i∂σ_j [Pa]
+///   D_k                   (ψ_i − ψ_j) / (σ_i − σ_j): stiffness against a symmetric distortion in plane k [Pa]
+///   R_k                   (ψ_i + ψ_j) / (σ_i + σ_j): stiffness against a rotation in plane k [Pa]
+///
+/// In the axes of U and V, where F' = diag(σ) (Ogden 1984; Stomakhin, Howes, Schroeder, Teran 2012):
 ///
 ///   P' = diag(ψ_i)      S = V diag(ψ_i / σ_i) Vᵀ
 ///   ∂P'_ii / ∂F'_jj = ψ_ij
 ///   ∂P'_ij / ∂F'_ij = (D + R) / 2,   ∂P'_ij / ∂F'_ji = (D − R) / 2,   i ≠ j
-///   D = (ψ_i − ψ_j) / (σ_i − σ_j),   R = (ψ_i + ψ_j) / (σ_i + σ_j)
 ///
-/// with ψ_i = ∂ψ/∂σ_i (Ogden 1984; Stomakhin, Howes, Schroeder, Teran 2012). D and R are the stiffness
-/// against a symmetric distortion and a rotation in the plane of i and j; so the eigenvalues of ∂P/∂F are the three D,
-/// the three R and those of ψ_ij, and each of them can be clamped alone (Smith, de Goes, Kim 2019).
+/// So the nine eigenvalues of ∂P/∂F are the three D, the three R and those of ψ_ij (Smith, de Goes, Kim 2019):
+///
+///           11 22 33   12 21   23 32   31 13
+///          [   ψ_ij  |       |       |       ]    each 2 × 2 block  [ (D+R)/2  (D−R)/2 ]
+///          [         | D2 R2 |       |       ]                      [ (D−R)/2  (D+R)/2 ]
+///          [         |       | D0 R0 |       ]    has the eigenvalues D and R
+///          [         |       |       | D1 R1 ]
 namespace tensormass::physics {
 
-/// ψ and its derivatives. Planes are numbered by the axis that is not in them.
+/// ψ and its derivatives at a point.
 template <class T>
 struct StretchEnergy {
   T energy;            // ψ
   Vec3<T> gradient;    // ψ_i
   Mat3<T> hessian;     // ψ_ij
-  Vec3<T> distortion;  // D
-  Vec3<T> rotation;    // R
+  Vec3<T> distortion;  // D of each plane
+  Vec3<T> rotation;    // R of each plane
 };
 
-/// What such a law knows of a quadrature point.
+/// The Point of such a law: decomposed F and its energy.
 template <class T>
 struct StretchPoint {
   SignedSingularValues<T> f;
   StretchEnergy<T> w;
 };
 
-/// What a law derives from that says its StretchEnergy:
-///   template <class T> static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters);
-/// σ0 ≥ σ1 ≥ |σ2|. D and R are to be given in a form that does not cancel where σ_i = ±σ_j.
+/// Base of a law that is given by its StretchEnergy. The law provides
 ///
-/// A law may have a Point of its own, derived from StretchPoint, where its stiffness has a shorter form. It then says
-/// at, Node and what takes one, and make_positive itself.
+///   template <class T> static StretchEnergy<T> in_stretches(const Vec3<T>& sigma, const T* parameters);
+///
+/// which is called once for each point, with σ0 ≥ σ1 ≥ |σ2|. It must compute D and R in a form that does not cancel
+/// where σ_i = ±σ_j.
+///
+/// A law whose stiffness has a shorter form may derive a Point of its own from StretchPoint. It then redefines `at`,
+/// Node, project_to_psd and all functions that take a Node.
 template <class Derived>
 struct StretchLaw {
   static constexpr bool kConstantStiffness = false;
@@ -65,8 +84,8 @@ struct StretchLaw {
     return p.f.u * p.w.gradient.asDiagonal() * p.f.v.transpose();
   }
 
-  /// Below kFlat it goes to zero with σ: what a history kept of a collapsed element must not outweigh all
-  /// that comes after.
+  /// Returns S. Where |σ| < kFlat it is scaled down to zero with σ: a collapsed element would otherwise leave
+  /// viscoelastic internal variables that outweigh all later stress.
   template <class T>
   TM_HOST_DEVICE static Mat3<T> second_piola(const StretchPoint<T>& p) {
     const T least = T(kFlat * kFlat);
@@ -112,7 +131,7 @@ struct StretchLaw {
   }
 
   template <class T>
-  TM_HOST_DEVICE static void make_positive(StretchPoint<T>& p) {
+  TM_HOST_DEVICE static void project_to_psd(StretchPoint<T>& p) {
     p.w.hessian = without_negative_eigenvalues(p.w.hessian);
     for (int i = 0; i < 3; ++i) {
       p.w.distortion[i] = maximum(p.w.distortion[i], T(0));
@@ -121,10 +140,10 @@ struct StretchLaw {
   }
 
  private:
-  static constexpr double kFlat = 0.05;  // a principal stretch; Law::kLeastStretch is another matter
+  static constexpr double kFlat = 0.05;  // a principal stretch; unrelated to Law::kLeastStretch
 };
 
-/// W as a function of I1 = Σ σ_i², I2 = Σ_{i<j} σ_i² σ_j² and J = σ0 σ1 σ2, in this order.
+/// W as a function of the invariants I1 = Σ σ_i², I2 = Σ_{i<j} σ_i² σ_j² and J = σ0 σ1 σ2, in this order.
 template <class T>
 struct InvariantEnergy {
   T energy;
@@ -132,6 +151,7 @@ struct InvariantEnergy {
   Mat3<T> hessian;   // ∂²W / ∂I_a ∂I_b
 };
 
+/// The invariants of F, from its principal stretches.
 template <class T>
 struct Invariants {
   Vec3<T> squares;  // σ_i²
@@ -144,22 +164,26 @@ struct Invariants {
         j(sigma[0] * sigma[1] * sigma[2]) {}
 };
 
-/// By the chain rule. The quotients of the invariants are polynomials: D of I1 is 2, of I2 2(σ_k² − σ_i σ_j), of J
-/// −σ_k; R likewise with the other sign before σ_i σ_j and σ_k.
+/// Converts from invariants to principal stretches by the chain rule.
+///
+/// The quotients D and R of each invariant are polynomials, so nothing cancels:
+///
+///   D of I1 is 2, of I2 it is 2 (σ_k² − σ_i σ_j), of J it is −σ_k
+///   R of I1 is 2, of I2 it is 2 (σ_k² + σ_i σ_j), of J it is +σ_k
 template <class T>
 TM_HOST_DEVICE StretchEnergy<T> from_invariants(const InvariantEnergy<T>& w, const Vec3<T>& sigma,
                                                 const Invariants<T>& invariants) {
   StretchEnergy<T> out;
   out.energy = w.energy;
   const T two_w1 = w.gradient[0] + w.gradient[0], two_w2 = w.gradient[1] + w.gradient[1];
-  Mat3<T> slope;  // [invariant, stretch]
+  Mat3<T> slope;  // [invariant, stretch] ∂I_a/∂σ_i
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3, k = (i + 2) % 3;
     const T others = invariants.squares[j] + invariants.squares[k], product = sigma[j] * sigma[k];
     slope(0, i) = sigma[i] + sigma[i];
     slope(1, i) = slope(0, i) * others;
     slope(2, i) = product;
-    // In this order the terms cancel without rounding at rest.
+    // Terms in this order cancel without rounding at rest.
     out.gradient[i] = (slope(0, i) * w.gradient[0] + slope(1, i) * w.gradient[1]) + slope(2, i) * w.gradient[2];
     out.hessian(i, i) = two_w1 + two_w2 * others;
     out.hessian(j, k) = out.hessian(k, j) = T(2) * two_w2 * product + w.gradient[2] * sigma[i];

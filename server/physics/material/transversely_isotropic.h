@@ -7,9 +7,10 @@
 
 namespace tensormass::physics {
 
-/// St-Venant-Kirchhoff's solid with fibres along a0: W += (Δλ/2 + Δμ) (a0·E a0)² (Picinbono, Delingette, Ayache 2003).
+/// St-Venant-Kirchhoff's law with fibres along a0: W += (Δλ/2 + Δμ) (a0·E a0)² (Picinbono, Delingette, Ayache 2003).
 ///
-/// Fibres resist compression as they resist tension. Range and limits of St-Venant-Kirchhoff's law.
+/// Fibres resist compression as they resist tension. Range and limits are those of St-Venant-Kirchhoff's law. In this
+/// file "matrix" is the isotropic ground substance, not an array of numbers.
 struct TransverselyIsotropic {
   static constexpr const char* kName = "transversely_isotropic";
   static constexpr Inversion kInversion = Inversion::kCaught;
@@ -19,7 +20,7 @@ struct TransverselyIsotropic {
 
   using Matrix = StVenantKirchhoff;
 
-  /// fibre_modulus_pa: Δλ + 2 Δμ, not negative; fibre_direction: of any length but zero.
+  /// fibre_modulus_pa: Δλ + 2 Δμ ≥ 0. fibre_direction: any length but zero.
   static std::array<double, kParameterCount> parameters(double young_modulus_pa, double poisson_ratio,
                                                         double fibre_modulus_pa, const Vec3<double>& fibre_direction) {
     const auto matrix = Matrix::parameters(young_modulus_pa, poisson_ratio);
@@ -28,10 +29,10 @@ struct TransverselyIsotropic {
   }
   static constexpr Moduli moduli_at_rest(const double* parameters) { return Matrix::moduli_at_rest(parameters); }
 
-  /// Fibres count as resistance to change of shape.
+  /// Scales the matrix's moduli; fibres count as deviatoric.
   template <class T>
-  TM_HOST_DEVICE static void take_shares(T* parameters, T deviatoric, T volumetric) {
-    Matrix::take_shares(parameters, deviatoric, volumetric);
+  TM_HOST_DEVICE static void scale_moduli(T* parameters, T deviatoric, T volumetric) {
+    Matrix::scale_moduli(parameters, deviatoric, volumetric);
     parameters[2] *= deviatoric;
   }
 
@@ -42,7 +43,7 @@ struct TransverselyIsotropic {
     Vec3<T> moved_fibre;  // F a0
     T stiffness;          // 2 (Δλ/2 + Δμ)
     T tension;            // 2 (Δλ/2 + Δμ) a0·E a0, the second Piola-Kirchhoff stress along the fibre
-    T geometric_tension;  // as the stiffness uses it; see make_positive
+    T geometric_tension;  // tension for the stiffness only; see project_to_psd
   };
 
   template <class T>
@@ -93,7 +94,7 @@ struct TransverselyIsotropic {
     return Matrix::traction(p.matrix, a.matrix) + p.moved_fibre * (p.tension * a.along);
   }
 
-  /// The matrix's + (a0·a) (a0·b) (2 (Δλ/2 + Δμ) (Fa0)(Fa0)ᵀ + tension I).
+  /// Returns the matrix's stiffness + (a0·a) (a0·b) (2 (Δλ/2 + Δμ) (Fa0)(Fa0)ᵀ + tension I).
   template <class T>
   TM_HOST_DEVICE static Mat3<T> stiffness(const Point<T>& p, const Node<T>& a, const Node<T>& b) {
     const T along = a.along * b.along;
@@ -102,10 +103,10 @@ struct TransverselyIsotropic {
            Mat3<T>::Identity() * (p.geometric_tension * along);
   }
 
-  /// As the matrix; and a pressed fibre, which would buckle, loses its geometric term.
+  /// Projects the matrix. A compressed fibre, which would buckle, loses its geometric term.
   template <class T>
-  TM_HOST_DEVICE static void make_positive(Point<T>& p) {
-    Matrix::make_positive(p.matrix);
+  TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
+    Matrix::project_to_psd(p.matrix);
     p.geometric_tension = maximum(p.tension, T(0));
   }
 };

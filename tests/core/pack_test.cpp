@@ -7,7 +7,7 @@
 
 #include <gtest/gtest.h>
 
-/// A pack must compute in each lane what a number computes.
+/// Each lane of a pack computes bitwise what a number computes, and moves to and from memory without mixing lanes.
 namespace tensormass {
 namespace {
 
@@ -36,7 +36,7 @@ TYPED_TEST(EveryWidth, MovesVectorsWithoutMixingLanesOrTouchingNeighbours) {
   std::vector<Real> out(vectors.size(), Real(-1));
   TypeParam::store3(out.data(), 2, loaded);
   for (std::size_t i = 0; i < out.size(); ++i) {
-    if (i % 4 == 3) continue;  // nobody's
+    if (i % 4 == 3) continue;  // padding
     const bool written = i / 4 >= 2 && i / 4 < 2 + kWidth;
     EXPECT_EQ(out[i], written ? vectors[i] : Real(-1)) << "at " << i;
   }
