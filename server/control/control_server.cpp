@@ -7,6 +7,7 @@
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
 
+#include "control/unreadable_request.h"
 #include "core/limits.h"
 
 namespace tensormass::control {
@@ -29,6 +30,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
   builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
+  builder.experimental().SetInterceptorCreators(refuse_unreadable_requests());
   builder.RegisterService(&service);
   std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
   if (server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");

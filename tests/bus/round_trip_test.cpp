@@ -173,6 +173,8 @@ TEST(Open, SaysWhichEndpointIsTaken) {
   ASSERT_FALSE(second);
   EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
   EXPECT_NE(second.error().message.find(options.zenoh_listen), std::string::npos) << second.error().message;
+  EXPECT_NE(second.error().message.find("Address already in use"), std::string::npos) << second.error().message;
+  EXPECT_EQ(second.error().message.find(".rs:"), std::string::npos) << second.error().message;
 }
 
 TEST(Open, RefusesANameThatCannotStandInAKey) {

@@ -309,9 +309,14 @@ TEST_F(ServiceTest, ALongStepEndsWhenItsClientGivesUp) {
   EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(5));
 }
 
-/// Calls a method that this program has no generated code for.
-std::string raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
-                     const std::string& request) {
+struct RawAnswer {
+  grpc::Status status;
+  std::string message;
+};
+
+/// Sends `request` as the bytes of a call, without generated code: any method, any bytes.
+RawAnswer raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
+                   const std::string& request) {
   grpc::GenericStub generic(channel);
   grpc::ClientContext context;
   context.set_deadline(std::chrono::system_clock::now() + kDeadline);
@@ -325,34 +330,50 @@ std::string raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::s
   stream->StartCall(nullptr);
   EXPECT_TRUE(finished());
   const grpc::Slice slice(request);
-  stream->Write(grpc::ByteBuffer(&slice, 1), nullptr);
-  EXPECT_TRUE(finished());
-  stream->WritesDone(nullptr);
+  stream->WriteLast(grpc::ByteBuffer(&slice, 1), grpc::WriteOptions(), nullptr);
   EXPECT_TRUE(finished());
   grpc::ByteBuffer answer;
   stream->Read(&answer, nullptr);
+  const bool answered = finished();
+  RawAnswer result;
+  stream->Finish(&result.status, nullptr);
   EXPECT_TRUE(finished());
-  grpc::Status status;
-  stream->Finish(&status, nullptr);
-  EXPECT_TRUE(finished());
-  EXPECT_TRUE(status.ok()) << status.error_message();
+  EXPECT_EQ(answered, result.status.ok()) << result.status.error_message();
   grpc::Slice joined;
-  if (!answer.Valid() || !answer.DumpToSingleSlice(&joined).ok()) return {};
-  return {reinterpret_cast<const char*>(joined.begin()), joined.size()};
+  if (answered && answer.Valid() && answer.DumpToSingleSlice(&joined).ok()) {
+    result.message.assign(reinterpret_cast<const char*>(joined.begin()), joined.size());
+  }
+  return result;
+}
+
+TEST_F(ServiceTest, BytesThatAreNotProtobufAreRefusedWithTheNameOfTheCall) {
+  const google::protobuf::ServiceDescriptor* control =
+      google::protobuf::DescriptorPool::generated_pool()->FindServiceByName(v1::Control::service_full_name());
+  ASSERT_NE(control, nullptr);
+  // The second is StepSceneRequest { scene: "\xff" }: text that is not UTF-8.
+  const std::string not_protobuf = "\xff\xff\xff", not_utf8 = "\x0a\x01\xff";
+  for (int i = 0; i < control->method_count(); ++i) {
+    const std::string call = v1::Control::service_full_name() + ("/" + control->method(i)->name());
+    const grpc::Status status = raw_call(channel, "/" + call, not_protobuf).status;
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << call;
+    EXPECT_TRUE(status.error_message().starts_with(call + ": ")) << call << " says '" << status.error_message() << "'";
+  }
+  EXPECT_EQ(raw_call(channel, "/tensormass.v1.Control/StepScene", not_utf8).status.error_code(),
+            grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 TEST_F(ServiceTest, HealthIsServingUntilShutdownIsAnnounced) {
   // HealthCheckResponse { status: SERVING }, then NOT_SERVING.
-  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x01");
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", "").message, "\x08\x01");
   server->announce_shutdown();
-  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x02");
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", "").message, "\x08\x02");
 }
 
 TEST_F(ServiceTest, ReflectionListsTheService) {
   // ServerReflectionRequest { list_services: "" }
   const std::string request("\x3a\x00", 2);
   const std::string answer =
-      raw_call(channel, "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", request);
+      raw_call(channel, "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", request).message;
   EXPECT_NE(answer.find("tensormass.v1.Control"), std::string::npos);
 }
 

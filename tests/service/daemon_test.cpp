@@ -316,6 +316,18 @@ TEST(Daemon, ASecondOneOnTheSamePortSaysWhy) {
   EXPECT_NE(log.find(first.endpoint("control")), std::string::npos) << log;
 }
 
+TEST(Daemon, ATakenZenohPortIsReportedWithItsCauseAndNoSourcePath) {
+  DaemonProcess first;
+  Process second({TENSORMASSD, "--backend", "cpu", "--control", "127.0.0.1:0", "--zeromq-publish", "off",
+                  "--zeromq-pose", "off", "--zenoh-listen", first.endpoint("zenoh")},
+                 first.folder / "second");
+  EXPECT_EQ(second.wait(), 1);
+  const std::string log = read_file(first.folder / "second");
+  EXPECT_NE(log.find(first.endpoint("zenoh")), std::string::npos) << log;
+  EXPECT_NE(log.find("Address already in use"), std::string::npos) << log;
+  EXPECT_EQ(log.find(".rs:"), std::string::npos) << log;
+}
+
 TEST(Daemon, TheReadyFileTakesTheWayOfALinkAndNeverThePlaceOfWhatIsNoFile) {
   TemporaryFolder folder;
   const auto arguments = [&](const std::string& ready_file) {

@@ -174,7 +174,7 @@ pub unsafe extern "C" fn tensormass_zenoh_open(
     match result {
         Ok(session) => Box::into_raw(Box::new(session)),
         Err(failure) => {
-            unsafe { write_text(&failure.to_string(), error, error_capacity) };
+            unsafe { write_text(&log::without_source_paths(&failure.to_string()), error, error_capacity) };
             std::ptr::null_mut()
         }
     }

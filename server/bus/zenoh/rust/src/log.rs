@@ -29,6 +29,29 @@ unsafe impl Sync for Forward {}
 #[derive(Default)]
 struct Message(String);
 
+/// Removes every " at FILE.rs:LINE." that zenoh appends to its errors and leaves the rest, which states the cause.
+pub fn without_source_paths(message: &str) -> String {
+    let mut cleaned = String::with_capacity(message.len());
+    let mut rest = message;
+    while let Some((before, after)) = rest.split_once(".rs:") {
+        let digits = after.bytes().take_while(u8::is_ascii_digit).count();
+        // The last " at " before the extension: a path may contain spaces, and so may the words before it.
+        match (before.rfind(" at "), after[digits..].strip_prefix('.')) {
+            (Some(end_of_cause), Some(after_place)) if digits > 0 => {
+                cleaned.push_str(&before[..end_of_cause]);
+                rest = after_place;
+            }
+            _ => {
+                cleaned.push_str(before);
+                cleaned.push_str(".rs:");
+                rest = after;
+            }
+        }
+    }
+    cleaned.push_str(rest);
+    cleaned
+}
+
 impl Visit for Message {
     fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
         if field.name() == "message" {
@@ -52,7 +75,8 @@ impl Subscriber for Forward {
             return;
         }
         if level <= Level::WARN {
-            (self.function)(self.context, level == Level::ERROR, message.0.as_ptr().cast(), message.0.len());
+            let text = without_source_paths(&message.0);
+            (self.function)(self.context, level == Level::ERROR, text.as_ptr().cast(), text.len());
             return;
         }
         let failed = match event.metadata().target() {
