@@ -13,9 +13,10 @@
 namespace tensormass::control {
 namespace {
 
-/// For calls that run. A step ends within a turn of it (control_service.cpp), and loads are not waited for.
+/// Time for running calls to end at shutdown. A StepScene ends within a turn, kStepTurn in control_service.cpp. A load
+/// that takes longer is cancelled.
 constexpr std::chrono::milliseconds kDrainTime{300};
-/// Threads of all calls together; a call beyond them is answered RESOURCE_EXHAUSTED.
+/// Threads of all calls together; a call beyond them is answered with RESOURCE_EXHAUSTED.
 constexpr int kMaxThreads = 64;
 
 }  // namespace
