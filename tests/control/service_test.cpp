@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::chrono::seconds kDeadline{60};
 
-/// A server on a free port and a client of it.
+/// A server on a free port, and a client connected to it.
 class ServiceTest : public testing::Test {
  protected:
   ServiceTest() {
@@ -45,7 +45,7 @@ class ServiceTest : public testing::Test {
     return (stub.get()->*method)(&context, request, &response);
   }
 
-  /// The same where the response does not matter.
+  /// Calls and returns the status code alone. Checks that every error has a message.
   template <class Request, class Response>
   grpc::StatusCode code(grpc::Status (v1::Control::Stub::*method)(grpc::ClientContext*, const Request&, Response*),
                         const Request& request) {
@@ -81,7 +81,7 @@ class ServiceTest : public testing::Test {
 
 using Stub = v1::Control::Stub;
 
-TEST_F(ServiceTest, SaysWhoItIs) {
+TEST_F(ServiceTest, GetVersionReturnsTheIdentity) {
   v1::GetVersionResponse response;
   ASSERT_TRUE(call(&Stub::GetVersion, v1::GetVersionRequest(), response).ok());
   EXPECT_EQ(response.server(), "test");
@@ -89,7 +89,7 @@ TEST_F(ServiceTest, SaysWhoItIs) {
   EXPECT_EQ(response.malformed_messages(), 7u);
 }
 
-TEST_F(ServiceTest, SaysHowFarALoadIsAndThenWhatWasLoaded) {
+TEST_F(ServiceTest, StreamsTheProgressOfALoadAndThenItsReport) {
   grpc::ClientContext context;
   context.set_deadline(std::chrono::system_clock::now() + kDeadline);
   v1::LoadSceneRequest request;
@@ -111,7 +111,7 @@ TEST_F(ServiceTest, SaysHowFarALoadIsAndThenWhatWasLoaded) {
   EXPECT_TRUE(registry.find("block"));
 }
 
-TEST_F(ServiceTest, ALoadEndsWithItsClient) {
+TEST_F(ServiceTest, ALoadEndsWhenItsClientCancels) {
   v1::LoadSceneRequest request;
   *request.mutable_scene() = tests::beam_scene({.cells_x = 60, .cells_y = 12, .cells_z = 10});
   {
@@ -123,7 +123,7 @@ TEST_F(ServiceTest, ALoadEndsWithItsClient) {
     context.TryCancel();
     EXPECT_EQ(reader->Finish().error_code(), grpc::StatusCode::CANCELLED);
   }
-  // The name is held until the part that is under way has ended.
+  // The name stays reserved until the running part of the load ends.
   grpc::StatusCode again = grpc::StatusCode::ALREADY_EXISTS;
   const auto deadline = std::chrono::steady_clock::now() + kDeadline;
   while (again == grpc::StatusCode::ALREADY_EXISTS && std::chrono::steady_clock::now() < deadline) {
@@ -160,7 +160,7 @@ TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
   EXPECT_EQ(positions.positions().size(), 24 * std::size_t{report.bodies(0).node_count()});
   EXPECT_EQ(positions.step(), 20u);
 
-  // The probe goes 20 mm down, deep into the tissue, and feels it.
+  // Moves the probe 20 mm down into the tissue, which pushes back.
   v1::MoveToolRequest move = of_scene<v1::MoveToolRequest>("block");
   move.set_tool("probe");
   move.mutable_pose()->set_sequence(1);
@@ -188,7 +188,7 @@ TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
   EXPECT_EQ(list.scenes_size(), 0);
 }
 
-TEST_F(ServiceTest, PausesAndResumesASceneThatRuns) {
+TEST_F(ServiceTest, PausesAndResumesARunningScene) {
   v1::Scene scene = tests::block_with_probe();
   scene.mutable_stepping()->set_lockstep(false);
   load(scene);
@@ -218,7 +218,7 @@ TEST_F(ServiceTest, InspectsWithoutLoading) {
   EXPECT_EQ(code(&Stub::InspectScene, request), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
-TEST_F(ServiceTest, EveryCallSaysWhichSceneThereIsNot) {
+TEST_F(ServiceTest, EveryCallReportsAnUnknownScene) {
   using grpc::StatusCode;
   v1::StepSceneRequest step = of_scene<v1::StepSceneRequest>("none");
   step.set_count(1);
@@ -235,7 +235,7 @@ TEST_F(ServiceTest, EveryCallSaysWhichSceneThereIsNot) {
   EXPECT_EQ(code(&Stub::GetFeedback, of_scene<v1::GetFeedbackRequest>("none")), StatusCode::NOT_FOUND);
 }
 
-TEST_F(ServiceTest, RefusesWhatItCannotDo) {
+TEST_F(ServiceTest, RefusesInvalidRequests) {
   load(tests::block_with_probe());
   v1::LoadSceneRequest again;
   *again.mutable_scene() = tests::block_with_probe();
@@ -295,18 +295,18 @@ TEST_F(ServiceTest, ALongStepEndsWhenItsSceneIsUnloaded) {
   EXPECT_NE(status.error_message().find("unloaded"), std::string::npos) << status.error_message();
 }
 
-TEST_F(ServiceTest, ALongStepEndsWhenItsClientGivesUp) {
+TEST_F(ServiceTest, ALongStepEndsWhenItsClientCancels) {
   load(tests::block_with_probe());
   LongStep step(*stub);
   while ((*registry.find("block"))->status().step() < 10) std::this_thread::yield();
   step.cancel();
   EXPECT_EQ(step.wait().error_code(), grpc::StatusCode::CANCELLED);
-  // The scene is free again: this step waits for what is left of the long one, which is a turn and not minutes.
+  // The scene is free again. This step waits for the rest of one turn of the long call, not for minutes.
   v1::StepSceneRequest one = of_scene<v1::StepSceneRequest>("block");
   one.set_count(1);
-  const auto begin = std::chrono::steady_clock::now();
+  const auto start = std::chrono::steady_clock::now();
   EXPECT_EQ(code(&Stub::StepScene, one), grpc::StatusCode::OK);
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(5));
+  EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(5));
 }
 
 struct RawAnswer {
@@ -346,7 +346,7 @@ RawAnswer raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::str
   return result;
 }
 
-TEST_F(ServiceTest, BytesThatAreNotProtobufAreRefusedWithTheNameOfTheCall) {
+TEST_F(ServiceTest, RefusesBytesThatAreNotProtobufAndNamesTheCall) {
   const google::protobuf::ServiceDescriptor* control =
       google::protobuf::DescriptorPool::generated_pool()->FindServiceByName(v1::Control::service_full_name());
   ASSERT_NE(control, nullptr);
