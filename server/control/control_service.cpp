@@ -29,7 +29,7 @@ Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const Runne
                                       const grpc::ServerContext& context) {
   std::uint32_t turn = 1;
   while (true) {
-    const auto begin = std::chrono::steady_clock::now();
+    const auto start = std::chrono::steady_clock::now();
     const std::uint32_t steps = std::min(turn, count);
     auto status = runner->step(steps);
     count -= steps;
@@ -42,7 +42,7 @@ Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const Runne
     if (context.IsCancelled()) {
       return fail(ErrorCode::kUnavailable, fmt::format("the client gave up with {} steps to go", count));
     }
-    if (std::chrono::steady_clock::now() - begin < kStepTurn) turn *= 2;
+    if (std::chrono::steady_clock::now() - start < kStepTurn) turn *= 2;
   }
 }
 

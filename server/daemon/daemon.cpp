@@ -117,7 +117,7 @@ Result<ReadyFile> ReadyFile::write(const std::string& asked, const Daemon& daemo
   const std::filesystem::path there = std::filesystem::canonical(asked, none);  // follows links; empty: no file
   if (!there.empty() && !std::filesystem::is_regular_file(there, none)) {
     // The rename below would replace a device or a pipe by our file.
-    return fail(ErrorCode::kInvalidArgument, fmt::format("--ready-file: '{}' is there and is no file", asked));
+    return fail(ErrorCode::kInvalidArgument, fmt::format("--ready-file: '{}' exists and is not a regular file", asked));
   }
   const std::string path = there.empty() ? asked : there.string();
   const v1::GetVersionResponse& identity = daemon.identity();

@@ -1,7 +1,10 @@
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <limits>
+#include <memory>
 #include <thread>
+#include <vector>
 
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/grpcpp.h>
@@ -270,9 +273,11 @@ class LongStep {
     thread_ = std::thread([this, &stub, request] {
       v1::StepSceneResponse response;
       status_ = stub.StepScene(&context_, request, &response);
+      ended_ = true;
     });
   }
   void cancel() { context_.TryCancel(); }
+  bool has_ended() const { return ended_; }
   grpc::Status wait() {
     thread_.join();
     return status_;
@@ -281,6 +286,7 @@ class LongStep {
  private:
   grpc::ClientContext context_;
   grpc::Status status_;
+  std::atomic<bool> ended_{false};
   std::thread thread_;
 };
 
@@ -307,6 +313,25 @@ TEST_F(ServiceTest, ALongStepEndsWhenItsClientCancels) {
   const auto start = std::chrono::steady_clock::now();
   EXPECT_EQ(code(&Stub::StepScene, one), grpc::StatusCode::OK);
   EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(5));
+}
+
+TEST_F(ServiceTest, CallsBeyondTheThreadLimitAreRefusedAsExhausted) {
+  load(tests::block_with_probe());
+  std::vector<std::unique_ptr<LongStep>> calls;
+  for (int i = 0; i < 100; ++i) calls.push_back(std::make_unique<LongStep>(*stub));
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  const auto has_ended = [](const auto& call) { return call->has_ended(); };
+  while (std::none_of(calls.begin(), calls.end(), has_ended) && std::chrono::steady_clock::now() < deadline) {
+    std::this_thread::yield();
+  }
+  for (const auto& call : calls) call->cancel();
+  int exhausted = 0;
+  for (const auto& call : calls) {
+    const grpc::StatusCode code = call->wait().error_code();
+    exhausted += code == grpc::StatusCode::RESOURCE_EXHAUSTED ? 1 : 0;
+    EXPECT_TRUE(code == grpc::StatusCode::RESOURCE_EXHAUSTED || code == grpc::StatusCode::CANCELLED) << code;
+  }
+  EXPECT_GT(exhausted, 0);
 }
 
 struct RawAnswer {

@@ -348,7 +348,7 @@ TEST(Daemon, TheReadyFileFollowsLinksAndReplacesOnlyRegularFiles) {
   ASSERT_EQ(mkfifo((folder / "fifo").c_str(), 0600), 0);
   Process refused(arguments("fifo"), folder / "log");
   EXPECT_EQ(refused.wait(), 1);
-  EXPECT_NE(read_file(folder / "log").find("is there and is no file"), std::string::npos);
+  EXPECT_NE(read_file(folder / "log").find("exists and is not a regular file"), std::string::npos);
   EXPECT_TRUE(std::filesystem::is_fifo(folder / "fifo"));
 
   std::ofstream(folder / "target") << "";
