@@ -11,8 +11,7 @@
 
 namespace {
 
-/// Longest time from the signal to the exit. Forces are zero long before. A step that takes longer than this is cut
-/// off.
+/// Longest time from the signal to the exit. Forces are zero long before. A longer step is cut off.
 constexpr std::chrono::milliseconds kShutdownTime{1500};
 
 /// The signals that end the daemon.

@@ -106,8 +106,7 @@ void Publisher::end_scene(Scene& scene) {
     v1::ToolFeedback& feedback = scene.feedback[i];
     *feedback.mutable_force_n() = v1::Vector3();
     *feedback.mutable_torque_n_m() = v1::Vector3();
-    // Keeps the rest of the local model. With zero stiffness too, a client that evaluates it gets zero force at any
-    // pose.
+    // Zero stiffness as well as zero force: a client that evaluates the local model gets zero force at any pose.
     for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
     bus_.publish(scene.feedback_keys[i], feedback, {.urgent = true});
   }

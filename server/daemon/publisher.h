@@ -20,7 +20,8 @@ namespace tensormass::daemon {
 ///
 /// The order in `wait` matters. A signal between the read and the reset finds the flag true and writes nothing. That
 /// loses nothing, because the thread reads the mailboxes after `wait` returns. With the reset first, the read could
-/// remove the write of a signal that came in between; the flag would stay true, and no later signal would write.
+/// remove the write of a signal that came in between. The flag would stay true, and later signals would not wake the
+/// thread before its timeout.
 class WakeUp {
  public:
   WakeUp();
@@ -47,8 +48,7 @@ class WakeUp {
 ///     registry ── load, unload: WakeUp::signal ──────┴──> publisher <──┘
 ///                                                             └──> bus.publish(key, message)
 ///
-/// - Who waits: only the publisher. It sleeps until a signal, at most 50 ms, so that paused scenes publish their
-/// status.
+/// - Who waits: only the publisher. It sleeps until a signal, but at most 50 ms, because paused scenes do not signal.
 /// - What is dropped: a frame or a feedback that the loop overwrites before the publisher takes it. A mailbox keeps the
 ///   newest.
 /// - Order: feedback before frames, and again after each frame. A hand feels a late force; nobody feels a late frame.
