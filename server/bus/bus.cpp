@@ -11,7 +11,8 @@ namespace {
 
 using LogHandler = std::function<void(bool, std::string_view)>;
 
-/// zenoh logs for the whole process and for as long as it lives, so its handler is never freed.
+/// Installs `handler` as zenoh's log, the first time only. zenoh logs for the whole process until it exits, so the
+/// handler is never freed.
 void forward_zenoh_log(LogHandler handler) {
   static const LogHandler* const installed = [&handler] {
     auto* kept = new LogHandler(std::move(handler));

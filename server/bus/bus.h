@@ -16,40 +16,58 @@
 namespace tensormass::bus {
 
 struct BusOptions {
-  /// <server> in the keys.
+  /// <server> in the keys; must be a valid name (core/names.h).
   std::string server;
-  /// Both or neither; empty: ZeroMQ is off.
+  /// ZeroMQ's two endpoints, as in ZeroMqOptions. Give both, or leave both empty to turn ZeroMQ off.
   std::string zeromq_publish_endpoint;
   std::string zeromq_pose_endpoint;
-  /// Empty: zenoh is off.
+  /// zenoh's address, as in ZenohOptions. Empty turns zenoh off.
   std::string zenoh_listen;
+  /// Called for each valid pose, from threads of the transports; must not block.
   PoseHandler on_pose = [](auto&&...) {};
+  /// Called for each refused message, from threads of the transports; must not block.
   MalformedHandler on_malformed = [](auto&&...) {};
-  /// Warnings and errors of the transport libraries; from any thread. zenoh's go to the first bus of the process.
+  /// Called with each warning or error of zenoh, from any thread. zenoh has one log per process, so only the first bus
+  /// of the process receives its lines.
   std::function<void(bool is_error, std::string_view message)> on_log = [](auto&&...) {};
 };
 
-/// What clients connect to; empty where a transport is off.
+/// The addresses that clients connect to, with the ports that were chosen. Empty: the transport is off.
 struct Endpoints {
   std::string zeromq_publish;
   std::string zeromq_pose;
   std::string zenoh_locator;
 };
 
-/// The data plane: one message, the same key and bytes on every transport that is on.
+/// The data plane: streams to clients, poses from clients, over every transport that is turned on.
+///
+///     any thread                                                 clients
+///     publish(key, message) ─ serialize once ─┬─ ZeroMQ ───────> subscribers
+///                                             └─ zenoh ────────> subscribers     a full queue drops the message
+///
+///     transports' threads
+///     on_pose, or on_malformed and a count <── PoseInput <─┬─ ZeroMQ <── poses
+///                                                          └─ zenoh <─── poses
+///
+/// Clients may use either transport, because both carry the same keys and the same protobuf bytes. Nothing here waits
+/// for a client.
 class Bus {
  public:
-  /// kInvalidArgument for a wrong name or half of ZeroMQ's endpoints, kUnavailable for an endpoint that is taken.
+  /// Opens every transport that `options` turns on; handlers may be called before it returns.
+  /// Fails with kInvalidArgument for an invalid server name or only one of ZeroMQ's endpoints, and with kUnavailable
+  /// for an endpoint that cannot be listened on.
   static Result<std::unique_ptr<Bus>> open(const BusOptions& options);
+  /// Closes the transports. `on_pose` and `on_malformed` do not run after it returns; `on_log` may.
   ~Bus();
 
-  /// From any thread. Never waits for a reader.
+  /// Sends `content` under `key` on every transport. Any thread may call it; it never waits for a reader.
   void publish(std::string_view key, const google::protobuf::MessageLite& content, PublishOptions options = {});
-  /// Ends the retention of a key's message.
+  /// Drops the retained message of `key` on every transport. Any thread may call it.
   void forget(std::string_view key);
 
   const Endpoints& endpoints() const { return endpoints_; }
-  /// Messages from clients that were refused, and connections that did not speak the transport's language.
+  /// Refused messages, plus connections whose peer did not speak the transport's protocol, since this bus was opened.
+  /// zenoh counts its failed handshakes per process, so with two buses both count them.
   std::uint64_t malformed_count() const;
 
  private:
@@ -58,7 +76,7 @@ class Bus {
   PoseInput input_;
   std::uint64_t failed_handshakes_before_;
   Endpoints endpoints_;
-  // Last: transports call `input_` until they are gone.
+  // The last member, so that it is destroyed first: the transports call `input_` until they are gone.
   std::vector<std::unique_ptr<Transport>> transports_;
 };
 

@@ -6,7 +6,15 @@
 
 #include "core/names.h"
 
-/// The keys of the data plane (stream.proto lists them), made and read here only.
+/// Builds and parses the keys of the data plane, which stream.proto lists. No other file spells a key out.
+///
+///     tensormass/<server>/<scene>/topology
+///     tensormass/<server>/<scene>/frame
+///     tensormass/<server>/<scene>/status
+///     tensormass/<server>/<scene>/tool/<tool>/feedback
+///     tensormass/<server>/<scene>/tool/<tool>/pose      the only one that clients send
+///
+/// The functions that build keys expect valid names (core/names.h) and do not check them.
 namespace tensormass::bus {
 
 inline constexpr std::string_view kKeyRoot = "tensormass";
@@ -38,13 +46,14 @@ inline std::string pose_key(std::string_view server, std::string_view scene, std
   return scene_key(server, scene, "tool/").append(tool).append("/pose");
 }
 
-/// What a pose's key names; views into the key.
+/// The two names in a pose's key. Both views point into the key that was parsed.
 struct PoseAddress {
   std::string_view scene;
   std::string_view tool;
 };
 
-/// Reads a key that came from outside: nothing unless it is exactly a pose's key of this server.
+/// Parses a key from an untrusted client. Returns nullopt unless it is a pose key of `server` with valid names and
+/// nothing after it.
 inline std::optional<PoseAddress> parse_pose_key(std::string_view server, std::string_view key) {
   const auto take = [&key](std::string_view expected) {
     if (!key.starts_with(expected)) return false;

@@ -9,10 +9,14 @@
 
 namespace tensormass::bus {
 
-/// One message as it goes over the wire: key, one zero byte, protobuf. Serialized once, then shared by all transports
-/// and by what is kept for late joiners; never changed.
+/// One message in the bytes that ZeroMQ carries: key, one zero byte, protobuf. zenoh sends the key and the protobuf
+/// separately.
+///
+/// The constructor serializes once. All transports, and the retained messages for late joiners, then share the bytes
+/// through MessagePtr. Immutable, so any thread may read it.
 class Message {
  public:
+  /// `key` must not contain a zero byte. `content` must be below 2 GiB serialized, protobuf's limit.
   Message(std::string_view key, const google::protobuf::MessageLite& content) : key_size_(key.size()) {
     const std::size_t size = content.ByteSizeLong();
     bytes_.reserve(key.size() + 1 + size);
@@ -21,8 +25,10 @@ class Message {
     assert(appended);
   }
 
+  /// Key, zero byte, protobuf.
   std::string_view bytes() const { return bytes_; }
   std::string_view key() const { return bytes().substr(0, key_size_); }
+  /// The protobuf bytes alone.
   std::string_view payload() const { return bytes().substr(key_size_ + 1); }
 
  private:

@@ -14,7 +14,7 @@ void PoseInput::receive(std::string_view key, std::string_view payload) {
   const auto address = parse_pose_key(server_, key);
   if (!address) return refuse({}, "the key is not one of this server's pose keys");
   if (payload.size() > limits::kMaxPoseMessageBytes) return refuse(address->scene, "longer than kMaxPoseMessageBytes");
-  // An empty message parses as a pose without a position.
+  // protobuf parses zero bytes as a pose without a position, so a successful parse alone proves nothing.
   v1::ToolPose pose;
   if (!pose.ParseFromArray(payload.data(), static_cast<int>(payload.size())) || !pose.has_position_m()) {
     return refuse(address->scene, "not a ToolPose with a position");

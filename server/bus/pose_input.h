@@ -10,20 +10,31 @@
 
 namespace tensormass::bus {
 
-/// Called from transports' threads, several at once; must not block.
+/// Receives a parsed pose. Transports call it from several threads at once; it must not block.
 using PoseHandler = std::function<void(std::string_view scene, std::string_view tool, const v1::ToolPose& pose)>;
-/// `scene` is empty where the message does not even say which.
+/// Receives the reason for each refused message, under the same conditions. `scene` is empty if the message does not
+/// name a scene of this server in a valid key.
 using MalformedHandler = std::function<void(std::string_view scene, std::string_view reason)>;
 
-/// The one door for what clients send: whatever the transport, a message is read here, or refused and counted.
+/// Parses every message that clients send on the data plane, whatever the transport. Each message becomes exactly one
+/// call: `on_pose` with a pose, or `on_malformed` with a reason, which also adds one to `malformed_count`.
+///
+/// PoseInput checks the key, the size and the protobuf. It does not check numbers or names: the scene's pose inbox
+/// refuses a pose that is not finite, and knows which tools exist.
+///
+/// All methods may be called from any thread.
 class PoseInput {
  public:
+  /// `server`: the <server> that keys must name.
   PoseInput(std::string server, PoseHandler on_pose, MalformedHandler on_malformed);
 
+  /// Parses one message whose transport carries the key separately (zenoh).
   void receive(std::string_view key, std::string_view payload);
-  /// `key`, zero byte, `payload`, as on ZeroMQ.
+  /// Parses one message of the form key, zero byte, payload (ZeroMQ).
   void receive_framed(std::string_view bytes);
+  /// Counts and reports a message that the transport itself could not accept.
   void refuse(std::string_view scene, std::string_view reason);
+  /// Messages refused so far.
   std::uint64_t malformed_count() const { return malformed_.load(std::memory_order_relaxed); }
 
  private:

@@ -8,19 +8,21 @@
 namespace tensormass::bus {
 
 struct PublishOptions {
-  /// Kept, and sent again to whoever joins late, until `Transport::forget`.
+  /// True: the transport keeps the newest message of this key and sends it to each late joiner, until
+  /// `Transport::forget`.
   bool retain = false;
-  /// Ahead of bulk data where the transport knows priorities.
+  /// True: the message overtakes bulk data on transports that have priorities (zenoh).
   bool urgent = false;
 };
 
-/// One way out. Never blocks on a reader: who cannot take a message loses it.
+/// One way for messages to reach clients: ZeroMQ or zenoh. All methods may be called from any thread.
+///
+/// `publish` never waits for a reader. A reader whose queue is full loses the message.
 class Transport {
  public:
   virtual ~Transport() = default;
-  /// From any thread.
   virtual void publish(const MessagePtr& message, PublishOptions options) = 0;
-  /// Ends the retention of a key's message.
+  /// Drops the retained message of `key`; does nothing if there is no such message.
   virtual void forget(std::string_view key) = 0;
 };
 

@@ -7,14 +7,16 @@
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
 
+#include "control/unreadable_request.h"
 #include "core/limits.h"
 
 namespace tensormass::control {
 namespace {
 
-/// For calls that run. A step ends within a turn of it (control_service.cpp), and loads are not waited for.
+/// Time for running calls to end at shutdown. A StepScene ends within a turn, kStepTurn in control_service.cpp. A load
+/// that takes longer is cancelled.
 constexpr std::chrono::milliseconds kDrainTime{300};
-/// Threads of all calls together; a call beyond them is answered RESOURCE_EXHAUSTED.
+/// Threads of all calls together; a call beyond them is answered with RESOURCE_EXHAUSTED.
 constexpr int kMaxThreads = 64;
 
 }  // namespace
@@ -29,6 +31,7 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
   builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
+  builder.experimental().SetInterceptorCreators(refuse_unreadable_requests());
   builder.RegisterService(&service);
   std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
   if (server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");

@@ -13,19 +13,25 @@
 
 namespace tensormass::control {
 
-/// The control service on its port, with health and reflection.
+/// The gRPC server on its port: the control service, gRPC's health service and its reflection service.
+///
+///     client ──> Doorkeeper's thread ──admit──> gRPC ──> a gRPC thread per running call ──> ControlService
+///                     └─ not HTTP/2 ──> on_refused()
+///
+/// A running call occupies one of gRPC's threads. Calls beyond kMaxThreads fail with RESOURCE_EXHAUSTED.
 class ControlServer {
  public:
-  /// `address` is host:port; port 0 takes a free one. `service` outlives the server. kUnavailable if the port is taken.
-  /// `on_refused` is told, on a thread of the server, of each connection that does not speak HTTP/2.
+  /// Listens on `address`, HOST:PORT; port 0 takes a free one. `service` must outlive the server. `on_refused` is
+  /// called for each connection that does not speak HTTP/2, on the doorkeeper's thread; it must not block. Fails with
+  /// kUnavailable if the address cannot be listened on.
   static Result<std::unique_ptr<ControlServer>> start(const std::string& address, ControlService& service,
                                                       std::function<void()> on_refused);
-  /// Waits a moment for the calls that run; then they are cancelled.
+  /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();
 
-  /// host:port, with the port that was chosen.
+  /// HOST:PORT that clients connect to, with the port that was chosen.
   const std::string& endpoint() const { return doorkeeper_->endpoint(); }
-  /// Health says NOT_SERVING from now on, so that nobody sends new work here.
+  /// Makes the health service answer NOT_SERVING, so that load balancers send no new work here. Calls still work.
   void announce_shutdown();
 
  private:

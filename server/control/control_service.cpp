@@ -12,10 +12,10 @@
 namespace tensormass::control {
 namespace {
 
-/// How long a client that gave up, or an unload, waits for a StepScene that runs.
+/// Target length of a turn of StepScene: after a cancellation or an unload the call runs that long, or one step.
 constexpr std::chrono::milliseconds kStepTurn{25};
 
-/// Moves the value into its field of the response, or tells the error.
+/// Moves the value of `result` to `field` of the response, or returns its error.
 template <class T>
 grpc::Status answer(Result<T> result, T* field) {
   if (!result) return to_status(result.error());
@@ -23,12 +23,13 @@ grpc::Status answer(Result<T> result, T* field) {
   return grpc::Status::OK;
 }
 
-/// Steps in turns of doubling length, so that the call can end early without being slower than one turn would be.
+/// Steps `count` times, in turns. Between turns it ends early, with kUnavailable, if the scene was unloaded or the
+/// client cancelled the call. A turn doubles its steps until it takes kStepTurn, so many short steps cost few checks.
 Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const RunnerPtr& runner, std::uint32_t count,
                                       const grpc::ServerContext& context) {
   std::uint32_t turn = 1;
   while (true) {
-    const auto begin = std::chrono::steady_clock::now();
+    const auto start = std::chrono::steady_clock::now();
     const std::uint32_t steps = std::min(turn, count);
     auto status = runner->step(steps);
     count -= steps;
@@ -41,11 +42,11 @@ Result<v1::SceneStatus> step_in_turns(const SceneRegistry& registry, const Runne
     if (context.IsCancelled()) {
       return fail(ErrorCode::kUnavailable, fmt::format("the client gave up with {} steps to go", count));
     }
-    if (std::chrono::steady_clock::now() - begin < kStepTurn) turn *= 2;
+    if (std::chrono::steady_clock::now() - start < kStepTurn) turn *= 2;
   }
 }
 
-/// Ends a load that its client no longer waits for.
+/// Progress that reports nothing and ends the load when the client has cancelled the call.
 model::Progress while_awaited(const grpc::ServerContext& context) {
   return model::Progress([&context](std::string_view, double) { return !context.IsCancelled(); });
 }
@@ -84,7 +85,7 @@ grpc::Status ControlService::LoadSceneWithProgress(grpc::ServerContext* context,
   v1::LoadSceneWithProgressResponse response;
   response.set_fraction(1);
   *response.mutable_report() = (*runner)->report();
-  // A client that went away meanwhile does not know that the scene runs.
+  // The client is gone and does not know that the scene is loaded, so nobody would unload it.
   if (!writer->Write(response)) (void)registry_.unload(request->scene().name());
   return grpc::Status::OK;
 }

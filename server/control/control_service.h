@@ -8,10 +8,15 @@
 
 namespace tensormass::control {
 
-/// control.proto over the scenes of a registry.
+/// Implements the calls of control.proto on the scenes of a registry; control.proto documents each call.
+///
+/// gRPC runs each call on a thread of its own. A call finds its scene in the registry and calls the scene's runner,
+/// which passes commands to the scene's loop. So no call touches the state of a simulation. Errors become gRPC statuses
+/// in status.h. unreadable_request.h answers requests that are not protobuf before they get here.
 class ControlService final : public v1::Control::Service {
  public:
-  /// `identity` is what GetVersion answers, but for `malformed_messages`, which `malformed_count` tells.
+  /// `registry` must outlive the service. GetVersion answers `identity` with the current result of `malformed_count` in
+  /// `malformed_messages`; `malformed_count` is called on gRPC's threads.
   ControlService(SceneRegistry& registry, v1::GetVersionResponse identity,
                  std::function<std::uint64_t()> malformed_count);
 

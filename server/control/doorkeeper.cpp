@@ -21,14 +21,15 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-/// RFC 9113, 3.4.
+/// The first bytes of every HTTP/2 connection (RFC 9113, section 3.4).
 constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
-/// For the preface to arrive.
-constexpr std::chrono::seconds kPatience{3};
-/// After it could not take anybody in.
-constexpr std::chrono::milliseconds kPause{100};
-/// Connections that have not said anything yet; when more come, the one that waited longest goes.
-constexpr std::size_t kMaxVisitors = 64;
+/// Time for the preface to arrive.
+constexpr std::chrono::seconds kPrefaceTimeout{3};
+/// Time without polling the listener after accept failed.
+constexpr std::chrono::milliseconds kAcceptPause{100};
+/// Connections whose preface has not arrived. When one more comes, the oldest is refused.
+constexpr std::size_t kMaxWaiting = 64;
+/// Connections in the kernel's queue before accept.
 constexpr int kBacklog = 128;
 
 Error cannot_listen(const std::string& address, const char* why) {
@@ -84,7 +85,7 @@ Result<std::unique_ptr<Doorkeeper>> Doorkeeper::listen(const std::string& addres
   int error = 0;
   for (const addrinfo* info = addresses.first; info != nullptr; info = info->ai_next) {
     Descriptor listener(::socket(info->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-    // A daemon that starts again does not wait for the connections of the one before to be forgotten.
+    // Lets a restarted daemon bind while the kernel still holds the old daemon's closed connections (TIME_WAIT).
     set_option(listener.get(), SOL_SOCKET, SO_REUSEADDR, 1);
     if (::bind(listener.get(), info->ai_addr, info->ai_addrlen) != 0 || ::listen(listener.get(), kBacklog) != 0) {
       error = errno;
@@ -114,53 +115,53 @@ void Doorkeeper::open(Admit admit, Refuse refuse) {
 void Doorkeeper::run() {
   std::vector<pollfd> items;
   while (true) {
-    const bool accepts = Clock::now() >= accepts_again_;
+    const bool accepts = Clock::now() >= accept_after_;
     items.assign({{stop_.get(), POLLIN, 0}, {listener_.get(), static_cast<short>(accepts ? POLLIN : 0), 0}});
-    for (const Visitor& visitor : visitors_) items.push_back({visitor.socket.get(), POLLIN, 0});
-    const int patience_ms = static_cast<int>(std::chrono::milliseconds(kPatience).count());
-    const int pause_ms = static_cast<int>(std::chrono::milliseconds(kPause).count());
-    poll(items.data(), items.size(), !accepts ? pause_ms : visitors_.empty() ? -1 : patience_ms);
+    for (const Connection& connection : waiting_) items.push_back({connection.socket.get(), POLLIN, 0});
+    const int timeout_ms = static_cast<int>(std::chrono::milliseconds(kPrefaceTimeout).count());
+    const int pause_ms = static_cast<int>(std::chrono::milliseconds(kAcceptPause).count());
+    poll(items.data(), items.size(), !accepts ? pause_ms : waiting_.empty() ? -1 : timeout_ms);
     if (items[0].revents != 0) return;
     const Clock::time_point now = Clock::now();
-    // Backwards, so that what is erased does not move what is still to be looked at.
-    for (std::size_t i = visitors_.size(); i-- > 0;) {
-      if (look_at(visitors_[i], items[i + 2].revents != 0, now)) {
-        visitors_.erase(visitors_.begin() + static_cast<std::ptrdiff_t>(i));
+    // From the back, so that erasing one does not move those that follow in the loop.
+    for (std::size_t i = waiting_.size(); i-- > 0;) {
+      if (decide(waiting_[i], items[i + 2].revents != 0, now)) {
+        waiting_.erase(waiting_.begin() + static_cast<std::ptrdiff_t>(i));
       }
     }
-    if (items[1].revents != 0) accept_visitors(now);
+    if (items[1].revents != 0) accept_connections(now);
   }
 }
 
-void Doorkeeper::accept_visitors(Clock::time_point now) {
+void Doorkeeper::accept_connections(Clock::time_point now) {
   while (true) {
     Descriptor socket(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (socket.get() < 0) {
-      if (errno != EAGAIN && errno != ECONNABORTED && errno != EINTR) accepts_again_ = now + kPause;
+      if (errno != EAGAIN && errno != ECONNABORTED && errno != EINTR) accept_after_ = now + kAcceptPause;
       return;
     }
-    // Wakes us when the whole preface is there, or when nothing more comes.
+    // poll then reports the socket when the whole preface is there, or when the peer closed it.
     set_option(socket.get(), SOL_SOCKET, SO_RCVLOWAT, static_cast<int>(kPreface.size()));
-    if (visitors_.size() >= kMaxVisitors) {
-      visitors_.erase(visitors_.begin());
+    if (waiting_.size() >= kMaxWaiting) {
+      waiting_.erase(waiting_.begin());
       refuse_();
     }
-    visitors_.push_back({std::move(socket), Clock::now() + kPatience});
+    waiting_.push_back({std::move(socket), Clock::now() + kPrefaceTimeout});
   }
 }
 
-bool Doorkeeper::look_at(Visitor& visitor, bool has_something, Clock::time_point now) {
-  if (!has_something && now < visitor.leaves) return false;
-  std::array<char, kPreface.size()> said;
-  const ssize_t size = recv(visitor.socket.get(), said.data(), said.size(), MSG_PEEK);
-  if (size == static_cast<ssize_t>(kPreface.size()) && std::string_view(said.data(), said.size()) == kPreface) {
-    set_option(visitor.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
-    set_option(visitor.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
-    admit_(visitor.socket.release());
+bool Doorkeeper::decide(Connection& connection, bool is_readable, Clock::time_point now) {
+  if (!is_readable && now < connection.deadline) return false;
+  std::array<char, kPreface.size()> received;
+  const ssize_t size = recv(connection.socket.get(), received.data(), received.size(), MSG_PEEK);
+  if (size == static_cast<ssize_t>(kPreface.size()) && std::string_view(received.data(), received.size()) == kPreface) {
+    set_option(connection.socket.get(), SOL_SOCKET, SO_RCVLOWAT, 1);
+    set_option(connection.socket.get(), IPPROTO_TCP, TCP_NODELAY, 1);
+    admit_(connection.socket.release());
   } else if (size > 0) {
     refuse_();
   }
-  // Who said nothing at all only looked whether somebody listens.
+  // No bytes at all: the peer only tested whether the port is open. It is closed, and not refused.
   return true;
 }
 

@@ -11,7 +11,7 @@
 
 namespace tensormass::control {
 
-/// Owns a file descriptor.
+/// Owns a file descriptor and closes it; -1 is empty.
 class Descriptor {
  public:
   explicit Descriptor(int descriptor = -1) : descriptor_(descriptor) {}
@@ -20,49 +20,68 @@ class Descriptor {
   ~Descriptor();
 
   int get() const { return descriptor_; }
+  /// Gives the descriptor to the caller and becomes empty.
   int release();
 
  private:
   int descriptor_;
 };
 
-/// Listens for gRPC and lets in who opens with HTTP/2's preface. gRPC closes the others without a word; here
-/// they are told of, and one that says nothing is let go after a while.
+/// Listens on gRPC's port and passes on only the connections that start with HTTP/2's preface.
+///
+/// gRPC would close all other connections without reporting them. The doorkeeper exists to count them, so that a client
+/// that speaks the wrong protocol shows up in `GetVersion.malformed_messages` and in the log.
+///
+///     client ── connect ──> accept ──> waiting_, at most kMaxWaiting connections
+///                                          ├─ the whole preface arrived ──> admit(descriptor)
+///                                          ├─ other bytes ────────────────> close, refuse()
+///                                          ├─ timeout with some bytes ────> close, refuse()
+///                                          ├─ timeout or end, no bytes ───> close
+///                                          └─ one too many: the oldest ───> close, refuse()
+///
+/// The preface is read with MSG_PEEK, so gRPC receives it too. A connection without bytes is not refused, because a
+/// port scan or a health check is not an error.
+///
+/// One thread does all of this. It sleeps in poll, runs `admit` and `refuse`, which must not block, and is joined by
+/// the destructor.
 class Doorkeeper {
  public:
-  /// Gets each connection that was let in; it owns the descriptor then.
+  /// Called with each accepted connection; it takes ownership of the descriptor, a non-blocking socket.
   using Admit = std::function<void(int descriptor)>;
-  /// Called for each that was not. Both run on the doorkeeper's thread.
+  /// Called once for each refused connection.
   using Refuse = std::function<void()>;
 
-  /// `address` is HOST:PORT or [HOST]:PORT; port 0 takes a free one. Nobody is let in before `open`.
+  /// Listens on `address`, HOST:PORT or [HOST]:PORT; port 0 takes a free one. Fails with kUnavailable, and names the
+  /// address and the cause. Connections wait in the kernel's queue until `open`.
   static Result<std::unique_ptr<Doorkeeper>> listen(const std::string& address);
   ~Doorkeeper();
 
+  /// Starts the thread. Call it once.
   void open(Admit admit, Refuse refuse);
-  /// HOST:PORT, with the port that was chosen.
+  /// HOST:PORT that clients connect to, with the port that was chosen.
   const std::string& endpoint() const { return endpoint_; }
 
  private:
-  struct Visitor {
+  struct Connection {
     Descriptor socket;
-    std::chrono::steady_clock::time_point leaves;
+    std::chrono::steady_clock::time_point deadline;
   };
 
   Doorkeeper(Descriptor listener, std::string endpoint);
   void run();
-  /// Takes in who waits. If it cannot, for lack of descriptors, it looks away for a while: poll would not wait.
-  void accept_visitors(std::chrono::steady_clock::time_point now);
-  /// True if the visitor is done with, one way or the other.
-  bool look_at(Visitor& visitor, bool has_something, std::chrono::steady_clock::time_point now);
+  /// Accepts every connection that the kernel has ready. If the process is out of descriptors, it stops polling the
+  /// listener for kAcceptPause, because poll would return at once again and again.
+  void accept_connections(std::chrono::steady_clock::time_point now);
+  /// Admits or refuses the connection, if its preface or its deadline has come. Returns false if it must wait longer.
+  bool decide(Connection& connection, bool is_readable, std::chrono::steady_clock::time_point now);
 
   Descriptor listener_;
   Descriptor stop_;
   const std::string endpoint_;
   Admit admit_;
   Refuse refuse_;
-  std::vector<Visitor> visitors_;
-  std::chrono::steady_clock::time_point accepts_again_{};
+  std::vector<Connection> waiting_;  // oldest first
+  std::chrono::steady_clock::time_point accept_after_{};
   std::thread thread_;
 };
 

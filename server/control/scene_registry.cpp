@@ -9,7 +9,7 @@
 
 namespace tensormass::control {
 
-/// Holds a name while its scene is compiled, and lets go of it unless the scene took it.
+/// Reserves a name while its scene is compiled. The destructor frees the name, unless `fill` put the scene there.
 class SceneRegistry::Reservation {
  public:
   static Result<Reservation> take(SceneRegistry& registry, const std::string& name) {
@@ -34,6 +34,7 @@ class SceneRegistry::Reservation {
     registry_->scenes_.erase(name_);
   }
 
+  /// Puts the compiled scene in the place of its reservation. Fails with kUnavailable after `close`.
   Result<void> fill(RunnerPtr runner) {
     const std::lock_guard lock(registry_->mutex_);
     if (registry_->closed_) return fail(ErrorCode::kUnavailable, "the server is shutting down");
@@ -62,7 +63,7 @@ Result<RunnerPtr> SceneRegistry::load(const v1::Scene& scene, const model::Progr
 }
 
 Result<void> SceneRegistry::unload(std::string_view name) {
-  RunnerPtr ended;  // goes after the lock: it waits for the scene's loop
+  RunnerPtr ended;  // outlives the lock below, because its destructor waits for the scene's loop
   {
     const std::lock_guard lock(mutex_);
     const auto found = scenes_.find(name);

@@ -16,39 +16,65 @@
 
 namespace tensormass::control {
 
+/// A loaded scene. Its owners share it: the registry, and each call that uses it at the moment. The last one to let go
+/// ends the scene's loop and waits for it, up to one step.
 using RunnerPtr = std::shared_ptr<world::Runner>;
 
-/// The scenes of a daemon by name. Loading and unloading one never holds up another, nor a pose: compiling happens
-/// outside the lock, with the name reserved. All methods may be called from any thread.
+/// The loaded scenes of a daemon, by name. All methods may be called from any thread.
+///
+///     gRPC threads       load ─ reserve name ─ compile, seconds, no lock held ─ fill ─> generation + 1, output_signal
+///                        unload ──────────────────────────────────────── remove ─────> generation + 1, output_signal
+///     gRPC threads  ──┐
+///     bus threads   ──┼─ find, list: shared lock, copy a RunnerPtr
+///     publisher     ──┘
+///
+/// The lock is held only to read or change the map, never while a scene compiles, steps or ends. So a load or an unload
+/// delays neither another scene nor a pose.
+///
+/// A name in the map has one of three states:
+///
+///     absent ── load ──> reserved (null) ── compiled ──> loaded (runner) ── unload, close ──> absent
+///                             └── compilation failed or was cancelled, or the registry closed ──> absent
+///
+/// `find` and `list` do not show a reserved name. `load` refuses it with kAlreadyExists, `unload` with
+/// kFailedPrecondition.
 class SceneRegistry {
  public:
-  /// `output_signal` is called after every load and unload, and by scenes' loops: it must not block.
+  /// `output_signal` is called after every load and unload, and by the scenes' loops when a mailbox has something new.
+  /// It runs on their threads and must not block.
   SceneRegistry(const world::RunnerOptions& options, std::function<void()> output_signal);
 
-  /// Compiles and starts the scene.
+  /// Compiles the scene and starts its loop; returns when it runs, after seconds for a large mesh. Fails with
+  /// kAlreadyExists for a name in use, kResourceExhausted beyond limits::kMaxScenes, kUnavailable after `close`,
+  /// kCancelled if `progress` ends it, and with the errors of world::Runner::start.
   Result<RunnerPtr> load(const v1::Scene& scene, const model::Progress& progress = {});
-  /// Checks and compiles without running.
+  /// Checks and compiles the scene without running it. It needs no name in the registry.
   Result<v1::SceneReport> inspect(const v1::Scene& scene, const model::Progress& progress = {}) const {
     return world::Runner::inspect(scene, options_, progress);
   }
+  /// Removes the scene and cancels its StepScene. Returns when its loop has ended, unless another owner still holds it.
+  /// Fails with kNotFound, or with kFailedPrecondition while the scene is being loaded.
   Result<void> unload(std::string_view name);
+  /// Fails with kNotFound.
   Result<RunnerPtr> find(std::string_view name) const;
-  /// All that run, by name.
+  /// Every loaded scene, sorted by name.
   std::vector<RunnerPtr> list() const;
-  /// Changes with every load and unload.
+  /// A number that grows with every load, unload and close. A reader that remembers it knows whether to call `list`.
   std::uint64_t generation() const { return generation_.load(std::memory_order_acquire); }
-  /// Takes every scene out and refuses what comes later. The scenes end when the result goes.
+  /// Removes and cancels every scene, and refuses loads from then on, with kUnavailable. Scenes end when the caller
+  /// drops the result.
   std::vector<RunnerPtr> close();
 
  private:
   class Reservation;
+  /// Counts the generation up and calls `output_signal_`. Call it without the lock.
   void changed();
 
   const world::RunnerOptions options_;
   const std::function<void()> output_signal_;
   std::atomic<std::uint64_t> generation_{0};
   mutable std::shared_mutex mutex_;
-  // Guarded by mutex_. Null: the name of a scene that is being compiled.
+  // Guarded by mutex_, as is closed_. Null: the name is reserved for a scene that is being compiled.
   std::map<std::string, RunnerPtr, std::less<>> scenes_;
   bool closed_ = false;
 };

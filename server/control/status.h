@@ -6,7 +6,7 @@
 
 namespace tensormass::control {
 
-/// The one place where an error becomes a gRPC status: the code maps one to one, the message goes as it is.
+/// Converts an error to a gRPC status; no other code does. Each code has one counterpart, and the message is unchanged.
 inline grpc::Status to_status(const Error& error) {
   switch (error.code) {
     case ErrorCode::kInvalidArgument:

@@ -27,7 +27,8 @@ std::string host_of(std::string_view endpoint) {
   return std::string(endpoint.substr(0, endpoint.rfind(':')));
 }
 
-/// "" if the text ends in :port, with a port from 0 (a free one) or *, and has a host before it.
+/// Returns "" if `text` is `scheme`, a host, a colon and a port; otherwise the error. The port is a number up to 65535
+/// (0: a free one), or * if `star` is true.
 std::string check_host_and_port(const std::string& text, std::string_view scheme, bool star) {
   std::string_view rest = text;
   const auto wrong = [&] {
@@ -63,15 +64,16 @@ std::string check_server_name(const std::string& name) {
   return fmt::format("'{}' is not 1 to {} characters out of [A-Za-z0-9_-]", name, limits::kMaxNameLength);
 }
 
-/// --zenoh-listen is TENSORMASS_ZENOH_LISTEN.
+/// Returns the environment variable of an option: zenoh-listen is TENSORMASS_ZENOH_LISTEN.
 std::string environment_name(const std::string& option) {
   std::string name = "TENSORMASS_" + option;
   for (char& c : name) c = c == '-' ? '_' : static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
   return name;
 }
 
-/// CLI11 lets a config file win over the environment. So what the environment says goes in front of the command line,
-/// as flags, of which the last one counts.
+/// Returns the command line with the environment's settings in front of it, as flags. CLI11 by itself lets a config
+/// file override the environment; as a flag the environment overrides the file. Of equal flags the last counts, so the
+/// user's flags override the environment.
 std::vector<std::string> with_environment(const CLI::App& app, int argc, const char* const* argv) {
   std::vector<std::string> arguments;
   for (const CLI::Option* option : app.get_options()) {
@@ -79,7 +81,7 @@ std::vector<std::string> with_environment(const CLI::App& app, int argc, const c
     if (value != nullptr && *value != '\0') arguments.push_back("--" + option->get_lnames().front() + "=" + value);
   }
   arguments.insert(arguments.end(), argv + 1, argv + argc);
-  std::reverse(arguments.begin(), arguments.end());  // as CLI11 takes them
+  std::reverse(arguments.begin(), arguments.end());  // CLI11 expects the last argument first
   return arguments;
 }
 
@@ -94,7 +96,7 @@ bool is_local_endpoint(std::string_view endpoint) {
 ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   ParsedCommandLine parsed;
   Config& config = parsed.config;
-  // The other half of the machine is for the transports, the clients and the gateway.
+  // Leaves the other half of the cores to the transports, the clients and the gateway.
   config.cpu_threads = std::max(1u, std::thread::hardware_concurrency() / 2);
 
   CLI::App app("Steps scenes of deformable tissue and exchanges tool poses, forces and surfaces with clients.",
@@ -111,32 +113,36 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   std::string log_level = "info";
   std::string log_format = "text";
   app.add_option("--backend", backend, "auto takes a GPU if one answers, else the CPU")->check(CLI::IsMember(backends));
-  app.add_option("--cpu-threads", config.cpu_threads, "Threads of a scene on the CPU that does not say")
+  app.add_option("--cpu-threads", config.cpu_threads, "Threads of each CPU scene that does not set its own")
       ->check(CLI::Range(1u, limits::kMaxCpuThreads));
   app.add_option(
          "--gpu-scenes", config.gpu_scenes,
-         "Scenes that are to keep their rates on one GPU at the same time; each takes its share of it and waits "
-         "without holding a processor. 1: a scene is as fast as it can be alone")
+         "Concurrent scenes that must keep their rates on one GPU. Each gets its share of the GPU and waits without "
+         "occupying a CPU core. 1: a scene runs as fast as it can alone")
       ->check(CLI::Range(1u, limits::kMaxGpuScenes));
   app.add_option("--server-name", config.server_name, "<server> in the keys of the data plane")
       ->check(check_server_name);
   app.add_option("--control", config.control, "gRPC: HOST:PORT; port 0 for a free one")->check(check_control);
-  app.add_option("--zeromq-publish", config.zeromq_publish, "tcp://HOST:PORT (* for a free port), ipc://PATH, or off")
+  app.add_option("--zeromq-publish", config.zeromq_publish,
+                 "Streams to clients: tcp://HOST:PORT (* for a free port), ipc://PATH, or off")
       ->check(check_zeromq);
-  app.add_option("--zeromq-pose", config.zeromq_pose, "The same, where clients push tool poses")->check(check_zeromq);
-  app.add_option("--zenoh-listen", config.zenoh_listen, "tcp/HOST:PORT (0 for a free port), or off")
+  app.add_option("--zeromq-pose", config.zeromq_pose, "Tool poses from clients: as --zeromq-publish")
+      ->check(check_zeromq);
+  app.add_option("--zenoh-listen", config.zenoh_listen,
+                 "Streams and poses over zenoh: tcp/HOST:PORT (0 for a free port), or off")
       ->check(check_zenoh);
-  app.add_option("--log-level", log_level, "Least level that is logged")
+  app.add_option("--log-level", log_level, "Lowest level that is logged")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
   app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));
-  app.add_option("--ready-file", config.ready_file, "Once serving, write all endpoints there as JSON");
+  app.add_option("--ready-file", config.ready_file, "Write all endpoints to this file as JSON, once the daemon serves");
   for (CLI::Option* option : app.get_options()) {
     const auto& names = option->get_lnames();
     if (!names.empty() && names.front() != "help" && names.front() != "version") {
       option->envname(environment_name(names.front()));
     }
   }
-  app.add_flag("--check-config", config.check_only, "Print the effective settings and end: 0 good, 2 not")
+  app.add_flag("--check-config", config.check_only,
+               "Print the effective settings and exit: status 0 if they are valid, 2 if not")
       ->configurable(false);
 
   const auto finish = [&parsed](int status, std::string output) {

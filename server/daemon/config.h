@@ -9,37 +9,41 @@
 
 namespace tensormass::daemon {
 
-/// What the daemon was told: flags over environment (TENSORMASS_*) over config file over these defaults.
+/// The daemon's settings. A flag overrides the environment (TENSORMASS_*), which overrides the config file, which
+/// overrides these defaults. `tensormassd --help` documents each.
 struct Config {
   world::BackendChoice backend = world::BackendChoice::kAuto;
+  /// Threads of a CPU scene that does not set its own. The command line's default is half the cores.
   std::uint32_t cpu_threads = 1;
+  /// Concurrent scenes that must keep their rates on one GPU.
   std::uint32_t gpu_scenes = 1;
   std::string server_name = "local";
   std::string control = "127.0.0.1:50051";
-  /// Empty (given as "off"): ZeroMQ is off; so for zenoh.
+  /// Endpoints of the data plane. Empty turns the transport off; users write "off".
   std::string zeromq_publish = "tcp://127.0.0.1:50052";
   std::string zeromq_pose = "tcp://127.0.0.1:50053";
   std::string zenoh_listen = "tcp/127.0.0.1:7447";
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
-  /// Empty: none is written.
+  /// Path of the ready file (daemon.h). Empty: no file is written.
   std::string ready_file;
-  /// Print the effective configuration and end.
+  /// True: print the effective settings and exit.
   bool check_only = false;
 };
 
-/// What a command line comes to: a configuration, or text to print and an exit status.
+/// The outcome of parsing a command line: settings to run with, or text to print before exiting.
 struct ParsedCommandLine {
   Config config;
-  /// Set if there is nothing to run: help, version, the checked configuration (status 0), or an error (status 2).
+  /// True: print `output` and exit with `exit_status`, 0 after help, version or the checked settings, 2 after an error.
   bool exits = false;
   int exit_status = 0;
   std::string output;
 };
 
+/// Reads the flags, the environment and the config file. Every error names the setting.
 ParsedCommandLine parse_command_line(int argc, const char* const* argv);
 
-/// True if the endpoint (host:port, tcp://host:port, tcp/host:port, ipc://path) can be reached from this machine only.
+/// Returns true if only this machine can reach the endpoint: host:port, tcp://host:port, tcp/host:port or ipc://path.
 bool is_local_endpoint(std::string_view endpoint);
 
 }  // namespace tensormass::daemon

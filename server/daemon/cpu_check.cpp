@@ -1,5 +1,8 @@
-// Compiled for any x86-64, and run before anything that is not: a daemon on too old a CPU says so instead of dying of
-// an illegal instruction.
+// Checks at start that the CPU has the instructions that the rest of the program was compiled for. Without this check a
+// daemon on an older CPU dies of an illegal instruction, without a message.
+//
+// CMake compiles this file alone for plain x86-64. The constructor's priority, 101, runs it before the program's other
+// code; it calls only libc, which is not compiled for newer instructions.
 #ifdef TENSORMASS_CPU_LEVEL
 
 #include <unistd.h>

@@ -105,7 +105,7 @@ void Daemon::note_malformed(std::string_view scene, std::string_view reason) {
 std::uint64_t Daemon::malformed_count() const { return bus_->malformed_count() + refused_connections_; }
 
 namespace {
-/// 0: there is none.
+/// Returns 0 if there is no such file.
 std::uint64_t inode_of(const std::string& path) {
   struct stat found {};
   return stat(path.c_str(), &found) == 0 ? found.st_ino : 0;
@@ -114,10 +114,10 @@ std::uint64_t inode_of(const std::string& path) {
 
 Result<ReadyFile> ReadyFile::write(const std::string& asked, const Daemon& daemon) {
   std::error_code none;
-  const std::filesystem::path there = std::filesystem::canonical(asked, none);  // empty if there is nothing
+  const std::filesystem::path there = std::filesystem::canonical(asked, none);  // follows links; empty: no file
   if (!there.empty() && !std::filesystem::is_regular_file(there, none)) {
-    // The file takes its place by a rename, which would put it where a device or a folder was.
-    return fail(ErrorCode::kInvalidArgument, fmt::format("--ready-file: '{}' is there and is no file", asked));
+    // The rename below would replace a device or a pipe by our file.
+    return fail(ErrorCode::kInvalidArgument, fmt::format("--ready-file: '{}' exists and is not a regular file", asked));
   }
   const std::string path = there.empty() ? asked : there.string();
   const v1::GetVersionResponse& identity = daemon.identity();

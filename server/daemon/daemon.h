@@ -14,24 +14,48 @@
 
 namespace tensormass::daemon {
 
-/// Everything that serves, from the first endpoint to the last scene. What the program adds are arguments and signals.
+/// Everything that serves clients: the scenes, the data plane, the control plane. main.cpp adds arguments and signals.
+///
+///     thread                  runs                                         waits for
+///     gRPC, one per call      ControlService -> SceneRegistry -> Runner    the scene's loop, between two steps
+///     doorkeeper              accept on the control port                   connections
+///     loop, one per scene     steps, writes mailboxes (world/runner.h)     its clock
+///     publisher               mailboxes -> bus (publisher.h)               the loops' signal
+///     ZeroMQ's receiver       poses -> receive_pose                        its sockets
+///     zenoh's threads         poses -> receive_pose                        their sockets
+///
+///     client ──pose──> Bus ──> receive_pose ──> SceneRegistry::find ──> Runner::submit_pose, keeps the newest
+///     client <──force── Bus <── Publisher <── mailboxes of the Runner <── loop
+///
+/// No thread of a transport waits for a step, and no loop waits for a transport. Refused poses and malformed messages
+/// are counted, and logged at a limited rate.
 class Daemon {
  public:
-  /// Serving when it returns. Errors name the endpoint, or the device that does not answer.
+  /// Opens every endpoint of `config`; the daemon serves when it returns. Fails if an endpoint cannot be listened on or
+  /// the device does not answer, and names it.
   static Result<std::unique_ptr<Daemon>> start(const Config& config);
-  /// In this order: no new scenes, forces to zero, calls drained, loops joined, transports closed.
+  /// Ends the daemon in this order:
+  /// 1. The health service answers NOT_SERVING. The registry refuses loads and cancels running steps.
+  /// 2. The publisher sends zero forces and stops: hands are released before anything that may take long.
+  /// 3. The gRPC server lets running calls end, then cancels them.
+  /// 4. The loops of the scenes are joined, which takes up to a step each.
+  /// 5. The transports send what is queued and close.
   ~Daemon();
 
-  /// What GetVersion answers.
+  /// The answer of GetVersion, except for its count of malformed messages.
   const v1::GetVersionResponse& identity() const { return identity_; }
-  /// Of gRPC, with the port that was chosen.
+  /// HOST:PORT of gRPC, with the port that was chosen.
   const std::string& control_endpoint() const { return server_->endpoint(); }
 
  private:
   Daemon(const Config& config, std::string backend, std::string device);
   Result<void> open(const Config& config);
+  /// Gives a pose to its scene. Runs on transports' threads and does not block.
   void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);
+  /// Logs a malformed message and counts it in the status of its scene. `scene` may be empty. Runs on the threads of
+  /// the transports and the doorkeeper.
   void note_malformed(std::string_view scene, std::string_view reason);
+  /// Malformed messages on the data plane, plus connections refused on the control port.
   std::uint64_t malformed_count() const;
 
   v1::GetVersionResponse identity_;
@@ -46,20 +70,24 @@ class Daemon {
   std::unique_ptr<control::ControlServer> server_;
 };
 
-/// Written whole or not at all, for launchers that wait for it; gone again when the daemon has ended, unless another
-/// one has put its own there since. A link to a file stays one.
+/// A JSON file with the daemon's endpoints, for launchers that wait until it appears.
+///
+/// A reader never sees half of it: it is written under another name and then renamed. The destructor removes it, unless
+/// another daemon has replaced it since. If the path is a symbolic link, the file it points to is replaced and the link
+/// stays.
 class ReadyFile {
  public:
-  /// {"version", "server", "pid", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh"}; endpoints
-  /// that are off are "".
+  /// Writes {"pid", "version", "server", "backend", "device", "control", "zeromq_publish", "zeromq_pose", "zenoh"}. An
+  /// endpoint that is turned off is "". Fails with kInvalidArgument if `path` exists and is not a regular file, and
+  /// with kUnavailable if the file cannot be written.
   static Result<ReadyFile> write(const std::string& path, const Daemon& daemon);
   ReadyFile(ReadyFile&& other) noexcept : path_(std::exchange(other.path_, {})), inode_(other.inode_) {}
   ~ReadyFile();
 
  private:
   ReadyFile(std::string path, std::uint64_t inode) : path_(std::move(path)), inode_(inode) {}
-  std::string path_;
-  std::uint64_t inode_;
+  std::string path_;     // empty: moved from
+  std::uint64_t inode_;  // of the file that we wrote, to recognize it
 };
 
 }  // namespace tensormass::daemon

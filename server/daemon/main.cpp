@@ -11,9 +11,10 @@
 
 namespace {
 
-/// From the signal to the exit. The forces are zero long before; a step that takes longer than this is not waited for.
+/// Longest time from the signal to the exit. Forces are zero long before. A longer step is cut off.
 constexpr std::chrono::milliseconds kShutdownTime{1500};
 
+/// The signals that end the daemon.
 sigset_t stop_signals() {
   sigset_t signals;
   sigemptyset(&signals);
@@ -33,7 +34,8 @@ int main(int argc, char** argv) {
   }
   log::configure(parsed.config.log_level, parsed.config.log_format);
 
-  // Before the first thread, so that every thread inherits it: this one alone takes them.
+  // Blocks the signals before the first thread starts, so that every thread inherits the mask. Only sigwait below takes
+  // them, on this thread.
   const sigset_t signals = stop_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   std::signal(SIGPIPE, SIG_IGN);
@@ -64,7 +66,7 @@ int main(int argc, char** argv) {
   }).detach();
   started->reset();
   log::info("stopped");
-  // Not through static destructors: the thread above may still sleep.
+  // Skips static destructors, because the thread above may still run.
   std::fflush(nullptr);
   std::_Exit(EXIT_SUCCESS);
 }

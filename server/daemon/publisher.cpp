@@ -13,7 +13,7 @@
 namespace tensormass::daemon {
 namespace {
 
-/// A scene that is paused leaves nothing in its mailboxes, but its status is still due.
+/// Longest wait [ms]. A paused scene writes nothing and signals nothing, but its status must still be published.
 constexpr int kIdleWakeUpMs = 50;
 
 }  // namespace
@@ -31,7 +31,7 @@ void WakeUp::wait(int timeout_ms) {
   poll(&item, 1, timeout_ms);
   eventfd_t count;
   eventfd_read(event_, &count);
-  // After the read: a signal that comes between them finds the flag up, and what it tells is read after this.
+  // Only after the read; publisher.h says why.
   signalled_.exchange(false, std::memory_order_acq_rel);
 }
 
@@ -59,7 +59,7 @@ void Publisher::run() {
       if (has_frame) bus_.publish(scene.frame_key, frame_);
       if (runner->take_status(status_)) bus_.publish(scene.status_key, status_, {.retain = true});
       if (!has_frame) continue;
-      // A large frame takes a while to send, and no hand waits for it.
+      // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
       for (auto& [other_name, other] : scenes_) publish_feedback(other);
     }
     wake_up_.wait(kIdleWakeUpMs);
@@ -73,21 +73,21 @@ void Publisher::follow_registry() {
   std::set<const world::Runner*> loaded;
   for (const control::RunnerPtr& runner : runners) loaded.insert(runner.get());
   for (auto scene = scenes_.begin(); scene != scenes_.end();) {
-    // Expired and loaded: another scene at the same address.
+    // An expired pointer whose address is in the list: the address was reused by another scene.
     if (loaded.contains(scene->second.id) && !scene->second.runner.expired()) {
       ++scene;
       continue;
     }
-    end(scene->second);
+    end_scene(scene->second);
     log::info("scene unloaded", {{"scene", scene->first}});
     scene = scenes_.erase(scene);
   }
   for (const control::RunnerPtr& runner : runners) {
-    if (!scenes_.contains(runner->name())) begin(runner);
+    if (!scenes_.contains(runner->name())) start_scene(runner);
   }
 }
 
-void Publisher::begin(const control::RunnerPtr& runner) {
+void Publisher::start_scene(const control::RunnerPtr& runner) {
   const std::string& name = runner->name();
   Scene scene(runner);
   scene.frame_key = bus::frame_key(server_, name);
@@ -101,12 +101,12 @@ void Publisher::begin(const control::RunnerPtr& runner) {
   log::info("scene loaded", {{"scene", name}, {"bytes", runner->report().bytes_total()}});
 }
 
-void Publisher::end(Scene& scene) {
+void Publisher::end_scene(Scene& scene) {
   for (std::size_t i = 0; i < scene.feedback.size(); ++i) {
     v1::ToolFeedback& feedback = scene.feedback[i];
     *feedback.mutable_force_n() = v1::Vector3();
     *feedback.mutable_torque_n_m() = v1::Vector3();
-    // The same model, of no force: a client that evaluates it gets zero wherever its hand is.
+    // Zero stiffness as well as zero force: a client that evaluates the local model gets zero force at any pose.
     for (double& stiffness : *feedback.mutable_local_model()->mutable_stiffness_n_per_m()) stiffness = 0;
     bus_.publish(scene.feedback_keys[i], feedback, {.urgent = true});
   }

@@ -13,7 +13,15 @@
 
 namespace tensormass::daemon {
 
-/// Wakes a thread from another one that must not wait. Many signals before a wait are one.
+/// Wakes one waiting thread from threads that must not wait (the scenes' loops). Signals before a wait count as one.
+///
+///     signal():  flag false -> true: write the eventfd       flag already true: nothing to do, no system call
+///     wait():    poll the eventfd, read it empty, then set the flag to false
+///
+/// The order in `wait` matters. A signal between the read and the reset finds the flag true and writes nothing. That
+/// loses nothing, because the thread reads the mailboxes after `wait` returns. With the reset first, the read could
+/// remove the write of a signal that came in between. The flag would stay true, and later signals would not wake the
+/// thread before its timeout.
 class WakeUp {
  public:
   WakeUp();
@@ -21,8 +29,9 @@ class WakeUp {
   WakeUp(const WakeUp&) = delete;
   WakeUp& operator=(const WakeUp&) = delete;
 
+  /// Never blocks. Any thread may call it.
   void signal();
-  /// Returns after a signal, or after the time.
+  /// Returns after a signal since the last wait, or after `timeout_ms` [ms]. One thread may call it.
   void wait(int timeout_ms);
 
  private:
@@ -30,39 +39,59 @@ class WakeUp {
   std::atomic<bool> signalled_{false};
 };
 
-/// Carries what scenes leave in their mailboxes to the bus, on a thread of its own, so that no step waits for a
-/// transport. Forces go first. When a scene ends, so do the forces that its tools were last told.
+/// Moves output from the scenes' mailboxes to the bus, on a thread of its own. Serializing and sending a frame takes
+/// longer than a step may wait, so the scenes' loops do neither.
+///
+///     loop of scene A ─┬─ writes ──> mailboxes of A: frame, feedback ──┐
+///     loop of scene B ─┼─ writes ──> mailboxes of B ───────────────────┤
+///                      └─ WakeUp::signal ────────────┐                 │ take_frame, take_feedback, take_status
+///     registry ── load, unload: WakeUp::signal ──────┴──> publisher <──┘
+///                                                             └──> bus.publish(key, message)
+///
+/// - Who waits: only the publisher. It sleeps until a signal, but at most 50 ms, because paused scenes do not signal.
+/// - What is dropped: a frame or a feedback that the loop overwrites before the publisher takes it. A mailbox keeps the
+///   newest.
+/// - Order: feedback before frames, and again after each frame. A hand feels a late force; nobody feels a late frame.
+/// - End of a scene: the publisher sends a last feedback with zero force and zero stiffness for each tool, so that no
+///   client keeps pressing with an old force. Then it drops the scene's retained messages.
+///
+/// The publisher holds scenes by weak pointers and locks one only while it takes its messages. With shared pointers it
+/// would be the last owner of every unloaded scene, and would wait for its loop to end, up to a step.
 class Publisher {
  public:
-  /// All outlive the publisher; `wake_up` is what scenes signal.
+  /// Starts the thread. `registry`, `bus` and `wake_up` must outlive the publisher; the registry's output signal must
+  /// signal `wake_up`.
   Publisher(const control::SceneRegistry& registry, bus::Bus& bus, std::string server, WakeUp& wake_up);
-  /// Publishes the end of the scenes that were taken out of the registry, then stops.
+  /// Ends the scenes that are no longer in the registry, as above, then joins the thread.
   ~Publisher();
 
  private:
   struct Scene {
     explicit Scene(const control::RunnerPtr& started) : runner(started), id(started.get()) {}
 
-    /// The scene's owners decide when it ends; that takes up to a step, and is not for this thread to wait for.
     std::weak_ptr<world::Runner> runner;
-    const world::Runner* id;
-    std::vector<v1::ToolFeedback> feedback;
-    std::vector<std::string> feedback_keys;
+    const world::Runner* id;                 // to compare only; may dangle
+    std::vector<v1::ToolFeedback> feedback;  // of each tool, the last that was published
+    std::vector<std::string> feedback_keys;  // of each tool, in the order of `feedback`
     std::string frame_key, status_key, topology_key;
   };
 
   void run();
+  /// Starts and ends scenes until `scenes_` has those of the registry. Cheap if the registry has not changed.
   void follow_registry();
-  void begin(const control::RunnerPtr& runner);
-  void end(Scene& scene);
+  /// Publishes the topology and prepares the keys.
+  void start_scene(const control::RunnerPtr& runner);
+  /// Publishes zero forces and drops the retained messages.
+  void end_scene(Scene& scene);
   void publish_feedback(Scene& scene);
 
   const control::SceneRegistry& registry_;
   bus::Bus& bus_;
   const std::string server_;
   WakeUp& wake_up_;
-  std::uint64_t generation_ = 0;
+  std::uint64_t generation_ = 0;  // of the registry, when `scenes_` last followed it
   std::map<std::string, Scene> scenes_;
+  // Reused for every message, so that their buffers are allocated once.
   v1::Frame frame_;
   v1::SceneStatus status_;
   std::atomic<bool> stop_{false};

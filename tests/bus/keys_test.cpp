@@ -5,7 +5,7 @@
 namespace tensormass::bus {
 namespace {
 
-TEST(Keys, AreAsTheProtocolSays) {
+TEST(Keys, MatchTheProtocol) {
   EXPECT_EQ(topology_key("host", "demo"), "tensormass/host/demo/topology");
   EXPECT_EQ(frame_key("host", "demo"), "tensormass/host/demo/frame");
   EXPECT_EQ(status_key("host", "demo"), "tensormass/host/demo/status");
@@ -13,7 +13,7 @@ TEST(Keys, AreAsTheProtocolSays) {
   EXPECT_EQ(pose_key("host", "demo", "probe"), "tensormass/host/demo/tool/probe/pose");
 }
 
-TEST(Keys, PoseKeyIsReadBack) {
+TEST(Keys, ParsesThePoseKeyThatItBuilt) {
   const std::string key = pose_key("host", "a-scene_1", "left-probe");
   const auto address = parse_pose_key("host", key);
   ASSERT_TRUE(address);
@@ -21,7 +21,7 @@ TEST(Keys, PoseKeyIsReadBack) {
   EXPECT_EQ(address->tool, "left-probe");
 }
 
-TEST(Keys, NothingElseIsReadAsAPoseKey) {
+TEST(Keys, RefusesEveryOtherKeyAsAPoseKey) {
   const std::string longest(limits::kMaxNameLength, 'x');
   ASSERT_TRUE(parse_pose_key("host", pose_key("host", longest, "probe")));
   for (const std::string& key :
@@ -36,7 +36,7 @@ TEST(Keys, NothingElseIsReadAsAPoseKey) {
   }
 }
 
-TEST(Names, OnlyTheAlphabet) {
+TEST(Names, AllowOnlyLettersDigitsUnderscoreAndHyphen) {
   EXPECT_TRUE(is_valid_name("aZ09_-"));
   for (const char* name : {"", "a b", "a/b", "a.b", "\xc3\xa4", "a\n", "a*"}) EXPECT_FALSE(is_valid_name(name)) << name;
 }

@@ -36,7 +36,7 @@ TEST_F(PoseInputTest, FramedPoseArrivesAsSent) {
   EXPECT_EQ(input.malformed_count(), 0u);
 }
 
-TEST_F(PoseInputTest, RefusesAndSaysOfWhichScene) {
+TEST_F(PoseInputTest, RefusesAMalformedMessageAndNamesItsScene) {
   input.receive_framed("");
   input.receive_framed(key);
   input.receive_framed(key + "\xff" + serialized_pose());
@@ -46,7 +46,7 @@ TEST_F(PoseInputTest, RefusesAndSaysOfWhichScene) {
   input.receive(key, "\xff\xff\xff\xff garbage");
   input.receive(key, "");
   input.receive(key, serialized_pose().substr(0, 5));
-  // A valid message with an unknown field that makes it too long.
+  // A valid pose with an unknown field that makes the message too long; without the limit it would parse.
   std::string too_long = serialized_pose();
   too_long += "\x7a";
   too_long += "\x80\x40";

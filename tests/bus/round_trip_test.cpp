@@ -37,7 +37,7 @@ TEST(RoundTrip, BothTransportsCarryTheSameKeyAndBytes) {
 
   const v1::Frame frame = make_frame(3);
   std::string over_zeromq;
-  // A subscription takes a moment to arrive, so publish until both have it.
+  // A subscription takes time to arrive, so publish until both readers have a message.
   ASSERT_TRUE(eventually([&] {
     server.bus->publish(key, frame);
     return (!over_zeromq.empty() || zeromq.try_read(over_zeromq)) && over_zenoh.size() > 0;
@@ -48,7 +48,7 @@ TEST(RoundTrip, BothTransportsCarryTheSameKeyAndBytes) {
 
 TEST(RoundTrip, OtherKeysDoNotArrive) {
   BusOnFreePorts server(true, false);
-  // "demo" is a prefix of "demo2": the zero byte in the subscription keeps them apart.
+  // "demo" is a prefix of "demo2". Only the zero byte in the subscription tells them apart.
   const std::string key = status_key(kServer, "demo");
   ZeroMqReader reader(server.bus->endpoints().zeromq_publish, key, false);
   v1::SceneStatus wanted;
@@ -66,7 +66,7 @@ TEST(RoundTrip, OtherKeysDoNotArrive) {
   } while (reader.try_read(payload));
 }
 
-TEST(RoundTrip, PosesComeInOverZeroMq) {
+TEST(RoundTrip, PosesArriveOverZeroMq) {
   BusOnFreePorts server(true, false);
   ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);
   for (std::uint64_t sequence = 1; sequence <= 3; ++sequence) {
@@ -81,7 +81,7 @@ TEST(RoundTrip, PosesComeInOverZeroMq) {
   EXPECT_EQ(server.bus->malformed_count(), 0u);
 }
 
-TEST(RoundTrip, PosesComeInOverZenoh) {
+TEST(RoundTrip, PosesArriveOverZenoh) {
   BusOnFreePorts server(false, true);
   auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});
   ASSERT_TRUE(session) << session.error().message;
@@ -100,7 +100,7 @@ TEST(LateJoiner, GetsTheNewestRetainedTopologyOverZeroMq) {
   const std::string key = topology_key(kServer, "demo");
   server.bus->publish(key, make_topology(1), {.retain = true});
   server.bus->publish(key, make_topology(2), {.retain = true});
-  // Nothing is published after these joined, and the second one subscribes to what is subscribed already.
+  // Nothing is published after the readers join. The second subscribes to a key that already has a subscription.
   ZeroMqReader first(server.bus->endpoints().zeromq_publish, key);
   EXPECT_EQ(first.read(), make_topology(2).SerializeAsString());
   ZeroMqReader second(server.bus->endpoints().zeromq_publish, key);
@@ -155,7 +155,7 @@ TEST(LateJoiner, GetsNothingOfAnUnloadedScene) {
   EXPECT_EQ(keys, std::vector<std::string>{kept});
 }
 
-TEST(Open, SaysWhichEndpointIsTaken) {
+TEST(Open, NamesATakenEndpointAndTheCause) {
   BusOnFreePorts first;
   BusOptions options;
   options.server = kServer;
@@ -173,6 +173,8 @@ TEST(Open, SaysWhichEndpointIsTaken) {
   ASSERT_FALSE(second);
   EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
   EXPECT_NE(second.error().message.find(options.zenoh_listen), std::string::npos) << second.error().message;
+  EXPECT_NE(second.error().message.find("Address already in use"), std::string::npos) << second.error().message;
+  EXPECT_EQ(second.error().message.find(".rs:"), std::string::npos) << second.error().message;
 }
 
 TEST(Open, RefusesANameThatCannotStandInAKey) {

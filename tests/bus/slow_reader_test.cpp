@@ -25,14 +25,15 @@ std::uint64_t sequence_of(const std::string& payload) {
   return frame.sequence();
 }
 
-TEST(SlowReader, OverZeroMqFindsTheNewestFrame) {
+TEST(SlowReader, GetsTheNewestFrameOverZeroMq) {
   BusOnFreePorts server(true, false);
   const std::string key = frame_key(kServer, "demo");
   ZeroMqReader slow(server.bus->endpoints().zeromq_publish, key);
   ZeroMqReader witness(server.bus->endpoints().zeromq_publish, key);
   std::uint64_t sequence = 0;
   std::string payload;
-  // Until the reader has the newest: of what is published in a burst, the queue to a subscriber may drop some.
+  // Publishes new frames until the reader has the newest. A burst may overflow the queue to a subscriber, which then
+  // drops frames.
   const auto deliver_to = [&](ZeroMqReader& reader) {
     return eventually([&] {
       server.bus->publish(key, make_frame(++sequence));
@@ -42,17 +43,17 @@ TEST(SlowReader, OverZeroMqFindsTheNewestFrame) {
       return false;
     });
   };
-  // Both are there: each has read a first frame.
+  // Both are subscribed once each has read a frame.
   for (ZeroMqReader* reader : {&slow, &witness}) ASSERT_TRUE(deliver_to(*reader));
-  // The slow one reads nothing while 200 frames go by, each seen by the witness before the next.
+  // The slow reader reads nothing during 200 frames. The witness reads each frame before the next is published.
   for (int frames = 0; frames < 200; ++frames) ASSERT_TRUE(deliver_to(witness));
-  // It may lag the witness by what is still under way, but it is spared what is old.
+  // The slow reader may get messages that are still in transit, but not the old ones.
   int count = 1;
   while (sequence_of(slow.read()) != sequence) ++count;
   EXPECT_LE(count, 10);
 }
 
-/// Another process that subscribes to a key over both transports (subscriber_main.cpp), and is then stopped.
+/// A process that subscribes to a key over both transports (subscriber_main.cpp), and that a test can stop.
 class StoppedSubscriber {
  public:
   StoppedSubscriber(const Endpoints& endpoints, const std::string& key) {
@@ -73,7 +74,7 @@ class StoppedSubscriber {
     waitpid(child_, nullptr, 0);
     close(ready_);
   }
-  /// Waits until it has had a message over both transports.
+  /// Waits until the process has received a message over each transport.
   bool wait_until_receiving() {
     char byte;
     return read(ready_, &byte, 1) == 1;
@@ -88,18 +89,18 @@ class StoppedSubscriber {
   int ready_ = -1;
 };
 
-TEST(StoppedReader, DoesNotDelayThePublisherNorTheOthers) {
+TEST(StoppedReader, DelaysNeitherThePublisherNorOtherReaders) {
   BusOnFreePorts server;
   const std::string key = frame_key(kServer, "demo");
   StoppedSubscriber stopped(server.bus->endpoints(), key);
   std::atomic<bool> receiving{false};
-  std::thread watch([&] { receiving = stopped.wait_until_receiving(); });
+  std::thread waiting([&] { receiving = stopped.wait_until_receiving(); });
   std::uint64_t sequence = 0;
   EXPECT_TRUE(eventually([&] {
     server.bus->publish(key, make_frame(++sequence));
     return receiving.load();
   }));
-  watch.join();
+  waiting.join();
   ASSERT_TRUE(receiving);
   stopped.stop();
 
@@ -110,16 +111,16 @@ TEST(StoppedReader, DoesNotDelayThePublisherNorTheOthers) {
     return reader.try_read(payload);
   }));
   Clock::duration longest{};
-  // 96 MB: far more than all queues and buffers on the way hold.
+  // 96 MB, far more than all queues and buffers between publisher and reader hold.
   for (int count = 0; count < 400; ++count) {
-    const auto begin = Clock::now();
+    const auto start = Clock::now();
     server.bus->publish(key, make_frame(++sequence));
-    longest = std::max(longest, Clock::now() - begin);
+    longest = std::max(longest, Clock::now() - start);
   }
-  // Blocking would be seconds (zenoh) or for ever (ZeroMQ); the room is for a busy machine.
+  // A blocking send would take seconds (zenoh) or never return (ZeroMQ). The bound leaves room for a busy machine.
   EXPECT_LT(longest, std::chrono::milliseconds(500));
   RecordProperty("longest_publish_us", static_cast<int>(longest / std::chrono::microseconds(1)));
-  // In such a burst ZeroMQ may have dropped the newest for a reader that runs, too; what comes after it arrives.
+  // During such a burst ZeroMQ may drop frames for running readers too. Frames after the burst must arrive.
   const std::uint64_t burst = sequence;
   EXPECT_TRUE(eventually([&] {
     server.bus->publish(key, make_frame(++sequence));

@@ -1,4 +1,5 @@
-// Subscribes to a key over both transports and writes one byte once a message has come over each; then reads on.
+// Subscribes to a key over both transports. Writes one byte to stdout when a message has arrived over each, then keeps
+// reading until it is killed.
 // Usage: bus_subscriber ZEROMQ_ENDPOINT ZENOH_LOCATOR KEY
 #include <unistd.h>
 

@@ -18,13 +18,13 @@
 #include "bus/keys.h"
 #include "bus/zenoh/session.h"
 
-/// What the tests of the bus share: clients as an outsider would write them, on free ports.
+/// Helpers for the tests of the bus: servers on free ports, and clients that use no code of the server.
 namespace tensormass::bus::test {
 
 inline constexpr std::chrono::seconds kDeadline{20};
 inline constexpr const char* kServer = "test";
 
-/// Values that other threads add, for a test to wait on.
+/// A list that other threads append to and a test waits for.
 template <class T>
 class Collected {
  public:
@@ -33,13 +33,14 @@ class Collected {
     values_.push_back(std::move(value));
     changed_.notify_all();
   }
-  /// What is there once the condition holds for it, or at the deadline.
+  /// Returns the values once `condition(values)` is true, or at the deadline.
   template <class Condition>
   std::vector<T> wait_until(Condition condition) {
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, kDeadline, [&] { return condition(values_); });
     return values_;
   }
+  /// Returns the values once there are `count`, or at the deadline.
   std::vector<T> wait_for(std::size_t count) {
     return wait_until([count](const auto& values) { return values.size() >= count; });
   }
@@ -60,7 +61,7 @@ struct ReceivedPose {
   v1::ToolPose pose;
 };
 
-/// A bus on free ports whose input is collected.
+/// A bus on free ports that collects its input.
 class BusOnFreePorts {
  public:
   explicit BusOnFreePorts(bool zeromq = true, bool zenoh = true) {
@@ -78,12 +79,12 @@ class BusOnFreePorts {
   }
 
   Collected<ReceivedPose> poses;
-  /// The scene that each refused message named.
+  /// The scene that each refused message named, or "".
   Collected<std::string> malformed;
   std::unique_ptr<Bus> bus;
 };
 
-/// True once the condition holds; polls, because no event tells.
+/// Polls until `condition()` is true; returns false at the deadline. For conditions without an event to wait for.
 template <class Condition>
 bool eventually(Condition condition) {
   const auto deadline = std::chrono::steady_clock::now() + kDeadline;
@@ -101,7 +102,7 @@ inline v1::ToolPose make_pose(std::uint64_t sequence) {
   return pose;
 }
 
-/// A client's receiving socket for one key.
+/// A client that subscribes to one key over ZeroMQ. `conflate`: ZeroMQ keeps only the newest message.
 class ZeroMqReader {
  public:
   ZeroMqReader(const std::string& endpoint, const std::string& key, bool conflate = true) : key_(key) {
@@ -111,17 +112,17 @@ class ZeroMqReader {
     socket_.set(zmq::sockopt::subscribe, key + '\0');
     socket_.connect(endpoint);
   }
-  /// The payload of the next message; throws if none comes.
+  /// Returns the payload of the next message; throws at the deadline.
   std::string read() {
     zmq::message_t message;
-    if (!socket_.recv(message)) throw std::runtime_error("nothing came under " + key_);
+    if (!socket_.recv(message)) throw std::runtime_error("no message arrived under " + key_);
     const std::string bytes = message.to_string();
     EXPECT_EQ(bytes.substr(0, key_.size() + 1), key_ + '\0');
     EXPECT_FALSE(message.more());
     return bytes.substr(key_.size() + 1);
   }
   bool try_read(std::string& payload) { return read_within(std::chrono::milliseconds(0), payload); }
-  /// False if nothing comes in that time.
+  /// Returns false if no message arrives within `time`.
   bool read_within(std::chrono::milliseconds time, std::string& payload) {
     zmq::message_t message;
     zmq::pollitem_t item{socket_.handle(), 0, ZMQ_POLLIN, 0};
@@ -136,6 +137,7 @@ class ZeroMqReader {
   zmq::socket_t socket_{context_, zmq::socket_type::sub};
 };
 
+/// A client that pushes raw messages to the pose endpoint.
 class ZeroMqPoseWriter {
  public:
   explicit ZeroMqPoseWriter(const std::string& endpoint) {

@@ -13,7 +13,7 @@ namespace {
 
 using namespace test;
 
-/// Connects to 127.0.0.1 at the port that the endpoint ends with, writes the bytes, and closes.
+/// Connects to the port at the end of `endpoint` on 127.0.0.1, writes the bytes, and closes.
 void write_raw(const std::string& endpoint, std::string_view bytes) {
   const int descriptor = socket(AF_INET, SOCK_STREAM, 0);
   sockaddr_in address{};
@@ -21,7 +21,7 @@ void write_raw(const std::string& endpoint, std::string_view bytes) {
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(endpoint.substr(endpoint.rfind(':') + 1))));
   ASSERT_EQ(connect(descriptor, reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0) << endpoint;
-  // The server may close before it has read everything; that is its right.
+  // The server may close before it has read everything.
   while (!bytes.empty()) {
     const ssize_t written = send(descriptor, bytes.data(), bytes.size(), MSG_NOSIGNAL);
     if (written <= 0) break;
@@ -37,7 +37,7 @@ std::string random_bytes(std::size_t size, std::uint32_t seed) {
   return bytes;
 }
 
-/// Poses still come in, over both transports.
+/// Checks that poses still arrive over both transports.
 void expect_alive(BusOnFreePorts& server) {
   const std::size_t before = server.poses.size();
   ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);
@@ -57,7 +57,7 @@ TEST_P(RawBytes, AreCountedAndSurvived) {
   std::vector<std::string> kinds{"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "x", std::string(1, '\xff')};
   for (std::uint32_t seed = 1; seed <= 20; ++seed) kinds.push_back(random_bytes(seed * 97, seed));
   for (const std::string& bytes : kinds) {
-    // One bus for each: what one connection is counted for must not stand for another.
+    // A new bus for each, so that a count is due to this connection.
     BusOnFreePorts server;
     write_raw(server.bus->endpoints().*GetParam(), bytes);
     EXPECT_TRUE(eventually([&] { return server.bus->malformed_count() > 0; })) << testing::PrintToString(bytes);
@@ -87,7 +87,7 @@ TEST(GarbageMessages, OverZeroMqAreCountedAndSurvived) {
   writer.send(key + '\0' + random_bytes(100, 2));
   writer.send(key + '\0' + std::string(limits::kMaxPoseMessageBytes + 1, 'x'));
   writer.send(pose_key("other", "demo", "probe") + '\0' + make_pose(1).SerializeAsString());
-  // Two frames where one is due, and a good pose in the second of them.
+  // A message of two frames instead of one, with a valid pose in the second.
   writer.send(key, true);
   writer.send(key + '\0' + make_pose(1).SerializeAsString());
   EXPECT_EQ(server.malformed.wait_for(8), (std::vector<std::string>{"", "", "", "demo", "demo", "demo", "", ""}));
@@ -96,7 +96,7 @@ TEST(GarbageMessages, OverZeroMqAreCountedAndSurvived) {
   EXPECT_EQ(server.bus->malformed_count(), 8u);
 }
 
-TEST(GarbageMessages, TooLongForAnyoneEndsThatConnectionOnly) {
+TEST(GarbageMessages, AMessageAboveZeroMqsLimitEndsOnlyItsConnection) {
   BusOnFreePorts server;
   {
     ZeroMqPoseWriter writer(server.bus->endpoints().zeromq_pose);

@@ -30,7 +30,7 @@ class SceneRegistryTest : public testing::Test {
   SceneRegistry registry{kCpu, [this] { ++signals; }};
 };
 
-TEST_F(SceneRegistryTest, FindsWhatIsLoadedAndForgetsWhatIsNot) {
+TEST_F(SceneRegistryTest, FindsLoadedScenesAndNotUnloadedOnes) {
   EXPECT_TRUE(registry.list().empty());
   const auto before = registry.generation();
   ASSERT_TRUE(registry.load(small_scene("b")));
@@ -55,7 +55,7 @@ TEST_F(SceneRegistryTest, RefusesANameThatIsTaken) {
   EXPECT_EQ(second.error().code, ErrorCode::kAlreadyExists);
 }
 
-TEST_F(SceneRegistryTest, ASceneThatIsRefusedFreesItsName) {
+TEST_F(SceneRegistryTest, ARefusedSceneFreesItsName) {
   v1::Scene broken = small_scene("a");
   broken.mutable_bodies(0)->clear_law();
   const auto refused = registry.load(broken);
@@ -64,31 +64,31 @@ TEST_F(SceneRegistryTest, ASceneThatIsRefusedFreesItsName) {
   EXPECT_TRUE(registry.load(small_scene("a")));
 }
 
-TEST_F(SceneRegistryTest, LoadingHoldsUpNobodyAndReservesItsName) {
+TEST_F(SceneRegistryTest, ALoadReservesItsNameAndDelaysNoOtherScene) {
   ASSERT_TRUE(registry.load(small_scene("running")));
-  std::promise<void> begun, looked_at;
-  std::thread loading([&] {  // stands still where it first says how far it is
-    const auto stand = [&, first = true](std::string_view, double) mutable {
+  std::promise<void> started, checked;
+  std::thread loading([&] {  // blocks at its first progress report
+    const auto block = [&, first = true](std::string_view, double) mutable {
       if (std::exchange(first, false)) {
-        begun.set_value();
-        looked_at.get_future().wait();
+        started.set_value();
+        checked.get_future().wait();
       }
       return true;
     };
-    EXPECT_TRUE(registry.load(small_scene("slow"), model::Progress(stand)));
+    EXPECT_TRUE(registry.load(small_scene("slow"), model::Progress(block)));
   });
-  begun.get_future().wait();
+  started.get_future().wait();
   EXPECT_EQ(registry.unload("slow").error().code, ErrorCode::kFailedPrecondition);
   EXPECT_EQ(registry.load(small_scene("slow")).error().code, ErrorCode::kAlreadyExists);
   EXPECT_EQ(registry.find("slow").error().code, ErrorCode::kNotFound);
   EXPECT_EQ(registry.list().size(), 1u);
   EXPECT_TRUE((*registry.find("running"))->step(1));
-  looked_at.set_value();
+  checked.set_value();
   loading.join();
   EXPECT_TRUE(registry.find("slow"));
 }
 
-TEST_F(SceneRegistryTest, KeepsToItsLimit) {
+TEST_F(SceneRegistryTest, RefusesScenesBeyondItsLimit) {
   for (std::size_t i = 0; i < limits::kMaxScenes; ++i) ASSERT_TRUE(registry.load(small_scene(std::to_string(i))));
   const auto one_more = registry.load(small_scene("more"));
   ASSERT_FALSE(one_more);
@@ -96,18 +96,18 @@ TEST_F(SceneRegistryTest, KeepsToItsLimit) {
   EXPECT_NE(one_more.error().message.find("kMaxScenes"), std::string::npos);
 }
 
-TEST_F(SceneRegistryTest, CloseTakesAllOutAndRefusesMore) {
+TEST_F(SceneRegistryTest, CloseRemovesEverySceneAndRefusesLoads) {
   ASSERT_TRUE(registry.load(small_scene("a")));
   const auto ending = registry.close();
   ASSERT_EQ(ending.size(), 1u);
   EXPECT_TRUE(registry.list().empty());
-  // It answers until it goes, but starts nothing that could keep it from going.
+  // A closed scene still answers, but refuses commands that would delay its end.
   EXPECT_EQ(ending[0]->status().scene(), "a");
   EXPECT_EQ(ending[0]->step(1).error().code, ErrorCode::kUnavailable);
   EXPECT_EQ(registry.load(small_scene("b")).error().code, ErrorCode::kUnavailable);
 }
 
-TEST_F(SceneRegistryTest, SaysHowFarALoadIs) {
+TEST_F(SceneRegistryTest, ReportsTheProgressOfALoad) {
   std::vector<double> fractions;
   std::set<std::string, std::less<>> parts;
   const model::Progress progress([&](std::string_view part, double fraction) {
@@ -122,8 +122,8 @@ TEST_F(SceneRegistryTest, SaysHowFarALoadIs) {
   EXPECT_LT(fractions.back(), 1);
 }
 
-/// At whatever part the client goes away: the load ends there, and the name is free.
-TEST_F(SceneRegistryTest, EndsALoadThatNobodyWaitsFor) {
+/// Cancels the load at each of its parts in turn. It must end there and free its name.
+TEST_F(SceneRegistryTest, ACancelledLoadEndsAndFreesItsName) {
   for (int last = 1;; ++last) {
     int part = 0;
     const auto loaded =
@@ -132,7 +132,7 @@ TEST_F(SceneRegistryTest, EndsALoadThatNobodyWaitsFor) {
       EXPECT_GT(last, 6);
       return;
     }
-    EXPECT_EQ(part, last) << "nothing goes on after it";
+    EXPECT_EQ(part, last) << "the load continued after the cancellation";
     EXPECT_EQ(loaded.error().code, ErrorCode::kCancelled);
     EXPECT_TRUE(registry.list().empty());
   }

@@ -1,7 +1,10 @@
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <limits>
+#include <memory>
 #include <thread>
+#include <vector>
 
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/grpcpp.h>
@@ -17,7 +20,7 @@ namespace {
 
 constexpr std::chrono::seconds kDeadline{60};
 
-/// A server on a free port and a client of it.
+/// A server on a free port, and a client connected to it.
 class ServiceTest : public testing::Test {
  protected:
   ServiceTest() {
@@ -45,7 +48,7 @@ class ServiceTest : public testing::Test {
     return (stub.get()->*method)(&context, request, &response);
   }
 
-  /// The same where the response does not matter.
+  /// Calls and returns the status code alone. Checks that every error has a message.
   template <class Request, class Response>
   grpc::StatusCode code(grpc::Status (v1::Control::Stub::*method)(grpc::ClientContext*, const Request&, Response*),
                         const Request& request) {
@@ -81,7 +84,7 @@ class ServiceTest : public testing::Test {
 
 using Stub = v1::Control::Stub;
 
-TEST_F(ServiceTest, SaysWhoItIs) {
+TEST_F(ServiceTest, GetVersionReturnsTheIdentity) {
   v1::GetVersionResponse response;
   ASSERT_TRUE(call(&Stub::GetVersion, v1::GetVersionRequest(), response).ok());
   EXPECT_EQ(response.server(), "test");
@@ -89,7 +92,7 @@ TEST_F(ServiceTest, SaysWhoItIs) {
   EXPECT_EQ(response.malformed_messages(), 7u);
 }
 
-TEST_F(ServiceTest, SaysHowFarALoadIsAndThenWhatWasLoaded) {
+TEST_F(ServiceTest, StreamsTheProgressOfALoadAndThenItsReport) {
   grpc::ClientContext context;
   context.set_deadline(std::chrono::system_clock::now() + kDeadline);
   v1::LoadSceneRequest request;
@@ -111,7 +114,7 @@ TEST_F(ServiceTest, SaysHowFarALoadIsAndThenWhatWasLoaded) {
   EXPECT_TRUE(registry.find("block"));
 }
 
-TEST_F(ServiceTest, ALoadEndsWithItsClient) {
+TEST_F(ServiceTest, ALoadEndsWhenItsClientCancels) {
   v1::LoadSceneRequest request;
   *request.mutable_scene() = tests::beam_scene({.cells_x = 60, .cells_y = 12, .cells_z = 10});
   {
@@ -123,7 +126,7 @@ TEST_F(ServiceTest, ALoadEndsWithItsClient) {
     context.TryCancel();
     EXPECT_EQ(reader->Finish().error_code(), grpc::StatusCode::CANCELLED);
   }
-  // The name is held until the part that is under way has ended.
+  // The name stays reserved until the running part of the load ends.
   grpc::StatusCode again = grpc::StatusCode::ALREADY_EXISTS;
   const auto deadline = std::chrono::steady_clock::now() + kDeadline;
   while (again == grpc::StatusCode::ALREADY_EXISTS && std::chrono::steady_clock::now() < deadline) {
@@ -160,7 +163,7 @@ TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
   EXPECT_EQ(positions.positions().size(), 24 * std::size_t{report.bodies(0).node_count()});
   EXPECT_EQ(positions.step(), 20u);
 
-  // The probe goes 20 mm down, deep into the tissue, and feels it.
+  // Moves the probe 20 mm down into the tissue, which pushes back.
   v1::MoveToolRequest move = of_scene<v1::MoveToolRequest>("block");
   move.set_tool("probe");
   move.mutable_pose()->set_sequence(1);
@@ -188,7 +191,7 @@ TEST_F(ServiceTest, ALockstepSceneFromLoadToUnload) {
   EXPECT_EQ(list.scenes_size(), 0);
 }
 
-TEST_F(ServiceTest, PausesAndResumesASceneThatRuns) {
+TEST_F(ServiceTest, PausesAndResumesARunningScene) {
   v1::Scene scene = tests::block_with_probe();
   scene.mutable_stepping()->set_lockstep(false);
   load(scene);
@@ -218,7 +221,7 @@ TEST_F(ServiceTest, InspectsWithoutLoading) {
   EXPECT_EQ(code(&Stub::InspectScene, request), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
-TEST_F(ServiceTest, EveryCallSaysWhichSceneThereIsNot) {
+TEST_F(ServiceTest, EveryCallReportsAnUnknownScene) {
   using grpc::StatusCode;
   v1::StepSceneRequest step = of_scene<v1::StepSceneRequest>("none");
   step.set_count(1);
@@ -235,7 +238,7 @@ TEST_F(ServiceTest, EveryCallSaysWhichSceneThereIsNot) {
   EXPECT_EQ(code(&Stub::GetFeedback, of_scene<v1::GetFeedbackRequest>("none")), StatusCode::NOT_FOUND);
 }
 
-TEST_F(ServiceTest, RefusesWhatItCannotDo) {
+TEST_F(ServiceTest, RefusesInvalidRequests) {
   load(tests::block_with_probe());
   v1::LoadSceneRequest again;
   *again.mutable_scene() = tests::block_with_probe();
@@ -270,9 +273,11 @@ class LongStep {
     thread_ = std::thread([this, &stub, request] {
       v1::StepSceneResponse response;
       status_ = stub.StepScene(&context_, request, &response);
+      ended_ = true;
     });
   }
   void cancel() { context_.TryCancel(); }
+  bool has_ended() const { return ended_; }
   grpc::Status wait() {
     thread_.join();
     return status_;
@@ -281,6 +286,7 @@ class LongStep {
  private:
   grpc::ClientContext context_;
   grpc::Status status_;
+  std::atomic<bool> ended_{false};
   std::thread thread_;
 };
 
@@ -295,23 +301,47 @@ TEST_F(ServiceTest, ALongStepEndsWhenItsSceneIsUnloaded) {
   EXPECT_NE(status.error_message().find("unloaded"), std::string::npos) << status.error_message();
 }
 
-TEST_F(ServiceTest, ALongStepEndsWhenItsClientGivesUp) {
+TEST_F(ServiceTest, ALongStepEndsWhenItsClientCancels) {
   load(tests::block_with_probe());
   LongStep step(*stub);
   while ((*registry.find("block"))->status().step() < 10) std::this_thread::yield();
   step.cancel();
   EXPECT_EQ(step.wait().error_code(), grpc::StatusCode::CANCELLED);
-  // The scene is free again: this step waits for what is left of the long one, which is a turn and not minutes.
+  // The scene is free again. This step waits for the rest of one turn of the long call, not for minutes.
   v1::StepSceneRequest one = of_scene<v1::StepSceneRequest>("block");
   one.set_count(1);
-  const auto begin = std::chrono::steady_clock::now();
+  const auto start = std::chrono::steady_clock::now();
   EXPECT_EQ(code(&Stub::StepScene, one), grpc::StatusCode::OK);
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(5));
+  EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(5));
 }
 
-/// Calls a method that this program has no generated code for.
-std::string raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
-                     const std::string& request) {
+TEST_F(ServiceTest, CallsBeyondTheThreadLimitAreRefusedAsExhausted) {
+  load(tests::block_with_probe());
+  std::vector<std::unique_ptr<LongStep>> calls;
+  for (int i = 0; i < 100; ++i) calls.push_back(std::make_unique<LongStep>(*stub));
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  const auto has_ended = [](const auto& call) { return call->has_ended(); };
+  while (std::none_of(calls.begin(), calls.end(), has_ended) && std::chrono::steady_clock::now() < deadline) {
+    std::this_thread::yield();
+  }
+  for (const auto& call : calls) call->cancel();
+  int exhausted = 0;
+  for (const auto& call : calls) {
+    const grpc::StatusCode code = call->wait().error_code();
+    exhausted += code == grpc::StatusCode::RESOURCE_EXHAUSTED ? 1 : 0;
+    EXPECT_TRUE(code == grpc::StatusCode::RESOURCE_EXHAUSTED || code == grpc::StatusCode::CANCELLED) << code;
+  }
+  EXPECT_GT(exhausted, 0);
+}
+
+struct RawAnswer {
+  grpc::Status status;
+  std::string message;
+};
+
+/// Sends `request` as the bytes of a call, without generated code: any method, any bytes.
+RawAnswer raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::string& method,
+                   const std::string& request) {
   grpc::GenericStub generic(channel);
   grpc::ClientContext context;
   context.set_deadline(std::chrono::system_clock::now() + kDeadline);
@@ -325,34 +355,50 @@ std::string raw_call(const std::shared_ptr<grpc::Channel>& channel, const std::s
   stream->StartCall(nullptr);
   EXPECT_TRUE(finished());
   const grpc::Slice slice(request);
-  stream->Write(grpc::ByteBuffer(&slice, 1), nullptr);
-  EXPECT_TRUE(finished());
-  stream->WritesDone(nullptr);
+  stream->WriteLast(grpc::ByteBuffer(&slice, 1), grpc::WriteOptions(), nullptr);
   EXPECT_TRUE(finished());
   grpc::ByteBuffer answer;
   stream->Read(&answer, nullptr);
+  const bool answered = finished();
+  RawAnswer result;
+  stream->Finish(&result.status, nullptr);
   EXPECT_TRUE(finished());
-  grpc::Status status;
-  stream->Finish(&status, nullptr);
-  EXPECT_TRUE(finished());
-  EXPECT_TRUE(status.ok()) << status.error_message();
+  EXPECT_EQ(answered, result.status.ok()) << result.status.error_message();
   grpc::Slice joined;
-  if (!answer.Valid() || !answer.DumpToSingleSlice(&joined).ok()) return {};
-  return {reinterpret_cast<const char*>(joined.begin()), joined.size()};
+  if (answered && answer.Valid() && answer.DumpToSingleSlice(&joined).ok()) {
+    result.message.assign(reinterpret_cast<const char*>(joined.begin()), joined.size());
+  }
+  return result;
+}
+
+TEST_F(ServiceTest, RefusesBytesThatAreNotProtobufAndNamesTheCall) {
+  const google::protobuf::ServiceDescriptor* control =
+      google::protobuf::DescriptorPool::generated_pool()->FindServiceByName(v1::Control::service_full_name());
+  ASSERT_NE(control, nullptr);
+  // The second is StepSceneRequest { scene: "\xff" }: text that is not UTF-8.
+  const std::string not_protobuf = "\xff\xff\xff", not_utf8 = "\x0a\x01\xff";
+  for (int i = 0; i < control->method_count(); ++i) {
+    const std::string call = v1::Control::service_full_name() + ("/" + control->method(i)->name());
+    const grpc::Status status = raw_call(channel, "/" + call, not_protobuf).status;
+    EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT) << call;
+    EXPECT_TRUE(status.error_message().starts_with(call + ": ")) << call << " says '" << status.error_message() << "'";
+  }
+  EXPECT_EQ(raw_call(channel, "/tensormass.v1.Control/StepScene", not_utf8).status.error_code(),
+            grpc::StatusCode::INVALID_ARGUMENT);
 }
 
 TEST_F(ServiceTest, HealthIsServingUntilShutdownIsAnnounced) {
   // HealthCheckResponse { status: SERVING }, then NOT_SERVING.
-  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x01");
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", "").message, "\x08\x01");
   server->announce_shutdown();
-  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", ""), "\x08\x02");
+  EXPECT_EQ(raw_call(channel, "/grpc.health.v1.Health/Check", "").message, "\x08\x02");
 }
 
 TEST_F(ServiceTest, ReflectionListsTheService) {
   // ServerReflectionRequest { list_services: "" }
   const std::string request("\x3a\x00", 2);
   const std::string answer =
-      raw_call(channel, "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", request);
+      raw_call(channel, "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", request).message;
   EXPECT_NE(answer.find("tensormass.v1.Control"), std::string::npos);
 }
 

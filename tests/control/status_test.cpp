@@ -13,6 +13,7 @@ TEST(Status, MapsEveryCodeAndKeepsTheMessage) {
       {ErrorCode::kResourceExhausted, grpc::StatusCode::RESOURCE_EXHAUSTED},
       {ErrorCode::kFailedPrecondition, grpc::StatusCode::FAILED_PRECONDITION},
       {ErrorCode::kUnavailable, grpc::StatusCode::UNAVAILABLE},
+      {ErrorCode::kCancelled, grpc::StatusCode::CANCELLED},
   };
   for (const auto& [code, expected] : pairs) {
     const grpc::Status status = to_status({code, "body 'liver': what to do"});

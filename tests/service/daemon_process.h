@@ -26,12 +26,12 @@
 
 #include "tensormass/v1/control.grpc.pb.h"
 
-/// The real program, as its users start it.
+/// Runs the real program as users start it: a process with flags, a log and a ready file.
 namespace tensormass::service_tests {
 
 inline constexpr std::chrono::seconds kDeadline{30};
 
-/// True once the condition holds; polls, because no event tells.
+/// Polls until `condition()` is true; returns false at the deadline. For conditions without an event to wait for.
 template <class Condition>
 bool eventually(Condition condition) {
   const auto deadline = std::chrono::steady_clock::now() + kDeadline;
@@ -42,7 +42,7 @@ bool eventually(Condition condition) {
   return true;
 }
 
-/// A folder that goes with the test.
+/// A new folder, removed with its contents by the destructor.
 class TemporaryFolder {
  public:
   TemporaryFolder() {
@@ -63,7 +63,7 @@ inline std::string read_file(const std::filesystem::path& path) {
   return text.str();
 }
 
-/// A child process whose output goes to a file. It does not outlive the object.
+/// A child process that writes stdout and stderr to a file. The destructor kills it.
 class Process {
  public:
   Process(const std::vector<std::string>& arguments, const std::filesystem::path& output,
@@ -96,7 +96,7 @@ class Process {
     }
     return !status_;
   }
-  /// The exit status; 128 + n if signal n ended it.
+  /// Waits for the end. Returns the exit status, or 128 + n if signal n ended the process.
   int wait() {
     if (!status_) {
       int status = 0;
@@ -111,7 +111,7 @@ class Process {
   std::optional<int> status_;
 };
 
-/// `tensormassd` on free ports, serving when the constructor returns.
+/// `tensormassd` on the CPU and on free ports. It serves when the constructor returns.
 class DaemonProcess {
  public:
   explicit DaemonProcess(std::vector<std::string> more = {}) {
@@ -138,7 +138,7 @@ class DaemonProcess {
 
   std::filesystem::path ready_file() const { return folder / "ready.json"; }
   std::string log() const { return read_file(folder / "log"); }
-  /// Out of the ready file: "control", "zeromq_publish", "zeromq_pose", "zenoh".
+  /// An endpoint from the ready file; `name` is "control", "zeromq_publish", "zeromq_pose" or "zenoh".
   std::string endpoint(const std::string& name) const { return ready_.fields().at(name).string_value(); }
 
   void load(const v1::Scene& scene) {

@@ -25,7 +25,7 @@ v1::Scene running_block(const std::string& name = "block") {
   return scene;
 }
 
-/// Reads one stream over ZeroMQ, every message of it.
+/// Reads every message of one stream over ZeroMQ.
 template <class Message>
 class Reader {
  public:
@@ -35,10 +35,10 @@ class Reader {
     socket_.set(zmq::sockopt::subscribe, prefix_);
     socket_.connect(endpoint);
   }
-  /// The next message; throws if none comes.
+  /// Returns the next message; throws at the deadline.
   Message read() {
     zmq::message_t frame;
-    if (!socket_.recv(frame)) throw std::runtime_error("nothing came under " + prefix_);
+    if (!socket_.recv(frame)) throw std::runtime_error("no message arrived under " + prefix_);
     return parse(frame);
   }
   std::optional<Message> try_read() {
@@ -77,7 +77,7 @@ class PoseWriter {
   zmq::socket_t socket_{context_, zmq::socket_type::push};
 };
 
-TEST(Daemon, TellsEveryEndpointOnceItServes) {
+TEST(Daemon, ReportsEveryEndpointOnceItServes) {
   DaemonProcess daemon;
   const v1::GetVersionResponse version = daemon.version();
   EXPECT_EQ(version.backend(), "cpu");
@@ -91,7 +91,7 @@ TEST(Daemon, TellsEveryEndpointOnceItServes) {
   EXPECT_EQ(version.malformed_messages(), 0u);
 }
 
-TEST(Daemon, TransportsThatAreOffAreNotOffered) {
+TEST(Daemon, HasNoEndpointForATransportThatIsOff) {
   DaemonProcess daemon({"--zeromq-publish", "off", "--zeromq-pose", "off", "--zenoh-listen", "off"});
   EXPECT_EQ(daemon.endpoint("zeromq_publish"), "");
   EXPECT_EQ(daemon.endpoint("zenoh"), "");
@@ -150,7 +150,7 @@ TEST(Daemon, StreamsAreTheSameOverZenoh) {
   EXPECT_EQ(frame.topology_version(), topology.version());
 }
 
-TEST(Daemon, APausedSceneStillTellsItsStatus) {
+TEST(Daemon, APausedSceneStillPublishesItsStatus) {
   DaemonProcess daemon;
   daemon.load(running_block());
   grpc::ClientContext context;
@@ -164,7 +164,7 @@ TEST(Daemon, APausedSceneStillTellsItsStatus) {
   }
 }
 
-/// Presses until the feedback says so, and returns it.
+/// Moves the probe into the block and waits until the feedback has a force.
 void press(PoseWriter& hand, Reader<v1::ToolFeedback>& feedback) {
   hand.send("block", 1, 0.05, 0.05, 0.05);
   ASSERT_TRUE(eventually([&] { return feedback.read().force_n().y() > 0.01; }));
@@ -172,7 +172,7 @@ void press(PoseWriter& hand, Reader<v1::ToolFeedback>& feedback) {
 
 void expect_last_feedback_is_zero(Reader<v1::ToolFeedback>& feedback) {
   v1::ToolFeedback last;
-  // Everything that was sent has arrived when the daemon is gone; ZeroMQ hands it over in order.
+  // The last feedback in the queue counts. ZeroMQ delivers the queued messages in order, even after the daemon exits.
   ASSERT_TRUE(eventually([&] {
     while (auto next = feedback.try_read()) last = *next;
     return last.has_force_n() && last.force_n().y() == 0;
@@ -186,16 +186,16 @@ void expect_last_feedback_is_zero(Reader<v1::ToolFeedback>& feedback) {
 
 class StopSignal : public testing::TestWithParam<int> {};
 
-TEST_P(StopSignal, ReleasesTheHandAndEndsInTime) {
+TEST_P(StopSignal, SetsForcesToZeroAndExitsInTime) {
   DaemonProcess daemon;
   daemon.load(running_block());
   PoseWriter hand(daemon.endpoint("zeromq_pose"));
   Reader<v1::ToolFeedback> feedback(daemon.endpoint("zeromq_publish"), bus::feedback_key("local", "block", "probe"));
   press(hand, feedback);
-  const auto begin = Clock::now();
+  const auto start = Clock::now();
   daemon.process->kill(GetParam());
   EXPECT_EQ(daemon.process->wait(), 0) << daemon.log();
-  EXPECT_LT(Clock::now() - begin, std::chrono::seconds(2));
+  EXPECT_LT(Clock::now() - start, std::chrono::seconds(2));
   expect_last_feedback_is_zero(feedback);
   EXPECT_FALSE(std::filesystem::exists(daemon.ready_file()));
   EXPECT_NE(daemon.log().find("stopped"), std::string::npos);
@@ -205,7 +205,7 @@ INSTANTIATE_TEST_SUITE_P(Signals, StopSignal, testing::Values(SIGTERM, SIGINT), 
   return std::string(test.param == SIGTERM ? "Terminate" : "Interrupt");
 });
 
-TEST(Daemon, UnloadingASceneReleasesTheHand) {
+TEST(Daemon, UnloadingASceneSetsItsForcesToZero) {
   DaemonProcess daemon;
   daemon.load(running_block());
   PoseWriter hand(daemon.endpoint("zeromq_pose"));
@@ -219,10 +219,10 @@ TEST(Daemon, UnloadingASceneReleasesTheHand) {
   expect_last_feedback_is_zero(feedback);
 }
 
-TEST(Daemon, EndsInTimeWhateverIsGoingOn) {
+TEST(Daemon, ExitsInTimeDuringALongStepAndWithAStoppedClient) {
   DaemonProcess daemon;
   daemon.load(tests::block_with_probe());
-  // A call that steps for minutes, and a client over each transport that does not read any more.
+  // A call that would step for minutes, and a stopped client on each transport.
   std::thread stepping([&] {
     grpc::ClientContext context;
     v1::StepSceneRequest request;
@@ -237,14 +237,14 @@ TEST(Daemon, EndsInTimeWhateverIsGoingOn) {
       daemon.folder / "subscriber");
   EXPECT_TRUE(eventually([&] { return read_file(daemon.folder / "subscriber") == "r"; }));
   stopped.kill(SIGSTOP);
-  const auto begin = Clock::now();
+  const auto start = Clock::now();
   daemon.process->kill(SIGTERM);
   EXPECT_EQ(daemon.process->wait(), 0) << daemon.log();
-  EXPECT_LT(Clock::now() - begin, std::chrono::seconds(2));
+  EXPECT_LT(Clock::now() - start, std::chrono::seconds(2));
   stepping.join();
 }
 
-TEST(Daemon, AStoppedClientDelaysNobody) {
+TEST(Daemon, AStoppedClientDelaysNoOtherClient) {
   DaemonProcess daemon;
   v1::Scene light = tests::block_with_probe(false, 4);
   light.mutable_stepping()->set_lockstep(false);
@@ -255,16 +255,16 @@ TEST(Daemon, AStoppedClientDelaysNobody) {
   ASSERT_TRUE(eventually([&] { return read_file(daemon.folder / "subscriber") == "r"; }));
   stopped.kill(SIGSTOP);
   Reader<v1::Frame> viewer(daemon.endpoint("zeromq_publish"), bus::frame_key("local", "block"));
-  // 200 steps' worth of frames for another viewer, while the stopped one takes none. A send that waits for it would
-  // take seconds; the factor is for a busy machine.
-  const auto begin = Clock::now();
+  // Another viewer receives the frames of 200 steps while the stopped client reads nothing. A send that waited for the
+  // stopped client would take seconds. The factor 2 leaves room for a busy machine.
+  const auto start = Clock::now();
   const std::uint64_t first = viewer.read().step();
   while (viewer.read().step() < first + 200) continue;
-  const double elapsed_s = std::chrono::duration<double>(Clock::now() - begin).count();
+  const double elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
   EXPECT_LT(elapsed_s, 2 * 200 / daemon.status("block").target_rate_hz());
 }
 
-/// Connects to the port that the endpoint ends with, writes random bytes, and closes.
+/// Connects to the port at the end of `endpoint`, writes random bytes, and closes.
 void write_garbage(const std::string& endpoint, std::uint32_t seed) {
   const int descriptor = socket(AF_INET, SOCK_STREAM, 0);
   sockaddr_in address{};
@@ -294,7 +294,7 @@ TEST(Daemon, GarbageOnEveryEndpointIsCountedAndSurvived) {
   EXPECT_NE(daemon.log().find("malformed message"), std::string::npos) << daemon.log();
 }
 
-TEST(Daemon, AMalformedPoseIsCountedWithItsScene) {
+TEST(Daemon, AMalformedPoseIsCountedInTheStatusOfItsScene) {
   DaemonProcess daemon;
   daemon.load(running_block());
   zmq::context_t context(1);
@@ -306,7 +306,7 @@ TEST(Daemon, AMalformedPoseIsCountedWithItsScene) {
   EXPECT_EQ(daemon.version().malformed_messages(), 1u);
 }
 
-TEST(Daemon, ASecondOneOnTheSamePortSaysWhy) {
+TEST(Daemon, ASecondDaemonOnTheSamePortNamesThePort) {
   DaemonProcess first;
   Process second({TENSORMASSD, "--control", first.endpoint("control"), "--zeromq-publish", "off", "--zeromq-pose",
                   "off", "--zenoh-listen", "off"},
@@ -316,7 +316,19 @@ TEST(Daemon, ASecondOneOnTheSamePortSaysWhy) {
   EXPECT_NE(log.find(first.endpoint("control")), std::string::npos) << log;
 }
 
-TEST(Daemon, TheReadyFileTakesTheWayOfALinkAndNeverThePlaceOfWhatIsNoFile) {
+TEST(Daemon, ATakenZenohPortIsReportedWithItsCauseAndNoSourcePath) {
+  DaemonProcess first;
+  Process second({TENSORMASSD, "--backend", "cpu", "--control", "127.0.0.1:0", "--zeromq-publish", "off",
+                  "--zeromq-pose", "off", "--zenoh-listen", first.endpoint("zenoh")},
+                 first.folder / "second");
+  EXPECT_EQ(second.wait(), 1);
+  const std::string log = read_file(first.folder / "second");
+  EXPECT_NE(log.find(first.endpoint("zenoh")), std::string::npos) << log;
+  EXPECT_NE(log.find("Address already in use"), std::string::npos) << log;
+  EXPECT_EQ(log.find(".rs:"), std::string::npos) << log;
+}
+
+TEST(Daemon, TheReadyFileFollowsLinksAndReplacesOnlyRegularFiles) {
   TemporaryFolder folder;
   const auto arguments = [&](const std::string& ready_file) {
     return std::vector<std::string>{TENSORMASSD,
@@ -336,7 +348,7 @@ TEST(Daemon, TheReadyFileTakesTheWayOfALinkAndNeverThePlaceOfWhatIsNoFile) {
   ASSERT_EQ(mkfifo((folder / "fifo").c_str(), 0600), 0);
   Process refused(arguments("fifo"), folder / "log");
   EXPECT_EQ(refused.wait(), 1);
-  EXPECT_NE(read_file(folder / "log").find("is there and is no file"), std::string::npos);
+  EXPECT_NE(read_file(folder / "log").find("exists and is not a regular file"), std::string::npos);
   EXPECT_TRUE(std::filesystem::is_fifo(folder / "fifo"));
 
   std::ofstream(folder / "target") << "";

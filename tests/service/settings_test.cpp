@@ -29,7 +29,7 @@ TEST(Settings, BindLoopbackByDefault) {
   EXPECT_TRUE(has_line(outcome.output, "zenoh-listen=\"tcp/127.0.0.1:7447\"")) << outcome.output;
 }
 
-TEST(Settings, FlagsOverEnvironmentOverFile) {
+TEST(Settings, FlagsOverrideTheEnvironmentWhichOverridesTheFile) {
   const TemporaryFolder folder;
   const std::string file = (folder / "settings.toml").string();
   std::ofstream(file) << "server-name = \"file\"\ncontrol = \"127.0.0.1:1\"\nlog-level = \"error\"\n";
@@ -41,7 +41,7 @@ TEST(Settings, FlagsOverEnvironmentOverFile) {
   EXPECT_TRUE(has_line(outcome.output, "log-level=\"error\"")) << outcome.output;
 }
 
-TEST(Settings, WhatIsPrintedIsAConfigFile) {
+TEST(Settings, ThePrintedSettingsAreAValidConfigFile) {
   const TemporaryFolder folder;
   const std::string file = (folder / "settings.toml").string();
   const Outcome first = check({"--server-name", "theatre-1", "--zenoh-listen", "off", "--cpu-threads", "3"});
@@ -51,7 +51,7 @@ TEST(Settings, WhatIsPrintedIsAConfigFile) {
   EXPECT_EQ(second.output, first.output);
 }
 
-TEST(Settings, WhatIsWrongIsNamedAndRefused) {
+TEST(Settings, AnInvalidSettingIsRefusedByName) {
   const TemporaryFolder folder;
   const std::string file = (folder / "settings.toml").string();
   std::ofstream(file) << "nonsense = 1\n";

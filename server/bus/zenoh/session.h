@@ -10,20 +10,40 @@
 #include "bus/zenoh/tensormass_zenoh.h"
 #include "core/result.h"
 
-/// zenoh for C++: owners and options over the C interface. Clients use it as well as the server.
+/// zenoh for C++: a session and its subscribers as owners, over the C interface of tensormass_zenoh.h. The server, the
+/// haptic client and the tests use it.
+///
+/// Threads. zenoh runs its own threads; every method may be called from any thread.
+///
+///     put(key, payload) ──> queue of each peer ──> network    waits milliseconds at most; then a full queue drops it
+///     network ──> zenoh's threads ──> MessageHandler of a Subscriber
+///     retain(key, payload) ──> table ──> zenoh's threads answer a peer's get(key)
+///     get(key, timeout) ──> peers, waits ──> MessageHandler on the caller's thread
+///
+/// Three rules:
+///
+/// 1. Every put drops instead of blocking. zenoh's other mode lets one stopped subscriber stall the publisher.
+/// 2. A late joiner asks for retained messages with `get`; subscribing alone does not send them.
+/// 3. A session neither scouts nor gossips. It talks only to the addresses in its options.
+///
+/// Lifetimes. A Subscriber must be destroyed before its Session. Its destructor waits until the handler has returned,
+/// so a handler must not destroy its own Subscriber.
 namespace tensormass::zenoh {
 
-/// Runs on threads of zenoh; views are valid during the call. Must not throw.
+/// Called with one message: on zenoh's threads for a subscription, on the caller's thread for a `get`. Both views are
+/// valid during the call only. It must not throw.
 using MessageHandler = std::function<void(std::string_view key, std::string_view payload)>;
 
 struct SessionOptions {
-  /// "tcp/127.0.0.1:7447"; port 0 for a free one. Empty: the session is a client of `connect`.
+  /// The address to listen on, "tcp/127.0.0.1:7447"; port 0 takes a free one. Empty: the session does not listen and
+  /// is a client of `connect`.
   std::string listen = {};
-  /// "tcp/127.0.0.1:7447"; empty: connects to nobody.
+  /// The address of the peer to connect to, "tcp/127.0.0.1:7447". Empty: no connection is made.
   std::string connect = {};
-  /// Key expression under which retained messages are answered; empty: none are.
+  /// The key expression whose gets this session answers with its retained messages, "tensormass/local/**". Empty: it
+  /// answers none.
   std::string serve = {};
-  /// For large messages to peers on the same machine that have it on too.
+  /// Sends large messages through shared memory to peers on the same machine that also turned it on.
   bool shared_memory = true;
 };
 
@@ -42,7 +62,7 @@ inline const std::uint8_t* bytes(std::string_view payload) {
 
 }  // namespace detail
 
-/// Ends the subscription when it goes; then the handler does not run any more. Goes before its session.
+/// One subscription, ended by the destructor, which waits until the handler has returned. Empty if default-constructed.
 class Subscriber {
  public:
   Subscriber() = default;
@@ -52,13 +72,16 @@ class Subscriber {
   struct Undeclare {
     void operator()(tensormass_zenoh_subscriber* subscriber) const { tensormass_zenoh_unsubscribe(subscriber); }
   };
-  // The handler is declared first: it goes after the subscription has ended.
+  // Members are destroyed in reverse order: the subscription ends before the handler that it calls is freed.
   std::unique_ptr<MessageHandler> handler_;
   std::unique_ptr<tensormass_zenoh_subscriber, Undeclare> subscriber_;
 };
 
+/// One connection to zenoh, closed by the destructor.
 class Session {
  public:
+  /// Returns when the session listens and is connected, as `options` ask. Fails with kUnavailable, and the address and
+  /// the cause in the message, if it cannot.
   static Result<Session> open(const SessionOptions& options) {
     std::array<char, 1024> error{};
     Session session(tensormass_zenoh_open(detail::or_null(options.listen), detail::or_null(options.connect),
@@ -73,25 +96,30 @@ class Session {
     return session;
   }
 
-  /// What it listens on, with the port that was chosen; empty if it does not.
+  /// The address that the session listens on, with the port that was chosen. Empty: it does not listen.
   std::string locator() const {
     std::array<char, 256> locator{};
     tensormass_zenoh_locator(session_.get(), locator.data(), locator.size());
     return locator.data();
   }
 
-  /// Who cannot take the message loses it. `urgent` goes ahead of what is not. False: not a key, or closed.
+  /// Sends a message to the subscribers of `key`; a subscriber whose queue is full loses it. `urgent` messages overtake
+  /// the others. Returns false if `key` is not a valid key or the session is closed.
   bool put(std::string_view key, std::string_view payload, bool urgent = false) {
     return tensormass_zenoh_put(session_.get(), key.data(), key.size(), detail::bytes(payload), payload.size(), urgent);
   }
 
-  /// Keeps the message as the answer to a `get` of its key. False: not a key.
+  /// Keeps a copy of the message as the answer to a peer's `get` of its key, in place of the one before. Needs
+  /// `SessionOptions::serve`. Returns false if `key` is not a valid key.
   bool retain(std::string_view key, std::string_view payload) {
     return tensormass_zenoh_retain(session_.get(), key.data(), key.size(), detail::bytes(payload), payload.size());
   }
 
+  /// Drops the retained message of `key`, if there is one.
   void forget(std::string_view key) { tensormass_zenoh_forget(session_.get(), key.data(), key.size()); }
 
+  /// Calls `handler` for each message under `key`, which may contain the wildcards * and **. Fails with
+  /// kInvalidArgument if `key` is not a key expression, or the session is closed.
   Result<Subscriber> subscribe(std::string_view key, MessageHandler handler) {
     Subscriber subscriber;
     subscriber.handler_ = std::make_unique<MessageHandler>(std::move(handler));
@@ -101,7 +129,8 @@ class Session {
     return subscriber;
   }
 
-  /// Calls the handler, on this thread, for each message retained under the key; returns how many there were.
+  /// Asks the peers for the messages they retain under `key` and calls `handler` for each, on this thread. Waits at
+  /// most `timeout_ms` [ms]. Returns the number of messages.
   std::size_t get(std::string_view key, std::uint32_t timeout_ms, MessageHandler handler) {
     return tensormass_zenoh_get(session_.get(), key.data(), key.size(), timeout_ms, detail::call_handler, &handler);
   }

@@ -4,9 +4,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The C interface of the Rust crate beside this file (rust/src/lib.rs). C++ uses it through zenoh/session.h.
- * Text is UTF-8. Keys are key expressions of zenoh, given with their length. Everything may be called from any thread.
- */
+/* The C interface of the Rust crate in rust/src/lib.rs. C++ uses it through zenoh/session.h, which draws the threads.
+ *
+ * Text is UTF-8. Keys are zenoh's key expressions; they carry their length and need no terminating zero. Every function
+ * may be called from any thread. Bytes that the caller passes are copied before the function returns. */
 
 #ifdef __cplusplus
 extern "C" {
@@ -15,44 +16,53 @@ extern "C" {
 typedef struct tensormass_zenoh_session tensormass_zenoh_session;
 typedef struct tensormass_zenoh_subscriber tensormass_zenoh_subscriber;
 
-/* Key and payload are valid during the call. */
+/* Receives one message. Key and payload are valid during the call only. */
 typedef void (*tensormass_zenoh_message_fn)(void* context, const char* key, size_t key_size, const uint8_t* payload,
                                             size_t size);
+/* Receives one log line. The text is valid during the call only and has no terminating zero. */
 typedef void (*tensormass_zenoh_log_fn)(void* context, bool is_error, const char* message, size_t size);
 
-/* listen: "tcp/127.0.0.1:7447", port 0 for a free one; null: none, and the session is a client of `connect`.
- * connect: "tcp/127.0.0.1:7447"; null: none.
- * serve: key expression under which retained messages are answered; null: none are.
- * Nothing is scouted. On failure null, with the reason in `error`. */
+/* Opens a session, without scouting for peers. Close it with tensormass_zenoh_close.
+ * listen: the address to listen on, "tcp/127.0.0.1:7447"; port 0 takes a free one. Null: the session does not listen
+ * and is a client of `connect`. connect: the address of the peer to connect to. Null: no connection is made. serve: the
+ * key expression whose gets are answered with retained messages. Null: no get is answered. Returns null on failure and
+ * writes the cause, cut to `error_capacity` bytes, to `error`. */
 tensormass_zenoh_session* tensormass_zenoh_open(const char* listen, const char* connect, const char* serve,
                                                 bool shared_memory, char* error, size_t error_capacity);
-/* Undeclares everything, returns when no callback runs any more. */
+/* Closes the session and frees it. Returns when no callback is running. Unsubscribe every subscriber before. */
 void tensormass_zenoh_close(tensormass_zenoh_session* session);
-/* What the session listens on, with its port; empty if it does not listen. */
+/* Writes the address that the session listens on, with the port that was chosen; "" if it does not listen. */
 void tensormass_zenoh_locator(const tensormass_zenoh_session* session, char* locator, size_t capacity);
 
-/* Never waits for a stopped reader longer than zenoh's own milliseconds: who cannot take it loses it. */
+/* Sends a message. Waits at most a few milliseconds, fixed by zenoh, for a reader whose queue is full; that reader then
+ * loses the message. Urgent messages overtake the others. Returns false if the key is invalid or the session closed. */
 bool tensormass_zenoh_put(const tensormass_zenoh_session* session, const char* key, size_t key_size,
                           const uint8_t* payload, size_t size, bool urgent);
-/* Kept as the answer to a get of this key; needs `serve`. */
+/* Keeps a message as the answer to a get of this key; needs `serve`. Returns false if the key is invalid. */
 bool tensormass_zenoh_retain(const tensormass_zenoh_session* session, const char* key, size_t key_size,
                              const uint8_t* payload, size_t size);
+/* Drops the retained message of this key, if there is one. */
 void tensormass_zenoh_forget(const tensormass_zenoh_session* session, const char* key, size_t key_size);
 
-/* The function runs on threads of zenoh. Null if the key is no key expression or the session is closed. */
+/* Calls `function` on zenoh's threads for each message under the key. Returns null if the key is invalid or the session
+ * is closed. */
 tensormass_zenoh_subscriber* tensormass_zenoh_subscribe(const tensormass_zenoh_session* session, const char* key,
                                                         size_t key_size, tensormass_zenoh_message_fn function,
                                                         void* context);
-/* Returns when the function does not run any more; not to be called from it. Before the session is closed. */
+/* Ends the subscription and returns when its function is not running. Must not be called from that function, and must
+ * be called before the session is closed. */
 void tensormass_zenoh_unsubscribe(tensormass_zenoh_subscriber* subscriber);
 
-/* Calls the function, on this thread, for each message that is retained under the key somewhere; returns how many. */
+/* Asks all peers for the messages they retain under the key and calls `function` on this thread for each. Waits at most
+ * timeout_ms. Returns the number of messages. */
 size_t tensormass_zenoh_get(const tensormass_zenoh_session* session, const char* key, size_t key_size,
                             uint32_t timeout_ms, tensormass_zenoh_message_fn function, void* context);
 
-/* For the whole process, once; false if something else has taken the log. Warnings and errors of zenoh. */
+/* Sends zenoh's warnings and errors to `function`, for the whole process. Works once: returns false if the log already
+ * has a receiver. Source paths are removed from the text. */
 bool tensormass_zenoh_set_log(tensormass_zenoh_log_fn function, void* context);
-/* Connections of the whole process that did not get through zenoh's handshake; counted once the log is set. */
+/* Connections to this process that failed zenoh's handshake. zenoh reports them only in its log, so the count starts
+ * when tensormass_zenoh_set_log is called. */
 uint64_t tensormass_zenoh_failed_handshakes(void);
 
 #ifdef __cplusplus

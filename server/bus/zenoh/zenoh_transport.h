@@ -13,21 +13,25 @@
 namespace tensormass::bus {
 
 struct ZenohOptions {
+  /// <server> in the keys.
   std::string server;
-  /// "tcp/127.0.0.1:7447"; port 0 for a free one.
+  /// The address to listen on, "tcp/127.0.0.1:7447"; port 0 takes a free one.
   std::string listen;
 };
 
-/// The same keys and bytes over zenoh. Who joins late gets what is retained by a `get` of its key.
+/// Streams and poses over zenoh, under the same keys and with the same protobuf bytes as over ZeroMQ.
+///
+/// A late joiner asks for a retained message with zenoh's `get` of its key. Poses arrive on zenoh's threads, which call
+/// `input` directly. session.h says what is dropped and who waits.
 class ZenohTransport final : public Transport {
  public:
-  /// `input` outlives the transport.
+  /// `input` must outlive the transport. Fails with kUnavailable if `listen` cannot be listened on.
   static Result<std::unique_ptr<ZenohTransport>> open(const ZenohOptions& options, PoseInput& input);
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
 
-  /// With the port that was chosen.
+  /// The address that clients connect to, with the port that was chosen.
   const std::string& locator() const { return locator_; }
 
  private:
@@ -35,6 +39,7 @@ class ZenohTransport final : public Transport {
 
   zenoh::Session session_;
   std::string locator_;
+  // After `session_`, because a subscriber must be destroyed before its session.
   zenoh::Subscriber poses_;
 };
 

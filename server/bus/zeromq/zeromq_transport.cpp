@@ -15,24 +15,27 @@
 namespace tensormass::bus {
 namespace {
 
-/// Messages under way to one subscriber; more are dropped. Room for one step of a scene with all its tools and no more:
-/// what waits here is old when it arrives.
+/// Messages queued to one subscriber; ZeroMQ drops the others. Room for one step of a scene with all its tools, because
+/// a message that waits longer is old when it arrives.
 constexpr int kSendQueue = static_cast<int>(limits::kMaxTools) + 4;
-/// How long the last messages (forces to zero) may take to leave when the transport closes.
+/// [ms] that the last messages, which set forces to zero, may take to leave when the transport closes.
 constexpr int kLingerMs = 200;
-/// A peer that connects and does not finish ZeroMQ's handshake is let go.
+/// [ms] until ZeroMQ disconnects a peer that has not finished the handshake.
 constexpr int kHandshakeMs = 3000;
-/// Longer input ends its connection inside ZeroMQ; what is shorter and still too long is counted by PoseInput.
+/// ZeroMQ closes the connection of a client that sends a longer message, uncounted. PoseInput counts messages that are
+/// shorter than this and longer than limits::kMaxPoseMessageBytes.
 constexpr std::int64_t kMaxInputBytes = std::int64_t{1} << 20;
-/// Poses taken in a row before the other sockets have their turn.
+/// Poses read in a row before the other sockets are served.
 constexpr int kPosesPerTurn = 256;
 
-/// How often what only time tells about handshakes is looked at, while there is any.
-constexpr std::chrono::milliseconds kHandshakeLook{200};
-constexpr std::chrono::milliseconds kHandshakePatience{kHandshakeMs + 500};
+/// Time between two counts while connections are young, because their timeout ends without an event.
+constexpr std::chrono::milliseconds kHandshakeCheckPeriod{200};
+/// ZeroMQ has disconnected a peer without a handshake by then.
+constexpr std::chrono::milliseconds kHandshakeTimeout{kHandshakeMs + 500};
 
 constexpr int kMonitored = ZMQ_EVENT_ACCEPTED | ZMQ_EVENT_HANDSHAKE_SUCCEEDED | ZMQ_EVENT_DISCONNECTED;
 
+/// Returns the endpoint with the port that was chosen.
 Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
   try {
     socket.bind(endpoint);
@@ -46,7 +49,7 @@ Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
 }  // namespace
 
 ZeroMqTransport::Monitor::Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name)
-    : events(context, zmq::socket_type::pair), watch(kHandshakePatience) {
+    : events(context, zmq::socket_type::pair), handshakes(kHandshakeTimeout) {
   const std::string address = "inproc://" + name;
   if (zmq_socket_monitor(socket.handle(), address.c_str(), kMonitored) != 0) throw zmq::error_t();
   events.connect(address);
@@ -73,7 +76,7 @@ ZeroMqTransport::ZeroMqTransport(PoseInput& input)
       stop_event_(eventfd(0, EFD_CLOEXEC)) {
   publisher_.set(zmq::sockopt::sndhwm, kSendQueue);
   publisher_.set(zmq::sockopt::linger, kLingerMs);
-  // A second subscriber to the same key is told of too: it joined late.
+  // Reports every subscription. By default XPUB reports only the first to a key, but the second joined late too.
   publisher_.set(zmq::sockopt::xpub_verbose, true);
   poses_.set(zmq::sockopt::linger, 0);
   for (zmq::socket_t* socket : {&publisher_, &poses_}) {
@@ -94,7 +97,7 @@ void ZeroMqTransport::publish(const MessagePtr& message, PublishOptions options)
   const std::lock_guard lock(mutex_);
   if (options.retain) retained_.insert_or_assign(std::string(message->key()), message);
   send(message);
-  // Sending may have taken the wake-up that was meant for the receiver thread.
+  // ZeroMQ signals a subscription once, and the send above may have consumed the signal instead of the receiver thread.
   serve_subscriptions();
 }
 
@@ -104,7 +107,7 @@ void ZeroMqTransport::forget(std::string_view key) {
 }
 
 void ZeroMqTransport::send(const MessagePtr& message) {
-  // ZeroMQ shares our bytes instead of copying them; the hint keeps them alive until the last subscriber has them.
+  // ZeroMQ sends our bytes without a copy. It frees the hint, a MessagePtr that keeps them alive, after the last send.
   const std::string_view bytes = message->bytes();
   zmq::message_t frame(
       const_cast<char*>(bytes.data()), bytes.size(), [](void*, void* hint) { delete static_cast<MessagePtr*>(hint); },
@@ -117,7 +120,7 @@ void ZeroMqTransport::serve_subscriptions() {
   zmq::message_t request;
   while (publisher_.recv(request, zmq::recv_flags::dontwait)) {
     const std::string_view bytes = request.to_string_view();
-    // ZeroMQ: 1 and the prefix subscribes, 0 and the prefix ends it.
+    // ZeroMQ's format: byte 1 and a prefix subscribes, byte 0 and a prefix ends the subscription.
     if (bytes.empty() || bytes.front() > 1 || request.more()) {
       input_.refuse({}, "not a subscription, on the ZeroMQ publish endpoint");
       continue;
@@ -140,16 +143,16 @@ void ZeroMqTransport::receive_loop() {
                                         {nullptr, stop_event_, ZMQ_POLLIN, 0}}};
   const zmq::pollitem_t &poses = items[0], &subscribed = items[1], &stop = items[4];
   while (true) {
-    const bool waiting = publisher_monitor_.watch.is_waiting() || poses_monitor_.watch.is_waiting();
-    zmq::poll(items.data(), items.size(), waiting ? kHandshakeLook : std::chrono::milliseconds{-1});
+    const bool waiting = publisher_monitor_.handshakes.is_waiting() || poses_monitor_.handshakes.is_waiting();
+    zmq::poll(items.data(), items.size(), waiting ? kHandshakeCheckPeriod : std::chrono::milliseconds{-1});
     if (stop.revents != 0) return;
     if (poses.revents != 0) receive_poses();
     if (subscribed.revents != 0) {
       const std::lock_guard lock(mutex_);
       serve_subscriptions();
     }
-    watch_handshakes(publisher_monitor_);
-    watch_handshakes(poses_monitor_);
+    count_handshakes(publisher_monitor_);
+    count_handshakes(poses_monitor_);
   }
 }
 
@@ -165,21 +168,22 @@ void ZeroMqTransport::receive_poses() {
   }
 }
 
-void ZeroMqTransport::watch_handshakes(Monitor& monitor) {
+void ZeroMqTransport::count_handshakes(Monitor& monitor) {
   const auto now = std::chrono::steady_clock::now();
   zmq::message_t part;
   while (monitor.events.recv(part, zmq::recv_flags::dontwait)) {
-    // An event is two frames: what happened (16 bits) with a value (32 bits), and to which endpoint.
+    // ZeroMQ's format: a frame with the event (16 bits) and a value (32 bits, here the descriptor), then a frame with
+    // the endpoint, which is skipped.
     if (!part.more() || part.size() != 6) continue;
     std::uint16_t event = 0;
     std::int32_t descriptor = 0;
     std::memcpy(&event, part.data(), sizeof(event));
     std::memcpy(&descriptor, part.data<char>() + sizeof(event), sizeof(descriptor));
-    if (event == ZMQ_EVENT_ACCEPTED) monitor.watch.accepted(descriptor, now);
-    if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.watch.succeeded();
-    if (event == ZMQ_EVENT_DISCONNECTED) monitor.watch.disconnected(descriptor);
+    if (event == ZMQ_EVENT_ACCEPTED) monitor.handshakes.accepted(descriptor, now);
+    if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.handshakes.succeeded();
+    if (event == ZMQ_EVENT_DISCONNECTED) monitor.handshakes.disconnected(descriptor);
   }
-  for (std::int64_t refused = monitor.watch.take_refused(now); refused > 0; --refused) {
+  for (std::int64_t refused = monitor.handshakes.take_refused(now); refused > 0; --refused) {
     input_.refuse({}, "a peer that left before the handshake, or does not speak ZeroMQ");
   }
 }

@@ -12,49 +12,71 @@
 
 #include "bus/pose_input.h"
 #include "bus/transport.h"
-#include "bus/zeromq/handshake_watch.h"
+#include "bus/zeromq/handshake_counter.h"
 #include "core/result.h"
 
 namespace tensormass::bus {
 
 struct ZeroMqOptions {
-  /// "tcp://127.0.0.1:5556", "tcp://127.0.0.1:*" for a free port, "ipc:///run/user/1000/tensormass".
+  /// Addresses to listen on: "tcp://127.0.0.1:5556"; "tcp://127.0.0.1:*" takes a free port; a socket file is
+  /// "ipc:///run/user/1000/tensormass".
   std::string publish_endpoint;
   std::string pose_endpoint;
 };
 
-/// Messages go out on an XPUB socket: it hears of each subscription, and sends what is retained under that prefix once
-/// more, so that who joins late has the topology. Poses come in on a PULL socket, to which clients PUSH the newest.
+/// Streams to clients and poses from clients over ZeroMQ, on one socket each.
 ///
-/// A ZeroMQ socket belongs to one thread at a time. The PULL socket and the monitors belong to the receiver thread; the
-/// XPUB socket is shared by that thread and the publishers, under a mutex that nobody holds while waiting.
+///     any publishing thread                receiver thread (one, sleeps in poll)
+///     publish() ──lock──> XPUB socket <──lock── serve_subscriptions()
+///                             ├─ a queue of kSendQueue messages per subscriber ──> SUB sockets of clients
+///                             │  (a full queue drops the message)
+///                             └─ retained_: the newest message of each retained key
+///
+///     receiver thread, too:
+///     PUSH sockets of clients ──> PULL socket ──> receive_poses() ──> PoseInput
+///     monitors of both sockets ──> count_handshakes() ──> PoseInput::refuse
+///     destructor ──> stop_event_ ──> the thread ends
+///
+/// Three choices, each with its reason:
+///
+/// 1. XPUB instead of PUB, because it reports each subscription. The transport then sends the retained messages under
+///    that prefix again, so a late joiner gets the topology and the status.
+/// 2. One mutex around the XPUB socket, because only one thread at a time may use a ZeroMQ socket. Its holders send and
+///    receive with `dontwait`, so nobody holds it while waiting. Only the receiver thread uses the other sockets.
+/// 3. Poses are not dropped here. The receiver thread reads every pose, and the scene's inbox keeps the newest.
 class ZeroMqTransport final : public Transport {
  public:
-  /// `input` outlives the transport. Errors name the endpoint that could not be bound.
+  /// `input` must outlive the transport. Fails with kUnavailable and names the endpoint that it cannot listen on.
   static Result<std::unique_ptr<ZeroMqTransport>> open(const ZeroMqOptions& options, PoseInput& input);
+  /// Joins the receiver thread, then waits at most kLingerMs for the last messages to leave.
   ~ZeroMqTransport() override;
 
   void publish(const MessagePtr& message, PublishOptions options) override;
   void forget(std::string_view key) override;
 
-  /// With the port that was chosen.
+  /// The addresses that clients connect to, with the ports that were chosen.
   const std::string& publish_endpoint() const { return publish_endpoint_; }
   const std::string& pose_endpoint() const { return pose_endpoint_; }
 
  private:
-  /// What ZeroMQ tells of a socket's connections.
+  /// The events that ZeroMQ reports about one socket's connections, and the failures counted from them.
   struct Monitor {
     Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name);
     zmq::socket_t events;
-    HandshakeWatch watch;
+    HandshakeCounter handshakes;
   };
 
   explicit ZeroMqTransport(PoseInput& input);
+  /// Runs on the receiver thread until stop_event_ is written.
   void receive_loop();
+  /// Passes at most kPosesPerTurn poses to `input_`.
   void receive_poses();
-  void watch_handshakes(Monitor& monitor);
-  /// Sends what is retained for whoever just subscribed. The caller holds the mutex.
+  /// Reads the monitor's events and refuses each peer that failed the handshake.
+  void count_handshakes(Monitor& monitor);
+  /// Sends the retained messages that match new subscriptions, to every subscriber of their keys: XPUB cannot address
+  /// one. The caller must hold mutex_.
   void serve_subscriptions();
+  /// Sends without waiting and without copying. The caller must hold mutex_.
   void send(const MessagePtr& message);
 
   PoseInput& input_;
@@ -62,12 +84,12 @@ class ZeroMqTransport final : public Transport {
   std::mutex mutex_;
   zmq::socket_t publisher_;                                  // guarded by mutex_
   std::map<std::string, MessagePtr, std::less<>> retained_;  // guarded by mutex_; by key
-  zmq::socket_t poses_;
+  zmq::socket_t poses_;                                      // receiver thread only, as are the monitors
   Monitor publisher_monitor_;
   Monitor poses_monitor_;
   std::string publish_endpoint_;
   std::string pose_endpoint_;
-  int stop_event_ = -1;
+  int stop_event_ = -1;  // eventfd; wakes the receiver thread for its end
   std::thread receiver_;
 };
 

@@ -1,7 +1,7 @@
-//! The part of zenoh that tensormass uses, behind a plain C interface: `tensormass_zenoh.h` declares what is defined
-//! here, and says what each function promises. zenoh has no C++ package in the registries; this crate is the binding.
+//! Defines the C functions that `tensormass_zenoh.h` declares and documents: the part of zenoh that tensormass uses.
+//! This crate exists because the registries have no C++ package of zenoh.
 //!
-//! Every put is sent with congestion control `Drop`: `Block` lets one stopped subscriber stall the publisher.
+//! Every put uses congestion control `Drop`, because `Block` lets one stopped subscriber stall the publisher.
 
 mod log;
 
@@ -31,7 +31,7 @@ pub struct Session {
 
 pub struct Subscriber(ZenohSubscriber<()>);
 
-/// The caller's function and its argument; the C side promises that both may be used from any thread.
+/// The caller's function and its first argument. The C side promises that both may be used from any thread.
 #[derive(Clone, Copy)]
 struct Callback {
     function: MessageFn,
@@ -47,7 +47,8 @@ impl Callback {
     }
 }
 
-/// Port 0 becomes a port that is free now: zenoh tells the port it chose only for addresses that are not loopback.
+/// Replaces port 0 by a port that is free now. zenoh could choose one itself, but does not report it for loopback
+/// addresses. Another process may take the port before zenoh does; `open` then tries again.
 fn concrete_locator(locator: &str) -> Result<String, Failure> {
     let Some(host) = locator.strip_prefix("tcp/").and_then(|address| address.strip_suffix(":0")) else {
         return Ok(locator.to_owned());
@@ -56,22 +57,24 @@ fn concrete_locator(locator: &str) -> Result<String, Failure> {
     Ok(format!("tcp/{host}:{port}"))
 }
 
+/// zenoh's configuration; empty addresses mean not to listen or not to connect.
 fn configure(listen: &str, connect: &str, shared_memory: bool) -> Result<Config, Failure> {
     let endpoints = |locator: &str| serde_json::json!(if locator.is_empty() { vec![] } else { vec![locator] }).to_string();
     let mut config = Config::default();
-    // Nobody is sought and nobody is told of others: who talks to whom is what the user configured.
+    // No scouting and no gossip: sessions talk only to the addresses that the user configured.
     for (key, value) in [
         ("mode", if listen.is_empty() { "\"client\"" } else { "\"peer\"" }),
         ("listen/endpoints", &endpoints(listen)),
         ("connect/endpoints", &endpoints(connect)),
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/enabled", "false"),
-        // A peer that sends no handshake, or half of one, is let go.
+        // [ms] until a peer that has not finished the handshake is disconnected.
         ("transport/unicast/accept_timeout", "3000"),
-        // A frame of 20,000 vertices is four batches; the default queue of two drops it on a link slower than loopback.
+        // In batches of 64 KiB. A frame of 20,000 vertices takes four, so the default queue of two drops it on links
+        // slower than loopback.
         ("transport/link/tx/queue/size/data", "16"),
         ("transport/shared_memory/enabled", if shared_memory { "true" } else { "false" }),
-        // Replies stay off shared memory: under load zenoh 1.10 can lose them there, and a late joiner asks only once.
+        // Replies do not use shared memory. zenoh 1.10 can lose them there under load, and a late joiner asks only once.
         ("transport/shared_memory/transport_optimization/messages", "[\"put\"]"),
     ] {
         config.insert_json5(key, value).map_err(|error| format!("{key} = {value}: {error}"))?;
@@ -79,8 +82,9 @@ fn configure(listen: &str, connect: &str, shared_memory: bool) -> Result<Config,
     Ok(config)
 }
 
+/// Replies to one `get` with every retained message whose key it matches.
 fn answer(query: &Query, retained: &Retained) {
-    // Copied out of the lock: a reply may wait for the peer that asked.
+    // Copies the messages and releases the lock first, because a reply may wait for the peer that asked.
     let matching: Vec<(OwnedKeyExpr, ZBytes)> = retained
         .lock()
         .unwrap()
@@ -101,7 +105,7 @@ fn open(listen: &str, connect: &str, serve: &str, shared_memory: bool) -> Result
         let locator = concrete_locator(listen)?;
         match zenoh::open(configure(&locator, connect, shared_memory)?).wait() {
             Ok(session) => break (session, locator),
-            // Somebody else may have taken the free port meanwhile.
+            // Another process may have taken the free port in between.
             Err(_) if attempts > 1 => attempts -= 1,
             Err(error) => return Err(error),
         }
@@ -119,7 +123,7 @@ fn open(listen: &str, connect: &str, serve: &str, shared_memory: bool) -> Result
 }
 
 /// # Safety
-/// `text` is null or a string with a terminating zero.
+/// `text` must be null, which reads as "", or a string with a terminating zero.
 unsafe fn text<'a>(text: *const c_char) -> Result<&'a str, Failure> {
     if text.is_null() {
         return Ok("");
@@ -128,7 +132,7 @@ unsafe fn text<'a>(text: *const c_char) -> Result<&'a str, Failure> {
 }
 
 /// # Safety
-/// `data` points to `size` bytes, or `size` is 0.
+/// `data` must point to `size` bytes, unless `size` is 0.
 unsafe fn bytes<'a>(data: *const u8, size: usize) -> &'a [u8] {
     if size == 0 {
         return &[];
@@ -137,15 +141,15 @@ unsafe fn bytes<'a>(data: *const u8, size: usize) -> &'a [u8] {
 }
 
 /// # Safety
-/// `data` points to `size` bytes, or `size` is 0.
+/// `data` must point to `size` bytes, unless `size` is 0.
 unsafe fn key_expr<'a>(data: *const c_char, size: usize) -> Result<KeyExpr<'a>, Failure> {
     KeyExpr::try_from(std::str::from_utf8(unsafe { bytes(data.cast(), size) })?)
 }
 
-/// Writes as much of `message` as fits, and a terminating zero.
+/// Writes as much of `message` as fits in `capacity`, including the terminating zero.
 ///
 /// # Safety
-/// `target` points to `capacity` writable bytes, or `capacity` is 0.
+/// `target` must point to `capacity` writable bytes, unless `capacity` is 0.
 unsafe fn write_text(message: &str, target: *mut c_char, capacity: usize) {
     if capacity == 0 {
         return;
@@ -158,7 +162,7 @@ unsafe fn write_text(message: &str, target: *mut c_char, capacity: usize) {
 }
 
 /// # Safety
-/// As declared in tensormass_zenoh.h; the same holds for every function below.
+/// The caller must keep the contract in tensormass_zenoh.h. The same holds for every function below.
 #[no_mangle]
 pub unsafe extern "C" fn tensormass_zenoh_open(
     listen: *const c_char,
@@ -174,7 +178,7 @@ pub unsafe extern "C" fn tensormass_zenoh_open(
     match result {
         Ok(session) => Box::into_raw(Box::new(session)),
         Err(failure) => {
-            unsafe { write_text(&failure.to_string(), error, error_capacity) };
+            unsafe { write_text(&log::without_source_paths(&failure.to_string()), error, error_capacity) };
             std::ptr::null_mut()
         }
     }

@@ -1,4 +1,7 @@
-//! zenoh's own log lines, and the handshakes that failed, handed to the caller.
+//! Forwards zenoh's warnings and errors to the caller, and counts failed handshakes.
+//!
+//! zenoh has no counter for a peer that connects and does not speak zenoh. It only writes one debug line for each, so
+//! this file reads the lines of the two modules that write them.
 
 use std::ffi::{c_char, c_void};
 use std::fmt::Write;
@@ -10,11 +13,11 @@ use tracing::{Event, Level, Metadata, Subscriber};
 
 type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
 
-/// Who connects and does not speak zenoh shows only in these modules' log: one debug line for each.
+/// The modules whose debug lines report failed handshakes.
 const ACCEPT: &str = "zenoh_transport::unicast::establishment::accept";
 const MANAGER: &str = "zenoh_transport::unicast::manager";
 
-/// A warning at every start about gateways between regions, which this configuration has none of.
+/// The start of a warning at every start about gateways between regions. It is dropped: we configure no regions.
 const ABOUT_GOSSIP: &str = "Gossip is disabled";
 
 static FAILED_HANDSHAKES: AtomicU64 = AtomicU64::new(0);
@@ -28,6 +31,29 @@ unsafe impl Sync for Forward {}
 
 #[derive(Default)]
 struct Message(String);
+
+/// Removes every " at FILE.rs:LINE." that zenoh appends to its errors and leaves the rest, which states the cause.
+pub fn without_source_paths(message: &str) -> String {
+    let mut cleaned = String::with_capacity(message.len());
+    let mut rest = message;
+    while let Some((before, after)) = rest.split_once(".rs:") {
+        let digits = after.bytes().take_while(u8::is_ascii_digit).count();
+        // The last " at " before the extension: a path may contain spaces, and so may the words before it.
+        match (before.rfind(" at "), after[digits..].strip_prefix('.')) {
+            (Some(end_of_cause), Some(after_place)) if digits > 0 => {
+                cleaned.push_str(&before[..end_of_cause]);
+                rest = after_place;
+            }
+            _ => {
+                cleaned.push_str(before);
+                cleaned.push_str(".rs:");
+                rest = after;
+            }
+        }
+    }
+    cleaned.push_str(rest);
+    cleaned
+}
 
 impl Visit for Message {
     fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
@@ -52,7 +78,8 @@ impl Subscriber for Forward {
             return;
         }
         if level <= Level::WARN {
-            (self.function)(self.context, level == Level::ERROR, message.0.as_ptr().cast(), message.0.len());
+            let text = without_source_paths(&message.0);
+            (self.function)(self.context, level == Level::ERROR, text.as_ptr().cast(), text.len());
             return;
         }
         let failed = match event.metadata().target() {
@@ -64,7 +91,7 @@ impl Subscriber for Forward {
         }
     }
 
-    // Spans are not enabled.
+    // `enabled` refuses spans, so the functions below are never called.
     fn new_span(&self, _: &Attributes<'_>) -> Id {
         Id::from_u64(1)
     }
@@ -75,7 +102,7 @@ impl Subscriber for Forward {
 }
 
 /// # Safety
-/// As declared in tensormass_zenoh.h.
+/// The caller must keep the contract in tensormass_zenoh.h.
 #[no_mangle]
 pub unsafe extern "C" fn tensormass_zenoh_set_log(function: LogFn, context: *mut c_void) -> bool {
     tracing::subscriber::set_global_default(Forward { function, context }).is_ok()
