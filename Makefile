@@ -16,7 +16,7 @@ SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
 TEST_ARGS ?=
-# What docker/setup.sh found: CUDACXX and CUDAToolkit_ROOT.
+# The set-up writes CUDACXX and CUDAToolkit_ROOT into this file.
 -include .venv/toolchain.env
 export CUDA CUDACXX CUDAToolkit_ROOT
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
@@ -32,10 +32,10 @@ help: ## This list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: ## Install what is missing to build and run
-	@docker/setup.sh build
+	@.setup/setup.sh build
 
 setup-test:
-	@docker/setup.sh test
+	@.setup/setup.sh test
 
 # The recursive calls read the toolchain that the set-up has just written.
 build: setup ## Everything runnable, in build/bin

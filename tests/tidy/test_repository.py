@@ -82,7 +82,7 @@ def test_no_large_files(tracked: list[PurePosixPath]) -> None:
 
 def test_cpp_is_formatted(tracked: list[PurePosixPath]) -> None:
     if shutil.which("clang-format") is None:
-        pytest.skip("no clang-format here; `docker/setup.sh test` installs it")
+        pytest.skip("no clang-format here; `.setup/setup.sh test` installs it")
     files = [str(path) for path in tracked if path.suffix in rules.NATIVE]
     result = subprocess.run(["clang-format", "--dry-run", "--Werror", *files], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, f"run `make format`:\n{result.stderr[-4000:]}"
