@@ -1,4 +1,4 @@
-"""The repository keeps the house rules (rules.py). What git tracks is what is checked."""
+"""The files that git tracks keep the rules of rules.py and writing.py."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def texts(tracked: list[PurePosixPath]) -> dict[PurePosixPath, str]:
 
 
 def check(texts: dict[PurePosixPath, str], rule: Callable[[PurePosixPath, str], list[str]]) -> None:
-    own = PurePosixPath("tests/tidy")  # where the forbidden words are spelt out
+    own = PurePosixPath("tests/tidy")  # spells out what it refuses
     problems = [line for path, text in texts.items() if own not in path.parents for line in rule(path, text)]
     assert not problems, "\n".join(problems)
 
@@ -62,6 +62,11 @@ def test_rewritten_files_are_plain(texts: dict[PurePosixPath, str]) -> None:
 def test_include_direction(texts: dict[PurePosixPath, str]) -> None:
     folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
     check(texts, partial(rules.include_direction, folders=folders))
+
+
+def test_links_lead_somewhere(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:
+    known = set(tracked) | {parent for path in tracked for parent in path.parents}
+    check(texts, partial(rules.dead_links, exists=known.__contains__))
 
 
 def test_top_level(tracked: list[PurePosixPath]) -> None:

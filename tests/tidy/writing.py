@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import io
 import re
 import subprocess
@@ -317,7 +318,8 @@ def main() -> int:
             problems += writing(PurePosixPath(path), content.decode())
             if options.long:
                 problems += long_sentences(PurePosixPath(path), content.decode())
-    print("\n".join(problems) or "nothing found")
+    with contextlib.suppress(BrokenPipeError):  # `| head`
+        print("\n".join(problems) or "nothing found", flush=True)
     return 1 if problems else 0
 
 
