@@ -1,8 +1,13 @@
-# `make run` and `make test` are all that a newcomer needs; `make help` lists the rest.
+# A newcomer needs only `make run` and `make test`; `make help` lists the rest.
 #
-#   CUDA=OFF   build without the CUDA backend      JOBS=n   parallel compilations      SCENE=path   another scene
-#   REFERENCES=1   `make accuracy` asks the other solvers again instead of comparing with their stored answers
-#   LONG=1         `make stability` also runs 10⁶ steps, an hour of simulated time and millions of elements
+#   CUDA=OFF       build without the CUDA backend
+#   JOBS=n         parallel compilations
+#   SCENE=path     scene for `make run` (default: the demo)
+#   BACKEND=cuda   backend for `make accuracy`, `make stability` and `make trade` (default: cpu)
+#   REFERENCES=1   `make accuracy` runs the other solvers again, instead of comparing with their stored answers
+#   LONG=1         `make stability` also runs 10⁶ steps, an hour of simulated time, and millions of elements
+#   RUN_ARGS=...   more arguments of `tensormass run`
+#   TEST_ARGS=...  test runners for `make test`: ctest, pytest, vitest, e2e (default: all)
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
@@ -16,7 +21,7 @@ SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
 TEST_ARGS ?=
-# What docker/setup.sh found: CUDACXX and CUDAToolkit_ROOT.
+# The set-up writes CUDACXX and CUDAToolkit_ROOT into this file.
 -include .venv/toolchain.env
 export CUDA CUDACXX CUDAToolkit_ROOT
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
@@ -26,29 +31,29 @@ VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -p
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
 .PHONY: help setup setup-test build native python viewer run test test-only bench accuracy stability trade asan tsan \
-        lint format clean
+        lint format protocol-release clean
 
-help: ## This list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: ## Install what is missing to build and run
-	@docker/setup.sh build
+	@.setup/setup.sh build
 
 setup-test:
-	@docker/setup.sh test
+	@.setup/setup.sh test
 
-# The recursive calls read the toolchain that the set-up has just written.
-build: setup ## Everything runnable, in build/bin
+# A recursive call of make reads the toolchain.env that the set-up has just written.
+build: setup ## Build everything that runs, into build/bin
 	@$(MAKE) native python viewer
 
-run: build ## Daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
+run: build ## Start daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
 	@exec $(BUILD)/bin/tensormass run $(RUN_ARGS) $(SCENE)
 
-test: setup-test ## Every test: C++, Python, web, and the real page in Chromium
+test: setup-test ## Run every test: C++, Python, web, and the real page in Chromium
 	@$(MAKE) native python viewer
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
-test-only: ## The tests without set-up and build
+test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
 native: $(BUILD)/configured-cuda-$(CUDA) $(BUILD)/bin/tensormass
@@ -62,7 +67,7 @@ $(BUILD)/configured-cuda-$(CUDA):
 
 $(BUILD)/bin/tensormass: Makefile
 	@mkdir -p $(@D)
-	@printf '#!/bin/sh\n# The Python command, with the programs beside it.\nhere=$$(cd "$$(dirname "$$0")" && pwd)\nexec env PATH="$$here:$$PATH" "%s" -m tensormass "$$@"\n' '$(CURDIR)/.venv/bin/python' > $@
+	@printf '#!/bin/sh\n# Runs the Python command; the programs in this folder come first on PATH.\nhere=$$(cd "$$(dirname "$$0")" && pwd)\nexec env PATH="$$here:$$PATH" "%s" -m tensormass "$$@"\n' '$(CURDIR)/.venv/bin/python' > $@
 	@chmod +x $@
 
 python:
@@ -75,29 +80,29 @@ $(VIEWER): $(VIEWER_SOURCES)
 	@cd clients/web && npm run --silent build -- --logLevel warn
 	@touch $@
 
-bench: build ## Measure this machine: beams, then each stage of a step beside the memory's rate
+bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench
 	@$(BUILD)/bin/tensormass-bench-stages
 
-accuracy: setup-test ## Proof of accuracy: results in tests/accuracy, table in docs/accuracy.md (BACKEND=cuda, REFERENCES=1)
+accuracy: setup-test ## Check accuracy: results in tests/accuracy, page docs/accuracy.md (BACKEND=cuda, REFERENCES=1)
 	@$(MAKE) native python
 	@cd tests && $(if $(REFERENCES),python -m accuracy.references &&) \
 	  { python -m accuracy --backend $(BACKEND) || failed=1; python -m accuracy.report && exit $${failed:-0}; }
 
-stability: setup-test ## Proof of stability: results in tests/stability, page in docs/stability.md (BACKEND=cuda, LONG=1)
+stability: setup-test ## Check stability: results in tests/stability, page docs/stability.md (BACKEND=cuda, LONG=1)
 	@$(MAKE) native python
 	@cd tests && { python -m stability --backend $(BACKEND) $(if $(LONG),--long) || failed=1; \
 	  python -m stability.report && exit $${failed:-0}; }
 
-trade: setup-test ## Measure the demo scenes' settings: results, presets, docs/accuracy.md (BACKEND=cuda); goes on if stopped
+trade: setup-test ## Measure settings of the demo scenes: results, presets, docs/accuracy.md (BACKEND=cuda); resumes if stopped
 	@$(MAKE) native python
 	@cd tests && python -m accuracy.trade --backend $(BACKEND) && \
 	  $(if $(filter cpu,$(BACKEND)),{ ! command -v ccx > /dev/null || python -m accuracy.trade_calculix; } &&) python -m accuracy.report
 
-asan: setup ## C++ tests under address and undefined-behaviour sanitizers
+asan: setup ## Run the C++ tests under the address and undefined-behaviour sanitizers
 	@$(MAKE) sanitized NAME=asan SANITIZE=address,undefined
 
-tsan: setup ## C++ tests under the thread sanitizer
+tsan: setup ## Run the C++ tests under the thread sanitizer
 	@$(MAKE) sanitized NAME=tsan SANITIZE=thread
 
 .PHONY: sanitized
@@ -109,14 +114,17 @@ sanitized:
 	  UBSAN_OPTIONS="halt_on_error=1 print_stacktrace=1" \
 	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
 
-lint: setup-test python ## Format and static checks of every language
+lint: setup-test python ## Check format, style and types: C++, Python, web
 	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
 	@cd clients/python && ruff check . ../../tests && ruff format --check . ../../tests && mypy
 	@cd clients/web && npm run --silent lint
 
-format: setup-test ## Format every language
+format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
 	@cd clients/python && ruff format . ../../tests
+
+protocol-release: setup-test ## Record the protocol as released; `make test` refuses what breaks it
+	@python tests/proto/compatibility.py --release
 
 clean: ## Remove what was built (the set-up stays)
 	@rm -rf $(BUILD) build-asan build-tsan clients/web/dist clients/web/src/generated clients/python/tensormass/v1

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs every test of every language, one runner after the other, and closes with one line for each.
-# A runner that fails does not keep the others from running. What was skipped is said again at the end.
+# Runs every test of every language, one runner after the other, and closes with one line for each runner.
+# A runner that fails does not stop the others. The end repeats which tests were skipped, and why.
 #
 #   tests/run.sh [ctest] [pytest] [vitest] [e2e]     default: all of them
 set -uo pipefail
@@ -15,7 +15,7 @@ run_pytest() { python -m pytest -q -rfEs tests; }
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
-# The line with which a runner usually closes.
+# The line with which a runner reports its totals.
 closing_line() {
   local pattern
   case $1 in
@@ -28,7 +28,7 @@ closing_line() {
 
 skipped() {
   case $1 in
-    # ctest names them; GoogleTest's reasons, each the line after "file:line: Skipped", are in ctest's own log.
+    # ctest itself prints names without reasons. Its log has GoogleTest's reason on the line after "file:line: Skipped".
     ctest) awk '/: Skipped$/ { getline; count[$0]++ } END { for (reason in count) print count[reason] ": " reason }' \
       "$build/Testing/Temporary/LastTest.log" ;;
     pytest) sed -nE 's/^SKIPPED (.*)/\1/p' "$logs/$1.log" ;;

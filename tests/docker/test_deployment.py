@@ -1,4 +1,4 @@
-"""What docker/ asks of the programs, they understand. (The images are not built here: that takes an engine.)"""
+"""The programs accept the settings that docker/ gives them. The images are not built: that needs a container engine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DAEMON = ROOT / os.environ.get("BUILD", "build") / "bin/tensormassd"
 
 
 def shell_default(text: str) -> str:
-    """`${NAME:-default}` as Compose reads it where NAME is not set."""
+    """Replaces `${NAME:-default}` by its default, as Compose does if NAME is not set."""
     return re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", text)
 
 
@@ -38,7 +38,7 @@ def pod_container(name: str) -> dict[str, Any]:
 
 
 def settings(source: str) -> tuple[list[str], dict[str, str]]:
-    """Arguments and environment that a deployment gives to the daemon."""
+    """Returns the arguments and environment that a deployment gives to the daemon."""
     if source == "compose":
         service = compose_service("server")
         return service["command"], {name: shell_default(value) for name, value in service["environment"].items()}

@@ -1,9 +1,10 @@
-"""The house rules that a machine can check. A rule takes a file's path and text and returns what is wrong with it."""
+"""The rules of this repository that a machine can check. A rule takes a path and a text, and returns what is wrong."""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
 
 NATIVE = {".h", ".cc", ".cpp", ".cu", ".cuh"}
@@ -15,6 +16,7 @@ TOP_LEVEL = {
     ".clang-format",
     ".dockerignore",
     ".gitignore",
+    ".setup",
     "CMakeLists.txt",
     "LICENSE",
     "Makefile",
@@ -22,6 +24,7 @@ TOP_LEVEL = {
     "clients",
     "docker",
     "docs",
+    "examples",
     "proto",
     "server",
     "tests",
@@ -29,12 +32,13 @@ TOP_LEVEL = {
 
 _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
 _BARE_MARK = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
-# Absolute paths of the writer's machine. (In a URL or a relative path something stands before the slash.)
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+# Absolute paths of somebody's machine. In a URL or a relative path, another character comes before the slash.
 _MACHINE_PATH = re.compile(r"(?<![\w.$}\])>/-])/(?:home|root|Users|work|workspace|mnt|var/tmp)/[\w.]")
 
 
 def server_folders(cmake_lists: str) -> list[str]:
-    """The folders under server/ in the order in which server/CMakeLists.txt builds them."""
+    """Returns the folders under server/ in the order in which server/CMakeLists.txt builds them."""
     match = re.search(r"foreach\(folder ([^)]*)\)", cmake_lists)
     if match is None:
         raise ValueError("server/CMakeLists.txt has no foreach(folder ...)")
@@ -42,7 +46,7 @@ def server_folders(cmake_lists: str) -> list[str]:
 
 
 def include_direction(path: PurePosixPath, text: str, folders: list[str]) -> list[str]:
-    """A folder under server/ includes only itself and the folders before it."""
+    """A file under server/ may include files of its own folder and of the folders before it."""
     if path.parts[0] != "server" or len(path.parts) < 3 or path.suffix not in NATIVE:
         return []
     own = path.parts[1]
@@ -64,25 +68,40 @@ def bare_marks(path: PurePosixPath, text: str) -> list[str]:
 
 
 def machine_paths(path: PurePosixPath, text: str) -> list[str]:
-    """What is committed must mean the same on every machine."""
+    """Committed files must not name paths of one machine."""
     return [f"{path}:{line}: absolute path {found}..." for line, found in _matches(_MACHINE_PATH, text)]
 
 
 def source_length(path: PurePosixPath, text: str) -> list[str]:
-    """A file that nobody can hold in mind is cut in two."""
+    """A source file has at most MAX_SOURCE_LINES lines; aim at half of that."""
     lines = text.count("\n")
     if path.suffix not in SOURCES or lines <= MAX_SOURCE_LINES:
         return []
     return [f"{path}: {lines} lines; the limit is {MAX_SOURCE_LINES}"]
 
 
+def dead_links(path: PurePosixPath, text: str, exists: Callable[[PurePosixPath], bool]) -> list[str]:
+    """A document links only to files and folders of the repository that exist. Addresses on the web are not checked."""
+    if path.suffix != ".md":
+        return []
+    problems = []
+    for match in _LINK.finditer(text):
+        target = match.group(1).split("#")[0]
+        if not target or "://" in target or target.startswith("mailto:"):
+            continue
+        if not exists(PurePosixPath(os.path.normpath(path.parent / target))):
+            line = text.count("\n", 0, match.start()) + 1
+            problems.append(f"{path}:{line}: links to {target}, which does not exist")
+    return problems
+
+
 def top_level(paths: Iterable[PurePosixPath]) -> list[str]:
-    """The first look at the repository shows its parts and nothing else."""
+    """The top level holds only the entries of TOP_LEVEL."""
     return [f"{name}: not expected at the top level" for name in sorted({path.parts[0] for path in paths} - TOP_LEVEL)]
 
 
 def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
-    """A C++ source that no CMakeLists.txt above it names, or a header that nothing includes, is dead.
+    """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that nothing includes.
 
     `sources`: path and text of every C++ file and CMakeLists.txt.
     """

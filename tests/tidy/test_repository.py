@@ -1,4 +1,4 @@
-"""The repository keeps the house rules (rules.py). What git tracks is what is checked."""
+"""The files that git tracks keep the rules of rules.py and writing.py."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 import rules
+import writing
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,7 +35,7 @@ def texts(tracked: list[PurePosixPath]) -> dict[PurePosixPath, str]:
 
 
 def check(texts: dict[PurePosixPath, str], rule: Callable[[PurePosixPath, str], list[str]]) -> None:
-    own = PurePosixPath("tests/tidy")  # where the forbidden words are spelt out
+    own = PurePosixPath("tests/tidy")  # spells out what it refuses
     problems = [line for path, text in texts.items() if own not in path.parents for line in rule(path, text)]
     assert not problems, "\n".join(problems)
 
@@ -44,9 +45,28 @@ def test_every_file_keeps(rule: Callable[[PurePosixPath, str], list[str]], texts
     check(texts, rule)
 
 
+def test_rewritten_files_are_plain(texts: dict[PurePosixPath, str]) -> None:
+    """The folders of writing.REWRITTEN keep the rules of writing; `python tests/tidy/writing.py` lists the others."""
+    unknown = [name for name in writing.REWRITTEN if not (ROOT / name).exists()]
+    assert not unknown, f"writing.REWRITTEN names what does not exist: {unknown}"
+    rewritten = [PurePosixPath(name) for name in writing.REWRITTEN]
+    problems = [
+        line
+        for path, text in texts.items()
+        if any(name == path or name in path.parents for name in rewritten)
+        for line in writing.writing(path, text)
+    ]
+    assert not problems, "\n".join(problems)
+
+
 def test_include_direction(texts: dict[PurePosixPath, str]) -> None:
     folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
     check(texts, partial(rules.include_direction, folders=folders))
+
+
+def test_links_lead_somewhere(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:
+    known = set(tracked) | {parent for path in tracked for parent in path.parents}
+    check(texts, partial(rules.dead_links, exists=known.__contains__))
 
 
 def test_top_level(tracked: list[PurePosixPath]) -> None:
@@ -67,7 +87,7 @@ def test_no_large_files(tracked: list[PurePosixPath]) -> None:
 
 def test_cpp_is_formatted(tracked: list[PurePosixPath]) -> None:
     if shutil.which("clang-format") is None:
-        pytest.skip("no clang-format here; `docker/setup.sh test` installs it")
+        pytest.skip("no clang-format here; `.setup/setup.sh test` installs it")
     files = [str(path) for path in tracked if path.suffix in rules.NATIVE]
     result = subprocess.run(["clang-format", "--dry-run", "--Werror", *files], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, f"run `make format`:\n{result.stderr[-4000:]}"

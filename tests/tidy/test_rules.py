@@ -1,4 +1,4 @@
-"""Each rule finds what it is there to find, and lets pass what it should."""
+"""Each rule refuses what it is made for, and accepts the rest."""
 
 from __future__ import annotations
 
@@ -39,6 +39,16 @@ def test_source_length() -> None:
     assert rules.source_length(Path("a.py"), "x\n" * rules.MAX_SOURCE_LINES) == []
     assert len(rules.source_length(Path("a.py"), "x\n" * (rules.MAX_SOURCE_LINES + 1))) == 1
     assert rules.source_length(Path("package-lock.json"), "x\n" * 5000) == []
+
+
+def test_dead_links() -> None:
+    text = "# A\n[a](../server/a.h) [b](b.md#part) [c](#part) [d](https://example.org/x) ![e](images)\n"
+    present = {Path("server/a.h"), Path("docs/b.md"), Path("docs/images")}
+    assert rules.dead_links(Path("docs/a.md"), text, present.__contains__) == []
+    assert rules.dead_links(Path("docs/a.md"), text, (present - {Path("docs/b.md")}).__contains__) == [
+        "docs/a.md:2: links to b.md, which does not exist"
+    ]
+    assert rules.dead_links(Path("a.py"), text, set().__contains__) == []
 
 
 def test_top_level() -> None:

@@ -1,7 +1,10 @@
 #!/usr/bin/env bash
-# Collects programs with every shared library but the C library's own into one folder that runs on another Linux machine:
-#   docker/portable.sh DIR PROGRAM...
-# The loader finds the libraries beside the program ($ORIGIN), so nothing needs to be installed there.
+# Makes a folder that runs on another Linux machine, where nothing is installed: the programs, and every shared library
+# that they need except the C library's.
+#
+#   .setup/portable.sh DIR PROGRAM...      for example: .setup/portable.sh portable build/bin/tensormassd
+#
+# The loader finds the libraries through a path relative to the program ($ORIGIN). Needs patchelf.
 set -euo pipefail
 target=$1
 shift
