@@ -15,8 +15,11 @@ from tensormass.trade.script import Costs
 from tensormass.trade.store import Machine, Measurement
 
 from . import trade
-from .trade import OWN, SCENES, Trade, _confirmations, _doubt
+from .trade import OWN, SCENES, Trade
 from .trade_plot import Curve, svg
+from .trade_tables import confirmations, doubt
+
+setting_text = trade.report.setting_text
 
 MACHINE = Machine("cpu", "some processor", None, "1", "abc")
 
@@ -94,22 +97,22 @@ def test_the_page_says_what_a_second_run_did() -> None:
         "dropped": {},
         "confirmed": {name: {**of.to_plain(), "machine": None} for name, of in again.items()},
     }
-    lines = _confirmations(Trade(head, MEASURED))
-    assert any(line.startswith("| as it is | as it is | 40 % | 40 % |") and "| confirmed |" in line for line in lines)
-    verdicts = {line.split(" | ")[0].removeprefix("| "): line.split(" | ")[-1] for line in lines}
-    assert verdicts["preset fast"] == "**not confirmed**: median 7e+03 ms, 4e+03 ms before |"
-    assert verdicts["preset balanced"] == "**not confirmed**: median 4 % above 1e+04 ms; p99 4 % above 1e+04 ms |"
-    assert (
-        verdicts["the most accurate within 2e+03 ms by the median"] == "**not confirmed**: median 5 % above 2e+03 ms |"
-    )
-    assert verdicts["the fastest within 20 %"] == "confirmed |"
-    what = "| former preset accurate, of the cpu's results | dt s 0.005 |"
-    (foreign,) = [line for line in lines if line.startswith(what)]
-    assert "| 10 % |" in foreign
-    assert "2.50 times as long as the scene as it is" in foreign
+    rows = {row["recommended"]: row for row in confirmations(Trade(head, MEASURED))}
+    own = rows[OWN]
+    assert (own["setting"], own["error"], own["error_again"]) == (setting_text({}), 0.4, 0.4)
+    assert own["verdict"] == "confirmed"
+    assert rows["preset fast"]["verdict"] == "not confirmed: median 7e+03 ms, 4e+03 ms before"
+    assert (rows["preset fast"]["cost_ms"], rows["preset fast"]["cost_ms_again"]) == (4e3, 7e3)
+    assert rows["preset balanced"]["verdict"] == "not confirmed: median 4 % above 1e+04 ms; p99 4 % above 1e+04 ms"
+    within = rows["the most accurate within 2e+03 ms by the median"]
+    assert within["verdict"] == "not confirmed: median 5 % above 2e+03 ms"
+    assert rows["the fastest within 20 %"]["verdict"] == "confirmed"
+    foreign = rows["former preset accurate, of the cpu's results"]
+    assert (foreign["setting"], foreign["error"], foreign["error_again"]) == ("dt_s 0.005", None, 0.1)
+    assert foreign["verdict"] == "2.50 times as long as the unmodified scene"
     del head["confirmed"]["most_accurate"]
-    none = _confirmations(Trade({**head, "most_accurate": None}, MEASURED))
-    assert none[-1].strip() == "The most accurate within 2e+03 ms by the median: no setting."
+    last = confirmations(Trade({**head, "most_accurate": None}, MEASURED))[-1]
+    assert (last["recommended"], last["verdict"]) == ("the most accurate within 2e+03 ms by the median", "no setting")
 
 
 def results_with_one_dropped() -> dict:
@@ -145,13 +148,14 @@ def test_what_was_dropped_is_kept_and_said(tmp_path: Path, monkeypatch: pytest.M
     assert results.head["most_accurate"] == MEASURED[4].key
     (tried,) = results.head["dropped"]["most_accurate"]
     assert "machine" not in tried["again"]
-    lines = _confirmations(results)
     what = "the most accurate within 2e+04 ms by the median"
-    first, second = [line for line in lines if line.startswith(f"| {what}")]
-    assert first.startswith(f"| {what}, dropped | resolution 1.4 | 15 % | 15 % | 1.9e+04 ms | 2.1e+04 ms |")
-    assert first.endswith("| **not confirmed**: median 5 % above 2e+04 ms |")
-    assert second.startswith(f"| {what} | newton max iterations 2 | ")
-    assert second.endswith("| confirmed |")
+    first, second = [row for row in confirmations(results) if str(row["recommended"]).startswith(what)]
+    assert (first["recommended"], first["setting"]) == (f"{what}, dropped", "resolution 1.4")
+    assert (first["error"], first["error_again"]) == (0.15, 0.15)
+    assert (first["cost_ms"], first["cost_ms_again"]) == (19e3, 21e3)
+    assert first["verdict"] == "not confirmed: median 5 % above 2e+04 ms"
+    assert (second["recommended"], second["setting"]) == (what, "newton_max_iterations 2")
+    assert second["verdict"] == "confirmed"
 
 
 def test_a_preset_that_leaves_its_promise_makes_room_for_the_next(
@@ -180,18 +184,19 @@ def test_a_preset_that_leaves_its_promise_makes_room_for_the_next(
     assert [of["accurate"] for of in written] == [{"resolution": 1.4}, {"newton_max_iterations": 2}]
     assert results.chosen()["accurate"].setting == {"newton_max_iterations": 2}
     assert [of["fast"] for of in written] == [{"cg_tolerance": 0.1}] * 2
-    first, second = [line for line in _confirmations(results) if line.startswith("| preset accurate")]
-    assert first.startswith("| preset accurate, dropped | resolution 1.4 |")
-    assert first.endswith("| **not confirmed**: median 5 % above 2e+04 ms; p99 5 % above 2e+04 ms |")
-    assert second.endswith("| confirmed |")
+    first, second = [row for row in confirmations(results) if str(row["recommended"]).startswith("preset accurate")]
+    assert (first["recommended"], first["setting"]) == ("preset accurate, dropped", "resolution 1.4")
+    assert first["verdict"] == "not confirmed: median 5 % above 2e+04 ms; p99 5 % above 2e+04 ms"
+    assert second["verdict"] == "confirmed"
 
 
 def test_the_page_says_which_errors_say_little() -> None:
     reference = {"displacement_error": 0.02, "force_error": 0.2}
-    assert "displacement below 2 % and of force below 20 % say little" in _doubt(reference, 0.03)[-1]
-    (line,) = filter(None, _doubt({**reference, "force_error": None}, 0.03))
-    assert "force" not in line
-    assert _doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == []
+    assert "displacement below 2 % and of force below 20 % say little" in doubt(reference, 0.03)
+    alone = doubt({**reference, "force_error": None}, 0.03)
+    assert "displacement below 2 %" in alone
+    assert "force" not in alone
+    assert doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == ""
 
 
 def test_the_picture_has_every_curve_and_what_its_reference_tells() -> None:

@@ -36,7 +36,7 @@ TOLERANCE = "2%"
 #: The name under which the scene as it is is run again, beside the presets.
 OWN = "as it is"
 #: Before the name of a preset that is run on another machine than that whose results it is chosen from.
-_FOREIGN = "preset "
+FOREIGN = "preset "
 #: Errors that differ by less are the same to anybody.
 SAME_ERROR = 1.05
 #: How many times as long as the scene as it is a preset takes at most, in median and in 99th percentile.
@@ -68,6 +68,14 @@ class Trade:
             for name, factor in TIMES.items()
         }
         return {name: min(of, key=best[name]) for name, of in kept.items()}
+
+    def front(self) -> list[Measurement]:
+        """The measurements to which no other is both cheaper and more accurate."""
+        return sweep.front(self.measurements)
+
+    def knobs(self) -> list[Knob]:
+        """The knobs that the sweep turned, with the values that it tried."""
+        return [Knob(name, "", knob["own"], tuple(knob["values"])) for name, knob in self.head["knobs"].items()]
 
     def dropped(self, name: str) -> list[str]:
         """Keys of what was recommended under a name and left its limit when it was run again."""
@@ -129,7 +137,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     while True:
         chosen = Trade({"dropped": dropped}, measurements).chosen()
         settings = {OWN: {}, **{name: of.setting for name, of in chosen.items()}}
-        files = _scene_files(scene, folder, settings | {_FOREIGN + name: of for name, of in foreign.items()})
+        files = _scene_files(scene, folder, settings | {FOREIGN + name: of for name, of in foreign.items()})
         content = _run(scene, arguments.backend, folder, [*options, "--confirm", *map(str, files)])
         if not {file.stem for file in files} <= content["confirmed"].keys():  # it ended before; why has been said
             sys.exit(1)
@@ -164,11 +172,11 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
 def _leaving(content: dict, chosen: dict[str, Measurement]) -> dict[str, dict]:
     """What left the promise of its name in the second run of trade.json, as `Dropped` has it."""
     confirmed = {name: Measurement.from_plain(of) for name, of in content["confirmed"].items()}
-    limits = _limits(content, chosen, confirmed[OWN])
+    within = limits(content, chosen, confirmed[OWN])
     return {
         name: {"key": of.key, "setting": of.setting, "why": why, "again": content["confirmed"][name]}
         for name, of in chosen.items()
-        if of.setting and (why := report.beyond(confirmed[name], limits.get(name, report.Limits())))
+        if of.setting and (why := report.beyond(confirmed[name], within.get(name, report.Limits())))
     }
 
 
@@ -204,138 +212,12 @@ def _write_presets() -> None:
     print(f"wrote {presets.FILE}")
 
 
-def section(backends: tuple[str, ...]) -> list[str]:
-    """Of docs/accuracy.md."""
-    trades = [trade for scene in SCENES for backend in backends if (trade := Trade.read(scene, backend))]
-    if not trades:
-        return []
-    promises = "; ".join(f"`{name}` is {promise}" for name, promise in presets.PROMISES.items())
-    lines = [
-        "",
-        "## Accuracy against time",
-        "",
-        "Made by `make trade`, which runs `tensormass trade` on the demo scenes: each setting against the same scene "
-        f"refined until it no longer moves. Of the settings measured here on the {PRESETS_BACKEND} that keep the law, "
-        f"{promises}; also in its slow steps (p99). They are points of the front of four: error of displacement, error "
-        "of force, median and p99 of cost. No setting with the same law is as good in all of them and better in one, "
-        "but for those that left the promise when they were run again and were dropped. The fronts below are other "
-        "ones, of two: the larger error and the median, whatever the law. A preset need not be on them.",
-        "",
-        *(f"* {words}" for words in report.words()),
-    ]
-    for scene in dict.fromkeys(trade.head["scene"] for trade in trades):
-        lines += ["", f"![Error against time, {scene}]({picture(scene)})"]
-    for trade in trades:
-        lines += _scene(trade)
-    return lines
-
-
 def picture(scene: str) -> str:
     """From docs/."""
     return f"images/trade-{scene}.svg"
 
 
-def _scene(trade: Trade) -> list[str]:
-    head = trade.head
-    reference = head["reference"]
-    force = "" if reference["force_error"] is None else f", of force {report.percent(reference['force_error'])}"
-    finest = reference["levels"][-1]
-    where = "; ".join(dict.fromkeys((head["machine"]["device"], head["host"])))
-    by_setting = {json.dumps(of.setting, sort_keys=True): of for of in trade.measurements}
-    named: dict[str, list[str]] = {}
-    for name, setting in presets.all_presets().get(head["scene"], {}).items():
-        if of := by_setting.get(json.dumps(setting, sort_keys=True)):  # else not measured on this machine
-            named.setdefault(of.key, []).append(name)
-    lines = [
-        "",
-        f"### {head['scene']}, {head['machine']['backend']}",
-        "",
-        f"{head['script']}. {where}; {head['date']}, commit `{head['commit']}`, `{head['command']}`.",
-        "",
-        f"Reference: {finest['element_count']} elements, {finest['step_count']} steps; its own error by Richardson "
-        f"extrapolation of order {reference['order']:.2f}: of displacement "
-        f"{report.percent(reference['displacement_error'])}{force}; {reference['ended']}. "
-        f"{len(trade.measurements)} settings, {head['combinations']['measured']} of them combinations of "
-        f"{head['combinations']['possible']} that are possible, each timed over {_timed(trade.measurements)} steps.",
-        *_doubt(reference, head["tolerance"]),
-        "",
-        "The scene as it is, the front, and the presets:",
-        "",
-    ]
-    shown = {trade.measurements[0].key, *(of.key for of in sweep.front(trade.measurements)), *named}
-    by_cost = sorted((of for of in trade.measurements if of.key in shown), key=lambda of: of.cost_s)
-    rows = [[", ".join(named.get(of.key, [])), *report.cells(of)] for of in by_cost]
-    lines += _table(["preset", *report.HEADS], rows)
-    lines += _confirmations(trade)
-    knobs = [Knob(name, "", of["own"], tuple(of["values"])) for name, of in head["knobs"].items()]
-    rows = [cells for cells, _ in report.knob_rows(knobs, trade.measurements)]
-    lines += ["", "One knob at a time (× 1.00 is the scene as it is):", "", *_table(report.KNOB_HEADS, rows)]
-    lines += ["", *(f"* not varied: {name}: {why}" for name, why in head["not_varied"].items())]
-    return lines
-
-
-def _timed(measurements: list[Measurement]) -> str:
-    """How many steps the percentiles are of."""
-    counts = [of.costs.timed_steps for of in measurements if of.costs]
-    return f"{min(counts)} to {max(counts)}"
-
-
-def _doubt(reference: dict, tolerance: float) -> list[str]:
-    """Below which an error says nothing, where the reference could not be refined enough."""
-    known = [("displacement", reference["displacement_error"]), ("force", reference["force_error"] or 0.0)]
-    words = [f"of {what} below {report.percent(error)}" for what, error in known if error > tolerance / 3]
-    if not words:
-        return []
-    return ["", f"**The reference is known no better than this: errors {' and '.join(words)} say little.**"]
-
-
-def _confirmations(trade: Trade) -> list[str]:
-    """What was recommended and then read from its file and run again, beside what it had promised."""
-    head = trade.head
-    by_key = {of.key: of for of in trade.measurements}
-    own = trade.measurements[0]
-    promised = {OWN: own, **trade.chosen()}
-    promised |= {name: by_key[head[name]] for name in ("fastest", "most_accurate") if head[name]}
-    what = {
-        "fastest": f"the fastest within {report.percent(head['tolerance'])}",
-        "most_accurate": f"the most accurate within {report.ms(head['budget_s'])} by the median",
-    }
-    confirmed = {
-        name: Measurement.from_plain({**of, "machine": head["machine"]}) for name, of in head["confirmed"].items()
-    }
-    limits = _limits(head, promised, confirmed[OWN])
-    offered = presets.all_presets().get(head["scene"], {})
-    rows = []
-    for name, again in confirmed.items():
-        was = promised.get(name)
-        preset = f"preset {name}" if head["machine"]["backend"] == PRESETS_BACKEND else f"{name} of these results"
-        if was is None:
-            short = name.removeprefix(_FOREIGN)
-            is_now = offered.get(short) == head["presets"][short]
-            rows.append(_foreign(name if is_now else f"former {name}", head["presets"][short], again, confirmed[OWN]))
-            continue
-        title = what.get(name, preset if name != OWN else OWN)
-        for of in head["dropped"].get(name, []):
-            then = Measurement.from_plain({**of["again"], "machine": head["machine"]})
-            rows.append(_again(f"{title}, dropped", by_key[of["key"]], then, f"**not confirmed**: {of['why']}"))
-        off = report.missed(was, again, limits.get(name, report.Limits()))
-        rows.append(_again(title, was, again, f"**not confirmed**: {off}" if off else "confirmed"))
-    heads = ["recommended", "setting", "error", "again", "cost", "again", "p99", "again", ""]
-    missing = [what[name] for name in ("fastest", "most_accurate") if not head[name]]
-    lines = ["", "What is recommended, written as a scene file, then read and run once more:", "", *_table(heads, rows)]
-    return lines + [f"\n{text[0].upper()}{text[1:]}: no setting." for text in missing]
-
-
-def _again(what: str, was: Measurement, again: Measurement, verdict: str) -> list[str]:
-    """A row for a setting of these results that was run once more."""
-    row = [what, report.setting_text(was.setting)]
-    if not was.errors or not again.errors:
-        return [*row, *["–"] * 6, f"**{again.failure}**"]
-    row += [report.percent(was.errors.judged), report.percent(again.errors.judged)]
-    return [*row, *(report.ms(of) for of in (was.cost_s, again.cost_s, was.slow_s, again.slow_s)), verdict]
-
-
-def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
+def limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
     """By name; those of presets are against `own`, the scene as it is run beside them, unless they are it."""
     within = {
         name: report.Limits(cost_s=factor * own.cost_s, slow_s=factor * own.slow_s)
@@ -343,20 +225,6 @@ def _limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> d
         if promised[name].setting and own.costs
     }
     return within | report.limits_of(head["tolerance"], head["budget_s"])
-
-
-def _foreign(name: str, setting: Setting, of: Measurement, own: Measurement) -> list[str]:
-    """A row for a preset that is not chosen from these results."""
-    start = [f"{name}, of the {PRESETS_BACKEND}'s results", report.setting_text(setting)]
-    if of.errors is None:
-        return [*start, *["–"] * 6, f"**{of.failure}**"]
-    times = f"{of.cost_s / own.cost_s:.2f} times as long as the scene as it is"
-    return [*start, "–", report.percent(of.errors.judged), "–", report.ms(of.cost_s), "–", report.ms(of.slow_s), times]
-
-
-def _table(heads: list[str], rows: list[list[str]]) -> list[str]:
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    return lines + ["| " + " | ".join(cell.replace("_", " ") for cell in row) + " |" for row in rows]
 
 
 def folder_of(scene: str, backend: str) -> Path:

@@ -34,6 +34,7 @@ from tensormass.trade.store import Store
 
 from . import calculix, record, trade
 from .meshes import Floats, Integers, box
+from .tables import Cell
 
 SCENE, BACKEND = "beam", "cpu"
 FILE = trade.FOLDER / "trade-beam-calculix.jsonl"
@@ -256,49 +257,40 @@ def solved() -> list[dict]:
     return sorted((row for row in read()[1] if "failure" not in row), key=lambda row: row["cost_s"])
 
 
-def section() -> list[str]:
-    """Of docs/accuracy.md: its front beside ours."""
+def table() -> list[dict[str, Cell]]:
+    """Rows for the CSV file: one for each setting, the cheapest first; failed runs come last."""
+    by_cost = solved()
+    front = {by_cost[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in by_cost])}
+    return [
+        {
+            "element": row["element"],
+            "what": ELEMENTS[row["element"]][1],
+            "resolution": row["resolution"],
+            "dt_s": row["dt_s"],
+            "front": row["key"] in front,
+            "elements": row["elements"],
+            "displacement": row.get("displacement"),
+            "worst_node": row.get("worst_node"),
+            "cost_ms": 1e3 * row["cost_s"] if "cost_s" in row else None,
+            "failure": row.get("failure", "").split("\n")[0],
+        }
+        for row in [*by_cost, *(row for row in read()[1] if "failure" in row)]
+    ]
+
+
+def summary() -> list[str]:
+    """Lines of docs/accuracy.md: what was solved, and the most accurate setting."""
     head, rows = read()
     ours = trade.Trade.read(SCENE, BACKEND)
     if not rows or ours is None:
         return []
-    by_cost = solved()
-    front = {by_cost[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in by_cost])}
-    lines = [
-        "",
-        "### The beam's front beside another solver's",
-        "",
-        f"{head['solver']}, `{head['command']}`; {head['host']}; {head['date']}, commit `{head['commit']}`. Same beam, "
-        "law, weight, points, times and reference as above"
-        + ("" if head["reference"] == ours.head["reference"]["key"] else " (**of an earlier run**)")
-        + ". Its cost is all the time of the program, reading and writing with it, for as much as one step of the "
-        "scene simulates; it runs with its own defaults (implicit with α = −0.05, a direct solver in double precision, "
-        "its tolerances) on as many threads as the machine has. It is made for other things than this: what can be "
-        "read from the two curves is that both come to the same motion, and what an error costs in either.",
-        "",
-        "| of | setting | elements | displacement | worst node | cost | on its front |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in by_cost:
-        what = f"{ELEMENTS[row['element']][1]} ({row['element']}), {row['key'].split(', ', 1)[1].replace('_', ' ')}"
-        lines.append(
-            f"| CalculiX | {what} | {row['elements']} | {report.percent(row['displacement'])} "
-            f"| {report.percent(row['worst_node'])} | {report.ms(row['cost_s'])} "
-            f"| {'*' if row['key'] in front else ''} |"
-        )
-    for of in sweep.front(ours.measurements):
-        assert of.errors
-        lines.append(
-            f"| this server | {report.setting_text(of.setting).replace('_', ' ')} | {of.element_count} "
-            f"| {report.percent(of.errors.displacement)} | {report.percent(of.errors.worst_node)} "
-            f"| {report.ms(of.cost_s)} | * |"
-        )
-    failed = [f"{row['key']}: {row['failure'].splitlines()[0]}" for row in rows if "failure" in row]
-    lines += ["", *(f"* gave up: {text}" for text in failed)] if failed else []
+    earlier = "" if head["reference"] == ours.head["reference"]["key"] else ", against the reference of an earlier run"
+    best = min(solved(), key=lambda row: row["displacement"])
     return [
-        *lines,
         "",
-        "SOFA's published scenes were not run: no binary of it was at hand on the machine that measured.",
+        f"{head['solver']} solved the same `{SCENE}` on {head['host']} (commit `{head['commit']}`{earlier}) with "
+        f"{len(rows)} settings. The most accurate reached {report.percent(best['displacement'])} in "
+        f"{report.ms(best['cost_s'])}.",
     ]
 
 
