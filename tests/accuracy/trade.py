@@ -1,7 +1,7 @@
-"""What the demo scenes' settings cost and reach: results/trade-<scene>-<backend>.jsonl, and the presets made of them.
+"""Cost and error of the demo scenes' settings: results/trade-<scene>-<backend>.jsonl, and the presets made of them.
 
-python -m accuracy.trade [--backend cpu|cuda] [--quick] [--scene NAME]   measures; goes on where it was stopped
-python -m accuracy.trade --presets                                       only makes the presets of the results anew
+python -m accuracy.trade [--backend cpu|cuda] [--quick] [--scene NAME]   measures; continues where it was stopped
+python -m accuracy.trade --presets                                       only makes the presets from the results again
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from tensormass.trade.store import Measurement
 from . import record
 
 FOLDER = Path(__file__).parent / "results"
-#: By name: options of `tensormass trade`. The probe presses the organ by its whole radius: the less of the surface it
-#: touches, the more a force is one of the mesh. The beam sinks by a third of its length in the time given; later its
-#: law, which softens under compression, turns it inside out, and there is no answer to converge to.
+#: By name: options of `tensormass trade`. The probe presses the organ by its whole radius, because the force depends
+#: more on the mesh the less of the surface it touches. The beam sinks by a third of its length in the time given. Later
+#: its law, which softens under compression, lets elements invert, and there is no answer to converge to.
 SCENES: dict[str, list[str]] = {"demo": ["--press", "1"], "beam": ["--seconds", "0.8"], "cantilever": []}
 #: The machine whose results the presets are chosen from.
 PRESETS_BACKEND = "cpu"
 TOLERANCE = "2%"
-#: The name under which the scene as it is is run again, beside the presets.
+#: The name under which the unmodified scene runs again, beside the presets.
 OWN = "as it is"
-#: Before the name of a preset that is run on another machine than that whose results it is chosen from.
+#: Prefix of a preset that was chosen from the results of another machine.
 FOREIGN = "preset "
-#: Errors that differ by less are the same to anybody.
+#: Errors within this factor count as equal.
 SAME_ERROR = 1.05
-#: How many times as long as the scene as it is a preset takes at most, in median and in 99th percentile.
+#: The largest cost of a preset relative to the unmodified scene, in median and in 99th percentile.
 TIMES = {"fast": 1.0, "balanced": 1.0, "accurate": 2.0}
 
 
 @dataclass(frozen=True)
 class Trade:
-    """One file of results. `head`: everything but the measurements."""
+    """One file of results. head: everything but the measurements, of which the first is the unmodified scene."""
 
     head: dict
     measurements: list[Measurement]
@@ -59,9 +59,10 @@ class Trade:
         return Trade(head, [Measurement.from_plain({**row, "machine": head["machine"]}) for row in rows])
 
     def chosen(self) -> dict[str, Measurement]:
-        """What keeps the promises of the presets' names, in median and in 99th percentile; the first measurement, the
-        scene as it is, does. None has another law, which would be another tissue, and none is one that left the promise
-        when it was run again."""
+        """The best measurement for each preset that keeps its promise in median and in 99th percentile.
+
+        The unmodified scene always keeps it. Other laws are excluded, because they are other tissues. So are settings
+        that broke the promise in a second run."""
         best = {"fast": lambda of: of.cost_s, "balanced": _error, "accurate": _error}
         kept = {
             name: [of for of in self._within(factor) if of.key not in self.dropped(name)]
@@ -78,12 +79,12 @@ class Trade:
         return [Knob(name, "", knob["own"], tuple(knob["values"])) for name, knob in self.head["knobs"].items()]
 
     def dropped(self, name: str) -> list[str]:
-        """Keys of what was recommended under a name and left its limit when it was run again."""
+        """Keys of settings that were recommended under a name and exceeded its limit in a second run."""
         return [of["key"] for of in self.head.get("dropped", {}).get(name, [])]
 
     def _within(self, factor: float) -> list[Measurement]:
-        """Those that take at most so many times as long as the scene as it is, their slow steps too, and that are no
-        less accurate, neither in what is seen nor in what is felt."""
+        """Measurements within `factor` times the cost of the unmodified scene, by median and by p99, and no less
+        accurate than it in displacement and in force. They keep its law."""
         own = self.measurements[0]
         return [
             of
@@ -112,9 +113,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m accuracy.trade", description=__doc__.splitlines()[0])
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--scene", choices=SCENES, help="one of them")
-    parser.add_argument("--quick", action="store_true", help="as `tensormass trade --quick`")
-    parser.add_argument("--reference-seconds", default="1200", help="as of `tensormass trade`")
-    parser.add_argument("--timing-seconds", default="5", help="as of `tensormass trade`")
+    parser.add_argument("--quick", action="store_true", help="as in `tensormass trade`")
+    parser.add_argument("--reference-seconds", default="1200", help="as in `tensormass trade`")
+    parser.add_argument("--timing-seconds", default="5", help="as in `tensormass trade`")
     parser.add_argument("--presets", action="store_true", help="measure nothing")
     arguments = parser.parse_args()
     if not arguments.presets:
@@ -129,8 +130,8 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     options = ["--tolerance", TOLERANCE, *SCENES[scene], *(["--quick"] if arguments.quick else [])]
     options += ["--reference-seconds", arguments.reference_seconds, "--timing-seconds", arguments.timing_seconds]
     content = _run(scene, arguments.backend, folder, options)
-    # The presets, and what they would be by this front, are run once more as scene files; all else is there already.
-    # One that leaves its promise makes room for the next.
+    # Presets, and the presets that this front would choose, run once more as scene files. One that breaks its promise
+    # is replaced by the next best.
     measurements = [Measurement.from_plain(row) for row in content["measurements"]]
     foreign = presets.all_presets().get(scene, {}) if arguments.backend != PRESETS_BACKEND else {}
     dropped: dict[str, list[dict]] = {}
@@ -139,7 +140,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
         settings = {OWN: {}, **{name: of.setting for name, of in chosen.items()}}
         files = _scene_files(scene, folder, settings | {FOREIGN + name: of for name, of in foreign.items()})
         content = _run(scene, arguments.backend, folder, [*options, "--confirm", *map(str, files)])
-        if not {file.stem for file in files} <= content["confirmed"].keys():  # it ended before; why has been said
+        if not {file.stem for file in files} <= content["confirmed"].keys():  # it ended early and said why
             sys.exit(1)
         left = _leaving(content, chosen)
         if not left:
@@ -170,7 +171,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
 
 
 def _leaving(content: dict, chosen: dict[str, Measurement]) -> dict[str, dict]:
-    """What left the promise of its name in the second run of trade.json, as `Dropped` has it."""
+    """Settings that broke the promise of their name in the second run of trade.json, in the form of `Dropped`."""
     confirmed = {name: Measurement.from_plain(of) for name, of in content["confirmed"].items()}
     within = limits(content, chosen, confirmed[OWN])
     return {
@@ -181,11 +182,11 @@ def _leaving(content: dict, chosen: dict[str, Measurement]) -> dict[str, dict]:
 
 
 def _run(scene: str, backend: str, folder: Path, options: list[str]) -> dict:
-    """trade.json of the command."""
+    """Runs the command and returns its trade.json."""
     result = folder / "trade.json"
     result.unlink(missing_ok=True)
     tensormass(["trade", scene, "--backend", backend, "--out", str(folder), *options])
-    if not result.exists():  # what was wrong has been said; that no setting is good enough is no error here
+    if not result.exists():  # the command said why; it is no error here that no setting qualifies
         sys.exit(1)
     return json.loads(result.read_text())
 
@@ -206,19 +207,20 @@ def _write_presets() -> None:
     }
     comment = (
         f"# Made by `make trade` of tests/accuracy/results/trade-*-{PRESETS_BACKEND}.jsonl; do not edit.\n"
-        "# docs/accuracy.md says what each costs and reaches.\n"
+        "# docs/choosing.md says what each costs and how accurate it is.\n"
     )
     presets.FILE.write_text(comment + yaml.safe_dump(chosen, sort_keys=False))
     print(f"wrote {presets.FILE}")
 
 
 def picture(scene: str) -> str:
-    """From docs/."""
+    """Path of the picture of a scene's fronts, relative to docs/."""
     return f"images/trade-{scene}.svg"
 
 
 def limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
-    """By name; those of presets are against `own`, the scene as it is run beside them, unless they are it."""
+    """Limits by name. Those of presets are relative to `own`, the unmodified scene timed beside them; the unmodified
+    scene itself has none."""
     within = {
         name: report.Limits(cost_s=factor * own.cost_s, slow_s=factor * own.slow_s)
         for name, factor in TIMES.items()
@@ -228,7 +230,7 @@ def limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> di
 
 
 def folder_of(scene: str, backend: str) -> Path:
-    """Where a run is kept while it goes on, with the recording of its reference."""
+    """Folder of a run in progress, with the recording of its reference."""
     return BUILD_BIN.parent / "trade" / f"{scene}-{backend}"
 
 
@@ -240,7 +242,7 @@ def _rounded(value: object) -> object:
     if isinstance(value, float):
         return float(f"{value:.5g}")
     if isinstance(value, dict):
-        # Settings are exact: they are written into scene files.
+        # Settings stay exact, because they are written into scene files.
         return {name: of if name in ("setting", "knobs", "presets") else _rounded(of) for name, of in value.items()}
     return [_rounded(of) for of in value] if isinstance(value, list) else value
 

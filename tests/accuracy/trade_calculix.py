@@ -1,11 +1,12 @@
-"""The beam's motion by CalculiX: error against time of a solver that shares no line with us, beside our own front.
+"""The beam's motion by CalculiX: error against time of a solver that shares no code with the server.
 
 python -m accuracy.trade_calculix [--fresh]     after `python -m accuracy.trade --scene beam`, on the same machine
 
-Same beam, law, weight and time; compared in the same points and times with the same reference (ours: that CalculiX's
-finest setting comes to it as well is shown by its error). Its cost is all the time that the program takes, in which
-reading and writing have a small part, for as much as one step of the scene simulates. It runs with its own defaults:
-direct solver, its damping of high frequencies (α = −0.05), its tolerances; with as many threads as the machine has.
+Beam, law, weight and time are the same. Displacements are compared in the same points and times with the same
+reference. The reference is ours; the error of CalculiX's finest setting shows that it converges to the same motion.
+Cost is all the time of the program, of which reading and writing are a small part, for what one step of the scene
+simulates. CalculiX runs with its own defaults (direct solver, damping of high frequencies with α = −0.05, its
+tolerances) on as many threads as the machine has.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ LIMIT_S = 300.0
 
 @dataclass(frozen=True)
 class Setting:
-    """element: CalculiX's name. resolution: elements along an edge, against the scene's own."""
+    """element: CalculiX's name. resolution: elements along an edge, relative to the scene's own."""
 
     element: str
     resolution: float
@@ -54,7 +55,7 @@ class Setting:
         return f"{self.element}, resolution {self.resolution:g}, dt_s {self.dt_s:g}"
 
 
-#: By CalculiX's name: how our meshes call the shape that it is made of, and what it is.
+#: By CalculiX's name: the shape of our meshes that it is made of, and a description.
 ELEMENTS = {
     "C3D4": ("tetrahedron", "linear tetrahedra"),
     "C3D8": ("hexahedron", "hexahedra, full quadrature"),
@@ -70,13 +71,13 @@ SETTINGS = (
     *(Setting("C3D8", resolution) for resolution in (0.25, 0.35)),
     *(Setting("C3D10", resolution) for resolution in (0.15, 0.25)),
 )
-# Of a hexahedron, as CalculiX numbers the middles of its edges.
+# Edges of a hexahedron, in the order in which CalculiX numbers their midpoints.
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 _CORNERS = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
 
 
 class Beam:
-    """The scene's beam, as the script of the trade has it."""
+    """The beam of the scene, with the points and weights in which recordings are compared."""
 
     def __init__(self) -> None:
         file = SceneFile.read(SCENE)
@@ -91,14 +92,14 @@ class Beam:
         self.size_m = (grid.size_m.x, grid.size_m.y, grid.size_m.z)
 
     def mesh(self, setting: Setting) -> tuple[Floats, Integers]:
-        """Nodes and elements."""
+        """Nodes and elements of a setting."""
         cells = tuple(max(1, math.floor(count * setting.resolution + 0.5)) for count in self.cells)
         mesh = box(ELEMENTS[setting.element][0], cells, self.size_m)
         ((_, elements),) = mesh.blocks
         return quadratic(mesh.nodes, elements) if setting.element == "C3D20R" else (mesh.nodes, elements)
 
     def taken(self, setting: Setting, nodes: Floats, elements: Integers, u: Floats) -> Floats:
-        """[sample, node, 3] -> [sample, point, 3]."""
+        """Interpolates displacements u [sample, node, 3] in the compared points: [sample, point, 3]."""
         if setting.element == "C3D20R":
             at, weights = serendipity(nodes, elements, self.points)
             return np.einsum("pk,spkc->spc", weights, u[:, elements[at]])
@@ -107,7 +108,7 @@ class Beam:
         return np.stack([of(sample) for sample in u])
 
     def error(self, ours: Floats, reference: Recording) -> tuple[float, float]:
-        """Relative L2 over volume and time, and the worst point, as `tensormass trade` has them."""
+        """Relative L2 norm over volume and time, and the worst point, defined as in `tensormass trade`."""
         (exact,) = reference.displacement
         off = (self.weights * ((ours - exact) ** 2).sum(axis=2)).sum()
         whole = (self.weights * (exact**2).sum(axis=2)).sum()
@@ -116,7 +117,7 @@ class Beam:
 
 
 def quadratic(nodes: Floats, hexahedra: Integers) -> tuple[Floats, Integers]:
-    """With a node in the middle of every edge."""
+    """Nodes and elements of 20-node hexahedra: adds a node at the midpoint of each edge."""
     pairs = np.sort(hexahedra[:, _EDGES], axis=2)
     edges, number = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
     middles = len(nodes) + number.reshape(len(hexahedra), len(_EDGES))
@@ -124,7 +125,7 @@ def quadratic(nodes: Floats, hexahedra: Integers) -> tuple[Floats, Integers]:
 
 
 def serendipity(nodes: Floats, elements: Integers, points: Floats) -> tuple[Integers, Floats]:
-    """Of each point the element, a box along the axes, and the weights of its 20 nodes."""
+    """For each point its element, which must be a box along the axes, and the weights of the 20 nodes."""
     low, high = nodes[elements[:, 0]], nodes[elements[:, 6]]
     local = (2 * points[:, None] - low - high) / (high - low)
     at = np.abs(local).max(axis=2).argmin(axis=1)
@@ -140,7 +141,7 @@ def serendipity(nodes: Floats, elements: Integers, points: Floats) -> tuple[Inte
 
 
 def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script: Script) -> str:
-    """The input file."""
+    """Text of CalculiX's input file."""
     law = beam.body.law.st_venant_kirchhoff
     lines = ["*NODE, NSET=ALL"]
     lines += [f"{i}, {x:.12E}, {y:.12E}, {z:.12E}" for i, (x, y, z) in enumerate(nodes, 1)]
@@ -162,7 +163,7 @@ def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script
 
 
 def solve(text: str, sample_count: int) -> tuple[Floats, float]:
-    """Displacements [sample, node, 3] m, and how long the program took."""
+    """Displacements [sample, node, 3] m, and the time that the program took [s]."""
     environment = {**os.environ, "OMP_NUM_THREADS": str(os.cpu_count())}
     with tempfile.TemporaryDirectory(prefix="accuracy-") as folder:
         (Path(folder) / "case.inp").write_text(text)
@@ -245,7 +246,7 @@ def _brief(row: dict) -> str:
 
 
 def read() -> tuple[dict, list[dict]]:
-    """Head and rows; empty without results."""
+    """Head and rows of the results file; both empty without one."""
     if not FILE.exists():
         return {}, []
     head, *rows = (json.loads(line) for line in FILE.read_text().splitlines())
@@ -253,7 +254,7 @@ def read() -> tuple[dict, list[dict]]:
 
 
 def solved() -> list[dict]:
-    """The rows that have numbers, the cheapest first."""
+    """Rows of settings that did not fail, the cheapest first."""
     return sorted((row for row in read()[1] if "failure" not in row), key=lambda row: row["cost_s"])
 
 
