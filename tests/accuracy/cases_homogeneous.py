@@ -61,7 +61,7 @@ def _cells(mesh: str, across: int) -> tuple[int, int, int]:
     return (5 if mesh == "mixed" else across, across, across)
 
 
-def _held_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
+def _prescribed_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
     boundary = mesh.boundary()
     support = Support(boundary, mesh.nodes[boundary] @ (f - IDENTITY).T)
     return Problem(mesh, law, [support], quadrature=quadrature, increments=increments)
@@ -97,7 +97,7 @@ def _patch_cases() -> Iterator[Case]:
                 def patch(engine: Engine, shape: str = shape, law: str = law, selective: bool = selective) -> Outcome:
                     mesh = mesh_of(shape)
                     quadrature = scene_pb2.QUADRATURE_SELECTIVE if selective else scene_pb2.QUADRATURE_FULL
-                    u = engine.equilibrium(_held_boundary(mesh, LAWS[law], affine, quadrature, 2)).displacement_m
+                    u = engine.equilibrium(_prescribed_boundary(mesh, LAWS[law], affine, quadrature, 2)).displacement_m
                     exact = mesh.nodes @ (affine - IDENTITY).T
                     size = np.abs(exact).max()
                     return Outcome(float(np.abs(u).max()), float(size), float(np.abs(u - exact).max() / size))
@@ -118,7 +118,9 @@ def _patch_cases() -> Iterator[Case]:
 
             def rotate(engine: Engine, shape: str = shape, law: str = law) -> Outcome:
                 mesh = mesh_of(shape)
-                found = engine.equilibrium(_held_boundary(mesh, LAWS[law], rotation, scene_pb2.QUADRATURE_FULL, 4))
+                found = engine.equilibrium(
+                    _prescribed_boundary(mesh, LAWS[law], rotation, scene_pb2.QUADRATURE_FULL, 4)
+                )
                 force = float(np.abs(found.reaction_n).max()) / (5000 / 9)
                 return Outcome(force, 0.0, force)
 
@@ -200,7 +202,7 @@ def _curve_cases() -> Iterator[Case]:
         gamma = 0.6
         mesh = box(shape, _cells(shape, 2), (CUBE_M,) * 3)
         f = IDENTITY + gamma * np.outer(IDENTITY[0], IDENTITY[1])
-        problem = _held_boundary(mesh, LAWS[law], f, scene_pb2.QUADRATURE_FULL, STEPS)
+        problem = _prescribed_boundary(mesh, LAWS[law], f, scene_pb2.QUADRATURE_FULL, STEPS)
         errors, sizes, last = [], [], (0.0, 0.0)
         for step, found in enumerate(engine.states(problem), 1):
             g = gamma * step / STEPS
@@ -238,7 +240,7 @@ def _fibre_cases() -> Iterator[Case]:
         a = np.array([np.cos(angle), np.sin(angle), 0])
         law = transversely_isotropic(young_pa, nu, fibre_pa, (0, 0, 1) if by_element else tuple(a))
         f = IDENTITY + (stretch - 1) * np.outer(IDENTITY[0], IDENTITY[0])
-        scene = engine.scene(_held_boundary(mesh, law, f, scene_pb2.QUADRATURE_FULL, 1))
+        scene = engine.scene(_prescribed_boundary(mesh, law, f, scene_pb2.QUADRATURE_FULL, 1))
         if by_element:
             count = sum(len(elements) for _, elements in mesh.blocks)
             # Three times the unit vector: the server normalizes.

@@ -50,7 +50,7 @@ CUBE_M = 0.1
 BAR_M = (0.1, 0.04, 0.04)
 FLIGHT_STEPS = 10_000
 FLIGHT_DT_S = 1e-3
-LOOK_EVERY = 10
+SAMPLE_EVERY = 10
 
 
 def time_cases() -> Iterator[Case]:
@@ -183,15 +183,15 @@ def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
 
 
 def watch_flight(handle: tm.SceneHandle, mesh: Mesh, steps: int) -> Flight:
-    """Samples a body that nothing acts on, every LOOK_EVERY steps.
+    """Samples a body that nothing acts on, every SAMPLE_EVERY steps.
 
     Nodal masses are row sums of the mass matrix. The server lumps them so for all shapes but the quadratic tetrahedron.
     """
     masses = numpy_fem.consistent_forces(mesh, lambda x: np.full((*x.shape[:-1], 1), DENSITY_KG_PER_M3))[:, 0]
     momenta, angular, energies = [], [], []
-    for look in range(steps // LOOK_EVERY + 1):
-        if look > 0:
-            handle.step(LOOK_EVERY)
+    for sample in range(steps // SAMPLE_EVERY + 1):
+        if sample > 0:
+            handle.step(SAMPLE_EVERY)
         now = state(handle)
         velocity, place = now.velocity_m_per_s, mesh.nodes + now.displacement_m
         momenta.append(masses @ velocity)

@@ -263,7 +263,7 @@ def newton(problem: problems.Problem, system: Callable[[Floats], tuple[Floats, s
 
     given = problem.prescribed().ravel()
     free = np.flatnonzero(np.isnan(given))
-    held = np.flatnonzero(~np.isnan(given))
+    fixed = np.flatnonzero(~np.isnan(given))
     outer = problem.nodal_forces().ravel()
     u = np.zeros(given.size)
     scale = 0.0  # largest force so far; a rigidly rotated body ends without forces
@@ -272,13 +272,13 @@ def newton(problem: problems.Problem, system: Callable[[Floats], tuple[Floats, s
         for _ in range(60):
             inner, stiffness = system(u.reshape(-1, 3))
             residual = (outer - inner)[free]
-            move = target[held] - u[held]
+            move = target[fixed] - u[fixed]
             scale = max(scale, np.abs(inner).max(), np.abs(outer).max())
             if np.abs(move).max() == 0 and np.abs(residual).max() <= 1e-12 * scale:
                 break
-            right = residual - stiffness[free][:, held] @ move
+            right = residual - stiffness[free][:, fixed] @ move
             u[free] += scipy.sparse.linalg.spsolve(stiffness[free][:, free].tocsc(), right)
-            u[held] = target[held]
+            u[fixed] = target[fixed]
         else:
             raise ArithmeticError(f"Newton did not converge: residual {np.abs(residual).max() / scale:.1e}")
     return u.reshape(-1, 3)

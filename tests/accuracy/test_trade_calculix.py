@@ -41,8 +41,10 @@ def test_the_input_file_has_the_values_of_the_scene() -> None:
     start = lines.index("*ELEMENT, TYPE=C3D20R, ELSET=BODY")
     numbers = [int(number) for number in "".join(lines[start + 1 : start + 3]).split(",")]
     assert numbers == [1, *(elements[0] + 1)]
-    held = [int(line.rstrip(",")) - 1 for line in lines[lines.index("*NSET, NSET=WALL") + 1 : lines.index("*BOUNDARY")]]
-    assert set(held) == set(np.flatnonzero(nodes[:, 0] == 0))
+    fixed = [
+        int(line.rstrip(",")) - 1 for line in lines[lines.index("*NSET, NSET=WALL") + 1 : lines.index("*BOUNDARY")]
+    ]
+    assert set(fixed) == set(np.flatnonzero(nodes[:, 0] == 0))
 
 
 def test_a_recording_has_no_error_against_itself() -> None:

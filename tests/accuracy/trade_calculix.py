@@ -150,8 +150,8 @@ def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script
         numbers = [i, *(node + 1 for node in element)]
         lines += [", ".join(map(str, numbers[:16])) + ("," if len(numbers) > 16 else "")]
         lines += [", ".join(map(str, numbers[16:]))] if len(numbers) > 16 else []
-    held = np.flatnonzero(nodes[:, 0] < 1e-9) + 1
-    lines += ["*NSET, NSET=WALL", *(f"{node}," for node in held), "*BOUNDARY", "WALL, 1, 3"]
+    fixed = np.flatnonzero(nodes[:, 0] < 1e-9) + 1
+    lines += ["*NSET, NSET=WALL", *(f"{node}," for node in fixed), "*BOUNDARY", "WALL, 1, 3"]
     lines += ["*MATERIAL, NAME=TISSUE", "*ELASTIC", f"{law.young_modulus_pa:g}, {law.poisson_ratio:g}"]
     lines += ["*DENSITY", f"{beam.body.density_kg_per_m3:g}", "*SOLID SECTION, ELSET=BODY, MATERIAL=TISSUE"]
     lines += ["*AMPLITUDE, NAME=AT_ONCE", f"0., 1., {2 * script.duration_s:g}, 1."]
