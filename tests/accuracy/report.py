@@ -329,12 +329,11 @@ def _disagreement(runs: Sequence[Run], cases: Sequence[Case]) -> list[str]:
         )
         for precision in PRECISIONS
     }
-    # record.write keeps nine digits.
     words = [
-        f"{f'{value:.1e}' if value > 0 else 'nothing in nine digits'} in {precision}"
+        f"differ by at most {value:.1e} in {precision}" if value > 0 else f"agree to all stored digits in {precision}"
         for precision, value in largest.items()
     ]
-    return ["", f"Values of the two backends differ at most by {' and by '.join(words)}, relative."]
+    return ["", f"Values of the two backends {' and '.join(words)} (relative)."]
 
 
 def _without_bound(runs: Sequence[Run], cases: Sequence[Case]) -> list[str]:
