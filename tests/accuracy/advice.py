@@ -78,7 +78,7 @@ Trades = dict[tuple[str, str], Trade]
 
 
 def sources(trades: Trades) -> list[str]:
-    """Where the figures come from: the commit of each front, and the device."""
+    """Names the commit and the device of each front."""
     devices = dict.fromkeys(_device(of) for of in trades.values())
     said = []
     for device in devices:
