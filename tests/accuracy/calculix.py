@@ -1,4 +1,4 @@
-"""The same equilibria by CalculiX, a solver that shares no line with us; its results have seven digits."""
+"""The same equilibria by CalculiX, which shares no code with the server. Its results have seven digits."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .meshes import Floats
 from .problem import Problem
 
 PROGRAM = "ccx"
-# Shapes whose rule is the one of scene.proto. Its C3D6 sums over 1×2 points, and it has no pyramid.
+# Shapes that CalculiX integrates with the rule of scene.proto. Its C3D6 has 1×2 points, and it has no pyramid.
 ELEMENTS = {"tetrahedron": "C3D4", "hexahedron": "C3D8", "quadratic_tetrahedron": "C3D10"}
-_IMBALANCE = "1E-13"
-# It takes forces below 1e-8 for zero. Millimetres with pascals make a newton a million.
+_RESIDUAL = "1E-13"
+# CalculiX treats forces below 1e-8 as zero. With millimetres and pascals a newton becomes a million.
 _MM = 1e3
 _FORCE_UNITS = 1e6
 
@@ -33,7 +33,7 @@ def source() -> str:
 
 
 def solve(problem: Problem) -> Floats:
-    """Displacements in equilibrium, [node_count, 3] m, of a mesh of one shape and a law that CalculiX has."""
+    """Displacements in equilibrium, [node_count, 3] m, for a mesh of one shape and a law that CalculiX has."""
     with tempfile.TemporaryDirectory(prefix="accuracy-") as folder:
         (Path(folder) / "case.inp").write_text(_deck(problem))
         done = subprocess.run([PROGRAM, "-i", "case"], cwd=folder, capture_output=True, text=True, check=False)
@@ -54,10 +54,10 @@ def _deck(problem: Problem) -> str:
     lines.append(f"*ELEMENT, TYPE={ELEMENTS[shape]}, ELSET=BODY")
     lines += [f"{i}, " + ", ".join(str(node + 1) for node in element) for i, element in enumerate(elements, 1)]
     lines += ["*MATERIAL, NAME=TISSUE", problem.law.calculix.rstrip(), "*SOLID SECTION, ELSET=BODY, MATERIAL=TISSUE"]
-    # Increments of equal size, each iterated until the imbalance is rounding.
+    # Increments of equal size, each iterated down to rounding.
     share = 1 / problem.increments
     lines += ["*STEP, NLGEOM, INC=1000", "*STATIC, DIRECT", f"{share:.12E}, 1."]
-    lines += ["*CONTROLS, PARAMETERS=FIELD", f"{_IMBALANCE}, {_IMBALANCE}, , , {_IMBALANCE}, , , {_IMBALANCE}"]
+    lines += ["*CONTROLS, PARAMETERS=FIELD", f"{_RESIDUAL}, {_RESIDUAL}, , , {_RESIDUAL}, , , {_RESIDUAL}"]
     lines += ["*CONTROLS, PARAMETERS=TIME INCREMENTATION", "60, 80, 9, 200, 10, 4, , 5, , "]
     lines.append("*BOUNDARY")
     prescribed = _MM * problem.prescribed()

@@ -1,4 +1,4 @@
-"""What a case is: one number of ours against one from elsewhere, with the error that it may have."""
+"""A case: one number of the server, compared with a reference from elsewhere, and the largest error that passes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """error: as the case's group says how it is measured. details: further rows of (label, value, error)."""
+    """Result of a case. The text of its group defines `error`. details: (label, value, error) of each refinement."""
 
     value: float
     reference: float
@@ -22,7 +22,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Group:
-    """A section of docs/accuracy.md. text: what is solved and how the error is measured."""
+    """A section of the report. text: what is solved and how the error is measured."""
 
     name: str
     title: str
@@ -31,10 +31,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Case:
-    """bounds: the largest error that passes, by precision; None: any, no claim is made. A precision that is not
-    named is not run.
+    """One comparison.
 
-    quick: also a test of `make test`.
+    bounds: the largest error that passes, by precision. None means that no claim is made and every error passes. A
+    precision without an entry is not run.
+    run: Callable[[Engine], Outcome]; called once for each precision, with an engine of that precision.
+    quick: `make test` runs the case too.
     """
 
     group: Group
@@ -53,4 +55,5 @@ class Case:
 
 
 def relative(value: float, reference: float) -> float:
+    """Relative error."""
     return abs(value - reference) / abs(reference)

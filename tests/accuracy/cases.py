@@ -1,4 +1,4 @@
-"""Every case, in the order of docs/accuracy.md."""
+"""Every case, in the order of the report."""
 
 from __future__ import annotations
 

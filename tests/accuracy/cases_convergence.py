@@ -1,4 +1,4 @@
-"""Refinement: a manufactured solution, Cook's membrane, and the thick sphere under pressure."""
+"""Convergence under refinement: a manufactured solution, Cook's membrane, the thick sphere under pressure."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from .problem import Pressure, Problem, Support, Traction
 MANUFACTURED = Group(
     "manufactured",
     "Manufactured solution",
-    "Unit cube, zero on the boundary, u = (1, 2, −1) mm · sin πx sin πy sin πz under the body force that belongs "
-    "to it. Value: the order at which the error in L2 falls with the last halving of the cells; it must be p + 1. "
-    "Error: the difference of the two.",
+    "Unit cube, zero on the boundary, u = (1, 2, −1) mm · sin πx sin πy sin πz under the matching body force. "
+    "Value: the order at which the L2 error falls with the last halving of the cells. It must be p + 1 for shapes of "
+    "order p. Error: the difference of the two.",
 )
 COOK = Group(
     "cook",
     "Cook's membrane",
-    "The panel (0, 0), (48, 44), (48, 60), (0, 44), clamped at the left, a shearing force on the right; one layer "
-    "of cells of thickness 1, on a plane of symmetry (plane stress) or between two (plane strain). Three "
-    "variants: plane stress E = 1, ν = 1/3, F = 1, displacement at (48, 52), elsewhere given as 23.91 to 23.96; "
-    "finite strain, E = 200, ν = 0.35, traction 4, at (48, 60), elsewhere 6.1468; nearly incompressible, E = 250, "
-    "ν = 0.4999, F = 100, at (48, 60), elsewhere 7.771. Reference: the same panel in two dimensions, "
-    "quadrilaterals of order 4 crowded towards the corner of infinite stress. Value: on the finest mesh. Error: "
-    "relative, a discretization error and not one of the solver; nearly incompressible, linear shapes lock under "
-    "full quadrature; there no claim is made.",
+    "The panel (0, 0), (48, 44), (48, 60), (0, 44), clamped at the left, with a shearing force on the right. One "
+    "layer of cells of thickness 1 lies on a plane of symmetry (plane stress) or between two (plane strain). Three "
+    "variants: plane stress E = 1, ν = 1/3, F = 1, displacement at (48, 52), literature 23.91 to 23.96; "
+    "finite strain, E = 200, ν = 0.35, traction 4, at (48, 60), literature 6.1468; nearly incompressible, E = 250, "
+    "ν = 0.4999, F = 100, at (48, 60), literature 7.771. Reference: the same panel in two dimensions with "
+    "quadrilaterals of order 4, refined towards the corner of infinite stress. Value: on the finest mesh. Error: "
+    "relative; it is a discretization error, not one of the solver. Nearly incompressible, linear shapes lock under "
+    "full quadrature, and no claim is made there.",
 )
 SPHERE = Group(
     "sphere",
     "Thick sphere under inner pressure",
     "An octant of a sphere from r = 1 m to r = 2 m on three planes of symmetry, under a follower pressure of a "
     "ten-thousandth of the bulk stiffness. Reference: Lamé 1852, small strain. Value: mean displacement of the "
-    "inner surface on the finest mesh. Error: relative; a discretization error.",
+    "inner surface on the finest mesh. Error: relative; it is a discretization error.",
 )
 
-# Cells along an edge; each a halving of the one before.
+# By order of the shape: cells along an edge, halved from one mesh to the next.
 SERIES = {1: (4, 8, 16), 2: (2, 4, 8)}
 COOK_SERIES = {1: (8, 16, 32), 2: (4, 8, 16)}
-# Of the finest mesh; triangles of constant strain are the slowest to converge, and a wedge is one in this plane.
+# On the finest mesh. Triangles of constant strain converge slowest, and a wedge is one in this plane.
 COOK_BOUNDS = {
     "tetrahedron": 0.06,
     "pyramid": 0.02,
@@ -126,16 +126,16 @@ def _manufactured_cases() -> Iterator[Case]:
 
 
 def _cook_mesh(shape: str, count: int, turned: bool) -> Mesh:
-    """turned: the third axis of the cells, along which wedges are extruded, lies in the plane."""
+    """turned: the third axis of the cells, along which wedges are extruded, lies in the membrane's plane."""
     if not turned:
         return box(shape, (count, count, 1), place=cook_reference.place)
     return box(shape, (count, 1, count), place=lambda nodes: cook_reference.place(nodes[:, [2, 0, 1]]))
 
 
 def _cook_choices(shape: str) -> Iterator[tuple[str, int, bool]]:
-    """Name, quadrature, and whether the cells are turned."""
+    """Yields name, quadrature, and whether the cells are turned."""
     yield "full", scene_pb2.QUADRATURE_FULL, False
-    if shape != "tetrahedron":  # one point, whatever the choice
+    if shape != "tetrahedron":  # has one point, so full and selective are the same
         yield "selective", scene_pb2.QUADRATURE_SELECTIVE, False
     if shape == "wedge":
         yield "selective, axis in the plane", scene_pb2.QUADRATURE_SELECTIVE, True
@@ -190,7 +190,7 @@ def _cook_cases() -> Iterator[Case]:
 
 
 def small_strain_lame(law: Law) -> tuple[float, float]:
-    """λ and μ of an isotropic law at rest [Pa], from its stresses in principal stretches."""
+    """λ and μ [Pa] of an isotropic law at rest, by central differences of its stresses in principal stretches."""
     step = 1e-5
     slope = (law.pull(np.array([1 + step, 1, 1])) - law.pull(np.array([1 - step, 1, 1]))) / (2 * step)
     return float(slope[1]), float((slope[0] - slope[1]) / 2)

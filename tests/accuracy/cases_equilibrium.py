@@ -1,4 +1,5 @@
-"""Cantilever and twisted bar: every law in every shape against other solvers on the same mesh with the same rule."""
+"""Cantilever and twisted bar: every law in every shape against other solvers, on the same mesh with the same
+quadrature rule."""
 
 from __future__ import annotations
 
@@ -20,9 +21,9 @@ GROUP = Group(
     "equilibrium",
     "Cantilever and twisted bar",
     "A bar of 100 × 40 × 40 mm in 5 × 2 × 2 cells, clamped at one end. The cantilever carries a traction of (5, "
-    "0, −40) Pa on the other end; the twisted bar has that end turned by 60° and pulled by 5 mm. Same mesh, same "
-    "quadrature. Value: the largest displacement. Error: the largest difference at any node over the largest "
-    "displacement. CalculiX prints seven digits.",
+    "0, −40) Pa on the other end. The twisted bar has that end rotated by 60° and pulled by 5 mm. Mesh and quadrature "
+    "are the same in all solvers. Value: the largest displacement. Error: the largest difference at any node, relative "
+    "to the largest displacement. CalculiX prints seven digits.",
 )
 CELLS = (5, 2, 2)
 SIZE_M = (0.1, 0.04, 0.04)
@@ -66,12 +67,12 @@ PROBLEMS: dict[str, Callable[[Mesh, Law], Problem]] = {
 
 
 def pairs() -> Iterator[tuple[str, str, str, str]]:
-    """(solver, problem, shape, law) of every comparison."""
+    """Yields (solver, problem, shape, law) of every comparison."""
     for shape in MESHES:
         for law, entry in LAWS.items():
             for name in PROBLEMS:
                 if name == SELECTIVE:
-                    if shape != "tetrahedron":  # one point, whatever the choice
+                    if shape != "tetrahedron":  # has one point, so full and selective are the same
                         yield "numpy", name, shape, law
                     continue
                 yield ("scikit-fem" if shape in skfem_fem.SHAPES else "numpy"), name, shape, law

@@ -1,4 +1,4 @@
-"""States of constant strain: patch test, rigid rotation, pulling, shearing, fibres. Every law in every shape."""
+"""States of constant strain, for every law in every shape: patch test, rigid rotation, pulling, shearing, fibres."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ PATCH = Group(
     "Patch test and rigid rotation",
     "A unit cube whose inner nodes are moved by up to 0.2 of a cell. *Patch*: the boundary is displaced affinely "
     "(strains up to 15 %); inside, the displacement must be the same affine map. Value: the largest displacement. "
-    "Error: the largest difference at any node over the largest displacement. *Rotation*: the boundary is turned "
-    "rigidly by 60°. Value: the largest force on any node over E times the area of a cell's face; it must be zero "
-    "(the linear law has no such claim).",
+    "Error: the largest difference at any node, relative to the largest displacement. *Rotation*: the boundary is "
+    "rotated rigidly by 60°. Value: the largest force on any node over E times the area of a cell's face. It must be "
+    "zero, except for the linear law, which makes no such claim.",
 )
 WORK = Group(
     "work",
     "Energy and force",
-    "A unit cube whose inner nodes are moved by up to 0.2 of a cell, its boundary displaced by a quadratic field "
-    "(strains up to 20 %) that grows by 0.01 % to either side. Reference: the work of the reaction forces over "
-    "that growth. Value: the growth of the elastic energy by central difference. Error: relative. (Energy, force "
-    "and stiffness of every pair are compared by finite differences in tests/physics.)",
+    "A unit cube whose inner nodes are moved by up to 0.2 of a cell. A quadratic field (strains up to 20 %) displaces "
+    "its boundary and is varied by 0.01 % to either side. Value: the change of the elastic energy by central "
+    "difference. Reference: the work of the reaction forces. Error: relative. (tests/physics compares energy, force "
+    "and stiffness of every pair by finite differences.)",
 )
 CURVES = Group(
     "curves",
     "Pulling and shearing",
     "A cube, pulled to 1.4 and pressed to 0.85 of its length with free sides, and sheared to γ = 0.6 with its "
-    "whole boundary held, in four steps each. Reference: closed form of each law in principal stretches or by "
-    "components (laws.py); the free sides' stretch is the root of one scalar equation. Value: nominal stress at "
-    "the end (pulling: the axial one, in the longest state; shearing: P12), from the reaction forces. Error: the "
-    "largest of all states, and in shear of all components of P and of the Cauchy stress, of the von Mises stress "
-    "and of det F, over the largest stress.",
+    "whole boundary prescribed, in four steps each. Reference: closed form of each law in principal stretches or by "
+    "components (laws.py); the stretch of the free sides is the root of one scalar equation. Value: nominal stress "
+    "at the end from the reaction forces (pulling: axial, in the longest state; shearing: P12). Error: the largest of "
+    "all states relative to the largest stress; in shear also of all components of P and of the Cauchy stress, of the "
+    "von Mises stress and of det F.",
 )
 FIBRES = Group(
     "fibres",
     "Fibre anisotropy",
     "Uniaxial strain of 20 % along x in the whole cube, fibres along x, across it, or at 30°. Reference: closed "
-    "form, S = λ tr E I + 2 μ E + k (a₀·E a₀) a₀ ⊗ a₀. Value: P11. Error: the largest of P11, P12, P21, P22 over "
-    "the largest.",
+    "form, S = λ tr E I + 2 μ E + k (a₀·E a₀) a₀ ⊗ a₀ (E: Green strain, k: fibre modulus, a₀: fibre direction at "
+    "rest). Value: P11. Error: the largest of P11, P12, P21, P22, relative to the largest of them.",
 )
 
 CURVE_BOUNDS = {"double": 1e-9, "float": 1e-4}
 CUBE_M = 0.1
 STEPS = 4
 PULLED = 1.4
-# Stiff fibres buckle in the tissue when the stress along them comes near its shear modulus; at 0.75 some meshes do.
+# Stiff fibres buckle when the stress along them nears the shear modulus of the tissue; at 0.75 some meshes do.
 PRESSED = 0.85
 
 
@@ -61,7 +61,7 @@ def _cells(mesh: str, across: int) -> tuple[int, int, int]:
     return (5 if mesh == "mixed" else across, across, across)
 
 
-def _held_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
+def _prescribed_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
     boundary = mesh.boundary()
     support = Support(boundary, mesh.nodes[boundary] @ (f - IDENTITY).T)
     return Problem(mesh, law, [support], quadrature=quadrature, increments=increments)
@@ -97,7 +97,7 @@ def _patch_cases() -> Iterator[Case]:
                 def patch(engine: Engine, shape: str = shape, law: str = law, selective: bool = selective) -> Outcome:
                     mesh = mesh_of(shape)
                     quadrature = scene_pb2.QUADRATURE_SELECTIVE if selective else scene_pb2.QUADRATURE_FULL
-                    u = engine.equilibrium(_held_boundary(mesh, LAWS[law], affine, quadrature, 2)).displacement_m
+                    u = engine.equilibrium(_prescribed_boundary(mesh, LAWS[law], affine, quadrature, 2)).displacement_m
                     exact = mesh.nodes @ (affine - IDENTITY).T
                     size = np.abs(exact).max()
                     return Outcome(float(np.abs(u).max()), float(size), float(np.abs(u - exact).max() / size))
@@ -118,7 +118,9 @@ def _patch_cases() -> Iterator[Case]:
 
             def rotate(engine: Engine, shape: str = shape, law: str = law) -> Outcome:
                 mesh = mesh_of(shape)
-                found = engine.equilibrium(_held_boundary(mesh, LAWS[law], rotation, scene_pb2.QUADRATURE_FULL, 4))
+                found = engine.equilibrium(
+                    _prescribed_boundary(mesh, LAWS[law], rotation, scene_pb2.QUADRATURE_FULL, 4)
+                )
                 force = float(np.abs(found.reaction_n).max()) / (5000 / 9)
                 return Outcome(force, 0.0, force)
 
@@ -160,7 +162,7 @@ def _work_cases() -> Iterator[Case]:
 
 
 def pulled(mesh: Mesh, law: Law, stretch: float) -> Problem:
-    """The cube on three planes of symmetry, its end at x = CUBE_M moved."""
+    """A cube on three planes of symmetry, with its end at x = CUBE_M moved."""
     far = CUBE_M * (1 - 1e-6)
     planes = [mesh.where(lambda x, y, z, axis=axis: (x, y, z)[axis] < 1e-9) for axis in range(3)]
     supports = [Support(nodes, np.where(IDENTITY[axis] == 1, 0, np.nan)) for axis, nodes in enumerate(planes)]
@@ -170,16 +172,16 @@ def pulled(mesh: Mesh, law: Law, stretch: float) -> Problem:
 
 
 def free_sides_stretch(law: Law, stretch: float) -> float:
-    """Of the sides, where they carry nothing."""
+    """The stretch of the sides that makes their stress zero, by bisection."""
     low, high = 0.6, 1.6
-    for _ in range(60):  # bisection, to the last digit
+    for _ in range(60):  # enough for all digits of a double
         side = (low + high) / 2
         low, high = (low, side) if law.pull(np.array([stretch, side, side]))[1] > 0 else (side, high)
     return side
 
 
 def free_sides_stress(law: Law, stretch: float) -> float:
-    """Nominal stress along x where the sides carry none."""
+    """Nominal stress along x with sides free of stress."""
     side = free_sides_stretch(law, stretch)
     return float(law.pull(np.array([stretch, side, side]))[0])
 
@@ -200,7 +202,7 @@ def _curve_cases() -> Iterator[Case]:
         gamma = 0.6
         mesh = box(shape, _cells(shape, 2), (CUBE_M,) * 3)
         f = IDENTITY + gamma * np.outer(IDENTITY[0], IDENTITY[1])
-        problem = _held_boundary(mesh, LAWS[law], f, scene_pb2.QUADRATURE_FULL, STEPS)
+        problem = _prescribed_boundary(mesh, LAWS[law], f, scene_pb2.QUADRATURE_FULL, STEPS)
         errors, sizes, last = [], [], (0.0, 0.0)
         for step, found in enumerate(engine.states(problem), 1):
             g = gamma * step / STEPS
@@ -238,10 +240,10 @@ def _fibre_cases() -> Iterator[Case]:
         a = np.array([np.cos(angle), np.sin(angle), 0])
         law = transversely_isotropic(young_pa, nu, fibre_pa, (0, 0, 1) if by_element else tuple(a))
         f = IDENTITY + (stretch - 1) * np.outer(IDENTITY[0], IDENTITY[0])
-        scene = engine.scene(_held_boundary(mesh, law, f, scene_pb2.QUADRATURE_FULL, 1))
+        scene = engine.scene(_prescribed_boundary(mesh, law, f, scene_pb2.QUADRATURE_FULL, 1))
         if by_element:
             count = sum(len(elements) for _, elements in mesh.blocks)
-            # Of any length: the server normalizes.
+            # Three times the unit vector: the server normalizes.
             scene.bodies[0].element_fields.fibre_directions = np.tile(3 * a, (count, 1)).astype("<f8").tobytes()
         with engine.loaded(scene) as handle:
             handle.step()

@@ -1,4 +1,4 @@
-"""What happens over time: relaxation of visco-elastic laws, and a bar in free flight."""
+"""Behaviour over time: relaxation of viscoelastic laws, order of the time schemes, and a bar in free flight."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .problem import DENSITY_KG_PER_M3, Problem, Support
 RELAXATION = Group(
     "relaxation",
     "Prony relaxation",
-    "A cube, suddenly stretched by 10 % along x and held, with two terms: 0.24 over 0.27 s and 0.33 over 0.03 s. "
-    "*Step by step*: against implicit Euler's own sum, S = S⁰ (1 − Σ α (1 − (τ / (Δt + τ))ⁿ)), every tenth step "
-    "up to 0.4 s. Value: P11 at 0.4 s. Error: the largest over the first stress. *Order*: against the exponential "
-    "1 − Σ α (1 − e^(−t/τ)) at 0.2 s. Value: the order at which the error falls with the last halving of Δt. "
-    "Error: its distance from 1.",
+    "A cube, suddenly stretched by 10 % along x and kept so, with two Prony terms: α 0.24 with τ 0.27 s, α 0.33 with "
+    "τ 0.03 s. *Step by step*: against implicit Euler's own sum, S = S⁰ (1 − Σ α (1 − (τ / (Δt + τ))ⁿ)), every tenth "
+    "step up to 0.4 s. Value: P11 at 0.4 s. Error: the largest, relative to the first stress. *Order*: against the "
+    "exponential 1 − Σ α (1 − e^(−t/τ)) at 0.2 s. Value: the order at which the error falls with the last halving of "
+    "Δt. Error: its distance from 1.",
 )
 SWING = Group(
     "swing",
@@ -37,12 +37,12 @@ SWING = Group(
 FLIGHT = Group(
     "flight",
     "Free flight",
-    "A free bar of 100 × 40 × 40 mm is struck off-centre by a probe that then leaves; from then on nothing acts "
-    "on it for 10,000 steps of 1 ms. *Momentum*: value is the largest drift of the linear momentum over its size. "
-    "*Angular momentum*: value is what is left of it about the centre of mass at the end; implicit schemes lose "
-    "some, and the error is how far it ever rises above the start. *Energy*: elastic and kinetic; value is what "
-    "is left at the end (BDF2 carries more vibration of the blow into the flight, and loses it there), the error "
-    "is the largest rise between two looks (every 10 steps) over the start.",
+    "A probe strikes a free bar of 100 × 40 × 40 mm off-centre and leaves. Then nothing acts on the bar for 10,000 "
+    "steps of 1 ms. *Momentum*: value and error are the largest drift of the linear momentum, relative to its size. "
+    "*Angular momentum* about the centre of mass: the value is the share left at the end. Implicit schemes lose some, "
+    "so the error is the largest rise above the start. *Energy*, elastic and kinetic: the value is the share left at "
+    "the end; BDF2 carries more vibration of the blow into the flight and loses it there. The error is the largest "
+    "rise between two samples (every 10 steps), relative to the start.",
 )
 TERMS = ((0.24, 0.27), (0.33, 0.03))
 STRETCH = 1.1
@@ -50,7 +50,7 @@ CUBE_M = 0.1
 BAR_M = (0.1, 0.04, 0.04)
 FLIGHT_STEPS = 10_000
 FLIGHT_DT_S = 1e-3
-LOOK_EVERY = 10
+SAMPLE_EVERY = 10
 
 
 def time_cases() -> Iterator[Case]:
@@ -68,7 +68,7 @@ def viscous(law: Law) -> Law:
 
 
 def _relaxed(engine: Engine, shape: str, law: Law, dt_s: float, steps: list[int]) -> list[float]:
-    """P11 [Pa] after these numbers of steps."""
+    """P11 [Pa] of a suddenly stretched cube after each of these numbers of steps."""
     mesh = box(shape, (5 if shape == "mixed" else 2, 2, 2), (CUBE_M,) * 3)
     boundary = mesh.boundary()
     moved = mesh.nodes[boundary] * (STRETCH - 1) * IDENTITY[0]
@@ -159,7 +159,7 @@ def _swing_cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Flight:
-    """[look, 3] kg m/s, [look, 3] kg m²/s about the centre of mass, [look] J."""
+    """Momentum [sample, 3] kg m/s, angular momentum about the centre of mass [sample, 3] kg m²/s, energy [sample] J."""
 
     momentum: Floats
     angular_momentum: Floats
@@ -183,14 +183,15 @@ def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
 
 
 def watch_flight(handle: tm.SceneHandle, mesh: Mesh, steps: int) -> Flight:
-    """Looks at a body that nothing acts on. Its masses are those that row sums give, as the server lumps all shapes but
-    the quadratic tetrahedron.
+    """Samples a body that nothing acts on, every SAMPLE_EVERY steps.
+
+    Nodal masses are row sums of the mass matrix. The server lumps them so for all shapes but the quadratic tetrahedron.
     """
     masses = numpy_fem.consistent_forces(mesh, lambda x: np.full((*x.shape[:-1], 1), DENSITY_KG_PER_M3))[:, 0]
     momenta, angular, energies = [], [], []
-    for look in range(steps // LOOK_EVERY + 1):
-        if look > 0:
-            handle.step(LOOK_EVERY)
+    for sample in range(steps // SAMPLE_EVERY + 1):
+        if sample > 0:
+            handle.step(SAMPLE_EVERY)
         now = state(handle)
         velocity, place = now.velocity_m_per_s, mesh.nodes + now.displacement_m
         momenta.append(masses @ velocity)
@@ -215,7 +216,7 @@ def _energy(flight: Flight) -> Outcome:
     return Outcome(float(flight.energy[-1] / flight.energy[0]), 1.0, float(max(rise, 0)))
 
 
-# By name: what is shown, how it is found, the bounds of its error.
+# By name: the quantity, the function that computes it from a flight, the bounds of its error.
 FLIGHT_LOOKS: dict[str, tuple[str, Callable[[Flight], Outcome], dict[str, float]]] = {
     "momentum": ("drift", _momentum, {"double": 1e-10, "float": 5e-3}),
     "angular momentum": ("share left", _angular_momentum, {"double": 1e-3, "float": 1e-2}),
@@ -228,10 +229,11 @@ _INTEGRATORS = {
 
 
 def _flight_cases() -> Iterator[Case]:
-    flights: dict[tuple[int, str, str], Flight] = {}
+    # The engine itself is the key: its id could be used again after it is gone.
+    flights: dict[tuple[Engine, str, str], Flight] = {}
 
     def flight(engine: Engine, shape: str, integrator: str) -> Flight:
-        key = id(engine), shape, integrator
+        key = engine, shape, integrator
         if key not in flights:
             flights[key] = _fly(engine, shape, "neo_hookean", _INTEGRATORS[integrator])
         return flights[key]

@@ -1,4 +1,4 @@
-"""Cook's membrane in two dimensions by scikit-fem, fine and of high order: what the three-dimensional meshes go to."""
+"""Cook's membrane in two dimensions by scikit-fem, fine and of high order: what meshes in space converge to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HEIGHT = 16.0
 
 @dataclass(frozen=True)
 class Variant:
-    """force: on the right edge, for each unit of thickness; at: where the displacement is read."""
+    """force: on the right edge, per unit of thickness. at: point where the displacement is read."""
 
     law: str
     young_modulus_pa: float
@@ -46,14 +46,14 @@ def solve_all() -> dict[str, float]:
 
 
 def place(nodes: Floats) -> Floats:
-    """From the unit square to the membrane; a third coordinate stays."""
+    """Maps the unit square to the membrane and keeps a third coordinate."""
     r, s = nodes[:, 0], nodes[:, 1]
     weights = np.stack([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s], axis=1)
     return np.column_stack([weights @ CORNERS, nodes[:, 2:]])
 
 
 def solve(variant: Variant, cells: int = 20, order: int = 4) -> float:
-    """Vertical displacement. Quadrilaterals of order 4, crowded towards the corner of infinite stress."""
+    """Vertical displacement, with quadrilaterals of order 4 that are refined towards the corner of infinite stress."""
     import scipy.sparse.linalg
     import skfem
     from skfem.helpers import ddot, grad
@@ -71,7 +71,7 @@ def solve(variant: Variant, cells: int = 20, order: int = 4) -> float:
     eye = np.eye(2)
 
     def stress_and_moduli(slope: Floats) -> tuple[Floats, Floats]:
-        """Of displacement gradients [2, 2, ...]; the third direction is held, or free through λ."""
+        """Stress and moduli of displacement gradients [2, 2, ...]. Plane strain, or plane stress if λ is modified."""
         unit = np.ones(slope.shape[2:])
         same = np.einsum("ik,jl->ijkl", eye, eye)[..., None, None] * unit
         turned = np.einsum("il,jk->ijkl", eye, eye)[..., None, None] * unit

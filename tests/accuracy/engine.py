@@ -1,4 +1,4 @@
-"""The server as one more solver: a daemon of its own, asked through the SDK."""
+"""The server as a solver: a daemon of its own, used through the SDK."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BODY = "body"
 
 @dataclass(frozen=True)
 class Precision:
-    """Tolerances of a scene's solver: as tight as the numbers allow."""
+    """Tolerances of a scene's solver, as tight as the precision allows."""
 
     number: scene_pb2.Solver.Precision
     cg_tolerance: float
@@ -52,9 +52,9 @@ class State:
 
 
 class Engine:
-    """A daemon and the precision of the scenes that it is given."""
+    """A daemon, and the precision of the scenes that it receives."""
 
-    # One daemon may have scenes of several engines at a time.
+    # Shared, because one daemon may hold scenes of several engines and names must differ.
     _numbers = itertools.count()
 
     def __init__(self, server: tm.Server, precision: str) -> None:
@@ -62,7 +62,7 @@ class Engine:
         self.precision = precision
 
     def scene(self, problem: Problem, dt_s: float = 1.0) -> scene_pb2.Scene:
-        """The problem as a quasi-static scene in lockstep, supports moving over `increments` steps."""
+        """The problem as a quasi-static scene in lockstep; prescribed nodes move over `increments` steps."""
         scene = scene_pb2.Scene(name=f"accuracy-{next(self._numbers)}")
         scene.stepping.dt_s = dt_s
         scene.stepping.lockstep = True
@@ -114,7 +114,7 @@ class Engine:
 
 
 def _add_supports(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None:
-    """One message for all nodes that are given the same; nodes that never move are `fixed`."""
+    """Adds boundary conditions: one message for all nodes with the same values; nodes that never move are `fixed`."""
     nodes_of: dict[tuple[float | None, ...], list[int]] = {}
     for node, row in enumerate(problem.prescribed().tolist()):
         given = tuple(None if np.isnan(value) else value for value in row)
@@ -133,7 +133,7 @@ def _add_supports(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None:
 
 
 def state(handle: tm.SceneHandle) -> State:
-    """Everything that the cases look at."""
+    """The fields that the cases compare."""
     names = ("displacement", "velocity", "reaction_force", "cauchy_stress", "von_mises_stress", "det_f")
     fields = handle.fields(BODY, names)
     return State(*(fields[name] for name in names), fields.elastic_energy_j, fields.kinetic_energy_j)

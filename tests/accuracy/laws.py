@@ -1,5 +1,7 @@
-"""The laws, written a second time and in other ways: as stress tensors for the reference solvers, in principal
+"""The laws, implemented a second time and in other forms: as stress tensors for the reference solvers, in principal
 stretches for pulling, and by components for shearing. The server derives its own from the energies in scene.proto.
+
+F: deformation gradient; J = det F; P: first Piola-Kirchhoff stress; C = FᵀF; λ, μ: Lamé's constants; K: bulk modulus.
 """
 
 from __future__ import annotations
@@ -19,14 +21,14 @@ IDENTITY = np.eye(3)
 
 @dataclass(frozen=True)
 class Law:
-    """One law with numbers.
+    """One law with its parameters.
 
-    message: as the protocol has it.
-    stress: first Piola-Kirchhoff stress of deformation gradients [..., 3, 3], Pa.
-    volumetric: the part of it that the bulk modulus makes, for selective quadrature.
-    pull: nominal stresses of the principal stretches (x, y, z), Pa.
-    shear: P11, P12, P21, P22, P33 of F = I + γ e_x ⊗ e_y, Pa.
-    directed: its answer depends on directions; `pull` then holds for stretches along the axes and fibres along x.
+    message: the law in the protocol.
+    stress: F [..., 3, 3] to P [Pa].
+    volumetric: F to the part of P that the bulk modulus contributes [Pa], for selective quadrature.
+    pull: principal stretches along (x, y, z) to nominal stresses [Pa].
+    shear: γ to P11, P12, P21, P22, P33 of F = I + γ e_x ⊗ e_y [Pa].
+    directed: anisotropic; `pull` then assumes fibres along x.
     """
 
     message: scene_pb2.Law
@@ -35,7 +37,7 @@ class Law:
     pull: Callable[[Floats], Floats]
     shear: Callable[[float], Floats]
     directed: bool = False
-    # As *ELASTIC or *HYPERELASTIC cards of CalculiX; empty: it has no such law.
+    # *ELASTIC or *HYPERELASTIC cards of CalculiX; empty if CalculiX does not have the law.
     calculix: str = ""
 
 
@@ -70,7 +72,7 @@ def _inverse_transpose(f: Floats) -> Floats:
 
 
 def _by_volume(bulk_modulus_pa: float) -> Callable[[Floats], Floats]:
-    """Of W = K/2 (J − 1)²."""
+    """P of the energy W = K/2 (J − 1)²."""
     return lambda f: bulk_modulus_pa * (_det(f) - 1) * _det(f) * _inverse_transpose(f)
 
 
@@ -232,7 +234,7 @@ def mooney_rivlin(c10_pa: float, c01_pa: float, bulk_modulus_pa: float) -> Law:
         _by_volume(bulk_modulus_pa),
         pull,
         shear,
-        # Its MOONEY-RIVLIN: C10 (Ī1 − 3) + C01 (Ī2 − 3) + 1/D1 (J − 1)²: the same with D1 = 2/K.
+        # CalculiX uses C10 (Ī1 − 3) + C01 (Ī2 − 3) + 1/D1 (J − 1)², which is the same energy with D1 = 2/K.
         calculix=f"*HYPERELASTIC, MOONEY-RIVLIN\n{c10_pa:g}, {c01_pa:g}, {2 / bulk_modulus_pa:.7g}\n",
     )
 
@@ -305,7 +307,7 @@ def transversely_isotropic(
     return Law(message, stress, matrix.volumetric, pull, shear, directed=True)
 
 
-# Soft tissue: 5 kPa. What depends on no other constants than these is the same tissue at small strain.
+# Soft tissue: 5 kPa. Laws with these two constants describe the same tissue at small strain.
 LAWS: dict[str, Law] = {
     "hooke": hooke(5000, 0.35),
     "st_venant_kirchhoff": st_venant_kirchhoff(5000, 0.35),

@@ -16,13 +16,13 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Mesh:
-    """nodes: [node_count, 3] m; blocks: the elements of each shape, [element_count, nodes of the shape], VTK order."""
+    """nodes: [node_count, 3] m; blocks: elements of each shape, [element_count, nodes of the shape], in VTK order."""
 
     nodes: Floats
     blocks: tuple[tuple[str, Integers], ...]
 
     def where(self, condition: Callable[[Floats, Floats, Floats], npt.NDArray[np.bool_]]) -> Integers:
-        """Indices of the nodes whose x, y, z fulfil the condition."""
+        """Indices of nodes. condition: (x, y, z) [node_count] to a mask; called once."""
         return np.flatnonzero(condition(*self.nodes.T))
 
     def boundary(self) -> Integers:
@@ -38,13 +38,13 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Shape:
-    """number: in the protocol; faces: counter-clockwise seen from outside, then the middles of a face's edges."""
+    """number: value in the protocol. faces: corners counter-clockwise seen from outside, then edge midpoints."""
 
     number: scene_pb2.Shape
     faces: tuple[tuple[int, ...], ...]
-    # Cuts hexahedra into this shape; gets the nodes and [cell_count, 8] and returns nodes and elements.
+    # Cuts hexahedra into this shape: (nodes, cells [cell_count, 8]) to (nodes, elements).
     cut: Callable[[Floats, Integers], tuple[Floats, Integers]]
-    # Order of the polynomials that it holds completely.
+    # Order of the complete polynomials that it interpolates exactly.
     order: int = 1
 
 
@@ -57,24 +57,24 @@ def _cut_hexahedra(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
 
 
 def _cut_wedges(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
-    """Two for each cell, along its third axis."""
+    """Cuts each cell into two wedges, extruded along its third axis."""
     return nodes, cells[:, [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]].reshape(-1, 6)
 
 
 def _with_centres(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
-    """Adds the middle of every cell; returns the nodes and the middles' indices."""
+    """Adds the centre of each cell; returns all nodes and the indices of the centres."""
     return np.vstack([nodes, nodes[cells].mean(axis=1)]), len(nodes) + np.arange(len(cells))
 
 
 def _cut_pyramids(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
-    """Six for each cell, about its middle: a base is a face seen from inside."""
+    """Cuts each cell into six pyramids with their apex at its centre. A base is a face seen from inside."""
     all_nodes, centres = _with_centres(nodes, cells)
     bases = cells[:, np.array(_HEXAHEDRON_FACES)[:, ::-1]]
     return all_nodes, np.concatenate([bases, np.repeat(centres[:, None, None], 6, axis=1)], axis=2).reshape(-1, 5)
 
 
 def _triangles(face: Integers) -> list[Integers]:
-    """Two triangles along the diagonal through the smallest index, so that both sides of a face agree."""
+    """Cuts a face along the diagonal through its smallest node index, so that both neighbours cut it alike."""
     if len(face) == 3:
         return [face]
     face = np.roll(face, -int(np.argmin(face)))
@@ -82,7 +82,8 @@ def _triangles(face: Integers) -> list[Integers]:
 
 
 def _cut_tetrahedra(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
-    """Three for each wedge, from its node of the smallest index to the triangles of the faces that do not hold it."""
+    """Cuts each cell into two wedges, and each wedge into three tetrahedra. Their apex is the wedge's smallest node
+    index, their bases the triangles of the faces without that node."""
     nodes, wedges = _cut_wedges(nodes, cells)
     out = []
     for wedge in wedges:
@@ -119,12 +120,12 @@ SHAPES = {
     ),
 }
 
-# All shapes, and the linear ones together in one body.
+# All shapes, and one mesh that mixes the linear ones.
 MESHES = (*SHAPES, "mixed")
 
 
 def cell_grid(cells: tuple[int, int, int]) -> tuple[Floats, Integers]:
-    """The unit cube in cells: nodes [n, 3] and hexahedra [cells, 8]."""
+    """The unit cube as a grid: nodes [n, 3] and hexahedra [cells, 8]."""
     axes = [np.linspace(0, 1, count + 1) for count in cells]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     index = np.arange(len(nodes)).reshape([count + 1 for count in cells])
@@ -135,7 +136,7 @@ def cell_grid(cells: tuple[int, int, int]) -> tuple[Floats, Integers]:
 
 
 def from_cells(shape: str, nodes: Floats, cells: Integers) -> Mesh:
-    """Hexahedra [cells, 8] cut into one shape."""
+    """Cuts hexahedra [cells, 8] into one shape."""
     all_nodes, elements = SHAPES[shape].cut(nodes, cells)
     return Mesh(all_nodes, ((shape, elements),))
 
@@ -146,9 +147,10 @@ def box(
     size_m: tuple[float, float, float] = (1, 1, 1),
     place: Callable[[Floats], Floats] = lambda nodes: nodes,
 ) -> Mesh:
-    """A box from the origin, of cells cut into `shape` or, for "mixed", into another shape in each layer of x.
+    """A box with a corner at the origin. Its cells are cut into `shape`, or for "mixed" into another shape in each
+    layer of x.
 
-    place: moves the cells' nodes before they are cut, so that the middles of edges lie in the middle.
+    place: nodes [n, 3] m to moved nodes. It is called before cells are cut, so that edge midpoints stay midpoints.
     """
     nodes, hexahedra = cell_grid(cells)
     nodes = place(nodes * np.array(size_m))
@@ -158,7 +160,7 @@ def box(
 
 
 def _mixed(nodes: Floats, hexahedra: Integers, cells: tuple[int, int, int]) -> Mesh:
-    """Layers of hexahedra, wedges, pyramids, a transition, and from there on tetrahedra about the cells' middles."""
+    """Layers along x: hexahedra, wedges, pyramids, a transition, then tetrahedra around the cells' centres."""
     if cells[0] < 5:
         raise ValueError("a mixed mesh needs five layers of cells along x")
     layer = np.repeat(np.arange(cells[0]), cells[1] * cells[2])
@@ -186,7 +188,7 @@ def _mixed(nodes: Floats, hexahedra: Integers, cells: tuple[int, int, int]) -> M
 
 
 def boundary_faces(mesh: Mesh) -> list[Integers]:
-    """The faces that belong to one element only."""
+    """Faces that belong to only one element."""
     once: dict[tuple[int, ...], Integers] = {}
     for shape, elements in mesh.blocks:
         for local in SHAPES[shape].faces:
@@ -198,7 +200,7 @@ def boundary_faces(mesh: Mesh) -> list[Integers]:
 
 
 def shaken(seed: int, share: float, cells: tuple[int, int, int]) -> Callable[[Floats], Floats]:
-    """A `place` for the unit cube that moves the inner nodes by up to `share` of a cell, the boundary staying."""
+    """A `place` for the unit cube: moves inner nodes by up to `share` of a cell and keeps the boundary."""
 
     def place(nodes: Floats) -> Floats:
         inside = ((nodes > 1e-9) & (nodes < 1 - 1e-9)).all(axis=1)
@@ -209,14 +211,14 @@ def shaken(seed: int, share: float, cells: tuple[int, int, int]) -> Callable[[Fl
 
 
 def sphere_octant(shape: str, across: int, through: int, inner_m: float, outer_m: float) -> Mesh:
-    """x, y, z >= 0 of a thick sphere about the origin: three patches of across² cells, `through` layers of them.
+    """The octant x, y, z >= 0 of a thick sphere around the origin: three patches of across² cells in `through` layers.
 
-    The middles of edges lie on the sphere too.
+    Edge midpoints lie on the sphere too.
     """
     grid, hexahedra = cell_grid((across, across, through))
     nodes: list[Floats] = []
     cells: list[Integers] = []
-    # A patch is a third of the octant: the part where one coordinate is the largest.
+    # A patch is a third of the octant, in which one coordinate is the largest.
     for axis in range(3):
         tangents = np.tan(np.pi / 4 * grid[:, :2])
         direction = np.empty_like(grid)

@@ -1,7 +1,11 @@
-"""A small finite element solver of our own, for what no other at hand has: pyramids, and shapes in one mesh.
+"""A small finite element solver of our own, for pyramids and for meshes of several shapes, which other solvers lack.
 
-It shares nothing with the server: slopes of the shape functions by complex step, Newton with a numerical tangent on an
-assembled sparse matrix and a direct solve. Where scikit-fem has the shape too, test_references.py compares the two.
+It shares no code with the server. Slopes of the shape functions come from complex steps. Newton's method uses a
+numerical tangent, an assembled sparse matrix and a direct solve. test_references.py compares it with scikit-fem for the
+shapes that both have.
+
+N_k: shape function of node k. r = (ξ, η, ζ): reference coordinates. F: deformation gradient. P: first Piola-Kirchhoff
+stress [Pa].
 """
 
 from __future__ import annotations
@@ -54,7 +58,7 @@ def _hexahedron(r: npt.NDArray) -> list:
 
 
 def _pyramid(r: npt.NDArray) -> list:
-    """Bedrosian 1992: N = ¼ ((1 + xξ)(1 + yη) − ζ + xyξηζ/(1 − ζ)) for a corner (x, y) of the base."""
+    """Bedrosian 1992: N = ¼ ((1 + xξ)(1 + yη) − ζ + xyξηζ/(1 − ζ)) for the corner (x, y) of the base."""
     signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     ratio = r[0] * r[1] * r[2] / (1 - r[2])
     return [((1 + x * r[0]) * (1 + y * r[1]) - r[2] + x * y * ratio) / 4 for x, y in signs] + [r[2]]
@@ -79,14 +83,14 @@ def _unit_gauss(points: int) -> Rule:
 
 
 def _triangle(points: int) -> Rule:
-    """Collapsed square: exact to degree 2 points − 2."""
+    """Rule for a triangle from a collapsed square, exact to degree 2 `points` − 2."""
     x, w = _unit_gauss(points)
     a, b = np.meshgrid(x, x, indexing="ij")
     return np.stack([a, b * (1 - a)], axis=-1).reshape(-1, 2), (np.outer(w, w) * (1 - a)).ravel()
 
 
 def _tensor(*rules: Rule) -> Rule:
-    """Product of rules; each point is a number or a row."""
+    """Tensor product of rules. A rule's points are numbers or rows of coordinates."""
     points, weights = np.zeros((1, 0)), np.ones(1)
     for x, w in rules:
         x = x.reshape(len(w), -1)
@@ -96,14 +100,14 @@ def _tensor(*rules: Rule) -> Rule:
 
 
 def _conical(across: Rule, heights: Rule) -> Rule:
-    """heights: for the weight (1 − ζ)² on [0, 1]."""
+    """Rule for a pyramid. heights: a rule for ζ on [0, 1] with the weight (1 − ζ)²."""
     points, weights = _tensor(across, across, heights)
     return np.column_stack([points[:, :2] * (1 - points[:, 2:]), points[:, 2]]), weights
 
 
 @cache
 def rule(shape: str, fine: bool = False) -> Rule:
-    """The full rule of a shape (see scene.proto), or a fine one for integrals of fields."""
+    """The full quadrature rule of a shape (see scene.proto), or a fine one to integrate given fields."""
     n = 4 if fine else 2
     if shape == "hexahedron":
         return _tensor(_gauss(n), _gauss(n), _gauss(n))
@@ -111,10 +115,10 @@ def rule(shape: str, fine: bool = False) -> Rule:
         three = np.array([[1, 1], [4, 1], [1, 4]]) / 6, np.full(3, 1 / 6)
         return _tensor(_triangle(5) if fine else three, _unit_gauss(n))
     if shape == "pyramid":
-        # Gauss-Jacobi of two points: the roots of the polynomial that is orthogonal under (1 − ζ)² are 1/3 ∓ √(2/45).
+        # Two-point Gauss-Jacobi: the orthogonal polynomial for the weight (1 − ζ)² has the roots 1/3 ∓ √(2/45).
         root = np.sqrt(2 / 45)
         heights = np.array([1 / 3 - root, 1 / 3 + root])
-        # Exact for 1 and ζ: ∫(1 − ζ)² = 1/3, ∫ζ(1 − ζ)² = 1/12.
+        # The weights integrate 1 and ζ exactly: ∫(1 − ζ)² = 1/3, ∫ζ(1 − ζ)² = 1/12.
         weights = np.linalg.solve([[1, 1], heights], [1 / 3, 1 / 12])
         if fine:
             heights, weights = _unit_gauss(5)
@@ -149,15 +153,19 @@ def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False)
     jacobian = np.einsum("eki,qkj->eqij", mesh.nodes[elements], slope)
     determinant = np.linalg.det(jacobian)
     if determinant.min() <= 0:
-        raise ValueError(f"a {shape} is turned inside out")
+        raise ValueError(f"a {shape} is inverted")
     return np.einsum("qkj,eqji->eqki", slope, np.linalg.inv(jacobian)), determinant * weights
 
 
 def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:
-    """Wedges that each are across the other's largest quadrilateral between wedges, [pair, 2].
+    """Pairs of wedges for selective quadrature, [pair, 2]: each lies across the other's largest quadrilateral that two
+    wedges share.
 
-    In a mesh of cells cut in two that is the other half of the cell for every wedge. Where it is not, who is whose
-    partner is a choice of the server's, and there is no reference.
+    In a mesh of cells cut in two, a pair is a cell. In other meshes the server chooses the pairs, and there is no
+    reference.
+
+    Raises:
+        ValueError: two wedges do not choose each other.
     """
     sharing: dict[tuple[int, ...], list[int]] = {}
     areas: dict[tuple[int, ...], float] = {}
@@ -175,7 +183,7 @@ def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:
                 best[element] = max(best.get(element, (0.0, -1)), (areas[key], other))
     partner = np.array([best.get(element, (0.0, -1))[1] for element in range(len(elements))])
     if (partner < 0).any() or (partner[partner] != np.arange(len(elements))).any():
-        raise ValueError("not every wedge has a partner that has it for a partner")
+        raise ValueError("the wedges do not form pairs that choose each other")
     first = np.flatnonzero(np.arange(len(elements)) < partner)
     return np.column_stack([first, partner[first]])
 
@@ -184,7 +192,7 @@ Stress = Callable[[Floats], Floats]
 
 
 def tangent(stress: Stress, f: Floats) -> Floats:
-    """∂P_ij/∂F_km by central differences, [..., i, j, k, m]. For Newton only: the residual decides when it ends."""
+    """∂P_ij/∂F_km by central differences, [..., i, j, k, m]. Newton stops by the residual, so this is enough."""
     out = np.empty((*f.shape, 3, 3))
     for k in range(3):
         for m in range(3):
@@ -197,12 +205,12 @@ def tangent(stress: Stress, f: Floats) -> Floats:
 def _sums(
     problem: problems.Problem, shape: str, elements: npt.NDArray
 ) -> list[tuple[npt.NDArray, Floats, Floats, Stress]]:
-    """What is integrated over the elements: gradients, weights, and a stress."""
+    """The terms to integrate over the elements: nodes [element, k], gradients, weights, and a stress."""
     law = problem.law
     a, w = gradients(problem.mesh, shape, elements)
     if problem.quadrature == scene_pb2.QUADRATURE_FULL:
         return [(elements, a, w, law.stress)]
-    # Selective: the change of volume once, of the mean gradients; of two wedges together.
+    # Selective: the volumetric stress is integrated once, with mean gradients; for wedges over a pair of them.
     volume = w.sum(axis=1, keepdims=True)
     total = np.einsum("eq,eqki->eki", w, a)
     together = elements
@@ -210,7 +218,7 @@ def _sums(
         pairs = wedge_pairs(problem.mesh, elements)
         volume = volume[pairs].sum(axis=1)
         total = np.concatenate([total[pairs[:, 0]], total[pairs[:, 1]]], axis=1)
-        # Twelve nodes, four of them twice: what a node gets is the sum of both.
+        # A pair lists twelve nodes, four of them twice; assembly adds up both entries.
         together = np.concatenate([elements[pairs[:, 0]], elements[pairs[:, 1]]], axis=1)
     return [
         (elements, a, w, lambda f: law.stress(f) - law.volumetric(f)),
@@ -220,7 +228,7 @@ def _sums(
 
 def solve(problem: problems.Problem) -> Floats:
     """Displacements in equilibrium, [node_count, 3] m."""
-    import scipy.sparse  # here, so that comparing with stored answers needs no SciPy
+    import scipy.sparse  # imported here: comparing with stored answers needs no SciPy
 
     blocks = [sum_ for shape, elements in problem.mesh.blocks for sum_ in _sums(problem, shape, elements)]
 
@@ -243,37 +251,41 @@ def solve(problem: problems.Problem) -> Floats:
 
 
 def newton(problem: problems.Problem, system: Callable[[Floats], tuple[Floats, scipy.sparse.csr_matrix]]) -> Floats:
-    """Equilibrium of the problem's loads and supports.
+    """Displacements in equilibrium under the problem's loads and boundary conditions, [node_count, 3] m.
 
-    system(u): inner forces [3 node_count] N and their derivative.
+    system: displacements [node_count, 3] m to internal forces [3 node_count] N and their derivative. Called once an
+    iteration.
+
+    Raises:
+        ArithmeticError: Newton's method did not converge.
     """
     import scipy.sparse.linalg
 
     given = problem.prescribed().ravel()
     free = np.flatnonzero(np.isnan(given))
-    held = np.flatnonzero(~np.isnan(given))
+    fixed = np.flatnonzero(~np.isnan(given))
     outer = problem.nodal_forces().ravel()
     u = np.zeros(given.size)
-    scale = 0.0  # the largest force on the way; a rigidly turned body ends without any
+    scale = 0.0  # largest force so far; a rigidly rotated body ends without forces
     for increment in range(1, problem.increments + 1):
         target = given * increment / problem.increments
         for _ in range(60):
             inner, stiffness = system(u.reshape(-1, 3))
             residual = (outer - inner)[free]
-            move = target[held] - u[held]
+            move = target[fixed] - u[fixed]
             scale = max(scale, np.abs(inner).max(), np.abs(outer).max())
             if np.abs(move).max() == 0 and np.abs(residual).max() <= 1e-12 * scale:
                 break
-            right = residual - stiffness[free][:, held] @ move
+            right = residual - stiffness[free][:, fixed] @ move
             u[free] += scipy.sparse.linalg.spsolve(stiffness[free][:, free].tocsc(), right)
-            u[held] = target[held]
+            u[fixed] = target[fixed]
         else:
-            raise ArithmeticError(f"Newton did not converge: imbalance {np.abs(residual).max() / scale:.1e}")
+            raise ArithmeticError(f"Newton did not converge: residual {np.abs(residual).max() / scale:.1e}")
     return u.reshape(-1, 3)
 
 
 def l2_norm(mesh: Mesh, field: Callable[[Floats], Floats], nodal: Floats | None = None) -> float:
-    """√∫|field(x) − Σ N_k nodal_k|² dV."""
+    """√∫|field(x) − Σ N_k nodal_k|² dV; without `nodal` the norm of the field. field: positions [..., 3] to values."""
     total = 0.0
     for shape, elements in mesh.blocks:
         n = values(shape, rule(shape, fine=True)[0])
@@ -286,7 +298,7 @@ def l2_norm(mesh: Mesh, field: Callable[[Floats], Floats], nodal: Floats | None 
 
 
 def consistent_forces(mesh: Mesh, density: Callable[[Floats], Floats]) -> Floats:
-    """∫ N_k density(x) dV, [node_count, components]; density: per volume."""
+    """∫ N_k density(x) dV, [node_count, components]. density: positions [..., 3] m to values per volume."""
     out = None
     for shape, elements in mesh.blocks:
         n = values(shape, rule(shape, fine=True)[0])

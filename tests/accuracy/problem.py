@@ -1,4 +1,4 @@
-"""A boundary value problem in words that every solver understands: the server, and each reference."""
+"""A boundary value problem, independent of the solver: the server and each reference solve it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DENSITY_KG_PER_M3 = 1000.0
 
 @dataclass(frozen=True)
 class Support:
-    """Displacements of nodes. displacement_m: [node, 3] or [3]; NaN: free in that direction."""
+    """Prescribed displacements of nodes. displacement_m: [node, 3] or [3]; NaN: free in that direction."""
 
     nodes: Integers
     displacement_m: Floats
@@ -27,7 +27,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Traction:
-    """A constant force for each rest area on the boundary faces all of whose nodes are in `nodes`."""
+    """A constant force per rest area, on the boundary faces that have all their nodes in `nodes`."""
 
     nodes: Integers
     traction_pa: tuple[float, float, float]
@@ -35,7 +35,7 @@ class Traction:
 
 @dataclass(frozen=True)
 class Pressure:
-    """Pushes against the boundary faces all of whose nodes are in `nodes`, wherever they move."""
+    """A follower pressure on the boundary faces that have all their nodes in `nodes`."""
 
     nodes: Integers
     pressure_pa: float
@@ -43,22 +43,22 @@ class Pressure:
 
 @dataclass(frozen=True)
 class Problem:
-    """An equilibrium. `increments`: equal shares in which the supports move."""
+    """An equilibrium problem. The prescribed nodes move in `increments` equal shares."""
 
     mesh: Mesh
     law: Law
     supports: Sequence[Support]
     tractions: Sequence[Traction] = ()
-    # The reference solvers know none.
+    # The reference solvers do not support pressures.
     pressures: Sequence[Pressure] = ()
-    # [node_count, 3] N on the nodes, besides.
+    # Additional nodal forces, [node_count, 3] N.
     forces_n: Floats | None = None
     quadrature: scene_pb2.Quadrature = scene_pb2.QUADRATURE_FULL
     increments: int = 1
     density_kg_per_m3: float = DENSITY_KG_PER_M3
 
     def prescribed(self) -> Floats:
-        """[node_count, 3] m; NaN where free."""
+        """Prescribed displacements, [node_count, 3] m; NaN where free."""
         out = np.full(self.mesh.nodes.shape, np.nan)
         for support in self.supports:
             given = np.broadcast_to(support.displacement_m, (len(support.nodes), 3))
@@ -68,14 +68,15 @@ class Problem:
     def nodal_forces(self) -> Floats:
         """The loads as forces on the nodes, [node_count, 3] N."""
         if self.pressures:
-            raise ValueError("a pressure follows the surface; it is no constant force")
+            raise ValueError("a pressure follows the surface and cannot be written as constant nodal forces")
         out = np.zeros(self.mesh.nodes.shape) if self.forces_n is None else self.forces_n.copy()
         for load in self.tractions:
             out += node_areas(self.mesh, load.nodes)[:, None] * np.array(load.traction_pa)
         return out
 
     def digest(self) -> str:
-        """Of everything that the answer depends on; a stored answer carries it. To 9 digits, the same everywhere."""
+        """Hash of everything that the answer depends on; a stored answer carries it. Numbers are rounded to 9 digits,
+        so that every machine computes the same hash."""
         text = f"{self.law.message.SerializeToString(deterministic=True).hex()} {self.quadrature}"
         for array in (self.mesh.nodes, self.prescribed(), self.nodal_forces()):
             scale = np.nanmax(np.abs(array)) or 1.0
@@ -86,7 +87,7 @@ class Problem:
 
 
 def node_areas(mesh: Mesh, nodes: npt.ArrayLike) -> Floats:
-    """∫ N_k da over the plane boundary faces whose nodes are all in `nodes`, [node_count] m²."""
+    """∫ N_k da over the plane boundary faces that have all their nodes in `nodes`, [node_count] m²."""
     chosen = np.zeros(len(mesh.nodes), dtype=bool)
     chosen[np.asarray(nodes)] = True
     out = np.zeros(len(mesh.nodes))
@@ -97,7 +98,7 @@ def node_areas(mesh: Mesh, nodes: npt.ArrayLike) -> Floats:
 
 
 def _face_areas(x: Floats) -> Floats:
-    if len(x) == 4:  # bilinear: 2×2 Gauss, exact for a plane face
+    if len(x) == 4:  # bilinear: 2×2 Gauss points are exact for a plane face
         out = np.zeros(4)
         for r in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
             for s in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
@@ -107,5 +108,5 @@ def _face_areas(x: Floats) -> Floats:
                 out += n * np.linalg.norm(np.cross(by_r, by_s))
         return out
     area = np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])) / 2
-    # Of the quadratic triangle the corners get nothing and the middles a third each.
+    # Quadratic triangle: a corner gets zero, an edge midpoint a third of the area.
     return area / 3 * (np.array([0, 0, 0, 1, 1, 1]) if len(x) == 6 else np.ones(3))

@@ -1,4 +1,4 @@
-"""Where the rows of a results file come from, and how it is written: one row a line, so that diffs read well."""
+"""The head of a results file, and how it is written: one row a line, so that diffs are readable."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HERE = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Head:
-    """What stands before the rows of everything that one command found."""
+    """How the rows of one command were made."""
 
     backend: str
     device: str
@@ -40,14 +40,14 @@ def machine() -> str:
 
 
 def commit() -> str:
-    """TENSORMASS_COMMIT where the tree is a copy without history."""
+    """The short commit. A tree without history takes it from TENSORMASS_COMMIT."""
     command = ["git", "-C", str(HERE), "rev-parse", "--short", "HEAD"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return os.environ.get("TENSORMASS_COMMIT") or done.stdout.strip() or "unknown"
 
 
 def write(path: Path, head: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> None:
-    """JSON of the head and its rows, numbers to nine digits; what is empty is left out of a row."""
+    """Writes the head and its rows as JSON, numbers to nine digits. Empty texts and lists are omitted."""
     path.parent.mkdir(exist_ok=True)
     lines = ",\n".join(f"    {json.dumps(_rounded(row), ensure_ascii=False)}" for row in rows)
     start = json.dumps(head, ensure_ascii=False, indent=2).rstrip("}\n")

@@ -1,4 +1,4 @@
-"""Answers of other solvers, kept in references/<solver>.json so that a machine without them can compare too.
+"""Answers of other solvers, stored in references/<solver>.json so that machines without these solvers can compare.
 
 python -m accuracy.references      remakes those whose solver is installed
 """
@@ -20,7 +20,7 @@ from .problem import Problem
 FOLDER = Path(__file__).parent / "references"
 COMMAND = "python -m accuracy.references"
 SOLVERS = {"scikit-fem": "skfem_fem", "numpy": "numpy_fem", "calculix": "calculix", "cook": "cook_reference"}
-# A stored displacement is a whole number of these; two decimal digits below the tightest bound.
+# Displacements are stored as whole multiples of this length, two decimal digits below the tightest bound.
 UNIT_M = 1e-11
 
 
@@ -37,7 +37,7 @@ def _file(solver: str) -> dict[str, Any]:
 
 
 def source(solver: str) -> str:
-    """Solver and version that the answers come from."""
+    """Name and version of the solver that made the answers."""
     try:
         return str(_file(solver)["source"])
     except StaleReferenceError:
@@ -48,7 +48,7 @@ def read(solver: str, name: str, shape: str, law: str, problem: Problem) -> Floa
     """Displacements [node_count, 3] m.
 
     Raises:
-        StaleReferenceError: mesh, law, supports or loads are not those of the stored answer.
+        StaleReferenceError: mesh, law, boundary conditions or loads differ from those of the stored answer.
     """
     key = f"{name}/{shape}/{law}"
     entry = _file(solver)["answers"].get(key)
@@ -58,12 +58,12 @@ def read(solver: str, name: str, shape: str, law: str, problem: Problem) -> Floa
 
 
 def numbers(solver: str) -> dict[str, float]:
-    """Single values."""
+    """Answers of a solver that stores single values."""
     return dict(_file(solver)["answers"])
 
 
 def write(solver: str, answers: dict[str, Any], source: str) -> None:
-    """One line for each answer."""
+    """Writes the answers of a solver, one line each."""
     FOLDER.mkdir(exist_ok=True)
     rows = ",\n".join(
         f"    {json.dumps(key)}: {json.dumps(value, separators=(',', ':'))}" for key, value in sorted(answers.items())

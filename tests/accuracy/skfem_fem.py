@@ -1,4 +1,4 @@
-"""The same equilibria in scikit-fem: its meshes, elements, mappings and assembly, with our laws and our rules."""
+"""The same equilibria by scikit-fem: its meshes, elements, mappings and assembly, with our laws and rules."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ def source() -> str:
 
 
 def _basis(mesh: Mesh) -> tuple[skfem.CellBasis, np.ndarray]:
-    """The basis, and its degree of freedom for each of ours, [3 node_count]."""
-    import skfem  # here, so that comparing with stored answers does without
+    """The basis, and for each of our degrees of freedom the number of its own, [3 node_count]."""
+    import skfem  # imported here: comparing with stored answers needs no scikit-fem
 
     ((shape, elements),) = mesh.blocks
     mesh_type, element_type = (getattr(skfem, name) for name in _KINDS[shape])
     reference = mesh_type.elem.refdom.p.T
     points, weights = numpy_fem.rule(shape)
-    if shape == "hexahedron":  # [0, 1]³ there
+    if shape == "hexahedron":  # scikit-fem uses [0, 1]³
         points, weights = (points + 1) / 2, weights / 8
         corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
         order = [int(np.flatnonzero((corners == corner).all(axis=1))[0]) for corner in reference]
     else:
         order = list(range(len(reference)))
     used, index = np.unique(elements[:, order], return_inverse=True)
-    # Without sorting, so that the points of the rule stay where they are.
+    # Unsorted, so that quadrature points keep their places.
     their = mesh_type(mesh.nodes[used].T, index.reshape(-1, len(order)).T, sort_t=False)
     basis = skfem.Basis(their, skfem.ElementVector(element_type()), quadrature=(points.T, weights))
     ours = {tuple(key): number for number, key in enumerate(np.round(mesh.nodes, 9).tolist())}
@@ -65,7 +65,7 @@ def _basis(mesh: Mesh) -> tuple[skfem.CellBasis, np.ndarray]:
 
 
 def solve(problem: problems.Problem) -> Floats:
-    """Displacements in equilibrium, [node_count, 3] m, of a mesh of one shape."""
+    """Displacements in equilibrium, [node_count, 3] m, for a mesh of one shape."""
     import skfem
     from skfem.helpers import ddot, grad
 

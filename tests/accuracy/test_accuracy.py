@@ -1,4 +1,4 @@
-"""The quick cases against a real daemon; `make accuracy` runs all. Without build/bin/tensormassd these are skipped."""
+"""The quick cases against a real daemon; `make accuracy` runs all. Skipped without build/bin/tensormassd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The references among themselves: solvers that share no code agree, and what is stored is what they say now."""
+"""The references agree with each other, and stored answers belong to the problems as they are now."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .meshes import MESHES, SHAPES, boundary_faces, box, shaken, sphere_octant
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_law_says_the_same_as_tensor_in_stretches_and_in_components(law: str) -> None:
+def test_the_three_forms_of_a_law_agree(law: str) -> None:
     entry = LAWS[law]
     stretches, gamma = np.array([1.3, 0.8, 1.1]), 0.4
     np.testing.assert_allclose(entry.stress(np.diag(stretches)), np.diag(entry.pull(stretches)), atol=1e-9)
@@ -22,8 +22,8 @@ def test_a_law_says_the_same_as_tensor_in_stretches_and_in_components(law: str) 
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_what_the_bulk_modulus_makes_is_a_pressure_at_rest(law: str) -> None:
-    """And what is left resists no change of volume."""
+def test_the_volumetric_stress_is_a_pressure_at_rest(law: str) -> None:
+    """The remaining stress does not resist a change of volume."""
     entry, step = LAWS[law], 1e-6
     grown = (1 + step) * IDENTITY
     pressure = entry.volumetric(grown) / step
@@ -47,7 +47,7 @@ def test_meshes_fill_their_box_and_conform(shape: str) -> None:
     mesh = box(shape, cells, place=shaken(1, 0.2, cells))
     volume = numpy_fem.consistent_forces(mesh, lambda x: np.ones((*x.shape[:-1], 1))).sum()
     assert volume == pytest.approx(1, abs=1e-13)
-    for face in boundary_faces(mesh):  # an inner face that does not find its twin would be one
+    for face in boundary_faces(mesh):  # an inner face without a twin would be a boundary face
         assert any((np.ptp(mesh.nodes[face], axis=0) < 1e-12).tolist())
 
 
@@ -71,12 +71,12 @@ def test_own_solver_and_scikit_fem_agree(shape: str) -> None:
 @pytest.mark.parametrize("shape", calculix.ELEMENTS)
 def test_own_solver_and_calculix_agree(shape: str) -> None:
     if not calculix.available():
-        pytest.skip("CalculiX (ccx) is not installed; its stored answers are compared all the same")
+        pytest.skip("CalculiX (ccx) is not installed; its stored answers are still compared")
     stated = problem("cantilever", shape, "st_venant_kirchhoff")
     assert compare(numpy_fem.solve(stated), calculix.solve(stated)).error < 1e-6
 
 
-def test_wedges_are_paired_as_they_were_cut() -> None:
+def test_wedges_of_one_cell_form_a_pair() -> None:
     cells = (3, 2, 2)
     mesh = box("wedge", cells, place=shaken(2, 0.1, cells))
     ((_, elements),) = mesh.blocks

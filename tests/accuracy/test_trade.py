@@ -1,4 +1,4 @@
-"""Which measured settings become presets, and what the page says of a second run."""
+"""Which measured settings become presets, and how second runs are reported."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from tensormass.trade.script import Costs
 from tensormass.trade.store import Machine, Measurement
 
 from . import trade
-from .trade import OWN, SCENES, Trade, _confirmations, _doubt
+from .trade import OWN, SCENES, Trade
 from .trade_plot import Curve, svg
+from .trade_tables import confirmations, doubt
+
+setting_text = trade.report.setting_text
 
 MACHINE = Machine("cpu", "some processor", None, "1", "abc")
 
@@ -30,8 +33,8 @@ def measurement(setting: dict, cost_s: float, displacement: float, force: float,
 MEASURED = [
     measurement({}, 10.0, 0.08, 0.40),
     measurement({"law": "hooke"}, 2.0, 0.08, 0.30),  # another tissue
-    measurement({"cg_max_iterations": 10}, 3.0, 0.20, 0.10),  # seen, if not felt
-    measurement({"cg_tolerance": 0.1}, 4.0, 0.082, 0.41),  # nobody tells the difference
+    measurement({"cg_max_iterations": 10}, 3.0, 0.20, 0.10),  # visible, though not felt
+    measurement({"cg_tolerance": 0.1}, 4.0, 0.082, 0.41),  # nobody notices the difference
     measurement({"newton_max_iterations": 2}, 9.0, 0.08, 0.35),
     measurement({"newton_max_iterations": 5}, 8.0, 0.08, 0.20, p99=9.0),  # slow when it matters
     measurement({"resolution": 1.4}, 19.0, 0.06, 0.15),
@@ -72,17 +75,17 @@ def test_no_setting_of_the_same_law_is_better_than_a_preset(scene: str, backend:
         assert beaten_by == []
 
 
-def test_the_advice_names_the_commits_of_its_numbers() -> None:
+def test_the_advice_names_the_commits_of_its_figures() -> None:
     advice = (Path(__file__).parents[2] / "docs" / "choosing.md").read_text()
     trades = [trade for scene in SCENES for backend in ("cpu", "cuda") if (trade := Trade.read(scene, backend))]
     assert {trade.head["commit"] for trade in trades} == set(re.findall(r"`([0-9a-f]{7})`", advice))
 
 
-def test_the_page_says_what_a_second_run_did() -> None:
+def test_second_runs_are_reported_with_a_verdict() -> None:
     again = {OWN: MEASURED[0], "fast": replace(MEASURED[3], cost_s=7.0), "fastest": MEASURED[6]}
     again["balanced"] = replace(MEASURED[4], cost_s=10.4)  # much as before, but slower than the scene
     again["most_accurate"] = replace(MEASURED[1], cost_s=2.1)
-    again["preset accurate"] = measurement({}, 25.0, 0.03, 0.1)  # another machine's
+    again["preset accurate"] = measurement({}, 25.0, 0.03, 0.1)  # from another machine
     head = {
         "machine": asdict(MACHINE),
         "tolerance": 0.2,
@@ -90,30 +93,30 @@ def test_the_page_says_what_a_second_run_did() -> None:
         "scene": "demo",
         "fastest": MEASURED[6].key,
         "most_accurate": MEASURED[1].key,
-        "presets": {"accurate": {"dt_s": 0.005}},  # of another day
+        "presets": {"accurate": {"dt_s": 0.005}},  # the preset at another time
         "dropped": {},
         "confirmed": {name: {**of.to_plain(), "machine": None} for name, of in again.items()},
     }
-    lines = _confirmations(Trade(head, MEASURED))
-    assert any(line.startswith("| as it is | as it is | 40 % | 40 % |") and "| confirmed |" in line for line in lines)
-    verdicts = {line.split(" | ")[0].removeprefix("| "): line.split(" | ")[-1] for line in lines}
-    assert verdicts["preset fast"] == "**not confirmed**: median 7e+03 ms, 4e+03 ms before |"
-    assert verdicts["preset balanced"] == "**not confirmed**: median 4 % above 1e+04 ms; p99 4 % above 1e+04 ms |"
-    assert (
-        verdicts["the most accurate within 2e+03 ms by the median"] == "**not confirmed**: median 5 % above 2e+03 ms |"
-    )
-    assert verdicts["the fastest within 20 %"] == "confirmed |"
-    what = "| former preset accurate, of the cpu's results | dt s 0.005 |"
-    (foreign,) = [line for line in lines if line.startswith(what)]
-    assert "| 10 % |" in foreign
-    assert "2.50 times as long as the scene as it is" in foreign
+    rows = {row["recommended"]: row for row in confirmations(Trade(head, MEASURED))}
+    own = rows[OWN]
+    assert (own["setting"], own["error"], own["error_again"]) == (setting_text({}), 0.4, 0.4)
+    assert own["verdict"] == "confirmed"
+    assert rows["preset fast"]["verdict"] == "not confirmed: median 7e+03 ms, 4e+03 ms before"
+    assert (rows["preset fast"]["cost_ms"], rows["preset fast"]["cost_ms_again"]) == (4e3, 7e3)
+    assert rows["preset balanced"]["verdict"] == "not confirmed: median 4 % above 1e+04 ms; p99 4 % above 1e+04 ms"
+    within = rows["the most accurate within 2e+03 ms by the median"]
+    assert within["verdict"] == "not confirmed: median 5 % above 2e+03 ms"
+    assert rows["the fastest within 20 %"]["verdict"] == "confirmed"
+    foreign = rows["former preset accurate, of the cpu's results"]
+    assert (foreign["setting"], foreign["error"], foreign["error_again"]) == ("dt_s 0.005", None, 0.1)
+    assert foreign["verdict"] == "2.50 times as long as the unmodified scene"
     del head["confirmed"]["most_accurate"]
-    none = _confirmations(Trade({**head, "most_accurate": None}, MEASURED))
-    assert none[-1].strip() == "The most accurate within 2e+03 ms by the median: no setting."
+    last = confirmations(Trade({**head, "most_accurate": None}, MEASURED))[-1]
+    assert (last["recommended"], last["verdict"]) == ("the most accurate within 2e+03 ms by the median", "no setting")
 
 
 def results_with_one_dropped() -> dict:
-    """Of the command, as trade.json has them."""
+    """trade.json of a run whose first most accurate setting was dropped."""
     slow = replace(MEASURED[6], key="most_accurate", cost_s=21.0)
     again = {OWN: MEASURED[0], "most_accurate": MEASURED[4]}
     again |= Trade({}, MEASURED).chosen()
@@ -133,7 +136,7 @@ def results_with_one_dropped() -> dict:
     }
 
 
-def test_what_was_dropped_is_kept_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dropped_settings_are_stored_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trade, "FOLDER", tmp_path)
     monkeypatch.setattr(trade, "_run", lambda *_: results_with_one_dropped())
     monkeypatch.setattr(
@@ -145,16 +148,17 @@ def test_what_was_dropped_is_kept_and_said(tmp_path: Path, monkeypatch: pytest.M
     assert results.head["most_accurate"] == MEASURED[4].key
     (tried,) = results.head["dropped"]["most_accurate"]
     assert "machine" not in tried["again"]
-    lines = _confirmations(results)
     what = "the most accurate within 2e+04 ms by the median"
-    first, second = [line for line in lines if line.startswith(f"| {what}")]
-    assert first.startswith(f"| {what}, dropped | resolution 1.4 | 15 % | 15 % | 1.9e+04 ms | 2.1e+04 ms |")
-    assert first.endswith("| **not confirmed**: median 5 % above 2e+04 ms |")
-    assert second.startswith(f"| {what} | newton max iterations 2 | ")
-    assert second.endswith("| confirmed |")
+    first, second = [row for row in confirmations(results) if str(row["recommended"]).startswith(what)]
+    assert (first["recommended"], first["setting"]) == (f"{what}, dropped", "resolution 1.4")
+    assert (first["error"], first["error_again"]) == (0.15, 0.15)
+    assert (first["cost_ms"], first["cost_ms_again"]) == (19e3, 21e3)
+    assert first["verdict"] == "not confirmed: median 5 % above 2e+04 ms"
+    assert (second["recommended"], second["setting"]) == (what, "newton_max_iterations 2")
+    assert second["verdict"] == "confirmed"
 
 
-def test_a_preset_that_leaves_its_promise_makes_room_for_the_next(
+def test_a_preset_that_breaks_its_promise_is_replaced_by_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trade, "FOLDER", tmp_path)
@@ -180,21 +184,22 @@ def test_a_preset_that_leaves_its_promise_makes_room_for_the_next(
     assert [of["accurate"] for of in written] == [{"resolution": 1.4}, {"newton_max_iterations": 2}]
     assert results.chosen()["accurate"].setting == {"newton_max_iterations": 2}
     assert [of["fast"] for of in written] == [{"cg_tolerance": 0.1}] * 2
-    first, second = [line for line in _confirmations(results) if line.startswith("| preset accurate")]
-    assert first.startswith("| preset accurate, dropped | resolution 1.4 |")
-    assert first.endswith("| **not confirmed**: median 5 % above 2e+04 ms; p99 5 % above 2e+04 ms |")
-    assert second.endswith("| confirmed |")
+    first, second = [row for row in confirmations(results) if str(row["recommended"]).startswith("preset accurate")]
+    assert (first["recommended"], first["setting"]) == ("preset accurate, dropped", "resolution 1.4")
+    assert first["verdict"] == "not confirmed: median 5 % above 2e+04 ms; p99 5 % above 2e+04 ms"
+    assert second["verdict"] == "confirmed"
 
 
-def test_the_page_says_which_errors_say_little() -> None:
+def test_errors_below_those_of_the_reference_are_named() -> None:
     reference = {"displacement_error": 0.02, "force_error": 0.2}
-    assert "displacement below 2 % and of force below 20 % say little" in _doubt(reference, 0.03)[-1]
-    (line,) = filter(None, _doubt({**reference, "force_error": None}, 0.03))
-    assert "force" not in line
-    assert _doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == []
+    assert "displacement below 2 % and of force below 20 % say little" in doubt(reference, 0.03)
+    alone = doubt({**reference, "force_error": None}, 0.03)
+    assert "displacement below 2 %" in alone
+    assert "force" not in alone
+    assert doubt({"displacement_error": 0.009, "force_error": None}, 0.03) == ""
 
 
-def test_the_picture_has_every_curve_and_what_its_reference_tells() -> None:
+def test_the_picture_has_every_curve_and_its_references_error() -> None:
     reference = {"displacement_error": 0.01, "force_error": 0.1}
     ours = Curve.of("ours", Trade({"reference": reference}, MEASURED))
     assert (ours.front[-1], ours.own, ours.known) == ((90e3, 5), (10e3, pytest.approx(40)), 10)
@@ -202,6 +207,6 @@ def test_the_picture_has_every_curve_and_what_its_reference_tells() -> None:
     picture = svg([ours, Curve("another's", [(5e3, 20.0), (9e4, 3.0)], [(1e9, 1.0)])])
     drawn = ElementTree.fromstring(picture)
     circles = [of for of in drawn if of.tag.endswith("circle")]
-    assert len(circles) == len(MEASURED) + 1 + 2  # the ring; what lies outside is left out
+    assert len(circles) == len(MEASURED) + 1 + 2  # the ring; points outside the axes are omitted
     assert sum("stroke-dasharray" in of.attrib for of in drawn) == 1
     assert "another's" in picture

@@ -1,4 +1,4 @@
-"""What of the comparison with CalculiX needs no CalculiX."""
+"""The parts of the comparison with CalculiX that run without CalculiX."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from .meshes import box
 from .trade_calculix import Beam, Setting, deck, quadratic, serendipity
 
 
-def test_quadratic_hexahedra_take_quadratic_fields_exactly() -> None:
+def test_quadratic_hexahedra_interpolate_quadratic_fields_exactly() -> None:
     mesh = box("hexahedron", (3, 2, 1), (3.0, 1.0, 0.5))
     ((_, hexahedra),) = mesh.blocks
     nodes, elements = quadratic(mesh.nodes, hexahedra)
     assert elements.shape == (6, 20)
-    assert len(np.unique(nodes, axis=0)) == len(nodes)  # no edge has two middles
+    assert len(np.unique(nodes, axis=0)) == len(nodes)  # no edge has two midpoints
     points = np.random.default_rng(1).uniform(0, 1, (50, 3)) * (3.0, 1.0, 0.5)
     at, weights = serendipity(nodes, elements, points)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
@@ -27,7 +27,7 @@ def test_quadratic_hexahedra_take_quadratic_fields_exactly() -> None:
     np.testing.assert_allclose(taken, field(points), rtol=1e-12)
 
 
-def test_the_input_file_says_what_the_scene_says() -> None:
+def test_the_input_file_has_the_values_of_the_scene() -> None:
     beam = Beam()
     setting = Setting("C3D20R", 0.1)
     nodes, elements = beam.mesh(setting)
@@ -41,15 +41,17 @@ def test_the_input_file_says_what_the_scene_says() -> None:
     start = lines.index("*ELEMENT, TYPE=C3D20R, ELSET=BODY")
     numbers = [int(number) for number in "".join(lines[start + 1 : start + 3]).split(",")]
     assert numbers == [1, *(elements[0] + 1)]
-    held = [int(line.rstrip(",")) - 1 for line in lines[lines.index("*NSET, NSET=WALL") + 1 : lines.index("*BOUNDARY")]]
-    assert set(held) == set(np.flatnonzero(nodes[:, 0] == 0))
+    fixed = [
+        int(line.rstrip(",")) - 1 for line in lines[lines.index("*NSET, NSET=WALL") + 1 : lines.index("*BOUNDARY")]
+    ]
+    assert set(fixed) == set(np.flatnonzero(nodes[:, 0] == 0))
 
 
-def test_a_recording_is_as_far_from_itself_as_nothing() -> None:
+def test_a_recording_has_no_error_against_itself() -> None:
     beam = Beam()
     setting = Setting("C3D8I", 0.15)
     nodes, elements = beam.mesh(setting)
-    u = np.stack([nodes * 0.1, nodes * 0.2])  # linear: taken exactly
+    u = np.stack([nodes * 0.1, nodes * 0.2])  # linear, so interpolated exactly
     exact = np.stack([beam.points * 0.1, beam.points * 0.2])
     np.testing.assert_allclose(beam.taken(setting, nodes, elements, u), exact, atol=1e-12)
 

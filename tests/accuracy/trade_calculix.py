@@ -1,11 +1,12 @@
-"""The beam's motion by CalculiX: error against time of a solver that shares no line with us, beside our own front.
+"""The beam's motion by CalculiX: error against time of a solver that shares no code with the server.
 
 python -m accuracy.trade_calculix [--fresh]     after `python -m accuracy.trade --scene beam`, on the same machine
 
-Same beam, law, weight and time; compared in the same points and times with the same reference (ours: that CalculiX's
-finest setting comes to it as well is shown by its error). Its cost is all the time that the program takes, in which
-reading and writing have a small part, for as much as one step of the scene simulates. It runs with its own defaults:
-direct solver, its damping of high frequencies (α = −0.05), its tolerances; with as many threads as the machine has.
+Beam, law, weight and time are the same. Displacements are compared in the same points and times with the same
+reference. The reference is ours; the error of CalculiX's finest setting shows that it converges to the same motion.
+Cost is all the time of the program, of which reading and writing are a small part, for what one step of the scene
+simulates. CalculiX runs with its own defaults (direct solver, damping of high frequencies with α = −0.05, its
+tolerances) on as many threads as the machine has.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from tensormass.trade.store import Store
 
 from . import calculix, record, trade
 from .meshes import Floats, Integers, box
+from .tables import Cell
 
 SCENE, BACKEND = "beam", "cpu"
 FILE = trade.FOLDER / "trade-beam-calculix.jsonl"
@@ -42,7 +44,7 @@ LIMIT_S = 300.0
 
 @dataclass(frozen=True)
 class Setting:
-    """element: CalculiX's name. resolution: elements along an edge, against the scene's own."""
+    """element: CalculiX's name. resolution: elements along an edge, relative to the scene's own."""
 
     element: str
     resolution: float
@@ -53,7 +55,7 @@ class Setting:
         return f"{self.element}, resolution {self.resolution:g}, dt_s {self.dt_s:g}"
 
 
-#: By CalculiX's name: how our meshes call the shape that it is made of, and what it is.
+#: By CalculiX's name: the shape of our meshes that it is made of, and a description.
 ELEMENTS = {
     "C3D4": ("tetrahedron", "linear tetrahedra"),
     "C3D8": ("hexahedron", "hexahedra, full quadrature"),
@@ -69,13 +71,13 @@ SETTINGS = (
     *(Setting("C3D8", resolution) for resolution in (0.25, 0.35)),
     *(Setting("C3D10", resolution) for resolution in (0.15, 0.25)),
 )
-# Of a hexahedron, as CalculiX numbers the middles of its edges.
+# Edges of a hexahedron, in the order in which CalculiX numbers their midpoints.
 _EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 _CORNERS = np.array([(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
 
 
 class Beam:
-    """The scene's beam, as the script of the trade has it."""
+    """The beam of the scene, with the points and weights in which recordings are compared."""
 
     def __init__(self) -> None:
         file = SceneFile.read(SCENE)
@@ -90,14 +92,14 @@ class Beam:
         self.size_m = (grid.size_m.x, grid.size_m.y, grid.size_m.z)
 
     def mesh(self, setting: Setting) -> tuple[Floats, Integers]:
-        """Nodes and elements."""
+        """Nodes and elements of a setting."""
         cells = tuple(max(1, math.floor(count * setting.resolution + 0.5)) for count in self.cells)
         mesh = box(ELEMENTS[setting.element][0], cells, self.size_m)
         ((_, elements),) = mesh.blocks
         return quadratic(mesh.nodes, elements) if setting.element == "C3D20R" else (mesh.nodes, elements)
 
     def taken(self, setting: Setting, nodes: Floats, elements: Integers, u: Floats) -> Floats:
-        """[sample, node, 3] -> [sample, point, 3]."""
+        """Interpolates displacements u [sample, node, 3] in the compared points: [sample, point, 3]."""
         if setting.element == "C3D20R":
             at, weights = serendipity(nodes, elements, self.points)
             return np.einsum("pk,spkc->spc", weights, u[:, elements[at]])
@@ -106,7 +108,7 @@ class Beam:
         return np.stack([of(sample) for sample in u])
 
     def error(self, ours: Floats, reference: Recording) -> tuple[float, float]:
-        """Relative L2 over volume and time, and the worst point, as `tensormass trade` has them."""
+        """Relative L2 norm over volume and time, and the worst point, defined as in `tensormass trade`."""
         (exact,) = reference.displacement
         off = (self.weights * ((ours - exact) ** 2).sum(axis=2)).sum()
         whole = (self.weights * (exact**2).sum(axis=2)).sum()
@@ -115,7 +117,7 @@ class Beam:
 
 
 def quadratic(nodes: Floats, hexahedra: Integers) -> tuple[Floats, Integers]:
-    """With a node in the middle of every edge."""
+    """Nodes and elements of 20-node hexahedra: adds a node at the midpoint of each edge."""
     pairs = np.sort(hexahedra[:, _EDGES], axis=2)
     edges, number = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
     middles = len(nodes) + number.reshape(len(hexahedra), len(_EDGES))
@@ -123,7 +125,7 @@ def quadratic(nodes: Floats, hexahedra: Integers) -> tuple[Floats, Integers]:
 
 
 def serendipity(nodes: Floats, elements: Integers, points: Floats) -> tuple[Integers, Floats]:
-    """Of each point the element, a box along the axes, and the weights of its 20 nodes."""
+    """For each point its element, which must be a box along the axes, and the weights of the 20 nodes."""
     low, high = nodes[elements[:, 0]], nodes[elements[:, 6]]
     local = (2 * points[:, None] - low - high) / (high - low)
     at = np.abs(local).max(axis=2).argmin(axis=1)
@@ -139,7 +141,7 @@ def serendipity(nodes: Floats, elements: Integers, points: Floats) -> tuple[Inte
 
 
 def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script: Script) -> str:
-    """The input file."""
+    """Text of CalculiX's input file."""
     law = beam.body.law.st_venant_kirchhoff
     lines = ["*NODE, NSET=ALL"]
     lines += [f"{i}, {x:.12E}, {y:.12E}, {z:.12E}" for i, (x, y, z) in enumerate(nodes, 1)]
@@ -148,8 +150,8 @@ def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script
         numbers = [i, *(node + 1 for node in element)]
         lines += [", ".join(map(str, numbers[:16])) + ("," if len(numbers) > 16 else "")]
         lines += [", ".join(map(str, numbers[16:]))] if len(numbers) > 16 else []
-    held = np.flatnonzero(nodes[:, 0] < 1e-9) + 1
-    lines += ["*NSET, NSET=WALL", *(f"{node}," for node in held), "*BOUNDARY", "WALL, 1, 3"]
+    fixed = np.flatnonzero(nodes[:, 0] < 1e-9) + 1
+    lines += ["*NSET, NSET=WALL", *(f"{node}," for node in fixed), "*BOUNDARY", "WALL, 1, 3"]
     lines += ["*MATERIAL, NAME=TISSUE", "*ELASTIC", f"{law.young_modulus_pa:g}, {law.poisson_ratio:g}"]
     lines += ["*DENSITY", f"{beam.body.density_kg_per_m3:g}", "*SOLID SECTION, ELSET=BODY, MATERIAL=TISSUE"]
     lines += ["*AMPLITUDE, NAME=AT_ONCE", f"0., 1., {2 * script.duration_s:g}, 1."]
@@ -161,7 +163,7 @@ def deck(beam: Beam, setting: Setting, nodes: Floats, elements: Integers, script
 
 
 def solve(text: str, sample_count: int) -> tuple[Floats, float]:
-    """Displacements [sample, node, 3] m, and how long the program took."""
+    """Displacements [sample, node, 3] m, and the time that the program took [s]."""
     environment = {**os.environ, "OMP_NUM_THREADS": str(os.cpu_count())}
     with tempfile.TemporaryDirectory(prefix="accuracy-") as folder:
         (Path(folder) / "case.inp").write_text(text)
@@ -244,7 +246,7 @@ def _brief(row: dict) -> str:
 
 
 def read() -> tuple[dict, list[dict]]:
-    """Head and rows; empty without results."""
+    """Head and rows of the results file; both empty without one."""
     if not FILE.exists():
         return {}, []
     head, *rows = (json.loads(line) for line in FILE.read_text().splitlines())
@@ -252,53 +254,44 @@ def read() -> tuple[dict, list[dict]]:
 
 
 def solved() -> list[dict]:
-    """The rows that have numbers, the cheapest first."""
+    """Rows of settings that did not fail, the cheapest first."""
     return sorted((row for row in read()[1] if "failure" not in row), key=lambda row: row["cost_s"])
 
 
-def section() -> list[str]:
-    """Of docs/accuracy.md: its front beside ours."""
+def table() -> list[dict[str, Cell]]:
+    """Rows for the CSV file: one for each setting, the cheapest first; failed runs come last."""
+    by_cost = solved()
+    front = {by_cost[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in by_cost])}
+    return [
+        {
+            "element": row["element"],
+            "what": ELEMENTS[row["element"]][1],
+            "resolution": row["resolution"],
+            "dt_s": row["dt_s"],
+            "front": row["key"] in front,
+            "elements": row["elements"],
+            "displacement": row.get("displacement"),
+            "worst_node": row.get("worst_node"),
+            "cost_ms": 1e3 * row["cost_s"] if "cost_s" in row else None,
+            "failure": row.get("failure", "").split("\n")[0],
+        }
+        for row in [*by_cost, *(row for row in read()[1] if "failure" in row)]
+    ]
+
+
+def summary() -> list[str]:
+    """Lines of docs/accuracy.md: what was solved, and the most accurate setting."""
     head, rows = read()
     ours = trade.Trade.read(SCENE, BACKEND)
     if not rows or ours is None:
         return []
-    by_cost = solved()
-    front = {by_cost[i]["key"] for i in sweep.pareto([(row["cost_s"], row["displacement"]) for row in by_cost])}
-    lines = [
-        "",
-        "### The beam's front beside another solver's",
-        "",
-        f"{head['solver']}, `{head['command']}`; {head['host']}; {head['date']}, commit `{head['commit']}`. Same beam, "
-        "law, weight, points, times and reference as above"
-        + ("" if head["reference"] == ours.head["reference"]["key"] else " (**of an earlier run**)")
-        + ". Its cost is all the time of the program, reading and writing with it, for as much as one step of the "
-        "scene simulates; it runs with its own defaults (implicit with α = −0.05, a direct solver in double precision, "
-        "its tolerances) on as many threads as the machine has. It is made for other things than this: what can be "
-        "read from the two curves is that both come to the same motion, and what an error costs in either.",
-        "",
-        "| of | setting | elements | displacement | worst node | cost | on its front |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in by_cost:
-        what = f"{ELEMENTS[row['element']][1]} ({row['element']}), {row['key'].split(', ', 1)[1].replace('_', ' ')}"
-        lines.append(
-            f"| CalculiX | {what} | {row['elements']} | {report.percent(row['displacement'])} "
-            f"| {report.percent(row['worst_node'])} | {report.ms(row['cost_s'])} "
-            f"| {'*' if row['key'] in front else ''} |"
-        )
-    for of in sweep.front(ours.measurements):
-        assert of.errors
-        lines.append(
-            f"| this server | {report.setting_text(of.setting).replace('_', ' ')} | {of.element_count} "
-            f"| {report.percent(of.errors.displacement)} | {report.percent(of.errors.worst_node)} "
-            f"| {report.ms(of.cost_s)} | * |"
-        )
-    failed = [f"{row['key']}: {row['failure'].splitlines()[0]}" for row in rows if "failure" in row]
-    lines += ["", *(f"* gave up: {text}" for text in failed)] if failed else []
+    earlier = "" if head["reference"] == ours.head["reference"]["key"] else ", against the reference of an earlier run"
+    best = min(solved(), key=lambda row: row["displacement"])
     return [
-        *lines,
         "",
-        "SOFA's published scenes were not run: no binary of it was at hand on the machine that measured.",
+        f"{head['solver']} solved the same `{SCENE}` on {head['host']} (commit `{head['commit']}`{earlier}) with "
+        f"{len(rows)} settings. The most accurate reached {report.percent(best['displacement'])} in "
+        f"{report.ms(best['cost_s'])}.",
     ]
 
 

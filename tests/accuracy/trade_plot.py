@@ -1,4 +1,4 @@
-"""The fronts of results/trade-*.jsonl as pictures of docs/accuracy.md."""
+"""Pictures of the fronts of results/trade-*.jsonl, for docs/accuracy.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curve:
-    """Points: ms for a step of the scene, error in %. `own`: the scene as it is; `known`: the reference's own error."""
+    """Points: cost [ms], error [%]. own: the unmodified scene. known: the reference's own error [%]."""
 
     name: str
     front: Sequence[Point]
@@ -43,7 +43,7 @@ class Curve:
 
 
 def write(backends: Sequence[str]) -> list[Path]:
-    """A picture for each scene that was measured."""
+    """Writes a picture for each scene that was measured, and returns the paths."""
     written = []
     for scene in SCENES:
         trades = [trade for backend in backends if (trade := Trade.read(scene, backend))]
@@ -61,7 +61,7 @@ def write(backends: Sequence[str]) -> list[Path]:
 
 
 def svg(curves: Sequence[Curve]) -> str:
-    """Both axes logarithmic, over what the fronts and the scenes as they are need."""
+    """An SVG with logarithmic axes that cover the fronts and the unmodified scenes."""
     shown = [point for curve in curves for point in (*curve.front, *([curve.own] if curve.own else []))]
     across, up = _Axis([x for x, _ in shown]), _Axis([y for _, y in shown])
 
@@ -85,7 +85,7 @@ def svg(curves: Sequence[Curve]) -> str:
         out.append(f'<text x="{_LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{value:g} %</text>')
     words = (
         "ms for what a step of the scene simulates; vertical: error",
-        "lines: fronts; dots: other settings; rings: the scene as it is; dashed: the reference's own error",
+        "lines: fronts; dots: other settings; rings: the unmodified scene; dashed: the reference's own error",
     )
     for row, text in enumerate(words):
         out.append(f'<text x="{_LEFT}" y="{bottom + 38 + 18 * row}">{text}</text>')
@@ -110,7 +110,7 @@ def svg(curves: Sequence[Curve]) -> str:
 
 
 class _Axis:
-    """Logarithmic, with a little room at both ends."""
+    """A logarithmic axis with a margin at both ends."""
 
     def __init__(self, values: Sequence[float]) -> None:
         self.low, self.high = min(values) / 1.3, max(values) * 1.3
@@ -122,7 +122,7 @@ class _Axis:
         return self.low <= value <= self.high
 
     def marks(self) -> list[float]:
-        """1, 2, 5, 10 ... within; of many decades only the powers of ten."""
+        """Marks at 1, 2, 5, 10 ...; over many decades only at powers of ten."""
         decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
         factors = (1, 2, 5) if math.log10(self.high / self.low) < 2.5 else (1,)
         marks = [float(f"{factor}e{decade}") for decade in decades for factor in factors]
