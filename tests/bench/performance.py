@@ -115,7 +115,7 @@ def _percent(shares: list[float]) -> str:
 
 
 def _most_concurrent() -> tuple[int, list[float]]:
-    """The largest number of concurrent scenes of which every run kept KEPT_SHOWN of its deadlines, with the shares."""
+    """The most concurrent scenes that kept KEPT_SHOWN of their deadlines in every run, and the shares they kept."""
     shares = concurrent()
     most = max(count for count, kept in shares.items() if min(kept) >= KEPT_SHOWN)
     return most, shares[most]
@@ -196,7 +196,7 @@ def processors() -> Iterator[str]:
 
 
 def sources() -> Iterator[str]:
-    """Where the numbers come from: the last row of each file that the page uses."""
+    """Device, commit and command of the last row in each file that the page uses."""
     yield "| file | device | commit | command |"
     yield "|---|---|---|---|"
     for name in (
@@ -211,14 +211,14 @@ def sources() -> Iterator[str]:
     ):
         row = rows(name)[-1]
         command = re.sub(r" --commit \w+", "", row["command"])
-        yield f"| [{name}](../tests/bench/results/{name}) | {row['device']} | `{row['commit']}` | `{command}` |"
+        yield f"| [`{name}`](../tests/bench/results/{name}) | {row['device']} | `{row['commit']}` | `{command}` |"
 
 
 def summary() -> Iterator[str]:
     """The five rows of README.md."""
 
     def link(name: str) -> str:
-        return f"[{name.split('.')[0]}](tests/bench/results/{name})"
+        return f"[`{name.split('.')[0]}`](tests/bench/results/{name})"
 
     yield "| what | where | result | data |"
     yield "|---|---|---|---|"
