@@ -10,8 +10,8 @@
 #include "support/scenes.h"
 #include "support/staged_scene.h"
 
-/// tensormass-bench-stages: time of each stage of a step on the CPU, and the rate at which it moves the plan's bytes. The
-/// rate is also given relative to STREAM's triad in the same run.
+/// tensormass-bench-stages: time of each stage of a step on the CPU, and the rate at which it moves the plan's bytes.
+/// The rate is also given relative to STREAM's triad in the same run.
 namespace {
 
 using namespace tensormass;
