@@ -375,30 +375,32 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "written into the results");
   const auto* const wants_json =
       app.add_option("--json", output,
-                     "one JSON line a case, appended to this file; without one, in place of the table")
+                     "append one JSON line a case to this file; without a file, print JSON instead of the table")
           ->expected(0, 1);
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
   app.add_option("--only", only, "cases whose names contain this");
   auto* const suites =
       app.add_option("--suite", suite,
                      "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz; guards: "
-                     "what the check of volumes costs")
+                     "cost of the volume check")
           ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
   auto* const family_flag =
       app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   auto* const scene_file =
-      app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+      app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run in real time");
   bool unpaced = false;
-  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, as the beams")
+  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, like the beams")
       ->needs(scene_file)
       ->excludes(suites)
       ->excludes(family_flag);
-  app.add_option("--stations", real_time.copies, "as --scene: so many of 20,520 tetrahedra under a probe, 1 kHz each");
+  app.add_option("--stations", real_time.copies,
+                 "instead of --scene: concurrent scenes of 20,520 tetrahedra under a probe, 1 kHz");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
-  app.add_flag("--together", real_time.together, "with --stations: they step only when all are loaded");
-  app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
+  app.add_flag("--together", real_time.together, "with --stations: no scene steps before all are loaded");
+  app.add_option("--press", real_time.press, "with --scene: position x y z to which the first tool presses [m]")
+      ->expected(3);
   CLI11_PARSE(app, argc, argv);
   if (steps == 0) steps = suite == "gpu" || suite == "largest" ? 500 : 100;
   if (backend_name.empty()) backend_name = suite == "gpu" ? "cuda" : "cpu";

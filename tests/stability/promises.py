@@ -7,7 +7,7 @@ _OVERSHOOTS = f"{_PRESSED}; free, from 1/10, may overshoot"
 PROMISES: dict[str, tuple[str, str, str]] = {
     "hooke": (
         "outside its range (strain 5 %, rotation 0.1 rad), said in the status; comes back; free, may rest rotated with "
-        "wrong volumes",
+        "wrong volumes, also said",
         "same",
         "same",
     ),
@@ -18,7 +18,7 @@ PROMISES: dict[str, tuple[str, str, str]] = {
     ),
     "corotational": (
         "comes back; from 10× may rest crumpled, rarely if fixed",
-        "comes back; free quadratic tetrahedra may rest crumpled",
+        "comes back; free quadratic tetrahedra may rest crumpled from a point",
         "comes back; free quadratic tetrahedra may rest crumpled",
     ),
     "neo_hookean": (

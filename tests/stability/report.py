@@ -50,7 +50,7 @@ class Row:
         return self.key, self.precision
 
     def line(self, explained: bool, seconds: float) -> str:
-        """For the terminal."""
+        """The row as a line for the terminal."""
         verdict = self.verdict
         share = "" if math.isnan(verdict.share) else f" {verdict.share:.0%} of the bound"
         mark = "ok " if explained else "NOT"
@@ -246,7 +246,7 @@ def _worst(cases: Sequence[Case], runs: Sequence[Run]) -> list[str]:
 
 
 def _all_but(some: Iterable[str], every: Iterable[str]) -> str:
-    """Names, by what is missing where this is shorter."""
+    """Joins names; 'all' or 'all but one' if that is shorter."""
     missing = [name for name in every if name not in set(some)]
     if not missing:
         return "all"

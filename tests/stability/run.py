@@ -3,8 +3,8 @@
 On a GPU the time of a small step is its launch time. Scenes of one daemon run in parallel there, while daemons take
 turns. So a GPU gets one job with many scenes.
 
-A row that breaks runs once more at the end, alone, because a daemon that dies or a device that fails also breaks the
-rows that run at the same time.
+A row that breaks runs once more at the end, alone. A daemon that dies or a device that fails also breaks the rows that
+run at the same time.
 """
 
 from __future__ import annotations
