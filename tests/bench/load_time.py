@@ -1,9 +1,9 @@
-"""Measures the load of a million tetrahedra, from the call to the end of the first step.
+"""How long a scene of a million tetrahedra takes from its message's arrival to its first steps.
 
     python tests/bench/load_time.py [--backend cuda] [--commit HASH] [--json FILE]
 
-Starts a daemon, sends it a packed mesh as a client does, and prints a line of JSON. Times are the client's, on the
-machine of the daemon: from the call to the answer, and to the end of the first step.
+A daemon of its own is sent the mesh, packed, as a client sends it; prints a line of JSON. Times are the client's, on
+the machine of the daemon: from the call to the answer, and to the end of the first step.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", default="auto", help="auto, cpu or cuda")
     parser.add_argument("--commit", default="unknown", help="written into the result")
-    parser.add_argument("--json", type=Path, help="also append the line to this file")
+    parser.add_argument("--json", type=Path, help="append the line to this file, too")
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     mesh = meshes.grid(list(_CELLS), list(_SIZE_M))
