@@ -141,12 +141,14 @@ Result<Vec3<double>> read_vector(const v1::Vector3& vector, std::string_view whe
 
 Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::string_view where) {
   const std::array<double, 4> values{q.w(), q.x(), q.y(), q.z()};
+  // Tests the values: the sum of squares of (1e-300, 0, 0, 0) is zero too.
+  if (values == std::array<double, 4>{}) return std::array<double, 4>{1, 0, 0, 0};
   double squared = 0;
   for (const double value : values) squared += value * value;
-  if (squared == 0) return std::array<double, 4>{1, 0, 0, 0};
   const double length = std::sqrt(squared);
   if (!(std::abs(length - 1) < 1e-2)) {  // also refuses NaN and infinity
-    return invalid(fmt::format("{}: a quaternion of length {} is no rotation; normalize it", where, length));
+    return invalid(fmt::format("{}: a quaternion of length {} is no rotation; normalize it", where,
+                               std::hypot(std::hypot(q.w(), q.x()), std::hypot(q.y(), q.z()))));
   }
   return std::array<double, 4>{q.w() / length, q.x() / length, q.y() / length, q.z() / length};
 }

@@ -21,7 +21,7 @@
 #include "world/runner.h"
 #include "world/world.h"
 
-/// tensormass-bench: milliseconds a step on scenes that anyone can rebuild, with the floor beside the number.
+/// tensormass-bench: milliseconds a step on scenes that anyone can rebuild, with their floor.
 namespace {
 
 using namespace tensormass;
@@ -30,12 +30,12 @@ using Clock = std::chrono::steady_clock;
 struct Case {
   std::string name;
   v1::Scene scene;
-  double target_s = 0;         ///< of a step; 0: none is set
-  bool target_is_p99 = false;  ///< else the median
-  bool checks_volume = true;   ///< false: as if its law came back from inversion
+  double target_s = 0;         ///< time of a step; 0: no target
+  bool target_is_p99 = false;  ///< false: the target is for the median
+  bool checks_volume = true;   ///< false: without the guard's check of volumes
 };
 
-/// Exactly 50 CG iterations a step.
+/// A beam of x × y × z cells that takes exactly 50 CG iterations a step.
 v1::Scene beam(std::uint32_t x, std::uint32_t y, std::uint32_t z, bool linear, bool double_precision) {
   tests::Beam beam;
   beam.cells_x = x;
@@ -46,7 +46,7 @@ v1::Scene beam(std::uint32_t x, std::uint32_t y, std::uint32_t z, bool linear, b
   return tests::beam_scene(beam);
 }
 
-/// The beam of 43,200 tetrahedra with every law, and its 7,200 cells in every shape: what a choice costs.
+/// The beam of 43,200 tetrahedra with every law, and its 7,200 cells in every shape and quadrature.
 std::vector<Case> family() {
   std::vector<Case> cases;
   const auto add = [&](const std::string& name, v1::Shape shape, const std::string& law, v1::Quadrature quadrature) {
@@ -72,7 +72,7 @@ std::vector<Case> family() {
   return cases;
 }
 
-/// What the project has set itself for one H200 (docs/performance.md).
+/// The targets for one H200 (docs/performance.md).
 std::vector<Case> gpu_suite() {
   const auto hexahedra = [](const std::string& law) {
     v1::Scene scene = beam(160, 20, 16, false, false);
@@ -92,7 +92,7 @@ std::vector<Case> gpu_suite() {
           {"51200 hexahedra, StVK", hexahedra("st_venant_kirchhoff"), 0.3e-3}};
 }
 
-/// What the check of volumes costs: each case with it and without it, in turns, as machines drift.
+/// Cost of the volume check: each case with and without it, in turns because machines drift.
 std::vector<Case> guards() {
   std::vector<Case> cases;
   for (const Case& one : gpu_suite()) {
@@ -123,7 +123,7 @@ std::vector<Case> sizes() {
   return cases;
 }
 
-/// The most tetrahedra at 60 Hz.
+/// Scenes of up to 20 million tetrahedra at 60 Hz.
 std::vector<Case> largest() {
   std::vector<Case> cases;
   for (const std::array<std::uint32_t, 3> cells :
@@ -150,7 +150,7 @@ struct Row {
   std::string name, backend, device;
   std::uint64_t elements = 0, nodes = 0;
   std::uint32_t patches = 0, iterations = 0, steps = 0;
-  std::uint32_t restarts = 0;  ///< from rest, after a guard had stopped the scene
+  std::uint32_t restarts = 0;  ///< restarts from rest after a guard stopped the scene
   double compile_s = 0, floor_s = 0, iteration_s = 0;
   double bytes_per_element = 0;
   double target_s = 0;
@@ -178,14 +178,14 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   row.bytes_per_element = static_cast<double>(report.bytes_total()) / static_cast<double>(row.elements);
   double bytes = 0;
   for (const v1::PlanStage& stage : report.stages()) {
-    if (stage.name().starts_with("watch")) continue;  // not part of a step
+    if (stage.name().starts_with("watch")) continue;  // diagnostics, not part of a step
     bytes += static_cast<double>(stage.bytes()) * (stage.name() == "conjugate gradients" ? model.cg_max_iterations : 1);
   }
   row.floor_s = bytes;
   TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
   row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
-  // A St-Venant-Kirchhoff beam that falls for long turns inside out, which its guard catches: then it starts again from
-  // rest, and neither that step nor one that was retried is a sample.
+  // A St-Venant-Kirchhoff beam that falls for long inverts, and its guard stops it. It then restarts from rest. Neither
+  // that step nor a retried one is a sample.
   const auto sample = [&](std::uint32_t count) -> Result<std::vector<double>> {
     std::vector<double> seconds;
     for (std::uint32_t tried = 0; seconds.size() < count; ++tried) {
@@ -203,7 +203,7 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   TM_ASSIGN_OR_RETURN(seconds, sample(steps));
   row.iterations = world->last().cg_iterations;
   const Measured measured = percentiles(seconds);
-  // An iteration is the difference that iterations make: the same scene with ten.
+  // Time of an iteration: the difference to the same scene with ten iterations.
   constexpr std::uint32_t kFew = 10;
   if (scene.solver().cg_tolerance() == 0 && row.iterations > kFew) {
     world->set_cg_limit(kFew);
@@ -213,17 +213,17 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   return measured;
 }
 
-/// Scenes at their own rate against the clock, the first tool of each going down to `press` and back every two seconds.
+/// Options of scenes that run in real time. The first tool of each moves to `press` and back every two seconds.
 struct RealTime {
   std::string scene_file;
-  std::uint32_t copies = 0;  ///< of the block below, in place of a file
+  std::uint32_t copies = 0;  ///< concurrent copies of `station()` instead of a file
   double rate_hz = 0;        ///< 0: the scene's own
   double seconds = 10;
-  bool together = false;  ///< scenes step only when all of them are loaded
+  bool together = false;  ///< no scene steps before all are loaded
   std::vector<double> press;
 };
 
-/// A trainer's station: 20,520 tetrahedra under a probe, St-Venant-Kirchhoff, a thousand steps a second.
+/// One of many concurrent scenes: 20,520 St-Venant-Kirchhoff tetrahedra under a probe, 1000 steps a second.
 v1::Scene station() {
   v1::Scene scene = tests::block_with_probe();
   v1::Grid& grid = *scene.mutable_bodies(0)->mutable_mesh()->mutable_grid();
@@ -247,7 +247,7 @@ Result<v1::Scene> read_scene(const std::string& path) {
   return scene;
 }
 
-/// The poses of the path, at 1 kHz like a haptic device's, until `end`.
+/// Sends poses of the path to every runner until `end`, at 1 kHz like a haptic device.
 void press_and_lift(std::span<const std::unique_ptr<world::Runner>> runners, const v1::Tool& tool,
                     const RealTime& options, Clock::time_point end) {
   const Clock::time_point begin = Clock::now();
@@ -265,7 +265,7 @@ void press_and_lift(std::span<const std::unique_ptr<world::Runner>> runners, con
   }
 }
 
-/// Of all together: sums, and the slowest.
+/// One status for all runners: sums of counts, and times of the slowest.
 v1::SceneStatus of_all(std::span<const std::unique_ptr<world::Runner>> runners) {
   v1::SceneStatus status = runners.front()->status();
   for (std::size_t i = 1; i < runners.size(); ++i) {
@@ -306,7 +306,7 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   const double ready_s = std::chrono::duration<double>(Clock::now() - begin).count();
   const double dt_s = scene.stepping().has_dt_s() ? scene.stepping().dt_s() : 1.0 / 60;
   TM_ASSIGN_OR_RETURN(description, world::describe_backend(runner_options.backend));
-  // Scenes that load hold up those that run already, which is counted apart.
+  // Scenes that load delay those that already run; deadlines missed meanwhile are counted separately.
   constexpr std::chrono::seconds kSettling{1};
   const Clock::time_point settled = Clock::now() + kSettling;
   const Clock::time_point end =
@@ -328,8 +328,8 @@ Result<std::string> run_in_real_time(const RealTime& options, world::RunnerOptio
   if (scene.tools_size() > 0 && options.press.size() == 3) press_and_lift(runners, scene.tools(0), options, end);
   watcher.join();
   const v1::SceneStatus status = of_all(runners);
-  // Else each scene that ends competes with all that still step for the driver's lock: with a device that is behind,
-  // for minutes.
+  // Otherwise each scene that ends competes for the driver's lock with all that still step, which takes minutes if the
+  // device is behind.
   for (const auto& runner : runners) TM_RETURN_IF_ERROR(runner->pause());
   return fmt::format(
       R"({{"case":"real time: {}","scenes":{},"backend":"{}","device":"{}","commit":"{}","command":"{}","elements":{},"dt_ms":{:.4f},)"
@@ -374,30 +374,32 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "written into the results");
   const auto* const wants_json =
       app.add_option("--json", output,
-                     "one JSON line a case, appended to this file; without one, in place of the table")
+                     "append one JSON line a case to this file; without a file, print JSON instead of the table")
           ->expected(0, 1);
   app.add_flag("--small", small, "leave out the beams of more than 50,000 tetrahedra");
   app.add_option("--only", only, "cases whose names contain this");
   auto* const suites =
       app.add_option("--suite", suite,
                      "beams; gpu: the targets of docs/performance.md; sizes; largest at 60 Hz; guards: "
-                     "what the check of volumes costs")
+                     "cost of the volume check")
           ->check(CLI::IsMember({"beams", "gpu", "sizes", "largest", "guards"}));
   auto* const family_flag =
       app.add_flag("--family", of_family, "instead of beams of three sizes: every law, every shape, every quadrature");
   RealTime real_time;
   auto* const scene_file =
-      app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run against the clock");
+      app.add_option("--scene", real_time.scene_file, "instead of beams: a serialized scene, run in real time");
   bool unpaced = false;
-  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, as the beams")
+  app.add_flag("--unpaced", unpaced, "with --scene: one step after the other, like the beams")
       ->needs(scene_file)
       ->excludes(suites)
       ->excludes(family_flag);
-  app.add_option("--stations", real_time.copies, "as --scene: so many of 20,520 tetrahedra under a probe, 1 kHz each");
+  app.add_option("--stations", real_time.copies,
+                 "instead of --scene: concurrent scenes of 20,520 tetrahedra under a probe, 1 kHz");
   app.add_option("--rate", real_time.rate_hz, "with --scene: steps a second, dt = 1 / rate");
   app.add_option("--seconds", real_time.seconds, "with --scene or --stations")->check(CLI::Range(0.1, 3600.0));
-  app.add_flag("--together", real_time.together, "with --stations: they step only when all are loaded");
-  app.add_option("--press", real_time.press, "with --scene: x y z that the first tool is pressed to [m]")->expected(3);
+  app.add_flag("--together", real_time.together, "with --stations: no scene steps before all are loaded");
+  app.add_option("--press", real_time.press, "with --scene: position x y z to which the first tool presses [m]")
+      ->expected(3);
   CLI11_PARSE(app, argc, argv);
   if (steps == 0) steps = suite == "gpu" || suite == "largest" ? 500 : 100;
   if (backend_name.empty()) backend_name = suite == "gpu" ? "cuda" : "cpu";
@@ -414,7 +416,7 @@ int main(int argc, char** argv) {
     return false;
   };
   if (!wrote_all()) return 1;
-  std::string command = "tensormass-bench";  // without where its results go
+  std::string command = "tensormass-bench";  // without the path of the results
   for (int i = 1; i < argc; ++i) {
     if (std::string_view(argv[i]) == "--json") {
       i += output.empty() ? 0 : 1;

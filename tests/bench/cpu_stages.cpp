@@ -10,8 +10,8 @@
 #include "support/scenes.h"
 #include "support/staged_scene.h"
 
-/// tensormass-bench-stages: each stage of a step on the CPU beside what it must move (the plan's bytes), as a share of
-/// the bandwidth that STREAM's triad reaches in the same run.
+/// tensormass-bench-stages: time of each stage of a step on the CPU, and the rate at which it moves the plan's bytes.
+/// The rate is also given relative to STREAM's triad in the same run.
 namespace {
 
 using namespace tensormass;
@@ -65,7 +65,7 @@ int main(int argc, char** argv) {
                                                  staged.model.layout.neighbour_rows.end(), mesh::kNone)) /
                   slots);
   std::printf("%-42s %10s %10s %10s %10s\n", "stage", "ms", "MB", "GB/s", "of triad");
-  // Whole steps, so that each stage finds in the caches what the ones before left there.
+  // Whole steps, so that each stage finds the caches as the stages before it leave them.
   const std::vector<step::Stage> stages = step::list_stages(staged.model);
   const auto is_timed = [&](std::size_t i) {
     return stages[i].info->phase != step::Phase::kDiagnostics && stages[i].info->phase != step::Phase::kFrame;

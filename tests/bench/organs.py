@@ -1,10 +1,10 @@
-"""Writes a scene of an organ for `tensormass-bench --scene FILE --unpaced`: the beams' settings on another mesh.
+"""Writes a scene of an organ with the settings of the beams, for `tensormass-bench --scene FILE --unpaced`.
 
     python tests/bench/organs.py --cell-m 0.0037 liver.scene             the demo's liver, cut finer
     python tests/bench/organs.py --mesh FILE --length-m 0.24 organ.scene any volume mesh, scaled to that length
 
-St-Venant-Kirchhoff, dt 10 ms, exactly 50 conjugate-gradient iterations, float; the lowest tenth
-of its nodes is fixed.
+The law is St-Venant-Kirchhoff, dt 10 ms, float, exactly 50 conjugate-gradient iterations; the lowest tenth of the
+nodes is fixed.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path, help="written: a serialized tensormass.v1.Scene")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--cell-m", type=float, help="cells of the demo's liver, which has 0.0093")
+    source.add_argument("--cell-m", type=float, help="cell size for the demo's liver, which has 0.0093")
     source.add_argument("--mesh", type=Path, help="a volume mesh, as the Python package reads them")
-    parser.add_argument("--length-m", type=float, default=0.24, help="with --mesh: the longest side of its box")
+    parser.add_argument("--length-m", type=float, default=0.24, help="with --mesh: scale its box to this longest side")
     arguments = parser.parse_args()
     if arguments.mesh is not None:
         mesh = read_mesh(arguments.mesh)

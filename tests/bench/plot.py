@@ -1,4 +1,4 @@
-"""Draws step time against elements from results of `tensormass-bench --suite sizes`, as docs/performance.md shows it.
+"""Draws step time against elements from results of `tensormass-bench --suite sizes`, for docs/performance.md.
 
 python tests/bench/plot.py tests/bench/results/*-sizes.jsonl > docs/images/step-time.svg
 """
@@ -24,7 +24,7 @@ def decades(values: list[float]) -> range:
 
 
 def svg(series: dict[str, list[tuple[float, float]]]) -> str:
-    """Both axes logarithmic. Points: elements, ms."""
+    """Draws lines of (elements, ms) by name, on two logarithmic axes."""
     points = [point for line in series.values() for point in line]
     across, up = decades([x for x, _ in points]), decades([y for _, y in points])
 

@@ -263,6 +263,25 @@ TEST_F(ServiceTest, RefusesInvalidRequests) {
   EXPECT_EQ(code(&Stub::MoveTool, move), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
+TEST_F(ServiceTest, RefusesAQuaternionWhoseSquaredLengthUnderflows) {
+  v1::Scene scene = tests::block_with_probe();
+  load(scene);
+  v1::MoveToolRequest move = of_scene<v1::MoveToolRequest>("block");
+  move.set_tool("probe");
+  move.mutable_pose()->set_sequence(1);
+  tests::set(*move.mutable_pose()->mutable_position_m(), 0.05, 0.05, 0.05);
+  move.mutable_pose()->mutable_orientation()->set_w(1e-300);
+  EXPECT_EQ(code(&Stub::MoveTool, move), grpc::StatusCode::INVALID_ARGUMENT);
+  move.mutable_pose()->mutable_orientation()->set_w(0);  // all four zero: not given
+  EXPECT_EQ(code(&Stub::MoveTool, move), grpc::StatusCode::OK);
+
+  v1::LoadSceneRequest request;
+  scene.set_name("another");
+  scene.mutable_tools(0)->mutable_orientation()->set_x(1e-300);
+  *request.mutable_scene() = scene;
+  EXPECT_EQ(code(&Stub::LoadScene, request), grpc::StatusCode::INVALID_ARGUMENT);
+}
+
 /// A StepScene call that would take minutes.
 class LongStep {
  public:

@@ -2,10 +2,10 @@
 
 python -m stability [--backend cpu|cuda] [--long] [--only TEXT] [--precision double|float] [--jobs N] [--scenes N]
                     [--devices A,B] [--limit SECONDS] [--fresh] [--update]
-python -m stability --merge JOURNAL...      runs nothing: makes the results of journals that were written elsewhere
+python -m stability --merge JOURNAL...      runs nothing: makes results from journals of other machines
 
-A run that was stopped, or that `--limit` ended, goes on where it was: build/stability/<backend>.jsonl has its rows;
-those that broke are run again. By default a GPU has one daemon of SCENES_OF_GPU scenes, the CPU one of a scene a
+A run that was stopped, by `--limit` or otherwise, continues from build/stability/<backend>.jsonl; rows that broke run
+again. By default a GPU gets one daemon with SCENES_OF_GPU scenes, and the CPU one daemon of one scene for each
 processor.
 """
 
@@ -29,7 +29,7 @@ from .cases import all_cases
 from .journal import Entry, Journal
 from .run import run, tasks_of
 
-# Side by side, of one daemon, which waits for each busily: with more of them than processors all wait longer.
+# Parallel scenes of one daemon. Each scene's thread spins while it waits, so there are fewer than processors.
 SCENES_OF_GPU = max(2, min(14, (os.cpu_count() or 1) - 2))
 
 
@@ -37,21 +37,27 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m stability", description=__doc__.splitlines()[0])
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--long", action="store_true", help="also 10⁶ steps, an hour, millions of elements")
-    parser.add_argument("--only", default="", help="cases whose key holds this text; writes no results by itself")
-    parser.add_argument("--precision", choices=tuple(PRECISIONS), help="one of them; writes no results by itself")
-    parser.add_argument("--update", action="store_true", help="put the rows of --only in place of those in the results")
-    parser.add_argument("--jobs", type=int, help="daemons at a time; default: one a processor, or one a device")
-    parser.add_argument("--scenes", type=int, help="of each daemon at a time; default: 1, or as many as a device likes")
+    parser.add_argument(
+        "--only", default="", help="run only cases whose key contains this text; writes results only with --update"
+    )
+    parser.add_argument(
+        "--precision", choices=tuple(PRECISIONS), help="run only this precision; writes results only with --update"
+    )
+    parser.add_argument("--update", action="store_true", help="replace the rows of --only in the results")
+    parser.add_argument("--jobs", type=int, help="daemons at a time; default: one a processor, or one a GPU")
+    parser.add_argument("--scenes", type=int, help="scenes of each daemon at a time; default: 1, on a GPU up to 14")
     parser.add_argument("--devices", default="", metavar="A,B", help="GPUs, as CUDA numbers them; default: the first")
-    parser.add_argument("--limit", type=float, default=math.inf, metavar="SECONDS", help="begin no more after this")
-    parser.add_argument("--fresh", action="store_true", help="run all anew")
-    parser.add_argument("--merge", nargs="+", type=Path, metavar="JOURNAL", help="run nothing, put these together")
+    parser.add_argument(
+        "--limit", type=float, default=math.inf, metavar="SECONDS", help="start no case after this time"
+    )
+    parser.add_argument("--fresh", action="store_true", help="run everything again")
+    parser.add_argument("--merge", nargs="+", type=Path, metavar="JOURNAL", help="run nothing, merge these journals")
     arguments = parser.parse_args()
     if arguments.merge:
         head, entries = journal.merged(arguments.merge)
         return _finish(head, entries, [case for case in all_cases() if head["long"] or not case.long])
     chosen = [case for case in all_cases() if arguments.only in case.key and (arguments.long or not case.long)]
-    # The few long ones first, so that none runs alone in the end; of the others a limit leaves out the dear ones.
+    # Long cases first, so that none runs alone at the end. Of the others the cheap ones first, for the sake of --limit.
     chosen.sort(key=lambda case: (not case.long, case.solves))
     devices = [device for device in arguments.devices.split(",") if device]
     on_gpu = arguments.backend == "cuda"
@@ -62,7 +68,7 @@ def main() -> int:
     entries = log.entries if log else {}
     missing = journal.missing(wanted, entries)
     if len(missing) < len(wanted):
-        print(f"{len(wanted) - len(missing)} rows are there already; --fresh runs them anew", flush=True)
+        print(f"{len(wanted) - len(missing)} rows exist already; --fresh runs them again", flush=True)
     start = time.monotonic()
 
     def take(entry: Entry) -> None:
@@ -120,7 +126,7 @@ def _head(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _finish(head: dict[str, Any], entries: dict[tuple[str, str], Entry], cases: list[Case]) -> int:
-    """Writes the results, in the order of the page, and says what is missing; 1 if a row is unexplained."""
+    """Writes the results in the order of `all_cases` and prints what is missing; 1 if a row is unexplained."""
     of_page = {key: place for place, key in enumerate(case.key for case in all_cases())}
     wanted = sorted(tasks_of(cases), key=lambda task: of_page[task[0]])
     there = [entries[task] for task in wanted if task in entries]

@@ -1,4 +1,4 @@
-"""What a case is: an extreme, what must hold there, and what came of it."""
+"""A case: an extreme, what must hold there, and the verdict."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ CAUGHT = "caught while running"  # a fault, or the warning in the status that na
 SHORT = "falls short"
 BROKEN = "broken"  # the case itself
 
-# Of the reference: no hand and no eye tells one percent.
+# Relative difference that neither hand nor eye notices.
 FELT = 1e-2
 
-# What the status warns of (server/world/findings.cpp), by the words that only this warning has.
+# Warnings of the status (server/world/findings.cpp). Each is recognized by words that no other warning has.
 OUT_OF_RANGE = "has left its range of strains"
 SOFTER = "gets softer where it is pressed"
 INVERTED = "elements are turned inside out"
-IMBALANCE = "ended with an imbalance of"
+NOT_CONVERGED = "ended with an imbalance of"
 CURVATURE = "direction of negative curvature"
-# A fault that is the machine's (server/world/runner.cpp).
+# Fault of the machine, not of the scene (server/world/runner.cpp).
 DEVICE_FAILED = "the device failed"
 
 
 @dataclass(frozen=True)
 class Check:
-    """Holds where value <= bound; a value that is no number does not."""
+    """Holds if value <= bound; NaN does not hold."""
 
     label: str
     value: float
@@ -41,7 +41,7 @@ class Check:
 
     @property
     def share(self) -> float:
-        """Of the bound."""
+        """The value as a multiple of its bound; infinite if the value is not finite."""
         if not math.isfinite(self.value):
             return math.inf
         if self.bound == 0:
@@ -51,8 +51,10 @@ class Check:
 
 @dataclass(frozen=True)
 class Found:
-    """warnings: what the scene's status said when the checks were made, whatever it has to do with them. note: for the
-    page, also where all holds.
+    """The checks of a case.
+
+    warnings: every warning of the status at that time, related to the checks or not. note: text for the results, also
+    if all checks hold.
     """
 
     checks: Sequence[Check]
@@ -62,21 +64,28 @@ class Found:
 
 @dataclass(frozen=True)
 class Group:
-    """A section of docs/stability.md. text: what is done and what must hold."""
+    """A section of docs/stability.md.
+
+    must_hold: the bounds in a few words, for the page. text: what is done and what must hold, for results/README.md.
+    """
 
     name: str
     title: str
+    must_hold: str
     text: str
 
 
 @dataclass(frozen=True)
 class Case:
-    """expects: the outcomes that keep the promise. short: why it may fall short or be caught besides, by precision or
-    by outcome; "" stands for all. names: the warnings that say what goes wrong here when a check fails; any other
-    explains nothing.
+    """One row of the results for each precision.
 
-    long: only with --long. quick: also a test of `make test`. solves: about how many a row makes; those of few come
-    first, so that a limit of time leaves out few rows. together: cases of the same one, if any, look at the same run.
+    run: called with an engine of one precision; loads and steps scenes, and returns the checks.
+    expects: outcomes that keep the promise.
+    short: why the case may otherwise fall short or be caught, by precision or by outcome; "" stands for all.
+    names: warnings that explain a failed check. Any other warning explains nothing.
+    long: runs only with --long. quick: also a test of `make test`.
+    solves: rough number of solves of a row. Rows with few solves run first, so a time limit leaves out few rows.
+    together: cases with the same non-empty text check one shared run.
     """
 
     group: Group
@@ -98,20 +107,22 @@ class Case:
         return f"{self.group.name}/{self.name}/{self.law}/{self.shape}"
 
     def reason(self, outcome: str, precision: str) -> str:
-        """Why this outcome, which the promise does not expect."""
+        """Why the case may have this outcome although its promise does not expect it; empty if it may not."""
         if outcome not in (SHORT, CAUGHT) or outcome in self.expects:
             return ""
         return self.short.get(precision) or self.short.get(outcome) or self.short.get("", "")
 
     def explains(self, outcome: str, precision: str) -> bool:
-        """Whether this outcome is what the page says of the case."""
+        """Whether the outcome keeps the promise or has a reason."""
         return outcome in self.expects or bool(self.reason(outcome, precision))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """share: of its bound that the worst check takes; NaN without checks. text: the refusal, fault or warning; by how
-    much it falls short; a note.
+    """The outcome of a case.
+
+    share: largest multiple of a bound among the checks; NaN without checks. text: the refusal, fault, warning, missed
+    bound or note.
     """
 
     outcome: str
@@ -120,7 +131,7 @@ class Verdict:
 
 
 def judge(case: Case, engine: Engine) -> Verdict:
-    """Runs a case. Also one that breaks has a verdict, so that the others still run."""
+    """Runs a case. An exception becomes a verdict too, so that the other cases still run."""
     try:
         found = case.run(engine)
     except tm.InvalidArgumentError as refusal:

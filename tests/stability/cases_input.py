@@ -1,5 +1,7 @@
-"""Every number of a scene and of a pose, spoiled. The fields are found by walking the protocol's descriptors, so that
-none is forgotten: test_stability.py fails for a field that is new and not in `whole_scene`.
+"""Bad values in every number of a scene and of a pose.
+
+The fields are found by walking the protocol's descriptors. test_stability.py fails for a new field that is not in
+`whole_scene`.
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ from .tissue import CUBE_M, clamped, packed, real_time, tissue
 INPUT = Group(
     "input",
     "Every input field",
-    "Each number of a scene that uses every field, and of a tool's pose, in turn NaN, ±∞, a denormal (5·10⁻³²⁴, "
+    "NaN, ±∞, denormals, ±10³⁰⁰, negatives: refused by name, or harmless",
+    "Each number of a scene that uses every field, and of a tool's pose, is in turn NaN, ±∞, a denormal (5·10⁻³²⁴, "
     "10⁻³¹⁰), ±10³⁰⁰, −1 and its own negative. Must hold: it is refused with a message that names the field, or it "
-    "does no harm: a denormal steps as zero does, any other as a number (finite after 5 steps, or stopped by a "
-    "fault), and the daemon answers on.",
+    "does no harm. A denormal must step as zero does. Any other value must leave a finite state after 5 steps, or a "
+    "fault. The daemon must still answer.",
 )
 VALUES = (np.nan, np.inf, -np.inf, 5e-324, 1e-310, 1e300, -1e300, -1.0)
 STEPS = 5
@@ -39,7 +42,11 @@ _INDEX_BYTES = ("nodes", "triangles")
 
 @dataclass(frozen=True)
 class Place:
-    """One number of a message. kind: message and field, for the count of what was visited."""
+    """One number of a message.
+
+    path: as it stands in the scene. kind: message and field, to count what was visited.
+    get(message): the number. set(message, value): replaces it.
+    """
 
     path: str
     kind: tuple[str, str]
@@ -48,13 +55,13 @@ class Place:
 
     @property
     def name(self) -> str:
-        """What a refusal has to call it: the field, or the vector or displacement that it is a component of."""
+        """The name that a refusal must contain: the field, or the vector or displacement that it is a component of."""
         *_, parent, field = [re.sub(r"\[\d+\]", "", part) for part in ("", *self.path.split("."))]
         return parent if field.removesuffix("_m") in "wxyz" else field
 
 
 def whole_scene(engine: Engine) -> scene_pb2.Scene:
-    """Every field of `Scene` that holds real numbers."""
+    """A scene that uses every field of `Scene` that holds real numbers."""
     mesh = box("hexahedron", (2, 1, 1), (CUBE_M,) * 3)
     scene = real_time(engine, Problem(mesh, tissue("hooke"), [clamped(mesh)]))
     scene.stepping.dt_s, scene.stepping.rate_hz = 1 / 60, 60
@@ -78,10 +85,10 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     first.loads[0].force_n.x = 0.1
     first.loads[1].traction_pa.x = 1
     first.loads[2].pressure_pa = 1
-    driven = first.prescribed.add(x_m=0.001, y_m=0.001, z_m=0.001)
-    driven.region.nodes.indices.append(end[0])
-    driven.schedule.time_s.extend([0, 1])
-    driven.schedule.factor.extend([0, 1])
+    prescribed = first.prescribed.add(x_m=0.001, y_m=0.001, z_m=0.001)
+    prescribed.region.nodes.indices.append(end[0])
+    prescribed.schedule.time_s.extend([0, 1])
+    prescribed.schedule.factor.extend([0, 1])
     middle = mesh.where(lambda x, y, z: (x > 0.01) & (x < 0.09))
     moved = np.zeros(mesh.nodes.shape)
     moved[middle] = 1e-4
@@ -115,7 +122,7 @@ def _is_real_bytes(field: FieldDescriptor) -> bool:
 
 
 def places(message: Message, path: str = "") -> Iterator[Place]:
-    """Every number that the message can hold where it has its sub-messages; of a repeated field the first."""
+    """Yields every number of the message and of the sub-messages that it has; the first one of a repeated field."""
     for field in message.DESCRIPTOR.fields:
         here = f"{path}.{field.name}" if path else field.name
         kind = (message.DESCRIPTOR.name, field.name)
@@ -160,7 +167,7 @@ def _number(message: Message, name: str) -> np.ndarray:
 def _set_last(name: str) -> Callable[[Message, float], None]:
     def change(message: Message, value: float) -> None:
         numbers = _number(message, name)
-        # A node that is neither fixed nor driven.
+        # For an initial state: a node that is neither fixed nor prescribed.
         numbers[len(numbers) // 2 if name.startswith("initial") else -1] = value
         setattr(message, name, numbers.tobytes())
 
@@ -168,7 +175,7 @@ def _set_last(name: str) -> Callable[[Message, float], None]:
 
 
 def real_fields(descriptor: Descriptor) -> set[tuple[str, str]]:
-    """(message, field) of every real number that a message of this type can hold."""
+    """Returns (message, field) of every real number that a message of this type can hold."""
     return {
         (message.name, field.name)
         for message in _messages(descriptor)
@@ -188,7 +195,7 @@ def _messages(descriptor: Descriptor) -> list[Descriptor]:
 
 
 def _harm(engine: Engine, scene: scene_pb2.Scene) -> tuple[str, np.ndarray]:
-    """Why stepping the scene is not harmless, and where its bodies are then."""
+    """Steps the scene. Returns what harm it did, empty if none, and the positions of its bodies."""
     try:
         with engine.loaded(scene) as handle:
             handle.step(STEPS)
@@ -196,7 +203,7 @@ def _harm(engine: Engine, scene: scene_pb2.Scene) -> tuple[str, np.ndarray]:
     except tm.FailedPreconditionError:
         return "", np.empty(0)  # caught while running
     if not np.isfinite(moved).all():
-        return "left the numbers unsaid", moved
+        return "positions are not finite, without a fault", moved
     return "", moved
 
 
@@ -236,8 +243,10 @@ def _counted(refused: int, harmless: int, bad: list[str]) -> Found:
 
 
 def _names_it(refusal: str, place: Place, value: float) -> bool:
-    """A number that is none, or none that anybody means, by its field. Any other may be right where it stands and wrong
-    for what it makes: a region without nodes, a flat element, a skin outside; then that is named, with its body.
+    """Whether the refusal says where the bad value is.
+
+    Values that are not finite or absurdly large must be named by their field. Any other value may be valid by itself
+    and wrong in its effect: a region without nodes, a flat element, a skin outside. Then that is named, with its body.
     """
     if np.isfinite(value) and abs(value) < 1e300:
         return place.name in refusal or "body '" in refusal
@@ -266,7 +275,7 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
             position = handle.feedback("probe").position_m
             harmless += bool(np.isfinite(position).all())
             if not np.isfinite(position).all():
-                bad.append(f"{value:g}: the tool left the numbers")
+                bad.append(f"{value:g}: the position of the tool is not finite")
     return _counted(refused, harmless, bad)
 
 
@@ -274,7 +283,7 @@ def input_cases() -> Iterator[Case]:
     template = whole_scene(Engine(None, "float"))
     seen: set[str] = set()
     for place in places(template):
-        # The same field of another body says nothing new, but a law's is its own.
+        # The same field of another body adds nothing; each law has fields of its own.
         short = re.sub(r"\[\d+\]", "", place.path)
         if short in seen:
             continue

@@ -1,4 +1,4 @@
-"""Stiffness, Poisson's ratio and density at their ends, and side by side."""
+"""Extreme stiffness, Poisson's ratio and density, alone and next to each other."""
 
 from __future__ import annotations
 
@@ -33,28 +33,33 @@ from .tissue import (
 STIFFNESS = Group(
     "stiffness",
     "Stiffness",
-    "The clamped cube under a load of 0.2 E on its section, whatever E is, let go as above. Must hold: as above.",
+    "as above, E from 10 Pa to 100 GPa",
+    "The clamped cube under a load of 0.2 E on its section, for E from 10 Pa to 100 GPa. Procedure and bounds are "
+    "those of “Length of a step”.",
 )
 JUMP = Group(
     "jump",
     "Jumps of stiffness",
-    "A column of 0.1 m in guides (no displacement across), one half 10⁶ times as stiff as the other (or every second "
-    "layer), pushed by 10 % of the soft half's modulus at its end. In equilibrium each layer has the stretch that its "
-    "law says for that stress: closed form. Must hold: the displacement of every node to 10⁻⁶ of the largest (1 % in "
-    "float and in real time).",
+    "closed form to 10⁻⁶ (float, real time 1 %) across a 10⁶ jump",
+    "A column of 0.1 m that can only move along its axis. One half, or every second layer, is 10⁶ times as stiff as "
+    "the rest. Its end is pressed with 10 % of the soft modulus. In equilibrium each layer has the stretch that its "
+    "law gives for that stress, which is a closed form. Must hold: the displacement of every node to 10⁻⁶ of the "
+    "largest (1 % in float and in real time).",
 )
 POISSON = Group(
     "poisson",
     "Poisson's ratio",
-    "A cube on three planes of symmetry, pulled to 1.1 of its length. Must hold: force and change of the section as "
-    "the closed form of the law says, to 10⁻⁶ (1 % in float), by Newton's method.",
+    "force and width as the closed form, to 10⁻⁶ (float 1 %)",
+    "A cube on three planes of symmetry, pulled to 1.1 of its length by Newton's method. Must hold: force and width "
+    "equal the closed form of the law, to 10⁻⁶ (1 % in float).",
 )
 DENSITY = Group(
     "density",
     "Densities side by side",
-    "Two clamped cubes in one scene, 10 and 10⁶ kg/m³, each under its own weight in a gravity of 1 m/s² for 1/6 s, "
-    "in which the heavy one still falls while the light one has long come to rest, 300 times less far down. Must hold: "
-    "the light one moves as it does alone, to 1 % of its displacement, at 10 looks.",
+    "a light body beside a heavy one moves as alone, to 1 %",
+    "Two clamped cubes in one scene, 10 and 10⁶ kg/m³, each under its own weight in a gravity of 1 m/s² for 1/6 s. In "
+    "that time the heavy one still falls, while the light one has long come to rest, 300 times less far down. Must "
+    "hold: the light one moves as it does alone, to 1 % of its displacement, at 10 checks.",
 )
 PULLED = 1.1
 NEWTON_BOUND = {"double": 1e-6, "float": FELT}
@@ -72,7 +77,7 @@ def _stiffness_cases() -> Iterator[Case]:
         mesh = cube(shape)
         forces = nodal_weight(mesh, young_pa / YOUNG_PA)
         problem = Problem(mesh, tissue(law, young_pa), [clamped(mesh)], forces_n=forces)
-        # A soft cube swings slower, as √E. A stiff one is at rest after a few steps of this length.
+        # A soft cube swings slower, with √E. A stiff one is at rest after a few steps of this length.
         slower = max(1.0, float(np.sqrt(YOUNG_PA / young_pa)))
         return settle(engine, problem, REAL_TIME_DT_S * slower, damping_per_s=DAMPING_PER_S / slower)
 
@@ -93,7 +98,7 @@ def _stiffness_cases() -> Iterator[Case]:
 
 
 def _confined_stretch(law: Law, stress_pa: float) -> float:
-    """Along x in guides, by bisection."""
+    """The stretch along x under a stress, without displacement across, by bisection."""
     low, high = 0.5, 1.5
     for _ in range(60):
         middle = (low + high) / 2
@@ -115,7 +120,7 @@ def _jump_cases() -> Iterator[Case]:
         problem = Problem(mesh, soft, guides, forces_n=_end_load(mesh, stress_pa))
         scene = engine.scene(problem) if newton else real_time(engine, problem)
         if newton:
-            scene.solver.ClearField("newton_tolerance")  # the daemon's own
+            scene.solver.ClearField("newton_tolerance")  # the daemon's default
         else:
             scene.bodies[0].rayleigh_mass_per_s = 50
         width_m = CUBE_M / layers
@@ -130,7 +135,7 @@ def _jump_cases() -> Iterator[Case]:
             error = float(np.abs(ours - exact).max() / np.abs(exact).max())
             return Found([Check("distance to the closed form", error, bound)], scene_running.last_warnings)
 
-    rounding = "float has 7 digits, and the jump takes 6: the step ends above its tolerance, and the status says so"
+    rounding = "the jump uses 6 of float's 7 digits: the step ends above its tolerance, and the status says so"
     names = (("halves", True), ("layers", True), ("halves, real time", False), ("layers, real time", False))
     for name, newton in names:
         for law in LAWS:
@@ -150,7 +155,7 @@ def _jump_cases() -> Iterator[Case]:
 
 
 def _column(mesh: Mesh, stretches: list[float]) -> Floats:
-    """Displacements of a column whose layers have these stretches along x."""
+    """Displacements [node_count, 3] m of a column whose layers have these stretches along x."""
     edges = np.linspace(0, CUBE_M, len(stretches) + 1)
     moved = np.concatenate([[0], np.cumsum((np.array(stretches) - 1) * np.diff(edges))])
     out = np.zeros(mesh.nodes.shape)
@@ -159,7 +164,7 @@ def _column(mesh: Mesh, stretches: list[float]) -> Floats:
 
 
 def _end_load(mesh: Mesh, stress_pa: float) -> Floats:
-    """On the nodes of the end at x = CUBE_M, as a traction makes it."""
+    """Nodal forces [node_count, 3] N of a traction on the end at x = CUBE_M."""
     end = mesh.where(lambda x, y, z: x > CUBE_M * (1 - 1e-9))
     out = np.zeros(mesh.nodes.shape)
     out[:, 0] = stress_pa * node_areas(mesh, end)
@@ -167,7 +172,7 @@ def _end_load(mesh: Mesh, stress_pa: float) -> Floats:
 
 
 def pull(engine: Engine, mesh: Mesh, law: Law) -> Found:
-    """A box, CUBE_M long, on three planes of symmetry, to PULLED of its length, by Newton's method."""
+    """Pulls a box, CUBE_M long, on three planes of symmetry to PULLED of its length by Newton's method."""
     section_m2 = float(np.prod(np.ptp(mesh.nodes[:, 1:], axis=0)))
     end = mesh.where(lambda x, y, z: x > CUBE_M * (1 - 1e-6))
     problem = pulled(mesh, law, PULLED)
@@ -213,7 +218,7 @@ def _poisson_cases() -> Iterator[Case]:
     for poisson in (-1.0, 0.5):
         for law in LAWS:
             if law in ("mooney_rivlin", "ogden"):
-                continue  # they are given by their bulk modulus
+                continue  # defined by a bulk modulus instead
             yield Case(
                 POISSON,
                 f"{poisson:g}",
@@ -225,7 +230,7 @@ def _poisson_cases() -> Iterator[Case]:
 
 
 def _density_cases() -> Iterator[Case]:
-    # With less gravity the light one's strains would drown in float's rounding of det F.
+    # With less gravity, float's rounding of det F would exceed the light one's strains.
     light_kg_per_m3, heavy_kg_per_m3, gravity_m_per_s2, looks = 10.0, 1e6, 1.0, 10
 
     def scene_of(engine: Engine, law: str, shape: str, dt_s: float) -> scene_pb2.Scene:
@@ -259,11 +264,11 @@ def _density_cases() -> Iterator[Case]:
         return Found([Check("distance to the motion alone", error, FELT)])
 
     little = (
-        "conjugate gradients stop at a thousandth of the whole scene's residual, and what the light one moves by is "
-        "little of it; the next row gives them a tolerance that sees it"
+        "conjugate gradients stop at 10⁻³ of the whole scene's residual, little of it the light body's; "
+        "`cg_tolerance: 1e-4` mends it"
     )
     bodies = "10 and 10⁶ kg/m³"
-    # steps: of a look
+    # steps: between two checks
     for name, steps, cg_tolerance in (
         (bodies, 1, None),
         (f"{bodies}, cg_tolerance 10⁻⁴", 1, 1e-4),

@@ -1,4 +1,4 @@
-"""Where a scene starts: stretched, flattened, collapsed, turned inside out, at random."""
+"""Starts far from rest: stretched, flattened, collapsed, inverted, at random."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ from .tissue import (
 START = Group(
     "start",
     "Where it starts",
-    "A cube of 0.1 m, clamped on one side (or free), let go from a state far from rest, 60 steps a second for 10 s "
-    "with a damping of 5 / s, implicit Euler linearized once; or 600 steps a second for 3 s by Newton's method, where "
-    "the name says so. Must hold: every element is back at its rest volume (1 %), and of what was stored 10⁻⁴ E V is "
-    "left at most: it has its shape again. Held to that: corotational and stable neo-Hookean, and every law that "
-    "resists compression where nothing is inverted; the others may say that they cannot, and Hooke's, linear, that it "
-    "is out of its range.",
+    "back at rest volume, to 1 %; energy left below 10⁻⁴ E V",
+    "A cube of 0.1 m, clamped on one side or free, starts far from rest. It takes 60 steps a second for 10 s with a "
+    "damping of 5 / s, implicit Euler linearized once, or 600 steps a second for 3 s by Newton's method if the name "
+    "says so. Must hold: every element is back at its rest volume, to 1 %, and at most 10⁻⁴ E V of elastic energy is "
+    "left, so the cube has its shape again. Corotational and stable neo-Hookean must always hold. Every law that "
+    "resists compression must hold if the start is not inverted. Otherwise a law may be caught, and linear Hooke may "
+    "warn that it is out of its range.",
 )
 STEPS = 600
-# Kinetic energy of what is in an equilibrium, against what is stored in it.
+# Largest ratio of kinetic to elastic energy in an equilibrium.
 AT_REST = 1e-6
 DAMPING_PER_S = 5.0
 CENTRE = np.full(3, CUBE_M / 2)
@@ -49,7 +50,7 @@ def _random(x: Floats) -> Floats:
     return np.random.default_rng(3).uniform(0, CUBE_M, x.shape)
 
 
-# Positions of the nodes from those at rest.
+# Called with rest positions [node_count, 3] m; returns the positions at the start.
 STARTS: dict[str, Callable[[Floats], Floats]] = {
     "stretched to 2×": lambda x: x * (2, 1, 1),
     "stretched to 10×": lambda x: x * (10, 1, 1),
@@ -62,37 +63,26 @@ STARTS: dict[str, Callable[[Floats], Floats]] = {
 }
 # Every element keeps det F > 0.
 UPRIGHT = ("stretched to 2×", "stretched to 10×", "pressed to 1/2", "pressed to 1/10")
-# From here one linearized solve in 1/60 s may be too little.
+# From these starts one linearized solve in 1/60 s may not be enough.
 FAR = ("stretched to 10×", "pressed to 1/10", "at random")
 NEWTON_DT_S, NEWTON_STEPS = 1 / 600, 1800
 _NEWTON = ", Newton, 600 / s"
 _OVERSHOOTS = (
-    "so far from rest a step of 1/60 s that is linearized once overshoots, and so do the eighths of it that the guard "
-    "tries: it stops the scene. "
+    "a step of 1/60 s, linearized once, overshoots this far from rest, and so do the guard's retries of an eighth; "
 )
-_IN_SMALL_STEPS = f"{_OVERSHOOTS}By Newton's method at 600 steps a second it comes back (the row with that name)"
-_IN_NO_STEPS = f"{_OVERSHOOTS}Nor does Newton's method at 600 steps a second bring it back (the row with that name)"
-_ELSEWHERE = (
-    "it comes to rest in another equilibrium of this mesh, which every law that knows rotations has: crumpled, with "
-    "every element upright, so that the status has nothing to say. Which of them it finds depends on the steps that it "
-    "takes; compare the rows of other names and shapes"
-)
-_SOFTENED = (
-    "det F = 10 is beyond e, where this law softens: Newton's increments lead out of the numbers, and the guard stops "
-    "the scene"
-)
+_IN_SMALL_STEPS = f"{_OVERSHOOTS}Newton's method at 600 steps a second comes back"
+_IN_NO_STEPS = f"{_OVERSHOOTS}Newton's method at 600 steps a second is caught too"
+_ELSEWHERE = "crumpled (above); which equilibrium it finds depends on the steps"
+_SOFTENED = "det F = 10 is beyond e, where this law softens; Newton's increments diverge"
 _OGDEN = (
-    "with α = 12 what is stored at 10× would throw the cube apart at kilometres a second: even a step of 1/600 s is "
-    "hundreds of times as long as it takes to cross itself"
+    "with α = 12 the energy stored at 10× would throw the cube apart at kilometres a second, faster than steps of "
+    "1/600 s can follow"
 )
-_STATIONARY = (
-    "a body that is one point and free stays one: at F = 0 this law's force and stiffness are zero, and nothing tells "
-    "one direction from another. Clamped it comes back"
-)
+_STATIONARY = "at F = 0 force and stiffness are zero, so a free point stays a point; clamped it comes back"
 
 
-# What a law that is held to it falls short of, by full name, law and outcome: the shapes that do, and why. Every other
-# shape, law and outcome has to come back.
+# Exceptions among the laws that must come back, by full name, law and outcome: which shapes, and why. All other shapes,
+# laws and outcomes must come back.
 _ANY = tuple(SHAPES)
 _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
     ("stretched to 10×", "neo_hookean", SHORT): (("hexahedron",), _ELSEWHERE),
@@ -116,9 +106,9 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
     ),
     ("stretched to 10×, free", "ogden", CAUGHT): (_ANY, _OGDEN),
     ("stretched to 10×, free" + _NEWTON, "ogden", CAUGHT): (("wedge", "hexahedron"), _OGDEN),
-    # Rounding decides: of the 41 starts stretched to 10 (1 + 1.3e-4 k)×, |k| ≤ 20, in two precisions and five shapes,
-    # 22 of 410 free ones ended crumpled, of every shape but the tetrahedron, and one of 410 clamped ones. Before the
-    # law's stiffness had its closed form 25 and one did, others of them.
+    # Rounding decides. We ran 41 starts, stretched to 10 (1 + 1.3e-4 k)× with |k| ≤ 20, in two precisions and five
+    # shapes. Of 410 free cubes 22 ended crumpled, of every shape except the tetrahedron; of 410 clamped ones, one.
+    # Before the closed form of the law's stiffness it was 25 and one, for other starts.
     ("stretched to 10×" + _NEWTON, "corotational", SHORT): (("quadratic_tetrahedron",), _ELSEWHERE),
     ("stretched to 10×, free" + _NEWTON, "corotational", SHORT): (("hexahedron", "quadratic_tetrahedron"), _ELSEWHERE),
     ("pressed to 1/10, free", "mooney_rivlin", CAUGHT): (
@@ -134,12 +124,13 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
 }
 
 
-def _held_to_it(name: str, law: str) -> bool:
+def _must_come_back(name: str, law: str) -> bool:
+    """Whether the law promises to return from this start."""
     return law in RECOVERS or (name in UPRIGHT and law != "hooke" and law not in SOFTENS)
 
 
 def _short(full_name: str, law: str, shape: str) -> dict[str, str]:
-    """Why it does not come back, by outcome; empty where it has to."""
+    """Why a case need not come back, by outcome; empty if it must."""
     found = {outcome: _SHORT.get((full_name, law, outcome), ((), "")) for outcome in (CAUGHT, SHORT)}
     return {outcome: why for outcome, (shapes, why) in found.items() if shape in shapes}
 
@@ -184,7 +175,7 @@ def start_cases() -> Iterator[Case]:
                         lambda engine, name=name, law=law, shape=shape, free=free, newton=newton: run(
                             engine, name, law, shape, free, newton
                         ),
-                        expects=(HOLDS,) if _held_to_it(name, law) else (HOLDS, CAUGHT),
+                        expects=(HOLDS,) if _must_come_back(name, law) else (HOLDS, CAUGHT),
                         short=_short(full_name, law, shape),
                         names=law_says(law),
                         quick=shape == "tetrahedron" and law in RECOVERS and not free and not newton,

@@ -1,4 +1,4 @@
-"""Steps and loads: how long a step is, how large a load, and how many steps."""
+"""Long and short steps, large loads, and many steps."""
 
 from __future__ import annotations
 
@@ -35,41 +35,45 @@ from .tissue import (
 STEP = Group(
     "step",
     "Length of a step",
-    "A cube of 0.1 m (E 5 kPa, 1000 kg/m³), clamped on one side, let go under its weight with a damping of 20 / s, "
-    "until it is at rest; implicit Euler linearized once, or by Newton's method where the name says so. Must hold: "
-    "the total energy (elastic, kinetic, of the load) never rises between two looks by more than 1 % of the work that "
-    "the load does; at the end it is at the equilibrium that Newton's method finds in double precision, to 1 %.",
+    "energy never rises; ends at the equilibrium, to 1 %",
+    "A cube of 0.1 m (E 5 kPa, 1000 kg/m³), clamped on one side, falls under its weight with a damping of 20 / s until "
+    "it is at rest. Time integration is implicit Euler linearized once, or Newton's method if the name says so. Must "
+    "hold: the total energy (elastic, kinetic, of the load) never rises between two checks by more than 1 % of the "
+    "load's work. At the end the cube is at the equilibrium that Newton's method finds in double precision, to 1 %.",
 )
 LOAD = Group(
     "load",
     "Loads",
-    "The same cube under a multiple of its weight. Must hold: the total energy never rises above that of the start; "
-    "after a reset the cube is as new. From 100 times on, a step of 1/60 s throws a soft cube farther than it is "
-    "large, which the guard does not publish.",
+    "energy never exceeds the start's; a reset restores the start",
+    "The same cube under a multiple of its weight. Must hold: the total energy never rises above that of the start, "
+    "and a reset restores the start exactly. From 100 times its weight, one step of 1/60 s throws a soft cube farther "
+    "than its own size, and the guard does not publish such a step.",
 )
 REST = Group(
     "rest",
     "Rest",
-    "One element, 60 steps a second. *Alone*: nothing acts on it. Must hold: nothing moves. *Hanging*: held by one "
-    "face under its weight, at rest after 2,000 steps. Must hold: from there on it drifts by less than 10⁻⁶ of its "
-    "displacement (10⁻³ in float) to the end. 10⁶ steps are made once for both of a law, side by side in one scene.",
+    "alone nothing moves; hanging, drift below 10⁻⁶ (float 10⁻³)",
+    "One element, 60 steps a second. *Alone*: nothing acts on it. Must hold: nothing moves. *Hanging*: fixed at one "
+    "face, under its weight, at rest after 2,000 steps. Must hold: from then on it drifts by less than 10⁻⁶ of its "
+    "displacement (10⁻³ in float). The 10⁶ steps run once a law, with both cases in one scene.",
 )
 HOUR = Group(
     "hour",
     "An hour in float",
-    "One cell whose side is driven along z, 10 mm and 1 Hz, for an hour of simulated time in 216,000 steps, in float "
-    "and in double. Must hold: at 60 looks the two differ by less than 1 % of the displacement. The hour is run once "
-    "in each, by the cells of all laws and both shapes in one scene.",
+    "float equals double, to 1 % of the displacement",
+    "One side of a cell moves along z with 10 mm and 1 Hz for an hour of simulated time, 216,000 steps, in float and "
+    "in double. Must hold: at 60 checks the two differ by less than 1 % of the displacement. The hour runs once in "
+    "each precision, with the cells of all laws and both shapes in one scene.",
 )
-# Near critical for the cube's first swing, at 15 rad/s: what is left of it after SETTLED_S is e⁻¹⁰.
+# Nearly critical for the cube's first mode, 15 rad/s: it decays to e⁻¹⁰ within SETTLED_S.
 DAMPING_PER_S = 20.0
 SETTLED_S = 1.0
 STEPS_S = (1e-4, 1e-3, REAL_TIME_DT_S, 0.1, 1.0)
 NAMES = {1e-4: "0.1 ms", 1e-3: "1 ms", REAL_TIME_DT_S: "1/60 s", 0.1: "0.1 s", 1.0: "1 s"}
 LOOKS = 20
-# Of a step by Newton's method, about.
+# Approximate solves of a step by Newton's method.
 NEWTON_SOLVES = 4
-# What gives way without end under ten times the weight: pressed to less than 1/√3, or stretched beyond e.
+# Laws that yield without limit under ten times the weight: pressed below 1/√3, or stretched beyond e.
 _YIELDS = (*SOFTENS, "hencky")
 
 
@@ -81,7 +85,7 @@ def step_cases() -> Iterator[Case]:
 
 
 def settles(law: str) -> tuple[str, ...]:
-    """Under its weight the edge of the clamp is pressed to where st_venant_kirchhoff softens and turns inside out."""
+    """Outcomes allowed under the weight: at the clamp's edge st_venant_kirchhoff softens until an element inverts."""
     return (HOLDS, CAUGHT) if law in SOFTENS else (HOLDS,)
 
 
@@ -92,11 +96,11 @@ def settling_steps(dt_s: float) -> int:
 def settle(
     engine: Engine, problem: Problem, dt_s: float, *, newton: bool = False, damping_per_s: float = DAMPING_PER_S
 ) -> Found:
-    """Lets the problem go until it is at rest."""
+    """Lets the problem settle; checks its energy on the way and its distance to the equilibrium at the end."""
     try:
         reference = equilibrium(engine, problem).displacement_m
     except tm.FailedPreconditionError:
-        reference = None  # that there is none says nothing of how the scene is stepped
+        reference = None  # a missing equilibrium says nothing about stepping the scene
     forces = problem.nodal_forces()
     scene = real_time(engine, problem, dt_s)
     scene.bodies[0].rayleigh_mass_per_s = damping_per_s
@@ -125,7 +129,7 @@ def _step_cases() -> Iterator[Case]:
     for dt_s in STEPS_S:
         for newton in (False, True):
             if newton and dt_s < REAL_TIME_DT_S:
-                continue  # as linearized once: nothing is left to iterate
+                continue  # same as linearized once: nothing is left to iterate
             for law in LAWS:
                 for shape in SHAPES:
                     yield Case(
@@ -235,7 +239,7 @@ def _rest_cases() -> Iterator[Case]:
     kinds = ("alone", "hanging")
     for steps, name, long in ((50_000, "50,000 steps", False), (1_000_000, "10⁶ steps", True)):
         for law in LAWS:
-            # A law's own scene: a GPU makes one kernel after the other for each law of a scene.
+            # One scene for each law: on a GPU the kernels of several laws in a scene run one after the other.
             both = [(law, kind) for kind in kinds]
             together = Shared(lambda engine, both=both, steps=steps: rest(engine, both, steps))
             for kind in kinds:
@@ -272,7 +276,7 @@ def _hour_cases() -> Iterator[Case]:
         with running(engine, scene) as scene_running:
             found = []
             for look in range(looks):
-                # A different phase at each look.
+                # A different phase at each check.
                 scene_running.step(round(duration_s / REAL_TIME_DT_S / looks) + look % 7)
                 found.append([scene_running.displacement_m(body.name) for body in scene.bodies])
         return [np.array(of) for of in zip(*found, strict=True)]

@@ -1,4 +1,4 @@
-"""Tools that jump, and tools that press and stay."""
+"""Tools that jump, and tools that press and hold."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from .tissue import CUBE_M, RECOVERS, at_rest_again, law_says, real_time, runnin
 TOOL = Group(
     "tool",
     "Tools",
+    "shape restored, zero force after leaving; pressed: steady force equal to the reaction, to 1 %",
     "A cube of 0.1 m in 3 × 3 × 3 cells, clamped at its bottom, damping of 5 / s, and a probe of 15 mm, 60 steps a "
-    "second. *Through*: dragged through the middle of it and back at 0.5 m/s, five times. *Teleported*: with no limit "
-    "of speed, from one side to the other in every step, or into the middle in every second, 120 steps. Must hold: 5 "
-    "s after the tool has left every element has its volume and its shape again, as under “Where it starts”, and the "
-    "force on the tool is zero. *Pressed*: 10, 25, 50 mm into the top and held for 10 s. Must hold: over the last "
-    "second the force stands still to 1 % of itself, and it is what the bottom holds against, to 1 %.",
+    "second. *Through*: the probe moves through the middle and back at 0.5 m/s, five times. *Teleported*: without a "
+    "speed limit, from one side to the other in every step, or into the middle in every second step, 120 steps. Must "
+    "hold: 5 s after the tool has left, every element has its volume and shape again, as under “Where it starts”, and "
+    "the force on the tool is zero. *Pressed*: 10, 25, 50 mm into the top for 10 s. Must hold: over the last second "
+    "the force is steady to 1 %, and it equals the reaction at the bottom, to 1 %.",
 )
 RADIUS_M = 0.015
 DAMPING_PER_S = 5.0
-# Of a tissue that has gone out of the tool's way: neither check holds then.
+# Below this force the tissue has moved out of the tool's way, and neither check holds.
 LEAST_FORCE_N = 1e-6
 UNLIMITED_M_PER_S = 1000.0
 SIDES = ((-0.05, 0.05, 0.06), (0.15, 0.05, 0.06))

@@ -1,7 +1,7 @@
-"""The rows of a run while it goes on: one JSON object a line, so that a run that was stopped loses nothing.
+"""The rows of a run in progress: one JSON object a line, so that a run that is stopped loses nothing.
 
-The first line says what the rows belong to: daemon, device, and the cases as they stand. A run goes on with a journal
-that says the same and starts anew beside any other; journals that say the same can be put together.
+The first line identifies daemon, device and cases. A run continues a journal with the same first line and overwrites
+any other. Journals with the same first line can be merged.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from .report import Row
 
 FOLDER = BUILD_BIN.parent / "stability"
 _OURS = (__name__.partition(".")[0], "accuracy")
-# What two journals have in common whose rows go together.
+# Two journals can be merged if they agree in these.
 _SAME = ("backend", "device", "machine", "build", "cases")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A row, and how long it took."""
+    """A row and its run time [s]."""
 
     row: Row
     seconds: float
 
 
 def build() -> str:
-    """The beginning of the SHA-256 of the daemon's program."""
+    """The first 12 digits of the SHA-256 of the daemon's program."""
     return hashlib.sha256(find_program("tensormassd", "TENSORMASSD").read_bytes()).hexdigest()[:12]
 
 
 def cases_digest() -> str:
-    """Of the modules that the cases are made of: a changed case is run anew."""
+    """A hash of all modules that the cases use, so that changed cases run again."""
     digest = hashlib.sha256()
     seen, waiting = set[str](), [cases.__name__]
     while waiting:
@@ -60,7 +60,7 @@ def cases_digest() -> str:
 
 
 class Journal:
-    """head: what its rows belong to; what was written before under the same is in `entries`."""
+    """Appends rows to a file. head: what they belong to. entries: all rows, also of an earlier run with this head."""
 
     def __init__(self, path: Path, head: dict[str, Any], fresh: bool = False) -> None:
         self.head = head
@@ -70,7 +70,7 @@ class Journal:
             known, entries = read(path)
             if _same(known, head):
                 self.head, self.entries = known, entries
-                if head.get("long"):  # what goes on has more to do
+                if head.get("long"):  # the continued run also has the long cases
                     self.head |= {"long": True, "command": head["command"]}
         self._file: TextIO = path.open("w", encoding="utf-8")
         self._line(self.head)
@@ -96,7 +96,7 @@ class Journal:
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[tuple[str, str], Entry]]:
-    """Head and rows; a last line that was not finished is left out."""
+    """Head and rows of a file; an unfinished last line is dropped."""
     lines = path.read_text("utf-8").splitlines(keepends=True)
     if not lines or not lines[0].endswith("\n"):
         return {}, {}
@@ -110,12 +110,12 @@ def read(path: Path) -> tuple[dict[str, Any], dict[tuple[str, str], Entry]]:
 
 
 def missing(wanted: Sequence[tuple[str, str]], entries: Mapping[tuple[str, str], Entry]) -> list[tuple[str, str]]:
-    """What is still to be run: also what broke, as every row of a daemon that is gone does."""
+    """Tasks without a row, and tasks whose row broke, as all rows of a daemon that died do."""
     return [of for of in wanted if of not in entries or entries[of].row.verdict.outcome == BROKEN]
 
 
 def merged(paths: list[Path]) -> tuple[dict[str, Any], dict[tuple[str, str], Entry]]:
-    """Of several journals; of a row that two have, the later one's.
+    """Merges journals. If two have the same row, the later journal wins.
 
     Raises:
         ValueError: they belong to different daemons, devices or cases.

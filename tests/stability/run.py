@@ -1,9 +1,10 @@
-"""Cases side by side: each job a process with a daemon of its own, each scene a thread of it.
+"""Runs cases in parallel: each job is a process with its own daemon, each scene a thread of that process.
 
-On a GPU a step takes as long as its launches, however small the scene. The scenes of one daemon run side by side there,
-those of several take turns: one job a device, with many scenes.
+On a GPU the time of a small step is its launch time. Scenes of one daemon run in parallel there, while daemons take
+turns. So a GPU gets one job with many scenes.
 
-A row that breaks is run once more in the end, alone: a daemon that dies, or a device that fails, breaks all beside it.
+A row that breaks runs once more at the end, alone. A daemon that dies or a device that fails also breaks the rows that
+run at the same time.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Task = tuple[str, str]  # key and precision
 
 
 class _Daemon:
-    """One at a time, anew when it is gone."""
+    """A daemon that is started again if it has died."""
 
     def __init__(self, backend: str) -> None:
         self._backend = backend
@@ -43,7 +44,7 @@ class _Daemon:
             return Engine(self._server, precision)
 
     def replace(self, engine: Engine) -> None:
-        """Its device has failed: nothing that comes from it is of use."""
+        """Ends the daemon of an engine whose device has failed."""
         with self._lock:
             if self._server is engine.server:
                 self.close()
@@ -58,7 +59,7 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
-    os._exit(1)  # its daemon ends with it
+    os._exit(1)  # the daemon ends with this process
 
 
 def run_case(case: Case, engine: Engine) -> Entry:
@@ -70,12 +71,12 @@ def run_case(case: Case, engine: Engine) -> Entry:
 def _work(
     backend: str, device: str | None, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue
 ) -> None:
-    """Until there are None for tasks, or whoever gives them is gone."""
+    """Runs tasks until each thread takes a None, or the parent process ends."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    sys.setswitchinterval(1e-3)  # a thread that has its answer does not wait long for one that computes
+    sys.setswitchinterval(1e-3)  # a thread with an answer must not wait long for one that computes
     if device is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = device
-    # A hardware queue for each scene's stream, or streams that share one wait for each other.
+    # One hardware queue for each scene's stream: streams that share a queue wait for each other.
     os.environ.setdefault("CUDA_DEVICE_MAX_CONNECTIONS", "32")
     cases = {case.key: case for case in all_cases()}
     daemon = _Daemon(backend)
@@ -88,7 +89,7 @@ def _work(
                     entry = run_case(cases[key], engine)
                     if DEVICE_FAILED in entry.row.verdict.text:
                         daemon.replace(engine)
-                except Exception as error:  # no daemon: a broken row, and the other jobs go on
+                except Exception as error:  # no daemon: the row is broken, the other jobs continue
                     entry = Entry(Row(key, precision, Verdict(BROKEN, text=f"{type(error).__name__}: {error}")), 0.0)
                 done.put(entry)
 
@@ -110,11 +111,12 @@ def run(
     take: Callable[[Entry], None],
     devices: Sequence[str] = (),
 ) -> None:
-    """Gives each row to `take` when it is there; after `limit_s` no more are begun. devices: as CUDA numbers them, one
-    for each job, over and over; none leaves it to CUDA.
+    """Runs the tasks and calls `take(entry)` in this process as each row arrives, in any order.
+
+    limit_s: no task starts later than this. devices: CUDA's numbers, given to the jobs in turn; empty lets CUDA choose.
     """
     began = time.monotonic()
-    context = multiprocessing.get_context("spawn")  # a fork would take the threads of a channel half
+    context = multiprocessing.get_context("spawn")  # a fork would copy a gRPC channel without its threads
     tasks, done = context.Queue(), context.Queue()
     workers = [
         context.Process(
@@ -128,7 +130,7 @@ def run(
         worker.start()
 
     def entries_of(bundles: list[list[Task]], ahead: int) -> Iterator[Entry]:
-        """In any order; so many bundles are given away before they are asked for."""
+        """Yields entries in any order; `ahead` bundles are queued before the first one is done."""
         waiting, ends = iter(bundles), {bundle[-1] for bundle in bundles}
         rows = 0
 
@@ -151,7 +153,7 @@ def run(
             yield entry
 
     broken: dict[Task, Entry] = {}
-    # A few ahead, so that no thread waits and few are left at the limit.
+    # A few bundles ahead: no thread waits, and few are left in the queue at the limit.
     for entry in entries_of(bundles_of(wanted), ahead=jobs * (scenes + 2)):
         if entry.row.verdict.outcome == BROKEN:
             print(f"to be run again, alone: {entry.row.line(False, entry.seconds)}", flush=True)
@@ -170,7 +172,7 @@ def run(
 
 
 def bundles_of(tasks: Sequence[Task]) -> list[list[Task]]:
-    """What looks at one run (`Case.together`) is one thread's, where the first of it stands; any other row is alone."""
+    """Puts the tasks that share a run (`Case.together`) into one bundle for one thread; any other task is alone."""
     together_of = {case.key: case.together for case in all_cases()}
     bundles: dict[tuple[str, ...], list[Task]] = {}
     for key, precision in tasks:

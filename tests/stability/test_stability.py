@@ -1,7 +1,9 @@
-"""The quick cases against a real daemon; `make stability` runs all. Without build/bin/tensormassd these are skipped."""
+"""The quick cases against a real daemon; `make stability` runs all. They are skipped without build/bin/tensormassd."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import os
 import re
@@ -25,8 +27,8 @@ from .case import (
     CURVATURE,
     DEVICE_FAILED,
     HOLDS,
-    IMBALANCE,
     INVERTED,
+    NOT_CONVERGED,
     OUT_OF_RANGE,
     SHORT,
     SOFTER,
@@ -62,12 +64,12 @@ def server(daemon: Path) -> Iterator[tm.Server]:
 
 
 @pytest.mark.parametrize(("case", "precision"), QUICK, ids=[f"{case.key}-{precision}" for case, precision in QUICK])
-def test_does_as_promised(server: tm.Server, case: Case, precision: str) -> None:
+def test_case_keeps_its_promise(server: tm.Server, case: Case, precision: str) -> None:
     verdict = judge(case, Engine(server, precision))
     assert case.explains(verdict.outcome, precision), verdict
 
 
-def test_no_number_of_a_scene_is_left_out() -> None:
+def test_input_cases_cover_every_number_of_a_scene() -> None:
     visited = {place.kind for place in places(whole_scene(Engine(None, "float")))}  # type: ignore[arg-type]
     assert real_fields(scene_pb2.Scene.DESCRIPTOR) - visited == set()
 
@@ -82,26 +84,26 @@ def test_every_law_has_a_promise_and_a_tissue() -> None:
     assert sorted(", ".join(rows).split(", ")) == sorted(names)
 
 
-def test_every_isotropic_law_is_exchanged_by_its_small_strain() -> None:
+def test_every_isotropic_law_has_a_small_strain_equivalent() -> None:
     for name in LAWS:
         found = knobs._small_strain(tissue(name, 4000, 0.3).message)
         expected = None if LAWS[name].directed else (pytest.approx(4000), pytest.approx(0.3))
         assert found == expected, f"{name}: add it to _small_strain of tensormass/trade/knobs.py"
 
 
-def test_the_range_that_is_promised_is_the_laws() -> None:
+def test_promised_range_of_hooke_is_that_of_its_header() -> None:
     source = (Path(__file__).parents[2] / "server" / "physics" / "material" / "hooke.h").read_text()
     strain, rotation = (float(re.search(rf"kMax{of} = ([\d.]+)", source)[1]) for of in ("Strain", "Rotation"))  # type: ignore[index]
     assert f"strain {100 * strain:g} %, rotation {rotation:g} rad" in PROMISES["hooke"][0]
 
 
-def test_what_is_explained_of_a_start_has_happened_and_nothing_else_is() -> None:
+def test_every_exception_of_a_start_has_happened() -> None:
     rows = [row for backend in report.BACKENDS if (run := report.Run.read(backend)) for row in run.rows]
     happened = {(row.key, row.verdict.outcome) for row in rows}
     cases = [case for case in all_cases() if case.group.name == "start"]
     explained = {(case.key, outcome): why for case in cases for outcome, why in case.short.items()}
     assert explained.keys() <= happened
-    # An overshoot that smaller steps are said to mend, they do.
+    # If a reason says that small steps by Newton's method come back, they do.
     mended = [key for (key, _), why in explained.items() if why == cases_start._IN_SMALL_STEPS]
     by_newton = {
         key.replace(name, name + cases_start._NEWTON)
@@ -110,14 +112,63 @@ def test_what_is_explained_of_a_start_has_happened_and_nothing_else_is() -> None
     }
     found = {row.key: row.verdict.outcome for row in rows if row.key in by_newton}
     assert found == dict.fromkeys(by_newton, HOLDS)
-    # Of what is not in the table, a law that is held to it has to come back.
+    # A law that must come back has no exception outside the table.
     (case,) = (case for case in cases if case.key == "start/stretched to 10×/corotational/wedge")
     assert not case.explains(CAUGHT, "float")
     assert not case.explains(SHORT, "float")
 
 
-def test_the_page_says_what_is_left_out() -> None:
+def test_files_are_those_of_the_results() -> None:
+    runs = [run for backend in report.BACKENDS if (run := report.Run.read(backend))]
+    for path, text in report.files(runs).items():
+        assert path.read_text() == text, f"{path.name}: run `python -m stability.report` in tests/"
+    for run in runs:
+        assert report.unexplained_rows(run) == []
+
+
+def test_the_page_is_short_and_has_the_worst_rows() -> None:
+    runs = [run for backend in report.BACKENDS if (run := report.Run.read(backend))]
+    page = report.page(runs)
+    assert len(page.replace("|", " ").split()) <= 1100  # two screens; counts symbols, too
+    broken = report.exceptions(all_cases(), runs)
+    expects = {case.key: case.expects for case in all_cases()}
+    rows = [row for run in runs for row in run.rows]
+    assert sum(one.count.total() for one in broken) == sum(row.verdict.outcome not in expects[row.key] for row in rows)
+    assert [one.outcome for one in broken] == sorted((one.outcome for one in broken), key=[SHORT, CAUGHT].index)
+    for one in broken[: report.WORST]:
+        assert f"| {one.name} |" in page
+        assert one.reason in page
+
+
+def test_the_page_shows_what_is_not_explained(tmp_path: Path) -> None:
+    case = next(case for case in all_cases() if case.key == "step/1 s/corotational/hexahedron")
+    head = dict.fromkeys(("backend", "device", "machine", "commit", "command", "date"), "x")
+    run = report.Run(**head, seconds=1, rows=[report.Row(case.key, "float", Verdict(SHORT, 123.4, "off"))])
+    page = report.page([run])
+    assert "| step: 1 s | corotational | hexahedron | short | 123 | 1 | a |" in page
+    assert "* a: NOT EXPLAINED." in page
+    assert "No results of the cpu backend yet." in page
+    assert report.table([run]).splitlines()[1] == "step,1 s,corotational,hexahedron,,,short,123"
+
+
+def test_the_table_has_every_row_of_the_results() -> None:
+    runs = [run for backend in report.BACKENDS if (run := report.Run.read(backend))]
+    lines = list(csv.DictReader(io.StringIO(report.table(runs))))
+    for run in runs:
+        found = {
+            ("/".join((line["section"], line["case"], line["law"], line["shape"])), precision): line[
+                f"{run.backend} {precision}"
+            ]
+            for line in lines
+            for precision in ("double", "float")
+            if line[f"{run.backend} {precision}"]
+        }
+        assert found == {row.task: report._SHORT_NAMES[row.verdict.outcome] for row in run.rows}
+
+
+def test_the_results_readme_says_what_is_left_out() -> None:
     lines = report._left_out(all_cases())
+    assert all(line in report.explanation() for line in lines)
     assert "* Rest: hexahedron only" in lines
     assert "* Tools: tetrahedron, hexahedron only" in lines
     assert "* Free flight and spin: without quadratic tetrahedron" in lines
@@ -131,8 +182,8 @@ def test_keys_are_unique() -> None:
     assert len(keys) == len(set(keys))
 
 
-def test_a_number_that_is_none_does_not_hold() -> None:
-    group = Group("g", "G", "")
+def test_nan_does_not_hold() -> None:
+    group = Group("g", "G", "", "")
 
     def outcome(value: float, **reasons: str) -> tuple[str, bool]:
         case = Case(group, "n", "law", "shape", lambda engine: Found([Check("c", value, 1.0)]), short=reasons)
@@ -146,8 +197,8 @@ def test_a_number_that_is_none_does_not_hold() -> None:
     assert outcome(1.1, double="because") == (SHORT, False)
 
 
-def test_only_the_warning_that_names_what_went_wrong_counts() -> None:
-    group = Group("g", "G", "")
+def test_only_a_warning_that_names_the_cause_counts() -> None:
+    group = Group("g", "G", "", "")
 
     def outcome(*warnings: str) -> str:
         run = lambda engine: Found([Check("c", 2.0, 1.0)], warnings)  # noqa: E731
@@ -159,15 +210,15 @@ def test_only_the_warning_that_names_what_went_wrong_counts() -> None:
     assert outcome("steps take 2 s of a budget of 1 s", f"{INVERTED} (min det F -1)") == CAUGHT
 
 
-def test_the_warnings_that_are_looked_for_are_the_daemons() -> None:
+def test_expected_warnings_are_those_of_the_daemon() -> None:
     source = (Path(__file__).parents[2] / "server" / "world" / "findings.cpp").read_text()
-    said = re.sub(r'"\s*\n\s*"', "", source)  # a literal goes on in the next line
-    for named in (SOFTER, INVERTED, IMBALANCE, CURVATURE, OUT_OF_RANGE):
+    said = re.sub(r'"\s*\n\s*"', "", source)  # joins string literals of consecutive lines
+    for named in (SOFTER, INVERTED, NOT_CONVERGED, CURVATURE, OUT_OF_RANGE):
         assert named in said
 
 
 def test_a_reason_belongs_to_an_outcome() -> None:
-    case = Case(Group("g", "G", ""), "n", "law", "shape", lambda engine: Found([]), short={CAUGHT: "so"})
+    case = Case(Group("g", "G", "", ""), "n", "law", "shape", lambda engine: Found([]), short={CAUGHT: "so"})
     assert case.explains(CAUGHT, "float")
     assert not case.explains(SHORT, "float")
     assert not case.explains(BROKEN, "float")
@@ -177,7 +228,7 @@ def entry(key: str, outcome: str = HOLDS, share: float = 0.5) -> Entry:
     return Entry(report.Row(key, "float", Verdict(outcome, share, "said")), 1.5)
 
 
-def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+def test_a_journal_continues_after_a_stop(tmp_path: Path) -> None:
     path = tmp_path / "cpu.jsonl"
     head = dict.fromkeys(("backend", "device", "machine", "build", "cases"), "a")
     first = Journal(path, head)
@@ -185,10 +236,10 @@ def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
         first.add(one)
     first.close()
     with path.open("a") as file:
-        file.write('["c", "float", "hol')  # it was killed
+        file.write('["c", "float", "hol')  # a process that was killed
     again = Journal(path, {**head, "commit": "of later"})
     assert list(again.entries.values()) == [entry("a"), entry("b", SHORT, math.inf)]
-    assert "commit" not in again.head  # the rows are those of the first
+    assert "commit" not in again.head  # the rows belong to the first run
     again.add(entry("c"))
     again.close()
     assert len(journal.read(path)[1]) == 3
@@ -206,7 +257,7 @@ def test_a_journal_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert Journal(path, {**head, "cases": "changed"}).entries == {}
 
 
-def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
+def test_cases_run_in_parallel_until_the_limit(server: tm.Server) -> None:
     chosen = [case for case in all_cases() if case.key.startswith("input/pose")]
     wanted, entries = tasks_of(chosen), list[Entry]()
     run(wanted, backend="cpu", jobs=2, scenes=2, limit_s=600, take=entries.append, devices=("0", "1"))
@@ -216,8 +267,8 @@ def test_cases_run_side_by_side_until_the_limit(server: tm.Server) -> None:
     assert len(entries) == len(wanted)
 
 
-def test_what_breaks_is_run_again_alone(daemon: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # The first two daemons end at once: what they were to run breaks.
+def test_broken_rows_run_again_alone(daemon: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first two daemons end at once, so their rows break.
     stand_in = tmp_path / "tensormassd"
     stand_in.write_text(
         f'#!/bin/sh\ncd {tmp_path}\nmkdir a 2>/dev/null && exit 3\nmkdir b 2>/dev/null && exit 3\nexec {daemon} "$@"\n'
@@ -231,12 +282,12 @@ def test_what_breaks_is_run_again_alone(daemon: Path, tmp_path: Path, monkeypatc
     assert {of.row.verdict.outcome for of in entries} == {HOLDS}
 
 
-def test_a_device_that_fails_is_no_answer_of_the_scene() -> None:
+def test_a_device_failure_is_not_a_verdict_on_the_scene() -> None:
     def outcome(fault: Exception) -> str:
         def run(engine: Engine) -> Found:
             raise fault
 
-        return judge(Case(Group("g", "G", ""), "n", "law", "shape", run), Engine(None, "float")).outcome  # type: ignore[arg-type]
+        return judge(Case(Group("g", "G", "", ""), "n", "law", "shape", run), Engine(None, "float")).outcome  # type: ignore[arg-type]
 
     source = (Path(__file__).parents[2] / "server" / "world" / "runner.cpp").read_text()
     assert DEVICE_FAILED in source
@@ -245,7 +296,7 @@ def test_a_device_that_fails_is_no_answer_of_the_scene() -> None:
     assert outcome(tm.ResourceExhaustedError("CUDA: device memory")) == BROKEN
 
 
-def test_rows_of_one_run_are_one_threads() -> None:
+def test_rows_of_a_shared_run_stay_on_one_thread() -> None:
     cases = {case.key: case for case in all_cases()}
     bundles = bundles_of(tasks_of(list(cases.values())))
     assert sorted(task for bundle in bundles for task in bundle) == sorted(tasks_of(list(cases.values())))
@@ -259,7 +310,7 @@ def test_rows_of_one_run_are_one_threads() -> None:
     assert all(not cases[key].together for bundle in bundles if len(bundle) == 1 for key, _ in bundle)
 
 
-def test_a_shared_run_is_made_once_whatever_comes_of_it(server: tm.Server) -> None:
+def test_a_shared_run_happens_once_even_if_it_raises(server: tm.Server) -> None:
     runs: list[str] = []
 
     def run_once(engine: Engine) -> str:
@@ -276,7 +327,7 @@ def test_a_shared_run_is_made_once_whatever_comes_of_it(server: tm.Server) -> No
     assert runs == ["float", "double"]
 
 
-def test_what_broke_is_run_again() -> None:
+def test_broken_rows_of_a_journal_run_again() -> None:
     entries = {("a", "float"): entry("a"), ("b", "float"): entry("b", BROKEN)}
     assert journal.missing([("a", "float"), ("b", "float"), ("c", "float")], entries) == [
         ("b", "float"),
@@ -284,7 +335,7 @@ def test_what_broke_is_run_again() -> None:
     ]
 
 
-def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:
+def test_jobs_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     (tmp_path / "alone.py").write_text(
         "import multiprocessing, sys, threading\n"
         "from stability import run\n"
@@ -305,10 +356,10 @@ def test_jobs_end_with_the_run_however_it_ends(tmp_path: Path) -> None:
     assert parent.stdout is not None
     assert int(parent.stdout.readline()) > 0
     parent.kill()
-    parent.communicate(timeout=30)  # the job has the other end of it open while it lives
+    parent.communicate(timeout=30)  # returns when the job has ended and closed its end of the pipe
 
 
-def test_results_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_read_back_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "FOLDER", tmp_path)
     fault = "scene 'accuracy-7' is stopped: step 3 left its bounds: a node moved 2.5 m in it. 3 retries did not help"
     rows = [
@@ -327,14 +378,12 @@ def test_results_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pyte
     assert by_key.keys() == {(row.key, row.precision) for row in rows}
     assert by_key[rows[0].key, "double"] == rows[0].verdict
     assert by_key[rows[1].key, "double"] == rows[1].verdict
-    # Without what to do about it, which every fault says.
+    # The advice, which every fault repeats, is left out.
     assert by_key[rows[2].key, "float"].text == "step 3 left its bounds: a node moved 2.5 m in it"
     assert by_key[rows[3].key, "float"].text == "an imbalance of 0.5 (c 2, bound 1)"
 
 
-def test_a_reference_that_fails_is_not_the_scene_that_is_caught(
-    server: tm.Server, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_reference_does_not_count_as_caught(server: tm.Server, monkeypatch: pytest.MonkeyPatch) -> None:
     (case,) = (case for case in all_cases() if case.key == "step/1 s/corotational/hexahedron")
     assert judge(case, Engine(server, "double")).outcome == HOLDS
 
@@ -345,7 +394,7 @@ def test_a_reference_that_fails_is_not_the_scene_that_is_caught(
     assert judge(case, Engine(server, "double")).outcome == SHORT
 
 
-def test_results_that_are_written_again_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writing_results_again_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "FOLDER", tmp_path)
     text = "scene 'x' is stopped: far off. Give it less (distance 0.3, bound 0.01)"
     row = report.Row("jump/a/law/shape", "float", Verdict(CAUGHT, 26.3, text))
@@ -356,9 +405,7 @@ def test_results_that_are_written_again_stay_as_they_are(tmp_path: Path, monkeyp
     assert run.write().read_text() == written
 
 
-def test_rows_of_a_group_take_the_place_of_those_in_the_results(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_update_replaces_rows_and_notes_its_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "FOLDER", tmp_path)
     head = {"backend": "cpu", "device": "CPU", "commit": "new"}
     with pytest.raises(ValueError, match="no results"):

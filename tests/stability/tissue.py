@@ -1,4 +1,4 @@
-"""Any law as the tissue of a given Young's modulus and Poisson's ratio, and the scenes that the cases share."""
+"""A tissue of any law with given Young's modulus and Poisson's ratio, and what the cases share."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from accuracy.meshes import Floats, Mesh, box
 from accuracy.problem import DENSITY_KG_PER_M3, Problem, Support
 from tensormass.v1 import scene_pb2
 
-from .case import CURVATURE, FELT, IMBALANCE, INVERTED, OUT_OF_RANGE, SOFTER, Check
+from .case import CURVATURE, FELT, INVERTED, NOT_CONVERGED, OUT_OF_RANGE, SOFTER, Check
 
 CUBE_M = 0.1
 YOUNG_PA = 5000.0
 POISSON = 0.35
 GRAVITY_M_PER_S2 = 9.81
 REAL_TIME_DT_S = 1 / 60
-# What a law makes of compression, turning inside out and rotation (promises.py).
+# Laws by their answer to compression and inversion (promises.py).
 RECOVERS = ("corotational", "stable_neo_hookean")
 SOFTENS = ("st_venant_kirchhoff", "transversely_isotropic")
 
-# Of the outer iteration: an equilibrium that was not found is no answer of the law.
-NEWTON_SAYS = (IMBALANCE, CURVATURE)
+# Warnings of Newton's method. An equilibrium that was not found says nothing about the law.
+NEWTON_SAYS = (NOT_CONVERGED, CURVATURE)
 
 _OF_YOUNG_AND_POISSON = {
     "hooke": laws.hooke,
@@ -44,7 +44,7 @@ _Outcome = TypeVar("_Outcome")
 
 
 def tissue(law: str, young_modulus_pa: float = YOUNG_PA, poisson_ratio: float = POISSON) -> Law:
-    """The law whose small strain is Hooke's of these constants; fibres along x add 1.6 E."""
+    """A law that equals Hooke's law of these constants for small strain; fibres along x add 1.6 E."""
     if law in _OF_YOUNG_AND_POISSON:
         return _OF_YOUNG_AND_POISSON[law](young_modulus_pa, poisson_ratio)
     if law == "transversely_isotropic":
@@ -55,13 +55,13 @@ def tissue(law: str, young_modulus_pa: float = YOUNG_PA, poisson_ratio: float = 
         return laws.mooney_rivlin(shear_pa / 3, shear_pa / 6, bulk_pa)
     if law == "ogden":
         return laws.ogden(shear_pa / 6, 12, bulk_pa)
-    raise KeyError(f"{law} is none of {', '.join(LAWS)}; add it here")
+    raise KeyError(f"{law} is not one of {', '.join(LAWS)}; add it here")
 
 
 def law_says(law: str) -> tuple[str, ...]:
-    """The warnings by which a law says that it was asked for more than it promises."""
+    """The warnings that a law gives when it is used beyond its promise."""
     if law == "hooke":
-        return (OUT_OF_RANGE,)  # it does not notice an inversion, and comes back from one
+        return (OUT_OF_RANGE,)  # Hooke's law does not notice an inversion, and recovers from one
     return (SOFTER, INVERTED) if law in SOFTENS else (INVERTED,)
 
 
@@ -70,19 +70,19 @@ def cube(shape: str, cells: int = 2) -> Mesh:
 
 
 def clamped(mesh: Mesh) -> Support:
-    """Its side at x = 0 held."""
+    """Fixes the side at x = 0."""
     return Support(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
 
 
 def nodal_weight(mesh: Mesh, times: float = 1.0) -> Floats:
-    """The weight of a cube of CUBE_M, equally on all nodes, downwards: its work is exactly f · u in every shape."""
+    """The weight of a cube of CUBE_M as equal nodal forces [N] along −z, so that its work is exactly f · u."""
     forces = np.zeros(mesh.nodes.shape)
     forces[:, 2] = -times * DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2 * CUBE_M**3 / len(mesh.nodes)
     return forces
 
 
 def real_time(engine: Engine, problem: Problem, dt_s: float = REAL_TIME_DT_S) -> scene_pb2.Scene:
-    """The problem as a trainer runs it: implicit Euler linearized once, with the daemon's own tolerances."""
+    """The problem with a trainer's settings: implicit Euler linearized once, the daemon's default tolerances."""
     scene = engine.scene(problem, dt_s)
     precision = scene.solver.precision
     scene.solver.Clear()
@@ -91,7 +91,7 @@ def real_time(engine: Engine, problem: Problem, dt_s: float = REAL_TIME_DT_S) ->
 
 
 def side_by_side(scenes: Mapping[str, scene_pb2.Scene]) -> scene_pb2.Scene:
-    """One scene of the bodies of scenes that have one each and are alike otherwise, under these names."""
+    """Merges scenes of one body each. Bodies get the given names; all else comes from the first scene."""
     first, *_ = scenes.values()
     out = scene_pb2.Scene()
     out.CopyFrom(first)
@@ -104,7 +104,7 @@ def side_by_side(scenes: Mapping[str, scene_pb2.Scene]) -> scene_pb2.Scene:
 
 
 class Running:
-    """A loaded scene, every warning that its status gave, and those of its last status."""
+    """A loaded scene. warnings: of all its statuses. last_warnings: of the last one."""
 
     def __init__(self, handle: tm.SceneHandle) -> None:
         self.handle = handle
@@ -129,8 +129,9 @@ def running(engine: Engine, scene: scene_pb2.Scene) -> Iterator[Running]:
 
 
 class Shared(Generic[_Outcome]):
-    """A run that several cases look at (`Case.together`): made for the first of them, kept for the others, also what it
-    raised.
+    """A run that several cases check (`Case.together`). It runs once for each daemon and precision.
+
+    run: called with an engine; its result, or the exception that it raised, is kept for the other cases.
     """
 
     def __init__(self, run: Callable[[Engine], _Outcome]) -> None:
@@ -154,7 +155,7 @@ _equilibria: dict[str, State] = {}
 
 
 def equilibrium(engine: Engine, problem: Problem) -> State:
-    """By Newton's method in double precision: what a scene must come to rest at."""
+    """The equilibrium by Newton's method in double precision, cached by daemon and problem."""
     key = f"{engine.server.address} {problem.digest()}"
     if key not in _equilibria:
         _equilibria[key] = Engine(engine.server, "double").equilibrium(problem)
@@ -162,12 +163,12 @@ def equilibrium(engine: Engine, problem: Problem) -> State:
 
 
 def distance(ours: Floats, reference: Floats, label: str = "distance to the reference", bound: float = FELT) -> Check:
-    """The largest over the largest displacement of the reference."""
+    """Checks the largest difference, divided by the largest displacement of the reference."""
     return Check(label, float(np.abs(ours - reference).max() / np.abs(reference).max()), bound)
 
 
 def at_rest_again(found: State, mesh: Mesh, young_modulus_pa: float = YOUNG_PA) -> list[Check]:
-    """Every element has its volume and nothing is stored in any: the shape is that of rest, wherever the body is."""
+    """Checks that every element has its rest volume and that no energy is left. The body may be anywhere."""
     volume = float(np.prod(np.ptp(mesh.nodes, axis=0)))
     return [
         Check("|det F − 1|", float(np.abs(found.det_f - 1).max()), FELT),
@@ -183,7 +184,7 @@ def packed(values: Sequence[Sequence[float]] | Floats) -> bytes:
 def initial(
     scene: scene_pb2.Scene, displacement_m: Floats | None = None, velocity_m_per_s: Floats | None = None
 ) -> None:
-    """The state of the body that the scene starts with."""
+    """Sets the initial state of the scene's body. displacement_m, velocity_m_per_s: [node_count, 3]."""
     (body,) = [body for body in scene.bodies if body.name == BODY]
     if displacement_m is not None:
         body.initial_displacement_m = packed(displacement_m)
