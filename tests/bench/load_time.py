@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 import tensormass as tm
-from tensormass import meshes
+from tensormass._src import grids
 
 _CELLS, _SIZE_M = (236, 30, 24), (8.0, 1.0, 0.8)
 
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="append the line to this file, too")
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
-    mesh = meshes.grid(list(_CELLS), list(_SIZE_M))
+    mesh = grids.grid(list(_CELLS), list(_SIZE_M))
     scene = tm.Scene.from_mesh(
         mesh, name="million", gravity_m_per_s2=(0.0, -9.81, 0.0), fixed_nodes=mesh.nodes[:, 0] == 0.0
     )

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass import load_test
-from tensormass.cli import main
-from tensormass.errors import NotFoundError
-from tensormass.processes import ChildProcess, find_program
+from tensormass._src.errors import NotFoundError
+from tensormass._src.processes import ChildProcess, find_program
+from tensormass_tools import load_test
+from tensormass_tools.cli import main
 
 # A small beam under a probe: the test is of the clients, not of the solver. 250 steps a second, so that the
 # percentiles' window of 1024 steps is short.

@@ -7,9 +7,9 @@ import argparse
 import numpy as np
 import pytest
 
-from tensormass import load_report, load_test
-from tensormass.errors import InvalidArgumentError
+from tensormass._src.errors import InvalidArgumentError
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools import load_report, load_test
 
 
 def test_merged_histograms_have_the_percentiles_of_all_samples() -> None:

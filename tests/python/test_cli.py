@@ -21,11 +21,13 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, run
-from tensormass.cli import main, parse_length_m
-from tensormass.output import load_line, status_line, to_plain
-from tensormass.processes import ChildProcess, end_explained
+from tensormass._src import mesh_files, mesh_geometry, meshes
+from tensormass._src.plain import to_plain
+from tensormass._src.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass_tools import run
+from tensormass_tools.cli import main, parse_length_m
+from tensormass_tools.output import load_line, status_line
 
 STATUS = stream_pb2.SceneStatus(
     scene="demo",
@@ -392,7 +394,7 @@ def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> No
             os.kill(os.getpid(), signal.SIGTERM)  # a second one
             tidied.append(address)
 
-    monkeypatch.setattr("tensormass.cli.connect", connect)
+    monkeypatch.setattr("tensormass_tools.cli.connect", connect)
     before = signal.getsignal(signal.SIGTERM)
     assert main(["list", "--server", "a:1"]) == 143
     assert tidied == ["a:1"]
@@ -435,7 +437,7 @@ def test_a_daemon_of_ones_own_that_ended_is_said_with_its_log(tmp_path: Path) ->
 
 def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
-    surface = meshes.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
+    surface = mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
     source = tmp_path / "surface.ply"
     meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype(np.int32))]).write(source)
     output = tmp_path / "volume.msh"
@@ -444,7 +446,7 @@ def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.Capture
     assert report["volume"] == pytest.approx(8 / 3 * 0.05**3, rel=0.02)
     assert report["mean_edge_length"] == pytest.approx(0.04, rel=0.8)
     assert report["inverted_count"] == 0
-    assert meshes.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
+    assert mesh_geometry.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
 
 
 def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -453,4 +455,4 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
     mesh_files.write_mesh(source, inverted)
     assert main(["mesh", str(source), "-o", str(output)]) == 0
     assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in capsys.readouterr().out
-    np.testing.assert_allclose(meshes.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])

@@ -23,7 +23,7 @@ from conftest import Recorder
 from fake_daemon import FakeDaemon, fake_daemon, frame_of, triangle_topology
 
 import tensormass as tm
-from tensormass import processes
+from tensormass._src import processes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 DEADLINE_S = 10.0

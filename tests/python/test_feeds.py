@@ -10,8 +10,9 @@ import pytest
 from asynchronous import asynchronous
 from fake_daemon import frame_of, triangle_topology
 
-from tensormass.feeds import Feed, Outbox, Stream, Watcher
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_gateway.feed import Feed
+from tensormass_gateway.outbox import Outbox, Stream, Watcher
 
 
 class Control:

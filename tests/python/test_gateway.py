@@ -21,9 +21,10 @@ from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
-from tensormass.feeds import Stream
-from tensormass.gateway import Gateway, GatewayOptions, add_arguments, options_from, serve
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.gateway import Gateway, serve
+from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
+from tensormass_gateway.outbox import Stream
 
 # --- what is forwarded -----------------------------------------------------------------------------------------------
 
@@ -300,7 +301,7 @@ async def test_browser_that_breaks_the_protocol_is_closed(
 
 @asynchronous
 async def test_browser_that_answers_no_ping_is_let_go(viewer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tensormass.gateway.HEARTBEAT_S", 1.0)
+    monkeypatch.setattr("tensormass_gateway.gateway.HEARTBEAT_S", 1.0)
     async with (
         fake_daemon() as daemon,
         serve(options(viewer, daemon.control)) as gateway,

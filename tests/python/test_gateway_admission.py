@@ -14,7 +14,8 @@ from fake_daemon import fake_daemon
 from gateway_parts import TOKEN, browse, options, origin
 from yarl import URL
 
-from tensormass.gateway import Gateway, add_arguments, serve
+from tensormass_gateway.gateway import Gateway, serve
+from tensormass_gateway.options import add_arguments
 
 
 @asynchronous

@@ -18,10 +18,11 @@ import pytest
 from conftest import full_disk
 
 import tensormass as tm
-from tensormass import load_report, load_test, load_viewer, processes
-from tensormass.cli import main
-from tensormass.meshes import FloatArray
+from tensormass._src import processes
+from tensormass._src.meshes import FloatArray
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_tools import load_report, load_test, load_viewer
+from tensormass_tools.cli import main
 
 BLOCK = """
 name: block

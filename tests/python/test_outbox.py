@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from asynchronous import asynchronous
 
-from tensormass.feeds import Outbox, ProtocolError, Stream
+from tensormass_gateway.outbox import Outbox, ProtocolError, Stream
 
 
 @asynchronous

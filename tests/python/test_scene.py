@@ -12,9 +12,10 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import defaults, demo, mesh_files, meshes
-from tensormass.names import as_name
-from tensormass.scene import SceneFile, pack_mesh, unpack_mesh, volume_mesh
+from tensormass._src import defaults, demo, mesh_files, meshes
+from tensormass._src.names import as_name
+from tensormass._src.packing import pack_mesh, unpack_mesh, volume_mesh
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)

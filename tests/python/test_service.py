@@ -23,13 +23,13 @@ import zmq
 from test_mesh_files import shared_mesh
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, processes
-from tensormass.fields import FIELD_NAMES
-from tensormass.output import state_name
-from tensormass.scene import pack_mesh
-from tensormass.shapes import SHAPES
-from tensormass.streams import Transport, stream_key
+from tensormass._src import mesh_files, mesh_geometry, meshes, processes, tetwild
+from tensormass._src.fields import FIELD_NAMES
+from tensormass._src.packing import pack_mesh
+from tensormass._src.shapes import SHAPES
+from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools.output import state_name
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -160,7 +160,7 @@ def test_surface_is_the_meshs_boundary_at_its_nodes(load: Callable[..., tm.Scene
 def test_a_skin_is_seen_instead_and_carried_along(load: Callable[..., tm.SceneHandle]) -> None:
     nodes = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     mesh = meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]])
-    shell = meshes.boundary(mesh)
+    shell = mesh_geometry.boundary(mesh)
     centre = nodes.mean(axis=0)
     skin = meshes.TriangleSurface(centre + 0.8 * (shell.vertices - centre), shell.triangles)
     scene = tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -9.81), skin=skin)
@@ -254,7 +254,7 @@ def test_a_scene_file_of_the_shared_liver_scales_mesh_and_skin(
 
 def test_the_shared_liver_surface_becomes_a_volume_that_steps(load: Callable[..., tm.SceneHandle]) -> None:
     surface = mesh_files.read_surface(shared_mesh("liver-smooth.obj"))
-    volume = meshes.tetrahedralize(meshes.TriangleSurface(0.03 * surface.vertices, surface.triangles), 0.03)
+    volume = tetwild.tetrahedralize(meshes.TriangleSurface(0.03 * surface.vertices, surface.triangles), 0.03)
     handle = load(tm.Scene.from_mesh(volume, gravity_m_per_s2=(0, 0, -9.81)), lockstep=True)
     status = handle.step(10)
     assert (status.fault, status.step) == ("", 10)

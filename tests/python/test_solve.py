@@ -15,11 +15,11 @@ from conftest import Recorder, full_disk
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, processes
-from tensormass.cli import main
-from tensormass.fields import FIELD_NAMES, NODE_FIELDS
-from tensormass.output import Warnings
+from tensormass._src import grids, mesh_files, mesh_repair, meshes, processes
+from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_tools.cli import main
+from tensormass_tools.output import Warnings
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -101,7 +101,7 @@ def test_the_file_holds_every_field_on_the_mesh_at_rest(solve: Callable[..., Sol
     solved = solve(text)
     assert solved.status == 0
     vtu = solved.vtu
-    grid = meshes.grid([20, 2, 2], [1.0, 0.1, 0.1], shape="hexahedron")
+    grid = grids.grid([20, 2, 2], [1.0, 0.1, 0.1], shape="hexahedron")
     np.testing.assert_allclose(vtu.points, grid.nodes, atol=1e-12)
     np.testing.assert_array_equal(vtu.cells[0].data, grid.blocks[0].nodes)
     assert set(vtu.point_data) == set(NODE_FIELDS)
@@ -133,7 +133,7 @@ def test_only_the_fields_asked_for_are_written(solve: Callable[..., Solved]) -> 
 
 
 def test_a_bar_is_twisted_in_as_many_steps_as_its_schedule_takes(solve: Callable[..., Solved], tmp_path: Path) -> None:
-    grid = meshes.grid([8, 4, 4], [0.4, 0.1, 0.1], shape="hexahedron", origin_m=[0.0, -0.05, -0.05])
+    grid = grids.grid([8, 4, 4], [0.4, 0.1, 0.1], shape="hexahedron", origin_m=[0.0, -0.05, -0.05])
     angle = np.pi / 3
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
     prescribed = []
@@ -183,7 +183,7 @@ def test_a_mixed_mesh_is_stretched_evenly(solve: Callable[..., Solved]) -> None:
     box = mixed_mesh()
     kept = np.ones(box.element_count, bool)
     kept[-2:] = False  # the bar without what stands on its end
-    bar = meshes.compact(box, kept)
+    bar = mesh_repair.compact(box, kept)
     walls = {"wall": bar.nodes[:, 0] == 0, "tip": bar.nodes[:, 0] == 3}
     walls |= {"low_y": bar.nodes[:, 1] == 0, "low_z": bar.nodes[:, 2] == 0}
     bar = meshes.VolumeMesh.from_arrays(bar.nodes, [(s.name, e) for s, e in bar.blocks], sets=walls)
@@ -216,7 +216,7 @@ def test_a_mixed_mesh_is_stretched_evenly(solve: Callable[..., Solved]) -> None:
 
 
 def test_every_element_has_its_own_stiffness(solve: Callable[..., Solved]) -> None:
-    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape="hexahedron")
+    grid = grids.grid([2, 1, 1], [2.0, 1.0, 1.0], shape="hexahedron")
     mesh = meshes.VolumeMesh.from_arrays(
         grid.nodes,
         [("hexahedron", grid.blocks[0].nodes)],
@@ -303,7 +303,7 @@ def test_a_scene_of_the_same_name_in_the_daemon_is_another_and_stays(server: tm.
 def test_what_does_not_come_to_rest_is_written_and_said(
     solve: Callable[..., Solved], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tensormass.solve._REST_LIMIT_S", 1.0)
+    monkeypatch.setattr("tensormass_tools.solve._REST_LIMIT_S", 1.0)
     text = "\nname: falling\nbodies:\n  - name: b\n    mesh: {grid: {size_m: {x: 1, y: 1, z: 1}, "
     text += "cells_x: 1, cells_y: 1, cells_z: 1}}\n    law: {hooke: {young_modulus_pa: 1000, poisson_ratio: 0.3}}\n"
     text += "    density_kg_per_m3: 1000\ngravity_m_per_s2: {z: -1}\nstepping: {dt_s: 0.1}\n"

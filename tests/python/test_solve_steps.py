@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass.solve import _Solution, _vector
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools.solve import _Solution, _vector
 
 DT_S = 0.1
 

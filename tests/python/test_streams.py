@@ -15,14 +15,10 @@ import zenoh
 import zmq
 
 import tensormass as tm
-from tensormass.streams import (
-    DataPlane,
-    PoseSequence,
-    Transport,
-    reached_endpoint,
-    reached_endpoints,
-    stream_key,
-)
+from tensormass._src.data_plane import DataPlane
+from tensormass._src.endpoints import reached_endpoint, reached_endpoints
+from tensormass._src.poses import PoseSequence
+from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
@@ -146,7 +142,7 @@ class Scripted:
 
 def test_garbage_takes_none_of_the_time_that_is_left(plane: DataPlane) -> None:
     source = Scripted([b"\xff"] * 20 + [stream_pb2.Frame(step=7).SerializeToString()])
-    frames = tm.Subscription(plane, source, "key", stream_pb2.Frame)  # type: ignore[arg-type]
+    frames = tm.Subscription(plane.check_open, source, "key", stream_pb2.Frame)  # type: ignore[arg-type]
     assert frames.receive(DEADLINE_S).step == 7
     assert frames.malformed_count == 20
 

@@ -17,17 +17,19 @@ from conftest import full_disk
 from trade_parts import BLOCK, COSTS, MACHINE, knobs_of, measurement
 
 import tensormass as tm
-from tensormass import meshes, presets
-from tensormass.meshes import FloatArray
-from tensormass.scene import SceneFile
-from tensormass.shapes import SHAPES
-from tensormass.trade import sweep
-from tensormass.trade.interpolation import Interpolation
-from tensormass.trade.knobs import Knobs, Setting
-from tensormass.trade.measures import Errors, compare, oscillation, richardson
-from tensormass.trade.script import Recording, Script
-from tensormass.trade.store import Measurement, Store, _host, key_of
+from tensormass._src import grids, meshes
+from tensormass._src.meshes import FloatArray
+from tensormass._src.scene_file import SceneFile
+from tensormass._src.shapes import SHAPES
 from tensormass.v1 import scene_pb2
+from tensormass_tools import presets
+from tensormass_tools.trade import sweep
+from tensormass_tools.trade.interpolation import Interpolation
+from tensormass_tools.trade.knobs import Knobs, Setting
+from tensormass_tools.trade.measures import Errors, compare, oscillation, richardson
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Measurement, Store, _host, key_of
 
 # --- knobs ------------------------------------------------------------------------------------------------------------
 
@@ -36,7 +38,7 @@ def test_a_grid_has_every_knob_and_the_scene_stays_as_it_is(tmp_path: Path) -> N
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.knobs.keys() >= {"resolution", "shape", "quadrature", "law", "dt_s", "integrator", "precision"}
     assert knobs.without.keys() >= {"preconditioner", "contact", "stream codec"}
-    changed = knobs.apply({"resolution": 0.5, "law": "hencky", "dt_s": 0.01, "cg_tolerance": 0.1}).scene().message
+    changed = knobs.apply({"resolution": 0.5, "law": "hencky", "dt_s": 0.01, "cg_tolerance": 0.1}).message()
     grid = changed.bodies[0].mesh.grid
     assert (grid.cells_x, grid.cells_y, grid.cells_z) == (2, 2, 2)
     assert changed.bodies[0].law.hencky.young_modulus_pa == 5000
@@ -56,13 +58,13 @@ def test_a_grid_has_every_knob_and_the_scene_stays_as_it_is(tmp_path: Path) -> N
 def test_laws_are_exchanged_by_their_stiffness_for_small_strains(tmp_path: Path, own: str) -> None:
     # μ = 1500 Pa, K = 5000 Pa -> E = 9 K μ / (3 K + μ).
     text = BLOCK.replace("neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}", own)
-    law = knobs_of(text, tmp_path).apply({"law": "hooke"}).scene().message.bodies[0].law.hooke
+    law = knobs_of(text, tmp_path).apply({"law": "hooke"}).message().bodies[0].law.hooke
     assert law.young_modulus_pa == pytest.approx(9 * 5000 * 1500 / (15000 + 1500))
     assert law.poisson_ratio == pytest.approx((15000 - 3000) / (2 * (15000 + 1500)))
 
 
 def test_what_cannot_be_chosen_says_why(tmp_path: Path) -> None:
-    meshes_of = meshes.grid([1, 1, 1], [1, 1, 1])
+    meshes_of = grids.grid([1, 1, 1], [1, 1, 1])
     tm.write_mesh(tmp_path / "a.msh", meshes_of)
     text = BLOCK.replace(
         "grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 4, cells_y: 4, cells_z: 3, shape: hexahedron}",
@@ -97,12 +99,12 @@ def test_numbers_that_yaml_takes_for_text_are_numbers(tmp_path: Path) -> None:
     text += 'stepping: {dt_s: 1e-2, rate_hz: "1e2"}\n'
     text = text.replace("radius_m: 0.01}", 'radius_m: 0.01}, max_speed_m_per_s: "Infinity"')
     knobs = knobs_of(text, tmp_path)
-    assert knobs.message == SceneFile.parse(text, tmp_path, "scene.yaml").scene().message
+    assert knobs.message == SceneFile.parse(text, tmp_path, "scene.yaml").message()
     changed = knobs.apply({"resolution": 2.0, "dt_s": 0.02})
-    grid = changed.scene().message.bodies[0].mesh.grid
+    grid = changed.message().bodies[0].mesh.grid
     assert (grid.cells_x, grid.cells_y) == (8, 8)
     assert changed.fields["stepping"] == {"dt_s": 0.02, "rate_hz": 50.0}
-    assert changed.scene().message.tools == knobs.message.tools
+    assert changed.message().tools == knobs.message.tools
     knobs.write({}, tmp_path / "same.yaml", "")
     assert tm.Scene.from_file(tmp_path / "same.yaml").message == knobs.message
 
@@ -112,7 +114,7 @@ def test_bodies_that_share_a_mesh_by_an_alias_are_refined_once(tmp_path: Path) -
     first = body.replace("mesh: {", "mesh: &mesh {")
     mesh = first[first.index("&mesh") : first.index("\n    law")]
     second = first.replace(mesh, "*mesh").replace("name: block", "name: second")
-    changed = knobs_of(head + first + second + tail, tmp_path).apply({"resolution": 2.0}).scene().message
+    changed = knobs_of(head + first + second + tail, tmp_path).apply({"resolution": 2.0}).message()
     assert [of.mesh.grid.cells_x for of in changed.bodies] == [8, 8]
 
 
@@ -122,7 +124,7 @@ def test_settings_of_no_effect_are_left_out(tmp_path: Path) -> None:
     assert knobs.canonical({"quadrature": "full", "shape": "tetrahedron"}) == {"shape": "tetrahedron"}
     still = {"integrator": "quasi_static"}
     assert knobs.canonical({**still, "mass": "consistent"}) == still
-    tetrahedra = knobs.apply({"shape": "tetrahedron"}).scene().message.bodies[0]
+    tetrahedra = knobs.apply({"shape": "tetrahedron"}).message().bodies[0]
     assert tetrahedra.quadrature == scene_pb2.QUADRATURE_UNSPECIFIED
 
 
@@ -142,7 +144,7 @@ def test_a_written_scene_runs_as_it_is_and_keeps_what_its_author_said(tmp_path: 
 
 
 def test_a_written_scene_finds_the_meshes_of_the_user(tmp_path: Path) -> None:
-    tm.write_mesh(tmp_path / "a.msh", meshes.grid([1, 1, 1], [1, 1, 1]))
+    tm.write_mesh(tmp_path / "a.msh", grids.grid([1, 1, 1], [1, 1, 1]))
     text = BLOCK[: BLOCK.index("grid:")] + "file: a.msh}" + BLOCK[BLOCK.index("}}\n    law") + 2 :]
     knobs = knobs_of(text, tmp_path)
     (tmp_path / "out").mkdir()
@@ -157,7 +159,7 @@ def test_a_written_scene_finds_the_meshes_of_the_user(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_linear_fields_are_taken_exactly(shape: str) -> None:
     random = np.random.default_rng(1)
-    mesh = meshes.grid([5, 3, 2], [0.1, 0.02, 0.03], shape=shape, origin_m=[-0.05, 0, 1])
+    mesh = grids.grid([5, 3, 2], [0.1, 0.02, 0.03], shape=shape, origin_m=[-0.05, 0, 1])
     points = np.array([-0.05, 0, 1]) + random.random((200, 3)) * [0.1, 0.02, 0.03]
     matrix = random.random((3, 3))
     taken = Interpolation(mesh, points)
@@ -169,7 +171,7 @@ def test_linear_fields_are_taken_exactly(shape: str) -> None:
 
 
 def test_points_are_found_in_the_block_of_their_element() -> None:
-    left, right = (meshes.grid([2, 2, 2], [1, 1, 1], shape=shape, origin_m=[x, 0, 0]) for shape, x in MIXED)
+    left, right = (grids.grid([2, 2, 2], [1, 1, 1], shape=shape, origin_m=[x, 0, 0]) for shape, x in MIXED)
     nodes = np.concatenate([left.nodes, right.nodes])
     blocks = [(left.blocks[0].shape.name, left.blocks[0].nodes)]
     blocks.append((right.blocks[0].shape.name, right.blocks[0].nodes + np.uint32(len(left.nodes))))
@@ -184,7 +186,7 @@ MIXED = (("hexahedron", 0.0), ("tetrahedron", 1.0))
 
 
 def test_points_outside_are_extrapolated_and_counted() -> None:
-    mesh = meshes.grid([2, 2, 2], [1, 1, 1])
+    mesh = grids.grid([2, 2, 2], [1, 1, 1])
     points = np.array([[0.5, 0.5, 0.5], [1.05, 0.5, 0.5], [0.5, 3.0, 0.5]])
     taken = Interpolation(mesh, points)
     assert taken.outside_count == 2

@@ -16,14 +16,14 @@ import pytest
 from trade_parts import BLOCK, COSTS, MACHINE, Formula, knobs_of, measurement
 
 import tensormass as tm
-from tensormass.cli import main
-from tensormass.scene import SceneFile
-from tensormass.trade import command, reference, report
-from tensormass.trade.command import parse_share, parse_time_s
-from tensormass.trade.measures import Errors
-from tensormass.trade.script import Script
-from tensormass.trade.store import Machine
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
+from tensormass_tools.cli import main
+from tensormass_tools.trade import command, reference, report, session
+from tensormass_tools.trade.arguments import parse_share, parse_time_s
+from tensormass_tools.trade.measures import Errors
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Machine
 
 
 def test_times_and_shares() -> None:
@@ -72,7 +72,7 @@ def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, broken_law: str = ""
     scene = knobs_of(BLOCK, folder).message
     formula = Formula(scene, Script.of(scene, None), broken_law)
     monkeypatch.setattr(command, "launch", lambda **_: contextlib.nullcontext(FakeServer()))
-    monkeypatch.setattr(command, "Recorder", lambda *_: formula)
+    monkeypatch.setattr(session, "Recorder", lambda *_: formula)
     monkeypatch.setattr(Machine, "of", lambda *_: MACHINE)
     return formula
 
@@ -118,7 +118,7 @@ def test_a_run_is_resumed_and_reported(
     assert "<another>" not in page
     assert "http" not in page  # nothing is fetched
     ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
-    fastest = SceneFile.read(out / "fastest.yaml").scene().message
+    fastest = SceneFile.read(out / "fastest.yaml").message()
     assert fastest.tools == knobs_of(BLOCK, tmp_path).message.tools
     (tmp_path / "mine.yaml").write_text(BLOCK.replace("cells_x: 4", "cells_x: 2"))
     assert main([*run[:-1], "--tolerance", "0.0001%", "--confirm", str(tmp_path / "mine.yaml")]) == 1
@@ -209,7 +209,7 @@ def second_runs(
 
 
 def dt_of(file: Path) -> float:
-    return SceneFile.read(file).scene().message.stepping.dt_s
+    return SceneFile.read(file).message().stepping.dt_s
 
 
 def test_a_setting_that_leaves_the_budget_makes_room_for_the_next(

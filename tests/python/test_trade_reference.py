@@ -10,10 +10,11 @@ import pytest
 from trade_parts import BLOCK, MACHINE, Formula, knobs_of
 
 import tensormass as tm
-from tensormass.trade import reference
-from tensormass.trade.script import Recording, Script
-from tensormass.trade.store import Store
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade import reference
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Store
 
 
 def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:

@@ -13,14 +13,17 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass.fields import Fields
-from tensormass.meshes import FloatArray, signed_volumes
-from tensormass.scene import SceneFile, volume_mesh
-from tensormass.trade import energy
-from tensormass.trade import script as script_module
-from tensormass.trade.energy import EnergyMeter
-from tensormass.trade.script import Recorder, Script, check_same_scene, node_volumes, rest_nodes
+from tensormass._src.fields import Fields
+from tensormass._src.mesh_geometry import signed_volumes
+from tensormass._src.meshes import FloatArray
+from tensormass._src.packing import volume_mesh
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass_tools.trade import energy
+from tensormass_tools.trade import recorder as recorder_module
+from tensormass_tools.trade.energy import EnergyMeter
+from tensormass_tools.trade.recorder import Recorder, node_volumes
+from tensormass_tools.trade.script import Script, check_same_scene, rest_nodes
 
 SCENE = """
 name: block
@@ -120,7 +123,7 @@ class FormulaScene:
 
 
 def scene_of(text: str = SCENE) -> scene_pb2.Scene:
-    return SceneFile.parse(text, Path(), "scene").scene().message
+    return SceneFile.parse(text, Path(), "scene").message()
 
 
 def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None):  # noqa: ANN201
@@ -277,7 +280,7 @@ class Meter(EnergyMeter):
         self._server = server
         self.watts = 100.0
         monkeypatch.setattr(energy, "time", types.SimpleNamespace(monotonic=lambda: server.loaded[0].busy_s))
-        monkeypatch.setattr(script_module, "EnergyMeter", lambda wanted: self)
+        monkeypatch.setattr(recorder_module, "EnergyMeter", lambda wanted: self)
 
     @property
     def readable(self) -> bool:

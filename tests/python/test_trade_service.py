@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass import processes
-from tensormass.cli import main
-from tensormass.trade.store import Machine
+from tensormass._src import processes
+from tensormass_tools.cli import main
+from tensormass_tools.trade.store import Machine
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 import tensormass as tm
-from tensormass.scene import SceneFile
-from tensormass.trade.knobs import Knobs, Setting
-from tensormass.trade.measures import Errors
-from tensormass.trade.script import Costs, Recording, Script
-from tensormass.trade.store import Machine, Measurement
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade.knobs import Knobs, Setting
+from tensormass_tools.trade.measures import Errors
+from tensormass_tools.trade.recording import Costs, Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Machine, Measurement
 
 BLOCK = """
 name: block

@@ -1,0 +1,72 @@
+"""Starts a daemon for this process and waits until it answers."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tensormass._src import errors
+from tensormass._src.processes import ChildProcess, find_program
+from tensormass._src.server import Server
+
+
+def launch(
+    *,
+    backend: str = "auto",
+    cpu_threads: int | None = None,
+    gpu_scenes: int | None = None,
+    control: str = "127.0.0.1:0",
+    zenoh: bool = True,
+    options: Sequence[str] = (),
+    timeout_s: float = 20.0,
+) -> Server:
+    """Starts a daemon of your own on free loopback ports; it ends with the `Server`, or with this process.
+
+    Args:
+        backend: "auto", "cpu" or "cuda".
+        cpu_threads: threads of each scene that does not say; None leaves it to the daemon.
+        gpu_scenes: scenes that are to keep their rates on one GPU at the same time; None: each is to be as fast as it
+            can be alone.
+        control: host:port to be controlled on; port 0: a free one. A named one lets clients find a daemon again.
+        zenoh: whether the streams are offered over zenoh too.
+        options: further flags of `tensormassd`.
+
+    Raises:
+        NotFoundError: `tensormassd` is not built (looked up in $TENSORMASSD, the checkout's build/bin, PATH).
+        UnavailableError: it ended or was not ready in time; the message holds the end of its log.
+    """
+    program = find_program("tensormassd", "TENSORMASSD")
+    with contextlib.ExitStack() as undo:
+        folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-")))
+        ready_file, log_file = folder / "ready.json", folder / "tensormassd.log"
+        args: list[str | Path] = [program, "--backend", backend, "--control", control]
+        args += ["--zeromq-publish", "tcp://127.0.0.1:*", "--zeromq-pose", "tcp://127.0.0.1:*"]
+        args += ["--zenoh-listen", "tcp/127.0.0.1:0" if zenoh else "off", "--ready-file", ready_file]
+        if cpu_threads is not None:
+            args += ["--cpu-threads", str(cpu_threads)]
+        if gpu_scenes is not None:
+            args += ["--gpu-scenes", str(gpu_scenes)]
+        with log_file.open("wb") as log:
+            process = ChildProcess([*args, *options], output=log)
+        undo.callback(process.stop)
+        address = _wait_until_ready(process, ready_file, log_file, timeout_s)
+        server = Server(address, timeout_s=timeout_s, process=process, log_file=log_file)
+        server.at_close(undo.pop_all())
+        return server
+
+
+def _wait_until_ready(process: ChildProcess, ready_file: Path, log_file: Path, timeout_s: float) -> str:
+    deadline = time.monotonic() + timeout_s
+    while True:
+        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # not there, or half written
+            return str(json.loads(ready_file.read_text())["control"])
+        ended = not process.running
+        if ended or time.monotonic() > deadline:
+            tail = "\n".join(log_file.read_text(errors="replace").splitlines()[-15:])
+            what = f"ended with status {process.process.poll()}" if ended else f"was not ready in {timeout_s:g} s"
+            raise errors.UnavailableError(f"tensormassd {what}; its log ends:\n{tail}")
+        time.sleep(0.005)

@@ -1,0 +1,99 @@
+"""Scene files: YAML, one to one by field name with the protobuf `Scene`.
+
+Mesh and skin files are read here, because the daemon reads none: they become packed arrays in the message.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+from google.protobuf import json_format
+from google.protobuf.descriptor import Descriptor
+
+from tensormass._src import demo, mesh_files
+from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
+from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
+from tensormass._src.scene_fields import checked_fields
+from tensormass._src.strict_yaml import StrictLoader
+from tensormass.v1 import scene_pb2
+
+_YAML_ENDINGS = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene as its file has it: fields by name, before meshes are read."""
+
+    fields: dict[str, Any]
+    #: Mesh files are relative to it.
+    directory: Path
+    #: For messages.
+    where: str
+    #: The name of the built-in scene that this is; None: somebody's own.
+    builtin: str | None = None
+
+    @staticmethod
+    def read(path: str | Path) -> SceneFile:
+        """Reads a scene file or a built-in scene. Raises as `Scene.from_file`."""
+        directory: Path | None = None
+        builtin: str | None = None
+        if not Path(path).exists() and (found := demo.builtin_scene(str(path))) is not None:
+            builtin = str(path)
+            path, directory = found
+        path = Path(path)
+        try:
+            text = path.read_text("utf-8")
+        except FileNotFoundError:
+            raise NotFoundError(
+                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())})"
+            ) from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
+        return replace(SceneFile.parse(text, directory or path.parent, str(path)), builtin=builtin)
+
+    @staticmethod
+    def parse(text: str, directory: Path, where: str) -> SceneFile:
+        """As `read`, of a text."""
+        try:
+            # A SafeLoader: nothing in the text is run.
+            content = yaml.load(text, Loader=StrictLoader)
+        except yaml.YAMLError as error:
+            raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
+        except RecursionError:
+            raise InvalidArgumentError(f"{where}: not valid YAML: nested too deep") from None
+        if not isinstance(content, dict):
+            raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
+        return SceneFile(content, directory, where)
+
+    def message(self) -> scene_pb2.Scene:
+        """Checks the fields and reads the meshes."""
+        message = scene_pb2.Scene()
+        fields = checked_fields(self.fields, cast(Descriptor, message.DESCRIPTOR), self.where, "")
+        try:
+            json_format.ParseDict(fields, message, max_recursion_depth=20)
+        except json_format.ParseError as error:
+            raise InvalidArgumentError(f"{self.where}: {error}") from error
+        _resolve_files(message, self.directory, self.where)
+        return message
+
+
+def is_mesh_file(path: str | Path) -> bool:
+    """Whether a name says of itself that it is a bare mesh and no scene."""
+    suffix = Path(path).suffix.lower()
+    return suffix != "" and suffix not in _YAML_ENDINGS
+
+
+def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
+    for index, body in enumerate(scene.bodies):
+        at = f"{where}: bodies[{index}]"
+        with naming(f"{at}.mesh.file"):
+            if body.mesh.WhichOneof("source") == "file":
+                mesh = mesh_files.read_mesh(directory / body.mesh.file)
+                body.mesh.packed.CopyFrom(pack_mesh(mesh))
+                add_what_the_mesh_carries(body, mesh, f"{at}.sets")
+        with naming(f"{at}.skin.file"):
+            if body.skin.WhichOneof("source") == "file":
+                body.skin.packed.CopyFrom(pack_triangles(mesh_files.read_surface(directory / body.skin.file)))
