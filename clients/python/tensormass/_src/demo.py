@@ -18,7 +18,7 @@ from tensormass._src.organ import ORGANS
 from tensormass._src.processes import BUILD_BIN
 
 _PACKAGE = Path(__file__).resolve().parent
-_TEMPLATES = _PACKAGE / "scenes"
+_TEMPLATES = _PACKAGE.parent / "scenes"
 _SOURCES = ("organ.py", "isosurface.py", "meshes.py", "mesh_geometry.py", "mesh_files.py", "shapes.py")
 
 
