@@ -73,6 +73,15 @@ def test_each_package_imports_only_from_the_layers_before_it() -> None:
         assert name == COMMAND or not wrong, f"{name} imports {wrong}"
 
 
+def test_no_module_imports_one_that_is_not_there() -> None:
+    # Python itself may not notice: an editable installation of another checkout finds modules that this one has lost.
+    code = modules()
+    tests = {file: ast.parse(file.read_text("utf-8")) for file in sorted((ROOT / "tests").rglob("*.py"))}
+    for name, of in [*code.items(), *tests.items()]:
+        ours = {to for to in imported(of, set(code)) if to.partition(".")[0] in LAYERS}
+        assert {to for to in ours if not to.startswith("tensormass.v1")} <= set(code), name
+
+
 def test_importing_the_sdk_loads_neither_gateway_nor_tools() -> None:
     check = "import sys, tensormass; print([m for m in sys.modules if m.startswith(('tensormass_', 'aiohttp'))])"
     ran = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True, cwd=CODE)

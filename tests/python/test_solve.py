@@ -352,7 +352,7 @@ def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: 
 def test_the_limits_of_a_preset_are_no_failure_and_said(
     solve: Callable[..., Solved], preset: str, limit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tensormass.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
+    monkeypatch.setattr("tensormass_tools.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
     solved = solve("beam", "--steps", "2", "--preset", preset)
     assert (solved.status, solved.said["unconverged_steps"]) == (0, 2)
     (warning,) = (text for text in solved.said["warnings"] if "did not converge" in text)
