@@ -266,7 +266,7 @@ def test_closing_does_not_wait_for_a_server_that_never_comes(bus: Bus) -> None:
 def test_a_process_ends_that_closed_nothing(bus: Bus, transport: Transport) -> None:
     program = (
         "import sys\n"
-        "from tensormass.streams import DataPlane\n"
+        "from tensormass._src.data_plane import DataPlane\n"
         "from tensormass.v1 import control_pb2, stream_pb2\n"
         "version, transport = bytes.fromhex(sys.argv[1]), sys.argv[2]\n"
         "plane = DataPlane(control_pb2.GetVersionResponse.FromString(version))\n"
