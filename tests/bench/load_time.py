@@ -4,10 +4,10 @@
     python tests/bench/load_time.py --elements 2000000 --element-fields young_modulus_pa,poisson_ratio \\
         --daemon before=OLD/bin/tensormassd --daemon after=build/bin/tensormassd --repeats 5
 
-A daemon of its own is sent the mesh, packed, as a client sends it; prints a line of JSON for each load. Times are the
-client's, on the machine of the daemon: from the call to the answer, and to the end of the first step. With several
---daemon, and with and without element fields, all take turns, so that a machine that is slower for a while is slower for
-all of them.
+Each load has a daemon of its own, which is sent the packed mesh as a client sends it. The program prints a line of JSON
+for each load. Times are the client's, on the machine of the daemon: from the call to the answer, and to the end of the
+first step. Several --daemon, and scenes with and without element fields, take turns: if the machine is slower for a
+while, it is slower for all of them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 import tensormass as tm
 
-_SIZE_M = (8.0, 1.0, 0.8)
+_CELLS, _SIZE_M = (236, 30, 24), (8.0, 1.0, 0.8)
 _TETRAHEDRA_A_CELL = 6
 # Element fields vary by so much about the law's own constants, so that no two elements are alike.
 _VARIATION = 0.2
@@ -35,14 +35,16 @@ def _remember(told: list[tuple[float, str]], begin_s: float, part: str, _fractio
     told.append((time.perf_counter() - begin_s, part))
 
 
-def _cells(elements: int) -> tuple[int, int, int]:
+def _cells(elements: int | None) -> tuple[int, int, int]:
     """Counts of nearly cubic cells in the block, for about so many tetrahedra."""
+    if elements is None:
+        return _CELLS
     edge_m = (float(np.prod(_SIZE_M)) * _TETRAHEDRA_A_CELL / elements) ** (1 / 3)
     x, y, z = (max(1, round(size / edge_m)) for size in _SIZE_M)
     return x, y, z
 
 
-def _scene(elements: int, fields: list[str]) -> tm.Scene:
+def _scene(elements: int | None, fields: list[str]) -> tm.Scene:
     mesh = tm.grid(_cells(elements), _SIZE_M)
     random = np.random.default_rng(1)
     values = {name: random.uniform(1 - _VARIATION, 1 + _VARIATION, mesh.element_count) for name in fields}
@@ -71,7 +73,7 @@ def main() -> None:
     parser.add_argument("--commit", default="unknown", help="written into the result")
     parser.add_argument("--json", type=Path, help="append the lines to this file, too")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--elements", type=int, default=1_000_000, help="about so many (default: %(default)s)")
+    parser.add_argument("--elements", type=int, metavar="N", help="about so many (default: a million)")
     parser.add_argument("--element-fields", default="", metavar="A,B", help=f"of {', '.join(_BASE)}; default: none")
     parser.add_argument(
         "--daemon", action="append", default=[], metavar="NAME=PATH", help="a tensormassd; default: the built one"
@@ -82,6 +84,10 @@ def main() -> None:
     scenes = {"without element fields": _scene(arguments.elements, [])}
     if fields:
         scenes["with element fields"] = _scene(arguments.elements, fields)
+    # Without paths: they say nothing on another machine.
+    command = f"python tests/bench/load_time.py --backend {arguments.backend}"
+    command += f" --elements {arguments.elements}" if arguments.elements else ""
+    command += f" --element-fields {arguments.element_fields}" if fields else ""
     turns = itertools.product(range(arguments.repeats), scenes.items(), daemons)
     for _, (case, scene), (name, path) in turns:
         if path:
@@ -103,7 +109,7 @@ def main() -> None:
                 "backend": version.backend,
                 "device": version.device,
                 "commit": arguments.commit,
-                "command": f"python tests/bench/load_time.py --backend {arguments.backend}",
+                "command": command,
                 "elements": element_count,
                 "message_mb": round(scene.message.ByteSize() / 1e6, 1),
                 "answer_s": round(answer_s, 3),
