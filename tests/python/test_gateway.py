@@ -267,7 +267,12 @@ async def test_garbage_on_the_bus_is_counted_and_survived(viewer: Path) -> None:
     ("message", "code", "reason"),
     [
         ("no JSON", 1008, "not JSON"),
+        (f'{{"type":{2000 * "["}{2000 * "]"}}}', 1008, "nested too deep"),
         ("[1]", 1008, "not a JSON object"),
+        ('{"type":"clock","client_time_ms":NaN}', 1008, "client_time_ms is not a finite number"),
+        ('{"type":"clock","client_time_ms":-Infinity}', 1008, "client_time_ms is not a finite number"),
+        ('{"type":"clock","client_time_ms":true}', 1008, "client_time_ms is not a finite number"),
+        (f'{{"type":"clock","client_time_ms":1{400 * "0"}}}', 1008, "client_time_ms is not a finite number"),
         ('{"type":"ack","stream":"frame"}', 1008, "none is on its way"),
         ('{"type":"ack","stream":"pose"}', 1008, "no stream"),
         ('{"type":"ack","stream":["frame"]}', 1008, "unknown"),
@@ -487,8 +492,8 @@ async def test_address_of_ipv6_has_brackets(viewer: Path) -> None:
 def test_program_prints_its_address_writes_the_ready_file_and_ends_on_sigterm(viewer: Path, tmp_path: Path) -> None:
     ready = tmp_path / "ready.json"
     program = (
-        "import argparse, sys; from tensormass import gateway; parser = argparse.ArgumentParser();"
-        "parser.add_argument('--server'); gateway.add_arguments(parser); sys.exit(gateway.run(parser.parse_args()))"
+        "import argparse, sys; from tensormass_gateway import command, options; parser = argparse.ArgumentParser();"
+        "parser.add_argument('--server'); options.add_arguments(parser); sys.exit(command.run(parser.parse_args()))"
     )
     arguments = ["--server", "127.0.0.1:1", "--viewer", str(viewer), "--gateway-ready-file", str(ready)]
     with subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True) as process:

@@ -569,7 +569,7 @@ def test_run_says_a_warning_once(tmp_path: Path) -> None:
     # A linear law under a load that it is not made for, and its status looked at several times.
     scene_file.write_text(BLOCK.replace("st_venant_kirchhoff", "hooke").replace("z: -9.81", "z: -2000"))
     options = ["--backend", "cpu", "--no-viewer", "--no-haptic", "--seconds", "3"]
-    run_module = "import sys, tensormass_tools.run as run, tensormass_tools.cli as cli; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
+    run_module = "import sys; from tensormass_tools import cli, run; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
     with subprocess.Popen(
         [sys.executable, "-c", run_module, "run", str(scene_file), *options],
         stdout=subprocess.PIPE,

@@ -28,23 +28,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
-import ipaddress
-import json
 import logging
-import platform
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from typing import Any
-from urllib.parse import urlsplit
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from tensormass_gateway.admission import Admission, secure_headers
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.options import GatewayOptions
-from tensormass_gateway.origins import origin_of
 from tensormass_gateway.outbox import ProtocolError, Stream, Watcher
-from tensormass_gateway.requests import MAX_COORDINATE_M, finite_numbers, is_name, rotation
+from tensormass_gateway.requests import (
+    MAX_COORDINATE_M,
+    finite_number,
+    finite_numbers,
+    is_name,
+    read_request,
+    rotation,
+)
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -54,17 +56,6 @@ MAX_BROWSER_MESSAGE_BYTES = 4096
 
 HEARTBEAT_S = 15.0
 """A browser that answers no ping for so long is disconnected; it reconnects when it wakes."""
-
-
-_HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
-    ),
-    "Cross-Origin-Opener-Policy": "same-origin",
-    # The address holds the token.
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 class Browser(Watcher):
@@ -103,13 +94,11 @@ class Gateway:
         if options.max_browsers < 1:
             raise ValueError(f"max_browsers is {options.max_browsers}; at least one browser must be let in")
         self.options = options
-        self._origins = frozenset(origin_of(origin) for origin in options.origins)
+        self._admission = Admission(options)
         self.port = options.port
-        self.refused_connections = 0
         self.closed_for_errors = 0
         self._browsers: set[Browser] = set()
         self._daemon = Daemon(options.control, options.poll_interval_s, self._announce)
-        self._own_names = frozenset({options.host.lower(), "localhost", platform.node().lower()})
         self._runner: web.AppRunner | None = None
         self._follower: asyncio.Task[None] | None = None
 
@@ -131,19 +120,19 @@ class Gateway:
                 {"scene": browser.scene, "replaced": browser.outbox.replaced}
                 for browser in sorted(self._browsers, key=lambda browser: browser.client_id)
             ],
-            "refused_connections": self.refused_connections,
+            "refused_connections": self._admission.refused_connections,
             "closed_for_errors": self.closed_for_errors,
             "malformed_messages": self._daemon.malformed,
         }
 
     async def start(self) -> None:
         """Listens. Raises OSError if the address is taken."""
-        app = web.Application(middlewares=[_secure_headers])
+        app = web.Application(middlewares=[secure_headers])
         app.add_routes(
             [
                 web.get("/", self._page),
                 web.get("/stream", self._stream),
-                web.post("/stream", self._admission),
+                web.post("/stream", self._ask_admission),
                 web.get("/status", self._status),
                 web.static("/assets", self.options.viewer / "assets"),
             ]
@@ -168,15 +157,15 @@ class Gateway:
         return web.FileResponse(self.options.viewer / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def _status(self, request: web.Request) -> web.Response:
-        self._check_token(request)
+        self._admission.check_token(request)
         return web.json_response(self.stats(), headers={"Cache-Control": "no-store"})
 
-    async def _admission(self, request: web.Request) -> web.Response:
-        self._check_admission(request)
+    async def _ask_admission(self, request: web.Request) -> web.Response:
+        self._admission.check(request, len(self._browsers))
         return web.Response(status=204)
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
-        self._check_admission(request)
+        self._admission.check(request, len(self._browsers))
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
         browser = Browser(socket)
         # Counted before the handshake waits, so that no burst passes the limit.
@@ -206,13 +195,7 @@ class Gateway:
                 return
             if message.type is not WSMsgType.TEXT:
                 raise ProtocolError("a browser sends text messages only")
-            try:
-                request = json.loads(message.data)
-            except ValueError as error:
-                raise ProtocolError("a message is not JSON") from error
-            if not isinstance(request, dict):
-                raise ProtocolError("a message is not a JSON object")
-            await self._handle(browser, request)
+            await self._handle(browser, read_request(message.data))
 
     async def _handle(self, browser: Browser, request: dict[str, Any]) -> None:
         match request:
@@ -220,7 +203,9 @@ class Gateway:
                 if stream not in set(Stream):
                     raise ProtocolError(f"acknowledged {stream!r}, which is no stream")
                 browser.outbox.acknowledge(Stream(stream))
-            case {"type": "clock", "client_time_ms": int() | float() as client_time_ms}:
+            case {"type": "clock", "client_time_ms": client_time_ms}:
+                if finite_number(client_time_ms) is None:
+                    raise ProtocolError("client_time_ms is not a finite number")
                 await browser.socket.send_json(
                     {
                         "type": "clock",
@@ -244,52 +229,6 @@ class Gateway:
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
-    def _check_admission(self, request: web.Request) -> None:
-        self._check_token(request)
-        # A page elsewhere could make a browser that knows the token connect; that browser names the page here.
-        origin = request.headers.get("Origin", "")
-        if not origin:
-            wanted = f"that of this gateway's page, http://{request.host}, or one given with --origin"
-            self._refuse(web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
-        if not self._is_named(origin) and not self._is_own(origin, request.host):
-            self._refuse(web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
-        if len(self._browsers) >= self.options.max_browsers:
-            self._refuse(
-                web.HTTPServiceUnavailable(
-                    text=f"{self.options.max_browsers} browsers are connected (--max-browsers)\n"
-                )
-            )
-
-    def _is_named(self, origin: str) -> bool:
-        """Whether --origin lets pages of `origin` in."""
-        try:
-            return origin_of(origin) in self._origins
-        except ValueError:
-            return False
-
-    def _is_own(self, origin: str, host: str) -> bool:
-        """Whether a page of `origin` came from here, where the browser calls this place `host`."""
-        if origin not in (f"http://{host}", f"https://{host}"):
-            return False
-        # That they agree proves nothing of a name: who serves a page can let its name point here afterwards (DNS
-        # rebinding) and then try tokens. An address cannot be rebound, and our own names are nobody else's.
-        try:
-            name = urlsplit(origin).hostname or ""
-            if name not in self._own_names:
-                ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
-
-    def _check_token(self, request: web.Request) -> None:
-        given = request.query.get("token", "")
-        if not hmac.compare_digest(given.encode(), self.options.token.encode()):
-            self._refuse(web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n"))
-
-    def _refuse(self, error: web.HTTPException) -> None:
-        self.refused_connections += 1
-        raise error
-
     def _daemon_state(self) -> dict[str, Any]:
         return {"type": "daemon", **self._daemon.state(), "poses_allowed": self.options.allow_poses}
 
@@ -310,15 +249,3 @@ async def serve(options: GatewayOptions) -> AsyncIterator[Gateway]:
         yield gateway
     finally:
         await gateway.stop()
-
-
-@web.middleware
-async def _secure_headers(request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
-    try:
-        response: web.StreamResponse = await handler(request)
-    except web.HTTPException as error:
-        error.headers.update(_HEADERS)
-        raise
-    if not response.prepared:
-        response.headers.update(_HEADERS)
-    return response

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from typing import Any
 
 from tensormass_gateway.outbox import ProtocolError
 
@@ -14,17 +16,38 @@ def is_name(text: str) -> bool:
     return 0 < len(text) <= 64 and all(c.isascii() and (c.isalnum() or c in "_-") for c in text)
 
 
+def read_request(text: str) -> dict[str, Any]:
+    """The JSON object that a browser sent.
+
+    Raises:
+        ProtocolError: it is not one, or nested deeper than Python's parser goes.
+    """
+    try:
+        request = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ProtocolError("a message is not JSON, or is nested too deep") from error
+    if not isinstance(request, dict):
+        raise ProtocolError("a message is not a JSON object")
+    return request
+
+
+def finite_number(value: object) -> float | None:
+    """`value` if it is a finite number, else None. Python's parser also accepts NaN and Infinity."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # JSON's whole numbers have no bounds
+        return None
+    return number if math.isfinite(number) else None
+
+
 def finite_numbers(value: object, count: int) -> tuple[float, ...] | None:
     """`value` if it is a list of `count` finite numbers, else None."""
     if not isinstance(value, list) or len(value) != count:
         return None
-    if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in value):
-        return None
-    try:
-        numbers = tuple(float(number) for number in value)
-    except OverflowError:  # JSON's whole numbers have no bounds
-        return None
-    return numbers if all(map(math.isfinite, numbers)) else None
+    numbers = [finite_number(each) for each in value]
+    return tuple(number for number in numbers if number is not None) if None not in numbers else None
 
 
 def rotation(value: object) -> tuple[float, ...]:
