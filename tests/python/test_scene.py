@@ -12,7 +12,7 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass._src import defaults, demo, mesh_files, meshes
+from tensormass._src import defaults, demo, mesh_files, meshes, units
 from tensormass._src.names import as_name
 from tensormass._src.packing import pack_mesh, unpack_mesh, volume_mesh
 from tensormass._src.scene_file import SceneFile
@@ -113,6 +113,20 @@ def test_yaml_is_the_message_by_field_name() -> None:
         ("indices: [1, 2, 3]", "indices: [1, off]", r"nodes\.indices\[1\]: expected a number, found false$"),
         ("cells_x: 4", "cells_x: true", r"grid\.cells_x: expected a number, found true$"),
         ("name: block", "name: on", "name: expected text, found true; write it in quotes$"),
+        ("poisson_ratio: .4", "poisson_ratio: half", r"law\.hooke\.poisson_ratio: expected a number, found 'half'$"),
+        (
+            "young_modulus_pa: 1e6",
+            "young_modulus_pa: 3 kPa",
+            r"_pa: expected a number in Pa, found '3 kPa'; write 3000$",
+        ),
+        ("young_modulus_pa: 1e6", "young_modulus_pa: 3 kN", r"_pa: expected a number in Pa, found '3 kN'$"),
+        ("young_modulus_pa: 1e6", "young_modulus_pa: soft", r"_pa: expected a number in Pa, found 'soft'$"),
+        ("cells_x: 4", "cells_x: 4.5", r"grid\.cells_x: expected a whole number, found 4\.5$"),
+        ("cells_x: 4", "cells_x: -4", r"grid\.cells_x: expected a whole number of 0 to 4294967295, found -4$"),
+        ("name: block", "name: block\nstepping: {lockstep: 1}", "stepping.lockstep: expected true or false, found 1$"),
+        ("name: block", "name: block\ngravity_m_per_s2: {z: 1 g}", r"z: expected a number in m/s², found '1 g'$"),
+        ("name: block", "name: [", r"not valid YAML: .*, in line \d+, column \d+$"),
+        ("name: block", "name: \a", r"not valid YAML: character '.+' is not allowed, in line 2, column 7$"),
         ("PRECISION_DOUBLE", "yes", "solver.precision: unknown value true; known: float, double"),
     ],
 )
@@ -433,3 +447,23 @@ def test_what_a_scene_does_not_say_is_as_its_schema_has_it() -> None:
     for ends_s in (2.0, 7.0, 3.0):
         scene.bodies.add().prescribed.add().schedule.time_s.extend([0.0, ends_s])
     assert defaults.scheduled_s(scene) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "si"),
+    [
+        ("5 kPa", "Pa", 5000.0),
+        ("5e-1kPa", "Pa", 500.0),
+        ("8 mm", "m", 0.008),
+        ("2 ms", "s", 0.002),
+        ("3 m", "m", 3.0),
+        ("9.81 m/s²", "m/s²", None),
+        ("5 psi", "Pa", None),
+        ("5 kN", "Pa", None),
+        ("1e999 Pa", "Pa", None),
+        ("1.2.3 Pa", "Pa", None),
+    ],
+)
+def test_a_quantity_is_a_number_in_the_unit_of_its_field(text: str, unit: str, si: float | None) -> None:
+    found = units.in_si(text, unit)
+    assert found == (None if si is None else pytest.approx(si))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any
+from typing import Any, cast
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.names import suggestion
+from tensormass._src.units import in_si, unit_of
+
+_MAX_UINT32 = 2**32 - 1
 
 
 def checked_fields(content: object, descriptor: Descriptor, where: str, path: str) -> dict[str, Any]:
@@ -39,7 +42,7 @@ def checked_fields(content: object, descriptor: Descriptor, where: str, path: st
             if field.message_type is not None:
                 items.append(checked_fields(item, field.message_type, where, place))
                 continue
-            _check_value(field, item, f"{where}: {place}")
+            _check_value(field, item, f"{where}: {place}", place)
             items.append(
                 enum_number(field.enum_type, item, f"{where}: {place}") if field.enum_type is not None else item
             )
@@ -47,8 +50,13 @@ def checked_fields(content: object, descriptor: Descriptor, where: str, path: st
     return checked
 
 
-def _check_value(field: FieldDescriptor, value: object, where: str) -> None:
-    """Refuses what is no number or text that the field can hold, as far as the parser does not."""
+def _check_value(field: FieldDescriptor, value: object, where: str, path: str) -> None:
+    """Refuses a value that the field cannot hold. The protobuf parser would say so in nested texts of its own.
+
+    Args:
+        where: file and path, for messages.
+        path: of the field in the scene; its names give the unit.
+    """
     if isinstance(value, dict | list | None):
         raise InvalidArgumentError(f"{where}: expected one value, found {value!r}")
     if isinstance(value, float) and not math.isfinite(value):
@@ -56,8 +64,38 @@ def _check_value(field: FieldDescriptor, value: object, where: str) -> None:
     if isinstance(value, int) and abs(value) > sys.float_info.max:
         beyond = f"above {sys.float_info.max:.2g}" if value > 0 else f"below {-sys.float_info.max:.2g}"
         raise InvalidArgumentError(f"{where}: expected a finite number, found one {beyond}")
-    # `yes` and `on` too, which the parser takes for 1; what an enum knows is said with it.
-    if isinstance(value, bool) and field.type not in (FieldDescriptor.TYPE_BOOL, FieldDescriptor.TYPE_ENUM):
-        is_text = field.type in (FieldDescriptor.TYPE_STRING, FieldDescriptor.TYPE_BYTES)
-        expected, remedy = ("text", "; write it in quotes") if is_text else ("a number", "")
-        raise InvalidArgumentError(f"{where}: expected {expected}, found {str(value).lower()}{remedy}")
+    if field.enum_type is not None:
+        return  # `enum_number` says what is known
+    if field.type in (FieldDescriptor.TYPE_STRING, FieldDescriptor.TYPE_BYTES):
+        if not isinstance(value, str):
+            raise InvalidArgumentError(f"{where}: expected text, found {_as_written(value)}; write it in quotes")
+    elif field.type == FieldDescriptor.TYPE_BOOL:
+        if not isinstance(value, bool):
+            raise InvalidArgumentError(f"{where}: expected true or false, found {_as_written(value)}")
+    else:
+        _check_number(field, value, where, path)
+
+
+def _check_number(field: FieldDescriptor, value: object, where: str, path: str) -> None:
+    """Texts that are numbers are accepted, because YAML reads `1e-2` as a text."""
+    whole = field.cpp_type == FieldDescriptor.CPPTYPE_UINT32
+    unit = next(filter(None, map(unit_of, reversed(path.split(".")[-2:]))), None)
+    expected = "a whole number" if whole else f"a number in {unit}" if unit else "a number"
+    # The parser would take `yes` and `on` for 1.
+    if isinstance(value, bool):
+        raise InvalidArgumentError(f"{where}: expected a number, found {_as_written(value)}")
+    try:
+        number = float(cast(float, value))
+    except (TypeError, ValueError):
+        si = in_si(value, unit) if unit and isinstance(value, str) else None
+        remedy = f"; write {si:.12g}" if si is not None else ""
+        raise InvalidArgumentError(f"{where}: expected {expected}, found {_as_written(value)}{remedy}") from None
+    if whole and not number.is_integer():
+        raise InvalidArgumentError(f"{where}: expected {expected}, found {_as_written(value)}")
+    if whole and not 0 <= number <= _MAX_UINT32:
+        raise InvalidArgumentError(f"{where}: expected {expected} of 0 to {_MAX_UINT32}, found {_as_written(value)}")
+
+
+def _as_written(value: object) -> str:
+    """A value as a scene file has it, or nearly so."""
+    return str(value).lower() if isinstance(value, bool) else str(value) if isinstance(value, int) else repr(value)

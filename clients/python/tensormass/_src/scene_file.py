@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import yaml
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass._src import demo, mesh_files
+from tensormass._src import demo, mesh_files, strict_yaml
 from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_fields import checked_fields
-from tensormass._src.strict_yaml import StrictLoader
 from tensormass.v1 import scene_pb2
 
 _YAML_ENDINGS = (".yaml", ".yml")
@@ -57,13 +55,7 @@ class SceneFile:
     @staticmethod
     def parse(text: str, directory: Path, where: str) -> SceneFile:
         """As `read`, of a text."""
-        try:
-            # A SafeLoader: nothing in the text is run.
-            content = yaml.load(text, Loader=StrictLoader)
-        except yaml.YAMLError as error:
-            raise InvalidArgumentError(f"{where}: not valid YAML: {error}") from error
-        except RecursionError:
-            raise InvalidArgumentError(f"{where}: not valid YAML: nested too deep") from None
+        content = strict_yaml.load(text, where)
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         return SceneFile(content, directory, where)

@@ -7,8 +7,36 @@ from typing import Any
 
 import yaml
 
+from tensormass._src.errors import InvalidArgumentError
 
-class StrictLoader(yaml.SafeLoader):
+
+def load(text: str, where: str) -> Any:  # noqa: ANN401
+    """The content of a YAML text. Runs nothing in it.
+
+    Args:
+        where: file, for messages.
+
+    Raises:
+        InvalidArgumentError: with line and column.
+    """
+    try:
+        return yaml.load(text, Loader=_StrictLoader)
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        place = f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
+        raise InvalidArgumentError(
+            f"{where}: not valid YAML: character {text[error.position]!r} is not allowed, in {place}"
+        ) from error
+    except yaml.MarkedYAMLError as error:
+        at = error.problem_mark or error.context_mark
+        what = ", ".join(filter(None, (error.context, error.problem)))
+        place = f", in line {at.line + 1}, column {at.column + 1}" if at is not None else ""
+        raise InvalidArgumentError(f"{where}: not valid YAML: {what}{place}") from error
+    except RecursionError:
+        raise InvalidArgumentError(f"{where}: not valid YAML: nested too deep") from None
+
+
+class _StrictLoader(yaml.SafeLoader):
     """PyYAML keeps the last of two equal keys; a scene file that says two things is refused instead. And what Python
     raises on a value that only looks like one, as `2001-99-99`, is said with its place."""
 
