@@ -27,6 +27,14 @@ def full_disk(free_bytes: int = 2000) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
+@pytest.fixture(autouse=True)
+def runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where `tensormass run` tells other commands of its daemon: one for each test."""
+    folder = tmp_path_factory.mktemp("runtime")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    return folder / "tensormass"
+
+
 class Recorder(control_pb2_grpc.ControlServicer):
     """Answers with what a test put into `replies`, or fails with `failure`; keeps what it was asked."""
 

@@ -72,15 +72,18 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     fake, server = recorder
     fake.replies["ListScenes"] = control_pb2.ListScenesResponse(scenes=[STATUS])
     assert main(["list", "--server", server.address]) == 0
-    assert capsys.readouterr().out == "demo  running  step 1200\n"
+    assert capsys.readouterr().out == f"server {server.address}\ndemo  running  step 1200\n"
     assert main(["list", "--server", server.address, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == [{"scene": "demo", "state": "running", "step": 1200}]
+    listed = {"server": server.address, "scene": "demo", "state": "running", "step": 1200}
+    assert json.loads(capsys.readouterr().out) == [listed]
     assert main(["status", "--server", server.address]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
+    first, *_, line = capsys.readouterr().out.splitlines()
+    assert first.endswith(f", control {server.address}")
     for part in ("demo: 60.0/60 Hz", "missed 0.2 %", "4.2 ms (p99 9.5)", "CG 23 to 8e-04", "probe 5.00 N"):
         assert part in line
     assert main(["status", "--server", server.address, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
+    said = json.loads(capsys.readouterr().out)
+    assert (said["address"], said["scenes"]) == (server.address, [to_plain(STATUS)])
 
 
 def test_status_says_what_there_is_to_know_in_full(
@@ -148,8 +151,12 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
     parts = ["123", "6.4e+06 cm³", "assemble", "12.3 MB", "9,000", "777 B", "123 kB", "the scene has no tools"]
     for part in (*parts, "2 components"):
         assert part in text
+    assert text.startswith(f"server {server.address}\n")
+    # Users ask first what is simulated, and last how the memory is divided.
+    order = ["6.4e+06 cm³", "the scene has no tools", "2 components", "assemble", "777 B"]
+    assert sorted(order, key=text.index) == order
     assert main([*command, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == to_plain(report)
+    assert json.loads(capsys.readouterr().out) == {"server": server.address, **to_plain(report)}
     assert main(["load", "beam", "--server", server.address]) == 0
     assert (fake.asked[-1].scene.name, fake.asked[-1].scene.stepping.lockstep) == ("beam", False)
 
@@ -164,12 +171,19 @@ def test_a_scene_is_unloaded_and_reported_by_its_name(
         "UnloadScene": control_pb2.UnloadSceneResponse(),
     }
     output = tmp_path / "demo.npz"
-    for option, said in (([], f"wrote {output}\n"), (["--json"], json.dumps({"output": str(output)}) + "\n")):
+    plain = {"server": server.address, "output": str(output)}
+    for option, said in (
+        ([], f"wrote {output} from {server.address}\n"),
+        (["--json"], json.dumps(plain) + "\n"),
+    ):
         assert main(["report", "demo", "--server", server.address, "-o", str(output), *option]) == 0
         assert capsys.readouterr().out == said
     with np.load(output) as written:
         assert json.loads(str(written["status"])) == to_plain(STATUS)
-    for option, said in (([], "unloaded demo\n"), (["--json"], '{"unloaded": "demo"}\n')):
+    for option, said in (
+        ([], f"unloaded demo from {server.address}\n"),
+        (["--json"], json.dumps({"server": server.address, "unloaded": "demo"}) + "\n"),
+    ):
         assert main(["unload", "demo", "--server", server.address, *option]) == 0
         assert capsys.readouterr().out == said
         assert fake.asked[-1] == control_pb2.UnloadSceneRequest(scene="demo")

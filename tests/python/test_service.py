@@ -536,7 +536,7 @@ def test_inspect_works_without_a_daemon() -> None:
     assert any("conjugate gradients" in stage["name"] for stage in report["stages"])
 
 
-def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
+def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path, runtime_folder: Path) -> None:
     scene_file = tmp_path / "block.yaml"
     scene_file.write_text(BLOCK)
     options = ["--backend", "cpu", "--no-viewer", "--json"]
@@ -553,6 +553,8 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
             said = next(said for said in lines if said["status"]["step"] > 20)
             assert said["status"]["scene"] == "block"
             assert said["status"]["state"] == "STATE_RUNNING"
+            with command("list") as listing:  # finds that daemon, which listens on a free port
+                assert "\nblock  running  step " in listing.communicate(timeout=60)[0]
             children = children_of(process.pid)
             assert any("tensormassd" in name for name in children.values())
             process.send_signal(signal.SIGINT)
@@ -560,6 +562,7 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
         finally:
             process.kill()
     assert (process.returncode, err) == (0, "")
+    assert list(runtime_folder.iterdir()) == []
     for pid in children:
         assert not Path(f"/proc/{pid}").exists(), f"{children[pid]} is left running"
 

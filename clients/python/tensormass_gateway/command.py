@@ -47,7 +47,7 @@ async def _run(args: argparse.Namespace) -> None:
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, gateway)
         if getattr(args, "json", False):
-            print(json.dumps({"url": gateway.url}), flush=True)
+            print(json.dumps({"url": gateway.url, "server": args.server}), flush=True)
         else:
-            print(f"viewer: {gateway.url}", flush=True)
+            print(f"viewer: {gateway.url}\ndaemon: {args.server}", flush=True)
         await stopped.wait()

@@ -24,6 +24,7 @@ from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import load_test, run, solve
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
+from tensormass_tools.running import find_server
 from tensormass_tools.trade import command as trade
 from tensormass_tools.trade.arguments import add_arguments as add_trade_arguments
 
@@ -119,7 +120,11 @@ def _parser() -> argparse.ArgumentParser:
     json_option = argparse.ArgumentParser(add_help=False)
     json_option.add_argument("--json", action="store_true", help="print JSON")
     server = argparse.ArgumentParser(add_help=False)
-    server.add_argument("--server", default=DEFAULT_ADDRESS, metavar="HOST:PORT", help="default: %(default)s")
+    server.add_argument(
+        "--server",
+        metavar="HOST:PORT",
+        help=f"default: the daemon that runs here, as `tensormass run` starts it or at {DEFAULT_ADDRESS}",
+    )
 
     sub = commands.add_parser("run", help="daemon, scene, simulated haptic device and viewer in one")
     run.add_arguments(sub)
@@ -193,27 +198,35 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _load(args: argparse.Namespace) -> int:
-    with connect(args.server) as server:
+    with connect(find_server(args.server)) as server:
         progress = load_line(quiet=args.json)
         report = server.load(args.scene, name=args.name, lockstep=args.lockstep, progress=progress).report
         assert report is not None
-        print_json(to_plain(report)) if args.json else print(report_text(report))
+        if args.json:
+            print_json({"server": server.address, **to_plain(report)})
+        else:
+            print(f"server {server.address}\n{report_text(report)}")
     return 0
 
 
 def _unload(args: argparse.Namespace) -> int:
-    with connect(args.server) as server:
+    with connect(find_server(args.server)) as server:
         server.scene(args.name).unload()
-    print_json({"unloaded": args.name}) if args.json else print(f"unloaded {args.name}")
+        if args.json:
+            print_json({"server": server.address, "unloaded": args.name})
+        else:
+            print(f"unloaded {args.name} from {server.address}")
     return 0
 
 
 def _list(args: argparse.Namespace) -> int:
-    with connect(args.server) as server:
+    with connect(find_server(args.server)) as server:
         scenes = server.scenes()
     if args.json:
-        print_json([{"scene": status.scene, "state": state_name(status), "step": status.step} for status in scenes])
+        each = [{"scene": status.scene, "state": state_name(status), "step": status.step} for status in scenes]
+        print_json([{"server": server.address, **of} for of in each])
     else:
+        print(f"server {server.address}")
         for status in scenes:
             print(f"{status.scene}  {state_name(status)}  step {status.step}")
         if not scenes:
@@ -222,13 +235,15 @@ def _list(args: argparse.Namespace) -> int:
 
 
 def _status(args: argparse.Namespace) -> int:
-    with connect(args.server) as server:
+    with connect(find_server(args.server)) as server:
         version = server.version()
         statuses = [server.scene(args.name).status()] if args.name else server.scenes()
     if args.json:
-        print_json({"server": to_plain(version), "scenes": [to_plain(status) for status in statuses]})
+        scenes = [to_plain(status) for status in statuses]
+        print_json({"address": server.address, "server": to_plain(version), "scenes": scenes})
         return 0
-    print(f"tensormassd {version.version}, {version.backend} ({version.device}), server {version.server!r}")
+    daemon = f"tensormassd {version.version}, {version.backend} ({version.device}), server {version.server!r}"
+    print(f"{daemon}, control {server.address}")
     print(f"zeromq {version.zeromq_publish_endpoint} {version.zeromq_pose_endpoint} | zenoh {version.zenoh_locator}")
     print(f"malformed messages: {version.malformed_messages}")
     for status in statuses:
@@ -241,9 +256,12 @@ def _status(args: argparse.Namespace) -> int:
 
 
 def _report(args: argparse.Namespace) -> int:
-    with connect(args.server) as server:
+    with connect(find_server(args.server)) as server:
         path = server.scene(args.name).write_report(args.output)
-    print_json({"output": str(path)}) if args.json else print(f"wrote {path}")
+        if args.json:
+            print_json({"server": server.address, "output": str(path)})
+        else:
+            print(f"wrote {path} from {server.address}")
     return 0
 
 
@@ -259,6 +277,7 @@ def _inspect(args: argparse.Namespace) -> int:
 
 def _view(args: argparse.Namespace) -> int:
     run.check_gateway_options(args)
+    args.server = find_server(args.server)
     return gateway.run(args)
 
 

@@ -115,7 +115,7 @@ def force_n(feedback: stream_pb2.ToolFeedback) -> float:
 
 
 def report_text(report: control_pb2.SceneReport) -> str:
-    """The plan of a scene: what was admitted, what a step does and costs, and what is not modelled."""
+    """The plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
     bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
     for body in report.bodies:
         surface = f"{body.surface_vertex_count} vertices, {body.surface_triangle_count} triangles"
@@ -136,12 +136,13 @@ def report_text(report: control_pb2.SceneReport) -> str:
         [stage.name, _bytes(stage.bytes), f"{stage.operations:,}", stage.reads, stage.writes] for stage in report.stages
     ]
     buffers = [["buffer", "bytes"], *([buffer.name, _bytes(buffer.bytes)] for buffer in report.buffers)]
-    sections = [f"scene {report.scene}", table(bodies), table(stages), table(buffers)]
-    sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
+    sections = [f"scene {report.scene}", table(bodies)]
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
     if report.warnings:
         sections.append("warnings:\n" + "\n".join(f"  {item}" for item in report.warnings))
+    sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
+    sections += [table(stages), table(buffers)]
     return "\n\n".join(sections)
 
 

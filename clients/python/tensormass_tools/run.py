@@ -34,6 +34,7 @@ from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
 from tensormass_tools import presets
 from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
+from tensormass_tools.running import announced
 
 _STATUS_PERIOD_S = 0.5
 # Lines that nobody watches live are fewer.
@@ -106,6 +107,7 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         parts.callback(server.close)
         parts.enter_context(end_explained(server.process, server.log_file))
         handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
+        parts.enter_context(announced(server.address, handle.name))
         if args.seconds is not None:
             asyncio.get_running_loop().call_later(args.seconds, stop.set)
         version = server.version()
