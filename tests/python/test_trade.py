@@ -63,6 +63,24 @@ def test_laws_are_exchanged_by_their_stiffness_for_small_strains(tmp_path: Path,
     assert law.poisson_ratio == pytest.approx((15000 - 3000) / (2 * (15000 + 1500)))
 
 
+@pytest.mark.parametrize(
+    ("poisson_ratio", "is_exchanged"), [(0.45, True), (0.49985, True), (0.49995, False), (0.49999, False)]
+)
+def test_a_law_beyond_the_poisson_ratio_that_laws_accept_is_not_exchanged(
+    tmp_path: Path, poisson_ratio: float, is_exchanged: bool
+) -> None:
+    shear_pa = 2 * (500 + 250)
+    bulk_pa = 2 * shear_pa * (1 + poisson_ratio) / (3 * (1 - 2 * poisson_ratio))
+    own = f"mooney_rivlin: {{c10_pa: 500, c01_pa: 250, bulk_modulus_pa: {bulk_pa!r}}}"
+    knobs = knobs_of(BLOCK.replace("neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}", own), tmp_path)
+    assert ("law" in knobs.knobs) == is_exchanged
+    if is_exchanged:
+        law = knobs.apply({"law": "hooke"}).message().bodies[0].law.hooke
+        assert law.poisson_ratio == pytest.approx(poisson_ratio)
+    else:
+        assert "no isotropic law that equals it" in knobs.without["law"]
+
+
 def test_what_cannot_be_chosen_says_why(tmp_path: Path) -> None:
     meshes_of = grids.grid([1, 1, 1], [1, 1, 1])
     tm.write_mesh(tmp_path / "a.msh", meshes_of)
@@ -304,6 +322,13 @@ def test_the_front_and_the_picks(tmp_path: Path) -> None:
     assert sweep.front([measurement({"a": 5}, 0.5, math.inf), *measured]) == sweep.front(measured)
 
 
+@pytest.mark.parametrize(
+    ("error", "front"), [(0.9895, [0, 1]), (0.99, [0]), (0.9905, [0]), (1.0, [0]), (1.1, [0]), (0.5, [0, 1])]
+)
+def test_a_dearer_point_is_on_the_front_only_if_it_is_clearly_more_accurate(error: float, front: list[int]) -> None:
+    assert sweep.pareto([(1.0, 1.0), (2.0, error)]) == front
+
+
 def test_costs_are_as_on_a_machine_of_one_speed() -> None:
     turns = [({}, 3.0, 3.0, 9.0), ({"a": 1}, 1.0, 2.0, 6.0), ({"a": 2}, 8.0, 1.0, 5.0), ({"a": 3}, 7.0, 0.0, 0.0)]
     measured = [
@@ -473,6 +498,53 @@ def test_half_of_the_combinations_keep_the_law_though_another_is_faster(tmp_path
 
 
 # --- store ------------------------------------------------------------------------------------------------------------
+
+
+def with_another_law(knobs: Knobs) -> list[Measurement]:
+    """The scene, three knobs that halve its cost, and a law that is as good and a little faster. 2 combinations keep
+    the law (of two resolutions and a tolerance), 5 have the other one."""
+    knobs.choose(["law", "resolution", "cg_tolerance"])
+    settings = [{"resolution": 0.5}, {"resolution": 0.7}, {"cg_tolerance": 0.1}]
+    measured = [measurement({}, 1.0, 0.03), *(measurement(setting, 0.5, 0.03) for setting in settings)]
+    return [*measured, replace(measurement({"law": "hencky"}, 0.9, 0.03), moved=0.01)]
+
+
+@pytest.mark.parametrize(("count", "own", "other"), [(1, 1, 0), (2, 1, 1), (3, 2, 1), (5, 2, 3), (9, 2, 5)])
+def test_the_larger_half_of_the_combinations_keeps_the_law(tmp_path: Path, count: int, own: int, other: int) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    chosen, possible = sweep.combinations(knobs, with_another_law(knobs), count, tolerance=0.02)
+    assert possible == 7
+    assert ["law" in of for of in chosen] == own * [False] + other * [True]
+
+
+def test_places_that_another_law_leaves_go_to_the_scenes_own(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    measured = with_another_law(knobs)
+    with_law = [of for of in sweep.combinations(knobs, measured, 9, tolerance=0.02)[0] if "law" in of]
+    measured += [measurement(of, 0.1, 0.03) for of in with_law]  # measured already: none is left to choose
+    chosen, possible = sweep.combinations(knobs, measured, 2, tolerance=0.02)
+    assert possible == 2
+    assert [dict(of).get("law") for of in chosen] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("base_error", "error", "is_worthwhile"),
+    [
+        (0.03, 0.1, True),  # five tolerances
+        (0.03, 0.101, False),
+        (0.2, 0.299, True),  # half as much again as the scene's own
+        (0.2, 0.301, False),
+    ],
+)
+def test_a_value_whose_error_is_hopeless_is_not_combined(
+    tmp_path: Path, base_error: float, error: float, is_worthwhile: bool
+) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    knobs.choose(["resolution", "cg_tolerance"])
+    measured = [measurement({}, 1.0, base_error), measurement({"cg_tolerance": 0.1}, 0.5, base_error)]
+    measured.append(measurement({"resolution": 0.5}, 0.1, error))
+    chosen, _ = sweep.combinations(knobs, measured, 10, tolerance=0.02)
+    assert bool(chosen) == is_worthwhile
 
 
 def test_results_survive_and_half_a_line_is_forgotten(tmp_path: Path) -> None:
