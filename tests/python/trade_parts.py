@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import tensormass as tm
+from tensormass._src.meshes import FloatArray
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.knobs import Knobs, Setting
@@ -115,3 +117,13 @@ class Formula:
             except tm.FailedPreconditionError as error:
                 recordings.append(error)
         return [*recordings, *(of if self.room_for_both else tm.ResourceExhaustedError("full") for of in turns)]
+
+
+def recording(scale: float = 1.0, force_scale: float = 1.0, turn_rad: float = 0.0) -> Recording:
+    """Two samples of one body of three points."""
+    displacement: FloatArray = scale * np.array([np.full((3, 3), 0.5), np.eye(3)])
+    force = force_scale * np.array([[0, 0, 1.0], [0, 2 * math.sin(turn_rad), 2 * math.cos(turn_rad)]])
+    times = np.linspace(0, 1, 200)
+    swing = np.exp(-scale * times) * np.cos(2 * math.pi * 5 * times)
+    volume = np.array([[1.0, 1.0 + 0.01 * scale]])
+    return Recording([displacement], volume, force, 3.0 * force_scale, times, swing, 6, 0.0, 0, 0.9, COSTS)

@@ -22,7 +22,7 @@ from tensormass._src.processes import end_explained
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import load_test, run, solve
+from tensormass_tools import export, load_test, run, solve
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
 from tensormass_tools.trade import command as trade
@@ -171,6 +171,12 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
     sub.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="of the daemon to start")
     sub.set_defaults(command=_inspect)
+
+    sub = commands.add_parser(
+        "export", parents=[json_option], help="write a scene with its meshes as one message, for other clients"
+    )
+    export.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=export.run)
 
     sub = commands.add_parser(
         "mesh",
