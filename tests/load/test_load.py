@@ -65,7 +65,7 @@ def server(haptic_program: Path) -> Iterator[tm.Server]:
 
 def arguments(*options: object) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    load_test.add_arguments(parser)
+    load_arguments.add_arguments(parser)
     return parser.parse_args([str(option) for option in options])
 
 

@@ -303,7 +303,7 @@ def test_a_scene_of_the_same_name_in_the_daemon_is_another_and_stays(server: tm.
 def test_what_does_not_come_to_rest_is_written_and_said(
     solve: Callable[..., Solved], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tensormass_tools.solve._REST_LIMIT_S", 1.0)
+    monkeypatch.setattr("tensormass_tools.solve_steps.REST_LIMIT_S", 1.0)
     text = "\nname: falling\nbodies:\n  - name: b\n    mesh: {grid: {size_m: {x: 1, y: 1, z: 1}, "
     text += "cells_x: 1, cells_y: 1, cells_z: 1}}\n    law: {hooke: {young_modulus_pa: 1000, poisson_ratio: 0.3}}\n"
     text += "    density_kg_per_m3: 1000\ngravity_m_per_s2: {z: -1}\nstepping: {dt_s: 0.1}\n"

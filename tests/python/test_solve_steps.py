@@ -11,7 +11,8 @@ import pytest
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2, stream_pb2
-from tensormass_tools.solve import _Solution, _vector
+from tensormass_tools.solve_steps import Solution
+from tensormass_tools.solve_text import _vector
 
 DT_S = 0.1
 
@@ -49,7 +50,7 @@ def compute(
     scene = scene or scene_pb2.Scene()
     scene.stepping.dt_s = DT_S
     steps: Any = Steps(statuses)
-    return _Solution(args, scene, steps, steps).compute()
+    return Solution(args, scene, steps, steps).compute()
 
 
 def still() -> Iterable[stream_pb2.SceneStatus]:

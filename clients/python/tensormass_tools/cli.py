@@ -23,6 +23,7 @@ from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import export, load_test, run, solve
+from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
 from tensormass_tools.trade import command as trade
@@ -198,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.set_defaults(command=_view)
 
     sub = commands.add_parser("load-test", help="drive a daemon with real clients and measure")
-    load_test.add_arguments(sub)
+    add_load_test_arguments(sub)
     sub.set_defaults(command=load_test.run)
     return parser
 

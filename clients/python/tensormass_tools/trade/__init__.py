@@ -2,6 +2,8 @@
 
 arguments      the command's options
 knobs          what a scene lets one choose, and the scene file of a choice
+scene_edits    edits of a scene file's fields
+small_strain   which laws are equal for small strains
 script         the test run that every choice is put through
 recording      what is recorded of it
 recorder       puts scenes through the script and times them

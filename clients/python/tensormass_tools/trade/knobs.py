@@ -11,22 +11,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import yaml
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.descriptor import Descriptor
 
 from tensormass._src import defaults, mesh_files
 from tensormass._src.enums import short_name
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.files import replacing
-from tensormass._src.laws import LAWS
 from tensormass._src.names import suggestion
 from tensormass._src.organ import ORGANS
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.shapes import BY_NUMBER, SHAPES
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, solver_setter, with_numbers
+from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
 
-Value = str | float | int
 #: Values by the names of knobs; a knob that is not named stands as in the scene.
 Setting = Mapping[str, Value]
 #: What exists once: nothing to choose, and so nothing to measure.
@@ -35,8 +34,6 @@ ONE_CHOICE = {
     "contact": "penalty at the closest point of each triangle",
     "stream codec": "32-bit floats",
 }
-#: Laws that are given by Young's modulus and Poisson's ratio, and equal for small strains.
-ISOTROPIC_LAWS = tuple(name for name in LAWS if isinstance(getattr(scene_pb2.Law(), name), scene_pb2.IsotropicElastic))
 _RESOLUTIONS = (0.5, 0.7, 1.0, 1.4, 2.0)
 _DT_FACTORS = (2.0, 1.0, 0.5, 0.25)
 _CG_SHARES = (0.1, 0.25, 1.0)
@@ -75,7 +72,7 @@ class Knobs:
 
     def __init__(self, file: SceneFile, mesh_folder: Path) -> None:
         self.message = file.message()
-        self.file = replace(file, fields=_with_numbers(file.fields, cast(Descriptor, self.message.DESCRIPTOR)))
+        self.file = replace(file, fields=with_numbers(file.fields, cast(Descriptor, self.message.DESCRIPTOR)))
         self._mesh_folder = mesh_folder
         self._made: set[Path] = set()
         self.quasi_static = self.message.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
@@ -87,10 +84,10 @@ class Knobs:
             "resolution": self._set_resolution,
             "shape": self._set_shape,
             "law": self._set_law,
-            "quadrature": lambda fields, value: _each_body(fields, lambda body: body.update(quadrature=value)),
-            "mass": lambda fields, value: _each_body(fields, lambda body: body.update(mass=value)),
-            "dt_s": _set_dt,
-            **{name: _solver_setter(name) for name in _SOLVER_FIELDS},
+            "quadrature": lambda fields, value: each_body(fields, lambda body: body.update(quadrature=value)),
+            "mass": lambda fields, value: each_body(fields, lambda body: body.update(mass=value)),
+            "dt_s": set_dt,
+            **{name: solver_setter(name) for name in _SOLVER_FIELDS},
         }
         self._find_mesh_knobs()
         self._find_law_knob()
@@ -226,7 +223,7 @@ class Knobs:
         laws = {body.law.WhichOneof("kind") or "" for body in self.message.bodies}
         if any(body.law_regions for body in self.message.bodies):
             self.without["law"] = "regions have laws of their own"
-        elif any(_small_strain(body.law) is None for body in self.message.bodies):
+        elif any(small_strain(body.law) is None for body in self.message.bodies):
             self.without["law"] = f"{', '.join(sorted(laws))} has no isotropic law that equals it for small strains"
         else:
             self._add("law", "law, of equal stiffness for small strains", "+".join(sorted(laws)), ISOTROPIC_LAWS)
@@ -298,7 +295,7 @@ class Knobs:
                 self._made.add(path)
             mesh["file"] = str(path)
 
-        _each_body(fields, set_of)
+        each_body(fields, set_of)
 
     def _organ(self, mesh: Mapping[str, Any]) -> str | None:
         """The built-in organ that a mesh is, which can be meshed more finely."""
@@ -311,11 +308,11 @@ class Knobs:
             if value == "tetrahedron":
                 body.pop("quadrature", None)
 
-        _each_body(fields, set_of)
+        each_body(fields, set_of)
 
     def _set_law(self, fields: dict[str, Any], value: Value) -> None:
         for body, message in zip(fields["bodies"], self.message.bodies, strict=True):
-            constants = _small_strain(message.law)
+            constants = small_strain(message.law)
             assert constants is not None
             body["law"] = {
                 str(value): dict(zip(("young_modulus_pa", "poisson_ratio"), constants, strict=True)),
@@ -323,44 +320,8 @@ class Knobs:
             }
 
 
-def _with_numbers(fields: Mapping[str, Any], descriptor: Descriptor) -> dict[str, Any]:
-    """A copy in which what the schema has as numbers is numbers: to YAML `1e-2` and `"4"` are texts, and protobuf takes
-    them all the same. Nothing is shared in it either, as YAML's aliases are: each body is edited by itself."""
-
-    def read(value: Any, field: FieldDescriptor) -> Any:  # noqa: ANN401
-        if isinstance(value, list):
-            return [read(item, field) for item in value]
-        if field.message_type is not None:
-            return _with_numbers(value, field.message_type)
-        if not isinstance(value, str) or field.cpp_type not in _NUMBERS:
-            return value
-        number = float(value)
-        if not math.isfinite(number):
-            return value  # only as a text does it get through protobuf
-        return number if field.cpp_type == FieldDescriptor.CPPTYPE_DOUBLE else int(number)
-
-    return {name: read(value, descriptor.fields_by_name[name]) for name, value in fields.items()}
-
-
-_NUMBERS = (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_UINT32)
 _MASSES = ("lumped", "consistent")
 _SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
-
-
-def _solver_setter(name: str) -> Callable[[dict[str, Any], Value], None]:
-    return lambda fields, value: fields.setdefault("solver", {}).update({name: value})
-
-
-def _set_dt(fields: dict[str, Any], value: Value) -> None:
-    stepping = fields.setdefault("stepping", {})
-    if "rate_hz" in stepping:  # as fast against the clock as before
-        stepping["rate_hz"] *= stepping.get("dt_s", 1 / 60) / float(value)
-    stepping["dt_s"] = value
-
-
-def _each_body(fields: dict[str, Any], edit: Callable[[dict[str, Any]], None]) -> None:
-    for body in fields["bodies"]:
-        edit(body)
 
 
 def _names_single_nodes(body: scene_pb2.Body) -> bool:
@@ -380,19 +341,3 @@ def _is_tetrahedral(body: scene_pb2.Body) -> bool:
         return _shape_of_grid(body) == "tetrahedron"
     shapes = {block.shape or scene_pb2.SHAPE_TETRAHEDRON for block in body.mesh.packed.elements}
     return shapes == {scene_pb2.SHAPE_TETRAHEDRON}
-
-
-def _small_strain(law: scene_pb2.Law) -> tuple[float, float] | None:
-    """Young's modulus [Pa] and Poisson's ratio for small strains; None: not isotropic, or beyond what laws accept."""
-    kind = law.WhichOneof("kind")
-    if kind in ISOTROPIC_LAWS:
-        own = getattr(law, kind)
-        return own.young_modulus_pa, own.poisson_ratio
-    if kind == "mooney_rivlin":
-        shear, bulk = 2 * (law.mooney_rivlin.c10_pa + law.mooney_rivlin.c01_pa), law.mooney_rivlin.bulk_modulus_pa
-    elif kind == "ogden":
-        shear, bulk = law.ogden.mu_pa * law.ogden.alpha / 2, law.ogden.bulk_modulus_pa
-    else:
-        return None
-    poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
-    return (2 * shear * (1 + poisson), poisson) if np.isfinite(poisson) and poisson <= 0.4999 else None

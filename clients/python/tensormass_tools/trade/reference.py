@@ -11,10 +11,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from tensormass._src.errors import InvalidArgumentError, TensormassError
-from tensormass_tools.trade.knobs import Knobs, Value
+from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.measures import compare, richardson
 from tensormass_tools.trade.recorder import Recorder
 from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.scene_edits import Value
 from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Machine, Store, key_of
 

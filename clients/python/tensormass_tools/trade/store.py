@@ -23,9 +23,9 @@ from tensormass._src.files import replacing
 from tensormass._src.processes import find_program
 from tensormass._src.server import Server
 from tensormass.v1 import scene_pb2
-from tensormass_tools.trade.knobs import Value
 from tensormass_tools.trade.measures import Errors
 from tensormass_tools.trade.recording import Costs, Recording
+from tensormass_tools.trade.scene_edits import Value
 from tensormass_tools.trade.script import Script
 
 
