@@ -16,7 +16,7 @@ import pytest
 import tensormass as tm
 from tensormass._src.errors import NotFoundError
 from tensormass._src.processes import ChildProcess, find_program
-from tensormass_tools import load_test
+from tensormass_tools import load_arguments, load_test
 from tensormass_tools.cli import main
 
 # A small beam under a probe: the test is of the clients, not of the solver. 250 steps a second, so that the
