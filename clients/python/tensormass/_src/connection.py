@@ -21,7 +21,7 @@ LOAD_TIMEOUT_S = 300.0
 
 
 class Connection(Closing):
-    """Calls to one daemon. Close it, or use it as a context manager."""
+    """Makes calls to one daemon. Close it, or use it as a context manager."""
 
     def __init__(self, address: str, *, timeout_s: float = 5.0) -> None:
         self.address = address
@@ -32,7 +32,7 @@ class Connection(Closing):
             options=[
                 ("grpc.max_send_message_length", _MAX_MESSAGE_BYTES),
                 ("grpc.max_receive_message_length", _MAX_MESSAGE_BYTES),
-                ("grpc.enable_http_proxy", 0),  # the data plane would not go through it either
+                ("grpc.enable_http_proxy", 0),  # the data plane does not use a proxy either
             ],
         )
         self._stub = control_pb2_grpc.ControlStub(self._channel)
@@ -49,7 +49,7 @@ class Connection(Closing):
             raise
 
     def close(self) -> None:
-        """Closes the connection and ends what was handed to `at_close`. May be called again."""
+        """Closes the connection, then unwinds the work of `at_close`. May be called again."""
         self._closed = True
         self._data_plane.close()
         self._channel.close()
@@ -57,11 +57,12 @@ class Connection(Closing):
 
     @property
     def data_plane(self) -> DataPlane:
-        """The streams, for clients that want more than `SceneHandle` offers."""
+        """Gives access to the streams, for clients that need more than `SceneHandle` offers."""
         return self._data_plane
 
     def version(self) -> control_pb2.GetVersionResponse:
-        """Version, backend, device, data endpoints as they are reached from here, and counters of malformed input."""
+        """Returns version, backend, device, counters of malformed input, and data endpoints as this client reaches
+        them."""
         return reached_endpoints(self.call("GetVersion", control_pb2.GetVersionRequest()), self.address)
 
     def at_close(self, work: contextlib.ExitStack) -> None:
@@ -69,7 +70,12 @@ class Connection(Closing):
         self._cleanup.push(work)
 
     def call(self, method: str, request: Any, timeout_s: float | None = CALL_TIMEOUT_S) -> Any:  # noqa: ANN401
-        """One unary call; a failed one becomes an exception of the SDK."""
+        """Makes one unary call. A failed call raises an exception of the SDK.
+
+        Args:
+            method: its name in control.proto.
+            timeout_s: None waits as long as it takes.
+        """
         if self._closed:
             raise errors.UnavailableError(f"this connection to {self.address} is closed; connect again")
         try:

@@ -26,12 +26,12 @@ from tensormass._src.streams import Closing, Stream, Transport, stream_key
 from tensormass._src.subscriptions import MessageType, Subscription, ZenohSource, ZeroMqSource
 from tensormass.v1 import control_pb2
 
-# A frame of the largest scene fits; anything longer comes from no daemon of ours.
+# A frame of the largest scene fits. No daemon of ours sends more.
 _MAX_MESSAGE_BYTES = 1 << 30
 
 
 class DataPlane(Closing):
-    """Where a daemon's streams are (from `Server.version`); opens the transports on first use."""
+    """Streams of a daemon. Opens a transport when it is first used."""
 
     def __init__(self, version: control_pb2.GetVersionResponse) -> None:
         self.server = version.server
@@ -44,7 +44,7 @@ class DataPlane(Closing):
         self._lock = threading.Lock()
 
     def close(self) -> None:
-        """Ends what is open, streams too. May be called again."""
+        """Closes all streams and transports. May be called again."""
         with self._lock:
             self._closed = True
         for stream in list(self._streams):
@@ -82,7 +82,7 @@ class DataPlane(Closing):
         return self._opened(PoseSender(self.check_open, poses.put, poses.close, key))
 
     def zenoh(self) -> zenoh.Session:
-        """The session, a client of the daemon's own peer."""
+        """Returns the zenoh session, a client of the daemon's own peer."""
         with self._lock:
             self.check_open()
             if self._zenoh is None:
@@ -96,7 +96,7 @@ class DataPlane(Closing):
                     self._zenoh = zenoh.open(config)
                 except zenoh.ZError as error:
                     raise UnavailableError(f"zenoh at {self._version.zenoh_locator}: {error}") from error
-                # Before the interpreter ends, too: zenoh's threads call back into it.
+                # The session must also end before the interpreter does, because zenoh's threads call back into it.
                 self._end_zenoh = weakref.finalize(self, self._zenoh.close)
             return self._zenoh
 
@@ -116,7 +116,7 @@ class DataPlane(Closing):
     def _pusher(self) -> zmq.Socket[bytes]:
         socket = self._socket(zmq.PUSH, self._version.zeromq_pose_endpoint)
         socket.setsockopt(zmq.SNDHWM, 1)
-        # Holds nothing for a daemon that is away: it would be old when that is back.
+        # Queues nothing while the daemon is away: such a pose would be old when the daemon is back.
         socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.LINGER, 100)
         socket.connect(self._version.zeromq_pose_endpoint)

@@ -18,27 +18,27 @@ from tensormass.v1 import scene_pb2, stream_pb2
 
 @dataclass(frozen=True)
 class Feedback:
-    """What a tool feels. See `ToolFeedback` in stream.proto."""
+    """Force on a tool after a step. See `ToolFeedback` in stream.proto."""
 
     tool: str
     step: int
-    #: Since the Unix epoch on the server's clock, when the step ended.
+    #: End of the step on the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
     #: Sequence of the newest pose that the step used; 0 before the first.
     pose_sequence: int
-    #: The client's own clock, as sent with that pose.
+    #: Time on the client's own clock, as sent with that pose.
     client_time_ns: int
-    #: Whose pose that was: a hand renders only answers to its own, those with `PoseSender.client_id`.
+    #: Client that sent the pose. A device renders only feedback with its own `PoseSender.client_id`.
     client_id: int
-    #: [3] m: where the tool is in the simulation.
+    #: Position of the tool in the simulation, [3] m.
     position_m: npt.NDArray[np.float64]
-    #: [4] w, x, y, z
+    #: Quaternion [4] w, x, y, z.
     orientation: npt.NDArray[np.float64]
-    #: [3] N, on the tool.
+    #: Force on the tool, [3] N.
     force_n: npt.NDArray[np.float64]
-    #: [3] N m, about the tool's position.
+    #: Torque on the tool about its position, [3] N m.
     torque_n_m: npt.NDArray[np.float64]
-    #: [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` from its arrival.
+    #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
     valid_for_s: float
 
@@ -64,20 +64,20 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Frame:
-    """The surfaces of all bodies at one moment. See `Frame` in stream.proto."""
+    """Surfaces of all bodies at one moment. See `Frame` in stream.proto."""
 
     topology: stream_pb2.Topology
-    #: Counts frames; a gap is a dropped frame.
+    #: Number of the frame; a gap is a dropped frame.
     sequence: int
     step: int
     simulated_time_s: float
     server_time_ns: int
-    #: float32 [vertex_count, 3] m, all bodies one after the other (read-only).
+    #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
     positions: npt.NDArray[np.float32]
     tools: dict[str, Feedback]
 
     def vertices(self, body: str) -> npt.NDArray[np.float32]:
-        """[vertex_count, 3] m: the part of `positions` that belongs to a body."""
+        """Returns the part of `positions` that belongs to a body, [vertex_count, 3] m."""
         surface = find_body(self.topology, body)
         return self.positions[surface.first_vertex : surface.first_vertex + surface.vertex_count]
 
@@ -101,17 +101,17 @@ class Frame:
 
 
 def frame_size_bytes(topology: stream_pb2.Topology) -> int:
-    """Bytes of `positions` in a frame of this topology."""
+    """Returns the size of `positions` in a frame of this topology [bytes]."""
     return 12 * sum(body.vertex_count for body in topology.bodies)
 
 
 def find_body(topology: stream_pb2.Topology, body: str) -> stream_pb2.BodySurface:
-    """The surface of a body; an unknown name is refused with the names there are."""
+    """Finds the surface of a body. NotFoundError lists the bodies there are."""
     return _find(topology, topology.bodies, "body", body)
 
 
 def find_tool(topology: stream_pb2.Topology, tool: str) -> stream_pb2.ToolShape:
-    """The shape of a tool; an unknown name is refused with the names there are."""
+    """Finds the shape of a tool. NotFoundError lists the tools there are."""
     return _find(topology, topology.tools, "tool", tool)
 
 

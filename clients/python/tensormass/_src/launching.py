@@ -24,20 +24,21 @@ def launch(
     options: Sequence[str] = (),
     timeout_s: float = 20.0,
 ) -> Server:
-    """Starts a daemon of your own on free loopback ports; it ends with the `Server`, or with this process.
+    """Starts a daemon on free loopback ports. It ends with the `Server`, or with this process.
 
     Args:
         backend: "auto", "cpu" or "cuda".
-        cpu_threads: threads of each scene that does not say; None leaves it to the daemon.
-        gpu_scenes: scenes that are to keep their rates on one GPU at the same time; None: each is to be as fast as it
-            can be alone.
-        control: host:port to be controlled on; port 0: a free one. A named one lets clients find a daemon again.
-        zenoh: whether the streams are offered over zenoh too.
+        cpu_threads: threads of each scene that sets none itself; None leaves it to the daemon.
+        gpu_scenes: number of concurrent scenes that must keep their rates on one GPU; None makes each scene as fast as
+            it can be alone.
+        control: host:port of the control plane; port 0 takes a free one. A fixed port lets clients find a daemon that
+            was restarted.
+        zenoh: True publishes the streams over zenoh as well as ZeroMQ.
         options: further flags of `tensormassd`.
 
     Raises:
-        NotFoundError: `tensormassd` is not built (looked up in $TENSORMASSD, the checkout's build/bin, PATH).
-        UnavailableError: it ended or was not ready in time; the message holds the end of its log.
+        NotFoundError: `tensormassd` is not in $TENSORMASSD, the checkout's build/bin or PATH.
+        UnavailableError: the daemon ended or was not ready in time; the message has the end of its log.
     """
     program = find_program("tensormassd", "TENSORMASSD")
     with contextlib.ExitStack() as undo:
@@ -62,7 +63,7 @@ def launch(
 def _wait_until_ready(process: ChildProcess, ready_file: Path, log_file: Path, timeout_s: float) -> str:
     deadline = time.monotonic() + timeout_s
     while True:
-        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # not there, or half written
+        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # missing, or half written
             return str(json.loads(ready_file.read_text())["control"])
         ended = not process.running
         if ended or time.monotonic() > deadline:

@@ -16,14 +16,14 @@ from tensormass.v1 import stream_pb2
 
 
 class PoseSequence:
-    """Numbers the poses of one client: a random id, then sequences from 1 on."""
+    """Numbers the poses of one client: a random id, and sequences from 1."""
 
     def __init__(self) -> None:
         self.client_id = secrets.randbits(63) | 1
         self.last = 0
 
     def next(self, position_m: Vector, orientation: Vector | None) -> stream_pb2.ToolPose:
-        """The message of the next pose, stamped with the monotonic clock."""
+        """Makes the message of the next pose, stamped with the monotonic clock."""
         position, rotation = vector3(position_m, "position"), quaternion(orientation, "orientation")
         self.last += 1
         return stream_pb2.ToolPose(
@@ -35,38 +35,39 @@ class PoseSequence:
         )
 
 
-#: How long closing waits for the last pose to leave [s].
+#: Time that closing waits for the last pose to leave [s].
 _LAST_POSE_S = 1.0
-#: How often a thread that waits for a socket looks whether it is still needed [s].
+#: Period at which a thread that waits for a socket checks whether it is still needed [s].
 _LOOK_S = 0.1
 
 
 class ZeroMqPoses:
-    """Poses on a socket that holds one of them. While it does, the newest waits here, in place of those before it."""
+    """Sends poses over a ZeroMQ socket that holds one message. While it is full, the newest pose waits here and
+    replaces older ones."""
 
     def __init__(self, socket: zmq.Socket[bytes], key: str) -> None:
         self._socket = socket
         self._prefix = key.encode() + b"\0"
         self._waiting: bytes | None = None
         self._sends_later = False
-        # Guards all of them: a socket is not for two threads at a time.
+        # Guards all of them, because a ZeroMQ socket must not be used by two threads at a time.
         self._changed = threading.Condition()
 
     def put(self, payload: bytes) -> None:
         with self._changed:
             self._waiting = self._prefix + payload
             if not self._send_waiting() and not self._sends_later:
-                # The next call would send it or a newer one, but this may have been the last.
+                # The next call would send this pose or a newer one, but there may be no next call.
                 self._sends_later = True
                 threading.Thread(target=self._send_later, args=(self._socket.fileno(),), daemon=True).start()
 
     def close(self) -> None:
-        """Returns when the newest pose has left, or nobody took it in _LAST_POSE_S."""
+        """Returns when the newest pose has left, or after _LAST_POSE_S."""
         deadline = time.monotonic() + _LAST_POSE_S
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is None, _LAST_POSE_S)
             self._waiting = None
-            # There is room when the one that the socket held has left.
+            # The socket has room once the pose that it held has left.
             self._socket.poll(max(0, round((deadline - time.monotonic()) * 1000)), zmq.POLLOUT)
             self._socket.close()
 
@@ -82,7 +83,7 @@ class ZeroMqPoses:
 
     def _send_waiting(self) -> bool:
         assert self._waiting is not None
-        # Asked first, because it makes the socket see at once that it has room; sending does so only now and then.
+        # Reading EVENTS makes the socket notice at once that it has room. Sending does so only now and then.
         if not int(self._socket.getsockopt(zmq.EVENTS)) & zmq.POLLOUT:
             return False
         self._socket.send(self._waiting, zmq.DONTWAIT)
@@ -92,9 +93,9 @@ class ZeroMqPoses:
 
 
 class PoseSender(Stream):
-    """Sends a tool's poses over the bus, at any rate; each step uses the newest. Not to be shared between threads.
+    """Sends the poses of a tool at any rate; each step uses the newest. Use it from one thread only.
 
-    Close it, or use it as a context manager: that waits, a second at most, until the newest pose has left.
+    Close it, or use it as a context manager. Closing waits at most a second until the newest pose has left.
     """
 
     def __init__(
@@ -106,19 +107,19 @@ class PoseSender(Stream):
 
     @property
     def client_id(self) -> int:
-        """Random for each sender; comes back as `Feedback.client_id` of the steps that used its poses."""
+        """Returns the random id of this sender. `Feedback.client_id` repeats it for steps that used its poses."""
         return self._sequence.client_id
 
     @property
     def last_sequence(self) -> int:
-        """Of the last pose sent; comes back as `Feedback.pose_sequence`."""
+        """Returns the sequence of the last pose sent. `Feedback.pose_sequence` repeats it."""
         return self._sequence.last
 
     def send(self, position_m: Vector, orientation: Vector | None = None) -> int:
         """Sends a pose ([3] m; w, x, y, z or None for the identity) and returns its sequence.
 
         Raises:
-            InvalidArgumentError: not finite, or no numbers.
+            InvalidArgumentError: a value that is not a finite number.
             UnavailableError: the sender or its connection was closed.
         """
         self._check_open()

@@ -30,9 +30,9 @@ class SceneHandle:
         message: scene_pb2.Scene | None = None,
     ) -> None:
         self.name = name
-        #: What was admitted and what a step costs; None for a scene that another client loaded.
+        #: Bodies as admitted, and the cost of a step; None for a scene that another client loaded.
         self.report = report
-        #: What was loaded, with its meshes; None for a scene that another client loaded.
+        #: The loaded scene, with its meshes; None for a scene that another client loaded.
         self.message = message
         self._connection = connection
         self._topology: stream_pb2.Topology | None = None
@@ -44,7 +44,7 @@ class SceneHandle:
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def step(self, count: int = 1) -> stream_pb2.SceneStatus:
-        """Makes `count` steps and returns when they are done.
+        """Makes `count` steps and returns after the last one.
 
         Raises:
             FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
@@ -53,35 +53,35 @@ class SceneHandle:
         return self._connection.call("StepScene", request, timeout_s=None).status
 
     def pause(self) -> stream_pb2.SceneStatus:
-        """Stands still between two steps."""
+        """Pauses the scene between two steps."""
         return self._connection.call("PauseScene", control_pb2.PauseSceneRequest(scene=self.name)).status
 
     def resume(self) -> stream_pb2.SceneStatus:
-        """Goes on after `pause`."""
+        """Continues after `pause`."""
         return self._connection.call("ResumeScene", control_pb2.ResumeSceneRequest(scene=self.name)).status
 
     def reset(self) -> stream_pb2.SceneStatus:
-        """Back to the start: positions, velocities, time and tools; clears a fault."""
+        """Resets positions, velocities, time and tools to the start, and clears a fault."""
         return self._connection.call("ResetScene", control_pb2.ResetSceneRequest(scene=self.name)).status
 
     def unload(self) -> None:
-        """Ends the scene."""
+        """Unloads the scene."""
         self._connection.call("UnloadScene", control_pb2.UnloadSceneRequest(scene=self.name))
 
     # --- state --------------------------------------------------------------------------------------------------------
 
     def status(self) -> stream_pb2.SceneStatus:
-        """Rates, deadlines, solver and counters; see `SceneStatus` in stream.proto."""
+        """Returns rates, deadlines, solver figures and counters; see `SceneStatus` in stream.proto."""
         return self._connection.call("GetStatus", control_pb2.GetStatusRequest(scene=self.name)).status
 
     def positions(self, body: str) -> npt.NDArray[np.float64]:
-        """All nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
+        """Returns the nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
         request = control_pb2.GetPositionsRequest(scene=self.name, body=body)
         reply = self._connection.call("GetPositions", request)
         return np.frombuffer(reply.positions, dtype="<f8").reshape(-1, 3).copy()
 
     def fields(self, body: str, names: Sequence[FieldName] = ()) -> Fields:
-        """Fields of a body after the last step, measured for this call; its energies come along without a name.
+        """Computes fields of a body after the last step. Its energies are always included.
 
         Raises:
             NotFoundError: no such body.
@@ -102,7 +102,7 @@ class SceneHandle:
         return write_report(file, self.status(), bodies, self.message)
 
     def surface(self, body: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
-        """What a viewer sees of a body now: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3].
+        """Returns the visible surface of a body: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3].
 
         Raises:
             NotFoundError: no such body.
@@ -112,13 +112,13 @@ class SceneHandle:
         return frame.vertices(body).astype(np.float64), triangles.copy()
 
     def topology(self) -> stream_pb2.Topology:
-        """What does not change from frame to frame."""
+        """Returns what does not change between frames: bodies, tools and triangles."""
         reply = self._connection.call("GetTopology", control_pb2.GetTopologyRequest(scene=self.name))
         self._topology = reply.topology
         return reply.topology
 
     def frame(self) -> Frame:
-        """The surfaces after the last step."""
+        """Returns the surfaces after the last step."""
         while True:
             reply = self._connection.call("GetFrame", control_pb2.GetFrameRequest(scene=self.name))
             frame = self._decode(reply.frame)
@@ -128,58 +128,60 @@ class SceneHandle:
     def frames(self, transport: Transport = "zeromq", *, timeout_s: float = 5.0) -> FrameStream:
         """Subscribes to the frames: `for frame in scene.frames(): ...`.
 
-        The first item is the scene as it stands, also when it is paused; then come the newest frames, the ones between
-        are skipped. Waits for each at most `timeout_s`.
+        The first item is the present state, even of a paused scene. Each later item is the newest frame, and frames in
+        between are skipped. Waits at most `timeout_s` for each.
         """
         subscription = self._connection.data_plane.subscribe(self.name, "frame", stream_pb2.Frame, transport)
         return FrameStream(self, subscription, timeout_s)
 
     def statuses(self, transport: Transport = "zeromq") -> Subscription[stream_pb2.SceneStatus]:
-        """Subscribes to the status."""
+        """Subscribes to the status of the scene."""
         return self._connection.data_plane.subscribe(self.name, "status", stream_pb2.SceneStatus, transport)
 
     # --- tools --------------------------------------------------------------------------------------------------------
 
     def move_tool(self, name: str, position_m: Vector, orientation: Vector | None = None) -> None:
-        """Where the tool shall be from the next step on: [3] m and w, x, y, z (None: the identity).
+        """Moves a tool from the next step on, no faster than its maximum speed.
 
-        The tool gets there at its maximum speed at most.
+        Args:
+            position_m: [3] m.
+            orientation: quaternion w, x, y, z; None is the identity.
 
         Raises:
             NotFoundError: no such tool.
-            InvalidArgumentError: not finite, or no numbers.
+            InvalidArgumentError: a value that is not a finite number.
         """
         pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation)
         self._connection.call("MoveTool", control_pb2.MoveToolRequest(scene=self.name, tool=name, pose=pose))
 
     def feedback(self, name: str) -> Feedback:
-        """Force, torque and local model of a tool after the last step."""
+        """Returns force, torque and local model of a tool after the last step."""
         request = control_pb2.GetFeedbackRequest(scene=self.name, tool=name)
         return Feedback.from_message(self._connection.call("GetFeedback", request).feedback)
 
     def tool_stream(self, name: str, transport: Transport = "zeromq") -> PoseSender:
-        """Opens a stream for a tool's poses, for clients that move faster than a call for each pose allows.
+        """Opens a stream of poses, for clients that move a tool more often than a call per pose allows.
 
         Raises:
-            NotFoundError: no such tool, which the stream itself would never tell.
+            NotFoundError: no such tool. The stream itself would not report it.
         """
         find_tool(self.topology(), name)
         return self._connection.data_plane.pose_sender(self.name, name, transport)
 
     def feedbacks(self, name: str, transport: Transport = "zeromq") -> Subscription[stream_pb2.ToolFeedback]:
-        """Subscribes to a tool's feedback: the newest after each step.
+        """Subscribes to the feedback of a tool: the newest after each step.
 
         Raises:
-            NotFoundError: no such tool, on whose stream nothing would ever come.
+            NotFoundError: no such tool. Its stream would stay silent.
         """
         find_tool(self.topology(), name)
         stream = f"tool/{name}/feedback"
         return self._connection.data_plane.subscribe(self.name, stream, stream_pb2.ToolFeedback, transport)
 
     def _decode(self, frame: stream_pb2.Frame) -> Frame | None:
-        """None for a frame of a topology that has been replaced since."""
+        """Decodes a frame; None if its topology has been replaced since."""
         topology = self._topology
-        # The size differs where a scene was unloaded and another one loaded under its name.
+        # The size differs if a scene was unloaded and another one was loaded under its name.
         if (
             topology is None
             or topology.version != frame.topology_version
@@ -190,15 +192,15 @@ class SceneHandle:
 
 
 class FrameStream(Closing, Iterator[Frame]):
-    """Iterates over frames; see `SceneHandle.frames`."""
+    """Iterates over the frames of a scene; see `SceneHandle.frames`."""
 
     def __init__(self, scene: SceneHandle, subscription: Subscription[stream_pb2.Frame], timeout_s: float) -> None:
-        #: Frames that were skipped because newer ones came before they were taken.
+        #: Number of frames that newer ones replaced before they were taken.
         self.dropped_count = 0
         self._scene = scene
         self._subscription = subscription
         self._timeout_s = timeout_s
-        # What the call at the start brought, and the newest that came, whether it was handed out or not.
+        # The frame of the call at the start, and the newest one that came, whether it was handed out or not.
         self._first: Frame | None = None
         self._last: Frame | None = None
 
@@ -213,8 +215,8 @@ class FrameStream(Closing, Iterator[Frame]):
             if frame.topology.version == self._last.topology.version:
                 self.dropped_count += max(0, frame.sequence - self._last.sequence - 1)
             self._last = frame
-            # The first may come again. Of later frames none does, though a reset or a pause leaves one with a step that
-            # was there before.
+            # The bus may repeat the first frame, but no later one. The step does not tell them apart: a reset or a
+            # pause publishes a step number again.
             if (
                 frame.topology.version > self._first.topology.version
                 or frame.server_time_ns > self._first.server_time_ns

@@ -19,16 +19,16 @@ SceneSource = str | Path | Scene | scene_pb2.Scene
 
 
 def connect(address: str = DEFAULT_ADDRESS, *, timeout_s: float = 5.0) -> Server:
-    """Joins the daemon whose control plane listens on `address` (host:port).
+    """Connects to the daemon whose control plane listens on `address` (host:port).
 
     Raises:
-        UnavailableError: nobody answers there within `timeout_s`.
+        UnavailableError: no daemon answers there within `timeout_s`.
     """
     return Server(address, timeout_s=timeout_s)
 
 
 class Server(Connection):
-    """A daemon. Close it, or use it as a context manager; a daemon that `launch` started ends then."""
+    """A daemon. Close it, or use it as a context manager. Closing ends a daemon that `launch` started."""
 
     def __init__(
         self,
@@ -39,9 +39,9 @@ class Server(Connection):
         log_file: Path | None = None,
     ) -> None:
         super().__init__(address, timeout_s=timeout_s)
-        #: The daemon's process, if `launch` started it.
+        #: Process of the daemon; None unless `launch` started it.
         self.process = process
-        #: Its log, if `launch` started it.
+        #: Log file of the daemon; None unless `launch` started it.
         self.log_file = log_file
 
     def __repr__(self) -> str:
@@ -58,12 +58,12 @@ class Server(Connection):
         """Loads a scene and starts it.
 
         Args:
-            scene: a `Scene`, the protobuf message, the name of a scene or mesh file, or of a built-in scene
+            scene: a `Scene`, the protobuf message, or the name of a scene file, a mesh file or a built-in scene
                 (`builtin_scenes`).
-            lockstep: True steps only on `SceneHandle.step`; None leaves it as the scene says.
-            name: instead of the scene's own.
-            progress: called with what the daemon does now, for people, and how much of the time has gone, 0 to 1. What
-                it raises ends the load and comes out here.
+            lockstep: True steps only on `SceneHandle.step`, False in real time; None keeps the scene's own choice.
+            name: replaces the scene's own.
+            progress: (part, fraction) -> None; called while the daemon loads, with a text for people and the share of
+                the work that is done, 0 to 1. An exception from it ends the load and is raised here.
 
         Raises:
             InvalidArgumentError: the scene is refused; the message names the body, the element and the remedy.
@@ -88,19 +88,19 @@ class Server(Connection):
         except grpc.RpcError as error:
             raise errors.from_rpc_error(error) from error
         finally:
-            messages.cancel()  # nothing, if it has ended
+            messages.cancel()  # has no effect after the end
         return report
 
     def inspect(self, scene: SceneSource) -> control_pb2.SceneReport:
-        """Checks and compiles a scene without running it. Raises as `load`."""
+        """Checks and compiles a scene without running it. Raises the errors of `load`."""
         request = control_pb2.InspectSceneRequest(scene=_message_of(scene, None, None))
         return self.call("InspectScene", request, timeout_s=LOAD_TIMEOUT_S).report
 
     def scene(self, name: str) -> SceneHandle:
-        """A handle on a scene that is loaded already.
+        """Returns a handle on a scene that is already loaded.
 
         Raises:
-            NotFoundError: it is not.
+            NotFoundError: no scene of this name is loaded.
         """
         handle = SceneHandle(self, name, None)
         handle.status()

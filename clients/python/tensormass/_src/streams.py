@@ -15,12 +15,12 @@ Transport = Literal["zeromq", "zenoh"]
 
 
 def stream_key(server: str, scene: str, stream: str) -> str:
-    """The key of a stream: `frame`, `topology`, `status`, `tool/<name>/feedback` or `tool/<name>/pose`."""
+    """Returns the key of a stream: `frame`, `topology`, `status`, `tool/<name>/feedback` or `tool/<name>/pose`."""
     return f"tensormass/{server}/{scene}/{stream}"
 
 
 class Closing(ABC):
-    """Something to close, or to use as a context manager."""
+    """Base of everything that is closed, by `close` or as a context manager."""
 
     @abstractmethod
     def close(self) -> None: ...
@@ -49,7 +49,7 @@ class Stream(Closing):
         self._closed = False
 
     def close(self) -> None:
-        """Ends the stream. May be called again."""
+        """Closes the stream. May be called again."""
         if not self._closed:
             self._closed = True
             self._end()

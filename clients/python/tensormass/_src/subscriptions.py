@@ -25,7 +25,7 @@ MessageType = TypeVar("MessageType", bound=Message)
 class Source(ABC):
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes | None:
-        """The newest payload not yet taken; None when the time is up."""
+        """Returns the newest payload that was not yet taken; None when the time is up."""
 
     @abstractmethod
     def close(self) -> None: ...
@@ -39,7 +39,7 @@ class ZeroMqSource(Source):
         if not self._socket.poll(max(0, round(timeout_s * 1000))):
             return None
         message = self._socket.recv()
-        return message[message.index(b"\0") + 1 :]  # the subscription is a prefix that ends in it
+        return message[message.index(b"\0") + 1 :]  # the key ends in a zero byte
 
     def close(self) -> None:
         self._socket.close()
@@ -49,9 +49,10 @@ class ZenohSource(Source):
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._changed = threading.Condition()
         self._newest: bytes | None = None
-        # Called by zenoh's own threads: else each handler has a Python thread, which a process waits for when it ends.
+        # zenoh's own threads call the handler. Otherwise each handler has a Python thread, and the process waits for it
+        # at its end.
         self._subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(self._put, indirect=False))
-        # What the daemon retains (topology, status) comes by query; a stream that retains nothing does not answer.
+        # A query brings the message that the daemon retains (topology, status). Other streams do not answer it.
         session.get(key, handler=zenoh.handlers.Callback(self._reply, indirect=False))
 
     def _reply(self, reply: zenoh.Reply) -> None:
@@ -75,36 +76,36 @@ class ZenohSource(Source):
             return newest
 
     def close(self) -> None:
-        with contextlib.suppress(zenoh.ZError):  # the session may be closed already
+        with contextlib.suppress(zenoh.ZError):  # the session may already be closed
             self._subscriber.undeclare()
 
 
-#: The longest single wait of a subscription [s].
+#: Longest single wait of a subscription [s].
 _WAIT_S = 1.0
 
 
 class Subscription(Stream, Generic[MessageType]):
-    """The newest message of one stream. Not to be shared between threads."""
+    """Receives the newest message of one stream. Use it from one thread only."""
 
     def __init__(self, check_plane: Callable[[], None], source: Source, key: str, kind: type[MessageType]) -> None:
         super().__init__(check_plane, key, source.close)
         self._source = source
         self._kind = kind
-        #: Messages that were not protobuf of this kind.
+        #: Number of messages that were not protobuf of this kind.
         self.malformed_count = 0
 
     def receive(self, timeout_s: float = 5.0) -> MessageType:
-        """The newest message that was not yet taken; waits for one.
+        """Waits for the newest message that was not yet taken.
 
         Raises:
-            DeadlineExceededError: none came in `timeout_s`.
+            DeadlineExceededError: no message came in `timeout_s`.
             UnavailableError: the subscription or its connection was closed.
         """
         self._check_open()
         left_s = timeout_s
         while True:
-            # In short waits: a process that was stopped for longer than the time-out looks once more when it goes on,
-            # after its transport had a chance to run, before it says that nothing came.
+            # Waits in short parts. A process that was suspended for longer than the time-out then checks once more
+            # after its transport had a chance to run, before it reports that nothing came.
             wait_s = min(left_s, _WAIT_S)
             begin = time.monotonic()
             payload = self._source.receive(wait_s)
