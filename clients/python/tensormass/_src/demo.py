@@ -1,7 +1,7 @@
-"""The scenes that come along, by the names of their files in scenes/.
+"""Built-in scenes, by the names of their files in scenes/.
 
-The meshes of organs are made by organ.py when a scene first uses them, which takes seconds, and again when their source
-changes; they are kept in the checkout's build/scenes or in the user's cache.
+organ.py makes the meshes of organs when a scene first uses them, which takes seconds, and again when their source
+changes. They are kept in the checkout's build/scenes or in the user's cache.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _SOURCES = ("organ.py", "isosurface.py", "meshes.py", "mesh_geometry.py", "mesh_
 
 
 def builtin_scenes() -> list[str]:
-    """Names of the scenes that come along."""
+    """Returns the names of the built-in scenes."""
     return sorted(path.stem for path in _TEMPLATES.glob("*.yaml"))
 
 
 def builtin_scene(name: str) -> tuple[Path, Path] | None:
-    """Scene file of a built-in scene and the folder of its meshes, made if need be; None if there is no such scene."""
+    """Returns file and mesh folder of a built-in scene, None if there is no such scene. Makes missing meshes."""
     if name not in builtin_scenes():
         return None
     scene_file = _TEMPLATES / f"{name}.yaml"
@@ -40,7 +40,7 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     sources = hashlib.sha256(b"".join((_PACKAGE / source).read_bytes() for source in _SOURCES)).hexdigest()
     if not (stamp.is_file() and stamp.read_text() == sources and all(file.is_file() for file in files)):
         folder.mkdir(parents=True, exist_ok=True)
-        # Made aside and moved in place, so that a second process never reads half a file.
+        # Made in a temporary folder and then moved, so that a second process never reads half a file.
         with tempfile.TemporaryDirectory(dir=folder) as made:
             _make_organs(Path(made))
             (Path(made) / stamp.name).write_text(sources)
@@ -57,7 +57,7 @@ def _make_organs(folder: Path) -> None:
 
 
 def cache_folder() -> Path:
-    """Where meshes that are made on demand are kept."""
+    """Returns the folder of meshes that are made on demand."""
     build = BUILD_BIN.parent
     if build.is_dir() and os.access(build, os.W_OK):
         return build / "scenes"

@@ -9,7 +9,7 @@ from tensormass._src.names import suggestion
 
 
 def enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
-    """A value by its full name or without the enum's name: SHAPE_HEXAHEDRON, hexahedron."""
+    """Returns the number of a value, by its full or short name: SHAPE_HEXAHEDRON, hexahedron."""
     known = {short_name(enum, of.number): of.number for of in enum.values if of.number != 0}
     short = str(value).removeprefix(_enum_prefix(enum)).lower()
     if short not in known:
@@ -19,7 +19,7 @@ def enum_number(enum: EnumDescriptor, value: object, where: str) -> int:
 
 
 def short_name(enum: EnumDescriptor, number: int) -> str:
-    """A value of an enum as scene files have it: SHAPE_HEXAHEDRON -> hexahedron."""
+    """Returns the short name that scene files use: SHAPE_HEXAHEDRON -> hexahedron."""
     return str(enum.values_by_number[number].name).removeprefix(_enum_prefix(enum)).lower()
 
 

@@ -1,4 +1,4 @@
-"""Exceptions of the SDK: one for each thing a caller can do about it, each carrying the daemon's own message."""
+"""Exceptions of the SDK: one for each way in which a caller can react. Each has the daemon's own message."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import grpc
 
 
 class TensormassError(Exception):
-    """Base of everything the SDK raises on purpose."""
+    """Base of all errors that the SDK raises on purpose."""
 
 
 class InvalidArgumentError(TensormassError, ValueError):
@@ -25,11 +25,11 @@ class AlreadyExistsError(TensormassError):
 
 
 class ResourceExhaustedError(TensormassError):
-    """A limit, named in the message."""
+    """A limit was exceeded; the message names it."""
 
 
 class FailedPreconditionError(TensormassError):
-    """The scene is not in the state that the call needs."""
+    """The scene is in the wrong state for this call."""
 
 
 class UnavailableError(TensormassError, ConnectionError):
@@ -45,12 +45,12 @@ class NotConvergedError(TensormassError):
 
 
 class InternalError(TensormassError):
-    """The daemon failed in a way that is not the caller's fault."""
+    """The daemon failed, and not through the caller's fault."""
 
 
 @contextlib.contextmanager
 def naming(where: str) -> Iterator[None]:
-    """Puts the place, or the option, in front of what is wrong there."""
+    """Puts `where`, a place or an option, in front of the message of an error in the body."""
     try:
         yield
     except TensormassError as error:
@@ -69,6 +69,6 @@ _BY_CODE: dict[grpc.StatusCode, type[TensormassError]] = {
 
 
 def from_rpc_error(error: grpc.RpcError) -> TensormassError:
-    """The exception that a failed call stands for; `error` must come from a finished call."""
+    """Returns the exception for a failed call. `error` must come from a finished call."""
     assert isinstance(error, grpc.Call)
     return _BY_CODE.get(error.code(), InternalError)(error.details() or f"the daemon answered {error.code().name}")

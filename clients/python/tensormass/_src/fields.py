@@ -23,7 +23,7 @@ FieldName = Literal[
     "elastic_energy",
 ]
 FIELD_NAMES: tuple[FieldName, ...] = get_args(FieldName)
-#: The fields that have a value at each node; the others have one in each element.
+#: Fields with a value at each node. The others have one in each element.
 NODE_FIELDS: frozenset[FieldName] = frozenset({"displacement", "velocity", "reaction_force"})
 _PREFIX = "FIELD_"
 
@@ -34,11 +34,11 @@ class Fields:
 
     step: int
     simulated_time_s: float
-    #: float64 [node or element count, components], without the second dimension where there is one component:
+    #: float64 [node or element count, components]; one-component fields have no second dimension:
     #: displacement [m], velocity [m/s], reaction_force [N], cauchy_stress [Pa] (xx yy zz yz xz xy),
     #: von_mises_stress [Pa], det_f, elastic_energy [J].
     values: dict[FieldName, FloatArray]
-    #: Of the whole body, whatever fields were asked for.
+    #: Energies [J] and smallest det F of the whole body, whatever fields were asked for.
     elastic_energy_j: float
     kinetic_energy_j: float
     min_det_f: float
@@ -51,7 +51,7 @@ class Fields:
         """Decodes a reply.
 
         Raises:
-            InternalError: values that are no whole number of rows.
+            InternalError: bytes that are not whole rows.
         """
         values: dict[FieldName, FloatArray] = {}
         for of in message.fields:
@@ -71,7 +71,7 @@ class Fields:
 
 
 def field_numbers(names: Sequence[str]) -> list[control_pb2.Field]:
-    """The protocol's values of fields by their names.
+    """Returns the protocol's values of fields, by their names.
 
     Raises:
         InvalidArgumentError: an unknown name.

@@ -1,4 +1,4 @@
-"""Files that are replaced when all of the new one is there: a full disk leaves what was there before."""
+"""Replaces files in one step: if the disk is full, the old file stays."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# What is there is open elsewhere, as standard output is.
+# Folders whose files are streams, such as standard output.
 _SYSTEM_FOLDERS = ("dev", "proc")
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Where to write what is to be found at `path`: a file of the same name in a folder beside it, as writers take the
-    format from a name and may make a second file of it. In the end it takes its place; if something is raised, what
-    was there stays.
+    """Yields the path to write instead of `path`, and moves the result to `path` at the end.
 
-    A link goes on naming the same file. What is no plain file, such as a pipe, is written to directly; so is what
-    cannot be replaced, whose writer then says why.
+    It is a file of the same name in a temporary folder, because writers choose the format by the name and may write a
+    second file. If the body raises, the old file stays.
+
+    A link keeps naming the same file. A pipe, or a file that cannot be replaced, is written directly; the writer then
+    reports the error.
     """
     target = Path(os.path.realpath(path))
     if not _is_replaceable(path, target):
@@ -31,12 +32,14 @@ def replacing(path: Path) -> Iterator[Path]:
         yield aside
         if target.exists():
             shutil.copymode(target, aside)
-        for file in sorted(Path(folder).iterdir(), key=lambda file: file == aside):  # what names the others last
+        for file in sorted(
+            Path(folder).iterdir(), key=lambda file: file == aside
+        ):  # `path` last, because it refers to the others
             os.replace(file, target if file == aside else path.with_name(file.name))
 
 
 def _is_replaceable(path: Path, target: Path) -> bool:
-    """Whether a file can take the place of what is there, if anything is."""
+    """Tells whether a new file can replace `target`, or be created there."""
     if path.absolute().parts[1:2] in [(folder,) for folder in _SYSTEM_FOLDERS]:
         return False
     if target.exists() and not (target.is_file() and os.access(target, os.W_OK)):

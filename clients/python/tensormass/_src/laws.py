@@ -21,7 +21,13 @@ def law_message(
     prony: Sequence[tuple[float, float]] = (),
     where: str = "law",
 ) -> scene_pb2.Law:
-    """A law by its name, with its constants by theirs and Prony terms (share, relaxation time [s]).
+    """Makes the message of a law.
+
+    Args:
+        name: one of `LAWS`.
+        constants: by their names in scene.proto.
+        prony: (share, relaxation time [s]) of each term.
+        where: place, for messages.
 
     Raises:
         InvalidArgumentError: an unknown law, an unknown or missing constant, a value that is not a number.
@@ -34,7 +40,7 @@ def law_message(
     fields = message.DESCRIPTOR.fields_by_name
     for constant, value in constants.items():
         if constant not in fields:
-            # A bulk modulus is spelt nearly as Young's, and is another number.
+            # `bulk_modulus_pa` is spelt nearly like `young_modulus_pa`, so a suggestion by spelling would mislead.
             known = f"it is given by {', '.join(fields)}" if constant in LIVER else suggestion(constant, fields)
             raise InvalidArgumentError(f"{where}: {name} has no constant {constant!r}; {known}")
         if fields[constant].message_type is not None:
@@ -46,7 +52,7 @@ def law_message(
             raise InvalidArgumentError(f"{where}.{name}.{constant}: expected a number, got {value!r}") from error
         if not math.isfinite(getattr(message, constant)):
             raise InvalidArgumentError(f"{where}.{name}.{constant}: expected a finite number, got {value!r}")
-    # A direction may come with each element instead.
+    # Element fields may give a direction instead.
     missing = [field for field, of in fields.items() if of.message_type is None and field not in constants]
     if missing:
         raise InvalidArgumentError(f"{where}: {name} needs {', '.join(missing)}")

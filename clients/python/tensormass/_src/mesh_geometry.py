@@ -11,25 +11,26 @@ from tensormass._src.meshes import ElementBlock, FloatArray, TriangleSurface, Vo
 
 @dataclass(frozen=True)
 class MeshQuality:
-    """What matters to a solver. Lengths and volumes in the mesh's own unit, of elements with straight edges."""
+    """Figures that matter to a solver. Lengths and volumes are in the mesh's own unit, for elements with straight
+    edges."""
 
     node_count: int
-    #: By the shape's name.
+    #: Number of elements, by the name of their shape.
     element_counts: dict[str, int]
     volume: float
     min_dihedral_angle_deg: float
     mean_edge_length: float
-    #: Elements that are turned inside out, as a whole or at a corner.
+    #: Number of elements that are inverted, as a whole or at a corner.
     inverted_count: int
 
 
 def signed_volumes(mesh: VolumeMesh) -> FloatArray:
-    """[element_count], negative where inverted."""
+    """Returns the volume of each element, [element_count]; negative for inverted elements."""
     return np.concatenate([_signed_volumes(mesh.nodes, block) for block in mesh.blocks])
 
 
 def _signed_volumes(nodes: FloatArray, block: ElementBlock) -> FloatArray:
-    """By the divergence theorem, exact for straight edges and bilinear faces."""
+    """Computes volumes by the divergence theorem, exact for straight edges and bilinear faces."""
     corner = nodes[block.nodes[:, : block.shape.corner_count]]
     corner = corner - corner[:, :1]
     volumes: FloatArray = np.zeros(len(corner))
@@ -40,7 +41,7 @@ def _signed_volumes(nodes: FloatArray, block: ElementBlock) -> FloatArray:
 
 
 def _cuts(face: tuple[int, ...]) -> list[tuple[tuple[int, int, int], float]]:
-    """Weighted triangles of a face: a quadrilateral along both diagonals, for half each."""
+    """Cuts a face into weighted triangles. A quadrilateral is cut along both diagonals, each for half."""
     if len(face) == 3:
         return [(face, 1.0)]
     a, b, c, d = face
@@ -48,7 +49,7 @@ def _cuts(face: tuple[int, ...]) -> list[tuple[tuple[int, int, int], float]]:
 
 
 def _least_jacobians(nodes: FloatArray, block: ElementBlock) -> FloatArray:
-    """[n]: over the corners, the determinant of the edges that leave there."""
+    """Returns for each element, [n], the smallest determinant of the edges at a corner."""
     corner = nodes[block.nodes[:, : block.shape.corner_count]]
     frames = np.array(block.shape.corner_frames)
     a, b, c = (corner[:, frames[:, k]] - corner[:, frames[:, 0]] for k in (1, 2, 3))
@@ -57,13 +58,13 @@ def _least_jacobians(nodes: FloatArray, block: ElementBlock) -> FloatArray:
 
 
 def dihedral_angles_deg(mesh: VolumeMesh) -> FloatArray:
-    """Between the faces of an element in each of its edges, of all elements, in no particular order."""
+    """Returns the angle between the two faces at each edge of each element, in no particular order."""
     angles = []
     for shape, elements in mesh.blocks:
         corner = mesh.nodes[elements]
         normals = []
         for face in shape.faces:
-            # The product of two sides of a triangle, of a quadrilateral's diagonals.
+            # Cross product of two sides of a triangle, or of the diagonals of a quadrilateral.
             first = corner[:, face[-2]] - corner[:, face[0]]
             second = corner[:, face[-1]] - corner[:, face[-3]]
             normals.append(np.cross(first, second))
@@ -77,7 +78,7 @@ def dihedral_angles_deg(mesh: VolumeMesh) -> FloatArray:
 
 
 def quality(mesh: VolumeMesh) -> MeshQuality:
-    """Counts, volume, edge length and the worst dihedral angle."""
+    """Measures counts, volume, edge length and the worst dihedral angle."""
     counts: dict[str, int] = {}
     lengths = []
     for shape, elements in mesh.blocks:
@@ -96,7 +97,7 @@ def quality(mesh: VolumeMesh) -> MeshQuality:
 
 
 def boundary(mesh: VolumeMesh) -> TriangleSurface:
-    """Outward triangles of the faces that belong to one element only, on a compact list of vertices."""
+    """Returns the faces that belong to one element only, as outward triangles on a compact list of vertices."""
     triangles = []
     for corner_count in (3, 4):
         faces = np.concatenate(

@@ -14,8 +14,8 @@ from tensormass._src.meshes import ElementBlock, VolumeMesh
 
 
 def repair(mesh: VolumeMesh) -> VolumeMesh:
-    """What the daemon would refuse or warn of: inverted elements are rewound, flat ones dropped, and only the largest
-    component (by volume, connected over shared nodes) is kept, on a compact list of nodes."""
+    """Repairs what the daemon would refuse or warn of: rewinds inverted elements, drops flat ones, and keeps the
+    largest component (by volume, connected over shared nodes) on a compact list of nodes."""
     volumes = signed_volumes(mesh)
     extent = float(np.ptp(mesh.nodes, axis=0).max())
     solid = np.abs(volumes) > 1e-12 * extent**3
@@ -40,8 +40,8 @@ def rewind(mesh: VolumeMesh) -> VolumeMesh:
 
 
 def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None) -> VolumeMesh:
-    """The elements of a mask [element_count] (None: all) and the nodes that they use; the order stays; sets and
-    fields follow, without sets that are left empty."""
+    """Keeps the elements of a mask [element_count] (None: all) and the nodes that they use, in the same order. Sets and
+    fields follow; empty sets are dropped."""
     kept = np.ones(mesh.element_count, bool) if kept is None else kept
     ends = np.cumsum([len(elements) for _, elements in mesh.blocks])[:-1]
     blocks = [
@@ -62,7 +62,8 @@ def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None) -> Volu
 
 
 def _components(node_count: int, blocks: Sequence[npt.NDArray[np.integer]]) -> npt.NDArray[np.int64]:
-    """Label of each node: the smallest node index of its component. Hooks labels together, halving the chains."""
+    """Labels each node with the smallest node index of its component. Merges labels and halves the chains of labels
+    until nothing changes."""
     label = np.arange(node_count, dtype=np.int64)
     while True:
         new = label.copy()

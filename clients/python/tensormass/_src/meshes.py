@@ -19,12 +19,12 @@ from tensormass._src.shapes import SHAPES, Shape
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.uint32]
-#: Parameters of single elements that a mesh can carry, and how many components each has.
+#: Parameters of single elements that a mesh can carry: number of components, by name.
 ELEMENT_FIELDS = {"young_modulus_pa": 1, "poisson_ratio": 1, "fibre_directions": 3}
 
 
 class ElementBlock(NamedTuple):
-    """Elements of one shape: `nodes` uint32 [element_count, nodes of the shape], VTK order."""
+    """Elements of one shape: `nodes` uint32 [element_count, nodes of the shape] in VTK order."""
 
     shape: Shape
     nodes: IndexArray
@@ -32,12 +32,12 @@ class ElementBlock(NamedTuple):
 
 @dataclass(frozen=True)
 class VolumeMesh:
-    """Elements of any shapes, conforming across their faces. An element's index counts through the blocks."""
+    """Elements of any shapes, conforming across their faces. The index of an element counts through all blocks."""
 
     #: float64 [node_count, 3]
     nodes: FloatArray
     blocks: tuple[ElementBlock, ...]
-    #: Named sets of nodes, uint32 [k] each; they become the body's sets.
+    #: Named sets of nodes, uint32 [k] each. They become the sets of the body.
     sets: Mapping[str, IndexArray] = field(default_factory=dict)
     #: Parameters of single elements by the names of `ELEMENT_FIELDS`, float64 [element_count] or [element_count, 3].
     element_fields: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class VolumeMesh:
             element_fields: by the names of `ELEMENT_FIELDS`.
 
         Raises:
-            InvalidArgumentError: naming `where`, the row and the remedy.
+            InvalidArgumentError: a mistake in an array; the message names `where`, row and remedy.
         """
         points = _checked_points(nodes, f"{where}.nodes")
         checked = []
@@ -84,16 +84,16 @@ class VolumeMesh:
 
     @staticmethod
     def from_tetrahedra(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, where: str = "mesh") -> VolumeMesh:
-        """As `from_arrays`, of linear tetrahedra [n, 4] alone."""
+        """Makes a mesh of linear tetrahedra [n, 4]. Checks and errors of `from_arrays`."""
         return VolumeMesh.from_arrays(nodes, [("tetrahedron", tetrahedra)], where=where)
 
     @property
     def element_count(self) -> int:
-        """Of all blocks."""
+        """Returns the number of elements in all blocks."""
         return sum(len(block.nodes) for block in self.blocks)
 
     def elements(self, shape: str) -> IndexArray:
-        """The elements of one shape, [n, nodes of the shape]; n may be 0."""
+        """Returns the elements of one shape, [n, nodes of the shape]; n may be 0."""
         empty = np.empty((0, SHAPES[shape].node_count), np.uint32)
         return np.concatenate([empty, *(block.nodes for block in self.blocks if block.shape.name == shape)])
 
@@ -107,7 +107,7 @@ class TriangleSurface:
 
     @staticmethod
     def from_arrays(vertices: npt.ArrayLike, triangles: npt.ArrayLike, where: str = "surface") -> TriangleSurface:
-        """As `VolumeMesh.from_arrays`."""
+        """Makes a surface. Checks and errors of `VolumeMesh.from_arrays`."""
         points = _checked_points(vertices, f"{where}.vertices")
         return TriangleSurface(points, _checked_indices(triangles, 3, len(points), f"{where}.triangles"))
 
@@ -159,10 +159,10 @@ def _checked_field(values: npt.ArrayLike, name: str, element_count: int, where: 
 
 
 def node_indices(values: npt.ArrayLike, node_count: int, where: str) -> IndexArray:
-    """[k], from indices [k] or a mask [node_count].
+    """Returns indices [k], from indices [k] or a mask [node_count].
 
     Raises:
-        InvalidArgumentError: naming `where` and what is wrong.
+        InvalidArgumentError: neither of them; the message names `where`.
     """
     array = np.asarray(values)
     if array.dtype == np.bool_:

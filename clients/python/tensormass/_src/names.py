@@ -1,4 +1,4 @@
-"""Words that a user wrote, looked up among the known ones."""
+"""Suggestions for misspelt words, and names in the protocol's alphabet."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`did you mean 'x'?` if one is close, else `known: x, y`."""
+    """Returns `did you mean 'x'?` if a known word is close, else `known: x, y`."""
     known = list(known)
-    # A unit that was left out: `mu` for `mu_pa`.
+    # A missing unit: `mu` for `mu_pa`.
     close = [name for name in known if word and name.startswith(f"{word}_")] or difflib.get_close_matches(
         word, known, n=1
     )
@@ -17,5 +17,5 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def as_name(text: str) -> str:
-    """`text` in the alphabet of scenes, bodies and sets."""
+    """Returns `text` with all but A-Z, a-z, 0-9, _ and - replaced, as names of scenes, bodies and sets need it."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text)[:64]

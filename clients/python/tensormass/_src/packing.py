@@ -11,7 +11,7 @@ from tensormass.v1 import scene_pb2
 
 
 def pack_mesh(mesh: meshes.VolumeMesh) -> scene_pb2.PackedMesh:
-    """Little-endian float64 and uint32 arrays, as the protocol has them."""
+    """Packs a mesh into the protocol's little-endian float64 and uint32 arrays."""
     return scene_pb2.PackedMesh(
         node_positions=mesh.nodes.astype("<f8", copy=False).tobytes(),
         elements=[
@@ -22,10 +22,10 @@ def pack_mesh(mesh: meshes.VolumeMesh) -> scene_pb2.PackedMesh:
 
 
 def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.VolumeMesh:
-    """The mesh of a message.
+    """Unpacks the mesh of a message.
 
     Raises:
-        InvalidArgumentError: arrays that are cut off or do not fit together.
+        InvalidArgumentError: arrays that are cut off or do not match.
     """
     blocks = []
     for index, block in enumerate(packed.elements):
@@ -41,7 +41,7 @@ def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.Vol
 
 
 def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
-    """The mesh that a body's message holds or, of a grid, stands for; before scale and translation."""
+    """Returns the mesh of a body's message, before scale and translation. A grid is cut into its elements."""
     if body.mesh.WhichOneof("source") != "grid":
         return unpack_mesh(body.mesh.packed, f"body {body.name!r}")
     of = body.mesh.grid
@@ -51,7 +51,7 @@ def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
 
 
 def pack_triangles(surface: meshes.TriangleSurface) -> scene_pb2.PackedTriangles:
-    """As `pack_mesh`."""
+    """Packs a surface like `pack_mesh`."""
     return scene_pb2.PackedTriangles(
         vertex_positions=surface.vertices.astype("<f8", copy=False).tobytes(),
         triangles=surface.triangles.astype("<u4", copy=False).tobytes(),
@@ -59,7 +59,8 @@ def pack_triangles(surface: meshes.TriangleSurface) -> scene_pb2.PackedTriangles
 
 
 def add_what_the_mesh_carries(body: scene_pb2.Body, mesh: meshes.VolumeMesh, where: str) -> None:
-    """Named sets and element fields. The mesh's sets come first: the scene's own may be made of them."""
+    """Copies named sets and element fields of a mesh. Its sets come first, because the scene's own may refer to them.
+    Copies named sets and element fields of a mesh. Its sets come first, because the scene's own may refer to them."""
     own = list(body.sets)
     for named in own:
         if named.name in mesh.sets:

@@ -8,8 +8,8 @@ from google.protobuf.message import Message
 
 
 def to_plain(message: Message) -> dict[str, Any]:
-    """Every field by its name in the schema: numbers stay numbers (protobuf's own JSON writes 64-bit ones as text),
-    enums become names; absent messages are left out."""
+    """Converts every field, by its name in the schema. Numbers stay numbers (protobuf's own JSON writes 64-bit ones as
+    text), enums become names, absent messages are left out."""
     plain: dict[str, Any] = {}
     for field in message.DESCRIPTOR.fields:
         if field.has_presence and not message.HasField(field.name):

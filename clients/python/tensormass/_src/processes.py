@@ -1,4 +1,4 @@
-"""Child processes that end when their parent does, however the parent ends."""
+"""Child processes that end with their parent, however the parent ends."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from tensormass._src.errors import InternalError, NotFoundError, UnavailableErro
 
 # In a checkout: clients/python/tensormass/_src/processes.py -> build/bin.
 BUILD_BIN = Path(__file__).resolve().parents[4] / "build" / "bin"
-# Reads until the parent's end of the pipe is gone, then ends the child, woken if it was stopped. The kernel closes that
-# end whatever happens to the parent; PR_SET_PDEATHSIG would also fire when only the thread ends that started the child.
+# Reads until the parent's end of the pipe is closed, then ends the child and wakes it if it was suspended. The kernel
+# closes that end however the parent ends. PR_SET_PDEATHSIG would also fire when only the thread that started the child
+# ends.
 _WATCHDOG = 'read -r _; kill -TERM "$0" 2>/dev/null; kill -CONT "$0" 2>/dev/null'
-# A connection breaks shortly before the process that held it can be seen to have ended.
+# Time between a broken connection and the visible end of its process [s].
 _END_S = 0.5
 
 
 def find_program(name: str, variable: str) -> Path:
-    """Finds a built program: $`variable`, then the checkout's build/bin, then PATH.
+    """Finds a built program in $`variable`, the checkout's build/bin, or PATH, in this order.
 
     Raises:
-        NotFoundError: saying where it was looked for.
+        NotFoundError: the message names the searched places.
     """
     named = os.environ.get(variable)
     if named:
@@ -42,7 +43,7 @@ def find_program(name: str, variable: str) -> Path:
 
 
 class ChildProcess:
-    """A process in a session of its own (Ctrl-C reaches the parent only) that is stopped when the parent is gone."""
+    """A process that is stopped when its parent is gone. It has its own session, so Ctrl-C reaches only the parent."""
 
     def __init__(
         self,
@@ -75,15 +76,15 @@ class ChildProcess:
         return self.process.poll() is None
 
     def stop(self, timeout_s: float = 5.0) -> int:
-        """Asks it to end (SIGTERM), insists after `timeout_s` (SIGKILL), and returns its exit status."""
-        # The watchdog goes first: the child's id is its own only until it is reaped.
+        """Sends SIGTERM, after `timeout_s` SIGKILL, and returns the exit status."""
+        # Ends the watchdog first, because the child's id may be reused once it is reaped.
         self._watchdog.kill()
         self._watchdog.wait()
         assert self._watchdog.stdin is not None
         self._watchdog.stdin.close()
         if self.running:
             self.process.send_signal(signal.SIGTERM)
-            # A stopped process (SIGSTOP) does not see SIGTERM until it goes on.
+            # A suspended process (SIGSTOP) handles SIGTERM only after it continues.
             self.process.send_signal(signal.SIGCONT)
         try:
             return self.process.wait(timeout_s)
@@ -93,7 +94,7 @@ class ChildProcess:
 
 
 def log_tail(file: Path) -> str:
-    """The last lines of a log; empty if there is none."""
+    """Returns the last lines of a log; empty without a log."""
     with contextlib.suppress(OSError):
         return "\n".join(file.read_text(errors="replace").splitlines()[-15:])
     return ""
@@ -101,9 +102,9 @@ def log_tail(file: Path) -> str:
 
 @contextlib.contextmanager
 def end_explained(daemon: ChildProcess | None, log_file: Path | None) -> Iterator[None]:
-    """While a command uses a daemon: if it is the command's own and ended, a failure within says how, with its log.
+    """Adds to a failure in the body how the command's own daemon ended, with the end of its log.
 
-    The call that was under way knows only that its connection broke.
+    The failed call itself knows only that its connection broke. `daemon` is None for a daemon of somebody else.
     """
     try:
         yield

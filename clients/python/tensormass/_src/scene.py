@@ -1,8 +1,4 @@
-"""Scenes: the protobuf `Scene`, read from YAML one to one by field name, or built from arrays.
-
-Files are resolved here, because the daemon reads none: mesh and skin files become packed arrays in the message. Their
-positions are sent as the file has them; `Mesh.scale` and `Mesh.translation_m` travel along and the daemon applies them.
-"""
+"""Scenes, built from files, meshes or arrays."""
 
 from __future__ import annotations
 
@@ -25,9 +21,9 @@ from tensormass.v1 import scene_pb2
 
 
 class Scene:
-    """A scene to be loaded: `message`, the protobuf `tensormass.v1.Scene`, with the usual ways to make one.
+    """Holds a scene to load: `message`, the protobuf `tensormass.v1.Scene`, and the usual ways to make one.
 
-    Anything that the methods below do not offer is a field of `message`.
+    Whatever these methods do not offer is a field of `message`.
     """
 
     def __init__(self, name: str = "scene", message: scene_pb2.Scene | None = None) -> None:
@@ -45,11 +41,11 @@ class Scene:
     def from_file(path: str | Path) -> Scene:
         """Reads a scene (.yaml, .yml) or a bare volume mesh, which becomes one body of soft tissue at rest.
 
-        The name of a built-in scene (`builtin_scenes`) stands for its file, unless a file of that name exists.
+        `path` may be the name of a built-in scene (`builtin_scenes`). A file of that name takes precedence.
 
         Raises:
-            NotFoundError: no such file, or a mesh that the scene names is not there.
-            InvalidArgumentError: what is wrong, with the file and the path of the field.
+            NotFoundError: the file, or a mesh that it names, does not exist.
+            InvalidArgumentError: a mistake; the message names the file and the path of the field.
         """
         if is_mesh_file(path):
             return Scene.from_mesh(mesh_files.read_mesh(Path(path)), name=as_name(Path(path).stem) or "scene")
@@ -57,17 +53,17 @@ class Scene:
 
     @staticmethod
     def from_yaml(text: str, *, directory: str | Path = ".", where: str = "scene") -> Scene:
-        """Parses a scene file's text; mesh files are looked up relative to `directory`."""
+        """Parses the text of a scene file. Mesh files are relative to `directory`."""
         return Scene(message=SceneFile.parse(text, Path(directory), where).message())
 
     @staticmethod
     def from_arrays(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, **options: Any) -> Scene:  # noqa: ANN401
-        """As `from_mesh`, of tetrahedra [n, 4] in VTK node order and their nodes [node_count, 3] m."""
+        """Makes a scene of tetrahedra [n, 4] in VTK node order and nodes [node_count, 3] m. Options of `from_mesh`."""
         return Scene.from_mesh(meshes.VolumeMesh.from_tetrahedra(nodes, tetrahedra), **options)
 
     @staticmethod
     def from_meshio(mesh: meshio.Mesh, **options: Any) -> Scene:  # noqa: ANN401
-        """As `from_mesh`, from a `meshio.Mesh` in metres."""
+        """Makes a scene of a `meshio.Mesh` in metres. Options of `from_mesh`."""
         return Scene.from_mesh(mesh_files.from_meshio(mesh), **options)
 
     @staticmethod
@@ -80,13 +76,13 @@ class Scene:
         density_kg_per_m3: float = 1060.0,
         **options: Any,  # noqa: ANN401
     ) -> Scene:
-        """A scene of one body, by default of liver tissue (add tools with `add_spherical_probe`).
+        """Makes a scene of one body, by default of liver tissue. Add tools with `add_spherical_probe`.
 
         Args:
-            options: those of `add_body`.
+            options: the further arguments of `add_body`.
 
         Raises:
-            InvalidArgumentError: naming the array, the row and the remedy.
+            InvalidArgumentError: a mistake in an array; the message names array, row and remedy.
         """
         scene = Scene(name)
         scene.add_body(body, mesh, density_kg_per_m3=density_kg_per_m3, **options)
@@ -111,24 +107,23 @@ class Scene:
         fixed_nodes: npt.ArrayLike | None = None,
         skin: meshes.TriangleSurface | None = None,
     ) -> scene_pb2.Body:
-        """Adds a body and returns its message, for what the arguments do not cover: loads, prescribed displacements,
-        laws of regions.
+        """Adds a body and returns its message. Loads, prescribed displacements and laws of regions are set there.
 
         Args:
-            mesh: elements in m, with the named sets and element fields that it carries.
+            mesh: elements in m; its named sets and element fields become those of the body.
             law: one of `LAWS`.
-            constants: the law's by name, as `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
-            young_modulus_pa: a constant that many laws have; without `constants` 4 kPa.
-            poisson_ratio: as `young_modulus_pa`; without `constants` 0.45.
+            constants: of the law, by name: `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
+            young_modulus_pa: a constant of many laws; default 4 kPa if `constants` is not given.
+            poisson_ratio: likewise; default 0.45 if `constants` is not given.
             prony: (share, relaxation time [s]) of each term.
             quadrature: "full" (default), "reduced" or "selective".
             mass: "lumped" (default) or "consistent".
             fixed: names of sets whose nodes do not move.
-            fixed_nodes: indices [k] or mask [node_count] of further nodes that do not move.
-            skin: a finer surface that the body carries along; what clients see.
+            fixed_nodes: further nodes that do not move, indices [k] or mask [node_count].
+            skin: a finer surface that moves with the body; clients see it instead of the boundary.
 
         Raises:
-            InvalidArgumentError: naming the argument, what is wrong and what is known.
+            InvalidArgumentError: a wrong argument; the message names it and the known values.
         """
         given = dict(constants or {})
         if constants is None and law in LAWS:
@@ -166,7 +161,7 @@ class Scene:
     def add_spherical_probe(
         self, name: str, *, radius_m: float, position_m: Vector, max_speed_m_per_s: float | None = None
     ) -> scene_pb2.Tool:
-        """Adds a probe that stands at `position_m` until its first pose, and returns its message."""
+        """Adds a probe and returns its message. The probe stays at `position_m` until its first pose."""
         tool = scene_pb2.Tool(
             name=name,
             spherical_probe=scene_pb2.SphericalProbe(radius_m=radius_m),
@@ -179,11 +174,11 @@ class Scene:
     def keep_to_budget(
         self, budget_s: float, *, floor_cg_iterations: int | None = None, floor_tolerance: float | None = None
     ) -> None:
-        """Lets the daemon lower the solver's iterations while steps take longer than `budget_s`, down to a floor.
+        """Lets the daemon lower the solver's iterations, down to a floor, while steps take longer than `budget_s`.
 
         Args:
-            floor_cg_iterations: never fewer.
-            floor_tolerance: no step is published whose relative residual is above.
+            floor_cg_iterations: lowest number of conjugate-gradient iterations.
+            floor_tolerance: largest relative residual of a published step.
         """
         solver = self.message.solver
         solver.budget_s = budget_s

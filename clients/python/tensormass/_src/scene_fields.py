@@ -17,8 +17,14 @@ _MAX_UINT32 = 2**32 - 1
 
 
 def checked_fields(content: object, descriptor: Descriptor, where: str, path: str) -> dict[str, Any]:
-    """The fields with the full names of enums. Refuses what the parser would pass over or explain poorly: unknown,
-    empty and wrongly nested fields."""
+    """Checks fields against the schema and returns them with the numbers of enums.
+
+    Refuses unknown, empty and wrongly nested fields, which the parser would pass over or explain poorly.
+
+    Args:
+        where: file, for messages.
+        path: of `content` in the scene; empty for the scene itself.
+    """
     at = f"{where}: {path or 'scene'}"
     if not isinstance(content, dict):
         raise InvalidArgumentError(f"{at}: expected a mapping of {descriptor.name}'s fields, found {content!r}")
@@ -65,7 +71,7 @@ def _check_value(field: FieldDescriptor, value: object, where: str, path: str) -
         beyond = f"above {sys.float_info.max:.2g}" if value > 0 else f"below {-sys.float_info.max:.2g}"
         raise InvalidArgumentError(f"{where}: expected a finite number, found one {beyond}")
     if field.enum_type is not None:
-        return  # `enum_number` says what is known
+        return  # `enum_number` refuses unknown values
     if field.type in (FieldDescriptor.TYPE_STRING, FieldDescriptor.TYPE_BYTES):
         if not isinstance(value, str):
             raise InvalidArgumentError(f"{where}: expected text, found {_as_written(value)}; write it in quotes")
@@ -97,5 +103,5 @@ def _check_number(field: FieldDescriptor, value: object, where: str, path: str) 
 
 
 def _as_written(value: object) -> str:
-    """A value as a scene file has it, or nearly so."""
+    """Writes a value about as a scene file has it."""
     return str(value).lower() if isinstance(value, bool) else str(value) if isinstance(value, int) else repr(value)

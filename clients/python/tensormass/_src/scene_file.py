@@ -1,7 +1,7 @@
 """Scene files: YAML, one to one by field name with the protobuf `Scene`.
 
-Mesh and skin files are read here, because the daemon reads none: they become packed arrays in the message.
-"""
+Mesh and skin files are read here, because the daemon reads none: they become packed arrays in the message. Their
+positions are sent unchanged. `Mesh.scale` and `Mesh.translation_m` travel along, and the daemon applies them."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _YAML_ENDINGS = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class SceneFile:
-    """A scene as its file has it: fields by name, before meshes are read."""
+    """The content of a scene file: fields by name, before meshes are read."""
 
     fields: dict[str, Any]
-    #: Mesh files are relative to it.
+    #: Folder to which mesh files are relative.
     directory: Path
-    #: For messages.
+    #: Name of the file in messages.
     where: str
-    #: The name of the built-in scene that this is; None: somebody's own.
+    #: Name of the built-in scene; None for any other file.
     builtin: str | None = None
 
     @staticmethod
     def read(path: str | Path) -> SceneFile:
-        """Reads a scene file or a built-in scene. Raises as `Scene.from_file`."""
+        """Reads a scene file or a built-in scene. Raises the errors of `Scene.from_file`."""
         directory: Path | None = None
         builtin: str | None = None
         if not Path(path).exists() and (found := demo.builtin_scene(str(path))) is not None:
@@ -54,14 +54,14 @@ class SceneFile:
 
     @staticmethod
     def parse(text: str, directory: Path, where: str) -> SceneFile:
-        """As `read`, of a text."""
+        """Parses the text of a scene file. Raises the errors of `read`."""
         content = strict_yaml.load(text, where)
         if not isinstance(content, dict):
             raise InvalidArgumentError(f"{where}: a scene is a mapping of fields, starting with `name: ...`")
         return SceneFile(content, directory, where)
 
     def message(self) -> scene_pb2.Scene:
-        """Checks the fields and reads the meshes."""
+        """Checks the fields, reads the meshes and makes the message."""
         message = scene_pb2.Scene()
         fields = checked_fields(self.fields, cast(Descriptor, message.DESCRIPTOR), self.where, "")
         try:
@@ -73,7 +73,7 @@ class SceneFile:
 
 
 def is_mesh_file(path: str | Path) -> bool:
-    """Whether a name says of itself that it is a bare mesh and no scene."""
+    """Tells whether a name, by its ending, is a bare mesh and not a scene."""
     suffix = Path(path).suffix.lower()
     return suffix != "" and suffix not in _YAML_ENDINGS
 

@@ -1,6 +1,6 @@
-"""What a report of a misbehaving scene needs: its status, its state and itself, in one file.
+"""Reports of misbehaving scenes: status, state and the scene itself in one file.
 
-A scene that a guard stopped stands at its last good state, so the file shows from where the step was tried.
+A scene that a guard stopped is at its last good state, so the report shows the start of the step that failed.
 """
 
 from __future__ import annotations

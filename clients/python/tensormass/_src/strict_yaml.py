@@ -11,13 +11,13 @@ from tensormass._src.errors import InvalidArgumentError
 
 
 def load(text: str, where: str) -> Any:  # noqa: ANN401
-    """The content of a YAML text. Runs nothing in it.
+    """Returns the content of a YAML text. Runs nothing in it.
 
     Args:
         where: file, for messages.
 
     Raises:
-        InvalidArgumentError: with line and column.
+        InvalidArgumentError: not valid YAML; the message has line and column.
     """
     try:
         return yaml.load(text, Loader=_StrictLoader)
@@ -37,8 +37,8 @@ def load(text: str, where: str) -> Any:  # noqa: ANN401
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """PyYAML keeps the last of two equal keys; a scene file that says two things is refused instead. And what Python
-    raises on a value that only looks like one, as `2001-99-99`, is said with its place."""
+    """Refuses equal keys, of which PyYAML keeps the last, and names the place of values such as `2001-99-99`, which
+    look like a type but cannot be one."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:  # noqa: ANN401
         try:
@@ -52,7 +52,7 @@ class _StrictLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
-        # What only its tag makes a mapping, as `!!map x`, is refused below.
+        # A node that is a mapping only by its tag, such as `!!map x`, is refused below.
         for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.constructor.ConstructorError(None, None, "a field's name is a plain word", key.start_mark)

@@ -17,11 +17,11 @@ from tensormass._src.processes import ChildProcess
 def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
 
-    fTetWild draws random numbers: the mesh differs from run to run, so keep what was made.
+    fTetWild draws random numbers, so the mesh differs from run to run. Keep the result.
 
     Args:
-        edge_length: wanted length of an edge, in the surface's unit. The boundary keeps to the surface within a
-            twentieth of it.
+        edge_length: wanted length of an edge, in the surface's unit. The boundary stays within a twentieth of it
+            from the surface.
 
     Raises:
         InvalidArgumentError: an edge that is not positive or longer than the surface, or nothing enclosed.
@@ -31,7 +31,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
         raise InvalidArgumentError(
             f"edge length {edge_length:g}: must be positive and below the surface's diagonal, {diagonal:g}"
         )
-    # A process of its own: the mesher writes files into its working directory, prints, and may end the process.
+    # Runs in its own process, because the mesher writes files into its working directory, prints, and may exit.
     with tempfile.TemporaryDirectory() as folder:
         surface_file, volume_file = Path(folder) / "surface.npz", Path(folder) / "volume.npz"
         np.savez(surface_file, vertices=surface.vertices, triangles=surface.triangles.astype(np.int32))
@@ -55,7 +55,7 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     return repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"))
 
 
-# Without `coarsen` edges get no longer than the input's.
+# Without `coarsen`, edges get no longer than those of the input.
 _TETWILD = """
 import sys
 import numpy as np

@@ -14,7 +14,7 @@ Vector = Sequence[float] | npt.NDArray[np.floating]
 
 
 def vector3(values: Vector, where: str) -> scene_pb2.Vector3:
-    """A message from three finite numbers."""
+    """Makes a message of three finite numbers."""
     array = _numbers(values)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InvalidArgumentError(f"{where}: expected three finite numbers, got {values!r}")
@@ -22,7 +22,7 @@ def vector3(values: Vector, where: str) -> scene_pb2.Vector3:
 
 
 def quaternion(values: Vector | None, where: str) -> scene_pb2.Quaternion | None:
-    """A message from (w, x, y, z), normalized; None stays None (the identity)."""
+    """Makes a message of (w, x, y, z), normalized; None, the identity, stays None."""
     if values is None:
         return None
     array = _numbers(values)
@@ -33,7 +33,7 @@ def quaternion(values: Vector | None, where: str) -> scene_pb2.Quaternion | None
 
 
 def _numbers(values: Vector) -> npt.NDArray[np.float64]:
-    """Empty for what is no sequence of numbers."""
+    """Converts a sequence of numbers; returns an empty array if it is not one."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
