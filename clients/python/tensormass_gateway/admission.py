@@ -31,7 +31,7 @@ _HEADERS = {
 
 
 class Admission:
-    """The checks of one gateway."""
+    """Checks of one gateway."""
 
     def __init__(self, options: GatewayOptions) -> None:
         self.refused_connections = 0
@@ -46,7 +46,7 @@ class Admission:
             browser_count: how many are connected now.
         """
         self.check_token(request)
-        # A page elsewhere could make a browser that knows the token connect; that browser names the page here.
+        # A page from elsewhere could make a browser that knows the token connect. The browser names that page here.
         origin = request.headers.get("Origin", "")
         if not origin:
             wanted = f"that of this gateway's page, http://{request.host}, or one given with --origin"
@@ -61,18 +61,18 @@ class Admission:
             )
 
     def _is_named(self, origin: str) -> bool:
-        """Whether --origin lets pages of `origin` in."""
+        """Tells whether --origin allows pages of `origin`."""
         try:
             return origin_of(origin) in self._origins
         except ValueError:
             return False
 
     def _is_own(self, origin: str, host: str) -> bool:
-        """Whether a page of `origin` came from here, where the browser calls this place `host`."""
+        """Tells whether a page of `origin` came from this gateway, which the browser calls `host`."""
         if origin not in (f"http://{host}", f"https://{host}"):
             return False
-        # That they agree proves nothing of a name: who serves a page can let its name point here afterwards (DNS
-        # rebinding) and then try tokens. An address cannot be rebound, and our own names are nobody else's.
+        # Equal names prove nothing: whoever serves a page can later let its name point here (DNS rebinding) and try
+        # tokens. An address cannot be rebound, and nobody else has our own names.
         try:
             name = urlsplit(origin).hostname or ""
             if name not in self._own_names:

@@ -16,7 +16,7 @@ from tensormass_gateway.options import options_from
 
 
 def write_ready_file(path: Path, gateway: Gateway) -> None:
-    """Written at once and readable by its owner only: it holds the token."""
+    """Writes the ready file in one step, readable by its owner only, because it holds the token."""
     content = {
         "url": gateway.url,
         "host": gateway.options.host,

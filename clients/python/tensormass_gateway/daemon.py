@@ -25,16 +25,16 @@ log = logging.getLogger(__name__)
 
 
 class Daemon:
-    """The daemon as seen from here: found over gRPC, followed over ZeroMQ, lost and found again."""
+    """The connection to a daemon: found over gRPC, followed over ZeroMQ, lost and found again."""
 
     def __init__(self, control: str, poll_interval_s: float, on_change: Callable[[], None]) -> None:
         self.zeromq = zmq.asyncio.Context()
         self.version = control_pb2.GetVersionResponse()
         self.scenes: set[str] = set()
         self.problem = f"no daemon was found on {control} yet"
-        """Why there are no streams; empty while the daemon is there."""
+        """Reason why there are no streams; empty while the daemon answers."""
         self.malformed = 0
-        """Messages of the bus that were no protobuf."""
+        """Number of messages from the bus that were not protobuf."""
         self._address = control
         self._poll_interval_s = poll_interval_s
         self._on_change = on_change
@@ -43,7 +43,7 @@ class Daemon:
             options=[
                 ("grpc.max_receive_message_length", MAX_BUS_MESSAGE_BYTES),
                 ("grpc.enable_http_proxy", 0),
-                # A daemon that comes back is found within a poll or two, not after gRPC's two minutes.
+                # Finds a restarted daemon within two polls, not after gRPC's two minutes.
                 ("grpc.max_reconnect_backoff_ms", max(100, int(1000 * poll_interval_s))),
             ],
         )
@@ -52,7 +52,7 @@ class Daemon:
         self._pose_socket: zmq.Socket[bytes] | None = None
 
     async def follow(self) -> None:
-        """Keeps `version` and `scenes` true until cancelled."""
+        """Keeps `version` and `scenes` up to date until cancelled."""
         while True:
             try:
                 answer = await self.control.GetVersion(control_pb2.GetVersionRequest(), timeout=RPC_TIMEOUT_S)
@@ -68,7 +68,7 @@ class Daemon:
             await asyncio.sleep(self._poll_interval_s)
 
     async def close(self) -> None:
-        """Ends every feed and connection."""
+        """Closes every feed and connection."""
         for feed in self._feeds.values():
             feed.close()
         self._close_pose_socket()
@@ -76,7 +76,7 @@ class Daemon:
         self.zeromq.destroy(linger=0)
 
     def watch(self, watcher: Watcher, scene: str) -> None:
-        """Moves `watcher` to `scene`, which need not be loaded yet."""
+        """Moves `watcher` to `scene`, which may be loaded later."""
         self.leave(watcher)
         watcher.outbox.clear()
         watcher.scene = scene
@@ -88,7 +88,7 @@ class Daemon:
         feed.add(watcher)
 
     def leave(self, watcher: Watcher) -> None:
-        """Ends the subscription of a scene with its last watcher."""
+        """Removes `watcher`. The last watcher of a scene ends its subscription."""
         feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
         if feed is not None:
             feed.watchers.discard(watcher)
@@ -104,7 +104,7 @@ class Daemon:
         Raises ProtocolError on an unknown tool.
         """
         feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
-        # Before it has the newest topology, a browser may mean a tool of the one before.
+        # A browser that has not seen the newest topology may mean a tool of the previous one.
         if feed is None or feed.topology is None or not watcher.outbox.topology_known or self.problem:
             return
         if tool not in {shape.name for shape in feed.topology.tools}:
@@ -120,18 +120,18 @@ class Daemon:
             pose.orientation.CopyFrom(scene_pb2.Quaternion(**dict(zip("wxyz", orientation_wxyz, strict=True))))
         key = f"tensormass/{self.version.server}/{feed.scene}/tool/{tool}/pose\0".encode()
         if self._pose_socket is None:
-            # A plain socket of the same context: it never waits, so it needs no event loop.
+            # A plain socket of the same context needs no event loop, because it never waits.
             self._pose_socket = zmq.Context.shadow(self.zeromq.underlying).socket(zmq.PUSH)
             self._pose_socket.setsockopt(zmq.LINGER, 0)
-            # Few, so that a stuck daemon gets no old poses when it wakes; not CONFLATE, which would mix tools.
+            # Few messages, so that a stuck daemon gets no old poses when it wakes. CONFLATE would mix tools.
             self._pose_socket.setsockopt(zmq.SNDHWM, 4)
             self._pose_socket.connect(self.version.zeromq_pose_endpoint)
-        # Taken at once or dropped: the next pose is better than this one late.
+        # Sends at once or drops the pose, because the next pose is better than a late one.
         with contextlib.suppress(zmq.Again):
             self._pose_socket.send(key + pose.SerializeToString(), flags=zmq.NOBLOCK)
 
     def state(self) -> dict[str, Any]:
-        """What a browser is told about the daemon."""
+        """Returns what browsers are told about the daemon."""
         return {
             "problem": self.problem,
             "server": self.version.server,
@@ -163,7 +163,7 @@ class Daemon:
             self._on_change()
 
     def _forget(self) -> None:
-        # What comes back, under whatever name, is another daemon with other scenes and endpoints.
+        # A daemon that comes back is another one, with other scenes and endpoints, whatever its name.
         self.scenes = set()
         for feed in self._feeds.values():
             feed.close()

@@ -22,7 +22,7 @@ from tensormass_gateway.tasks import background
 log = logging.getLogger(__name__)
 
 MAX_BUS_MESSAGE_BYTES = 512 << 20
-"""A larger message from the daemon is dropped by ZeroMQ."""
+"""ZeroMQ drops a larger message from the daemon."""
 
 
 RPC_TIMEOUT_S = 5.0
@@ -50,7 +50,7 @@ class Feed:
         self._tasks: list[asyncio.Task[None]] = []
 
     def open(self) -> None:
-        """Subscribes anew. What was known is forgotten: it may come from a daemon that is no more."""
+        """Subscribes again and forgets what was received, which may come from a daemon that has ended."""
         self.close()
         receivers = {
             Stream.TOPOLOGY: self._on_topology,
@@ -69,7 +69,7 @@ class Feed:
         self._last_sequence = 0
 
     def add(self, watcher: Watcher) -> None:
-        """The watcher gets what is known at once and everything new from now on."""
+        """Sends the newest messages to a watcher at once, and every new one from now on."""
         self.watchers.add(watcher)
         for stream in Stream:
             if stream in self._latest:
@@ -78,7 +78,7 @@ class Feed:
     async def _receive(self, stream: Stream, handler: Callable[[bytes], Coroutine[Any, Any, None]]) -> None:
         prefix = self._key(stream)
         with self._daemon.zeromq.socket(zmq.SUB) as socket:
-            # CONFLATE keeps one message of the socket, so every stream has a socket of its own.
+            # CONFLATE keeps one message for each socket, so every stream has its own socket.
             socket.setsockopt(zmq.CONFLATE, 1)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.MAXMSGSIZE, MAX_BUS_MESSAGE_BYTES)
@@ -95,7 +95,8 @@ class Feed:
                     log.warning("scene %s: no topology for its frames: %s", self.scene, error.details())
 
     async def _fetch_first(self) -> None:
-        """Asks for what the bus would bring late (the topology) or never (the frame of a scene that stands still)."""
+        """Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends.
+        Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends."""
         try:
             await self._fetch_topology()
             if Stream.FRAME not in self._latest:
@@ -105,7 +106,7 @@ class Feed:
                 if Stream.FRAME not in self._latest and reply.frame.positions:
                     self._publish(Stream.FRAME, self._message(Stream.FRAME, reply.frame))
         except grpc.aio.AioRpcError as error:
-            # The scene went away meanwhile, or the daemon did; the next poll will tell.
+            # Scene or daemon ended meanwhile; the next poll finds out.
             log.info("scene %s: %s", self.scene, error.details())
 
     async def _fetch_topology(self) -> None:
@@ -129,8 +130,9 @@ class Feed:
 
     async def _on_frame(self, payload: bytes) -> None:
         frame = stream_pb2.Frame.FromString(payload)
-        # Each stream has a socket of its own, so a frame may overtake its topology. Every load has a new version; if a
-        # sequence does not rise under the same one, something began anew all the same and may look different.
+        # A frame may overtake its topology, because each stream has its own socket. Every load has a new topology
+        # version. If the sequence does not rise under the same version, the scene started again and its topology may
+        # differ.
         known = self.topology is not None and self.topology.version == frame.topology_version
         if not known or frame.sequence <= self._last_sequence:
             await self._fetch_topology()

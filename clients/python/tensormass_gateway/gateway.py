@@ -1,8 +1,8 @@
-"""Stands between a daemon and browsers: serves the viewer and forwards what the bus brings.
+"""The gateway between a daemon and browsers: serves the viewer and forwards the messages of the bus.
 
-A browser speaks neither ZeroMQ nor gRPC, and nothing that a browser does may reach the daemon's step loop or fill
-memory here. So each browser has one slot for the newest message of each stream, and the next message of a stream
-leaves only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
+A browser speaks neither ZeroMQ nor gRPC. Nothing that a browser does may slow the daemon's step loop or fill memory
+here. Each browser therefore has one slot for the newest message of each stream, and the next message of a stream leaves
+only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
 
     daemon --ZeroMQ--> one SUB socket (CONFLATE) per stream --> a slot per browser and stream --WebSocket--> browser
            <--gRPC--   which scenes there are, their topology
@@ -17,11 +17,10 @@ Text messages are JSON objects with a `type`:
                          clock   client_time_ms
                          pose    tool, position_m [3], orientation [w, x, y, z]     (only with --allow-poses)
 
-A pose's orientation is a quaternion of any length but zero; without it the tool is turned back to its own axes.
+A pose's orientation is a quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers
+are finite. A browser that breaks this protocol is closed with code 1008 and the reason.
 
-Who may connect: whoever knows the token, from a page of this gateway or of an --origin, up to a number of browsers. The
-Origin header tells the page; a program that is no browser sends that of the gateway's own, http://host:port. A browser
-hides from its page why a WebSocket was refused; POST on the same address tells.
+admission.py says who may connect.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ MAX_BROWSER_MESSAGE_BYTES = 4096
 
 
 HEARTBEAT_S = 15.0
-"""A browser that answers no ping for so long is disconnected; it reconnects when it wakes."""
+"""A browser that does not answer a ping for this long is disconnected. It reconnects when it wakes."""
 
 
 class Browser(Watcher):
@@ -68,7 +67,7 @@ class Browser(Watcher):
         self._wake = asyncio.Event()
 
     def tell_daemon_state(self, state: dict[str, Any]) -> None:
-        """Sends the newest state of the daemon as soon as the socket takes it; older ones are replaced."""
+        """Sends the state of the daemon as soon as the socket takes it. A newer state replaces a waiting one."""
         self._daemon_state = state
         self._wake.set()
 
@@ -84,7 +83,7 @@ class Browser(Watcher):
 
 
 class Gateway:
-    """The HTTP side: the viewer's files and one WebSocket for each browser. Use `serve`."""
+    """HTTP server: the viewer's files, and one WebSocket for each browser. Use `serve`."""
 
     def __init__(self, options: GatewayOptions) -> None:
         if not (options.viewer / "index.html").is_file():
@@ -104,7 +103,7 @@ class Gateway:
 
     @property
     def url(self) -> str:
-        """The address to open, with the token."""
+        """Returns the address to open, with the token."""
         host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
         return f"http://{host}:{self.port}/?token={self.options.token}"
 
@@ -113,7 +112,7 @@ class Gateway:
         return len(self._browsers)
 
     def stats(self) -> dict[str, Any]:
-        """What `/status` answers: JSON-ready counters."""
+        """Returns the counters of `/status`, ready for JSON."""
         return {
             "daemon": self._daemon.state(),
             "browsers": [
@@ -126,7 +125,7 @@ class Gateway:
         }
 
     async def start(self) -> None:
-        """Listens. Raises OSError if the address is taken."""
+        """Starts to listen. Raises OSError if the address is taken."""
         app = web.Application(middlewares=[secure_headers])
         app.add_routes(
             [
@@ -168,7 +167,7 @@ class Gateway:
         self._admission.check(request, len(self._browsers))
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
         browser = Browser(socket)
-        # Counted before the handshake waits, so that no burst passes the limit.
+        # Counts the browser before the handshake, so that no burst passes the limit.
         self._browsers.add(browser)
         senders: list[asyncio.Task[None]] = []
         try:
@@ -179,7 +178,7 @@ class Gateway:
         except ProtocolError as error:
             self.closed_for_errors += 1
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode()[:120])
-        except ConnectionError as error:  # it went away while it was answered
+        except ConnectionError as error:  # the browser disconnected during an answer
             log.info("a browser went away: %s", error)
         finally:
             self._browsers.discard(browser)
@@ -239,7 +238,7 @@ class Gateway:
 
 @contextlib.asynccontextmanager
 async def serve(options: GatewayOptions) -> AsyncIterator[Gateway]:
-    """A running gateway: `async with serve(options) as gateway: print(gateway.url)`.
+    """Runs a gateway: `async with serve(options) as gateway: print(gateway.url)`.
 
     Raises FileNotFoundError if the viewer is not built, OSError if the address is taken.
     """

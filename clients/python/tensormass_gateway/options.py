@@ -1,4 +1,4 @@
-"""The gateway's options, and the same as command-line arguments."""
+"""Options of the gateway, and their command-line arguments."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ DEFAULT_VIEWER = Path(__file__).resolve().parents[2] / "web" / "dist"
 
 @dataclass(frozen=True)
 class GatewayOptions:
-    """How a gateway listens and whom it lets in."""
+    """Where a gateway listens and who may connect."""
 
     control: str = "127.0.0.1:50051"
-    """The daemon's control address, host:port."""
+    """Control address of the daemon, host:port."""
     host: str = "127.0.0.1"
     port: int = 0
-    """0: a free one."""
+    """0 takes a free port."""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     max_browsers: int = 16
     origins: tuple[str, ...] = ()
-    """Origins let in beside those of the gateway's own pages."""
+    """Origins that may connect in addition to the gateway's own pages."""
     allow_poses: bool = False
     viewer: Path = DEFAULT_VIEWER
     poll_interval_s: float = 1.0
-    """How often the daemon is asked for its scenes, and how soon its return is noticed."""
+    """Period at which the daemon is asked for its scenes. A restarted daemon is found as soon."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The gateway's options, for `tensormass view` and `tensormass run`."""
+    """Adds the gateway's options, for `tensormass view` and `tensormass run`."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s, loopback)")
     parser.add_argument("--port", type=int, default=0, help="port to listen on; 0: a free one (default)")
     parser.add_argument("--token", default=None, help="what a browser must know (default: random)")
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
-    """What `add_arguments` parsed, for the daemon at `control` (host:port)."""
+    """Makes options of the arguments of `add_arguments`, for the daemon at `control` (host:port)."""
     optional = {} if args.token is None else {"token": args.token}
     return GatewayOptions(
         control=control,

@@ -6,17 +6,17 @@ import contextlib
 from urllib.parse import urlsplit
 
 _DEFAULT_PORTS = {"http": 80, "https": 443}
-"""Browsers leave them out of an Origin."""
+"""Ports that browsers leave out of an Origin."""
 
 
 def origin_of(text: str) -> str:
-    """`text` as browsers write an Origin: scheme://host[:port] in small letters, without what goes without saying.
+    """Returns `text` as browsers write an Origin: scheme://host[:port] in small letters, without a default port.
 
-    Raises ValueError if it names more than that, such as a page's path, or less.
+    Raises ValueError if `text` has more than that, such as a path, or less.
     """
-    if text == "null":  # what browsers send for a page that was opened from a file
+    if text == "null":  # browsers send this for a page opened from a file
         return text
-    with contextlib.suppress(ValueError):  # of a bracket or a port that is none
+    with contextlib.suppress(ValueError):  # an invalid bracket or port
         parts = urlsplit(text)
         host = parts.hostname or ""
         more = "@" in parts.netloc or parts.path not in ("", "/") or parts.query or parts.fragment

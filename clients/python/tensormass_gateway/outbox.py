@@ -8,7 +8,7 @@ import secrets
 
 
 class Stream(enum.StrEnum):
-    """The streams that a browser gets, in the order in which they leave: a frame needs its topology."""
+    """Streams that a browser gets, in the order in which they leave: a frame needs its topology."""
 
     TOPOLOGY = "topology"
     STATUS = "status"
@@ -16,15 +16,15 @@ class Stream(enum.StrEnum):
 
 
 class ProtocolError(Exception):
-    """A browser sent what it must not; the message goes back as the reason for closing."""
+    """A browser broke the protocol. The text is sent back as the reason for closing."""
 
 
 class Outbox:
-    """What waits for one browser: the newest message of each stream, and at most one of each on its way."""
+    """Messages for one browser: the newest of each stream waits, and at most one of each is not yet acknowledged."""
 
     def __init__(self) -> None:
         self.replaced = 0
-        """Frames of this scene that a newer one replaced between two that left: those that the browser misses too."""
+        """Number of frames of this scene that the browser missed, because newer ones replaced them here."""
         self._replaced_since_frame = 0
         self._frame_left = False
         self._waiting: dict[Stream, bytes] = {}
@@ -33,11 +33,11 @@ class Outbox:
 
     @property
     def topology_known(self) -> bool:
-        """Whether the browser has acknowledged the newest topology."""
+        """Tells whether the browser has acknowledged the newest topology."""
         return Stream.TOPOLOGY not in self._waiting and Stream.TOPOLOGY not in self._on_the_way
 
     def offer(self, stream: Stream, message: bytes) -> None:
-        """Puts `message` into its slot; what waited there is replaced."""
+        """Puts `message` into its slot and replaces the one that waited there."""
         if stream is Stream.TOPOLOGY:
             self._drop_frame()
         if stream is Stream.FRAME and stream in self._waiting:
@@ -46,13 +46,13 @@ class Outbox:
         self._changed.set()
 
     def clear(self) -> None:
-        """Forgets what waits and what was counted, when the browser turns to another scene."""
+        """Forgets messages and counts, when the browser turns to another scene."""
         self._waiting.clear()
         self._drop_frame()
         self.replaced = 0
 
     def acknowledge(self, stream: Stream) -> None:
-        """Lets the next message of `stream` leave. Raises ProtocolError if none is on its way."""
+        """Lets the next message of `stream` leave. Raises ProtocolError if no message awaits acknowledgement."""
         if stream not in self._on_the_way:
             raise ProtocolError(f"acknowledged a {stream} message, but none is on its way")
         self._on_the_way.remove(stream)
@@ -71,7 +71,7 @@ class Outbox:
             await self._changed.wait()
 
     def _may_leave(self, stream: Stream) -> bool:
-        # While a topology waits for an acknowledgement, the frames behind it wait too.
+        # Frames wait while their topology has not left.
         held_back = stream is Stream.FRAME and Stream.TOPOLOGY in self._waiting
         return stream in self._waiting and stream not in self._on_the_way and not held_back
 
@@ -82,14 +82,14 @@ class Outbox:
         self._frame_left = True
 
     def _drop_frame(self) -> None:
-        """A frame that waits belongs to the topology before, and so does the count of those before it."""
+        """Drops the waiting frame and the count before it, because both belong to the previous topology."""
         self._waiting.pop(Stream.FRAME, None)
         self._replaced_since_frame = 0
         self._frame_left = False
 
 
 class Watcher:
-    """A browser as the feeds see it: it gets the streams of one scene at a time."""
+    """A browser, as feeds know it. It gets the streams of one scene at a time."""
 
     def __init__(self) -> None:
         self.outbox = Outbox()

@@ -1,4 +1,4 @@
-"""Checks of what a browser sends."""
+"""Checks of the requests of browsers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from tensormass_gateway.outbox import ProtocolError
 
 MAX_COORDINATE_M = 1e6
-"""The daemon refuses poses beyond it as well."""
+"""Largest coordinate of a pose. The daemon has the same limit."""
 
 
 def is_name(text: str) -> bool:
@@ -17,10 +17,10 @@ def is_name(text: str) -> bool:
 
 
 def read_request(text: str) -> dict[str, Any]:
-    """The JSON object that a browser sent.
+    """Parses the JSON object of a request.
 
     Raises:
-        ProtocolError: it is not one, or nested deeper than Python's parser goes.
+        ProtocolError: not a JSON object, or nested deeper than Python's parser allows.
     """
     try:
         request = json.loads(text)
@@ -32,18 +32,18 @@ def read_request(text: str) -> dict[str, Any]:
 
 
 def finite_number(value: object) -> float | None:
-    """`value` if it is a finite number, else None. Python's parser also accepts NaN and Infinity."""
+    """Returns `value` if it is a finite number, else None. Python's parser also accepts NaN and Infinity."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
     try:
         number = float(value)
-    except OverflowError:  # JSON's whole numbers have no bounds
+    except OverflowError:  # whole numbers in JSON have no bounds
         return None
     return number if math.isfinite(number) else None
 
 
 def finite_numbers(value: object, count: int) -> tuple[float, ...] | None:
-    """`value` if it is a list of `count` finite numbers, else None."""
+    """Returns `value` if it is a list of `count` finite numbers, else None."""
     if not isinstance(value, list) or len(value) != count:
         return None
     numbers = [finite_number(each) for each in value]
@@ -51,11 +51,11 @@ def finite_numbers(value: object, count: int) -> tuple[float, ...] | None:
 
 
 def rotation(value: object) -> tuple[float, ...]:
-    """A unit quaternion (w, x, y, z) along `value`. Raises ProtocolError where there is none."""
+    """Returns the unit quaternion (w, x, y, z) along `value`. Raises ProtocolError if `value` has no direction."""
     numbers = finite_numbers(value, 4)
     if numbers is None or not any(numbers):
         raise ProtocolError("orientation is not four finite numbers [w, x, y, z], at least one of them not zero")
-    # Scaled first: the squares of very large or very small numbers leave the range of floats.
+    # Scales first, because squares of very large or very small numbers leave the range of floats.
     largest = max(map(abs, numbers))
     scaled = [number / largest for number in numbers]
     length = math.hypot(*scaled)

@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 def background(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-    """A task whose failure is logged; a lost connection is no failure."""
+    """Starts a task and logs its failure. A lost connection is not a failure."""
 
     def report(task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:

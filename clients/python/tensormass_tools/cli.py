@@ -1,5 +1,8 @@
-"""The command `tensormass`. Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 130 after
-Ctrl-C and 143 after SIGTERM (0 for `run` and `view`, whose end that is)."""
+"""The command `tensormass`.
+
+Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 130 after Ctrl-C and 143 after SIGTERM.
+`run` and `view` end with 0 after both signals, because that is how they are ended.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +40,11 @@ _MAX_CPU_THREADS = 256
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM came; what Ctrl-C tidies up, it does too."""
+    """SIGTERM was received. It is cleaned up after like Ctrl-C."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+    """Runs the command and returns the exit status."""
     if sys.stdout is None:  # `>&-`
         print("tensormass: standard output is closed", file=sys.stderr)
         return 1
@@ -49,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             return _run_command(argv)
         finally:
-            sys.stdout.flush()  # what cannot be written is said here, and not by the interpreter when it ends
+            sys.stdout.flush()  # reports an error here, and not when the interpreter ends
     except BrokenPipeError:  # `tensormass list | head`
         _output_is_lost()
         return 1
@@ -79,12 +82,12 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not cut the tidying up short
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second SIGTERM must not interrupt the cleaning up
     raise _Terminated
 
 
 def _check_usage(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """What options mean together, for every command that has them."""
+    """Refuses options that contradict each other, for every command that has them."""
     threads = getattr(args, "cpu_threads", None)
     if threads is not None and not 1 <= threads <= _MAX_CPU_THREADS:
         parser.error(f"argument --cpu-threads: {threads} is not in 1 to {_MAX_CPU_THREADS}")
@@ -93,7 +96,7 @@ def _check_usage(parser: argparse.ArgumentParser, args: argparse.Namespace) -> N
 
 
 def _output_is_lost() -> bool:
-    """Whether standard output takes nothing more. If so, the interpreter's last try goes nowhere and says nothing."""
+    """Tells whether standard output is broken. If so, redirects it, so that the interpreter's last flush is silent."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -103,7 +106,7 @@ def _output_is_lost() -> bool:
 
 
 def parse_length_m(text: str) -> float:
-    """`8mm`, `0.8cm`, `0.008` (metres) -> metres."""
+    """Parses a length: `8mm`, `0.8cm`, `0.008` (metres) -> metres."""
     match = _LENGTH.fullmatch(text.strip())
     try:
         length_m = float(match[1]) * _METRES[match[2]] if match else 0.0

@@ -1,4 +1,4 @@
-"""What a load test found: counts and percentiles of many clients put together, as JSON and for people."""
+"""Report of a load test: counts and percentiles over all clients, as JSON and for people."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _FRACTIONS = {"p50_s": 0.5, "p99_s": 0.99, "p999_s": 0.999}
 
 
 def merged_histogram(histograms: Iterable[Mapping[str, Any]]) -> Json:
-    """Percentiles of several clients' histograms (`buckets`: [upper bound in s, count]) taken together."""
+    """Computes percentiles over the histograms of several clients (`buckets`: [upper bound in s, count])."""
     pairs = [(float(upper), int(count)) for histogram in histograms for upper, count in histogram["buckets"]]
     buckets = np.array(sorted(pairs)).reshape(-1, 2)
     return _summary(buckets[:, 0], buckets[:, 1])
 
 
 def percentiles(samples: npt.NDArray[np.float64]) -> Json:
-    """The same of plain samples [s]."""
+    """Computes percentiles of samples [s]."""
     return _summary(np.sort(samples), np.ones(len(samples)))
 
 
 def _summary(values: npt.NDArray[np.float64], counts: npt.NDArray[np.float64]) -> Json:
-    """Nearest-rank percentiles of sorted `values`; 0 without any, as the haptic client has it."""
+    """Computes nearest-rank percentiles of sorted `values`; 0 without values, like the haptic client."""
     total = int(counts.sum())
     if total == 0:
         return {"count": 0, **dict.fromkeys(_FRACTIONS, 0.0), "max_s": 0.0}
@@ -41,8 +41,8 @@ def _summary(values: npt.NDArray[np.float64], counts: npt.NDArray[np.float64]) -
 
 
 def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int | None) -> Json:
-    """What happened to a scene between two of its statuses, while clients sent it `poses_sent` poses (None: not known,
-    as a client failed)."""
+    """Reports what happened to a scene between two statuses. `poses_sent`: poses that clients sent meanwhile; None if a
+    client failed, so that the number is unknown."""
 
     def grown(counter: str) -> int:
         return int(getattr(after, counter)) - int(getattr(before, counter))
@@ -63,7 +63,7 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "cg_iterations": after.cg_iterations,
         "poses_sent": poses_sent,
         "poses_received": received,
-        # Newest wins: a pose that a newer one overtakes on the client's side of the network never leaves.
+        # A newer pose replaces an older one that still waits at the client, so the older one is never sent.
         "poses_overtaken_on_the_way": max(0, poses_sent - received) if poses_sent is not None else None,
         "poses_superseded": grown("poses_superseded"),
         "poses_rejected": grown("poses_rejected"),
@@ -73,7 +73,7 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
 
 
 def above_max_missed(scenes: Iterable[Mapping[str, Any]], max_missed_percent: float) -> list[str]:
-    """What is wrong with scenes that missed more of their deadlines than they may."""
+    """Returns an error for each scene that missed too many of its deadlines."""
     return [
         f"scene {scene['scene']} missed {100 * scene['missed_fraction']:.2f} % of its deadlines, above --max-missed "
         f"{max_missed_percent:g}"
@@ -83,7 +83,7 @@ def above_max_missed(scenes: Iterable[Mapping[str, Any]], max_missed_percent: fl
 
 
 def step_times(status: stream_pb2.SceneStatus) -> Json:
-    """Percentiles over the last up to 1024 steps, as the server has them."""
+    """Returns the server's percentiles over the last 1024 steps at most."""
     return {
         "step_time_p50_s": status.step_time_p50_s,
         "step_time_p99_s": status.step_time_p99_s,
@@ -92,7 +92,7 @@ def step_times(status: stream_pb2.SceneStatus) -> Json:
 
 
 def to_text(report: Mapping[str, Any]) -> str:
-    """For people: a table of each kind of client, then what went wrong."""
+    """Formats a report for people: a table for each kind of client, then the errors."""
     lines = [
         f"load test of {report['scene_source']} on {report['server']['device'] or report['server']['backend']}: "
         f"{len(report['scenes'])} scenes, {len(report['haptic'])} haptic clients, {len(report['viewers'])} viewers, "

@@ -1,9 +1,9 @@
-"""`tensormass load-test`: real clients against a running or own daemon, and what they see.
+"""`tensormass load-test`: drives a daemon with real clients and measures what they see.
 
-Scenes are copies of one scene. Haptic clients are `tensormass-haptic` processes, each on a tool of its own; viewers are
-Python processes that take every frame they can get. With the mixed transport every second client uses zenoh, the others
-ZeroMQ. Everything has a deadline, and no process outlives the test. Once the clients run, a scene that is stopped or a
-client that ends is a line in the report and not its end.
+The scenes are copies of one scene. Haptic clients are `tensormass-haptic` processes, each with a tool of its own.
+Viewers are Python processes that take every frame they can get. With the mixed transport, every second client uses
+zenoh and the others ZeroMQ. Every wait has a deadline, and no process outlives the test. If a scene is stopped or a
+client ends while the clients run, the test continues and reports it.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from tensormass_tools.load_report import Json
 from tensormass_tools.output import check_writable, load_silently
 
 _MAX_TOOLS = 16
-# Steps that the percentiles of a SceneStatus span.
+# Number of steps that the percentiles of a SceneStatus span.
 _STATUS_WINDOW_STEPS = 1024
 _READY_TIMEOUT_S = 60.0
-# A haptic client connects (10 s), drains (1 s) and reports within this beyond its --seconds.
+# Time beyond its --seconds in which a haptic client connects (10 s), drains (1 s) and reports [s].
 _HAPTIC_MARGIN_S = 20.0
 _POLL_S = 0.02
 _FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the load test; 0 if nothing went wrong, 1 if something did."""
+    """Runs the load test. Returns 0 if nothing went wrong, else 1."""
     file = Path(args.json) if args.json not in (None, "-") else None
     if file is not None:
         check_writable("--json", file)
@@ -58,13 +58,13 @@ def run(args: argparse.Namespace) -> int:
                 aside.write_text(json.dumps(report, indent=1) + "\n")
     except OSError as error:
         raise InvalidArgumentError(f"--json {file}: cannot be written: {error.strerror}") from error
-    finally:  # one of the two may fail, and the other one still says what was measured
+    finally:  # if one of the two fails, the other still has the measurements
         print(json.dumps(report, indent=1) if args.json == "-" else load_report.to_text(report))
     return 1 if report["errors"] else 0
 
 
 def load_test(args: argparse.Namespace) -> Json:
-    """Runs it and returns the report; what a client did wrong is in its `errors`.
+    """Runs the test and returns the report. Its `errors` name the clients that failed.
 
     Raises:
         TensormassError: the test could not be set up.
@@ -87,7 +87,7 @@ def load_test(args: argparse.Namespace) -> Json:
 
 @dataclass
 class _Client:
-    """A client process and what it is for."""
+    """A client process and its task."""
 
     process: ChildProcess
     scene: str
@@ -96,7 +96,7 @@ class _Client:
     report_file: Path
     ready_file: Path
     status: int | None = None
-    #: Before it was told to.
+    #: True if the process ended before it was told to.
     ended_early: bool = False
 
     def failure(self) -> str | None:
@@ -120,7 +120,7 @@ class _LoadTest:
         source = Scene.from_file(args.scene).message
         tools = with_tools(source, math.ceil(args.haptic / args.scenes))
         malformed_before = self._server.version().malformed_messages
-        # A daemon of others may have scenes of another load test.
+        # A shared daemon may have scenes of another load test.
         scenes = [self._load(tools, f"load-test-{os.getpid()}-{i}") for i in range(args.scenes)]
         viewers = [self._start_viewer(i, scenes[i % args.scenes]) for i in range(args.viewers)]
         self._wait_until_ready(viewers)
@@ -158,7 +158,7 @@ class _LoadTest:
         sent: dict[str, int | None] = {scene.name: 0 for scene in scenes}
         for client, of in zip(haptics, haptic_reports, strict=True):
             so_far = sent[client.scene]
-            # What a client sent that left no report, nobody knows.
+            # Without its report, the number of poses that a client sent is unknown.
             sent[client.scene] = so_far + int(of["poses_sent"]) if of and so_far is not None else None
         scene_reports = [
             load_report.scene_report(b, a, sent[scene.name]) for scene, b, a in zip(scenes, before, after, strict=True)
@@ -193,7 +193,7 @@ class _LoadTest:
 
     def _load(self, scene: scene_pb2.Scene, name: str) -> SceneHandle:
         handle = self._server.load(scene, name=name, lockstep=False, progress=load_silently)
-        if self._args.server is not None:  # an own daemon ends anyway
+        if self._args.server is not None:  # the test's own daemon ends anyway
             self._undo.callback(handle.unload)
         return handle
 
@@ -203,7 +203,7 @@ class _LoadTest:
         return "zenoh" if index % 2 else "zeromq"
 
     def _start(self, name: str, scene: SceneHandle, transport: str, command: Sequence[str | Path]) -> _Client:
-        """Starts a client whose command names its files by `_file`."""
+        """Starts a client. Its command gets the names of its files from `_file`."""
         log_file = self._file(name, "log")
         with log_file.open("wb") as log:
             process = ChildProcess(command, output=log)
@@ -255,8 +255,8 @@ class _LoadTest:
     # --- while it runs ------------------------------------------------------------------------------------------------
 
     def _watch(self, viewers: Sequence[_Client], done: Callable[[], bool]) -> None:
-        """Waits for `done`. A viewer that ends before it is marked, for the end; only if the daemon is gone too, that
-        is raised at once."""
+        """Waits for `done`. Marks a viewer that ends earlier, for the report. Raises at once if the daemon is gone too.
+        Waits for `done`. Marks a viewer that ends earlier, for the report. Raises at once if the daemon is gone too."""
         while not done():
             for viewer in viewers:
                 if not viewer.ended_early and not viewer.process.running:
@@ -265,12 +265,13 @@ class _LoadTest:
             time.sleep(_POLL_S)
 
     def _phase_s(self, scene: SceneHandle) -> float:
-        """How long the viewer is stopped, and watched before and after: the server's percentiles must not mix them."""
+        """Returns the length of each phase, before, while and after the viewer is stopped [s]. It exceeds the span of
+        the server's percentiles, which must not mix the phases."""
         window_s = 1.05 * _STATUS_WINDOW_STEPS / scene.status().target_rate_hz
         return max(float(self._args.stop_viewer), window_s)
 
     def _with_a_stopped_viewer(self, viewer: _Client, scene: SceneHandle, phase_s: float) -> Json | None:
-        """None: the viewer ended."""
+        """Stops a viewer for a while and measures; None if the viewer ended."""
 
         def phase(name: str) -> Json:
             missed_before = scene.status().missed_deadlines
@@ -311,7 +312,8 @@ class _LoadTest:
     def _end_viewers(
         self, viewers: Sequence[_Client], first_was_stopped: bool
     ) -> tuple[list[Json], npt.NDArray[np.float64]]:
-        """A report of each, and the frame ages of all that were not stopped on purpose."""
+        """Ends the viewers. Returns the report of each, and the frame ages of those that were not stopped on purpose.
+        Ends the viewers. Returns the report of each, and the frame ages of those that were not stopped on purpose."""
         reports: list[Json] = []
         ages: list[npt.NDArray[np.float64]] = [np.empty(0)]
         for index, viewer in enumerate(viewers):
@@ -338,7 +340,7 @@ class _LoadTest:
 
 
 def with_tools(scene: scene_pb2.Scene, count: int) -> scene_pb2.Scene:
-    """The scene with `count` tools at least: further ones are copies of its first, side by side along x."""
+    """Returns the scene with at least `count` tools. Added ones are copies of its first, side by side along x."""
     if count and not scene.tools:
         raise InvalidArgumentError(f"scene {scene.name!r} has no tool for a haptic client; give --haptic 0")
     result = scene_pb2.Scene()

@@ -1,10 +1,10 @@
-"""One viewer of a load test, as a process of its own: takes every frame it can get and measures its age.
+"""One viewer process of a load test: takes every frame it can get and measures its age.
 
     python -m tensormass_tools.load_viewer --server ADDR --scene NAME --transport zeromq --ready FILE --report FILE
 
-Creates the ready file at the first frame from the bus, or when it sees that the scene is stopped and none will come.
-Runs until SIGTERM, whether frames come or not as long as the daemon answers, then writes the report (NumPy: ages_s,
-dropped).
+Creates the ready file at the first frame from the bus, or when the scene turns out to be stopped, so that no frame
+will come. Runs until SIGTERM as long as the daemon answers, with or without frames. Then writes the report (NumPy:
+ages_s, dropped).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FAULTED = stream_pb2.SceneStatus.STATE_FAULTED
 
 
 class _StopRequested(Exception):  # noqa: N818  (nothing went wrong)
-    """SIGTERM came."""
+    """SIGTERM was received."""
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
@@ -36,13 +36,13 @@ def _stop(_signal: int, _frame: FrameType | None) -> None:
 
 
 def _look(scene: SceneHandle, ready: Path) -> None:
-    """Where nothing comes: a scene that is stopped has nothing more to show. Raises if the daemon is gone."""
+    """Marks the viewer ready if the scene is stopped, because no frame will come. Raises if the daemon is gone."""
     if scene.status().state == _FAULTED:
         ready.touch()
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs the viewer; 0 if every frame that came was whole."""
+    """Runs the viewer. Returns 0 if every frame was whole."""
     parser = argparse.ArgumentParser(description="one viewer of a load test")
     parser.add_argument("--server", required=True)
     parser.add_argument("--scene", required=True)
@@ -60,13 +60,13 @@ def main(argv: list[str] | None = None) -> int:
             vertex_count = sum(body.vertex_count for body in scene.topology().bodies)
             stream = scene.frames(args.transport)
             try:
-                next(stream)  # how the scene stood, by call; the bus comes next
+                next(stream)  # the present state, by call; frames of the bus follow
                 _look(scene, args.ready)
                 while True:
                     try:
                         frame = next(stream)
                     except DeadlineExceededError:
-                        _look(scene, args.ready)  # it is stopped, or seldom shows itself
+                        _look(scene, args.ready)  # the scene is stopped, or publishes seldom
                         continue
                     ages_s.append((time.time_ns() - frame.server_time_ns) * 1e-9)
                     if len(ages_s) == 1:

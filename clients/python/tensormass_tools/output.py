@@ -1,4 +1,4 @@
-"""What the command prints: protobuf messages as plain JSON values, and the same for people."""
+"""Output of the command: protobuf messages as JSON, and the same for people."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
 
 
 def print_json(value: object) -> None:
-    """One line, at once."""
+    """Prints one line of JSON and flushes it."""
     print(json.dumps(value), flush=True)
 
 
 def check_writable(option: str, path: Path) -> None:
-    """Refuses a file that cannot be written, before the work whose result it is to hold."""
+    """Refuses a file that cannot be written, before the work that produces its content."""
     if os.path.exists(path):
         if path.is_dir() or not os.access(path, os.W_OK):
             raise InvalidArgumentError(f"{option} {path}: is no file that can be written")
@@ -34,12 +34,12 @@ def check_writable(option: str, path: Path) -> None:
 
 
 def state_name(status: stream_pb2.SceneStatus) -> str:
-    """`running`, `paused`, `lockstep` or `faulted`."""
+    """Returns `running`, `paused`, `lockstep` or `faulted`."""
     return stream_pb2.SceneStatus.State.Name(status.state).removeprefix("STATE_").lower()
 
 
 def load_line(*, quiet: bool = False) -> Callable[[str, float], None] | None:
-    """Writes how far a load is on one line of a terminal, for `Server.load`; None where there is no terminal."""
+    """Returns a `progress` for `Server.load` that rewrites one line of the terminal; None without a terminal."""
     if quiet or not sys.stdout.isatty():
         return None
     width = shutil.get_terminal_size().columns - 1
@@ -52,11 +52,12 @@ def load_line(*, quiet: bool = False) -> Callable[[str, float], None] | None:
 
 
 def load_silently(_part: str, _fraction: float) -> None:
-    """Shows nothing. A load whose progress is asked for ends with whoever asks; one without stays behind, complete."""
+    """Shows nothing, as a `progress` for `Server.load`. With one, the load ends if this client ends; without, the
+    daemon would complete it."""
 
 
 def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:
-    """How a scene is doing, on one line of a terminal."""
+    """Returns the state of a scene on one line."""
     missed = 100.0 * status.missed_deadlines / max(1, status.step)
     parts = [
         f"{status.reached_rate_hz:.1f}/{status.target_rate_hz:g} Hz",
@@ -82,40 +83,40 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
 
 
 class Warnings:
-    """The warnings of a scene's statuses, each once: the numbers in one change from step to step."""
+    """Collects the warnings of a scene, each once although its numbers change from step to step."""
 
     def __init__(self) -> None:
         self._by_kind: dict[str, str] = {}
 
     def take(self, status: stream_pb2.SceneStatus) -> list[str]:
-        """Those of `status` that are new."""
+        """Returns the warnings of `status` that are new."""
         new = [text for text in status.warnings if self._kind(text) not in self._by_kind]
         self._by_kind.update({self._kind(text): text for text in status.warnings})
         return new
 
     def lines(self, status: stream_pb2.SceneStatus) -> list[str]:
-        """As `take`, as the command prints them."""
+        """Returns the new warnings as the command prints them."""
         return [f"warning: {text}" for text in self.take(status)]
 
     @property
     def latest(self) -> list[str]:
-        """Every warning so far, in its latest wording."""
+        """Returns every warning so far, in its latest wording."""
         return list(self._by_kind.values())
 
     @staticmethod
     def _kind(text: str) -> str:
-        # A digit within a quoted name belongs to the name.
+        # Digits within a quoted name belong to the name.
         return "'".join(part if index % 2 else _NUMBER.sub("#", part) for index, part in enumerate(text.split("'")))
 
 
 def force_n(feedback: stream_pb2.ToolFeedback) -> float:
-    """Magnitude of the force on a tool [N]."""
+    """Returns the magnitude of the force on a tool [N]."""
     force = feedback.force_n
     return float(np.linalg.norm([force.x, force.y, force.z]))
 
 
 def report_text(report: control_pb2.SceneReport) -> str:
-    """The plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
+    """Returns the plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
     bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
     for body in report.bodies:
         surface = f"{body.surface_vertex_count} vertices, {body.surface_triangle_count} triangles"
@@ -147,7 +148,7 @@ def report_text(report: control_pb2.SceneReport) -> str:
 
 
 def quality_text(quality: MeshQuality) -> str:
-    """A mesh in two lines; lengths in metres."""
+    """Describes a mesh in metres, in two lines."""
     elements = ", ".join(f"{count} × {name.replace('_', ' ')}" for name, count in quality.element_counts.items())
     return (
         f"{quality.node_count} nodes, {elements}, {1e6 * quality.volume:.4g} cm³\n"
@@ -164,7 +165,7 @@ def _bytes(count: int) -> str:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Columns as wide as they need to be; the first row is the heading."""
+    """Aligns rows in columns. The first row is the heading."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows

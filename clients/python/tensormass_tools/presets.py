@@ -1,6 +1,6 @@
 """Named settings of built-in scenes: the best of what `tensormass trade` measured, kept in presets.yaml.
 
-What a name promises is in `PROMISES`; what each preset reaches is in docs/accuracy.md.
+`PROMISES` says what each name promises, docs/accuracy.md what each preset reaches.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from tensormass._src.scene_file import SceneFile
 from tensormass_tools.trade.knobs import Knobs, Setting
 
 FILE = Path(__file__).resolve().parent / "presets.yaml"
-#: What each name stands for, of the settings measured; `tests/accuracy/trade.py` chooses them so. None of them changes
-#: the law, and none is less accurate than the scene as it is, neither in displacement nor in the tool's force.
+#: Meaning of each name; `tests/accuracy/trade.py` chooses the settings accordingly. No preset changes the law, and none
+#: is less accurate than the unmodified scene, in displacement or in the tool's force.
 PROMISES = {
     "fast": "the fastest that is no less accurate than the scene as it is",
     "balanced": "the most accurate that is no slower than the scene as it is",
@@ -26,16 +26,16 @@ PROMISES = {
 
 
 def all_presets() -> dict[str, dict[str, Setting]]:
-    """[scene][preset]."""
+    """Returns all presets, [scene][preset]."""
     presets: dict[str, dict[str, Setting]] = yaml.safe_load(FILE.read_text("utf-8")) if FILE.exists() else {}
     return presets
 
 
 def read_scene(path: str | Path, preset: str | None) -> Scene:
-    """As `Scene.from_file`; with a preset, a built-in scene that has one of that name.
+    """Reads a scene like `Scene.from_file` and applies a preset, which only built-in scenes have.
 
     Raises:
-        InvalidArgumentError: also where a preset was measured for no such scene.
+        InvalidArgumentError: also if no such preset was measured for the scene.
     """
     if preset is None:
         return Scene.from_file(path)

@@ -1,11 +1,11 @@
-"""`tensormass run`: a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway, as one thing.
+"""`tensormass run`: starts a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway.
 
-Everything runs until Ctrl-C (or SIGTERM, or --seconds) and then ends in the order in which it depends on each other.
+All parts run until Ctrl-C, SIGTERM or the end of --seconds. They end in the order of their dependencies.
 
-A scene that a guard stops ends a run of --seconds, which nobody watches, at once. Without --seconds the run goes on:
-whoever watches may look at the scene where it stands, and reset it over the control address. A run that ends with its
-scene stopped has failed either way, and leaves what `SceneHandle.write_report` writes in NAME-fault.npz: the daemon,
-which has the state, ends with it.
+A guard may stop the scene. A run with --seconds then ends at once, because nobody watches it. Without --seconds the run
+continues: users can inspect the stopped scene and reset it over the control address. A run that ends with its scene
+stopped has failed. It writes the report of `SceneHandle.write_report` to NAME-fault.npz, because the daemon, which has
+the state, ends with the run.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from tensormass_tools.output import Warnings, check_writable, load_line, print_j
 from tensormass_tools.running import announced
 
 _STATUS_PERIOD_S = 0.5
-# Lines that nobody watches live are fewer.
+# Period of status lines that are not rewritten in place, as in a log.
 _LOG_PERIOD_S = 5.0
 _MAX_PORT = 65_535
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `tensormass run`."""
+    """Adds the options of `tensormass run`."""
     parser.add_argument("scene", nargs="?", default="demo", help="a scene file or a built-in scene (default: demo)")
     parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
     parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
@@ -68,8 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs until told to end; 0 if everything ran and ended as it should."""
-    # Mistakes are said before anything starts.
+    """Runs until told to end. Returns 0 if every part ran and ended without an error."""
+    # Reports mistakes before anything starts.
     if args.seconds is not None and not 0 < args.seconds < math.inf:
         raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
     if not args.no_viewer:
@@ -131,7 +131,7 @@ async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gat
             running = await parts.enter_async_context(serve(options_from(args, server.address)))
         except FileNotFoundError as error:
             raise UnavailableError(f"{error}; or run with --no-viewer") from error
-        except (OSError, UnicodeError) as error:  # the latter: a host's name that cannot be one
+        except (OSError, UnicodeError) as error:  # UnicodeError: an impossible host name
             reason = getattr(error, "strerror", None) or error
             where = f"--host {args.host} --port {args.port}"
             raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
@@ -165,7 +165,7 @@ async def _report_until(
     viewer: Gateway | None,
     hands: list[tuple[ChildProcess, Path]],
 ) -> None:
-    """Prints the live status; ends when told to, or with an error when a part ended by itself."""
+    """Prints the live status. Returns when told to end; raises if a part ended by itself."""
     live = sys.stdout.isatty() and not args.json
     period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
     warnings = Warnings()
@@ -180,7 +180,7 @@ async def _report_until(
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
         width = shutil.get_terminal_size().columns - 1
         for line in warnings.lines(status):
-            # On a terminal, in place of the status line.
+            # On a terminal, the warning replaces the status line.
             _say(args, f"\r{line:<{width}}" if live else line)
         if args.json:
             print_json({"status": to_plain(status), "clients": clients})
@@ -203,10 +203,10 @@ async def _report_until(
 
 
 def _keep_report(handle: SceneHandle) -> str:
-    """Writes the report of a scene that is stopped into the current folder; where it is, or why there is none."""
+    """Writes the report of a stopped scene into the current folder. Returns its path in words, or why it is missing."""
     try:
         path = handle.write_report(Path.cwd() / f"{handle.name}-fault.npz")
-    except TensormassError as error:  # the fault is what has to be said
+    except TensormassError as error:  # the fault itself is more important
         return f"no report of it: {error}"
     return f"its status and state: {path}"
 

@@ -1,11 +1,14 @@
-"""`tensormass solve`: a scene computed step by step in lockstep, and its fields written as VTU.
+"""`tensormass solve`: computes a scene step by step in lockstep and writes its fields as VTU.
 
-A quasi-static scene makes one step, or as many as its schedules take. A dynamic one goes on until it is at rest: the
-kinetic energy at each of the last looks is below a share of its peak. One look alone would take the turning point of an
-oscillation for rest. Every step is checked: a result of steps that missed their tolerance is not written unless asked.
-Only a preset that itself says how many iterations a step may take is taken at its word, and the residuals are said.
-Where a scene does not say, the precision is double here, which tight tolerances need, and conjugate gradients go on
-until they reach theirs: there is no real time to keep up with.
+A quasi-static scene makes one step, or as many as its schedules take. A dynamic scene continues until it is at rest:
+its kinetic energy is below a share of its peak at several checks in a row. A single check could mistake the turning
+point of an oscillation for rest.
+
+Every step is checked. If one missed its tolerance, the result is not written unless asked for. A preset that limits
+the iterations of a step is the exception: its result is written with a warning that names the residuals.
+
+Settings that the scene leaves open are chosen for analysis, because there is no real time to keep up with: double
+precision, which tight tolerances need, and conjugate gradients that continue to their tolerance.
 """
 
 from __future__ import annotations
@@ -27,14 +30,14 @@ from tensormass_tools.solve_files import Writer
 from tensormass_tools.solve_steps import PRESET_LIMITS, REST_LIMIT_S, REST_LOOK_STEPS, REST_LOOKS, REST_SHARE, Solution
 from tensormass_tools.solve_text import text
 
-# Of conjugate-gradient iterations, where the scene names none.
+# Limit of conjugate-gradient iterations if the scene sets none.
 _CG_LIMIT = 10_000
-# More steps or seconds than these are a slip.
+# Larger numbers of steps or seconds are mistakes.
 _MOST = 1e9
 
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
-    """The options of `tensormass solve`."""
+    """Adds the options of `tensormass solve`."""
     parser.add_argument("scene", help=scene_help)
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="FILE.vtu", help="the state after the last step"
@@ -69,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Computes, prints a summary and writes; 0 if everything converged or was allowed not to."""
-    # Mistakes are said before anything starts.
+    """Computes, writes and prints a summary. Returns 0 if every step converged, or was allowed not to."""
+    # Reports mistakes before anything starts.
     if args.out.suffix != ".vtu":
         raise InvalidArgumentError(f"--out {args.out}: must end in .vtu")
     check_writable("--out", args.out)
@@ -91,12 +94,12 @@ def run(args: argparse.Namespace) -> int:
     if not solver.HasField("cg_max_iterations"):
         solver.cg_max_iterations = _CG_LIMIT
     with _server(args) as server, end_explained(server.process, server.log_file):
-        # A daemon of others may have a scene of this name.
+        # A shared daemon may have a scene of this name.
         name = f"{scene.name[:40]}-solve-{os.getpid()}" if args.server else None
         progress = load_line(quiet=args.json) or load_silently
         handle = server.load(scene, lockstep=True, name=name, progress=progress)
         try:
-            # Grids are cut here only now, when the daemon has found them to be of a size that can be.
+            # Cuts grids only after the daemon has checked their size.
             volumes = [volume_mesh(body) for body in scene.message.bodies]
             writer = Writer(args.out, handle, volumes, names)
             solution = Solution(args, scene.message, handle, writer)

@@ -16,7 +16,7 @@ from tensormass._src.scene_handle import SceneHandle
 
 
 class Writer:
-    """Writes the scene's state: points at rest, all bodies in one file, cell data `body` telling them apart."""
+    """Writes the state of a scene: points at rest, all bodies in one file, numbered by the cell data `body`."""
 
     def __init__(
         self, out: Path, handle: SceneHandle, volumes: list[meshes.VolumeMesh], names: list[FieldName]
@@ -37,7 +37,7 @@ class Writer:
         self._series: list[tuple[float, Path]] = []
 
     def write(self, path: Path | None = None) -> list[Fields]:
-        """Writes the present state to `path` (None: the file asked for) and returns what was measured."""
+        """Writes the present state to `path` (None: `--out`) and returns the fields of each body."""
         measured = [self._handle.fields(body, list(dict.fromkeys([*self._names, *SUMMED]))) for body in self.bodies]
         nodes: dict[str, npt.NDArray[np.generic]] = {}
         cells: dict[str, npt.NDArray[np.generic]] = {"body": self._body_of}
@@ -50,7 +50,7 @@ class Writer:
         return measured
 
     def write_one_of_series(self, step: int, time_s: float) -> None:
-        """Writes the present state as a file of its own, and the list of all of them."""
+        """Writes the present state as one file of the series, and the list of all its files."""
         path = self._out.with_name(f"{self._out.stem}_{step:06d}.vtu")
         self.write(path)
         self._series.append((time_s, path))
@@ -68,7 +68,7 @@ class Writer:
 
     @property
     def so_far(self) -> str:
-        """What there is before the last step."""
+        """Says, for people, what was written before the last step."""
         if not self._series:
             return "Nothing is written"
         states = "1 state" if len(self._series) == 1 else f"{len(self._series)} states"
@@ -76,7 +76,7 @@ class Writer:
 
     @property
     def files(self) -> list[str]:
-        """What was asked for; of a series, the list."""
+        """Returns the written files; for a series, its list."""
         return [str(self._out), *([str(self._out.with_suffix(".pvd"))] if self._series else [])]
 
 

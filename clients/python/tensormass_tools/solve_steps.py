@@ -21,13 +21,13 @@ from tensormass_tools.output import Warnings
 from tensormass_tools.solve_files import Writer
 from tensormass_tools.solve_text import Progress
 
-# At rest: so many looks, so many steps apart, all below this share of the largest kinetic energy seen.
+# At rest: this many checks, this many steps apart, all below this share of the largest kinetic energy so far.
 REST_LOOKS = 5
 REST_LOOK_STEPS = 10
 REST_SHARE = 1e-8
-# A scene that does not come to rest is given up after so much simulated time.
+# Simulated time after which a scene that does not come to rest is given up [s].
 REST_LIMIT_S = 60.0
-# The knobs by which a preset ends a step before its tolerance.
+# Knobs by which a preset ends a step before its tolerance.
 PRESET_LIMITS = ("cg_max_iterations", "newton_max_iterations")
 _QUASI_STATIC = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
 _INTEGRATORS = {
@@ -39,7 +39,7 @@ _INTEGRATORS = {
 
 
 def _preset_limits(args: argparse.Namespace) -> str:
-    """The limits of iterations that the preset sets, for people; empty: none."""
+    """Returns the limits of iterations that the preset sets, for people; empty if it sets none."""
     if args.preset is None:
         return ""
     setting = presets.all_presets()[args.scene][args.preset]
@@ -62,7 +62,7 @@ class Solution:
         self._unconverged = ""
         self._worst_residual = 0.0
         self._kinetic_share = 1.0
-        #: False: it had to come to rest and did not.
+        #: False if the scene had to come to rest and did not.
         self.at_rest = True
         self._unconverged_steps = 0
 
@@ -70,7 +70,7 @@ class Solution:
         """Makes the steps, writes, and returns the summary.
 
         Raises:
-            NotConvergedError: unless that is allowed.
+            NotConvergedError: a step missed its tolerance, and neither option nor preset allows that.
         """
         began = time.monotonic()
         count = self._step_count()
@@ -116,7 +116,7 @@ class Solution:
         }
 
     def _step_count(self) -> int | None:
-        """None: until at rest."""
+        """Returns the number of steps; None to continue until the scene is at rest."""
         if self._args.steps is not None:
             return int(self._args.steps)
         if self._args.seconds is not None:
@@ -126,7 +126,7 @@ class Solution:
         return None
 
     def _steps_until(self, time_s: float) -> int:
-        # A thousandth of a step is rounding.
+        # Allows a thousandth of a step for rounding.
         return max(1, math.ceil(time_s / self._dt_s - 1e-3))
 
     def _steps(self, count: int | None) -> Iterator[stream_pb2.SceneStatus]:
@@ -185,7 +185,7 @@ class Solution:
         self._worst_residual = max(self._worst_residual, residual)
 
     def _findings(self, status: stream_pb2.SceneStatus, measured: list[Fields]) -> list[str]:
-        """What the user should know of the result."""
+        """Returns warnings about the result."""
         findings = []
         if self._unconverged:
             others = self._unconverged_count - 1
@@ -202,5 +202,5 @@ class Solution:
                     f"body {name!r}: elements are turned inside out, det F down to {fields.min_det_f:.2g}: this is no "
                     "state of a tissue; take a finer mesh, smaller steps, or a law that stands compression"
                 )
-        # The daemon's own words on convergence are about the last step only.
+        # Leaves out the daemon's warning on convergence, which is about the last step only.
         return findings + [text for text in self._warnings.latest if "newton_tolerance" not in text]
