@@ -1,7 +1,7 @@
 """Tetrahedra that fill the inside of an implicit surface, by isosurface stuffing.
 
-Why this and not a general mesher: for a smooth function it is deterministic, takes a second, and bounds the dihedral
-angles away from 0 and 180 degrees, which is what an explicit tissue model wants of its elements.
+Reasons for this method instead of a general mesher: for a smooth function it is deterministic, takes a second, and
+bounds the dihedral angles away from 0 and 180 degrees, as an explicit tissue model needs.
 
 F. Labelle, J. R. Shewchuk, "Isosurface stuffing: fast tetrahedral meshes with good dihedral angles", SIGGRAPH 2007.
 The lattice is body-centred cubic; its tetrahedra have two long edges (between points of the same cubic lattice) and
@@ -20,11 +20,12 @@ from tensormass._src.mesh_repair import compact, rewind
 from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
 
 Implicit = Callable[[FloatArray], FloatArray]
-"""[n, 3] m -> [n], positive inside, zero on the surface, continuous."""
+"""Continuous function, [n, 3] m -> [n]: positive inside, zero on the surface."""
 
 
 _Indices = npt.NDArray[np.int64]
-# A cut nearer to a lattice point than this share of its edge moves the point (the paper's safe choice for both kinds).
+# A cut that is nearer to a lattice point than this share of its edge moves the point (the paper's safe choice for both
+# kinds of edges).
 _WARP_LONG = 0.24999
 _WARP_SHORT = 0.41189
 _BISECTIONS = 24
@@ -46,7 +47,7 @@ def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: flo
     cuts = _cut_points(inside, points[edges[:, 0]], points[edges[:, 1]], value[edges[:, 0]])
     _warp(points, value, edges, is_long, cuts)
 
-    # Cuts that no point was moved onto.
+    # Keeps the cuts onto which no point was moved.
     crossed = value[edges[:, 0]] * value[edges[:, 1]] < 0
     edges, cuts = edges[crossed], cuts[crossed]
     cut_of = _PairTable(edges, len(points), first=len(points))
@@ -68,7 +69,7 @@ def project(inside: Implicit, points: FloatArray, step_m: float, iterations: int
 
 
 def smooth(surface: TriangleSurface, inside: Implicit, step_m: float, rounds: int = 6) -> TriangleSurface:
-    """Evens out a surface's triangles: each vertex to the mean of its neighbours, then back onto the surface."""
+    """Evens out triangles: moves each vertex to the mean of its neighbours, then back onto the surface."""
     triangles = surface.triangles.astype(np.int64)
     start, end = (np.concatenate([triangles[:, [k, (k + 1) % 3]][:, side] for k in range(3)]) for side in (0, 1))
     degree = np.bincount(start, minlength=len(surface.vertices))[:, None]
@@ -82,14 +83,15 @@ def smooth(surface: TriangleSurface, inside: Implicit, step_m: float, rounds: in
 
 
 def _lattice(lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> tuple[FloatArray, _Indices]:
-    """Points and tetrahedra of the lattice. Corners of cubes come first, then the cubes' centres."""
+    """Makes points and tetrahedra of the lattice. Corners of cubes come first, then the cubes' centres."""
     count = np.ceil((upper_m - lower_m) / cell_m).astype(np.int64) + 1
     corner_shape, centre_shape = count + 1, count
     corners = _grid_points(corner_shape) * cell_m + lower_m - 0.5 * cell_m
     centres = _grid_points(centre_shape) * cell_m + lower_m
     blocks = []
     for axis in range(3):
-        # Two centres of neighbouring cubes and the four corners of the face between them: a tetrahedron for each edge.
+        # Centres of two neighbouring cubes and the four corners of the face between them: one tetrahedron for each
+        # edge.
         u, v = (axis + 1) % 3, (axis + 2) % 3
         left = _grid_indices(centre_shape - np.eye(3, dtype=np.int64)[axis])
         right = left + np.eye(3, dtype=np.int64)[axis]
@@ -117,7 +119,8 @@ def _flat(index: _Indices, shape: _Indices) -> _Indices:
 
 
 def _edges(tetrahedra: _Indices, point_count: int) -> tuple[_Indices, npt.NDArray[np.bool_]]:
-    """Unique edges [n, 2], smaller index first, and whether each is long; by construction edges 01 and 23 are."""
+    """Returns unique edges [n, 2], smaller index first, and whether each is long. Edges 01 and 23 are long by
+    construction."""
     pairs = [(0, 1), (2, 3), (0, 2), (0, 3), (1, 2), (1, 3)]
     keys = np.concatenate([_pair_keys(tetrahedra[:, a], tetrahedra[:, b], point_count) for a, b in pairs])
     unique, first = np.unique(keys, return_index=True)
@@ -130,7 +133,7 @@ def _pair_keys(a: _Indices, b: _Indices, point_count: int) -> _Indices:
 
 
 def _cut_points(inside: Implicit, a: FloatArray, b: FloatArray, value_a: FloatArray) -> FloatArray:
-    """Where the function is zero between `a` and `b`, by bisection."""
+    """Finds the zero of the function between `a` and `b`, by bisection."""
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -142,7 +145,7 @@ def _cut_points(inside: Implicit, a: FloatArray, b: FloatArray, value_a: FloatAr
 def _warp(
     points: FloatArray, value: FloatArray, edges: _Indices, is_long: npt.NDArray[np.bool_], cuts: FloatArray
 ) -> None:
-    """Moves each point that a cut comes too near to onto the nearest such cut; its value becomes zero."""
+    """Moves points that are too near to a cut onto the nearest cut, and sets their value to zero."""
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     limit = np.where(is_long, _WARP_LONG, _WARP_SHORT) * length
     distance = np.concatenate([np.linalg.norm(points[edges[:, side]] - cuts, axis=1) for side in (0, 1)])
@@ -155,7 +158,7 @@ def _warp(
 
 
 class _PairTable:
-    """Node of the cut on an edge, looked up by the edge's ends."""
+    """Looks up the node of the cut on an edge, by the ends of the edge."""
 
     def __init__(self, edges: _Indices, point_count: int, first: int) -> None:
         self._point_count = point_count
@@ -163,7 +166,7 @@ class _PairTable:
         self._first = first
 
     def __call__(self, inner: _Indices, outer: _Indices, sign: FloatArray) -> _Indices:
-        """The cut between an inner and an outer point; a point that lies on the surface is its own cut."""
+        """Returns the cut between an inner and an outer point. A point on the surface is its own cut."""
         if not len(self._keys):
             return inner
         place = np.searchsorted(self._keys, _pair_keys(inner, outer, self._point_count))
@@ -171,8 +174,8 @@ class _PairTable:
 
 
 def _stencils(tetrahedra: _Indices, sign: FloatArray, cut_of: _PairTable) -> _Indices:
-    """What remains of each tetrahedron inside the surface."""
-    # Inner corners first, outer last; then the count of outer corners decides.
+    """Cuts each tetrahedron to the part inside the surface."""
+    # Sorts inner corners first. The number of outer corners then decides.
     order = np.argsort(-sign[tetrahedra], axis=1, kind="stable")
     lattice = np.array([0, 0, 1, 1])[order]  # two points of the same one are joined by a long edge
     corner = np.take_along_axis(tetrahedra, order, axis=1)
@@ -206,9 +209,9 @@ def _stencils(tetrahedra: _Indices, sign: FloatArray, cut_of: _PairTable) -> _In
 
 
 def _before(corner: _Indices, lattice: npt.NDArray[np.int64], p: int, q: int, n: int) -> npt.NDArray[np.bool_]:
-    """Which diagonal halves the inner part p q c_q c_p of a face p q n whose corner n is outside.
+    """Chooses the diagonal that halves the inner part p q c_q c_p of a face p q n whose corner n is outside.
 
-    True is the diagonal from p to c_q. Neighbours decide alike, since only the face's own points matter: the diagonal
+    True is the diagonal from p to c_q. Neighbours choose alike, because only points of the face matter: the diagonal
     ends at the cut of the face's long edge, or, where both cut edges are short, at the inner point of lower index.
     """
     long_p, long_q = lattice[:, p] == lattice[:, n], lattice[:, q] == lattice[:, n]
@@ -223,7 +226,8 @@ def _prism(
     zero_before_two: npt.NDArray[np.bool_],
     one_before_two: npt.NDArray[np.bool_],
 ) -> _Indices:
-    """Three tetrahedra of a prism with columns top[:, k] - bottom[:, k]; `i_before_j` is the diagonal top i - bottom j.
+    """Returns three tetrahedra of a prism with columns top[:, k] - bottom[:, k]; `i_before_j` is the diagonal top i -
+    bottom j.
 
     Columns that are a single point make tetrahedra with a repeated corner, which are dropped.
     """

@@ -1,11 +1,11 @@
-"""Mesh files, in and out: volumes of any shapes with named sets and element fields, and triangulated surfaces.
+"""Reads and writes mesh files: volumes of any shapes with named sets and element fields, and triangulated surfaces.
 
-meshio reads the formats; the Gmsh 1 format ($NOD/$ELM), which it does not know, is read here. Readers return what the
-file says, in the file's node order (regions may refer to nodes by index).
+meshio reads the formats, except Gmsh 1 ($NOD/$ELM), which it does not know and which is read here. Readers keep the
+node order of the file, because regions may refer to nodes by index.
 
-What a file names becomes a named set of nodes: Gmsh's physical groups, sets of nodes and of elements (Abaqus), and
-point data `set:NAME` that are not zero, which is how sets are written. Cell data of the names in
-`meshes.ELEMENT_FIELDS` become element fields.
+Named groups of a file become named sets of nodes: physical groups of Gmsh, sets of nodes and of elements (Abaqus), and
+nonzero point data `set:NAME`, the form in which sets are written. Cell data with a name of `meshes.ELEMENT_FIELDS`
+become element fields.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from tensormass._src.meshes import ELEMENT_FIELDS, ElementBlock, FloatArray, Tri
 from tensormass._src.names import as_name
 from tensormass._src.shapes import BY_MESHIO_TYPE
 
-# Gmsh element types: those of no volume are passed over, volumes other than tetrahedra are refused.
+# Gmsh element types. Elements without a volume are skipped; volumes other than tetrahedra are refused.
 _GMSH_TETRAHEDRON = 4
 _GMSH_WITHOUT_VOLUME = {1, 2, 3, 15}
 _WITHOUT_VOLUME = {"vertex", "line", "line3", "triangle", "triangle6", "triangle7", "quad", "quad8", "quad9", "polygon"}
 _SET_PREFIX = "set:"
-# Other names for what `ELEMENT_FIELDS` names.
+# Other names of `ELEMENT_FIELDS`.
 _FIELD_ALIASES = {"fibre_direction": "fibre_directions"}
 
 
@@ -40,7 +40,7 @@ def read_mesh(path: str | Path) -> VolumeMesh:
 
     Raises:
         NotFoundError: no such file.
-        InvalidArgumentError: not readable, no elements with a volume, or some of a shape that is not simulated.
+        InvalidArgumentError: not readable, without volume elements, or with shapes that are not simulated.
     """
     path = Path(path)
     if _begins_with(path, b"$NOD"):
@@ -49,8 +49,8 @@ def read_mesh(path: str | Path) -> VolumeMesh:
 
 
 def from_meshio(mesh: meshio.Mesh, where: str = "meshio.Mesh") -> VolumeMesh:
-    """The volume elements of a `meshio.Mesh`, with its sets and element fields; shapes that are not simulated are
-    refused, not dropped."""
+    """Converts the volume elements of a `meshio.Mesh`, with its sets and element fields. Shapes that are not simulated
+    are refused, not dropped."""
     others = sorted({block.type for block in mesh.cells} - set(BY_MESHIO_TYPE) - _WITHOUT_VOLUME)
     if others:
         raise InvalidArgumentError(
@@ -85,7 +85,7 @@ def _sets(mesh: meshio.Mesh, where: str) -> dict[str, npt.NDArray[np.int64]]:
         if name.startswith(_SET_PREFIX):
             found.append((name.removeprefix(_SET_PREFIX), np.flatnonzero(np.asarray(values).reshape(-1))))
     for name, cells in mesh.cell_sets.items():
-        # Gmsh 4 keeps bookkeeping of its own there.
+        # Gmsh 4 stores bookkeeping there.
         if not name.startswith("gmsh:"):
             found.append((name, _nodes_of(mesh, cells)))
     if "gmsh:physical" in mesh.cell_data:
@@ -98,7 +98,7 @@ def _sets(mesh: meshio.Mesh, where: str) -> dict[str, npt.NDArray[np.int64]]:
                 found.append((name, _nodes_of(mesh, cells)))
     sets: dict[str, npt.NDArray[np.int64]] = {}
     for name, nodes in found:
-        if nodes.size == 0:  # an empty group holds nothing and loads nothing
+        if nodes.size == 0:  # an empty group has no effect
             continue
         if as_name(name) in sets:
             raise InvalidArgumentError(f"{where}: two of its sets are called {as_name(name)!r}; rename one")
@@ -107,7 +107,7 @@ def _sets(mesh: meshio.Mesh, where: str) -> dict[str, npt.NDArray[np.int64]]:
 
 
 def _nodes_of(mesh: meshio.Mesh, cells: list[npt.NDArray[np.integer] | None]) -> npt.NDArray[np.int64]:
-    """Nodes of cells that are given as indices into each of the blocks."""
+    """Returns the nodes of cells, which are given as indices into each block."""
     nodes = [np.empty(0, np.int64)]
     for block, chosen in zip(mesh.cells, cells, strict=True):
         if chosen is not None and len(chosen):
@@ -137,7 +137,7 @@ def read_surface(path: str | Path) -> TriangleSurface:
 
 
 def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
-    """Writes by the name's ending: .msh (Gmsh 2.2), .vtk, .vtu and whatever else meshio writes.
+    """Writes a mesh. The ending of the name chooses the format: .msh (Gmsh 2.2), .vtk, .vtu or another one of meshio.
 
     Raises:
         InvalidArgumentError: unknown ending.
@@ -156,7 +156,8 @@ def write_blocks(
     point_data: Mapping[str, npt.NDArray[np.generic]],
     cell_data: Mapping[str, npt.NDArray[np.generic]],
 ) -> None:
-    """As `write_mesh`, with data of each node [node_count, ...] and of each element [element_count, ...]."""
+    """Writes blocks of elements like `write_mesh`, with data of nodes [node_count, ...] and elements [element_count,
+    ...]."""
     path = Path(path)
     ends = np.cumsum([len(elements) for _, elements in blocks])[:-1]
     out = meshio.Mesh(
@@ -183,7 +184,7 @@ def read_gmsh1(path: str | Path) -> VolumeMesh:
     """Reads the Gmsh 1 format: `$NOD count, id x y z ... $ENDNOD $ELM count, id type physical entity n nodes ...`.
 
     Raises:
-        InvalidArgumentError: naming the line.
+        InvalidArgumentError: a mistake; the message names the line.
     """
     try:
         lines = Path(path).read_text("ascii").splitlines()
@@ -228,7 +229,7 @@ def read_gmsh1(path: str | Path) -> VolumeMesh:
 
 
 def _gmsh1_section(path: str | Path, lines: list[str], name: str) -> tuple[list[str], int]:
-    """The rows of `$name ... $ENDname` and the line number of the first."""
+    """Returns the rows of `$name ... $ENDname` and the line number of the first row."""
     try:
         begin = lines.index(f"${name}")
         count = int(lines[begin + 1])
@@ -254,15 +255,15 @@ def _begins_with(path: Path, first: bytes) -> bool:
 def _meshio_read(path: Path) -> meshio.Mesh:
     if not path.is_file():
         raise NotFoundError(f"{path}: no such file")
-    # By its ending alone, meshio tries the format of ANSYS first. It reads on for ever in such a file that is cut off,
-    # and from a whole one that ANSYS wrote, which describes cells by their faces, it gets no volumes.
+    # For the ending .msh, meshio tries the format of ANSYS first. It never returns from such a file that is cut off,
+    # and it finds no volumes in a complete one, which describes cells by their faces.
     options = {"file_format": "gmsh"} if path.suffix.lower() == ".msh" else {}
     if options and _begins_with(path, b"("):
         raise InvalidArgumentError(f"{path}: a mesh of ANSYS (Fluent) is not read; save it as Gmsh, VTK or Abaqus")
     said = io.StringIO()
     try:
-        # meshio ends the process on a file that it cannot read, after printing why; it tells ASCII from binary STL by
-        # a product that may overflow.
+        # meshio prints an error and exits on a file that it cannot read. It tells ASCII from binary STL by a product
+        # that may overflow.
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), np.errstate(over="ignore"):
             return meshio.read(path, **options)
     except (Exception, SystemExit) as error:

@@ -1,6 +1,6 @@
 """The demo's organs: shapes blended from smooth primitives, as implicit functions.
 
-Modelled after no patient and no data set; lengths in metres, z up, x towards the liver's left lobe, y to the front.
+They model no patient and no data set. Lengths in metres, z up, x towards the liver's left lobe, y to the front.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
 
 @dataclass(frozen=True)
 class Organ:
-    """A shape, the box around it, and how finely its volume and its skin are cut."""
+    """A shape, the box around it, and the cell sizes of its volume and skin."""
 
     inside: isosurface.Implicit
     lower_m: FloatArray
@@ -25,24 +25,25 @@ class Organ:
     skin_cell_m: float
 
     def volume(self) -> VolumeMesh:
-        """The tetrahedra that are simulated."""
+        """Makes the tetrahedra that are simulated."""
         return isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
 
     def skin(self) -> TriangleSurface:
-        """The surface that is seen."""
+        """Makes the visible surface."""
         fine = isosurface.fill(self.inside, self.lower_m, self.upper_m, self.skin_cell_m)
         return isosurface.smooth(boundary(fine), self.inside, step_m=1e-4)
 
 
 def liver(points: FloatArray) -> FloatArray:
-    """[n, 3] m -> [n], positive inside; near the surface about the distance to it [m]."""
+    """Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m].
+    Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m]."""
     # The right lobe is a thick dome, the left one a thin wedge that tapers away; between them a shallow furrow.
     right = _ellipsoid(points, (-0.040, -0.004, 0.000), (0.068, 0.068, 0.050), tilt_deg=(0.0, 6.0, 10.0))
     right_tip = _ellipsoid(points, (-0.068, 0.022, -0.018), (0.036, 0.044, 0.032), tilt_deg=(0.0, 0.0, 25.0))
     left = _ellipsoid(points, (0.042, 0.000, 0.004), (0.070, 0.046, 0.029), tilt_deg=(0.0, 9.0, -12.0))
     body = _blend(_blend(right, right_tip, 0.030), left, 0.035)
     furrow = _ellipsoid(points, (0.016, 0.052, 0.034), (0.009, 0.038, 0.029), tilt_deg=(20.0, 0.0, -10.0))
-    # Underneath it is hollow where other organs lie against it, with the gall bladder's groove.
+    # The underside is hollow where other organs lie against it, and has the groove of the gall bladder.
     hollow = _ellipsoid(points, (0.020, -0.008, -0.085), (0.115, 0.075, 0.066), tilt_deg=(8.0, -8.0, 0.0))
     groove = _ellipsoid(points, (-0.012, 0.045, -0.040), (0.014, 0.036, 0.018), tilt_deg=(-15.0, 0.0, 8.0))
     for carved, width in ((furrow, 0.024), (hollow, 0.022), (groove, 0.016)):
@@ -51,7 +52,7 @@ def liver(points: FloatArray) -> FloatArray:
 
 
 def kidney(points: FloatArray) -> FloatArray:
-    """As `liver`: a bean, its hilum towards -x."""
+    """Implicit function of the kidney, like `liver`: a bean, its hilum towards -x."""
     bean = _ellipsoid(points, (0.000, 0.000, 0.000), (0.030, 0.024, 0.055), tilt_deg=(0.0, 0.0, 0.0))
     hilum = _ellipsoid(points, (-0.034, 0.000, 0.000), (0.018, 0.026, 0.016), tilt_deg=(0.0, 0.0, 0.0))
     return -_blend(-bean, hilum, 0.018)
@@ -70,7 +71,8 @@ def _ellipsoid(
     radii_m: tuple[float, float, float],
     tilt_deg: tuple[float, float, float],
 ) -> FloatArray:
-    """Nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole)."""
+    """Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole).
+    Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole)."""
     local = (points - np.array(center_m)) @ _rotation(tilt_deg)
     radii = np.array(radii_m)
     k0 = np.linalg.norm(local / radii, axis=1)
@@ -80,7 +82,7 @@ def _ellipsoid(
 
 
 def _rotation(tilt_deg: tuple[float, float, float]) -> FloatArray:
-    """Rotations about x, then y, then z."""
+    """Returns the matrix of rotations about x, then y, then z."""
     matrix = np.eye(3)
     for axis, angle in enumerate(np.radians(tilt_deg)):
         turn = np.eye(3)
@@ -93,7 +95,8 @@ def _rotation(tilt_deg: tuple[float, float, float]) -> FloatArray:
 
 
 def _blend(a: FloatArray, b: FloatArray, width_m: float) -> FloatArray:
-    """Smooth union: the larger of the two, rounded (cubic, so that curvature is continuous) where they are close."""
+    """Returns the smooth union: the larger of the two, rounded (cubic, so that curvature is continuous) where they are
+    close."""
     close = np.maximum(width_m - np.abs(a - b), 0.0) / width_m
     union: FloatArray = np.maximum(a, b) + close**3 * (width_m / 6.0)
     return union

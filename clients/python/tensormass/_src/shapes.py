@@ -1,6 +1,6 @@
-"""The shapes of elements, as `Shape` of scene.proto has them: node order, faces, and their names in files.
+"""Shapes of elements, as in `Shape` of scene.proto: node order, faces, and names in files.
 
-What follows from the faces (edges, neighbours of a corner) is derived from them. Nodes are in VTK order; a wedge is
+Edges and neighbours of a corner are derived from the faces. Nodes are in VTK order; a wedge is
 positively wound if (x1 - x0) × (x2 - x0) · (x3 - x0) > 0, as in meshio, Gmsh and CalculiX.
 """
 
@@ -16,17 +16,17 @@ _PREFIX = "SHAPE_"
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape. Local nodes are the corners, then the middles of the edges."""
+    """One shape. Its local nodes are the corners, then the middles of the edges."""
 
-    #: As in the protocol, in small letters: "quadratic_tetrahedron".
+    #: Name in the protocol, in small letters: "quadratic_tetrahedron".
     name: str
     node_count: int
     corner_count: int
-    #: Its name in meshio.
+    #: Name in meshio.
     meshio_type: str
     #: Corners of each face, counter-clockwise seen from outside.
     faces: tuple[tuple[int, ...], ...]
-    #: The node order of the mirror image: rewinds an inverted element.
+    #: Node order of the mirror image, which rewinds an inverted element.
     mirrored: tuple[int, ...]
     #: [edge](corner, corner), each once.
     edges: tuple[tuple[int, int], ...] = field(init=False)
@@ -55,7 +55,7 @@ class Shape:
 
     @property
     def number(self) -> scene_pb2.Shape:
-        """The protocol's value."""
+        """Returns the protocol's value."""
         return cast(scene_pb2.Shape, scene_pb2.Shape.Value(_PREFIX + self.name.upper()))
 
 

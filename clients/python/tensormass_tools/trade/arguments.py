@@ -14,18 +14,19 @@ QUICK_COMBINATIONS = 6
 REFERENCE_S = 600.0
 QUICK_REFERENCE_S = 60.0
 _TIMES_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
-# Of the options that are numbers; beyond it nothing is meant, and nothing would end.
+# Largest number of any option. A larger one is a mistake, and the run would not end.
 _MOST = 1e6
-# Of each of the two; where so many leave their limit, another is no likelier to keep it.
+# Settings that are tried for each of the two files. If all leave their limit, another is unlikely to keep it.
 CANDIDATES = 3
-# For the times of a setting. What is run again gets so many times as long: there slow ones are timed over enough steps.
+# Time for timing one setting [s]. Runs of the written files get _AGAIN times as long, so that slow settings are timed
+# over enough steps.
 TIMING_S, QUICK_TIMING_S = 5.0, 0.5
 AGAIN = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
-    """The options of `tensormass trade`."""
-    # A bare mesh, which other commands take, does not say what happens to it.
+    """Adds the options of `tensormass trade`."""
+    # Other commands take a bare mesh, but it does not say what happens to it.
     parser.add_argument("scene", help=scene_help.replace(" a mesh file,", ""))
     parser.add_argument(
         "--budget", type=parse_time_s, metavar="TIME", help="for the median step of the scene, as 1ms; default: its dt"
@@ -86,20 +87,20 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
 
 
 def parse_time_s(text: str) -> float:
-    """`1ms`, `500us`, `0.001s` -> seconds."""
+    """Parses a time: `1ms`, `500us`, `0.001s` -> seconds."""
     match = re.fullmatch(r"([0-9.eE+-]+?)\s*(us|ms|s)", text.strip())
     number, unit_s = (match[1], _TIMES_S[match[2]]) if match else ("", 0.0)
     return _positive(number, unit_s, text, "a time such as 1ms")
 
 
 def parse_share(text: str) -> float:
-    """`2%`, `0.02` -> 0.02."""
+    """Parses a share: `2%`, `0.02` -> 0.02."""
     stripped = text.strip()
     return _positive(stripped.removesuffix("%"), 0.01 if stripped.endswith("%") else 1.0, text, "a share such as 2%")
 
 
 def parse_number(text: str) -> float:
-    """`0.5` -> 0.5."""
+    """Parses a positive number: `0.5` -> 0.5."""
     return _positive(text, 1.0, text, f"a number above 0 and below {_MOST:g}")
 
 

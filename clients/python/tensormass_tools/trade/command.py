@@ -1,4 +1,4 @@
-"""`tensormass trade`: measures a scene over its knobs and writes the settings worth having."""
+"""`tensormass trade`: measures the settings of a scene and writes those worth having."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tensormass_tools.trade.store import Store
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures, prints and writes; 0 if a setting is within the tolerance and one within the budget."""
+    """Measures, writes and prints. Returns 0 if one setting is within the tolerance and one within the budget."""
     if args.combinations is not None and args.combinations < 0:
         raise InvalidArgumentError(f"--combinations {args.combinations}: must not be negative")
     if is_mesh_file(args.scene):
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     folder = args.out or Path(f"trade-{message.name}")
     others = _read_others(args.confirm, folder)
     with launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False) as server:
-        # What the daemon checks, everything from here on takes for granted.
+        # The code below relies on the daemon's checks.
         server.inspect(message)
         knobs = Knobs(file, folder / "meshes")
         if args.knobs is not None:
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             trade = Trade(args, knobs, script, server, Store(folder))
             outcome = trade.measure(message.name)
             scenes = [written for name in outcome.recommended if (written := write_scene(outcome, name, folder))]
-            # Now already: what was measured is kept, whatever becomes of the runs that follow.
+            # Writes the report already here, so that it survives a failure of the runs that follow.
             files = [*write_report(outcome, folder), *scenes]
             for scene_file in scenes:
                 outcome = trade.confirm(outcome, scene_file)
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read_others(files: Sequence[Path], folder: Path) -> dict[Path, scene_pb2.Scene]:
-    """The scenes of `--confirm`."""
+    """Reads the scenes of `--confirm`."""
     own = [(folder / f"{stem}.yaml").resolve() for stem in (FASTEST, MOST_ACCURATE)]
     others = {}
     for path in files:
@@ -74,18 +74,19 @@ def _read_others(files: Sequence[Path], folder: Path) -> dict[Path, scene_pb2.Sc
 
 
 def _by_name(others: Mapping[Path, scene_pb2.Scene]) -> dict[str, scene_pb2.Scene]:
-    """By the stems of their files; where two have the same, or that of a file of the command's own, by whole paths."""
+    """Names scenes by the stems of their files, or by whole paths if a stem occurs twice or is one of the command's
+    own."""
     stems = Counter([FASTEST, MOST_ACCURATE, *(path.stem for path in others)])
     return {path.stem if stems[path.stem] == 1 else str(path.resolve()): scene for path, scene in others.items()}
 
 
 @contextlib.contextmanager
 def _writing_to(folder: Path) -> Iterator[None]:
-    """A full disk, or a folder of somebody else's, in words."""
+    """Reports a full disk or an unwritable folder in words."""
     try:
         yield
     except (TensormassError, BrokenPipeError):
-        raise  # some of ours are OSErrors too; a pipe is none of the folder's
+        raise  # some of our errors are OSErrors too; a broken pipe is not about the folder
     except OSError as error:
         raise InvalidArgumentError(
             f"--out {folder}: cannot be written to: {error.strerror or error}; make room or name another folder; in "

@@ -1,4 +1,4 @@
-"""Energy of the GPU, read through NVML where the package nvidia-ml-py and a device that counts are there."""
+"""Energy of the GPU, through NVML. Needs the package nvidia-ml-py and a device that counts energy."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-# Counted for at least so long; given up if the counter has not moved twice by the other.
+# Shortest time to count; longest time to wait until the counter has moved twice [s].
 _COUNT_S = 1.5
 _LIMIT_S = 5.0
 
 
 @dataclass(frozen=True)
 class Count:
-    """Between two moves of the counter."""
+    """Energy between two moves of the counter."""
 
     energy_j: float
     runs: int
@@ -24,13 +24,14 @@ class Count:
 
 
 class EnergyMeter:
-    """Counts from when the driver was loaded; take differences. One GPU, the first, which the daemon uses too."""
+    """Reads the first GPU, which the daemon uses too. Its counter starts when the driver is loaded, so take
+    differences."""
 
     def __init__(self, wanted: bool) -> None:
         self._nvml: Any = None
         if not wanted:
             return
-        # Whatever keeps it from being read is no fault of the run: a missing package, driver, device or right.
+        # A missing package, driver, device or permission is not an error of the run.
         with contextlib.suppress(Exception):
             nvml = importlib.import_module("pynvml")
             nvml.nvmlInit()
@@ -43,14 +44,14 @@ class EnergyMeter:
         return self._nvml is not None
 
     def read_j(self) -> float:
-        """Energy so far [J]; 0 if it cannot be read."""
+        """Returns the energy so far [J]; 0 if it cannot be read."""
         return float(self._nvml.nvmlDeviceGetTotalEnergyConsumption(self._device)) / 1e3 if self.readable else 0.0
 
     def count(self, work: Iterable[tuple[int, int]]) -> Count | None:
-        """Of work without an end, from the counter's first move to the last; None: it moved too seldom.
+        """Counts the energy of endless work, from the counter's first move to its last; None if it moved too seldom.
 
         Args:
-            work: yields how many runs and steps it has made, from time to time.
+            work: yields (runs, steps) made so far, from time to time.
         """
         moves: list[Count] = []
         last_j = self.read_j()

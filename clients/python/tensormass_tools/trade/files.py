@@ -11,11 +11,11 @@ from tensormass_tools.trade.outcome import FASTEST, MOST_ACCURATE, Outcome
 
 
 def write_scene(outcome: Outcome, name: str, folder: Path) -> Path | None:
-    """A setting that was asked for, as a file; None: there is none."""
+    """Writes a recommended setting as a scene file; None if no setting is recommended."""
     path = folder / f"{name}.yaml"
     measurement = outcome.recommended[name]
     if measurement is None:
-        path.unlink(missing_ok=True)  # of an earlier run
+        path.unlink(missing_ok=True)  # a file of an earlier run
         return None
     what = {
         FASTEST: f"The fastest setting within {outcome.tolerance:.3g} of the reference",

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: error against cost, the front, and every number."""
+"""The report as one self-contained HTML page: error against cost, the front, and every number."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tensormass_tools.trade.outcome import Outcome
 from tensormass_tools.trade.store import Measurement
 
 _WIDTH, _HEIGHT, _MARGIN, _FOOT = 860, 430, 62, 32
-# Errors below this are drawn there: a logarithm needs a floor, and no reference is that good.
+# Smaller errors are drawn here, because a logarithm needs a floor and no reference is that accurate.
 _LEAST_ERROR = 1e-5
 _STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1100px; padding: 0 1em; color: #1c2530; }
@@ -30,7 +30,7 @@ svg { width: 100%; height: auto; } svg text { font: 12px system-ui, sans-serif; 
 
 
 def page(outcome: Outcome) -> str:
-    """The whole document."""
+    """Returns the whole document."""
     machine = outcome.machine
     front = sweep.front(outcome.measurements)
     on_front = {of.key for of in front}
@@ -76,7 +76,7 @@ def _table(heads: Sequence[str], rows: Iterable[tuple[Sequence[str], str]]) -> s
 
 
 def _chart(outcome: Outcome, front: list[Measurement]) -> str:
-    """Error against cost, both logarithmic."""
+    """Draws error against cost, both logarithmic."""
     drawn = [of for of in outcome.measurements if of.errors is not None and math.isfinite(of.errors.judged)]
     costs = [1e3 * of.cost_s for of in drawn] + [1e3 * outcome.budget_s]
     errors = [_error(of) for of in drawn] + [outcome.tolerance]
@@ -118,7 +118,7 @@ def _error(of: Measurement) -> float:
 
 
 class _Axis:
-    """Logarithmic, from positive values to pixels."""
+    """Maps positive values logarithmically to pixels."""
 
     def __init__(self, values: Sequence[float], start: float, end: float) -> None:
         self._low, self._high = math.log10(min(values)) - 0.08, math.log10(max(values)) + 0.08
@@ -128,7 +128,7 @@ class _Axis:
         return self._start + (math.log10(value) - self._low) / (self._high - self._low) * (self._end - self._start)
 
     def marks(self) -> list[float]:
-        """1, 2, 5, 10 ... within."""
+        """Returns ticks 1, 2, 5, 10 ... within the range."""
         decades = range(math.floor(self._low), math.ceil(self._high) + 1)
         marks = [factor * 10.0**decade for decade in decades for factor in (1, 2, 5)]
         return [float(f"{mark:.3g}") for mark in marks if self._low <= math.log10(mark) <= self._high]

@@ -1,9 +1,9 @@
-"""Values at the nodes of one mesh, taken at given points: settings differ in their nodes, and are compared in common
+"""Interpolation from the nodes of a mesh to given points. Settings differ in their nodes and are compared at common
 points.
 
-Elements with straight edges and flat, parallel sides are located and interpolated exactly (all tetrahedra, and what
-grids are cut into); others are taken for such. A point outside of the mesh is extrapolated from the nearest element,
-because meshes of one organ that differ in their resolution differ in their surfaces.
+Elements with straight edges and flat, parallel sides are located and interpolated exactly: all tetrahedra, and the
+elements of grids. Others are treated as if they had such sides. A point outside the mesh is extrapolated from the
+nearest element, because meshes of one organ with different resolutions differ in their surfaces.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy.typing as npt
 from tensormass._src.meshes import FloatArray, VolumeMesh
 
 _Indices = npt.NDArray[np.int64]
-# Inside an element, but for rounding.
+# Tolerance for a point inside an element, for rounding.
 _INSIDE = -1e-9
-# Points for which every element is looked at, at once.
+# Number of points that are compared with every element at once.
 _CHUNK = 64
 
 
 class Interpolation:
-    """From the nodes of `mesh` to `points` [n, 3] m, at rest."""
+    """Interpolates from the nodes of `mesh` to `points` [n, 3] m, both at rest."""
 
     def __init__(self, mesh: VolumeMesh, points: FloatArray) -> None:
         self._nodes = np.zeros((len(points), max(shape.node_count for shape, _ in mesh.blocks)), np.int64)
@@ -48,17 +48,17 @@ class Interpolation:
                 self._weights[found] = 0
                 self._nodes[found, : elements.shape[1]] = elements[element[first]]
                 self._weights[found, : elements.shape[1]] = weights[first]
-        #: How many points lie outside of the mesh.
+        #: Number of points outside the mesh.
         self.outside_count = int((best < _INSIDE).sum())
 
     def __call__(self, values: FloatArray) -> FloatArray:
-        """[node_count, k] -> [n, k]."""
+        """Interpolates values, [node_count, k] -> [n, k]."""
         taken: FloatArray = np.einsum("pn,pnk->pk", self._weights, values[self._nodes])
         return taken
 
 
 def _candidates(corners: FloatArray, points: FloatArray) -> tuple[_Indices, _Indices]:
-    """Pairs (point, element) that share a cell of a lattice about as wide as the elements."""
+    """Returns pairs (point, element) that share a cell of a lattice about as wide as the elements."""
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     slack = 1e-9 * float(np.ptp(points, axis=0).max() + np.ptp(upper, axis=0).max())
     start = lower.min(axis=0) - slack
@@ -84,7 +84,7 @@ def _candidates(corners: FloatArray, points: FloatArray) -> tuple[_Indices, _Ind
 
 
 def _ranges(counts: _Indices) -> _Indices:
-    """[2, 3] -> 0 1 0 1 2."""
+    """Counts up to each number: [2, 3] -> 0 1 0 1 2."""
     ends = np.cumsum(counts)
     return np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
 
@@ -92,7 +92,7 @@ def _ranges(counts: _Indices) -> _Indices:
 def _nearest(
     origin: FloatArray, centres: FloatArray, points: FloatArray, missed: _Indices, element_count: int
 ) -> list[tuple[_Indices, _Indices]]:
-    """For points in no element's cell: the few elements whose centres are nearest."""
+    """Returns, for points in no element's cell, the few elements with the nearest centres."""
     pairs = []
     few = min(8, element_count)
     for begin in range(0, len(missed), _CHUNK):

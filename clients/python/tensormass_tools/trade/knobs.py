@@ -1,4 +1,5 @@
-"""What a scene lets one choose. A setting is an edit of the scene file: what was measured is what is written."""
+"""The choices that a scene leaves open. A setting is an edit of the scene file, so the written file is the measured
+scene."""
 
 from __future__ import annotations
 
@@ -26,9 +27,9 @@ from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, solver_setter, with_numbers
 from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
 
-#: Values by the names of knobs; a knob that is not named stands as in the scene.
+#: Values by the names of knobs. Knobs that are missing keep the value of the scene.
 Setting = Mapping[str, Value]
-#: What exists once: nothing to choose, and so nothing to measure.
+#: Parts of the engine that exist once, so that there is nothing to choose or measure.
 ONE_CHOICE = {
     "preconditioner": "block-Jacobi",
     "contact": "penalty at the closest point of each triangle",
@@ -40,34 +41,34 @@ _CG_SHARES = (0.1, 0.25, 1.0)
 _CG_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
 _NEWTON_ITERATIONS = (1, 2, 5)
 _NEWTON_TOLERANCES = (1e-2, 1e-3, 1e-4)
-#: They say how well a step is solved, and nothing of what is solved.
+#: Knobs that change how accurately a step is solved, but not the problem.
 SOLVE_KNOBS = ("newton_max_iterations", "newton_tolerance", "cg_max_iterations", "cg_tolerance", "precision")
 
 
 @dataclass(frozen=True)
 class Knob:
-    """One choice. `values` from cheap to dear where they have an order; the scene's own is among them."""
+    """One choice. `values` include the scene's own; ordered ones go from cheap to expensive."""
 
     name: str
     what: str
     own: Value
     values: tuple[Value, ...]
-    #: Whether a value between two others would lie between them.
+    #: True if the values have an order.
     ordered: bool = False
 
     def others(self, nearest: bool = False) -> list[Value]:
-        """The values but the scene's own; `nearest`: of an ordered knob only the two beside it."""
+        """Returns the values except the scene's own; `nearest`: of an ordered knob only its two neighbours."""
         at = self.values.index(self.own)
         near = self.values[max(0, at - 1) : at + 2] if nearest and self.ordered else self.values
         return [value for value in near if value != self.own]
 
 
 class Knobs:
-    """The choices of one scene.
+    """Finds the choices of one scene and applies settings to its file.
 
     Args:
-        file: the scene, one that the daemon accepts; a built-in organ is meshed anew for each resolution.
-        mesh_folder: where those meshes go.
+        file: a scene that the daemon accepts. A built-in organ is meshed again for each resolution.
+        mesh_folder: for those meshes.
     """
 
     def __init__(self, file: SceneFile, mesh_folder: Path) -> None:
@@ -76,9 +77,9 @@ class Knobs:
         self._mesh_folder = mesh_folder
         self._made: set[Path] = set()
         self.quasi_static = self.message.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
-        #: By name.
+        #: Knobs by name.
         self.knobs: dict[str, Knob] = {}
-        #: Why there is nothing to choose, by name.
+        #: Reason why there is nothing to choose, by the name of the knob.
         self.without: dict[str, str] = {name: f"one choice, not measured: {what}" for name, what in ONE_CHOICE.items()}
         self._setters: dict[str, Callable[[dict[str, Any], Value], None]] = {
             "resolution": self._set_resolution,
@@ -93,29 +94,29 @@ class Knobs:
         self._find_law_knob()
         self._find_time_knobs()
         self._find_solver_knobs()
-        #: What of the mesh a reference may refine, whatever `choose` leaves.
+        #: Knobs of the mesh that a reference may refine, even if `choose` drops them.
         self.refinable = {"resolution", "shape"} & set(self.knobs)
 
     # --- settings -----------------------------------------------------------------------------------------------------
 
     def canonical(self, setting: Setting) -> dict[str, Value]:
-        """Without what the scene says anyway and what has no effect, in the order of the knobs."""
+        """Drops values that equal the scene's own or have no effect, and sorts by the order of the knobs."""
         kept = {name: setting[name] for name in self.knobs if name in setting and setting[name] != self.knobs[name].own}
         if kept.get("shape", self._own_shape) == "tetrahedron":
-            kept.pop("quadrature", None)  # one point, whatever is asked for
+            kept.pop("quadrature", None)  # a linear tetrahedron always has one point
         if self.value(kept, "integrator") == "quasi_static" and not self.quasi_static:
             kept.pop("mass", None)
         return kept
 
     def value(self, setting: Setting, name: str) -> Value | None:
-        """Of a knob in a setting; None: there is no such knob."""
+        """Returns the value of a knob in a setting; None if there is no such knob."""
         if name in setting:
             return setting[name]
         return self.knobs[name].own if name in self.knobs else None
 
     def effort(self, setting: Setting) -> tuple[float, ...]:
-        """How well a setting is solved, by each of `SOLVE_KNOBS`: more is better. With the daemon's own values where
-        neither the scene nor the setting says one; they depend on the integrator."""
+        """Returns how accurately a setting is solved, for each of `SOLVE_KNOBS`; more is better. The daemon's defaults,
+        which depend on the integrator, replace values that neither scene nor setting has."""
         solver = scene_pb2.Solver()
         solver.CopyFrom(self.message.solver)
         for name, value in setting.items():
@@ -132,7 +133,7 @@ class Knobs:
         )
 
     def solved_better(self, setting: Setting) -> dict[str, Value]:
-        """The setting without what makes it be solved worse than the scene is."""
+        """Returns the setting without the values by which it is solved worse than the scene."""
         of_scene = self.effort({name: value for name, value in setting.items() if name not in SOLVE_KNOBS})
         worse = [
             name for name, own, ours in zip(SOLVE_KNOBS, of_scene, self.effort(setting), strict=True) if own > ours
@@ -140,7 +141,7 @@ class Knobs:
         return self.canonical({name: value for name, value in setting.items() if name not in worse})
 
     def apply(self, setting: Setting) -> SceneFile:
-        """The scene file with these values; all other fields stay as they are."""
+        """Returns the scene file with these values. All other fields are unchanged."""
         fields = copy.deepcopy(self.file.fields)
         for name, value in setting.items():
             self._setters[name](fields, value)
@@ -150,7 +151,7 @@ class Knobs:
         """Keeps only these knobs.
 
         Raises:
-            InvalidArgumentError: the scene has no such knob, and why.
+            InvalidArgumentError: the scene has no such knob; the message says why.
         """
         names = list(names)
         for name in names:
@@ -162,7 +163,8 @@ class Knobs:
         self.knobs = {name: knob for name, knob in self.knobs.items() if name in names}
 
     def write(self, setting: Setting, path: Path, comment: str) -> None:
-        """Writes the scene of a setting as a file that runs as it is; meshes of built-in organs are put beside it."""
+        """Writes the scene of a setting as a file that needs nothing else; meshes of built-in organs go into its
+        folder."""
         file = self.apply(setting)
 
         def place(of: dict[str, Any]) -> None:
@@ -298,7 +300,7 @@ class Knobs:
         each_body(fields, set_of)
 
     def _organ(self, mesh: Mapping[str, Any]) -> str | None:
-        """The built-in organ that a mesh is, which can be meshed more finely."""
+        """Returns the built-in organ of a mesh, which can be meshed more finely; None for other meshes."""
         stem = Path(mesh.get("file", "")).stem
         return stem if self.file.builtin is not None and stem in ORGANS else None
 

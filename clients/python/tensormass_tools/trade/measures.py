@@ -1,4 +1,4 @@
-"""How far one recording is from another, and how far a sequence of refined ones is from its limit."""
+"""Errors of one recording against another, and the distance of a refined sequence from its limit."""
 
 from __future__ import annotations
 
@@ -12,48 +12,49 @@ import numpy as np
 from tensormass._src.meshes import FloatArray
 from tensormass_tools.trade.recording import Recording
 
-# The direction of a force is looked at while it is above this share of its largest.
+# The direction of a force counts while the force is above this share of its largest.
 _FELT_SHARE = 0.1
-# Swings below this share of the first are noise; so is a first one below this share of the whole.
+# Swings below this share of the first one are noise, as is a first swing below this share of the whole motion.
 _SWING_SHARE = 0.02
-# What Richardson's order is kept to: an erratic sequence is not trusted more than it deserves, nor beyond the schemes'.
+# Bounds of Richardson's order: an erratic sequence is not trusted, and no scheme has a higher order.
 _ORDERS = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Of a recording against the reference. Relative ones are shares of the reference's; None: it has no such thing."""
+    """Errors of a recording against the reference. Relative errors are shares of the reference's value; None if the
+    reference has no such value."""
 
-    #: L2 norm over volume and time.
+    #: Displacement, L2 norm over volume and time.
     displacement: float
-    #: The largest of any point at any time, as a share of the reference's largest displacement.
+    #: Largest displacement error of any point at any time, as a share of the reference's largest displacement.
     worst_node: float
-    #: Of body volume against rest: largest difference of V / V₀.
+    #: Largest difference of V / V₀, the volume of a body against rest.
     volume: float
-    #: Root of the mean square over time of the magnitude's error, as a share of that of the magnitude.
+    #: Root mean square over time of the force magnitude's error, as a share of that of the magnitude.
     force: float | None = None
-    #: Mean angle [rad] while the tool is felt, weighted by force.
+    #: Mean angle between the forces [rad] while there is contact, weighted by force.
     force_angle_rad: float | None = None
-    #: Of the work of pressing in.
+    #: Work of pressing in.
     work: float | None = None
-    #: Natural frequency of the free motion, as a share; 1: it does not swing any more.
+    #: Natural frequency of the free motion, as a share; 1 if the motion no longer swings.
     frequency: float | None = None
     #: Difference of damping ratios.
     damping: float | None = None
 
     @property
     def judged(self) -> float:
-        """What a tolerance is held against: what is seen or what is felt, whichever is worse."""
+        """Returns the error that is compared with the tolerance: the larger one of displacement and force."""
         return max(self.of_tolerance)
 
     @property
     def of_tolerance(self) -> tuple[float, ...]:
-        """What is seen and, where there is a tool, what is felt."""
+        """Returns the error of displacement and, with a tool, that of the force."""
         return (self.displacement,) if self.force is None else (self.displacement, self.force)
 
 
 def compare(recording: Recording, reference: Recording, weights: Sequence[FloatArray]) -> Errors:
-    """`weights`: [body][point] m³."""
+    """Computes the errors. `weights`: volume of each point, [body][point] m³."""
     off = above = 0.0
     worst = largest = 0.0
     for body, weight in enumerate(weights):
@@ -95,14 +96,14 @@ def _force_errors(recording: Recording, reference: Recording) -> tuple[float | N
 
 
 def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] | None:
-    """Frequency [Hz] and damping ratio of a motion that swings and dies away, of its turning points; None: it does not
-    swing three times."""
+    """Returns frequency [Hz] and damping ratio of a decaying oscillation, from its turning points; None if it swings
+    less than three times."""
     turns: list[tuple[float, float]] = []
     changes = np.diff(values)
-    # Around a turn halfway between two of them, values are equal.
+    # Two samples around a turning point may have equal values.
     for last, following in itertools.pairwise(np.flatnonzero(changes)):
         if changes[last] * changes[following] < 0:
-            # The vertex of the parabola through three points.
+            # Vertex of the parabola through three points.
             i = last + 1
             before, after = changes[last], changes[i]
             shift = (before + after) / (before - after) / 2
@@ -122,14 +123,14 @@ def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] 
 
 
 def richardson(differences: Sequence[float], ratio: float) -> tuple[float, float]:
-    """Estimated error of the finest of a sequence and the order that it was taken with.
+    """Estimates the error of the finest level of a sequence, and returns it with the order used.
 
     Args:
-        differences: between one level and the next, the last being the finest pair.
-        ratio: by how much each level is finer than the one before.
+        differences: between each level and the next, the finest pair last.
+        ratio: refinement of each level against the one before.
 
-    An order needs two differences; with one, the first order is assumed. Where differences do not shrink as they
-    should, the order is kept within bounds and the estimate is as large as that makes it.
+    An order needs two differences; with one, first order is assumed. If differences do not shrink as they should, the
+    order is clamped, which makes the estimate larger.
     """
     last = differences[-1]
     order = 1.0

@@ -11,13 +11,13 @@ from tensormass_tools.trade.reference import Reference
 from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Machine, Measurement
 
-# What the command writes, and runs once more.
+# Names of the files that the command writes and runs once more.
 FASTEST, MOST_ACCURATE = "fastest", "most_accurate"
 
 
 @dataclass(frozen=True)
 class Dropped:
-    """What was recommended until its file left the limit."""
+    """A setting that was recommended until its file left the limit."""
 
     promised: Measurement
     again: Measurement
@@ -30,7 +30,7 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run found. `measurements`: the scene as it is, single knobs, combinations."""
+    """Result of a run. `measurements`: the unmodified scene, then single knobs, then combinations."""
 
     scene: str
     knobs: Knobs
@@ -42,13 +42,13 @@ class Outcome:
     possible_combinations: int
     tolerance: float
     budget_s: float
-    #: For what is recommended, by the name of its file, the best first.
+    #: Candidates for each recommended file, by its name, the best first.
     candidates: dict[str, list[Measurement]]
-    #: None: no setting is within the limit.
+    #: Recommended setting for each file; None if no setting is within the limit.
     recommended: dict[str, Measurement | None]
-    #: What the written files do when they are read and run again, by name; then those of `--confirm`.
+    #: Measurements of the written files, read and run again, by name; then those of `--confirm`.
     confirmed: dict[str, Measurement] = field(default_factory=dict)
-    #: What was recommended before, the first one first.
+    #: Settings that were recommended before, in order.
     dropped: dict[str, list[Dropped]] = field(default_factory=dict)
 
     @property

@@ -1,4 +1,4 @@
-"""Puts scenes through the script in a daemon, and measures their times and energy."""
+"""Runs scenes through the script in a daemon, and measures their times and energy."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from tensormass_tools.trade.interpolation import Interpolation
 from tensormass_tools.trade.recording import Costs, Recording
 from tensormass_tools.trade.script import PATH_SHARES, Script, rest_nodes
 
-#: A 99th percentile of a hundred steps is the second slowest of them, and scatters by a quarter. So the script is run
-#: again until so many steps are timed.
+#: Number of steps to time; the script is repeated until then. A 99th percentile of a hundred steps is their second
+#: slowest and scatters by a quarter.
 TIMED_STEPS = 500
-# Steps go in calls of so long while energy is counted: what a call uses besides is small against it, and its counter,
-# which moves about ten times a second, is read in time.
+# Length of a call that makes steps while energy is counted [s]: long against the overhead of a call, short against the
+# counter, which moves about ten times a second.
 _ENERGY_CALL_S = 0.05
 _KEPT_INTERPOLATIONS = 4
 
 
 class Recorder:
-    """Puts scenes through a script."""
+    """Runs scenes through a script."""
 
     def __init__(self, server: Server, scene: scene_pb2.Scene, script: Script) -> None:
         self._server = server
         self._script = script
         volumes = [volume_mesh(body) for body in scene.bodies]
         self._points = [rest_nodes(body, volume.nodes) for body, volume in zip(scene.bodies, volumes, strict=True)]
-        #: [body][point]: the volume that a point stands for [m³], for means.
+        #: Volume of each point [m³], the weight in means: [body][point].
         self.weights = [node_volumes(volume) for volume in volumes]
         self._interpolations: OrderedDict[str, list[Interpolation]] = OrderedDict()
         self._energy = EnergyMeter(wanted=server.version().backend == "cuda")
 
     def record(self, scene: scene_pb2.Scene) -> Recording:
-        """Runs a scene once; times are those of this run.
+        """Runs a scene once. The times are those of this run.
 
         Raises:
-            TensormassError: it was refused or stopped, and why.
+            TensormassError: the scene was refused or stopped; the message says why.
         """
         with self._loaded(scene, "trade") as run:
             return run.record()
@@ -58,15 +58,15 @@ class Recorder:
     def measure(
         self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
     ) -> list[Recording | TensormassError]:
-        """Records each scene, then runs all again in turns for their times, so that a machine that is slower for a
-        while is so for all of them; and counts the energy of a step where it can be read.
+        """Records each scene, then repeats all in turns for their times. If the machine is slower for a while, it is
+        slower for all of them. Counts the energy of a step where the counter can be read.
 
         Args:
-            limit_s: for these turns, of each scene; by then fewer steps than wanted may be timed.
-            beside: scenes that take their turns only for the sake of the others' times; no energy is counted.
+            limit_s: time for these turns, for each scene. Fewer steps than wanted may be timed by then.
+            beside: further scenes that take turns, for comparison of times; their energy is not counted.
 
         Returns:
-            In the order of `scenes`, then of `beside`; of one that was refused or stopped, why.
+            Recordings in the order of `scenes`, then `beside`; for a refused or stopped scene, its error.
 
         Raises:
             UnavailableError: the daemon is gone.
@@ -101,7 +101,7 @@ class Recorder:
             handle.unload()
 
     def interpolations(self, volumes: list[meshes.VolumeMesh]) -> list[Interpolation]:
-        """To the points of each body; the last few are kept."""
+        """Returns the interpolations to the points of each body. The last few are kept."""
         digest = hashlib.sha256()
         for volume in volumes:
             digest.update(volume.nodes.tobytes() + b"".join(nodes.tobytes() for _, nodes in volume.blocks))
@@ -119,7 +119,7 @@ class Recorder:
 
 @contextlib.contextmanager
 def _kept(results: dict[int, Recording | TensormassError], number: int) -> Iterator[None]:
-    """What keeps one scene from being run is its result; that the daemon is gone says nothing about the scene."""
+    """Stores an error of the body as the result of a scene, unless the daemon is gone, which says nothing about it."""
     try:
         yield
     except UnavailableError:
@@ -129,7 +129,7 @@ def _kept(results: dict[int, Recording | TensormassError], number: int) -> Itera
 
 
 class _Run:
-    """One scene on its way through the script."""
+    """Runs one loaded scene through the script."""
 
     def __init__(self, script: Script, handle: SceneHandle, scene: scene_pb2.Scene, recorder: Recorder) -> None:
         self._script = script
@@ -150,7 +150,7 @@ class _Run:
         self._wall_s = 0.0
 
     def record(self) -> Recording:
-        """The first run, with all that is compared; its times are its own."""
+        """Makes the first run and records all that is compared. The costs are those of this run."""
         script = self._script
         began = time.monotonic()
         samples: list[list[FloatArray]] = []
@@ -161,11 +161,13 @@ class _Run:
             at_s = step * self._dt_s
             force, position = _felt(status, script.tool)
             if last is not None:
-                work_j -= float((force + last[0]) @ (position - last[1])) / 2  # the tissue's force is against it
+                work_j -= (
+                    float((force + last[0]) @ (position - last[1])) / 2
+                )  # the force of the tissue opposes the motion
                 work_most_j = max(work_most_j, work_j)
             last = force, position
             is_sample = step % self._steps_a_sample == 0
-            # A thousandth of a step is rounding.
+            # Allows a thousandth of a step for rounding.
             is_free = script.free_s[0] < at_s < script.free_s[1] + 1e-3 * self._dt_s
             if is_sample or is_free:
                 positions = [self._handle.positions(name) for name in self._names]
@@ -201,7 +203,7 @@ class _Run:
         for step in range(1, self._steps_a_sample * self._script.sample_count + 1):
             began = time.perf_counter()
             if self._script.tool is not None:
-                # Where the tool will be when the step ends: the step is implicit.
+                # Position of the tool at the end of the step, because the step is implicit.
                 self._handle.move_tool(self._script.tool, self._script.pose(step * self._dt_s))
             status = self._handle.step()
             self._latencies_s.append(time.perf_counter() - began)
@@ -211,7 +213,7 @@ class _Run:
             yield step, status
 
     def again(self) -> None:
-        """Another run, for its times."""
+        """Makes another run, for its times."""
         self._handle.reset()
         for _ in self._steps():
             pass
@@ -221,11 +223,12 @@ class _Run:
         return len(self._latencies_s)
 
     def _energy_of_a_step(self, step_s: float) -> float | None:
-        """Of steps that follow each other with nothing between, the tool held where it presses most [J]. None: the
+        """Returns the energy of a step [J], over steps without pauses, with the tool at its deepest point. None if the
         counter moved too seldom, or the scene was stopped.
 
-        Runs go no further than the script does: farther on, a scene may leave its bounds. What it uses to get back to
-        the start is counted in runs of one step (of none, if the script is but one), and taken off."""
+        Runs end where the script ends, because a scene may leave its bounds later. The energy of a reset is counted in
+        runs of one step (without steps, if the script has only one) and subtracted.
+        """
         steps = self._steps_a_sample * self._script.sample_count
         short_steps = min(1, steps - 1)
         at_once = max(1, round(_ENERGY_CALL_S / max(step_s, 1e-9)))
@@ -240,7 +243,7 @@ class _Run:
         return more_j / more_steps if more_steps > 0 and more_j > 0 else None
 
     def _runs(self, steps: int, at_once: int) -> Iterator[tuple[int, int]]:
-        """Goes back to the start and makes `steps`, for ever; how many runs were begun, how many steps made."""
+        """Resets and makes `steps`, endlessly. Yields the number of runs started and of steps made."""
         made = 0
         for runs in itertools.count(1):
             self._handle.reset()
@@ -256,7 +259,7 @@ class _Run:
                 yield runs, made
 
     def costs(self, *, energy: bool) -> Costs:
-        """Of the runs so far; `energy`: where it can be read, that of a step besides, for which it runs more."""
+        """Returns the costs of the runs so far; `energy`: also that of a step, which takes more runs."""
         report = self._handle.report
         assert report is not None
         steps = self._steps_a_sample * self._script.sample_count
@@ -285,7 +288,7 @@ class _Run:
 
 
 def _felt(status: stream_pb2.SceneStatus, tool: str | None) -> tuple[FloatArray, FloatArray]:
-    """Force on a tool [N] and its position [m]."""
+    """Returns the force on a tool [N] and its position [m]."""
     for of in status.tools:
         if of.tool == tool:
             f, p = of.force_n, of.position_m
@@ -303,7 +306,7 @@ def _along_own_direction(means: list[FloatArray]) -> FloatArray:
 
 
 def node_volumes(mesh: meshes.VolumeMesh) -> FloatArray:
-    """[node_count] m³: each element's volume, divided among its nodes."""
+    """Divides the volume of each element among its nodes, [node_count] m³."""
     weights = np.zeros(len(mesh.nodes))
     first = 0
     volumes = mesh_geometry.signed_volumes(mesh)

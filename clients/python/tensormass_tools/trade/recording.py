@@ -1,4 +1,4 @@
-"""What a run through the script gave: results to compare, and costs."""
+"""Result of a run through the script: values to compare, and costs."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ from tensormass._src.meshes import FloatArray
 
 @dataclass(frozen=True)
 class Costs:
-    """Of one setting on one machine."""
+    """Costs of one setting on one machine."""
 
-    #: Of the daemon, from the pick-up of the pose to results, in `timed_steps`.
+    #: Step time in the daemon, from taking the pose to results, over `timed_steps` [s].
     step_p50_s: float
     step_p99_s: float
-    #: From the pose in the client's hand to the force in it, in lockstep over the control plane.
+    #: Time at the client from sending the pose to its force, in lockstep over the control plane [s].
     latency_p50_s: float
     memory_bytes: int
     frame_bytes: int
-    #: Of the script.
+    #: Number of steps of the script.
     step_count: int
-    #: Of all its runs; the daemon's percentiles are of the last 1024 of them.
+    #: Number of steps of all runs. The daemon's percentiles span the last 1024.
     timed_steps: int
-    #: Of the recorded run.
+    #: Wall time of the recorded run [s].
     wall_s: float
-    #: Of the whole GPU while it makes one step after the other, the tool pressed in; None: not counted.
+    #: Energy of a step, of the whole GPU, without pauses and with the tool pressed in [J]; None if not counted.
     step_energy_j: float | None = None
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a run gave, in the common points and times."""
+    """Results of a run, at the common points and times."""
 
-    #: [body][sample, point, 3] m
+    #: Displacements, [body][sample, point, 3] m.
     displacement: list[FloatArray]
-    #: [body, sample]: volume against that at rest
+    #: Volume of each body against rest, [body, sample].
     volume: FloatArray
-    #: [sample, 3] N, on the first tool
+    #: Force on the first tool, [sample, 3] N.
     force: FloatArray
-    #: The largest work of the tool on the tissue so far [J].
+    #: Largest work of the tool on the tissue at any time [J].
     work_j: float
-    #: Mean displacement along its own direction in the free motion, at each step: [n] s, [n] m.
+    #: Mean displacement of the free motion along its own direction, at each step: [n] s, [n] m.
     free_times_s: FloatArray
     free_m: FloatArray
     element_count: int
-    #: Points that are not inside of the setting's mesh, as a share.
+    #: Share of the points that lie outside the setting's mesh.
     outside_share: float
     unconverged_steps: int
     min_det_f: float

@@ -1,8 +1,8 @@
-"""The scene refined until it no longer moves: what all settings are compared with.
+"""The reference: the scene refined until its result no longer moves. All settings are compared with it.
 
-Each level has a finer mesh, a smaller step and is solved to tight tolerances in double precision, with the scheme of
-second order and, of grids, in the shape that converges fastest: the limit is the same. What is left of its error is
-estimated by Richardson extrapolation from the differences between the levels.
+Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
+second-order scheme and, for grids, the shape that converges fastest, because the limit is the same. Richardson
+extrapolation estimates the remaining error from the differences between levels.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from tensormass_tools.trade.scene_edits import Value
 from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Machine, Store, key_of
 
-# A level is finer than the one before it by this.
+# Refinement of each level against the one before.
 _RATIO = 1.5
-# The first is coarser than the scene, so that an order is known soon.
+# The first level is coarser than the scene, so that the order is known early.
 _FIRST_LEVEL = -1
 _LEVELS = 8
-# Steps of a sample at level 0: four times as fine as the coarsest step that is tried.
+# Steps in a sample at level 0: four times as fine as the longest step that is tried.
 _STEPS_A_SAMPLE = 4
 _NEWTON = {"newton_max_iterations": 50, "newton_tolerance": 1e-6, "cg_max_iterations": 10_000, "cg_tolerance": 1e-3}
-#: The reference is good enough when its own error is below this share of the tolerance asked for.
+#: The reference is accurate enough if its own error is below this share of the tolerance.
 SHARE_OF_TOLERANCE = 1 / 3
 
 
 @dataclass(frozen=True)
 class Level:
-    """One of the sequence; differences are against the level before."""
+    """One level of the sequence. Differences are against the level before."""
 
     setting: dict[str, Value]
     element_count: int
@@ -45,7 +45,7 @@ class Level:
     force: float | None = None
 
     def text(self) -> str:
-        """For people."""
+        """Describes it for people."""
         text = f"{self.element_count} elements, {self.step_count} steps, {self.wall_s:.0f} s"
         if self.displacement is not None:
             text += f", displacement {self.displacement:.2%} from the level before"
@@ -58,21 +58,22 @@ class Level:
 
 @dataclass(frozen=True)
 class Reference:
-    """The finest level, and how far it may be from the limit."""
+    """The finest level and its distance from the limit."""
 
     key: str
     recording: Recording
     levels: list[Level]
-    #: Richardson's estimates, relative.
+    #: Relative errors, estimated by Richardson extrapolation.
     displacement_error: float
     force_error: float | None
     order: float
-    #: Why it is not refined further.
+    #: Reason why it is not refined further.
     ended: str
 
     @property
     def refines_mesh(self) -> bool:
-        """Else all errors leave out that of the mesh, the reference's own too."""
+        """Tells whether the mesh was refined. Otherwise every error, the reference's own too, leaves out that of the
+        mesh."""
         return "resolution" in self.levels[-1].setting
 
     @property
@@ -80,7 +81,7 @@ class Reference:
         return max(self.displacement_error, self.force_error or 0.0)
 
     def text(self) -> list[str]:
-        """For people."""
+        """Describes it for people."""
         lines = [level.text() for level in self.levels]
         force = "" if self.force_error is None else f", force {self.force_error:.2%}"
         mesh = "" if self.refines_mesh else " (without that of the mesh)"
@@ -167,7 +168,7 @@ def find(
 
 
 def _estimates(levels: list[Level]) -> tuple[float, float | None, float]:
-    """Of displacement and force, and the order of the displacement."""
+    """Estimates the errors of displacement and force, and the order of the displacement."""
     displacement, order = richardson([level.displacement for level in levels if level.displacement is not None], _RATIO)
     forces = [level.force for level in levels if level.force is not None]
     return displacement, richardson(forces, _RATIO)[0] if forces else None, order

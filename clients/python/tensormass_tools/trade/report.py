@@ -1,4 +1,4 @@
-"""What `tensormass trade` prints."""
+"""The output of `tensormass trade` on a terminal, and the texts that the HTML page shares with it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ KNOB_HEADS = ["knob", "value", "cost", "error", "displacement", "force", "moved"
 
 
 def setting_text(setting: Setting) -> str:
-    """`dt_s 0.01, law hencky`."""
+    """Names a setting: `dt_s 0.01, law hencky`."""
     parts = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in setting.items()
     ]
@@ -50,7 +50,7 @@ def setting_text(setting: Setting) -> str:
 
 
 def brief(measurement: Measurement) -> str:
-    """Error and cost in a few words."""
+    """Describes error and cost in a few words."""
     errors = measurement.errors
     if errors is None:
         return measurement.failure
@@ -60,7 +60,7 @@ def brief(measurement: Measurement) -> str:
 
 
 def cells(of: Measurement) -> list[str]:
-    """A row of a table, under `HEADS`."""
+    """Returns a row of a table under `HEADS`."""
     if of.errors is None or of.costs is None:
         return [setting_text(of.setting), *["–"] * (len(HEADS) - 1)]
     errors, costs = of.errors, of.costs
@@ -88,8 +88,8 @@ def cells(of: Measurement) -> list[str]:
 
 
 def knob_rows(knobs: Sequence[Knob], measurements: Sequence[Measurement]) -> list[tuple[list[str], str]]:
-    """Each value of each knob alone, its cost as a factor of that of the scene as it is, the first measurement; rows of
-    the scene's own values are marked "front"."""
+    """Returns a row for each value of each knob alone. Costs are factors of the unmodified scene's, the first
+    measurement. Rows of the scene's own values are marked "front"."""
     base = measurements[0]
     alone = {next(iter(of.setting.items())): of for of in measurements if len(of.setting) == 1}
     rows = []
@@ -116,7 +116,7 @@ def ms(time_s: float) -> str:
 
 
 def words() -> list[str]:
-    """What the columns mean."""
+    """Explains the columns."""
     return [
         "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
         "worst node: the largest difference of any point, against the largest displacement",
@@ -133,7 +133,7 @@ def words() -> list[str]:
 
 
 def not_felt(script: Script, reference: Reference) -> list[str]:
-    """A warning where the tool never touches: nothing is judged of what it is there for."""
+    """Warns if the tool never touches the tissue, because its force is then not judged."""
     if script.tool is None or reference.recording.force.any():
         return []
     return [
@@ -144,7 +144,7 @@ def not_felt(script: Script, reference: Reference) -> list[str]:
 
 
 def not_refined(knobs: Knobs, reference: Reference) -> list[str]:
-    """A warning where the reference has the scene's own mesh."""
+    """Warns if the reference has the scene's own mesh."""
     if reference.refines_mesh:
         return []
     return [
@@ -155,7 +155,7 @@ def not_refined(knobs: Knobs, reference: Reference) -> list[str]:
 
 
 def findings(outcome: Outcome) -> list[str]:
-    """What the user should know of the result."""
+    """Returns warnings about the result."""
     reference = outcome.reference
     lines = [*not_felt(outcome.script, reference), *not_refined(outcome.knobs, reference)]
     if reference.error > outcome.tolerance / 3:
@@ -182,14 +182,14 @@ def findings(outcome: Outcome) -> list[str]:
     return lines
 
 
-# A time that is farther off than this in the second run is no time to promise; less is the scatter of a shared machine.
+# Largest change of a time in the second run, as a factor. Less is the scatter of a shared machine.
 _SAME_TIME = 1.5
 _SAME_ERROR = 1.01
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a setting was recommended for, and has to keep when it is run again. Times as `Measurement.cost_s` [s]."""
+    """Limits that a recommended setting must keep in its second run. Times like `Measurement.cost_s` [s]."""
 
     error: float = math.inf
     cost_s: float = math.inf
@@ -197,12 +197,12 @@ class Limits:
 
 
 def limits_of(tolerance: float, budget_s: float) -> dict[str, Limits]:
-    """Those of what is recommended, by name."""
+    """Returns the limits of each recommended file, by its name."""
     return {"fastest": Limits(error=tolerance), "most_accurate": Limits(cost_s=budget_s)}
 
 
 def beyond(again: Measurement, limits: Limits) -> str:
-    """By how much a run leaves the limits, or why it has no result; "": it keeps them."""
+    """Says by how much a run leaves the limits, or why it has no result; empty if it keeps them."""
     if again.errors is None:
         return again.failure
     off = [
@@ -214,8 +214,8 @@ def beyond(again: Measurement, limits: Limits) -> str:
 
 
 def missed(promised: Measurement, again: Measurement, limits: Limits) -> str:
-    """By how much a second run leaves the limits, or what the first reached (error to 1 %, time to half); "": it is
-    confirmed."""
+    """Says by how much a second run leaves the limits, or the results of the first run (error to 1 %, time to half);
+    empty if it is confirmed."""
     if promised.errors is None or again.errors is None:
         return promised.failure or again.failure
     error, before = again.errors.judged, promised.errors.judged
@@ -232,12 +232,12 @@ def _above(what: str, value: float, limit: float, shown: Callable[[float], str])
 
 
 def file_of(name: str) -> str:
-    """The scene file of a confirmation, by its stem or its whole path."""
+    """Returns the scene file of a confirmation, by its stem or its whole path."""
     return name if Path(name).is_absolute() else f"{name}.yaml"
 
 
 def confirmations(outcome: Outcome) -> list[str]:
-    """What the written files do when they are run, and did before another setting was written in its place."""
+    """Describes the second runs of the written files, including settings that were replaced."""
     limits = limits_of(outcome.tolerance, outcome.budget_s)
     lines = []
     for name in dict.fromkeys([*outcome.recommended, *outcome.confirmed]):
@@ -246,7 +246,7 @@ def confirmations(outcome: Outcome) -> list[str]:
             what = f"dropped from {file}, read and run again: {setting_text(of.promised.setting)}"
             lines.append(_run_again([what, of.why], of.again))
         if (again := outcome.confirmed.get(name)) is None:
-            continue  # it was not run yet
+            continue  # not run yet
         said = [f"{file}, read and run again"]
         if (was := outcome.recommended.get(name)) is not None:
             off = missed(was, again, limits[name])
@@ -256,11 +256,11 @@ def confirmations(outcome: Outcome) -> list[str]:
 
 
 def _run_again(said: Sequence[str], again: Measurement) -> str:
-    return ": ".join(dict.fromkeys([*said, brief(again)]))  # of a run that failed both are the failure
+    return ": ".join(dict.fromkeys([*said, brief(again)]))  # for a failed run, both are the failure
 
 
 def picks(outcome: Outcome) -> list[tuple[str, str]]:
-    """The two settings asked for, and what they reach."""
+    """Describes the two recommended settings and what they reach."""
     wanted = [
         (f"fastest within {percent(outcome.tolerance)}", outcome.fastest, "none is that accurate"),
         (f"most accurate within {ms(outcome.budget_s)}, by the median", outcome.most_accurate, "none is that fast"),
@@ -272,12 +272,12 @@ def picks(outcome: Outcome) -> list[tuple[str, str]]:
 
 
 def table_head(reference: Reference) -> list[str]:
-    """What has to stand over the settings."""
+    """Returns the text above the settings."""
     return [] if reference.refines_mesh else ["errors without that of the mesh, which the reference does not refine"]
 
 
 def text(outcome: Outcome, written: Sequence[Path]) -> str:
-    """For a terminal."""
+    """Returns the report for a terminal."""
     front = {of.key for of in sweep.front(outcome.measurements)}
     rows = [["", *HEADS]]
     for of in sorted(outcome.measurements, key=lambda of: of.cost_s):

@@ -13,8 +13,11 @@ Value = str | float | int
 
 
 def with_numbers(fields: Mapping[str, Any], descriptor: Descriptor) -> dict[str, Any]:
-    """A copy in which what the schema has as numbers is numbers: to YAML `1e-2` and `"4"` are texts, and protobuf takes
-    them all the same. Nothing is shared in it either, as YAML's aliases are: each body is edited by itself."""
+    """Copies fields and turns texts into numbers where the schema has numbers.
+
+    To YAML `1e-2` and `"4"` are texts, which protobuf accepts as numbers. The copy shares nothing, unlike YAML's
+    aliases, so that each body can be edited alone.
+    """
 
     def read(value: Any, field: FieldDescriptor) -> Any:  # noqa: ANN401
         if isinstance(value, list):
@@ -25,7 +28,7 @@ def with_numbers(fields: Mapping[str, Any], descriptor: Descriptor) -> dict[str,
             return value
         number = float(value)
         if not math.isfinite(number):
-            return value  # only as a text does it get through protobuf
+            return value  # protobuf accepts it only as a text
         return number if field.cpp_type == FieldDescriptor.CPPTYPE_DOUBLE else int(number)
 
     return {name: read(value, descriptor.fields_by_name[name]) for name, value in fields.items()}
@@ -40,7 +43,7 @@ def solver_setter(name: str) -> Callable[[dict[str, Any], Value], None]:
 
 def set_dt(fields: dict[str, Any], value: Value) -> None:
     stepping = fields.setdefault("stepping", {})
-    if "rate_hz" in stepping:  # as fast against the clock as before
+    if "rate_hz" in stepping:  # keeps the speed against the clock
         stepping["rate_hz"] *= stepping.get("dt_s", 1 / 60) / float(value)
     stepping["dt_s"] = value
 

@@ -1,9 +1,11 @@
-"""The test run that every setting is put through.
+"""The script: the test run of every setting.
 
-The scene starts at rest and takes its loads at once. Where it has tools, the first of them then goes straight to the
-nearest point of the surface, presses in by half its radius, stays, and lifts off; the others stay where they are. (By a
-whole radius the elements of a thin or coarse tissue may turn inside out, and there is no answer to converge to.) All
-settings see the same path and are looked at at the same times, in the same points: the nodes of the scene's own mesh.
+The scene starts at rest, and its loads act at once. The first tool, if there is one, then moves straight to the nearest
+point of the surface, presses in by half its radius, stays, and lifts off. Other tools do not move. At a depth of a
+whole radius, elements of a thin or coarse tissue may become inverted, and there is no solution to converge to.
+
+All settings see the same path. They are compared at the same times and at the same points, the nodes of the scene's own
+mesh.
 """
 
 from __future__ import annotations
@@ -19,29 +21,29 @@ from tensormass._src.meshes import FloatArray
 from tensormass._src.packing import volume_mesh
 from tensormass.v1 import scene_pb2
 
-# Shares of the duration: the tool begins to move, is all the way in, leaves, is back.
+# Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
 PATH_SHARES = (0.35, 0.6, 0.75, 0.9)
-#: How deep the tool goes, against its radius.
+#: Depth to which the tool presses, in radii.
 PRESS_RADII = 0.5
 _TOOL_DURATION_S = 1.6
 _FREE_DURATION_S = 1.0
-# The longest step that is tried, in steps of the scene; the fields are compared at multiples of it.
+# Longest step that is tried, in steps of the scene. Fields are compared at its multiples.
 SAMPLE_STEPS = 2
-# Of a step, as somebody writes it in a file.
+# Rounding of a step in a scene file.
 _ROUNDING = 1e-3
 _Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Script:
-    """What happens in the run. Times in s, lengths in m."""
+    """Course of a run. Times in s, lengths in m."""
 
     duration_s: float
-    #: Fields are compared at its multiples.
+    #: Interval at which fields are compared.
     sample_s: float
-    #: The whole is one step to equilibrium.
+    #: True if the run is one step to equilibrium.
     one_step: bool
-    #: Free motion, of which frequency and damping are taken: from, to.
+    #: Start and end of the free motion, from which frequency and damping are taken.
     free_s: tuple[float, float]
     tool: str | None = None
     start_m: _Point = (0.0, 0.0, 0.0)
@@ -49,10 +51,14 @@ class Script:
 
     @staticmethod
     def of(scene: scene_pb2.Scene, seconds: float | None = None, press_radii: float = PRESS_RADII) -> Script:
-        """Of the scene as it is; `seconds`: instead of the usual duration; `press_radii`: how deep the tool goes.
+        """Makes the script of the unmodified scene.
+
+        Args:
+            seconds: replaces the usual duration.
+            press_radii: depth to which the tool presses.
 
         Raises:
-            InvalidArgumentError: nothing would move.
+            InvalidArgumentError: nothing in the scene would move.
         """
         dt_s = defaults.dt_s(scene)
         scheduled_s = defaults.scheduled_s(scene)
@@ -74,7 +80,7 @@ class Script:
         return Script(duration_s, sample_s, False, free_s, tool.name, start, travel)
 
     def pose(self, time_s: float) -> FloatArray:
-        """Where the tool is."""
+        """Returns the position of the tool, [3] m."""
         begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
         if time_s < leave:
             share = min(max((time_s - begin) / (inside - begin), 0.0), 1.0)
@@ -88,7 +94,7 @@ class Script:
         return max(1, round(self.duration_s / self.sample_s))
 
     def text(self) -> str:
-        """For the report."""
+        """Describes the script for the report."""
         if self.one_step:
             return "one step from rest to equilibrium"
         what = f"{self.duration_s:g} s from rest under its loads, compared every {self.sample_s:.4g} s"
@@ -103,10 +109,10 @@ class Script:
 
 
 def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Script) -> None:
-    """Whether a scene is `own` with other choices, so far that it can be put through the script of that.
+    """Checks that the script of `own` can be run on a scene, which must be `own` with other choices.
 
     Raises:
-        InvalidArgumentError: it is another one, and in what.
+        InvalidArgumentError: it is another scene; the message says in what.
     """
     named, wanted = ([body.name for body in of.bodies] for of in (scene, own))
     if named != wanted:
@@ -130,7 +136,8 @@ def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Scrip
 
 
 def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> tuple[_Point, _Point]:
-    """Start of a tool and its way straight to the nearest point of the surface at rest and `press_radii` beyond."""
+    """Returns the start of a tool and its way, straight to the nearest point of the surface at rest and `press_radii`
+    beyond it."""
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
     probe, q = tool.spherical_probe, tool.orientation
     centre = start + _rotated(q, np.array([probe.tip_offset_m.x, probe.tip_offset_m.y, probe.tip_offset_m.z]))
@@ -152,12 +159,12 @@ def _rotated(q: scene_pb2.Quaternion, v: FloatArray) -> FloatArray:
 
 
 def rest_nodes(body: scene_pb2.Body, nodes: FloatArray) -> FloatArray:
-    """The nodes of a body's mesh where the scene puts them."""
+    """Places the nodes of a body's mesh as the scene does."""
     of = body.mesh
     scale = of.scale if of.HasField("scale") else 1.0
     return nodes * scale + np.array([of.translation_m.x, of.translation_m.y, of.translation_m.z])
 
 
 def script_fields(script: Script) -> dict[str, object]:
-    """Plain values, for the key of a measurement."""
+    """Returns plain values, for the key of a measurement."""
     return asdict(script)

@@ -56,7 +56,7 @@ class Trade:
         tolerance: float = args.tolerance
         limit_s = args.reference_seconds or (QUICK_REFERENCE_S if args.quick else REFERENCE_S)
         self._say(f"{name}: {self._script.text()}, on {self._machine.backend} ({self._machine.device})")
-        own = self._own_recording()  # first: a scene that cannot be run needs no reference
+        own = self._own_recording()  # first, because a scene that cannot be run needs no reference
         found = reference.find(
             knobs,
             self._script,
@@ -86,7 +86,8 @@ class Trade:
                 FASTEST: sweep.fastest_within(measured, tolerance, knobs),
                 MOST_ACCURATE: sweep.most_accurate_within(measured, budget_s, tolerance, knobs),
             }
-            # Whether what is best now is so by chance: only the same, solved better, can tell.
+            # The best setting may be close to the reference by chance. Only the same setting, solved better, shows
+            # that.
             telling = [knobs.solved_better(of[0].setting) for of in candidates.values() if of]
             telling = [of for of in telling if of not in [one.setting for one in raw]]
             if not telling:
@@ -108,9 +109,10 @@ class Trade:
         )
 
     def confirm(self, outcome: Outcome, path: Path) -> Outcome:
-        """Reads and runs a recommendation; while it leaves its limit, writes the next candidate in its place.
+        """Reads and runs a recommended file. While it leaves its limit, replaces it by the next candidate.
 
-        One that keeps the limit stays, though it be slower than before: so would be those that follow it."""
+        A setting that keeps the limit stays even if it was slower than before, because the next ones would be too.
+        """
         name = path.stem
         limits = report.limits_of(outcome.tolerance, outcome.budget_s)[name]
         while True:
@@ -132,11 +134,11 @@ class Trade:
                 dropped={**outcome.dropped, name: dropped},
             )
             write_scene(outcome, name, path.parent)
-            write_report(outcome, path.parent)  # names what lies there, whatever becomes of its run
+            write_report(outcome, path.parent)  # the report names the written file even if its run fails
 
     def run_again(self, scenes: Mapping[str, scene_pb2.Scene]) -> dict[str, Measurement]:
-        """Runs scenes as their files have them, by name, against the same reference; never what the store knows of
-        them. Their times can be compared: they are taken in turns."""
+        """Runs scenes by name against the same reference, without stored results. Their times can be compared, because
+        they are taken in turns."""
         if scenes:
             self._say(f"running {', '.join(map(report.file_of, scenes))} again{', in turns' * (len(scenes) > 1)}")
         recordings = self._recorder.measure(list(scenes.values()), AGAIN * self._timing_s)
@@ -149,7 +151,7 @@ class Trade:
         return again
 
     def _own_recording(self) -> Recording:
-        """Of the scene as it is: what a choice by itself changes is told against it."""
+        """Returns the recording of the unmodified scene, against which the change by each choice is measured."""
         key = key_of(self._knobs.message, self._script, self._machine, "own")
         recording = self._store.recording(key)
         if recording is None:
@@ -167,7 +169,7 @@ class Trade:
         return measured
 
     def _of_setting(self, setting: Setting, found: Reference, own: Recording) -> Measurement:
-        """From the store, if it is there."""
+        """Measures a setting, or takes it from the store."""
         scene = self._knobs.apply(setting).message()
         key = key_of(scene, self._script, self._machine, f"{found.key} {self._timing_s} {dict(setting)}")
         if (known := self._store.get(key)) is not None:
@@ -176,7 +178,7 @@ class Trade:
         recording, *turns = self._recorder.measure([scene], self._timing_s, beside=beside)
         measurement = replace(self._measurement(key, scene, recording, found, own), setting=dict(setting))
         of_own = turns[0] if turns else recording
-        if isinstance(of_own, Recording):  # else there is no room for both
+        if isinstance(of_own, Recording):  # otherwise the device has no room for both
             costs = of_own.costs
             measurement = replace(measurement, own_p50_s=costs.step_p50_s, own_p99_s=costs.step_p99_s)
         self._store.put(measurement)
@@ -191,7 +193,7 @@ class Trade:
         own: Recording,
     ) -> Measurement:
         if not isinstance(recording, TensormassError) and self._knobs.quasi_static and recording.unconverged_steps:
-            # As `tensormass solve` has it: what is no equilibrium is no result.
+            # As in `tensormass solve`, a step without equilibrium is not a result.
             recording = NotConvergedError("ended above newton_tolerance")
         if isinstance(recording, TensormassError):
             return Measurement(key, {}, self._machine, failure=str(recording))

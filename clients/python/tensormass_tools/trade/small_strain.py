@@ -7,12 +7,13 @@ import numpy as np
 from tensormass._src.laws import LAWS
 from tensormass.v1 import scene_pb2
 
-#: Laws that are given by Young's modulus and Poisson's ratio, and equal for small strains.
+#: Laws with Young's modulus and Poisson's ratio as constants. They are equal for small strains.
 ISOTROPIC_LAWS = tuple(name for name in LAWS if isinstance(getattr(scene_pb2.Law(), name), scene_pb2.IsotropicElastic))
 
 
 def small_strain(law: scene_pb2.Law) -> tuple[float, float] | None:
-    """Young's modulus [Pa] and Poisson's ratio for small strains; None: not isotropic, or beyond what laws accept."""
+    """Returns Young's modulus [Pa] and Poisson's ratio for small strains; None for a law that is not isotropic, or
+    whose Poisson's ratio other laws do not accept."""
     kind = law.WhichOneof("kind")
     if kind in ISOTROPIC_LAWS:
         own = getattr(law, kind)

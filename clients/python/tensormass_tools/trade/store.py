@@ -1,8 +1,8 @@
-"""Measurements, one JSON object a line, so that a run goes on where it was stopped.
+"""Measurements on disk, one JSON object a line, so that a stopped run can continue.
 
-A measurement's key covers all that it depends on: the scene as the daemon gets it (meshes included), the script, what
-it was compared with, and the machine with the daemon's build. So nothing is ever taken from another machine, and a
-changed scene or daemon is measured anew.
+The key of a measurement covers all that it depends on: the scene as sent (meshes included), the script, the reference,
+and the machine with the daemon's build. No result of another machine is used, and a changed scene or daemon is measured
+again.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from tensormass_tools.trade.script import Script
 
 @dataclass(frozen=True)
 class Machine:
-    """What times depend on besides the scene."""
+    """Everything that times depend on, apart from the scene."""
 
     backend: str
     device: str
-    #: Of each scene; None: the daemon's choice.
+    #: Threads of each scene; None leaves it to the daemon.
     cpu_threads: int | None
-    #: The daemon's version and the beginning of its program's SHA-256.
+    #: Version of the daemon and the start of its program's SHA-256.
     version: str
     build: str
-    #: Tells machines apart that have the same device; "": not known, of older results, which are no machine's own.
+    #: Tells machines with the same device apart; empty in older results, which belong to no known machine.
     host: str = ""
 
     @staticmethod
@@ -51,7 +51,7 @@ class Machine:
 
 
 def _host(id_file: Path = Path("/etc/machine-id")) -> str:
-    """The beginning of a hash, which names nobody. Where the system has no id, of the network name."""
+    """Returns the start of a hash of the machine's id, or of its network name. It identifies nobody."""
     try:
         name = id_file.read_text("utf-8").strip()
     except (OSError, ValueError):
@@ -61,7 +61,7 @@ def _host(id_file: Path = Path("/etc/machine-id")) -> str:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One setting. Without errors and costs: `failure` says why."""
+    """Measurement of one setting. If errors and costs are missing, `failure` says why."""
 
     key: str
     setting: dict[str, Value]
@@ -69,15 +69,15 @@ class Measurement:
     element_count: int = 0
     errors: Errors | None = None
     costs: Costs | None = None
-    #: Displacement against the scene's own setting: what the choice by itself changes.
+    #: Change of displacement against the unmodified scene, caused by the choice alone.
     moved: float = 0.0
-    #: Median time to compute as much as the scene's own step simulates [s]: what settings of any dt are compared by.
+    #: Median time to compute as much as the scene's own step simulates [s], so that settings of any dt compare.
     cost_s: float = 0.0
-    #: Median and 99th percentile of the scene as it is, timed in turns with this [s]; 0: it was not.
+    #: Median and 99th percentile of the unmodified scene, timed in turns with this setting [s]; 0 if it was not.
     own_p50_s: float = 0.0
     own_p99_s: float = 0.0
     failure: str = ""
-    #: Steps that ended above the setting's newton_tolerance.
+    #: Number of steps that ended above the setting's newton_tolerance.
     unconverged_steps: int = 0
     min_det_f: float = 1.0
     outside_share: float = 0.0
@@ -85,7 +85,7 @@ class Measurement:
 
     @property
     def slow_s(self) -> float:
-        """As `cost_s`, of the 99th percentile."""
+        """Returns the 99th percentile, scaled like `cost_s`."""
         assert self.costs is not None
         return self.cost_s * self.costs.step_p99_s / self.costs.step_p50_s
 
@@ -105,17 +105,17 @@ class Measurement:
 
 
 def key_of(scene: scene_pb2.Scene, script: Script, machine: Machine, against: str) -> str:
-    """`against`: what it is compared with."""
+    """Returns the key of a measurement. `against`: names the reference and the timing."""
     digest = hashlib.sha256(scene.SerializeToString(deterministic=True))
     digest.update(json.dumps([asdict(script), asdict(machine), against], sort_keys=True).encode())
     return digest.hexdigest()[:16]
 
 
 class Store:
-    """A folder: results.jsonl, and recordings/ of what others are compared with.
+    """Folder of results: results.jsonl, and recordings/ with the recordings that others are compared with.
 
     Raises:
-        InvalidArgumentError: a line that is none of ours.
+        InvalidArgumentError: a line that this program did not write.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -128,7 +128,7 @@ class Store:
         text = self._lines_file.read_text("utf-8")
         for number, line in enumerate(text.splitlines(keepends=True), 1):
             if not line.endswith("\n"):
-                # The run was stopped while it wrote.
+                # The run was stopped during writing.
                 with replacing(self._lines_file) as aside:
                     aside.write_text(text[: -len(line)], "utf-8")
                 break
@@ -145,13 +145,13 @@ class Store:
         return self._measurements.get(key)
 
     def put(self, measurement: Measurement) -> None:
-        """Appends a line, at once."""
+        """Appends a line and flushes it."""
         self._measurements[measurement.key] = measurement
         with self._lines_file.open("a", encoding="utf-8") as file:
             file.write(json.dumps(measurement.to_plain()) + "\n")
 
     def recording(self, key: str) -> Recording | None:
-        """What `keep` kept; None: nothing, or half of it."""
+        """Returns the recording that `keep` wrote; None if it is missing or incomplete."""
         with contextlib.suppress(OSError, ValueError, KeyError, zipfile.BadZipFile), np.load(self._path(key)) as arrays:
             plain = json.loads(str(arrays["plain"]))
             return Recording(

@@ -14,24 +14,25 @@ from tensormass_tools.trade.knobs import SOLVE_KNOBS, Knobs, Setting
 from tensormass_tools.trade.scene_edits import Value
 from tensormass_tools.trade.store import Measurement
 
-# Of one knob, values that go into combinations: the scene's own and the best of the others.
+# Number of values of a knob in combinations: the scene's own and the best of the others.
 _VALUES_A_KNOB = 4
 _PRODUCT_LIMIT = 400_000
-# What takes longer than this many times the scene, and than the budget, is not measured.
+# Settings that take longer than this many times the scene, and longer than the budget, are not measured.
 _DEAREST = 50.0
-# A value whose error is above this many tolerances is not promising at any price.
+# A value whose error is above this many tolerances is not worth any cost.
 _HOPELESS_TOLERANCES = 5.0
-# Times that differ by less are the same.
+# Relative difference below which times are the same.
 _SCATTER = 0.02
-# A dearer point is on the front only if its error is below this share of that of the cheaper one: times scatter.
+# A more expensive point is on the front only if its error is below this share of the cheaper one's, because times
+# scatter.
 _WORTHWHILE = 0.99
-# How much farther from the reference a setting has to be if it is solved better, to show that it was close by chance.
+# Factor by which a better solved setting must be farther from the reference, to show that it was close by chance.
 _BY_CHANCE = 1.05
 
 
 def at_one_speed(measured: Sequence[Measurement]) -> list[Measurement]:
-    """The same with costs as they would be had the machine been equally fast all the time: each was timed in turns with
-    the scene as it is, the first of them, and costs as many times what that does by the median of all its turns."""
+    """Corrects costs for changes of the machine's speed. Each setting was timed in turns with the unmodified scene, the
+    first measurement. Its cost becomes the ratio of both times the median cost of the unmodified scene."""
     turns = [of for of in measured if of.own_p50_s > 0]
     if not turns:
         return list(measured)
@@ -43,7 +44,7 @@ def at_one_speed(measured: Sequence[Measurement]) -> list[Measurement]:
 
 
 def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
-    """The scene as it is, then each knob turned alone; `quick`: only to the neighbours of ordered ones."""
+    """Returns the unmodified scene, then each value of each knob alone; `quick`: only neighbours of ordered knobs."""
     settings: list[dict[str, Value]] = [{}]
     for name, knob in knobs.knobs.items():
         settings += [knobs.canonical({name: value}) for value in knob.others(nearest=quick)]
@@ -53,12 +54,12 @@ def one_at_a_time(knobs: Knobs, quick: bool) -> list[dict[str, Value]]:
 def combinations(
     knobs: Knobs, measured: Sequence[Measurement], count: int, tolerance: float, budget_s: float = 0.0
 ) -> tuple[list[dict[str, Value]], int]:
-    """Settings of several knobs that promise most, at most `count`, and out of how many.
+    """Returns the most promising settings of several knobs, at most `count`, and the number of possible ones.
 
-    What a knob did alone predicts what it does with others: factors of cost multiply; what it adds to an error adds,
-    and of what it takes away each takes its share of what the others left. The promising are the front of that
-    prediction, then the front of the rest, and so on. Another law takes part where it is as good as the same, see
-    `is_same_tissue`, for its speed, in at most half of the settings while others are left.
+    The effect of a knob alone predicts its effect with others. Factors of cost multiply. Increases of the error add up.
+    A decrease takes its share of the error that the others left. The promising settings are the front of that
+    prediction, then the front of the rest, and so on. Another law takes part, for its speed, if it is the same tissue
+    (`is_same_tissue`), and in at most half of the settings while others are left.
     """
     by_setting = {_frozen(of.setting): of for of in measured if of.errors is not None}
     base = by_setting[_frozen({})]
@@ -77,9 +78,9 @@ def combinations(
                 continue
             changes = np.subtract(of.errors.of_tolerance, base_errors)
             if name == "law":
-                changes = np.maximum(changes, 0)  # closer to the reference is no merit of what it is not
+                changes = np.maximum(changes, 0)  # another law gets no credit for being closer to the reference
             alone.append(_Turn({name: value}, math.log(of.cost_s / base.cost_s), changes))
-        # Useful is what is cheaper or more accurate than the scene.
+        # Keeps values that are cheaper or more accurate than the scene.
         alone = [of for of in alone if of.log_cost < -_SCATTER or of.changes.min() < 0]
         alone.sort(key=lambda of: min(of.log_cost, 0.0) + min(float(of.changes.min()) / max(base_error, 1e-9), 0.0))
         choices.append([_Turn({}, 0.0, np.zeros(len(base_errors))), *alone[: _VALUES_A_KNOB - 1]])
@@ -95,8 +96,8 @@ def combinations(
     total = len(settings)
     dearest = math.log(max(_DEAREST, budget_s / base.cost_s))
     candidates = [of for of in settings.values() if of[1] <= dearest]
-    # A law that is as good and a little faster would be in every combination, and none would be left for whoever keeps
-    # his own: those get half, or as many as there are.
+    # A law that is as accurate and a little faster would be in every combination, and users who keep their own law
+    # would get none. Their settings get half of the places, or as many as there are.
     own, other = ([of for of in candidates if ("law" in of[0]) is changed] for changed in (False, True))
     of_own = max(count - count // 2, count - len(other))
     chosen = _promising(own, of_own)
@@ -105,7 +106,7 @@ def combinations(
 
 
 def _promising(candidates: list[tuple[dict[str, Value], float, float]], count: int) -> list[dict[str, Value]]:
-    """At most `count` settings of (setting, cost, error): the front, then the front of the rest, and so on."""
+    """Returns at most `count` settings of (setting, cost, error): the front, then the front of the rest, and so on."""
     chosen: list[dict[str, Value]] = []
     while candidates and len(chosen) < count:
         front = _spread(pareto([(cost, error) for _, cost, error in candidates]), count - len(chosen))
@@ -117,7 +118,7 @@ def _promising(candidates: list[tuple[dict[str, Value], float, float]], count: i
 
 @dataclass(frozen=True)
 class _Turn:
-    """One knob turned alone: logarithm of the factor of cost, changes of `Errors.of_tolerance`."""
+    """Effect of one knob alone: logarithm of its factor of cost, changes of `Errors.of_tolerance`."""
 
     setting: dict[str, Value]
     log_cost: float
@@ -125,15 +126,16 @@ class _Turn:
 
 
 def _asks_equilibria_more_often(setting: Setting, knobs: Knobs) -> bool:
-    """Than the scene: one does not depend on the last, so that smaller steps only cost."""
+    """Tells whether a setting computes equilibria more often than the scene. That only costs time, because an
+    equilibrium does not depend on the one before."""
     if knobs.value(setting, "integrator") != "quasi_static" or "dt_s" not in setting:
         return False
     return float(setting["dt_s"]) < float(knobs.knobs["dt_s"].own)
 
 
 def _together(base: Sequence[float], changes: Sequence[FloatArray]) -> float:
-    """The worst error of turns made together. Were all changes added, errors would fall to nothing and below, and the
-    dearer settings promise no more than the cheap ones."""
+    """Predicts the worst error of several knobs together. If decreases were added, errors would fall below zero, and
+    expensive settings would promise no more than cheap ones."""
     each = np.stack(changes)
     own = np.asarray(base)
     left = own * np.prod(1 + np.minimum(each, 0) / np.maximum(own, 1e-300), axis=0)
@@ -141,8 +143,8 @@ def _together(base: Sequence[float], changes: Sequence[FloatArray]) -> float:
 
 
 def is_same_tissue(of: Measurement, measured: Sequence[Measurement], tolerance: float) -> bool:
-    """Whether the setting's law, if it is another, moves the answer by less than the tolerance when it alone is
-    changed. An error that is small although the law moves more only cancels that of the mesh, for this load.
+    """Tells whether a setting has the scene's law, or one that alone changes the result by less than the tolerance. If
+    such a law changes more and the error is still small, it only cancels the error of the mesh for this load.
     """
     law = of.setting.get("law")
     if law is None:
@@ -151,8 +153,8 @@ def is_same_tissue(of: Measurement, measured: Sequence[Measurement], tolerance: 
 
 
 def is_close_by_chance(of: Measurement, measured: Sequence[Measurement], knobs: Knobs) -> bool:
-    """Whether a measurement that differs only in that it was solved better is farther from the reference: what a step
-    leaves unsolved then cancels an error of the mesh or of time, for this load."""
+    """Tells whether the same setting, solved better, is farther from the reference. The solver's error then cancels an
+    error of mesh or time step for this load."""
     if of.errors is None:
         return False
 
@@ -170,7 +172,7 @@ def is_close_by_chance(of: Measurement, measured: Sequence[Measurement], knobs: 
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points (cost, error) that no cheaper one matches, the cheapest first."""
+    """Returns the indices of the points (cost, error) that no cheaper point matches, the cheapest first."""
     order = sorted(range(len(points)), key=lambda index: points[index])
     front = []
     best = math.inf
@@ -182,26 +184,25 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def front(measured: Sequence[Measurement]) -> list[Measurement]:
-    """Measurements that none beats in cost and error, the cheapest first; without those that broke."""
+    """Returns the measurements that no other beats in cost and error, the cheapest first; without failed ones."""
     usable = [of for of in measured if of.errors is not None and math.isfinite(of.errors.judged)]
     return [usable[index] for index in pareto([(of.cost_s, of.errors.judged) for of in usable if of.errors])]
 
 
 def fastest_within(measured: Sequence[Measurement], tolerance: float, knobs: Knobs) -> list[Measurement]:
-    """The front of what can be recommended that is that accurate, the fastest first."""
+    """Returns the recommendable settings within the tolerance, the fastest first."""
     return [of for of in _recommendable(measured, tolerance, knobs) if of.errors and of.errors.judged <= tolerance]
 
 
 def most_accurate_within(
     measured: Sequence[Measurement], budget_s: float, tolerance: float, knobs: Knobs
 ) -> list[Measurement]:
-    """The front of what can be recommended that is that fast, the most accurate first. `tolerance`: of what is
-    another law."""
+    """Returns the recommendable settings within the budget, the most accurate first. `tolerance`: for another law."""
     return [of for of in reversed(_recommendable(measured, tolerance, knobs)) if of.cost_s <= budget_s]
 
 
 def _recommendable(measured: Sequence[Measurement], tolerance: float, knobs: Knobs) -> list[Measurement]:
-    """The front of what is the same tissue, and close for another reason than chance."""
+    """Returns the front of the settings that are the same tissue and not close by chance."""
     return front(
         [
             of
@@ -214,14 +215,14 @@ def _recommendable(measured: Sequence[Measurement], tolerance: float, knobs: Kno
 def next_after(
     failed: Measurement, again: Measurement, candidates: Sequence[Measurement], budget_s: float
 ) -> Measurement | None:
-    """What takes the place of a candidate that failed in its second run, `again`: the next that is within the budget
-    although the machine be as slow as that run had it."""
-    slowdown = max(again.cost_s / failed.cost_s, 1.0)  # 1 too if it stopped: that says nothing of times
+    """Returns the candidate that replaces one that failed in its second run, `again`: the next one within the budget
+    even if the machine stays as slow as in that run."""
+    slowdown = max(again.cost_s / failed.cost_s, 1.0)  # also 1 if the run stopped, which says nothing about times
     return next((of for of in candidates[candidates.index(failed) + 1 :] if slowdown * of.cost_s <= budget_s), None)
 
 
 def _spread(indices: list[int], count: int) -> list[int]:
-    """At most `count` of them, evenly."""
+    """Picks at most `count` of them, evenly."""
     if len(indices) <= count:
         return indices
     return [indices[round(of)] for of in np.linspace(0, len(indices) - 1, count)]
