@@ -322,7 +322,7 @@ def test_a_step_that_did_not_converge_is_refused_unless_allowed(solve: Callable[
     refused = solve(text)
     assert refused.status == 1
     assert refused.said["kind"] == "NotConvergedError"
-    assert "step 1 of 1 did not converge: an imbalance of" in refused.said["error"]
+    assert "step 1 of 1 did not converge: a residual of" in refused.said["error"]
     assert "after 2 Newton iterations, above newton_tolerance 1e-06" in refused.said["error"]
     assert not refused.out.exists()
     allowed = solve(text, "--allow-unconverged", "--steps", "2")
@@ -445,9 +445,9 @@ solver: {integrator: quasi_static}
 
 def test_what_is_turned_inside_out_is_said(solve: Callable[..., Solved]) -> None:
     warnings = solve(CUBE).said["warnings"]
-    assert any("body 'cube': elements are turned inside out, det F down to -" in text for text in warnings)
+    assert any("body 'cube': elements are inverted, det F down to -" in text for text in warnings)
     warnings = solve(CUBE.replace("-1.5", "-0.5")).said["warnings"]
-    assert not any("inside out" in text for text in warnings)
+    assert not any("inverted" in text for text in warnings)
 
 
 def test_what_a_scene_does_not_say_is_double_and_solved_to_its_tolerance(solve: Callable[..., Solved]) -> None:
@@ -472,7 +472,7 @@ def test_the_builtin_cantilever_is_solved_by_a_daemon_of_its_own(
     assert main(["solve", "cantilever", "--out", str(out), "--backend", "cpu"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("cantilever: quasi-static, double, 1 step, 0.01667 s simulated in ")
-    assert "Newton iterations, imbalance " in lines[1]
+    assert "Newton iterations, residual " in lines[1]
     assert lines[4].split()[0] == "body"
     name, displacement, reaction = re.split("  +", lines[5])[:3]
     assert name == "beam"

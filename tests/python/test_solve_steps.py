@@ -84,7 +84,7 @@ def test_steps_that_did_not_converge_are_counted_and_the_worst_is_said() -> None
     summary = compute(unconverged(), scene, steps=3, allow_unconverged=True)
     assert (summary["unconverged_steps"], summary["newton_residual"], summary["newton_iterations"]) == (2, 0.5, 15)
     (warning,) = summary["warnings"]
-    assert warning.startswith("step 1 of 3 did not converge: an imbalance of 5.0e-01 of the forces after 5 Newton ")
+    assert warning.startswith("step 1 of 3 did not converge: a residual of 5.0e-01 of the forces after 5 Newton ")
     assert warning.endswith(" (1 more steps like this, 5.0e-01 at most)")
     with pytest.raises(
         tm.NotConvergedError, match=r"^step 1 of 3 did not converge: .*Nothing is written; with --allow"

@@ -330,7 +330,7 @@ def test_what_no_answer_can_be_had_of_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
-    warnings = ("settings have steps that ended above their newton_tolerance", "elements that are turned inside out")
+    warnings = ("settings have steps that ended above their newton_tolerance", "the reference has inverted elements")
     assert run_on(tmp_path) == 0
     printed = capsys.readouterr().out
     assert not any(warning in printed for warning in warnings)

@@ -19,8 +19,8 @@ FILE = Path(__file__).resolve().parent / "presets.yaml"
 #: Meaning of each name; `tests/accuracy/trade.py` chooses the settings accordingly. No preset changes the law, and none
 #: is less accurate than the unmodified scene, in displacement or in the tool's force.
 PROMISES = {
-    "fast": "the fastest that is no less accurate than the scene as it is",
-    "balanced": "the most accurate that is no slower than the scene as it is",
+    "fast": "the fastest that is no less accurate than the unmodified scene",
+    "balanced": "the most accurate that is no slower than the unmodified scene",
     "accurate": "the most accurate that takes at most twice the time",
 }
 

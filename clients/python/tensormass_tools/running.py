@@ -30,7 +30,7 @@ class Running:
     #: host:port
     control: str
     scene: str
-    #: Of the command, not of the daemon.
+    #: Process of the command, not of the daemon.
     pid: int
 
     def __str__(self) -> str:
@@ -61,7 +61,7 @@ def find_server(given: str | None) -> str:
 def announced(control: str, scene: str) -> Iterator[None]:
     """Lets other commands of this user find the daemon at `control` while the body runs.
 
-    A folder that cannot be used is no failure: --server still works.
+    An unusable folder is not a failure, because --server still works.
     """
     file = _folder() / f"{os.getpid()}.json"
     content = {"control": control, "scene": scene, "pid": os.getpid(), "started": _started(os.getpid())}

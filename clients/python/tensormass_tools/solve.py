@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         "at most. Exit status 1 if a step did not converge, and --out is not written then, only what --every wrote "
         "before; and if a scene is not at rest at that limit, whose last state is written. A --preset that sets "
         f"{' or '.join(PRESET_LIMITS)} asks for steps that end there: those above their tolerance are written, "
-        "warned of and counted, and are no failure."
+        "warned of and counted, and are not a failure."
     )
 
 

@@ -159,7 +159,7 @@ class Solution:
             if status.unconverged_steps > before:
                 single = solver.precision != scene_pb2.Solver.PRECISION_DOUBLE
                 self._did_not_converge(
-                    f"{where} did not converge: an imbalance of {status.newton_residual:.1e} of the forces after "
+                    f"{where} did not converge: a residual of {status.newton_residual:.1e} of the forces after "
                     f"{status.newton_iterations} Newton iterations, above newton_tolerance {tolerance:g}",
                     status.newton_residual,
                     ("take --precision double, or " if single else "")
@@ -199,8 +199,8 @@ class Solution:
         for name, fields in zip(self._writer.bodies, measured, strict=True):
             if fields.min_det_f <= 0:
                 findings.append(
-                    f"body {name!r}: elements are turned inside out, det F down to {fields.min_det_f:.2g}: this is no "
-                    "state of a tissue; take a finer mesh, smaller steps, or a law that stands compression"
+                    f"body {name!r}: elements are inverted, det F down to {fields.min_det_f:.2g}: no tissue "
+                    "can be in this state; take a finer mesh, smaller steps, or a law that stands compression"
                 )
         # Leaves out the daemon's warning on convergence, which is about the last step only.
         return findings + [text for text in self._warnings.latest if "newton_tolerance" not in text]

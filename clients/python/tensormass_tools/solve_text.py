@@ -56,7 +56,7 @@ def text(summary: dict[str, Any]) -> str:
     solves = [f"{summary['cg_iterations']} CG iterations, the last to {summary['cg_relative_residual']:.1e}"]
     if summary["newton_iterations"] > 0:
         solves.insert(
-            0, f"{summary['newton_iterations']} Newton iterations, imbalance {summary['newton_residual']:.1e} at most"
+            0, f"{summary['newton_iterations']} Newton iterations, residual {summary['newton_residual']:.1e} at most"
         )
     steps = "1 step" if summary["steps"] == 1 else f"{summary['steps']} steps"
     head = (

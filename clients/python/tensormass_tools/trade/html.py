@@ -106,8 +106,8 @@ def _chart(outcome: Outcome, front: list[Measurement]) -> str:
             f'<circle class="{kind}" {place} r="{6 if not of.setting else 4.5}"><title>{title}</title></circle>'
         )
     words = (
-        "Error against the time to compute one step's worth of the scene. Blue: the front, green: the scene as it is, "
-        "grey: one knob, orange: several, dashed: tolerance and budget. Point at a dot for its numbers."
+        "Error against the time to compute one step's worth of the scene. Blue: the front, green: the unmodified "
+        "scene, grey: one knob, orange: several, dashed: tolerance and budget. Point at a dot for its numbers."
     )
     return "".join([*parts, f"</svg><p>{words}</p>"])
 

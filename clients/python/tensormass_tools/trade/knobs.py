@@ -264,7 +264,7 @@ class Knobs:
         if newton > 1:
             tolerance = defaults.newton_tolerance(solver)
             tolerances = sorted({*_NEWTON_TOLERANCES, tolerance}, reverse=True)
-            self._add("newton_tolerance", "imbalance that ends a step", tolerance, tolerances, True)
+            self._add("newton_tolerance", "residual of the forces that ends a step", tolerance, tolerances, True)
         else:
             self.without["newton_tolerance"] = "one linearized solve a step"
         most = defaults.cg_max_iterations(solver)

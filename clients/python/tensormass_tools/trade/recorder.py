@@ -161,9 +161,8 @@ class _Run:
             at_s = step * self._dt_s
             force, position = _felt(status, script.tool)
             if last is not None:
-                work_j -= (
-                    float((force + last[0]) @ (position - last[1])) / 2
-                )  # the force of the tissue opposes the motion
+                # Negative, because the force of the tissue opposes the motion.
+                work_j -= float((force + last[0]) @ (position - last[1])) / 2
                 work_most_j = max(work_most_j, work_j)
             last = force, position
             is_sample = step % self._steps_a_sample == 0

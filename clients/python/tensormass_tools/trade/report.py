@@ -121,14 +121,15 @@ def words() -> list[str]:
         "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
         "worst node: the largest difference of any point, against the largest displacement",
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
-        f"step p50 and p99: of {TIMED_STEPS} steps and more, the script repeated, or as many as there was time for; of "
-        "the scene as it is the medians of all its turns; latency: pose to force over the control plane, in lockstep",
-        "cost: median time to compute as much as one step of the scene simulates. Each setting takes turns with the "
-        "scene as it is, and where the machine was slower or faster than usual for both, by so much less or more is it "
-        "counted: of what is run again times are as they were",
-        "energy: of the whole GPU for a step, while it makes one after the other, the tool at its deepest: where "
-        "contact makes steps slow, of slower ones than the median; –: not counted",
-        "moved: displacement against the scene as it is, what the choice by itself changes",
+        f"step p50 and p99: over at least {TIMED_STEPS} steps of the repeated script, or as many as there was time "
+        "for; for the unmodified scene, the medians of all its turns",
+        "latency: pose to force over the control plane, in lockstep",
+        "cost: median time to compute as much as one step of the scene simulates. Each setting is timed alternately "
+        "with the unmodified scene and scaled by the machine's speed at that moment; times of second runs are not "
+        "scaled",
+        "energy: of the whole GPU for a step without pauses, with the tool at its deepest; if contact makes steps "
+        "slow, these are slower than the median; –: not counted",
+        "moved: displacement against the unmodified scene, changed by the choice alone",
     ]
 
 
@@ -165,7 +166,7 @@ def findings(outcome: Outcome) -> list[str]:
         )
     if reference.levels[-1].min_det_f <= 0:
         lines.append(
-            "the reference has elements that are turned inside out: the scene leaves the range of its law, and there "
+            "the reference has inverted elements: the scene leaves the range of its law, and there "
             "is no answer to converge to; press less (--press), or take a law that stands compression"
         )
     broken = [of for of in outcome.measurements if of.errors is None]

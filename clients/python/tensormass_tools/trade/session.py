@@ -73,7 +73,7 @@ class Trade:
         singles = sweep.one_at_a_time(knobs, args.quick)
         raw = self._all(singles, found, own, "one knob at a time")
         if raw[0].errors is None:
-            raise InvalidArgumentError(f"the scene as it is cannot be run: {raw[0].failure}")
+            raise InvalidArgumentError(f"the unmodified scene cannot be run: {raw[0].failure}")
         count = args.combinations
         if count is None:
             count = QUICK_COMBINATIONS if args.quick else COMBINATIONS
