@@ -40,7 +40,7 @@ def test_without_samples_everything_is_zero() -> None:
     assert load_report.merged_histogram([{"buckets": []}])["count"] == 0
 
 
-def test_a_scene_counts_from_the_beginning_of_the_test() -> None:
+def test_a_scene_counts_from_the_start_of_the_test() -> None:
     before = stream_pb2.SceneStatus(step=100, missed_deadlines=7, poses_received=50, poses_superseded=10)
     after = stream_pb2.SceneStatus(step=300, missed_deadlines=9, poses_received=950, poses_superseded=400)
     report = load_report.scene_report(before, after, poses_sent=1000)

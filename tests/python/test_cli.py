@@ -53,7 +53,7 @@ def test_lengths_have_units(text: str, length_m: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "mm", "0", "-8mm", "8x", "8mmm", "nan", "inf", "1e400", "1..2"])
-def test_what_is_no_length_is_refused(text: str) -> None:
+def test_invalid_lengths_are_refused(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match="is not a positive length"):
         parse_length_m(text)
 
@@ -86,7 +86,7 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     assert (said["address"], said["scenes"]) == (server.address, [to_plain(STATUS)])
 
 
-def test_status_says_what_there_is_to_know_in_full(
+def test_status_prints_guards_and_warnings_in_full(
     recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake, server = recorder
@@ -116,7 +116,7 @@ def test_a_load_is_shown_on_one_line_of_a_terminal_alone(
     assert capsys.readouterr().out.strip() == ""
 
 
-def test_a_status_says_what_guards_and_budget_did() -> None:
+def test_a_status_shows_guards_and_budget() -> None:
     status = stream_pb2.SceneStatus(cg_iterations=40, guard_events=3, guard_recoveries=2)
     assert "guards 3, mended 2" in status_line(status)
     assert "floor" not in status_line(status)
@@ -125,7 +125,7 @@ def test_a_status_says_what_guards_and_budget_did() -> None:
     assert "guards" not in status_line(status)
 
 
-def test_a_status_says_what_a_scene_does_unless_it_runs() -> None:
+def test_a_status_names_the_state_unless_the_scene_runs() -> None:
     assert "running" not in status_line(STATUS)
     for name in ("paused", "lockstep", "faulted"):
         state = stream_pb2.SceneStatus.State.Value(f"STATE_{name.upper()}")
@@ -189,7 +189,7 @@ def test_a_scene_is_unloaded_and_reported_by_its_name(
         assert fake.asked[-1] == control_pb2.UnloadSceneRequest(scene="demo")
 
 
-def test_errors_are_said_and_counted_in_the_status(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_errors_are_printed_and_set_the_exit_status(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     missing = str(tmp_path / "none.vtu")
     assert main(["mesh", missing, "-o", str(tmp_path / "out.msh")]) == 1
     assert capsys.readouterr().err == f"tensormass: {missing}: no such file\n"
@@ -235,7 +235,7 @@ def test_a_gateway_that_cannot_start_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-5"])
-def test_run_refuses_seconds_that_never_or_already_end(
+def test_run_refuses_seconds_that_are_not_positive_and_finite(
     seconds: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
@@ -253,7 +253,7 @@ def test_run_refuses_rates_that_are_none(
 
 
 def let_run(recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch, *tools: str) -> None:
-    """What `run` launches is the recorder, whose scene has these tools and goes on and on."""
+    """Replaces the daemon of `run` by the recorder, whose scene has these tools and never ends."""
     fake, server = recorder
     topology = stream_pb2.Topology(tools=[stream_pb2.ToolShape(name=name) for name in tools])
     fake.replies |= {
@@ -296,7 +296,7 @@ def test_run_ends_with_a_haptic_device(
     assert capsys.readouterr().err == f"tensormass: a haptic device ended by itself:\nit broke: {told}\n"
 
 
-def test_run_says_once_that_a_scene_stands_still(
+def test_run_reports_a_stopped_scene_once(
     recorder: tuple[Recorder, tm.Server],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -377,7 +377,7 @@ def test_run_says_where_no_viewer_can_be_served(
         (["load-test", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
     ],
 )
-def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
+def test_options_that_a_running_daemon_cannot_take_are_wrong_usage(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as usage:
@@ -386,7 +386,7 @@ def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
     assert message in capsys.readouterr().err
 
 
-def test_as_many_threads_as_the_daemon_takes_are_not_too_many(
+def test_the_largest_number_of_threads_is_accepted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
@@ -395,7 +395,7 @@ def test_as_many_threads_as_the_daemon_takes_are_not_too_many(
         assert capsys.readouterr().err.startswith("tensormass: $TENSORMASSD names /nonexistent")
 
 
-def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigterm_cleans_up_like_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     tidied = []
 
     @contextlib.contextmanager
@@ -429,7 +429,7 @@ def test_output_that_is_lost_is_one_line(redirection: str, words: str) -> None:
     assert (done.returncode, done.stderr) == (1, words)
 
 
-def test_a_daemon_of_ones_own_that_ended_is_said_with_its_log(tmp_path: Path) -> None:
+def test_the_end_of_the_commands_own_daemon_is_reported_with_its_log(tmp_path: Path) -> None:
     log = tmp_path / "daemon.log"
     log.write_text("last words\n")
     daemon = ChildProcess(["sleep", "60"], output=subprocess.DEVNULL)

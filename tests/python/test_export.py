@@ -29,7 +29,7 @@ def test_an_exported_scene_is_loaded_without_the_sdk(tmp_path: Path, capsys: pyt
     assert main(["export", "demo", "--output", str(file)]) == 0
     assert capsys.readouterr().out == f"wrote {file}, {file.stat().st_size:,} bytes\n"
     with tm.launch(backend="cpu", zenoh=False) as server, grpc.insecure_channel(server.address) as channel:
-        # As docs/protocol.md has it.
+        # The code of docs/protocol.md.
         control = control_pb2_grpc.ControlStub(channel)
         request = control_pb2.LoadSceneRequest(scene=scene_pb2.Scene.FromString(file.read_bytes()))
         report = control.LoadScene(request, timeout=300).report

@@ -57,7 +57,7 @@ async def test_next_frame_leaves_only_after_the_acknowledgement_and_is_the_newes
             assert await quick.take(Stream.FRAME) == first
             for sequence in range(2, 11):
                 newest = await publish(daemon, topology, sequence)
-                # The quick one is not held up by the slow one.
+                # The slow browser does not delay the quick one.
                 assert await quick.take(Stream.FRAME) == newest
             assert await slow.nothing_pending()
             await slow.send(type="ack", stream="frame")
@@ -66,7 +66,7 @@ async def test_next_frame_leaves_only_after_the_acknowledgement_and_is_the_newes
 
 
 @asynchronous
-async def test_late_browser_gets_what_is_known_at_once(viewer: Path) -> None:
+async def test_late_browser_gets_the_newest_messages_at_once(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         topology = load(daemon)
         async with browse(gateway, "liver") as first:
@@ -80,7 +80,7 @@ async def test_late_browser_gets_what_is_known_at_once(viewer: Path) -> None:
 
 
 @asynchronous
-async def test_scene_that_stands_still_is_shown(viewer: Path) -> None:
+async def test_paused_scene_is_shown(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         daemon.frames["liver"] = frame_of(load(daemon), 3)
         async with browse(gateway, "liver") as page:
@@ -135,7 +135,7 @@ async def test_clock_is_answered_in_milliseconds_of_the_epoch(viewer: Path) -> N
 
 
 @asynchronous
-async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
+async def test_browsers_are_told_when_scenes_are_loaded_and_unloaded(viewer: Path) -> None:
     async with (
         fake_daemon() as daemon,
         serve(options(viewer, daemon.control)) as gateway,
@@ -152,7 +152,7 @@ async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
 
 
 @asynchronous
-async def test_scene_that_went_is_not_shown_to_who_comes_late(viewer: Path) -> None:
+async def test_late_browser_is_not_shown_an_unloaded_scene(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         load(daemon)
         async with browse(gateway, "liver") as first:
@@ -185,7 +185,7 @@ async def test_streams_that_nobody_watches_are_not_received(viewer: Path) -> Non
 
 
 @asynchronous
-async def test_daemon_without_zeromq_is_told(viewer: Path) -> None:
+async def test_daemon_without_zeromq_is_reported(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
         daemon.publishes = False
         told = await page.text(lambda message: message["type"] == "daemon" and bool(message["problem"]))
@@ -328,7 +328,7 @@ async def test_browser_that_answers_no_ping_is_let_go(viewer: Path, monkeypatch:
 
 
 @asynchronous
-async def test_browser_that_goes_away_while_it_is_answered_is_no_failure(
+async def test_browser_that_disconnects_during_an_answer_is_not_a_failure(
     viewer: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def send_json(socket: web.WebSocketResponse, message: dict[str, object]) -> None:
@@ -452,7 +452,7 @@ async def test_wrong_pose_is_refused(viewer: Path, tool: str, position: str, rea
 # --- as a program ----------------------------------------------------------------------------------------------------
 
 
-def test_viewer_that_is_not_built_is_said(tmp_path: Path) -> None:
+def test_viewer_that_is_not_built_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="npm run build"):
         Gateway(options(tmp_path))
 

@@ -48,7 +48,7 @@ def gmsh1_file(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("flat", ["2 1 1 3 10 20 30", "3 1 1 4 10 20 30 40", "1 1 1 2 10 20", "15 1 1 1 10"])
-def test_gmsh1_maps_node_numbers_and_passes_over_what_has_no_volume(tmp_path: Path, flat: str) -> None:
+def test_gmsh1_maps_node_numbers_and_skips_elements_without_volume(tmp_path: Path, flat: str) -> None:
     assert "\n1 2 1 1 3 10 20 30\n" in GMSH1
     mesh = mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1.replace("1 2 1 1 3 10 20 30", f"1 {flat}")))
     np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
@@ -92,7 +92,7 @@ def test_reads_the_shared_liver_in_gmsh1() -> None:
 
 
 @pytest.mark.parametrize("ending", ["msh", "vtk", "vtu"])
-def test_what_is_written_is_read_back_exactly(tmp_path: Path, ending: str) -> None:
+def test_written_meshes_are_read_back_exactly(tmp_path: Path, ending: str) -> None:
     mesh = regular_tetrahedron()
     path = tmp_path / f"mesh.{ending}"
     mesh_files.write_mesh(path, mesh)
@@ -128,7 +128,7 @@ def test_a_mesh_of_ansys_is_refused_whole_or_cut_off(tmp_path: Path, binary: boo
             read(path)
 
 
-def test_what_gmsh_says_before_its_mesh_is_passed_over(tmp_path: Path) -> None:
+def test_gmsh_sections_before_the_mesh_are_skipped(tmp_path: Path) -> None:
     path = tmp_path / "mesh.msh"
     path.write_text("$Comments\n(made by hand)\n$EndComments\n" + MSH_22)
     assert mesh_files.read_mesh(path).element_count == 2
@@ -303,7 +303,7 @@ def test_fields_are_those_of_the_volume_elements() -> None:
     }
 
 
-def test_what_gmsh_keeps_for_itself_is_no_set() -> None:
+def test_gmsh_bookkeeping_does_not_become_a_set() -> None:
     cell_sets = {"gmsh:bounding_entities": [np.array([0])], "wall": [np.array([0])]}
     mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], cell_sets=cell_sets)
     assert {name: nodes.tolist() for name, nodes in mesh_files.from_meshio(mesh).sets.items()} == {"wall": [0, 1, 2, 4]}

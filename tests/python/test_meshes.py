@@ -176,7 +176,7 @@ def test_boundary_and_volume_of_a_mixed_mesh() -> None:
 
 
 def mirrored(mesh: meshes.VolumeMesh) -> meshes.VolumeMesh:
-    """Of the same elements, seen in a mirror: all of them inverted."""
+    """Mirrors a mesh, which inverts all of its elements."""
     return replace(mesh, nodes=mesh.nodes * [1, 1, -1])
 
 
@@ -238,7 +238,7 @@ def test_a_corner_that_is_turned_in_is_counted() -> None:
         ({"element_fields": {"fibre_directions": [[0, np.nan, 1]]}}, "row 0 is not finite"),
     ],
 )
-def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], message: str) -> None:
+def test_arrays_that_are_not_a_volume_mesh_are_refused(options: dict[str, object], message: str) -> None:
     arguments = {"nodes": regular_tetrahedron().nodes, "blocks": [("tetrahedron", [[0, 1, 2, 3]])], **options}
     with pytest.raises(InvalidArgumentError, match=message):
         meshes.VolumeMesh.from_arrays(**arguments)  # type: ignore[arg-type]
@@ -253,6 +253,6 @@ def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], messag
         ([1] * 3, [1] * 3, "x"),
     ],
 )
-def test_a_grid_that_is_none_is_refused(cells: list[int], size: list[float], shape: str) -> None:
+def test_an_invalid_grid_is_refused(cells: list[int], size: list[float], shape: str) -> None:
     with pytest.raises(InvalidArgumentError, match="grid: "):
         grids.grid(cells, size, shape=shape)

@@ -1,4 +1,4 @@
-"""What waits for one browser in the gateway."""
+"""The gateway's messages for one browser."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_a_process_id_that_is_used_again_is_not_that_run(runtime_folder: Path) -
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '{"pid": "x"}', "\xff"])
-def test_a_file_that_is_no_run_is_removed(content: str, runtime_folder: Path) -> None:
+def test_a_file_that_no_run_wrote_is_removed(content: str, runtime_folder: Path) -> None:
     runtime_folder.mkdir(mode=0o700)
     (runtime_folder / "1.json").write_text(content, "latin-1")
     assert running_daemons() == []
@@ -112,9 +112,7 @@ def test_a_folder_that_others_may_write_to_is_not_used(runtime_folder: Path) -> 
     assert (runtime_folder / "1.json").exists()
 
 
-def test_list_asks_the_run_that_there_is(
-    recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_list_asks_the_running_daemon(recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]) -> None:
     fake, server = recorder
     fake.replies["ListScenes"] = control_pb2.ListScenesResponse()
     with announced(server.address, "demo"):

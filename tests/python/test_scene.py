@@ -137,12 +137,12 @@ def test_a_mistake_in_yaml_is_refused_with_its_place(old: str, new: str, message
     assert str(error.value).startswith("block.yaml: ")
 
 
-def test_truth_is_told_where_it_is_asked_for() -> None:
+def test_booleans_are_accepted_for_boolean_fields() -> None:
     assert tm.Scene.from_yaml(YAML + "stepping: {lockstep: yes}\n").message.stepping.lockstep
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b", "just words", "7"])
-def test_yaml_that_is_no_mapping_is_refused(text: str) -> None:
+def test_yaml_that_is_not_a_mapping_is_refused(text: str) -> None:
     with pytest.raises(tm.InvalidArgumentError, match="a scene is a mapping"):
         tm.Scene.from_yaml(text)
 
@@ -182,7 +182,7 @@ def test_builtin_scenes_are_found_by_name(name: str) -> None:
         assert body.mesh.WhichOneof("source") in ("packed", "grid")
 
 
-def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
+def test_meshes_of_organs_are_made_once_and_again_when_their_source_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Path] = []
@@ -218,7 +218,7 @@ def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
 @pytest.mark.parametrize(
     ("stem", "name"), [("größe 1", "gr__e_1"), ("a-b_C", "a-b_C"), (100 * "a", 64 * "a"), ("²", "_"), ("", "")]
 )
-def test_names_are_made_of_what_scenes_may_be_called(stem: str, name: str) -> None:
+def test_names_are_converted_to_the_alphabet_of_scene_names(stem: str, name: str) -> None:
     assert as_name(stem) == name
 
 
@@ -423,7 +423,7 @@ def test_a_scene_file_uses_the_sets_of_its_mesh_file(tmp_path: Path) -> None:
         tm.Scene.from_yaml(text.replace("name: both", "name: wall"), directory=tmp_path)
 
 
-def test_a_message_of_half_an_element_is_no_mesh() -> None:
+def test_a_message_with_half_an_element_is_refused() -> None:
     packed = pack_mesh(carrying_mesh())
     packed.elements[0].nodes = packed.elements[0].nodes[:-1]
     with pytest.raises(tm.InvalidArgumentError, match=r"body\.elements\[0\]: an unknown shape, or not whole elements"):
@@ -434,7 +434,7 @@ def test_a_message_of_half_an_element_is_no_mesh() -> None:
         unpack_mesh(packed, "body")
 
 
-def test_what_a_scene_does_not_say_is_as_its_schema_has_it() -> None:
+def test_defaults_are_those_of_the_schema() -> None:
     scene = scene_pb2.Scene()
     solver = scene.solver
     assert defaults.dt_s(scene) == 1 / 60

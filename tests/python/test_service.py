@@ -295,7 +295,7 @@ def test_a_bad_mesh_is_refused_by_name_and_the_daemon_lives(
     server.version()
 
 
-def test_a_scene_costs_only_what_it_names(server: tm.Server) -> None:
+def test_a_scene_pays_only_for_the_parts_it_uses(server: tm.Server) -> None:
     with_tool = server.inspect(block())
     bare = block()
     del bare.message.tools[:]
@@ -412,7 +412,7 @@ def test_frames_come_newest_first_to_a_slow_reader(load: Callable[..., tm.SceneH
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_who_comes_late_gets_topology_and_status(
+def test_a_late_subscriber_gets_topology_and_status(
     server: tm.Server, load: Callable[..., tm.SceneHandle], transport: Transport
 ) -> None:
     handle = load(block(), lockstep=True)
@@ -490,7 +490,7 @@ def test_garbage_on_every_endpoint_is_survived_and_counted(
     wait_for("the next good pose", lambda: handle.feedback("probe").pose_sequence == 1)
 
 
-def test_bytes_that_are_no_request_are_refused(server: tm.Server) -> None:
+def test_bytes_that_are_not_a_request_are_refused(server: tm.Server) -> None:
     with grpc.insecure_channel(server.address) as channel:
         call = channel.unary_unary("/tensormass.v1.Control/LoadScene", lambda payload: payload, lambda payload: payload)
         for payload in (b"\xff" * 100, os.urandom(1000)):

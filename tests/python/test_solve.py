@@ -300,7 +300,7 @@ def test_a_scene_of_the_same_name_in_the_daemon_is_another_and_stays(server: tm.
         theirs.unload()
 
 
-def test_what_does_not_come_to_rest_is_written_and_said(
+def test_a_scene_that_does_not_come_to_rest_is_written_with_a_warning(
     solve: Callable[..., Solved], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tensormass_tools.solve_steps.REST_LIMIT_S", 1.0)
@@ -339,7 +339,7 @@ def test_a_linear_solve_that_was_cut_off_is_refused_too(solve: Callable[..., Sol
     assert "after 3 conjugate-gradient iterations, above cg_tolerance 1e-05; raise cg" in refused.said["error"]
 
 
-def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: Callable[..., Solved]) -> None:
+def test_the_files_before_a_step_that_did_not_converge_are_named(solve: Callable[..., Solved]) -> None:
     text = (BAR % (TRACTION, "", "")).replace("quasi_static", "implicit_euler")
     refused = solve(text.replace("cg_max_iterations: 2000", "cg_max_iterations: 3"), "--steps", "5", "--every", "1")
     listing = refused.out.with_suffix(".pvd")
@@ -349,7 +349,7 @@ def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: 
 
 
 @pytest.mark.parametrize(("preset", "limit"), [("fast", "cg_max_iterations"), ("accurate", "newton_max_iterations")])
-def test_the_limits_of_a_preset_are_no_failure_and_said(
+def test_the_limits_of_a_preset_are_reported_and_not_a_failure(
     solve: Callable[..., Solved], preset: str, limit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tensormass_tools.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
@@ -403,7 +403,7 @@ def test_a_full_disk_leaves_the_results_that_are_there(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_law_out_of_its_range_is_said(solve: Callable[..., Solved]) -> None:
+def test_a_law_beyond_its_range_is_reported(solve: Callable[..., Solved]) -> None:
     text = (BAR % (TRACTION.replace("-10", "-1000"), "", "")).replace("neo_hookean", "hooke")
     solved = solve(text)
     assert solved.status == 0
@@ -443,14 +443,14 @@ solver: {integrator: quasi_static}
 """
 
 
-def test_what_is_turned_inside_out_is_said(solve: Callable[..., Solved]) -> None:
+def test_inverted_elements_are_reported(solve: Callable[..., Solved]) -> None:
     warnings = solve(CUBE).said["warnings"]
     assert any("body 'cube': elements are inverted, det F down to -" in text for text in warnings)
     warnings = solve(CUBE.replace("-1.5", "-0.5")).said["warnings"]
     assert not any("inverted" in text for text in warnings)
 
 
-def test_what_a_scene_does_not_say_is_double_and_solved_to_its_tolerance(solve: Callable[..., Solved]) -> None:
+def test_open_settings_are_double_precision_and_solved_to_the_tolerance(solve: Callable[..., Solved]) -> None:
     solved = solve(CUBE)
     assert (solved.status, solved.said["precision"]) == (0, "double")
     assert solve(CUBE, "--precision", "float", "--allow-unconverged").said["precision"] == "float"

@@ -79,7 +79,7 @@ def unconverged() -> list[stream_pb2.SceneStatus]:
     ]
 
 
-def test_steps_that_did_not_converge_are_counted_and_the_worst_is_said() -> None:
+def test_steps_that_did_not_converge_are_counted_and_the_worst_is_named() -> None:
     scene = scene_pb2.Scene(solver=scene_pb2.Solver(newton_max_iterations=5))
     summary = compute(unconverged(), scene, steps=3, allow_unconverged=True)
     assert (summary["unconverged_steps"], summary["newton_residual"], summary["newton_iterations"]) == (2, 0.5, 15)

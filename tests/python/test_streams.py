@@ -148,7 +148,7 @@ def test_garbage_takes_none_of_the_time_that_is_left(plane: DataPlane) -> None:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_nothing_is_waited_for_as_long_as_was_asked_for(plane: DataPlane, transport: Transport) -> None:
+def test_a_silent_stream_times_out_after_the_given_time(plane: DataPlane, transport: Transport) -> None:
     with plane.subscribe("scene", "frame", stream_pb2.Frame, transport) as frames:
         begin = time.monotonic()
         with pytest.raises(tm.DeadlineExceededError, match=r"in 0\.1 s"):
@@ -156,7 +156,7 @@ def test_nothing_is_waited_for_as_long_as_was_asked_for(plane: DataPlane, transp
         assert 0.09 < time.monotonic() - begin < DEADLINE_S / 2
 
 
-def test_what_was_kept_is_not_news_once_there_is_newer(bus: Bus, plane: DataPlane) -> None:
+def test_a_retained_message_does_not_replace_a_newer_one(bus: Bus, plane: DataPlane) -> None:
     key, other = stream_key("s", "scene", "status"), stream_key("s", "scene", "frame")
     asked = bus.zenoh.declare_queryable(key)
     with (
@@ -312,7 +312,7 @@ def test_poses_are_numbered_for_each_client() -> None:
         ({}, None, "position: expected three finite numbers"),
     ],
 )
-def test_a_pose_that_is_none_is_not_sent(position: object, orientation: object, message: str) -> None:
+def test_an_invalid_pose_is_not_sent(position: object, orientation: object, message: str) -> None:
     sequence = PoseSequence()
     with pytest.raises(tm.InvalidArgumentError, match=message):
         sequence.next(position, orientation)  # type: ignore[arg-type]
@@ -328,7 +328,7 @@ def test_a_pose_that_is_none_is_not_sent(position: object, orientation: object, 
         ("tcp/0.0.0.0:1", "tcp/trainer:1"),
         ("tcp/[::]:1", "tcp/trainer:1"),
         ("udp/0.0.0.0:1", "udp/trainer:1"),
-        # What names a host is meant.
+        # An endpoint that names a host is not changed.
         ("tcp://127.0.0.1:1", "tcp://127.0.0.1:1"),
         ("tcp://10.0.0.0:1", "tcp://10.0.0.0:1"),
         ("tcp://[::1]:1", "tcp://[::1]:1"),
@@ -375,7 +375,7 @@ def test_all_endpoints_of_an_answer_are_reached() -> None:
     assert reached_endpoints(off, "trainer:50051") == off
 
 
-def test_a_transport_that_is_off_is_said() -> None:
+def test_a_transport_that_is_off_is_reported() -> None:
     with DataPlane(control_pb2.GetVersionResponse(server="s")) as plane:
         with pytest.raises(tm.UnavailableError, match="ZeroMQ is off"):
             plane.subscribe("scene", "frame", stream_pb2.Frame, "zeromq")
@@ -393,7 +393,7 @@ def test_an_unknown_transport_is_refused(plane: DataPlane) -> None:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_what_was_closed_says_so(plane: DataPlane, transport: Transport) -> None:
+def test_using_a_closed_stream_is_reported(plane: DataPlane, transport: Transport) -> None:
     def use(sender: tm.PoseSender, statuses: tm.Subscription[stream_pb2.SceneStatus]) -> Iterator[Callable[[], object]]:
         yield lambda: sender.send((0, 0, 0))
         yield lambda: statuses.receive(0)

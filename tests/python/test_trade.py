@@ -26,7 +26,7 @@ from tensormass_tools.trade.script import Script
 # --- knobs ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_grid_has_every_knob_and_the_scene_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_grid_has_every_knob_and_the_scene_is_unchanged(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.knobs.keys() >= {"resolution", "shape", "quadrature", "law", "dt_s", "integrator", "precision"}
     assert knobs.without.keys() >= {"preconditioner", "contact", "stream codec"}
@@ -73,7 +73,7 @@ def test_a_law_beyond_the_poisson_ratio_that_laws_accept_is_not_exchanged(
         assert "no isotropic law that equals it" in knobs.without["law"]
 
 
-def test_what_cannot_be_chosen_says_why(tmp_path: Path) -> None:
+def test_missing_knobs_have_a_reason(tmp_path: Path) -> None:
     meshes_of = grids.grid([1, 1, 1], [1, 1, 1])
     tm.write_mesh(tmp_path / "a.msh", meshes_of)
     text = BLOCK.replace(
@@ -95,7 +95,7 @@ def test_what_cannot_be_chosen_says_why(tmp_path: Path) -> None:
     assert "equilibrium" in knobs_of(still, tmp_path).without["integrator"]
 
 
-def test_only_what_is_held_has_an_equilibrium(tmp_path: Path) -> None:
+def test_only_fixed_bodies_have_an_equilibrium(tmp_path: Path) -> None:
     assert "quasi_static" in knobs_of(BLOCK, tmp_path).knobs["integrator"].values
     body = BLOCK[BLOCK.index("  - name") : BLOCK.index("tools:")]
     free = "\n".join(line for line in body.replace("name: block", "name: free").splitlines() if "fixed:" not in line)
@@ -138,7 +138,7 @@ def test_settings_of_no_effect_are_left_out(tmp_path: Path) -> None:
     assert tetrahedra.quadrature == scene_pb2.QUADRATURE_UNSPECIFIED
 
 
-def test_a_written_scene_runs_as_it_is_and_keeps_what_its_author_said(tmp_path: Path) -> None:
+def test_a_written_scene_needs_nothing_else_and_keeps_the_authors_fields(tmp_path: Path) -> None:
     knobs = Knobs(SceneFile.read("demo"), tmp_path / "meshes")
     out = tmp_path / "elsewhere"
     out.mkdir()
@@ -222,7 +222,7 @@ def test_errors_are_shares_of_the_reference() -> None:
     assert compare(recording(0.9), recording(), weights).volume == pytest.approx(0.001)
 
 
-def test_errors_of_what_hardly_is_there() -> None:
+def test_errors_of_tiny_values() -> None:
     weights = [np.ones(3)]
     reference = recording()
     still = replace(reference, free_m=np.zeros(200))
@@ -280,7 +280,7 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
         Script.of(scene, None)
 
 
-def test_solved_better_is_without_what_is_solved_worse(tmp_path: Path) -> None:
+def test_solved_better_drops_settings_that_solve_worse(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     loose = {"resolution": 0.5, "cg_tolerance": 0.1, "precision": "double"}
     assert knobs.solved_better(loose) == {"resolution": 0.5, "precision": "double"}
@@ -288,7 +288,7 @@ def test_solved_better_is_without_what_is_solved_worse(tmp_path: Path) -> None:
     newton = knobs_of(BLOCK.replace("solver: {", "solver: {newton_max_iterations: 5, "), tmp_path)
     assert newton.solved_better({"newton_tolerance": 1e-2}) == {}
     assert newton.solved_better({"newton_tolerance": 1e-4}) == {"newton_tolerance": 1e-4}
-    # Newton's method by default where there is an equilibrium, one solve where there is none.
+    # Defaults: Newton's method for an equilibrium, one solve for a step in time.
     few = {"integrator": "quasi_static", "newton_max_iterations": 2}
     assert knobs.solved_better(few) == {"integrator": "quasi_static"}
     assert knobs.solved_better({"newton_max_iterations": 2}) == {"newton_max_iterations": 2}

@@ -1,4 +1,4 @@
-"""What `tensormass trade` compares with: the scene refined until it no longer moves, without a daemon."""
+"""The reference of `tensormass trade`: the scene refined until it no longer moves, without a daemon."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_level_that_fails_ends_the_refinement_only_where_there_are_two(tmp_pat
     found = find(3)
     assert found.ended == "the next level failed: too many elements"
     assert len(found.levels) == 2
-    # What is seen or what is felt, whichever is farther off.
+    # The larger error of displacement and force.
     assert replace(found, displacement_error=0.1, force_error=0.2).error == 0.2
     assert replace(found, displacement_error=0.1, force_error=0.05).error == 0.1
     assert replace(found, displacement_error=0.1, force_error=None).error == 0.1

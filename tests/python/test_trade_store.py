@@ -44,7 +44,7 @@ def test_older_results_are_read(tmp_path: Path) -> None:
     assert Store(tmp_path).get(repr({})) == measurement({}, 1.0, 0.1)
 
 
-def test_a_host_is_told_from_others_and_names_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_is_told_from_others_without_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own, other, none = (tmp_path / name for name in ("own", "other", "none"))
     own.write_text("0123456789abcdef0123456789abcdef\n")
     other.write_text("1123456789abcdef0123456789abcdef\n")

@@ -44,7 +44,7 @@ def test_a_dearer_point_is_on_the_front_only_if_it_is_clearly_more_accurate(erro
     assert sweep.pareto([(1.0, 1.0), (2.0, error)]) == front
 
 
-def test_costs_are_as_on_a_machine_of_one_speed() -> None:
+def test_costs_are_corrected_for_the_machines_speed() -> None:
     turns = [({}, 3.0, 3.0, 9.0), ({"a": 1}, 1.0, 2.0, 6.0), ({"a": 2}, 8.0, 1.0, 5.0), ({"a": 3}, 7.0, 0.0, 0.0)]
     measured = [
         replace(measurement(setting, cost_s, 0.01), own_p50_s=p50_s, own_p99_s=p99_s)
@@ -58,7 +58,7 @@ def test_costs_are_as_on_a_machine_of_one_speed() -> None:
     assert sweep.at_one_speed(older) == older
 
 
-def test_the_next_candidate_is_within_the_budget_on_the_machine_as_it_is_now() -> None:
+def test_the_next_candidate_is_within_the_budget_at_the_present_speed() -> None:
     first, near, far = candidates = [measurement({"a": cost}, cost, 1 / cost) for cost in (10.0, 9.0, 4.0)]
 
     def follower(failed: Measurement, cost_s: float, budget_s: float, failure: str = "") -> Measurement | None:
@@ -99,7 +99,7 @@ def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
     assert sweep.combinations(knobs, measured, 0, tolerance=0.02) == ([], 2)
 
 
-def test_combinations_go_to_the_accurate_end_and_not_beyond_what_anybody_waits_for(tmp_path: Path) -> None:
+def test_combinations_reach_the_accurate_end_but_not_excessive_times(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     knobs.choose(["resolution", "dt_s", "integrator"])
     half = knobs.knobs["dt_s"].own / 2  # type: ignore[operator]
@@ -143,12 +143,12 @@ def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same(tmp_path: Pa
     assert sweep.fastest_within(measured, 0.02, knobs) == [like]
     assert sweep.most_accurate_within(measured, 5.0, 0.02, knobs) == [like]
     assert sweep.fastest_within([own, unlike, both], 0.02, knobs) == [own]
-    # Of one that broke when it alone was changed, nobody knows.
+    # The effect of a law that failed alone is unknown.
     broken = measurement({"law": "unlike"}, 0.0, 0.0, failure="stopped")
     assert not sweep.is_same_tissue(both, [own, broken, both], 0.02)
 
 
-def test_what_is_close_because_it_is_solved_worse_is_not_recommended(tmp_path: Path) -> None:
+def test_a_setting_that_is_close_by_chance_is_not_recommended(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)  # cg_tolerance 0.01, float
     coarse = {"resolution": 0.5}
     lucky, tight = measurement({**coarse, "cg_tolerance": 0.1}, 1.0, 0.01), measurement(coarse, 2.0, 0.03)
@@ -192,7 +192,7 @@ def test_half_of_the_combinations_keep_the_law_though_another_is_faster(tmp_path
     chosen, possible = sweep.combinations(knobs, measured, 4, tolerance=0.02)
     assert possible == 7
     assert ["law" in of for of in chosen] == [False, False, True, True]
-    # What one side has not, the other gets.
+    # Places that one side cannot fill go to the other.
     assert len(sweep.combinations(knobs, measured, 6, tolerance=0.02)[0]) == 6
     assert len(sweep.combinations(knobs, measured, 9, tolerance=0.02)[0]) == 7
     assert len(sweep.combinations(knobs, measured[:-1], 2, tolerance=0.02)[0]) == 2

@@ -1,4 +1,4 @@
-"""What the tests of `tensormass trade` measure instead of a running daemon."""
+"""Stand-ins for a running daemon in the tests of `tensormass trade`."""
 
 from __future__ import annotations
 
@@ -59,20 +59,20 @@ class Formula:
     def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
         self.weights = [np.ones(2)]
         self.runs = 0
-        #: Of each call of `measure`, how many scenes.
+        #: Number of scenes in each call of `measure`.
         self.together = list[int]()
         #: Likewise, how long it may take [s].
         self.limits_s = list[float]()
         #: The run that ends the daemon.
         self.last_run = 0
         self.felt = True
-        #: Of the machine, as factors of the times of the runs that follow; then it is as it was.
+        #: Factors of the times of the next runs, for a machine that changes its speed; 1 afterwards.
         self.slowness = list[float]()
-        #: Of the error, likewise.
+        #: Factors of the errors of the next runs, likewise.
         self.wrongness = list[float]()
-        #: Of conjugate gradients: what they leave cancels nine tenths of the error.
+        #: `cg_tolerance` whose residual happens to cancel nine tenths of the error; 0 without one.
         self.lucky_tolerance = 0.0
-        #: For a scene and what is timed beside it.
+        #: False if the device has no room for a scene and the one timed in turns with it.
         self.room_for_both = True
         self.unconverged_steps = 0
         self.min_det_f = 0.9

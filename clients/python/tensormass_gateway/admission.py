@@ -1,4 +1,4 @@
-"""Who may connect: the token, the Origin header, the number of browsers; and the headers of every answer.
+"""Admission of browsers by token, Origin header and number; and the headers of every answer.
 
 Whoever knows the token may connect from a page of this gateway or of an --origin, up to a number of browsers. The
 Origin header names the page; a program that is not a browser sends the gateway's own, http://host:port. A browser hides

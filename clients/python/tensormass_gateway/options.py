@@ -14,7 +14,7 @@ DEFAULT_VIEWER = Path(__file__).resolve().parents[2] / "web" / "dist"
 
 @dataclass(frozen=True)
 class GatewayOptions:
-    """Where a gateway listens and who may connect."""
+    """Options of a gateway: its address, and who may connect."""
 
     control: str = "127.0.0.1:50051"
     """Control address of the daemon, host:port."""

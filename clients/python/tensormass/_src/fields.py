@@ -1,4 +1,4 @@
-"""What an analysis reads from a scene: fields of nodes and elements, and energies. See `Field` in control.proto."""
+"""Fields of nodes and elements, and energies, for analysis. See `Field` in control.proto."""
 
 from __future__ import annotations
 

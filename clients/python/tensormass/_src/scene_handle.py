@@ -95,7 +95,7 @@ class SceneHandle:
 
         Raises:
             InvalidArgumentError: the path does not end in .npz, or cannot be written.
-            FailedPreconditionError: the device failed; there is no state to trust.
+            FailedPreconditionError: the device failed, so its state cannot be trusted.
         """
         file = report_path(path)
         bodies = {body.name: self.fields(body.name, REPORT_FIELDS) for body in self.topology().bodies}

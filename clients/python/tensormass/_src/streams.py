@@ -1,4 +1,4 @@
-"""What subscriptions and pose senders share: the key of a stream, and how a stream is closed."""
+"""Common parts of subscriptions and pose senders: keys and closing."""
 
 from __future__ import annotations
 
