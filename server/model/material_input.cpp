@@ -17,12 +17,18 @@ constexpr double kMinModulusPa = 1e-3, kMaxModulusPa = 1e13;
 /// Beyond, single precision cannot tell the change of volume from rounding.
 constexpr double kMinPoissonRatio = -0.999, kMaxPoissonRatio = 0.4999;
 
+/// Like read_number, but writes the place in words only for an error: elements are read by the million.
+Result<double> read_constant(double value, double low, double high, std::string_view where, std::string_view field) {
+  if (value >= low && value <= high) return value;
+  return read_number(value, low, high, fmt::format("{}.{}", where, field));
+}
+
 Result<double> read_modulus(double value, std::string_view where, std::string_view field) {
-  return read_number(value, kMinModulusPa, kMaxModulusPa, fmt::format("{}.{}", where, field));
+  return read_constant(value, kMinModulusPa, kMaxModulusPa, where, field);
 }
 
 Result<double> read_poisson_ratio(double value, std::string_view where) {
-  return read_number(value, kMinPoissonRatio, kMaxPoissonRatio, fmt::format("{}.poisson_ratio", where));
+  return read_constant(value, kMinPoissonRatio, kMaxPoissonRatio, where, "poisson_ratio");
 }
 
 /// Of a law that may be given by other constants, but for their rounding.
@@ -53,8 +59,8 @@ template <>
 struct Constants<physics::MooneyRivlin> {
   using Message = v1::MooneyRivlin;
   static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
-    TM_ASSIGN_OR_RETURN(c10, read_number(p.c10_pa(), 0, kMaxModulusPa, fmt::format("{}.c10_pa", where)));
-    TM_ASSIGN_OR_RETURN(c01, read_number(p.c01_pa(), 0, kMaxModulusPa, fmt::format("{}.c01_pa", where)));
+    TM_ASSIGN_OR_RETURN(c10, read_constant(p.c10_pa(), 0, kMaxModulusPa, where, "c10_pa"));
+    TM_ASSIGN_OR_RETURN(c01, read_constant(p.c01_pa(), 0, kMaxModulusPa, where, "c01_pa"));
     TM_RETURN_IF_ERROR(read_modulus(c10 + c01, where, "c10_pa + c01_pa"));
     TM_ASSIGN_OR_RETURN(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
     return physics::MooneyRivlin::parameters(c10, c01, bulk);
@@ -65,8 +71,8 @@ template <>
 struct Constants<physics::Ogden> {
   using Message = v1::Ogden;
   static Result<std::array<double, 3>> read(const Message& p, std::string_view where) {
-    TM_ASSIGN_OR_RETURN(alpha, read_number(p.alpha(), -50, 50, fmt::format("{}.alpha", where)));
-    TM_ASSIGN_OR_RETURN(mu, read_number(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, fmt::format("{}.mu_pa", where)));
+    TM_ASSIGN_OR_RETURN(alpha, read_constant(p.alpha(), -50, 50, where, "alpha"));
+    TM_ASSIGN_OR_RETURN(mu, read_constant(p.mu_pa(), -kMaxModulusPa, kMaxModulusPa, where, "mu_pa"));
     TM_RETURN_IF_ERROR(read_modulus(mu * alpha / 2, where, "mu_pa * alpha / 2"));
     TM_ASSIGN_OR_RETURN(bulk, read_modulus(p.bulk_modulus_pa(), where, "bulk_modulus_pa"));
     return physics::Ogden::parameters(mu, alpha, bulk);
@@ -79,8 +85,7 @@ struct Constants<physics::TransverselyIsotropic> {
   static Result<std::array<double, 6>> read(const Message& p, std::string_view where) {
     TM_ASSIGN_OR_RETURN(young, read_modulus(p.young_modulus_pa(), where, "young_modulus_pa"));
     TM_ASSIGN_OR_RETURN(poisson, read_poisson_ratio(p.poisson_ratio(), where));
-    TM_ASSIGN_OR_RETURN(fibre,
-                        read_number(p.fibre_modulus_pa(), 0, kMaxModulusPa, fmt::format("{}.fibre_modulus_pa", where)));
+    TM_ASSIGN_OR_RETURN(fibre, read_constant(p.fibre_modulus_pa(), 0, kMaxModulusPa, where, "fibre_modulus_pa"));
     TM_ASSIGN_OR_RETURN(direction, read_vector(p.fibre_direction(), fmt::format("{}.fibre_direction", where)));
     if (!(direction.norm() > 1e-12)) {
       return invalid(fmt::format("{}.fibre_direction: has no length; give the direction of the fibres", where));
@@ -96,34 +101,40 @@ Result<void> check_shadowed(double value, std::string_view where, const char* na
       fmt::format("{}.{}: {} is not finite; element_fields stand in its place, leave it out", where, name, value));
 }
 
-/// Writes an element's own values over the law's message.
-Result<void> override_values(google::protobuf::Message& constants, const ElementValues& values,
-                             std::string_view where) {
-  const auto* descriptor = constants.GetDescriptor();
-  const auto* reflection = constants.GetReflection();
-  const auto field = [&](const char* name) -> Result<const google::protobuf::FieldDescriptor*> {
-    if (const auto* found = descriptor->FindFieldByName(name)) return found;
+/// Writes an element's own values over the law's constants.
+template <class Message>
+Result<void> override_values(Message& constants, const ElementValues& values, std::string_view where) {
+  const auto missing = [&](const char* name) {
     return invalid(fmt::format("{}: the law has no {}; leave element_fields.{} out", where, name, name));
   };
   if (values.young_modulus_pa) {
-    TM_ASSIGN_OR_RETURN(young, field("young_modulus_pa"));
-    TM_RETURN_IF_ERROR(check_shadowed(reflection->GetDouble(constants, young), where, "young_modulus_pa"));
-    reflection->SetDouble(&constants, young, *values.young_modulus_pa);
+    if constexpr (requires { constants.set_young_modulus_pa(0.0); }) {
+      TM_RETURN_IF_ERROR(check_shadowed(constants.young_modulus_pa(), where, "young_modulus_pa"));
+      constants.set_young_modulus_pa(*values.young_modulus_pa);
+    } else {
+      return missing("young_modulus_pa");
+    }
   }
   if (values.poisson_ratio) {
-    TM_ASSIGN_OR_RETURN(poisson, field("poisson_ratio"));
-    TM_RETURN_IF_ERROR(check_shadowed(reflection->GetDouble(constants, poisson), where, "poisson_ratio"));
-    reflection->SetDouble(&constants, poisson, *values.poisson_ratio);
+    if constexpr (requires { constants.set_poisson_ratio(0.0); }) {
+      TM_RETURN_IF_ERROR(check_shadowed(constants.poisson_ratio(), where, "poisson_ratio"));
+      constants.set_poisson_ratio(*values.poisson_ratio);
+    } else {
+      return missing("poisson_ratio");
+    }
   }
   if (values.fibre_direction) {
-    TM_ASSIGN_OR_RETURN(direction, field("fibre_direction"));
-    auto& vector = static_cast<v1::Vector3&>(*reflection->MutableMessage(&constants, direction));
-    for (const double component : {vector.x(), vector.y(), vector.z()}) {
-      TM_RETURN_IF_ERROR(check_shadowed(component, where, "fibre_direction"));
+    if constexpr (requires { constants.mutable_fibre_direction(); }) {
+      v1::Vector3& vector = *constants.mutable_fibre_direction();
+      for (const double component : {vector.x(), vector.y(), vector.z()}) {
+        TM_RETURN_IF_ERROR(check_shadowed(component, where, "fibre_direction"));
+      }
+      vector.set_x((*values.fibre_direction)[0]);
+      vector.set_y((*values.fibre_direction)[1]);
+      vector.set_z((*values.fibre_direction)[2]);
+    } else {
+      return missing("fibre_direction");
     }
-    vector.set_x((*values.fibre_direction)[0]);
-    vector.set_y((*values.fibre_direction)[1]);
-    vector.set_z((*values.fibre_direction)[2]);
   }
   return {};
 }
@@ -149,39 +160,51 @@ Result<std::vector<physics::PronyTerm>> read_prony(const v1::Law& law, std::stri
   return terms;
 }
 
+/// One element's material.
+///
+/// constants: of the law, before the element's own values take their places.
+/// prony:     of the law, the same for all of its elements; an error in them is reported after those in the constants.
+template <class Law>
+Result<Material> read_material(int index, typename Constants<Law>::Message constants, const ElementValues& values,
+                               const Result<std::vector<physics::PronyTerm>>& prony, std::string_view where) {
+  TM_RETURN_IF_ERROR(override_values(constants, values, where));
+  TM_ASSIGN_OR_RETURN(parameters, Constants<Law>::read(constants, where));
+  const physics::Moduli moduli = Law::moduli_at_rest(parameters.data());
+  const physics::YoungPoisson elastic = physics::young_poisson_from(moduli);
+  TM_RETURN_IF_ERROR(check_compressibility(moduli, elastic.poisson_ratio, where));
+  if (!prony) return tl::make_unexpected(prony.error());
+  return Material{index,
+                  {parameters.begin(), parameters.end()},
+                  prony.value(),
+                  elastic.young_modulus_pa,
+                  elastic.poisson_ratio,
+                  Law::kConstantStiffness && prony.value().empty()};
+}
+
 }  // namespace
 
-Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where) {
+ElementLaw element_law(const v1::Law& law, std::string_view where) {
   const auto* kind = law.GetReflection()->GetOneofFieldDescriptor(law, law.GetDescriptor()->FindOneofByName("kind"));
   std::string known;
   physics::for_each_type(physics::Laws{}, [&](auto tag, int) {
     known += (known.empty() ? "" : ", ") + std::string(decltype(tag)::Type::kName);
   });
-  Result<Material> result = invalid(fmt::format("{}: no law that this server knows; give one of {}", where, known));
+  ElementLaw result = [error = fmt::format("{}: no law that this server knows; give one of {}", where, known)](
+                          const ElementValues&) -> Result<Material> { return invalid(error); };
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if (kind == nullptr || kind->name() != Law::kName) return;
-    result = [&]() -> Result<Material> {
-      v1::Law own = law;
-      auto* constants = own.GetReflection()->MutableMessage(&own, kind);
-      const std::string at = fmt::format("{}.{}", where, Law::kName);
-      TM_RETURN_IF_ERROR(override_values(*constants, values, at));
-      using Reader = Constants<Law>;
-      // Throws where the protocol has another message than Constants: in the first scene with the law.
-      TM_ASSIGN_OR_RETURN(parameters, Reader::read(dynamic_cast<const typename Reader::Message&>(*constants), at));
-      const physics::Moduli moduli = Law::moduli_at_rest(parameters.data());
-      const physics::YoungPoisson elastic = physics::young_poisson_from(moduli);
-      TM_RETURN_IF_ERROR(check_compressibility(moduli, elastic.poisson_ratio, at));
-      TM_ASSIGN_OR_RETURN(prony, read_prony(law, where));
-      return Material{index,
-                      {parameters.begin(), parameters.end()},
-                      std::move(prony),
-                      elastic.young_modulus_pa,
-                      elastic.poisson_ratio,
-                      Law::kConstantStiffness && law.prony().empty()};
-    }();
+    // Throws where the protocol has another message than Constants: in the first scene with the law.
+    const auto& constants =
+        dynamic_cast<const typename Constants<Law>::Message&>(law.GetReflection()->GetMessage(law, kind));
+    result = [index, constants, prony = read_prony(law, where), at = fmt::format("{}.{}", where, Law::kName)](
+                 const ElementValues& values) { return read_material<Law>(index, constants, values, prony, at); };
   });
   return result;
+}
+
+Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where) {
+  return element_law(law, where)(values);
 }
 
 }  // namespace tensormass::model

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string_view>
 #include <vector>
@@ -28,6 +29,15 @@ struct ElementValues {
   std::optional<double> young_modulus_pa, poisson_ratio;
   std::optional<Vec3<double>> fibre_direction;
 };
+
+/// Makes the material of one element of a law.
+///
+/// values:  the element's own, over the law's constants.
+/// returns: its material, or the error that read_law reports.
+using ElementLaw = std::function<Result<Material>(const ElementValues& values)>;
+
+/// Reads what all elements of a law share once, because scenes have millions of elements with their own values.
+ElementLaw element_law(const v1::Law& law, std::string_view where);
 
 /// The law whose field is set, by its name in physics/lists.h. A law that is given by Young's modulus and Poisson's
 /// ratio needs no code here. Errors: no law, a modulus or ratio outside its range, a value that the law does not have.

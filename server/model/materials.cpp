@@ -73,14 +73,17 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
     }
     return {};
   }
+  std::vector<ElementLaw> element_laws;
+  for (std::size_t i = 0; i < laws.size(); ++i) element_laws.push_back(element_law(*laws[i], law_where[i]));
   out.element_materials.resize(element_count);
+  out.materials.reserve(element_count);
   for (std::uint32_t e = 0; e < element_count; ++e) {
     ElementValues values;
     if (!young.empty()) values.young_modulus_pa = young[e];
     if (!poisson.empty()) values.poisson_ratio = poisson[e];
     if (!fibres.empty()) values.fibre_direction = Vec3<double>(fibres[3 * e], fibres[3 * e + 1], fibres[3 * e + 2]);
     const std::size_t law = law_of.empty() ? 0 : law_of[e];
-    auto material = read_law(*laws[law], values, law_where[law]);
+    auto material = element_laws[law](values);
     if (!material) return invalid(fmt::format("{}, element {}: {}", at, e, material.error().message));
     out.materials.push_back(std::move(*material));
     out.element_materials[e] = e;

@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tensormass.trade.measures import Errors
-from tensormass.trade.script import Costs
-from tensormass.trade.store import Machine, Measurement
+from tensormass_tools.trade.measures import Errors
+from tensormass_tools.trade.recording import Costs
+from tensormass_tools.trade.store import Machine, Measurement
 
 from . import trade
 from .trade import OWN, SCENES, Trade

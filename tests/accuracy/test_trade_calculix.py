@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tensormass.trade.script import Script
+from tensormass_tools.trade.script import Script
 
 from .meshes import box
 from .trade_calculix import Beam, Setting, deck, quadratic, serendipity

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import yaml
 
-from tensormass import presets
-from tensormass.cli import main as tensormass
-from tensormass.processes import BUILD_BIN
-from tensormass.scene import SceneFile
-from tensormass.trade import report, sweep
-from tensormass.trade.knobs import Knob, Knobs, Setting
-from tensormass.trade.store import Measurement
+from tensormass._src.processes import BUILD_BIN
+from tensormass._src.scene_file import SceneFile
+from tensormass_tools import presets
+from tensormass_tools.cli import main as tensormass
+from tensormass_tools.trade import report, sweep
+from tensormass_tools.trade.knobs import Knob, Knobs, Setting
+from tensormass_tools.trade.store import Measurement
 
 from . import record
 

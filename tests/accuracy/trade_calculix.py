@@ -24,14 +24,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass import defaults
-from tensormass.meshes import VolumeMesh
-from tensormass.scene import SceneFile, volume_mesh
-from tensormass.trade import report, sweep
-from tensormass.trade.interpolation import Interpolation
-from tensormass.trade.knobs import Knobs
-from tensormass.trade.script import Recording, Script, node_volumes
-from tensormass.trade.store import Store
+from tensormass._src import defaults
+from tensormass._src.meshes import VolumeMesh
+from tensormass._src.packing import volume_mesh
+from tensormass._src.scene_file import SceneFile
+from tensormass_tools.trade import report, sweep
+from tensormass_tools.trade.interpolation import Interpolation
+from tensormass_tools.trade.knobs import Knobs
+from tensormass_tools.trade.recorder import node_volumes
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Store
 
 from . import calculix, record, trade
 from .meshes import Floats, Integers, box

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from tensormass.trade import sweep
+from tensormass_tools.trade import sweep
 
 from . import trade_calculix
 from .trade import SCENES, Trade, picture

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tensormass.mesh_files import read_mesh
-from tensormass.meshes import VolumeMesh
-from tensormass.organ import ORGANS
-from tensormass.scene import Scene
+from tensormass._src.mesh_files import read_mesh
+from tensormass._src.meshes import VolumeMesh
+from tensormass._src.organ import ORGANS
+from tensormass._src.scene import Scene
 
 _LOWEST = 0.1
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tensormass import cli
+from tensormass_tools import cli
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"

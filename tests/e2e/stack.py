@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 import tensormass as tm
-from tensormass.gateway import GatewayOptions, serve
 from tensormass.v1 import scene_pb2
+from tensormass_gateway.gateway import serve
+from tensormass_gateway.options import GatewayOptions
 
 DEADLINE_S = 30.0
 MAX_BROWSERS = 2

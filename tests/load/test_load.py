@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass import load_test
-from tensormass.cli import main
-from tensormass.errors import NotFoundError
-from tensormass.processes import ChildProcess, find_program
+from tensormass._src.errors import NotFoundError
+from tensormass._src.processes import ChildProcess, find_program
+from tensormass_tools import load_arguments, load_test
+from tensormass_tools.cli import main
 
 # A small beam under a probe: the test is of the clients, not of the solver. 250 steps a second, so that the
 # percentiles' window of 1024 steps is short.
@@ -65,7 +65,7 @@ def server(haptic_program: Path) -> Iterator[tm.Server]:
 
 def arguments(*options: object) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    load_test.add_arguments(parser)
+    load_arguments.add_arguments(parser)
     return parser.parse_args([str(option) for option in options])
 
 
@@ -126,7 +126,7 @@ def test_a_stopped_viewer_is_compared_with_before_and_after(
     assert stopped["seconds"] == pytest.approx(1.05 * 1024 / 250)
     assert [phase["name"] for phase in stopped["phases"]] == ["before", "while stopped", "after"]
     assert all(phase["step_time_p99_s"] > 0.0 for phase in stopped["phases"])
-    # It really stood still: its oldest frame, or the frames it missed, say so.
+    # Its oldest frame, or the frames it missed, prove that it was stopped.
     (viewer,) = report["viewers"]
     assert viewer["was_stopped"]
     assert viewer["frames_dropped"] > 100
@@ -134,7 +134,7 @@ def test_a_stopped_viewer_is_compared_with_before_and_after(
     assert left == [others.name], "the scenes of the test are unloaded from a daemon that goes on"
 
 
-def test_what_cannot_be_set_up_is_one_line(server: tm.Server, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_set_up_is_one_line(server: tm.Server, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["load-test", "--scene", "no-such-scene.yaml", "--server", server.address]
     assert main(command) == 1
     assert capsys.readouterr().err.startswith("tensormass: no-such-scene.yaml: no such file")
@@ -180,7 +180,7 @@ def test_a_haptic_client_that_is_terminated_drains_and_reports(
     assert report["last_sequence_echoed"] == report["last_sequence_sent"] >= 100
 
 
-def test_without_answers_there_is_no_force_and_a_status_of_its_own(
+def test_without_answers_the_force_is_zero_and_the_exit_status_is_3(
     server: tm.Server, haptic_program: Path, scene_file: Path
 ) -> None:
     scene = server.load(str(scene_file))

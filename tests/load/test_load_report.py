@@ -7,9 +7,9 @@ import argparse
 import numpy as np
 import pytest
 
-from tensormass import load_report, load_test
-from tensormass.errors import InvalidArgumentError
+from tensormass._src.errors import InvalidArgumentError
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools import load_arguments, load_report, load_test
 
 
 def test_merged_histograms_have_the_percentiles_of_all_samples() -> None:
@@ -40,7 +40,7 @@ def test_without_samples_everything_is_zero() -> None:
     assert load_report.merged_histogram([{"buckets": []}])["count"] == 0
 
 
-def test_a_scene_counts_from_the_beginning_of_the_test() -> None:
+def test_a_scene_counts_from_the_start_of_the_test() -> None:
     before = stream_pb2.SceneStatus(step=100, missed_deadlines=7, poses_received=50, poses_superseded=10)
     after = stream_pb2.SceneStatus(step=300, missed_deadlines=9, poses_received=950, poses_superseded=400)
     report = load_report.scene_report(before, after, poses_sent=1000)
@@ -78,7 +78,7 @@ def test_every_haptic_client_gets_a_tool_of_its_own() -> None:
 )
 def test_options_out_of_range_are_refused(options: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     parser = argparse.ArgumentParser()
-    load_test.add_arguments(parser)
+    load_arguments.add_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args(options)
     assert message in capsys.readouterr().err
@@ -94,7 +94,7 @@ def test_options_out_of_range_are_refused(options: list[str], message: str, caps
 )
 def test_what_cannot_be_done_is_refused_before_anything_starts(options: list[str], message: str) -> None:
     parser = argparse.ArgumentParser()
-    load_test.add_arguments(parser)
+    load_arguments.add_arguments(parser)
     with pytest.raises(InvalidArgumentError, match=message):
         load_test.run(parser.parse_args(options))
 

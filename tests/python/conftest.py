@@ -1,4 +1,4 @@
-"""What several tests of the SDK need."""
+"""Fixtures of several tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tensormass.v1 import control_pb2, control_pb2_grpc
 
 @contextlib.contextmanager
 def full_disk(free_bytes: int = 2000) -> Iterator[None]:
-    """No file can be written beyond so many bytes: what a writer sees of a disk that gets full."""
+    """Limits the size of files, which a writer sees as a full disk."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (free_bytes, limits[1]))
     try:
@@ -27,12 +27,20 @@ def full_disk(free_bytes: int = 2000) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
+@pytest.fixture(autouse=True)
+def runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sets the folder in which `tensormass run` announces its daemon: one for each test."""
+    folder = tmp_path_factory.mktemp("runtime")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    return folder / "tensormass"
+
+
 class Recorder(control_pb2_grpc.ControlServicer):
-    """Answers with what a test put into `replies`, or fails with `failure`; keeps what it was asked."""
+    """Answers with the test's `replies`, or fails with `failure`; records the requests in `asked`."""
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
-        #: How long the call that came last may take [s].
+        #: Time-out of the last call [s].
         self.time_left_s = 0.0
         self.failure: tuple[grpc.StatusCode, str] | None = None
         self.replies: dict[str, Any] = {"GetVersion": control_pb2.GetVersionResponse(server="s", version="1")}
@@ -64,7 +72,7 @@ def recorder() -> Iterator[tuple[Recorder, tm.Server]]:
 
 @pytest.fixture
 def viewer(tmp_path: Path) -> Path:
-    """A folder as the built viewer's."""
+    """Makes a folder like that of the built viewer."""
     folder = tmp_path / "dist"
     (folder / "assets").mkdir(parents=True)
     (folder / "index.html").write_text("<title>viewer</title>")

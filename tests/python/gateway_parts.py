@@ -11,9 +11,10 @@ from typing import Any
 import aiohttp
 from fake_daemon import FakeDaemon, frame_of, triangle_topology
 
-from tensormass.feeds import Stream
-from tensormass.gateway import Gateway, GatewayOptions
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.gateway import Gateway
+from tensormass_gateway.options import GatewayOptions
+from tensormass_gateway.outbox import Stream
 
 TOKEN = "a-token"
 

@@ -21,11 +21,13 @@ import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, run
-from tensormass.cli import main, parse_length_m
-from tensormass.output import load_line, status_line, to_plain
-from tensormass.processes import ChildProcess, end_explained
+from tensormass._src import mesh_files, mesh_geometry, meshes
+from tensormass._src.plain import to_plain
+from tensormass._src.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass_tools import run
+from tensormass_tools.cli import main, parse_length_m
+from tensormass_tools.output import load_line, status_line
 
 STATUS = stream_pb2.SceneStatus(
     scene="demo",
@@ -51,7 +53,7 @@ def test_lengths_have_units(text: str, length_m: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "mm", "0", "-8mm", "8x", "8mmm", "nan", "inf", "1e400", "1..2"])
-def test_what_is_no_length_is_refused(text: str) -> None:
+def test_invalid_lengths_are_refused(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match="is not a positive length"):
         parse_length_m(text)
 
@@ -70,18 +72,21 @@ def test_list_and_status(recorder: tuple[Recorder, tm.Server], capsys: pytest.Ca
     fake, server = recorder
     fake.replies["ListScenes"] = control_pb2.ListScenesResponse(scenes=[STATUS])
     assert main(["list", "--server", server.address]) == 0
-    assert capsys.readouterr().out == "demo  running  step 1200\n"
+    assert capsys.readouterr().out == f"server {server.address}\ndemo  running  step 1200\n"
     assert main(["list", "--server", server.address, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == [{"scene": "demo", "state": "running", "step": 1200}]
+    listed = {"server": server.address, "scene": "demo", "state": "running", "step": 1200}
+    assert json.loads(capsys.readouterr().out) == [listed]
     assert main(["status", "--server", server.address]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
+    first, *_, line = capsys.readouterr().out.splitlines()
+    assert first.endswith(f", control {server.address}")
     for part in ("demo: 60.0/60 Hz", "missed 0.2 %", "4.2 ms (p99 9.5)", "CG 23 to 8e-04", "probe 5.00 N"):
         assert part in line
     assert main(["status", "--server", server.address, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["scenes"] == [to_plain(STATUS)]
+    said = json.loads(capsys.readouterr().out)
+    assert (said["address"], said["scenes"]) == (server.address, [to_plain(STATUS)])
 
 
-def test_status_says_what_there_is_to_know_in_full(
+def test_status_prints_guards_and_warnings_in_full(
     recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake, server = recorder
@@ -111,7 +116,7 @@ def test_a_load_is_shown_on_one_line_of_a_terminal_alone(
     assert capsys.readouterr().out.strip() == ""
 
 
-def test_a_status_says_what_guards_and_budget_did() -> None:
+def test_a_status_shows_guards_and_budget() -> None:
     status = stream_pb2.SceneStatus(cg_iterations=40, guard_events=3, guard_recoveries=2)
     assert "guards 3, mended 2" in status_line(status)
     assert "floor" not in status_line(status)
@@ -120,7 +125,7 @@ def test_a_status_says_what_guards_and_budget_did() -> None:
     assert "guards" not in status_line(status)
 
 
-def test_a_status_says_what_a_scene_does_unless_it_runs() -> None:
+def test_a_status_names_the_state_unless_the_scene_runs() -> None:
     assert "running" not in status_line(STATUS)
     for name in ("paused", "lockstep", "faulted"):
         state = stream_pb2.SceneStatus.State.Value(f"STATE_{name.upper()}")
@@ -146,8 +151,12 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
     parts = ["123", "6.4e+06 cm³", "assemble", "12.3 MB", "9,000", "777 B", "123 kB", "the scene has no tools"]
     for part in (*parts, "2 components"):
         assert part in text
+    assert text.startswith(f"server {server.address}\n")
+    # Users ask first what is simulated, and last how the memory is divided.
+    order = ["6.4e+06 cm³", "the scene has no tools", "2 components", "assemble", "777 B"]
+    assert sorted(order, key=text.index) == order
     assert main([*command, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == to_plain(report)
+    assert json.loads(capsys.readouterr().out) == {"server": server.address, **to_plain(report)}
     assert main(["load", "beam", "--server", server.address]) == 0
     assert (fake.asked[-1].scene.name, fake.asked[-1].scene.stepping.lockstep) == ("beam", False)
 
@@ -162,18 +171,25 @@ def test_a_scene_is_unloaded_and_reported_by_its_name(
         "UnloadScene": control_pb2.UnloadSceneResponse(),
     }
     output = tmp_path / "demo.npz"
-    for option, said in (([], f"wrote {output}\n"), (["--json"], json.dumps({"output": str(output)}) + "\n")):
+    plain = {"server": server.address, "output": str(output)}
+    for option, said in (
+        ([], f"wrote {output} from {server.address}\n"),
+        (["--json"], json.dumps(plain) + "\n"),
+    ):
         assert main(["report", "demo", "--server", server.address, "-o", str(output), *option]) == 0
         assert capsys.readouterr().out == said
     with np.load(output) as written:
         assert json.loads(str(written["status"])) == to_plain(STATUS)
-    for option, said in (([], "unloaded demo\n"), (["--json"], '{"unloaded": "demo"}\n')):
+    for option, said in (
+        ([], f"unloaded demo from {server.address}\n"),
+        (["--json"], json.dumps({"server": server.address, "unloaded": "demo"}) + "\n"),
+    ):
         assert main(["unload", "demo", "--server", server.address, *option]) == 0
         assert capsys.readouterr().out == said
         assert fake.asked[-1] == control_pb2.UnloadSceneRequest(scene="demo")
 
 
-def test_errors_are_said_and_counted_in_the_status(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_errors_are_printed_and_set_the_exit_status(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     missing = str(tmp_path / "none.vtu")
     assert main(["mesh", missing, "-o", str(tmp_path / "out.msh")]) == 1
     assert capsys.readouterr().err == f"tensormass: {missing}: no such file\n"
@@ -219,7 +235,7 @@ def test_a_gateway_that_cannot_start_is_refused_before_anything_starts(
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-5"])
-def test_run_refuses_seconds_that_never_or_already_end(
+def test_run_refuses_seconds_that_are_not_positive_and_finite(
     seconds: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
@@ -237,7 +253,7 @@ def test_run_refuses_rates_that_are_none(
 
 
 def let_run(recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch, *tools: str) -> None:
-    """What `run` launches is the recorder, whose scene has these tools and goes on and on."""
+    """Replaces the daemon of `run` by the recorder, whose scene has these tools and never ends."""
     fake, server = recorder
     topology = stream_pb2.Topology(tools=[stream_pb2.ToolShape(name=name) for name in tools])
     fake.replies |= {
@@ -280,7 +296,7 @@ def test_run_ends_with_a_haptic_device(
     assert capsys.readouterr().err == f"tensormass: a haptic device ended by itself:\nit broke: {told}\n"
 
 
-def test_run_says_once_that_a_scene_stands_still(
+def test_run_reports_a_stopped_scene_once(
     recorder: tuple[Recorder, tm.Server],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -361,7 +377,7 @@ def test_run_says_where_no_viewer_can_be_served(
         (["load-test", "--server", "a:1", "--backend", "cpu"], "are for a daemon to start"),
     ],
 )
-def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
+def test_options_that_a_running_daemon_cannot_take_are_wrong_usage(
     options: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as usage:
@@ -370,7 +386,7 @@ def test_what_a_daemon_cannot_be_asked_for_is_wrong_usage(
     assert message in capsys.readouterr().err
 
 
-def test_as_many_threads_as_the_daemon_takes_are_not_too_many(
+def test_the_largest_number_of_threads_is_accepted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
@@ -379,7 +395,7 @@ def test_as_many_threads_as_the_daemon_takes_are_not_too_many(
         assert capsys.readouterr().err.startswith("tensormass: $TENSORMASSD names /nonexistent")
 
 
-def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigterm_cleans_up_like_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     tidied = []
 
     @contextlib.contextmanager
@@ -392,7 +408,7 @@ def test_sigterm_tidies_up_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> No
             os.kill(os.getpid(), signal.SIGTERM)  # a second one
             tidied.append(address)
 
-    monkeypatch.setattr("tensormass.cli.connect", connect)
+    monkeypatch.setattr("tensormass_tools.cli.connect", connect)
     before = signal.getsignal(signal.SIGTERM)
     assert main(["list", "--server", "a:1"]) == 143
     assert tidied == ["a:1"]
@@ -413,7 +429,7 @@ def test_output_that_is_lost_is_one_line(redirection: str, words: str) -> None:
     assert (done.returncode, done.stderr) == (1, words)
 
 
-def test_a_daemon_of_ones_own_that_ended_is_said_with_its_log(tmp_path: Path) -> None:
+def test_the_end_of_the_commands_own_daemon_is_reported_with_its_log(tmp_path: Path) -> None:
     log = tmp_path / "daemon.log"
     log.write_text("last words\n")
     daemon = ChildProcess(["sleep", "60"], output=subprocess.DEVNULL)
@@ -435,7 +451,7 @@ def test_a_daemon_of_ones_own_that_ended_is_said_with_its_log(tmp_path: Path) ->
 
 def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
-    surface = meshes.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
+    surface = mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
     source = tmp_path / "surface.ply"
     meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype(np.int32))]).write(source)
     output = tmp_path / "volume.msh"
@@ -444,7 +460,7 @@ def test_mesh_fills_a_surface_in_its_unit(tmp_path: Path, capsys: pytest.Capture
     assert report["volume"] == pytest.approx(8 / 3 * 0.05**3, rel=0.02)
     assert report["mean_edge_length"] == pytest.approx(0.04, rel=0.8)
     assert report["inverted_count"] == 0
-    assert meshes.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
+    assert mesh_geometry.quality(mesh_files.read_mesh(output)).volume == pytest.approx(report["volume"])
 
 
 def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -453,4 +469,4 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
     mesh_files.write_mesh(source, inverted)
     assert main(["mesh", str(source), "-o", str(output)]) == 0
     assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in capsys.readouterr().out
-    np.testing.assert_allclose(meshes.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])

@@ -23,7 +23,7 @@ from conftest import Recorder
 from fake_daemon import FakeDaemon, fake_daemon, frame_of, triangle_topology
 
 import tensormass as tm
-from tensormass import processes
+from tensormass._src import processes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 DEADLINE_S = 10.0
@@ -169,7 +169,7 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
     assert feedback.client_time_ns == 77
 
 
-def test_nobody_there_is_said_in_time() -> None:
+def test_a_missing_daemon_is_reported_in_time() -> None:
     begin = time.monotonic()
     with pytest.raises(tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"):
         tm.connect("127.0.0.1:1", timeout_s=0.2)
@@ -181,7 +181,7 @@ def test_nobody_there_is_said_in_time() -> None:
 
 @pytest.fixture
 def loop() -> Iterator[Callable[[Coroutine[Any, Any, Any]], Any]]:
-    """Runs coroutines on an event loop in a thread, for the asynchronous fake beside the synchronous SDK."""
+    """Runs coroutines on an event loop in a thread, so that the asynchronous fake serves the synchronous SDK."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)
     thread.start()
@@ -264,7 +264,7 @@ class Script:
         return self.frames.pop(0)
 
 
-def test_frames_that_are_no_news_are_passed_over_and_lost_ones_counted(daemon: FakeDaemon) -> None:
+def test_repeated_frames_are_skipped_and_lost_ones_counted(daemon: FakeDaemon) -> None:
     old, new = triangle_topology("s", vertex_count=4), triangle_topology("s", version=2, vertex_count=6)
     daemon.topologies["s"] = old
     daemon.frames["s"] = frame_of(old, 1)
@@ -348,7 +348,7 @@ def test_a_child_ends_with_its_parent_however_that_ends(tmp_path: Path, how: sig
         [
             sys.executable,
             "-c",
-            "import subprocess, threading; from tensormass.processes import ChildProcess\n"
+            "import subprocess, threading; from tensormass._src.processes import ChildProcess\n"
             "def start():\n"  # of a thread that is gone at once
             "    child = ChildProcess(['sleep', '600'], output=subprocess.DEVNULL)\n"
             "    print(child.process.pid, flush=True)\n"
@@ -441,7 +441,7 @@ def test_launch_gives_up_on_a_daemon_that_is_never_ready(tmp_path: Path, monkeyp
     assert not is_running(int(pid_file.read_text()))
 
 
-def test_a_named_program_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_program_is_reported_by_its_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent/tensormassd")
     with pytest.raises(tm.NotFoundError, match=r"\$TENSORMASSD names /nonexistent/tensormassd"):
         tm.launch()

@@ -10,8 +10,9 @@ import pytest
 from asynchronous import asynchronous
 from fake_daemon import frame_of, triangle_topology
 
-from tensormass.feeds import Feed, Outbox, Stream, Watcher
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_gateway.feed import Feed
+from tensormass_gateway.outbox import Outbox, Stream, Watcher
 
 
 class Control:
@@ -62,7 +63,7 @@ async def test_a_frame_that_was_asked_for_does_not_replace_a_newer_one() -> None
 
 
 @asynchronous
-async def test_a_frame_without_positions_is_none() -> None:
+async def test_a_frame_without_positions_is_not_shown() -> None:
     feed, outbox = feed_of(Control(triangle_topology("liver")))
     await feed._fetch_first()
     assert [stream for stream, _ in await taken(outbox)] == ["topology"]
@@ -82,7 +83,7 @@ async def test_a_sequence_that_does_not_rise_may_be_of_another_topology(again: i
 
 
 @asynchronous
-async def test_who_comes_after_a_new_topology_gets_no_frame_of_the_old_one() -> None:
+async def test_a_browser_that_joins_after_a_new_topology_gets_no_old_frame() -> None:
     control = Control(triangle_topology("liver"))
     feed, _ = feed_of(control)
     await feed._on_frame(frame_of(control.topology, 5).SerializeToString())

@@ -65,7 +65,7 @@ def test_an_unknown_field_is_refused_before_the_call(recorder: tuple[Recorder, t
 
 
 @pytest.mark.parametrize("components", [0, 2])
-def test_values_that_are_no_rows_are_refused(recorder: tuple[Recorder, tm.Server], components: int) -> None:
+def test_values_that_are_not_whole_rows_are_refused(recorder: tuple[Recorder, tm.Server], components: int) -> None:
     fake, server = recorder
     fake.replies["GetFields"] = reply((control_pb2.FIELD_DET_F, components, [1, 2, 3]))
     with pytest.raises(tm.InternalError, match="field det_f: 24 bytes are no rows"):

@@ -10,8 +10,8 @@ import meshio
 import numpy as np
 import pytest
 
-from tensormass import mesh_files
-from tensormass.files import replacing
+from tensormass._src import mesh_files
+from tensormass._src.files import replacing
 
 
 def test_a_file_is_there_only_when_it_is_whole(tmp_path: Path) -> None:
@@ -26,7 +26,7 @@ def test_a_file_is_there_only_when_it_is_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_fails_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "old.txt"
     path.write_text("old")
 
@@ -51,7 +51,7 @@ def test_a_replaced_file_keeps_its_mode(tmp_path: Path) -> None:
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", 0o640)
 
 
-def test_a_link_goes_on_naming_what_it_names(tmp_path: Path) -> None:
+def test_a_link_keeps_naming_the_same_file(tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     link = tmp_path / "link.txt"
@@ -79,12 +79,12 @@ def test_a_pipe_is_written_to_directly(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["/dev/null", "/dev/stdout", "/proc/self/fd/1"])
-def test_what_the_system_names_is_written_to_directly(name: str) -> None:
+def test_system_files_are_written_directly(name: str) -> None:
     with replacing(Path(name)) as aside:
         assert aside == Path(name)
 
 
-def test_what_cannot_be_replaced_says_so_itself(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_replaced_reports_its_own_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "none" / "file") as aside:
         aside.write_text("lost")
     with pytest.raises(IsADirectoryError), replacing(tmp_path) as aside:
@@ -92,7 +92,7 @@ def test_what_cannot_be_replaced_says_so_itself(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_may_not_be_written_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_file_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "kept.txt"
     path.touch()
     monkeypatch.setattr(os, "access", lambda of, mode: Path(of) != path or not mode & os.W_OK)

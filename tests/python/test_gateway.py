@@ -21,9 +21,10 @@ from asynchronous import DEADLINE_S, asynchronous
 from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
-from tensormass.feeds import Stream
-from tensormass.gateway import Gateway, GatewayOptions, add_arguments, options_from, serve
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.gateway import Gateway, serve
+from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
+from tensormass_gateway.outbox import Stream
 
 # --- what is forwarded -----------------------------------------------------------------------------------------------
 
@@ -56,7 +57,7 @@ async def test_next_frame_leaves_only_after_the_acknowledgement_and_is_the_newes
             assert await quick.take(Stream.FRAME) == first
             for sequence in range(2, 11):
                 newest = await publish(daemon, topology, sequence)
-                # The quick one is not held up by the slow one.
+                # The slow browser does not delay the quick one.
                 assert await quick.take(Stream.FRAME) == newest
             assert await slow.nothing_pending()
             await slow.send(type="ack", stream="frame")
@@ -65,7 +66,7 @@ async def test_next_frame_leaves_only_after_the_acknowledgement_and_is_the_newes
 
 
 @asynchronous
-async def test_late_browser_gets_what_is_known_at_once(viewer: Path) -> None:
+async def test_late_browser_gets_the_newest_messages_at_once(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         topology = load(daemon)
         async with browse(gateway, "liver") as first:
@@ -79,7 +80,7 @@ async def test_late_browser_gets_what_is_known_at_once(viewer: Path) -> None:
 
 
 @asynchronous
-async def test_scene_that_stands_still_is_shown(viewer: Path) -> None:
+async def test_paused_scene_is_shown(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         daemon.frames["liver"] = frame_of(load(daemon), 3)
         async with browse(gateway, "liver") as page:
@@ -134,7 +135,7 @@ async def test_clock_is_answered_in_milliseconds_of_the_epoch(viewer: Path) -> N
 
 
 @asynchronous
-async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
+async def test_browsers_are_told_when_scenes_are_loaded_and_unloaded(viewer: Path) -> None:
     async with (
         fake_daemon() as daemon,
         serve(options(viewer, daemon.control)) as gateway,
@@ -151,7 +152,7 @@ async def test_scenes_that_come_and_go_are_told(viewer: Path) -> None:
 
 
 @asynchronous
-async def test_scene_that_went_is_not_shown_to_who_comes_late(viewer: Path) -> None:
+async def test_late_browser_is_not_shown_an_unloaded_scene(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         load(daemon)
         async with browse(gateway, "liver") as first:
@@ -184,7 +185,7 @@ async def test_streams_that_nobody_watches_are_not_received(viewer: Path) -> Non
 
 
 @asynchronous
-async def test_daemon_without_zeromq_is_told(viewer: Path) -> None:
+async def test_daemon_without_zeromq_is_reported(viewer: Path) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
         daemon.publishes = False
         told = await page.text(lambda message: message["type"] == "daemon" and bool(message["problem"]))
@@ -266,7 +267,12 @@ async def test_garbage_on_the_bus_is_counted_and_survived(viewer: Path) -> None:
     ("message", "code", "reason"),
     [
         ("no JSON", 1008, "not JSON"),
+        (f'{{"type":{2000 * "["}{2000 * "]"}}}', 1008, "nested too deep"),
         ("[1]", 1008, "not a JSON object"),
+        ('{"type":"clock","client_time_ms":NaN}', 1008, "client_time_ms is not a finite number"),
+        ('{"type":"clock","client_time_ms":-Infinity}', 1008, "client_time_ms is not a finite number"),
+        ('{"type":"clock","client_time_ms":true}', 1008, "client_time_ms is not a finite number"),
+        (f'{{"type":"clock","client_time_ms":1{400 * "0"}}}', 1008, "client_time_ms is not a finite number"),
         ('{"type":"ack","stream":"frame"}', 1008, "none is on its way"),
         ('{"type":"ack","stream":"pose"}', 1008, "no stream"),
         ('{"type":"ack","stream":["frame"]}', 1008, "unknown"),
@@ -300,7 +306,7 @@ async def test_browser_that_breaks_the_protocol_is_closed(
 
 @asynchronous
 async def test_browser_that_answers_no_ping_is_let_go(viewer: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tensormass.gateway.HEARTBEAT_S", 1.0)
+    monkeypatch.setattr("tensormass_gateway.gateway.HEARTBEAT_S", 1.0)
     async with (
         fake_daemon() as daemon,
         serve(options(viewer, daemon.control)) as gateway,
@@ -322,7 +328,7 @@ async def test_browser_that_answers_no_ping_is_let_go(viewer: Path, monkeypatch:
 
 
 @asynchronous
-async def test_browser_that_goes_away_while_it_is_answered_is_no_failure(
+async def test_browser_that_disconnects_during_an_answer_is_not_a_failure(
     viewer: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def send_json(socket: web.WebSocketResponse, message: dict[str, object]) -> None:
@@ -446,7 +452,7 @@ async def test_wrong_pose_is_refused(viewer: Path, tool: str, position: str, rea
 # --- as a program ----------------------------------------------------------------------------------------------------
 
 
-def test_viewer_that_is_not_built_is_said(tmp_path: Path) -> None:
+def test_viewer_that_is_not_built_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="npm run build"):
         Gateway(options(tmp_path))
 
@@ -486,8 +492,8 @@ async def test_address_of_ipv6_has_brackets(viewer: Path) -> None:
 def test_program_prints_its_address_writes_the_ready_file_and_ends_on_sigterm(viewer: Path, tmp_path: Path) -> None:
     ready = tmp_path / "ready.json"
     program = (
-        "import argparse, sys; from tensormass import gateway; parser = argparse.ArgumentParser();"
-        "parser.add_argument('--server'); gateway.add_arguments(parser); sys.exit(gateway.run(parser.parse_args()))"
+        "import argparse, sys; from tensormass_gateway import command, options; parser = argparse.ArgumentParser();"
+        "parser.add_argument('--server'); options.add_arguments(parser); sys.exit(command.run(parser.parse_args()))"
     )
     arguments = ["--server", "127.0.0.1:1", "--viewer", str(viewer), "--gateway-ready-file", str(ready)]
     with subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True) as process:

@@ -14,7 +14,8 @@ from fake_daemon import fake_daemon
 from gateway_parts import TOKEN, browse, options, origin
 from yarl import URL
 
-from tensormass.gateway import Gateway, add_arguments, serve
+from tensormass_gateway.gateway import Gateway, serve
+from tensormass_gateway.options import add_arguments
 
 
 @asynchronous
@@ -75,8 +76,8 @@ async def test_own_name_is_known_however_it_is_written(viewer: Path) -> None:
         patched.setattr(platform, "node", lambda: "Trainer")
         own = Gateway(options(viewer, host="Viewer.Example"))
     for host in ("trainer:8000", "viewer.example:8000"):
-        assert own._is_own(f"http://{host}", host)
-    assert not own._is_own("http://other.example:8000", "other.example:8000")
+        assert own._admission._is_own(f"http://{host}", host)
+    assert not own._admission._is_own("http://other.example:8000", "other.example:8000")
     await own.stop()
 
 

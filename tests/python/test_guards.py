@@ -13,10 +13,10 @@ import pytest
 from conftest import full_disk
 
 import tensormass as tm
-from tensormass import processes
-from tensormass.cli import main
-from tensormass.output import state_name
+from tensormass._src import processes
 from tensormass.v1 import scene_pb2
+from tensormass_tools.cli import main
+from tensormass_tools.output import state_name
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -116,7 +116,7 @@ def test_a_run_counts_its_seconds_from_where_the_scene_steps(
         time.sleep(1.0)
         return tm.launch(**options)
 
-    monkeypatch.setattr("tensormass.run.launch", launch_late)
+    monkeypatch.setattr("tensormass_tools.run.launch", launch_late)
     status, said = run_without_devices(BLOCK, tmp_path, capsys, 0.9)
     assert status == 0
     assert said[-1]["status"]["step"] > 50, "of 180 in that time"

@@ -22,7 +22,7 @@ import pytest
 import zmq
 
 import tensormass as tm
-from tensormass import processes
+from tensormass._src import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
 try:
@@ -98,7 +98,7 @@ def at(server: tm.Server, scene: tm.SceneHandle) -> tuple[str, ...]:
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_scene_without_frames_is_joined_when_it_is_said_where_to_press(
+def test_a_scene_without_frames_is_joined_if_the_place_to_press_is_given(
     server: tm.Server, load: Callable[[str], tm.SceneHandle]
 ) -> None:
     scene = load(BLOCK + "streams: {frame_rate_hz: 0}\n")
@@ -122,7 +122,7 @@ def test_a_hand_at_the_ends_of_its_options_sends_poses_that_are_some(
     assert scene.status().poses_rejected == 0
 
 
-def test_a_proxy_for_the_web_is_none_for_the_server(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
+def test_a_web_proxy_is_not_used_for_the_server(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
     proxy = {
         "http_proxy": "http://127.0.0.1:1",
         "grpc_proxy": "http://127.0.0.1:1",

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 import tensormass as tm
-from tensormass import processes
+from tensormass._src import processes
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -42,7 +42,7 @@ def test_a_load_says_how_far_it_is(server: tm.Server) -> None:
     handle.unload()
 
 
-def test_what_the_callback_raises_ends_the_load(server: tm.Server) -> None:
+def test_an_exception_of_the_callback_ends_the_load(server: tm.Server) -> None:
     def give_up(part: str, fraction: float) -> None:
         raise KeyboardInterrupt
 
@@ -52,7 +52,7 @@ def test_what_the_callback_raises_ends_the_load(server: tm.Server) -> None:
     server.load(scene, name="next").unload()
 
 
-def test_a_refusal_reads_as_without_a_callback(server: tm.Server) -> None:
+def test_a_refusal_has_the_same_text_with_a_callback(server: tm.Server) -> None:
     scene = tm.Scene.from_yaml(BLOCK)
     scene.message.bodies[0].density_kg_per_m3 = -1
     for progress in (None, lambda part, fraction: None):

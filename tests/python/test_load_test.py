@@ -1,4 +1,4 @@
-"""What a load test reports when something goes wrong in it: it never ends without its report."""
+"""Reports of load tests in which something goes wrong: every test ends with its report."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ import pytest
 from conftest import full_disk
 
 import tensormass as tm
-from tensormass import load_report, load_test, load_viewer, processes
-from tensormass.cli import main
-from tensormass.meshes import FloatArray
+from tensormass._src import processes
+from tensormass._src.meshes import FloatArray
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_tools import load_report, load_test, load_viewer
+from tensormass_tools.cli import main
 
 BLOCK = """
 name: block
@@ -86,7 +87,7 @@ def test_a_scene_that_is_stopped_is_named_in_the_report(
 
     def see_them_ready(test: load_test._LoadTest, viewers: list[load_test._Client]) -> None:
         wait_until_ready(test, viewers)
-        # Who is still about to start would be ended without a report.
+        # A viewer that is still starting would be ended without a report.
         assert all(viewer.ready_file.exists() for viewer in viewers)
 
     monkeypatch.setattr(load_test._LoadTest, "_wait_until_ready", see_them_ready)
@@ -135,7 +136,7 @@ def test_poses_of_a_client_that_failed_are_not_known(
     assert without["poses_sent"] is without["poses_overtaken_on_the_way"] is None
 
 
-def test_what_the_daemon_could_not_read_is_an_error(
+def test_messages_that_the_daemon_could_not_read_are_errors(
     load: Callable[..., Loaded], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     version, more = tm.Server.version, itertools.count(5, 2)
@@ -167,7 +168,7 @@ def test_hands_press_as_long_as_a_viewer_is_stopped_and_watched(
     assert [phase["name"] for phase in report["stopped_viewer"]["phases"]] == ["before", "while stopped", "after"]
 
 
-def test_what_is_not_known_is_a_dash_for_people() -> None:
+def test_unknown_numbers_are_printed_as_dashes() -> None:
     after = stream_pb2.SceneStatus(scene="s", step=10, missed_deadlines=2, poses_received=5)
     scene = load_report.scene_report(stream_pb2.SceneStatus(), after, poses_sent=None)
     assert scene["poses_received"] == 5
@@ -252,7 +253,7 @@ def a_test(folder: Path, **options: object) -> load_test._LoadTest:
         ({"feedback_malformed": 3}, "3 malformed messages"),
     ],
 )
-def test_what_a_haptic_client_lost_is_an_error(tmp_path: Path, said: dict[str, int], error: str | None) -> None:
+def test_lost_poses_of_a_haptic_client_are_an_error(tmp_path: Path, said: dict[str, int], error: str | None) -> None:
     client, test = client_of(tmp_path, "haptic"), a_test(tmp_path)
     client.process.stop()
     client.report_file.write_text(json.dumps({**HAPTIC, **said}))

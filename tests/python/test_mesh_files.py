@@ -11,9 +11,9 @@ import pytest
 from conftest import full_disk
 from test_meshes import CUBE, CUBE_QUADS, enclosed_volume, mixed_mesh, regular_tetrahedron
 
-from tensormass import mesh_files, meshes
-from tensormass.errors import InvalidArgumentError, NotFoundError
-from tensormass.shapes import SHAPES
+from tensormass._src import grids, mesh_files, mesh_geometry, meshes
+from tensormass._src.errors import InvalidArgumentError, NotFoundError
+from tensormass._src.shapes import SHAPES
 
 SHARED_MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
 
@@ -48,7 +48,7 @@ def gmsh1_file(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("flat", ["2 1 1 3 10 20 30", "3 1 1 4 10 20 30 40", "1 1 1 2 10 20", "15 1 1 1 10"])
-def test_gmsh1_maps_node_numbers_and_passes_over_what_has_no_volume(tmp_path: Path, flat: str) -> None:
+def test_gmsh1_maps_node_numbers_and_skips_elements_without_volume(tmp_path: Path, flat: str) -> None:
     assert "\n1 2 1 1 3 10 20 30\n" in GMSH1
     mesh = mesh_files.read_mesh(gmsh1_file(tmp_path, GMSH1.replace("1 2 1 1 3 10 20 30", f"1 {flat}")))
     np.testing.assert_array_equal(mesh.nodes[3:], [[0, 0, 1], [1, 1, 1]])
@@ -88,11 +88,11 @@ def test_reads_the_shared_liver_in_gmsh1() -> None:
     mesh = mesh_files.read_mesh(shared_mesh("liver.msh"))
     assert mesh.nodes.shape == (181, 3)
     assert mesh.elements("tetrahedron").shape == (596, 4)
-    assert meshes.quality(mesh).inverted_count == 0
+    assert mesh_geometry.quality(mesh).inverted_count == 0
 
 
 @pytest.mark.parametrize("ending", ["msh", "vtk", "vtu"])
-def test_what_is_written_is_read_back_exactly(tmp_path: Path, ending: str) -> None:
+def test_written_meshes_are_read_back_exactly(tmp_path: Path, ending: str) -> None:
     mesh = regular_tetrahedron()
     path = tmp_path / f"mesh.{ending}"
     mesh_files.write_mesh(path, mesh)
@@ -119,7 +119,7 @@ def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> N
 @pytest.mark.parametrize("binary", [True, False])
 def test_a_mesh_of_ansys_is_refused_whole_or_cut_off(tmp_path: Path, binary: bool, share: float) -> None:
     path = tmp_path / "fluent.MSH"
-    grid = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0])
+    grid = grids.grid([1, 1, 1], [1.0, 1.0, 1.0])
     mesh = meshio.Mesh(grid.nodes, [("tetra", grid.elements("tetrahedron").astype(np.int64))])
     meshio.write(path, mesh, file_format="ansys", binary=binary)
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
@@ -128,7 +128,7 @@ def test_a_mesh_of_ansys_is_refused_whole_or_cut_off(tmp_path: Path, binary: boo
             read(path)
 
 
-def test_what_gmsh_says_before_its_mesh_is_passed_over(tmp_path: Path) -> None:
+def test_gmsh_sections_before_the_mesh_are_skipped(tmp_path: Path) -> None:
     path = tmp_path / "mesh.msh"
     path.write_text("$Comments\n(made by hand)\n$EndComments\n" + MSH_22)
     assert mesh_files.read_mesh(path).element_count == 2
@@ -139,7 +139,7 @@ def test_a_full_disk_leaves_the_mesh_that_is_there(tmp_path: Path) -> None:
     mesh_files.write_mesh(path, regular_tetrahedron())
     before = path.read_bytes()
     with full_disk(), pytest.raises(InvalidArgumentError, match=r"mesh\.vtu: cannot be written: File too large"):
-        mesh_files.write_mesh(path, meshes.grid([9, 9, 9], [1.0, 1.0, 1.0]))
+        mesh_files.write_mesh(path, grids.grid([9, 9, 9], [1.0, 1.0, 1.0]))
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
@@ -169,7 +169,7 @@ def assert_same(back: meshes.VolumeMesh, mesh: meshes.VolumeMesh) -> None:
 @pytest.mark.parametrize("ending", ["vtu", "vtk", "msh"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_shape_is_read_back_with_sets_and_fields(tmp_path: Path, shape: str, ending: str) -> None:
-    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
+    grid = grids.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
     count = grid.element_count
     mesh = replace(
         grid,
@@ -285,7 +285,7 @@ def test_sets_of_an_abaqus_file_are_sets_of_nodes(tmp_path: Path) -> None:
     path.write_text(ABAQUS)
     mesh = mesh_files.read_mesh(path)
     np.testing.assert_array_equal(mesh.elements("wedge"), [[0, 1, 2, 3, 4, 5]])
-    np.testing.assert_allclose(meshes.signed_volumes(mesh), [0.5])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh), [0.5])
     assert mesh.sets["base"].tolist() == [0, 1, 2]
     assert mesh.sets["prism"].tolist() == [0, 1, 2, 3, 4, 5]
 
@@ -303,7 +303,7 @@ def test_fields_are_those_of_the_volume_elements() -> None:
     }
 
 
-def test_what_gmsh_keeps_for_itself_is_no_set() -> None:
+def test_gmsh_bookkeeping_does_not_become_a_set() -> None:
     cell_sets = {"gmsh:bounding_entities": [np.array([0])], "wall": [np.array([0])]}
     mesh = meshio.Mesh(CUBE, [("tetra", [[0, 1, 2, 4]])], cell_sets=cell_sets)
     assert {name: nodes.tolist() for name, nodes in mesh_files.from_meshio(mesh).sets.items()} == {"wall": [0, 1, 2, 4]}

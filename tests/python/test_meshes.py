@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tensormass import meshes
-from tensormass.errors import InvalidArgumentError
-from tensormass.shapes import SHAPES
+from tensormass._src import grids, mesh_geometry, mesh_repair, meshes, tetwild
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.shapes import SHAPES
 
 CUBE = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
 CUBE_QUADS = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
@@ -67,10 +67,10 @@ def test_arrays_that_make_no_mesh_are_refused(nodes: object, tetrahedra: object,
 
 
 def test_quality_of_the_regular_tetrahedron() -> None:
-    quality = meshes.quality(regular_tetrahedron())
+    quality = mesh_geometry.quality(regular_tetrahedron())
     assert quality.volume == pytest.approx(8 / 3)
     assert quality.mean_edge_length == pytest.approx(np.sqrt(8))
-    np.testing.assert_allclose(meshes.dihedral_angles_deg(regular_tetrahedron()), np.degrees(np.arccos(1 / 3)))
+    np.testing.assert_allclose(mesh_geometry.dihedral_angles_deg(regular_tetrahedron()), np.degrees(np.arccos(1 / 3)))
     assert quality.inverted_count == 0
 
 
@@ -78,7 +78,7 @@ def test_boundary_is_closed_outward_and_compact() -> None:
     mesh = regular_tetrahedron()
     nodes = np.vstack([[[9, 9, 9]], mesh.nodes])
     unused = meshes.VolumeMesh.from_tetrahedra(nodes, mesh.elements("tetrahedron") + 1)
-    surface = meshes.boundary(unused)
+    surface = mesh_geometry.boundary(unused)
     assert len(surface.vertices) == 4
     assert enclosed_volume(surface) == pytest.approx(8 / 3)
 
@@ -89,10 +89,10 @@ def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
     far = [[9, 9, 9], [9.1, 9, 9], [9, 9.1, 9], [9, 9, 9.1]]
     tetrahedra = [[0, 1, 2, 3], [1, 3, 2, 4], [0, 1, 2, 5], [6, 7, 8, 9]]
     mesh = meshes.VolumeMesh.from_tetrahedra(corners + far + [[5, 5, 5]], tetrahedra)
-    assert meshes.quality(mesh).inverted_count == 2
-    repaired = meshes.repair(mesh)
+    assert mesh_geometry.quality(mesh).inverted_count == 2
+    repaired = mesh_repair.repair(mesh)
     assert repaired.nodes.shape == (5, 3)
-    np.testing.assert_allclose(meshes.signed_volumes(repaired), [1 / 6, 1 / 3])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(repaired), [1 / 6, 1 / 3])
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
@@ -100,28 +100,28 @@ def test_repair_keeps_the_most_volume_in_whatever_unit(scale: float) -> None:
     crumb = np.array([[5, 5, 5], [5.1, 5, 5], [5, 5.1, 5], [5, 5, 5.1], [5.1, 5.1, 5.1]])
     nodes = np.concatenate([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], crumb])
     mesh = meshes.VolumeMesh.from_tetrahedra(scale * nodes, [[4, 5, 6, 7], [5, 7, 6, 8], [0, 1, 2, 3]])
-    np.testing.assert_allclose(meshes.signed_volumes(meshes.repair(mesh)), [scale**3 / 6])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_repair.repair(mesh)), [scale**3 / 6])
 
 
 def test_volume_under_a_warped_side_is_exact() -> None:
-    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    box = grids.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
     nodes = box.nodes.copy()
     nodes[7] = [1, 1, 2]  # the top is at 1 + x y
-    np.testing.assert_allclose(meshes.signed_volumes(replace(box, nodes=nodes)), [1.25])
+    np.testing.assert_allclose(mesh_geometry.signed_volumes(replace(box, nodes=nodes)), [1.25])
 
 
 def test_components_of_a_long_chain_are_one() -> None:
     chain = np.arange(2000)[:, None] + np.arange(4)[None, :]
     shuffled = np.random.default_rng(1).permutation(2003)[chain]
-    assert len(np.unique(meshes._components(2003, [shuffled]))) == 1
-    assert len(np.unique(meshes._components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
+    assert len(np.unique(mesh_repair._components(2003, [shuffled]))) == 1
+    assert len(np.unique(mesh_repair._components(2003, [np.delete(shuffled, range(999, 1002), axis=0)]))) == 2
 
 
 def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     triangles = np.concatenate([CUBE_QUADS[:, [0, 1, 2]], CUBE_QUADS[:, [0, 2, 3]]])
-    volume = meshes.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.25)
-    quality = meshes.quality(volume)
+    volume = tetwild.tetrahedralize(meshes.TriangleSurface.from_arrays(CUBE, triangles), 0.25)
+    quality = mesh_geometry.quality(volume)
     assert quality.volume == pytest.approx(1.0, rel=0.02)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 5
@@ -130,11 +130,11 @@ def test_a_closed_surface_becomes_a_volume(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:
-    surface = meshes.boundary(regular_tetrahedron())
+    surface = mesh_geometry.boundary(regular_tetrahedron())
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     for edge in (0.0, -1.0, diagonal, 1000.0, np.nan):
         with pytest.raises(InvalidArgumentError, match="edge length"):
-            meshes.tetrahedralize(surface, edge)
+            tetwild.tetrahedralize(surface, edge)
 
 
 # --- every shape ------------------------------------------------------------------------------------------------------
@@ -142,22 +142,22 @@ def test_an_edge_that_does_not_fit_the_surface_is_refused() -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_grid_fills_its_box_and_its_boundary_is_closed(shape: str) -> None:
-    mesh = meshes.grid([2, 3, 1], [2.0, 6.0, 0.5], shape=shape, origin_m=[1.0, 0.0, -1.0])
+    mesh = grids.grid([2, 3, 1], [2.0, 6.0, 0.5], shape=shape, origin_m=[1.0, 0.0, -1.0])
     np.testing.assert_allclose(mesh.nodes.min(axis=0), [1, 0, -1])
     np.testing.assert_allclose(mesh.nodes.max(axis=0), [3, 6, -0.5])
     assert len(np.unique(mesh.nodes, axis=0)) == len(mesh.nodes)
     assert np.array_equal(np.unique(mesh.blocks[0].nodes), np.arange(len(mesh.nodes)))
-    quality = meshes.quality(mesh)
+    quality = mesh_geometry.quality(mesh)
     assert quality.element_counts == {shape: mesh.element_count}
     assert quality.volume == pytest.approx(6.0)
     assert quality.inverted_count == 0
-    surface = meshes.boundary(mesh)
+    surface = mesh_geometry.boundary(mesh)
     assert enclosed_volume(surface) == pytest.approx(6.0)
     assert len(surface.triangles) == 2 * 2 * (2 * 3 + 3 * 1 + 2 * 1)
 
 
 def test_middle_nodes_of_quadratic_tetrahedra_are_in_the_middle_of_their_edges() -> None:
-    mesh = meshes.grid([1, 2, 1], [1.0, 1.0, 1.0], shape="quadratic_tetrahedron")
+    mesh = grids.grid([1, 2, 1], [1.0, 1.0, 1.0], shape="quadratic_tetrahedron")
     at = mesh.nodes[mesh.elements("quadratic_tetrahedron")]
     for middle, (a, b) in zip(range(4, 10), [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], strict=True):
         np.testing.assert_allclose(at[:, middle], (at[:, a] + at[:, b]) / 2)
@@ -165,10 +165,10 @@ def test_middle_nodes_of_quadratic_tetrahedra_are_in_the_middle_of_their_edges()
 
 def test_boundary_and_volume_of_a_mixed_mesh() -> None:
     mesh = mixed_mesh()
-    surface = meshes.boundary(mesh)
+    surface = mesh_geometry.boundary(mesh)
     assert (len(surface.vertices), len(surface.triangles)) == (18, 32)  # a sphere: 18 - 48 + 32 = 2
     assert enclosed_volume(surface) == pytest.approx(3.395)
-    quality = meshes.quality(mesh)
+    quality = mesh_geometry.quality(mesh)
     assert quality.volume == pytest.approx(3.395)
     assert quality.element_counts == {"hexahedron": 1, "pyramid": 7, "wedge": 2, "tetrahedron": 1}
     assert quality.min_dihedral_angle_deg == pytest.approx(45)
@@ -176,18 +176,18 @@ def test_boundary_and_volume_of_a_mixed_mesh() -> None:
 
 
 def mirrored(mesh: meshes.VolumeMesh) -> meshes.VolumeMesh:
-    """Of the same elements, seen in a mirror: all of them inverted."""
+    """Mirrors a mesh, which inverts all of its elements."""
     return replace(mesh, nodes=mesh.nodes * [1, 1, -1])
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_repair_rewinds_every_shape(shape: str) -> None:
-    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
+    grid = grids.grid([2, 1, 1], [2.0, 1.0, 1.0], shape=shape)
     inverted = mirrored(grid)
-    assert meshes.quality(inverted).inverted_count == grid.element_count
-    repaired = meshes.repair(inverted)
-    assert meshes.quality(repaired).inverted_count == 0
-    assert meshes.quality(repaired).volume == pytest.approx(2.0)
+    assert mesh_geometry.quality(inverted).inverted_count == grid.element_count
+    repaired = mesh_repair.repair(inverted)
+    assert mesh_geometry.quality(repaired).inverted_count == 0
+    assert mesh_geometry.quality(repaired).volume == pytest.approx(2.0)
     np.testing.assert_array_equal(repaired.nodes, inverted.nodes)
     if shape == "quadratic_tetrahedron":
         at = repaired.nodes[repaired.blocks[0].nodes]
@@ -196,7 +196,7 @@ def test_repair_rewinds_every_shape(shape: str) -> None:
 
 
 def test_repair_takes_sets_and_fields_along() -> None:
-    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    box = grids.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
     far = box.nodes[:4] * 0.1 + 5
     mesh = meshes.VolumeMesh.from_arrays(
         np.concatenate([[[9, 9, 9]], far, box.nodes]),
@@ -204,18 +204,18 @@ def test_repair_takes_sets_and_fields_along() -> None:
         sets={"a": [0, 1, 5, 12], "far": [1, 2]},
         element_fields={"young_modulus_pa": [1.0, 2.0, 3.0]},
     )
-    repaired = meshes.repair(mesh)
+    repaired = mesh_repair.repair(mesh)
     assert {name: nodes.tolist() for name, nodes in repaired.sets.items()} == {"a": [0, 7]}
     assert repaired.element_fields["young_modulus_pa"].tolist() == [2.0, 3.0]
 
 
 def test_a_corner_that_is_turned_in_is_counted() -> None:
-    box = meshes.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
+    box = grids.grid([1, 1, 1], [1.0, 1.0, 1.0], shape="hexahedron")
     dented = box.nodes.copy()
     dented[7] = [0.2, 0.2, 0.2]  # beyond the middle, with most of the volume left
     mesh = replace(box, nodes=dented)
-    assert meshes.signed_volumes(mesh)[0] > 0
-    assert meshes.quality(mesh).inverted_count == 1
+    assert mesh_geometry.signed_volumes(mesh)[0] > 0
+    assert mesh_geometry.quality(mesh).inverted_count == 1
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_a_corner_that_is_turned_in_is_counted() -> None:
         ({"element_fields": {"fibre_directions": [[0, np.nan, 1]]}}, "row 0 is not finite"),
     ],
 )
-def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], message: str) -> None:
+def test_arrays_that_are_not_a_volume_mesh_are_refused(options: dict[str, object], message: str) -> None:
     arguments = {"nodes": regular_tetrahedron().nodes, "blocks": [("tetrahedron", [[0, 1, 2, 3]])], **options}
     with pytest.raises(InvalidArgumentError, match=message):
         meshes.VolumeMesh.from_arrays(**arguments)  # type: ignore[arg-type]
@@ -253,6 +253,6 @@ def test_what_makes_no_volume_mesh_is_refused(options: dict[str, object], messag
         ([1] * 3, [1] * 3, "x"),
     ],
 )
-def test_a_grid_that_is_none_is_refused(cells: list[int], size: list[float], shape: str) -> None:
+def test_an_invalid_grid_is_refused(cells: list[int], size: list[float], shape: str) -> None:
     with pytest.raises(InvalidArgumentError, match="grid: "):
-        meshes.grid(cells, size, shape=shape)
+        grids.grid(cells, size, shape=shape)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tensormass import isosurface, meshes, organ
-from tensormass.meshes import FloatArray
+from tensormass._src import isosurface, mesh_geometry, mesh_repair, meshes, organ
+from tensormass._src.meshes import FloatArray
 
 BOX = np.full(3, 1.2)
 
@@ -27,12 +27,12 @@ def test_a_ball_is_filled_without_slivers_gaps_or_overlap(seed: int) -> None:
     radius, center = random.uniform(0.4, 0.9), random.uniform(-0.1, 0.1, 3)
     inside = ball(radius, center)
     mesh = isosurface.fill(inside, -BOX, BOX, 0.15)
-    quality = meshes.quality(mesh)
+    quality = mesh_geometry.quality(mesh)
     assert quality.inverted_count == 0
     assert quality.min_dihedral_angle_deg > 16
-    assert meshes.dihedral_angles_deg(mesh).max() < 155
+    assert mesh_geometry.dihedral_angles_deg(mesh).max() < 155
 
-    surface = meshes.boundary(mesh)
+    surface = mesh_geometry.boundary(mesh)
     edge_count, uses = edge_counts(surface)
     assert uses == {2}
     assert len(surface.vertices) - edge_count + len(surface.triangles) == 2  # a sphere
@@ -51,7 +51,7 @@ def test_the_filling_is_the_same_every_time() -> None:
 
 def test_smoothing_widens_angles_and_stays_on_the_surface() -> None:
     inside = ball(0.8, np.zeros(3))
-    rough = meshes.boundary(isosurface.fill(inside, -BOX, BOX, 0.2))
+    rough = mesh_geometry.boundary(isosurface.fill(inside, -BOX, BOX, 0.2))
     even = isosurface.smooth(rough, inside, step_m=1e-4)
     np.testing.assert_allclose(inside(even.vertices), 0, atol=1e-6)
 
@@ -69,11 +69,11 @@ def smallest_angle_deg(surface: meshes.TriangleSurface) -> float:
 def test_organs_are_whole_and_without_slivers(name: str, count: int) -> None:
     shape = organ.ORGANS[name]
     volume = shape.volume()
-    quality = meshes.quality(volume)
+    quality = mesh_geometry.quality(volume)
     assert quality.element_counts["tetrahedron"] == pytest.approx(count, rel=0.1)
     assert quality.min_dihedral_angle_deg > 16
     assert quality.inverted_count == 0
-    assert meshes.repair(volume).element_count == volume.element_count  # one component
+    assert mesh_repair.repair(volume).element_count == volume.element_count  # one component
     # The box does not cut the organ.
     assert (volume.nodes > shape.lower_m).all()
     assert (volume.nodes < shape.upper_m).all()
@@ -86,4 +86,4 @@ def test_skins_are_closed_fine_and_on_the_surface(name: str) -> None:
     _, uses = edge_counts(skin)
     assert uses == {2}
     assert np.abs(shape.inside(skin.vertices)).max() < 1e-5
-    assert len(skin.vertices) > 3 * len(meshes.boundary(shape.volume()).vertices)
+    assert len(skin.vertices) > 3 * len(mesh_geometry.boundary(shape.volume()).vertices)

@@ -1,4 +1,4 @@
-"""What waits for one browser in the gateway."""
+"""The gateway's messages for one browser."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from asynchronous import asynchronous
 
-from tensormass.feeds import Outbox, ProtocolError, Stream
+from tensormass_gateway.outbox import Outbox, ProtocolError, Stream
 
 
 @asynchronous

@@ -12,9 +12,10 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import defaults, demo, mesh_files, meshes
-from tensormass.names import as_name
-from tensormass.scene import SceneFile, pack_mesh, unpack_mesh, volume_mesh
+from tensormass._src import defaults, demo, mesh_files, meshes, units
+from tensormass._src.names import as_name
+from tensormass._src.packing import pack_mesh, unpack_mesh, volume_mesh
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
@@ -112,6 +113,20 @@ def test_yaml_is_the_message_by_field_name() -> None:
         ("indices: [1, 2, 3]", "indices: [1, off]", r"nodes\.indices\[1\]: expected a number, found false$"),
         ("cells_x: 4", "cells_x: true", r"grid\.cells_x: expected a number, found true$"),
         ("name: block", "name: on", "name: expected text, found true; write it in quotes$"),
+        ("poisson_ratio: .4", "poisson_ratio: half", r"law\.hooke\.poisson_ratio: expected a number, found 'half'$"),
+        (
+            "young_modulus_pa: 1e6",
+            "young_modulus_pa: 3 kPa",
+            r"_pa: expected a number in Pa, found '3 kPa'; write 3000$",
+        ),
+        ("young_modulus_pa: 1e6", "young_modulus_pa: 3 kN", r"_pa: expected a number in Pa, found '3 kN'$"),
+        ("young_modulus_pa: 1e6", "young_modulus_pa: soft", r"_pa: expected a number in Pa, found 'soft'$"),
+        ("cells_x: 4", "cells_x: 4.5", r"grid\.cells_x: expected a whole number, found 4\.5$"),
+        ("cells_x: 4", "cells_x: -4", r"grid\.cells_x: expected a whole number of 0 to 4294967295, found -4$"),
+        ("name: block", "name: block\nstepping: {lockstep: 1}", "stepping.lockstep: expected true or false, found 1$"),
+        ("name: block", "name: block\ngravity_m_per_s2: {z: 1 g}", r"z: expected a number in m/s², found '1 g'$"),
+        ("name: block", "name: [", r"not valid YAML: .*, in line \d+, column \d+$"),
+        ("name: block", "name: \a", r"not valid YAML: character '.+' is not allowed, in line 2, column 7$"),
         ("PRECISION_DOUBLE", "yes", "solver.precision: unknown value true; known: float, double"),
     ],
 )
@@ -122,12 +137,12 @@ def test_a_mistake_in_yaml_is_refused_with_its_place(old: str, new: str, message
     assert str(error.value).startswith("block.yaml: ")
 
 
-def test_truth_is_told_where_it_is_asked_for() -> None:
+def test_booleans_are_accepted_for_boolean_fields() -> None:
     assert tm.Scene.from_yaml(YAML + "stepping: {lockstep: yes}\n").message.stepping.lockstep
 
 
 @pytest.mark.parametrize("text", ["", "- a\n- b", "just words", "7"])
-def test_yaml_that_is_no_mapping_is_refused(text: str) -> None:
+def test_yaml_that_is_not_a_mapping_is_refused(text: str) -> None:
     with pytest.raises(tm.InvalidArgumentError, match="a scene is a mapping"):
         tm.Scene.from_yaml(text)
 
@@ -167,7 +182,7 @@ def test_builtin_scenes_are_found_by_name(name: str) -> None:
         assert body.mesh.WhichOneof("source") in ("packed", "grid")
 
 
-def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
+def test_meshes_of_organs_are_made_once_and_again_when_their_source_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Path] = []
@@ -203,7 +218,7 @@ def test_meshes_of_organs_are_made_once_and_again_when_what_makes_them_changes(
 @pytest.mark.parametrize(
     ("stem", "name"), [("größe 1", "gr__e_1"), ("a-b_C", "a-b_C"), (100 * "a", 64 * "a"), ("²", "_"), ("", "")]
 )
-def test_names_are_made_of_what_scenes_may_be_called(stem: str, name: str) -> None:
+def test_names_are_converted_to_the_alphabet_of_scene_names(stem: str, name: str) -> None:
     assert as_name(stem) == name
 
 
@@ -408,7 +423,7 @@ def test_a_scene_file_uses_the_sets_of_its_mesh_file(tmp_path: Path) -> None:
         tm.Scene.from_yaml(text.replace("name: both", "name: wall"), directory=tmp_path)
 
 
-def test_a_message_of_half_an_element_is_no_mesh() -> None:
+def test_a_message_with_half_an_element_is_refused() -> None:
     packed = pack_mesh(carrying_mesh())
     packed.elements[0].nodes = packed.elements[0].nodes[:-1]
     with pytest.raises(tm.InvalidArgumentError, match=r"body\.elements\[0\]: an unknown shape, or not whole elements"):
@@ -419,7 +434,7 @@ def test_a_message_of_half_an_element_is_no_mesh() -> None:
         unpack_mesh(packed, "body")
 
 
-def test_what_a_scene_does_not_say_is_as_its_schema_has_it() -> None:
+def test_defaults_are_those_of_the_schema() -> None:
     scene = scene_pb2.Scene()
     solver = scene.solver
     assert defaults.dt_s(scene) == 1 / 60
@@ -432,3 +447,23 @@ def test_what_a_scene_does_not_say_is_as_its_schema_has_it() -> None:
     for ends_s in (2.0, 7.0, 3.0):
         scene.bodies.add().prescribed.add().schedule.time_s.extend([0.0, ends_s])
     assert defaults.scheduled_s(scene) == 7.0
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "si"),
+    [
+        ("5 kPa", "Pa", 5000.0),
+        ("5e-1kPa", "Pa", 500.0),
+        ("8 mm", "m", 0.008),
+        ("2 ms", "s", 0.002),
+        ("3 m", "m", 3.0),
+        ("9.81 m/s²", "m/s²", None),
+        ("5 psi", "Pa", None),
+        ("5 kN", "Pa", None),
+        ("1e999 Pa", "Pa", None),
+        ("1.2.3 Pa", "Pa", None),
+    ],
+)
+def test_a_quantity_is_a_number_in_the_unit_of_its_field(text: str, unit: str, si: float | None) -> None:
+    found = units.in_si(text, unit)
+    assert found == (None if si is None else pytest.approx(si))

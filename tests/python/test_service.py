@@ -23,13 +23,13 @@ import zmq
 from test_mesh_files import shared_mesh
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, processes
-from tensormass.fields import FIELD_NAMES
-from tensormass.output import state_name
-from tensormass.scene import pack_mesh
-from tensormass.shapes import SHAPES
-from tensormass.streams import Transport, stream_key
+from tensormass._src import mesh_files, mesh_geometry, meshes, processes, tetwild
+from tensormass._src.fields import FIELD_NAMES
+from tensormass._src.packing import pack_mesh
+from tensormass._src.shapes import SHAPES
+from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools.output import state_name
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -160,7 +160,7 @@ def test_surface_is_the_meshs_boundary_at_its_nodes(load: Callable[..., tm.Scene
 def test_a_skin_is_seen_instead_and_carried_along(load: Callable[..., tm.SceneHandle]) -> None:
     nodes = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     mesh = meshes.VolumeMesh.from_tetrahedra(nodes, [[0, 1, 2, 3]])
-    shell = meshes.boundary(mesh)
+    shell = mesh_geometry.boundary(mesh)
     centre = nodes.mean(axis=0)
     skin = meshes.TriangleSurface(centre + 0.8 * (shell.vertices - centre), shell.triangles)
     scene = tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -9.81), skin=skin)
@@ -254,7 +254,7 @@ def test_a_scene_file_of_the_shared_liver_scales_mesh_and_skin(
 
 def test_the_shared_liver_surface_becomes_a_volume_that_steps(load: Callable[..., tm.SceneHandle]) -> None:
     surface = mesh_files.read_surface(shared_mesh("liver-smooth.obj"))
-    volume = meshes.tetrahedralize(meshes.TriangleSurface(0.03 * surface.vertices, surface.triangles), 0.03)
+    volume = tetwild.tetrahedralize(meshes.TriangleSurface(0.03 * surface.vertices, surface.triangles), 0.03)
     handle = load(tm.Scene.from_mesh(volume, gravity_m_per_s2=(0, 0, -9.81)), lockstep=True)
     status = handle.step(10)
     assert (status.fault, status.step) == ("", 10)
@@ -295,7 +295,7 @@ def test_a_bad_mesh_is_refused_by_name_and_the_daemon_lives(
     server.version()
 
 
-def test_a_scene_costs_only_what_it_names(server: tm.Server) -> None:
+def test_a_scene_pays_only_for_the_parts_it_uses(server: tm.Server) -> None:
     with_tool = server.inspect(block())
     bare = block()
     del bare.message.tools[:]
@@ -412,7 +412,7 @@ def test_frames_come_newest_first_to_a_slow_reader(load: Callable[..., tm.SceneH
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_who_comes_late_gets_topology_and_status(
+def test_a_late_subscriber_gets_topology_and_status(
     server: tm.Server, load: Callable[..., tm.SceneHandle], transport: Transport
 ) -> None:
     handle = load(block(), lockstep=True)
@@ -490,7 +490,7 @@ def test_garbage_on_every_endpoint_is_survived_and_counted(
     wait_for("the next good pose", lambda: handle.feedback("probe").pose_sequence == 1)
 
 
-def test_bytes_that_are_no_request_are_refused(server: tm.Server) -> None:
+def test_bytes_that_are_not_a_request_are_refused(server: tm.Server) -> None:
     with grpc.insecure_channel(server.address) as channel:
         call = channel.unary_unary("/tensormass.v1.Control/LoadScene", lambda payload: payload, lambda payload: payload)
         for payload in (b"\xff" * 100, os.urandom(1000)):
@@ -536,7 +536,7 @@ def test_inspect_works_without_a_daemon() -> None:
     assert any("conjugate gradients" in stage["name"] for stage in report["stages"])
 
 
-def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
+def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path, runtime_folder: Path) -> None:
     scene_file = tmp_path / "block.yaml"
     scene_file.write_text(BLOCK)
     options = ["--backend", "cpu", "--no-viewer", "--json"]
@@ -553,6 +553,8 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
             said = next(said for said in lines if said["status"]["step"] > 20)
             assert said["status"]["scene"] == "block"
             assert said["status"]["state"] == "STATE_RUNNING"
+            with command("list") as listing:  # finds that daemon, which listens on a free port
+                assert "\nblock  running  step " in listing.communicate(timeout=60)[0]
             children = children_of(process.pid)
             assert any("tensormassd" in name for name in children.values())
             process.send_signal(signal.SIGINT)
@@ -560,6 +562,7 @@ def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path) -> None:
         finally:
             process.kill()
     assert (process.returncode, err) == (0, "")
+    assert list(runtime_folder.iterdir()) == []
     for pid in children:
         assert not Path(f"/proc/{pid}").exists(), f"{children[pid]} is left running"
 
@@ -569,9 +572,7 @@ def test_run_says_a_warning_once(tmp_path: Path) -> None:
     # A linear law under a load that it is not made for, and its status looked at several times.
     scene_file.write_text(BLOCK.replace("st_venant_kirchhoff", "hooke").replace("z: -9.81", "z: -2000"))
     options = ["--backend", "cpu", "--no-viewer", "--no-haptic", "--seconds", "3"]
-    run_module = (
-        "import sys, tensormass.run as run, tensormass.cli as cli; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
-    )
+    run_module = "import sys; from tensormass_tools import cli, run; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
     with subprocess.Popen(
         [sys.executable, "-c", run_module, "run", str(scene_file), *options],
         stdout=subprocess.PIPE,

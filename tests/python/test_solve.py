@@ -15,11 +15,11 @@ from conftest import Recorder, full_disk
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass import mesh_files, meshes, processes
-from tensormass.cli import main
-from tensormass.fields import FIELD_NAMES, NODE_FIELDS
-from tensormass.output import Warnings
+from tensormass._src import grids, mesh_files, mesh_repair, meshes, processes
+from tensormass._src.fields import FIELD_NAMES, NODE_FIELDS
 from tensormass.v1 import control_pb2, stream_pb2
+from tensormass_tools.cli import main
+from tensormass_tools.output import Warnings
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -101,7 +101,7 @@ def test_the_file_holds_every_field_on_the_mesh_at_rest(solve: Callable[..., Sol
     solved = solve(text)
     assert solved.status == 0
     vtu = solved.vtu
-    grid = meshes.grid([20, 2, 2], [1.0, 0.1, 0.1], shape="hexahedron")
+    grid = grids.grid([20, 2, 2], [1.0, 0.1, 0.1], shape="hexahedron")
     np.testing.assert_allclose(vtu.points, grid.nodes, atol=1e-12)
     np.testing.assert_array_equal(vtu.cells[0].data, grid.blocks[0].nodes)
     assert set(vtu.point_data) == set(NODE_FIELDS)
@@ -133,7 +133,7 @@ def test_only_the_fields_asked_for_are_written(solve: Callable[..., Solved]) -> 
 
 
 def test_a_bar_is_twisted_in_as_many_steps_as_its_schedule_takes(solve: Callable[..., Solved], tmp_path: Path) -> None:
-    grid = meshes.grid([8, 4, 4], [0.4, 0.1, 0.1], shape="hexahedron", origin_m=[0.0, -0.05, -0.05])
+    grid = grids.grid([8, 4, 4], [0.4, 0.1, 0.1], shape="hexahedron", origin_m=[0.0, -0.05, -0.05])
     angle = np.pi / 3
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) - np.eye(2)
     prescribed = []
@@ -183,7 +183,7 @@ def test_a_mixed_mesh_is_stretched_evenly(solve: Callable[..., Solved]) -> None:
     box = mixed_mesh()
     kept = np.ones(box.element_count, bool)
     kept[-2:] = False  # the bar without what stands on its end
-    bar = meshes.compact(box, kept)
+    bar = mesh_repair.compact(box, kept)
     walls = {"wall": bar.nodes[:, 0] == 0, "tip": bar.nodes[:, 0] == 3}
     walls |= {"low_y": bar.nodes[:, 1] == 0, "low_z": bar.nodes[:, 2] == 0}
     bar = meshes.VolumeMesh.from_arrays(bar.nodes, [(s.name, e) for s, e in bar.blocks], sets=walls)
@@ -216,7 +216,7 @@ def test_a_mixed_mesh_is_stretched_evenly(solve: Callable[..., Solved]) -> None:
 
 
 def test_every_element_has_its_own_stiffness(solve: Callable[..., Solved]) -> None:
-    grid = meshes.grid([2, 1, 1], [2.0, 1.0, 1.0], shape="hexahedron")
+    grid = grids.grid([2, 1, 1], [2.0, 1.0, 1.0], shape="hexahedron")
     mesh = meshes.VolumeMesh.from_arrays(
         grid.nodes,
         [("hexahedron", grid.blocks[0].nodes)],
@@ -300,10 +300,10 @@ def test_a_scene_of_the_same_name_in_the_daemon_is_another_and_stays(server: tm.
         theirs.unload()
 
 
-def test_what_does_not_come_to_rest_is_written_and_said(
+def test_a_scene_that_does_not_come_to_rest_is_written_with_a_warning(
     solve: Callable[..., Solved], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tensormass.solve._REST_LIMIT_S", 1.0)
+    monkeypatch.setattr("tensormass_tools.solve_steps.REST_LIMIT_S", 1.0)
     text = "\nname: falling\nbodies:\n  - name: b\n    mesh: {grid: {size_m: {x: 1, y: 1, z: 1}, "
     text += "cells_x: 1, cells_y: 1, cells_z: 1}}\n    law: {hooke: {young_modulus_pa: 1000, poisson_ratio: 0.3}}\n"
     text += "    density_kg_per_m3: 1000\ngravity_m_per_s2: {z: -1}\nstepping: {dt_s: 0.1}\n"
@@ -322,7 +322,7 @@ def test_a_step_that_did_not_converge_is_refused_unless_allowed(solve: Callable[
     refused = solve(text)
     assert refused.status == 1
     assert refused.said["kind"] == "NotConvergedError"
-    assert "step 1 of 1 did not converge: an imbalance of" in refused.said["error"]
+    assert "step 1 of 1 did not converge: a residual of" in refused.said["error"]
     assert "after 2 Newton iterations, above newton_tolerance 1e-06" in refused.said["error"]
     assert not refused.out.exists()
     allowed = solve(text, "--allow-unconverged", "--steps", "2")
@@ -339,7 +339,7 @@ def test_a_linear_solve_that_was_cut_off_is_refused_too(solve: Callable[..., Sol
     assert "after 3 conjugate-gradient iterations, above cg_tolerance 1e-05; raise cg" in refused.said["error"]
 
 
-def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: Callable[..., Solved]) -> None:
+def test_the_files_before_a_step_that_did_not_converge_are_named(solve: Callable[..., Solved]) -> None:
     text = (BAR % (TRACTION, "", "")).replace("quasi_static", "implicit_euler")
     refused = solve(text.replace("cg_max_iterations: 2000", "cg_max_iterations: 3"), "--steps", "5", "--every", "1")
     listing = refused.out.with_suffix(".pvd")
@@ -349,10 +349,10 @@ def test_what_a_series_holds_before_a_step_that_did_not_converge_is_said(solve: 
 
 
 @pytest.mark.parametrize(("preset", "limit"), [("fast", "cg_max_iterations"), ("accurate", "newton_max_iterations")])
-def test_the_limits_of_a_preset_are_no_failure_and_said(
+def test_the_limits_of_a_preset_are_reported_and_not_a_failure(
     solve: Callable[..., Solved], preset: str, limit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tensormass.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
+    monkeypatch.setattr("tensormass_tools.presets.all_presets", lambda: {"beam": {preset: {limit: 2}}})
     solved = solve("beam", "--steps", "2", "--preset", preset)
     assert (solved.status, solved.said["unconverged_steps"]) == (0, 2)
     (warning,) = (text for text in solved.said["warnings"] if "did not converge" in text)
@@ -403,7 +403,7 @@ def test_a_full_disk_leaves_the_results_that_are_there(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_law_out_of_its_range_is_said(solve: Callable[..., Solved]) -> None:
+def test_a_law_beyond_its_range_is_reported(solve: Callable[..., Solved]) -> None:
     text = (BAR % (TRACTION.replace("-10", "-1000"), "", "")).replace("neo_hookean", "hooke")
     solved = solve(text)
     assert solved.status == 0
@@ -443,14 +443,14 @@ solver: {integrator: quasi_static}
 """
 
 
-def test_what_is_turned_inside_out_is_said(solve: Callable[..., Solved]) -> None:
+def test_inverted_elements_are_reported(solve: Callable[..., Solved]) -> None:
     warnings = solve(CUBE).said["warnings"]
-    assert any("body 'cube': elements are turned inside out, det F down to -" in text for text in warnings)
+    assert any("body 'cube': elements are inverted, det F down to -" in text for text in warnings)
     warnings = solve(CUBE.replace("-1.5", "-0.5")).said["warnings"]
-    assert not any("inside out" in text for text in warnings)
+    assert not any("inverted" in text for text in warnings)
 
 
-def test_what_a_scene_does_not_say_is_double_and_solved_to_its_tolerance(solve: Callable[..., Solved]) -> None:
+def test_open_settings_are_double_precision_and_solved_to_the_tolerance(solve: Callable[..., Solved]) -> None:
     solved = solve(CUBE)
     assert (solved.status, solved.said["precision"]) == (0, "double")
     assert solve(CUBE, "--precision", "float", "--allow-unconverged").said["precision"] == "float"
@@ -472,7 +472,7 @@ def test_the_builtin_cantilever_is_solved_by_a_daemon_of_its_own(
     assert main(["solve", "cantilever", "--out", str(out), "--backend", "cpu"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("cantilever: quasi-static, double, 1 step, 0.01667 s simulated in ")
-    assert "Newton iterations, imbalance " in lines[1]
+    assert "Newton iterations, residual " in lines[1]
     assert lines[4].split()[0] == "body"
     name, displacement, reaction = re.split("  +", lines[5])[:3]
     assert name == "beam"

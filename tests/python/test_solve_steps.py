@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 import tensormass as tm
-from tensormass.solve import _Solution, _vector
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_tools.solve_steps import Solution
+from tensormass_tools.solve_text import _vector
 
 DT_S = 0.1
 
@@ -49,7 +50,7 @@ def compute(
     scene = scene or scene_pb2.Scene()
     scene.stepping.dt_s = DT_S
     steps: Any = Steps(statuses)
-    return _Solution(args, scene, steps, steps).compute()
+    return Solution(args, scene, steps, steps).compute()
 
 
 def still() -> Iterable[stream_pb2.SceneStatus]:
@@ -78,12 +79,12 @@ def unconverged() -> list[stream_pb2.SceneStatus]:
     ]
 
 
-def test_steps_that_did_not_converge_are_counted_and_the_worst_is_said() -> None:
+def test_steps_that_did_not_converge_are_counted_and_the_worst_is_named() -> None:
     scene = scene_pb2.Scene(solver=scene_pb2.Solver(newton_max_iterations=5))
     summary = compute(unconverged(), scene, steps=3, allow_unconverged=True)
     assert (summary["unconverged_steps"], summary["newton_residual"], summary["newton_iterations"]) == (2, 0.5, 15)
     (warning,) = summary["warnings"]
-    assert warning.startswith("step 1 of 3 did not converge: an imbalance of 5.0e-01 of the forces after 5 Newton ")
+    assert warning.startswith("step 1 of 3 did not converge: a residual of 5.0e-01 of the forces after 5 Newton ")
     assert warning.endswith(" (1 more steps like this, 5.0e-01 at most)")
     with pytest.raises(
         tm.NotConvergedError, match=r"^step 1 of 3 did not converge: .*Nothing is written; with --allow"

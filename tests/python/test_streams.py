@@ -15,14 +15,10 @@ import zenoh
 import zmq
 
 import tensormass as tm
-from tensormass.streams import (
-    DataPlane,
-    PoseSequence,
-    Transport,
-    reached_endpoint,
-    reached_endpoints,
-    stream_key,
-)
+from tensormass._src.data_plane import DataPlane
+from tensormass._src.endpoints import reached_endpoint, reached_endpoints
+from tensormass._src.poses import PoseSequence
+from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
@@ -146,13 +142,13 @@ class Scripted:
 
 def test_garbage_takes_none_of_the_time_that_is_left(plane: DataPlane) -> None:
     source = Scripted([b"\xff"] * 20 + [stream_pb2.Frame(step=7).SerializeToString()])
-    frames = tm.Subscription(plane, source, "key", stream_pb2.Frame)  # type: ignore[arg-type]
+    frames = tm.Subscription(plane.check_open, source, "key", stream_pb2.Frame)  # type: ignore[arg-type]
     assert frames.receive(DEADLINE_S).step == 7
     assert frames.malformed_count == 20
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_nothing_is_waited_for_as_long_as_was_asked_for(plane: DataPlane, transport: Transport) -> None:
+def test_a_silent_stream_times_out_after_the_given_time(plane: DataPlane, transport: Transport) -> None:
     with plane.subscribe("scene", "frame", stream_pb2.Frame, transport) as frames:
         begin = time.monotonic()
         with pytest.raises(tm.DeadlineExceededError, match=r"in 0\.1 s"):
@@ -160,7 +156,7 @@ def test_nothing_is_waited_for_as_long_as_was_asked_for(plane: DataPlane, transp
         assert 0.09 < time.monotonic() - begin < DEADLINE_S / 2
 
 
-def test_what_was_kept_is_not_news_once_there_is_newer(bus: Bus, plane: DataPlane) -> None:
+def test_a_retained_message_does_not_replace_a_newer_one(bus: Bus, plane: DataPlane) -> None:
     key, other = stream_key("s", "scene", "status"), stream_key("s", "scene", "frame")
     asked = bus.zenoh.declare_queryable(key)
     with (
@@ -270,7 +266,7 @@ def test_closing_does_not_wait_for_a_server_that_never_comes(bus: Bus) -> None:
 def test_a_process_ends_that_closed_nothing(bus: Bus, transport: Transport) -> None:
     program = (
         "import sys\n"
-        "from tensormass.streams import DataPlane\n"
+        "from tensormass._src.data_plane import DataPlane\n"
         "from tensormass.v1 import control_pb2, stream_pb2\n"
         "version, transport = bytes.fromhex(sys.argv[1]), sys.argv[2]\n"
         "plane = DataPlane(control_pb2.GetVersionResponse.FromString(version))\n"
@@ -316,7 +312,7 @@ def test_poses_are_numbered_for_each_client() -> None:
         ({}, None, "position: expected three finite numbers"),
     ],
 )
-def test_a_pose_that_is_none_is_not_sent(position: object, orientation: object, message: str) -> None:
+def test_an_invalid_pose_is_not_sent(position: object, orientation: object, message: str) -> None:
     sequence = PoseSequence()
     with pytest.raises(tm.InvalidArgumentError, match=message):
         sequence.next(position, orientation)  # type: ignore[arg-type]
@@ -332,7 +328,7 @@ def test_a_pose_that_is_none_is_not_sent(position: object, orientation: object, 
         ("tcp/0.0.0.0:1", "tcp/trainer:1"),
         ("tcp/[::]:1", "tcp/trainer:1"),
         ("udp/0.0.0.0:1", "udp/trainer:1"),
-        # What names a host is meant.
+        # An endpoint that names a host is not changed.
         ("tcp://127.0.0.1:1", "tcp://127.0.0.1:1"),
         ("tcp://10.0.0.0:1", "tcp://10.0.0.0:1"),
         ("tcp://[::1]:1", "tcp://[::1]:1"),
@@ -379,7 +375,7 @@ def test_all_endpoints_of_an_answer_are_reached() -> None:
     assert reached_endpoints(off, "trainer:50051") == off
 
 
-def test_a_transport_that_is_off_is_said() -> None:
+def test_a_transport_that_is_off_is_reported() -> None:
     with DataPlane(control_pb2.GetVersionResponse(server="s")) as plane:
         with pytest.raises(tm.UnavailableError, match="ZeroMQ is off"):
             plane.subscribe("scene", "frame", stream_pb2.Frame, "zeromq")
@@ -397,7 +393,7 @@ def test_an_unknown_transport_is_refused(plane: DataPlane) -> None:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_what_was_closed_says_so(plane: DataPlane, transport: Transport) -> None:
+def test_using_a_closed_stream_is_reported(plane: DataPlane, transport: Transport) -> None:
     def use(sender: tm.PoseSender, statuses: tm.Subscription[stream_pb2.SceneStatus]) -> Iterator[Callable[[], object]]:
         yield lambda: sender.send((0, 0, 0))
         yield lambda: statuses.receive(0)

@@ -16,14 +16,14 @@ import pytest
 from trade_parts import BLOCK, COSTS, MACHINE, Formula, knobs_of, measurement
 
 import tensormass as tm
-from tensormass.cli import main
-from tensormass.scene import SceneFile
-from tensormass.trade import command, reference, report
-from tensormass.trade.command import parse_share, parse_time_s
-from tensormass.trade.measures import Errors
-from tensormass.trade.script import Script
-from tensormass.trade.store import Machine
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
+from tensormass_tools.cli import main
+from tensormass_tools.trade import command, reference, report, session
+from tensormass_tools.trade.arguments import parse_share, parse_time_s
+from tensormass_tools.trade.measures import Errors
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Machine
 
 
 def test_times_and_shares() -> None:
@@ -42,7 +42,7 @@ def test_times_and_shares() -> None:
     "option", ["--seconds", "--press", "--reference-seconds", "--timing-seconds", "--budget", "--tolerance"]
 )
 @pytest.mark.parametrize("value", ["inf", "nan", "0", "-1", "1e308", "1e-400", "much"])
-def test_options_that_are_no_positive_numbers_are_refused(
+def test_options_that_are_not_positive_numbers_are_refused(
     option: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -72,7 +72,7 @@ def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, broken_law: str = ""
     scene = knobs_of(BLOCK, folder).message
     formula = Formula(scene, Script.of(scene, None), broken_law)
     monkeypatch.setattr(command, "launch", lambda **_: contextlib.nullcontext(FakeServer()))
-    monkeypatch.setattr(command, "Recorder", lambda *_: formula)
+    monkeypatch.setattr(session, "Recorder", lambda *_: formula)
     monkeypatch.setattr(Machine, "of", lambda *_: MACHINE)
     return formula
 
@@ -118,13 +118,13 @@ def test_a_run_is_resumed_and_reported(
     assert "<another>" not in page
     assert "http" not in page  # nothing is fetched
     ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
-    fastest = SceneFile.read(out / "fastest.yaml").scene().message
+    fastest = SceneFile.read(out / "fastest.yaml").message()
     assert fastest.tools == knobs_of(BLOCK, tmp_path).message.tools
     (tmp_path / "mine.yaml").write_text(BLOCK.replace("cells_x: 4", "cells_x: 2"))
     assert main([*run[:-1], "--tolerance", "0.0001%", "--confirm", str(tmp_path / "mine.yaml")]) == 1
     printed = capsys.readouterr().out
     assert "most_accurate.yaml, read and run again: confirmed: " in printed
-    assert "mine.yaml, read and run again: displacement " in printed  # of which nothing was promised
+    assert "mine.yaml, read and run again: displacement " in printed  # a file without a promised result
     mine = json.loads((out / "trade.json").read_text())["confirmed"]["mine"]
     assert mine["element_count"] == 2**3
     assert mine["errors"]["displacement"] > 2 * first["measurements"][0]["errors"]["displacement"]
@@ -138,7 +138,7 @@ def test_a_machine_that_is_slower_for_a_while_makes_no_setting_dearer(
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
     formula.room_for_both = room_for_both
-    # The recording that others are compared with, two levels of the reference, the scene as it is, its dt doubled.
+    # The own recording, two levels of the reference, the unmodified scene, and its dt doubled.
     formula.slowness = [1.0, 1.0, 1.0, 1.0, 5.0]
     run_on(tmp_path, "--reference-seconds", "1")
     own, doubled, *others = json.loads((tmp_path / "out" / "trade.json").read_text())["measurements"]
@@ -148,7 +148,7 @@ def test_a_machine_that_is_slower_for_a_while_makes_no_setting_dearer(
     assert own["cost_s"] == own["costs"]["step_p50_s"] == pytest.approx(1e-3)
 
 
-def test_what_would_be_recommended_is_solved_better_to_see_whether_it_is_luck(
+def test_candidates_are_also_solved_better_to_detect_chance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
@@ -164,7 +164,7 @@ def test_what_would_be_recommended_is_solved_better_to_see_whether_it_is_luck(
     assert luckiest["errors"]["displacement"] < result["most_accurate"]["errors"]["displacement"] < 0.003
 
 
-def test_what_a_file_does_not_reach_again_is_not_confirmed() -> None:
+def test_a_file_that_misses_its_limit_again_is_not_confirmed() -> None:
     promised = measurement({"a": 1}, 1.0, 0.02)
 
     def missed(cost_s: float, error: float, failure: str = "", /, **limits: float) -> str:
@@ -183,7 +183,7 @@ def test_what_a_file_does_not_reach_again_is_not_confirmed() -> None:
     assert report.beyond(measurement({}, 1.6, 0.02, "stopped"), report.Limits()) == "stopped"
 
 
-def test_a_budget_that_the_slow_steps_leave_is_said(
+def test_a_budget_that_slow_steps_exceed_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_in(tmp_path, monkeypatch)
@@ -200,7 +200,7 @@ def test_a_budget_that_the_slow_steps_leave_is_said(
 def second_runs(
     folder: Path, monkeypatch: pytest.MonkeyPatch, slowness: list[float], wrongness: list[float] | None = None
 ) -> Formula:
-    """Of what has been measured, at 0.5, 1, 2 and 4 ms, the dearer the more accurate; those of fastest.yaml first."""
+    """Measurements at 0.5, 1, 2 and 4 ms, the more expensive ones more accurate; those of fastest.yaml first."""
     formula = stand_in(folder, monkeypatch)
     assert run_on(folder) == 0
     formula.slowness, formula.wrongness = slowness, wrongness or []
@@ -209,7 +209,7 @@ def second_runs(
 
 
 def dt_of(file: Path) -> float:
-    return SceneFile.read(file).scene().message.stepping.dt_s
+    return SceneFile.read(file).message().stepping.dt_s
 
 
 def test_a_setting_that_leaves_the_budget_makes_room_for_the_next(
@@ -255,7 +255,7 @@ def test_a_setting_that_leaves_the_tolerance_makes_room_for_the_next(
     assert dt_of(tmp_path / "out" / "fastest.yaml") == 0
 
 
-def test_the_third_setting_stands_confirmed_or_not(
+def test_the_third_setting_is_kept_confirmed_or_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = second_runs(tmp_path, monkeypatch, [1.0, 1.1, 2.1, 4.2])
@@ -289,7 +289,7 @@ def test_a_setting_that_is_slower_but_keeps_its_limit_stays(
     assert "leaves its limit" not in said
 
 
-def test_what_lies_there_is_named_though_the_daemon_ends_while_it_is_confirmed(
+def test_the_written_file_is_named_even_if_the_daemon_ends_during_its_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formula = second_runs(tmp_path, monkeypatch, [1.0, 1.1])
@@ -313,7 +313,7 @@ def test_an_equilibrium_costs_one_step_whatever_its_dt(tmp_path: Path, monkeypat
     assert result["confirmed"]["mine"]["cost_s"] == result["measurements"][0]["cost_s"] == pytest.approx(1e-3)
 
 
-def test_a_reference_that_is_no_better_than_what_it_judges_is_said(
+def test_a_reference_as_inaccurate_as_its_settings_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_in(tmp_path, monkeypatch)
@@ -326,11 +326,11 @@ def test_a_reference_that_is_no_better_than_what_it_judges_is_said(
         assert ("the reference itself may be off by" in capsys.readouterr().out) == said
 
 
-def test_what_no_answer_can_be_had_of_is_said(
+def test_results_without_a_solution_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
-    warnings = ("settings have steps that ended above their newton_tolerance", "elements that are turned inside out")
+    warnings = ("settings have steps that ended above their newton_tolerance", "the reference has inverted elements")
     assert run_on(tmp_path) == 0
     printed = capsys.readouterr().out
     assert not any(warning in printed for warning in warnings)
@@ -340,7 +340,7 @@ def test_what_no_answer_can_be_had_of_is_said(
     assert all(warning in printed for warning in warnings)
 
 
-def test_each_value_of_a_knob_is_told_against_the_scenes_own(tmp_path: Path) -> None:
+def test_each_value_of_a_knob_is_compared_with_the_scenes_own(tmp_path: Path) -> None:
     knob = knobs_of(BLOCK, tmp_path).knobs["precision"]
     measured = [measurement({}, 2.0, 0.01), measurement({"precision": "double"}, 3.0, 0.02)]
     rows = [(row[1], row[2], row[3], kind) for row, kind in report.knob_rows([knob], measured)]
@@ -383,7 +383,7 @@ def test_a_setting_that_breaks_is_a_result_too(
     assert "law hencky could not be run: left the numbers" in capsys.readouterr().out
 
 
-def test_the_scene_as_it_is_is_run_before_its_reference(
+def test_the_unmodified_scene_is_run_before_its_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
@@ -429,7 +429,7 @@ def test_a_refused_scene_leaves_nothing_behind(
         ("out/fastest.yaml", None, "fastest.yaml: the command writes this file itself"),
     ],
 )
-def test_what_is_to_be_confirmed_is_read_first(
+def test_files_to_confirm_are_read_first(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -448,7 +448,7 @@ def test_what_is_to_be_confirmed_is_read_first(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_the_daemon_refuses_to_confirm_is_named(
+def test_a_file_that_the_daemon_refuses_to_confirm_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_in(tmp_path, monkeypatch)
@@ -482,7 +482,7 @@ def test_files_of_the_same_name_are_kept_apart(
     assert f"\n{files[0]}, read and run again: displacement " in printed
 
 
-def test_what_was_measured_is_reported_though_the_daemon_ends_while_it_is_confirmed(
+def test_measurements_are_reported_even_if_the_daemon_ends_during_confirmation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
@@ -497,7 +497,7 @@ def test_what_was_measured_is_reported_though_the_daemon_ends_while_it_is_confir
     assert "One knob at a time" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_a_tool_that_touches_nothing_is_said(
+def test_a_tool_that_touches_nothing_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
@@ -535,7 +535,7 @@ def test_errors_that_leave_out_the_mesh_say_so(
     assert json.loads((tmp_path / "out" / "trade.json").read_text())["reference"]["refines_mesh"] is False
 
 
-def test_a_full_disk_is_said_in_words(
+def test_a_full_disk_is_reported_in_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_in(tmp_path, monkeypatch)

@@ -1,4 +1,4 @@
-"""What `tensormass trade` compares with: the scene refined until it no longer moves, without a daemon."""
+"""The reference of `tensormass trade`: the scene refined until it no longer moves, without a daemon."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import pytest
 from trade_parts import BLOCK, MACHINE, Formula, knobs_of
 
 import tensormass as tm
-from tensormass.trade import reference
-from tensormass.trade.script import Recording, Script
-from tensormass.trade.store import Store
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade import reference
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Store
 
 
 def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_tolerance(tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ def test_a_level_that_fails_ends_the_refinement_only_where_there_are_two(tmp_pat
     found = find(3)
     assert found.ended == "the next level failed: too many elements"
     assert len(found.levels) == 2
-    # What is seen or what is felt, whichever is farther off.
+    # The larger error of displacement and force.
     assert replace(found, displacement_error=0.1, force_error=0.2).error == 0.2
     assert replace(found, displacement_error=0.1, force_error=0.05).error == 0.1
     assert replace(found, displacement_error=0.1, force_error=None).error == 0.1

@@ -13,14 +13,17 @@ import pytest
 from test_meshes import mixed_mesh
 
 import tensormass as tm
-from tensormass.fields import Fields
-from tensormass.meshes import FloatArray, signed_volumes
-from tensormass.scene import SceneFile, volume_mesh
-from tensormass.trade import energy
-from tensormass.trade import script as script_module
-from tensormass.trade.energy import EnergyMeter
-from tensormass.trade.script import Recorder, Script, check_same_scene, node_volumes, rest_nodes
+from tensormass._src.fields import Fields
+from tensormass._src.mesh_geometry import signed_volumes
+from tensormass._src.meshes import FloatArray
+from tensormass._src.packing import volume_mesh
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass_tools.trade import energy
+from tensormass_tools.trade import recorder as recorder_module
+from tensormass_tools.trade.energy import EnergyMeter
+from tensormass_tools.trade.recorder import Recorder, node_volumes
+from tensormass_tools.trade.script import Script, check_same_scene, rest_nodes
 
 SCENE = """
 name: block
@@ -120,7 +123,7 @@ class FormulaScene:
 
 
 def scene_of(text: str = SCENE) -> scene_pb2.Scene:
-    return SceneFile.parse(text, Path(), "scene").scene().message
+    return SceneFile.parse(text, Path(), "scene").message()
 
 
 def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None):  # noqa: ANN201
@@ -140,7 +143,7 @@ def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
     assert script.start_m == (0.05, 0.05, 0.7)
     for half in (0.5**0.5, 3.0):  # of any length
         turned = scene_of(SCENE + f"    orientation: {{w: {half}, x: 0, y: {half}, z: 0}}\n")
-        # Turned by a quarter about y, the tip is beside the tool: (−0.02, 0, 0) from it.
+        # Turned by a quarter about y, the tip is at (−0.02, 0, 0) from the tool.
         assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
 
 
@@ -153,7 +156,7 @@ def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
         ("- name: probe", "- name: needle", "has no 'probe'"),
     ],
 )
-def test_another_scene_is_not_put_through_the_script(old: str, new: str, said: str) -> None:
+def test_another_scene_is_refused_by_the_script(old: str, new: str, said: str) -> None:
     own = scene_of()
     with pytest.raises(tm.InvalidArgumentError, match=said):
         check_same_scene(scene_of(SCENE.replace(old, new)), own, Script.of(own))
@@ -187,7 +190,7 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     np.testing.assert_allclose(displacement[:, :, :2], 0, atol=1e-12)
     np.testing.assert_allclose(got.volume[0], [1 + stretch(t) for t in times], rtol=1e-9)
     assert got.force.shape == (20, 3)
-    pressed = [0.7 - script.pose(t)[2] for t in times]  # where the tool is to be when the step ends
+    pressed = [0.7 - script.pose(t)[2] for t in times]  # position of the tool at the end of the step
     np.testing.assert_allclose(got.force[:, 2], STIFFNESS_N_PER_M * np.array(pressed), atol=1e-12)
     assert got.work_j == pytest.approx(STIFFNESS_N_PER_M * 0.075**2 / 2, rel=1e-6)  # of the spring, at the deepest
     assert got.free_times_s[-1] == pytest.approx(0.35 * script.duration_s)
@@ -242,7 +245,7 @@ def test_a_scene_that_stops_does_not_keep_others_from_being_timed() -> None:
     assert all(of.unloaded for of in server.loaded)
 
 
-def test_what_is_timed_beside_others_has_its_turns_and_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_timed_for_comparison_take_turns_and_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
     server = FormulaServer()
     Meter(server, monkeypatch)
     scene, own = scene_of(), scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}"))
@@ -260,7 +263,7 @@ def test_timing_ends_where_it_takes_too_long() -> None:
     assert server.loaded[0].steps_ever == 160
 
 
-def test_a_daemon_that_is_gone_is_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_daemon_that_ended_is_not_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(self: FormulaScene) -> None:
         raise tm.UnavailableError("the daemon is gone")
 
@@ -277,7 +280,7 @@ class Meter(EnergyMeter):
         self._server = server
         self.watts = 100.0
         monkeypatch.setattr(energy, "time", types.SimpleNamespace(monotonic=lambda: server.loaded[0].busy_s))
-        monkeypatch.setattr(script_module, "EnergyMeter", lambda wanted: self)
+        monkeypatch.setattr(recorder_module, "EnergyMeter", lambda wanted: self)
 
     @property
     def readable(self) -> bool:

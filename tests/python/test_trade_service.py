@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass import processes
-from tensormass.cli import main
-from tensormass.trade.store import Machine
+from tensormass._src import processes
+from tensormass_tools.cli import main
+from tensormass_tools.trade.store import Machine
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -68,7 +68,7 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
     coarse, own, fine = errors_of(result, resolution=0.7), errors_of(result), errors_of(result, resolution=1.4)
     assert coarse["displacement"] > own["displacement"] > fine["displacement"] > 0
-    # Of a scheme of first order, doubling the step does twice of what halving it does.
+    # With a first-order scheme, doubling the step has twice the effect of halving it.
     moved = {of["setting"].get("dt_s"): of["moved"] for of in result["measurements"] if len(of["setting"]) < 2}
     assert 1.3 < moved[0.02] / moved[0.005] < 3
     assert 0 < own["force"] < 1  # it was felt
@@ -82,7 +82,7 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert len(result["reference"]["levels"]) >= 2
     assert result["reference"]["force_error"] > 0
 
-    # What is written was read and run again, and it is the same run.
+    # The written files were read and run again, with the same result.
     again, promised = result["confirmed"]["most_accurate"], result["most_accurate"]
     assert again["errors"] == promised["errors"]
     assert "most_accurate.yaml, read and run again" in said.out
@@ -93,7 +93,7 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
     result = trade(BAR, tmp_path, *options, "--reference-seconds", "5", "--timing-seconds", "0.1")
     capsys.readouterr()
     assert "knows no time" in result["not_varied"]["dt_s"]
-    # What every text book says of linear tetrahedra and of hexahedra in full quadrature.
+    # Known from textbooks for linear tetrahedra, and for hexahedra with full quadrature.
     locked = errors_of(result, shape="tetrahedron")["displacement"]
     assert (
         locked
@@ -104,7 +104,7 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert errors_of(result)["force"] is None
     assert errors_of(result)["frequency"] is None
     assert errors_of(result, newton_max_iterations=1)["displacement"] > errors_of(result)["displacement"]
-    # No equilibrium is no result; what is written is solved as it is.
+    # A setting without equilibrium is not a result; written files are solved unchanged.
     (capped,) = (of for of in result["measurements"] if of["setting"] == {"newton_max_iterations": 2})
     assert "newton_tolerance" in capped["failure"]
     fastest, out = tmp_path / "out" / "fastest.yaml", tmp_path / "fastest.vtu"
@@ -119,13 +119,13 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
         ("    mesh: {", "    # mesh: {", "body 'tissue'.mesh: no source"),
         (BLOCK[BLOCK.index("bodies:") :], "", "scene.bodies: a scene needs at least one body"),
         ("tools:", "solver: {budget_s: 1, floor_cg_iterations: 1000}\ntools:", "scene.solver.floor_cg_iterations: "),
-        # What is written takes the name over, and has to run as it is.
+        # Written files keep the name and must run unchanged.
         ("name: block", "name: my tiny", "scene.name: the name must be"),
         ("name: block", "", "scene.name: the name must be"),
         ("name: block", "name: ../x", "scene.name: the name must be"),
     ],
 )
-def test_what_the_daemon_refuses_is_refused_first(
+def test_a_refusal_of_the_daemon_comes_first(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

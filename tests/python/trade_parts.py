@@ -1,7 +1,8 @@
-"""What the tests of `tensormass trade` measure instead of a running daemon."""
+"""Stand-ins for a running daemon in the tests of `tensormass trade`."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 import tensormass as tm
-from tensormass.scene import SceneFile
-from tensormass.trade.knobs import Knobs, Setting
-from tensormass.trade.measures import Errors
-from tensormass.trade.script import Costs, Recording, Script
-from tensormass.trade.store import Machine, Measurement
+from tensormass._src.meshes import FloatArray
+from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade.knobs import Knobs, Setting
+from tensormass_tools.trade.measures import Errors
+from tensormass_tools.trade.recording import Costs, Recording
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Machine, Measurement
 
 BLOCK = """
 name: block
@@ -56,20 +59,20 @@ class Formula:
     def __init__(self, scene: scene_pb2.Scene, script: Script, broken_law: str = "") -> None:
         self.weights = [np.ones(2)]
         self.runs = 0
-        #: Of each call of `measure`, how many scenes.
+        #: Number of scenes in each call of `measure`.
         self.together = list[int]()
         #: Likewise, how long it may take [s].
         self.limits_s = list[float]()
         #: The run that ends the daemon.
         self.last_run = 0
         self.felt = True
-        #: Of the machine, as factors of the times of the runs that follow; then it is as it was.
+        #: Factors of the times of the next runs, for a machine that changes its speed; 1 afterwards.
         self.slowness = list[float]()
-        #: Of the error, likewise.
+        #: Factors of the errors of the next runs, likewise.
         self.wrongness = list[float]()
-        #: Of conjugate gradients: what they leave cancels nine tenths of the error.
+        #: `cg_tolerance` whose residual happens to cancel nine tenths of the error; 0 without one.
         self.lucky_tolerance = 0.0
-        #: For a scene and what is timed beside it.
+        #: False if the device has no room for a scene and the one timed in turns with it.
         self.room_for_both = True
         self.unconverged_steps = 0
         self.min_det_f = 0.9
@@ -114,3 +117,13 @@ class Formula:
             except tm.FailedPreconditionError as error:
                 recordings.append(error)
         return [*recordings, *(of if self.room_for_both else tm.ResourceExhaustedError("full") for of in turns)]
+
+
+def recording(scale: float = 1.0, force_scale: float = 1.0, turn_rad: float = 0.0) -> Recording:
+    """Two samples of one body of three points."""
+    displacement: FloatArray = scale * np.array([np.full((3, 3), 0.5), np.eye(3)])
+    force = force_scale * np.array([[0, 0, 1.0], [0, 2 * math.sin(turn_rad), 2 * math.cos(turn_rad)]])
+    times = np.linspace(0, 1, 200)
+    swing = np.exp(-scale * times) * np.cos(2 * math.pi * 5 * times)
+    volume = np.array([[1.0, 1.0 + 0.01 * scale]])
+    return Recording([displacement], volume, force, 3.0 * force_scale, times, swing, 6, 0.0, 0, 0.9, COSTS)

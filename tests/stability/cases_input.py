@@ -265,7 +265,7 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
             pose.sequence = sequence
             place.set(pose, value)
             try:
-                engine.server._call("MoveTool", control_pb2.MoveToolRequest(scene=scene.name, tool="probe", pose=pose))
+                engine.server.call("MoveTool", control_pb2.MoveToolRequest(scene=scene.name, tool="probe", pose=pose))
             except tm.InvalidArgumentError as refusal:
                 refused += 1
                 if place.name not in str(refusal):

@@ -16,9 +16,9 @@ import pytest
 
 import tensormass as tm
 from accuracy.engine import Engine
-from tensormass import processes
-from tensormass.trade import knobs
+from tensormass._src import processes
 from tensormass.v1 import scene_pb2
+from tensormass_tools.trade import knobs
 
 from . import cases_start, cases_steps, journal, report
 from .case import (

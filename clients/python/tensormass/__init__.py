@@ -11,9 +11,8 @@
 The protocol's messages are in `tensormass.v1`. SI units throughout.
 """
 
-from tensormass.client import DEFAULT_ADDRESS, FrameStream, SceneHandle, Server, connect, launch
-from tensormass.demo import builtin_scenes
-from tensormass.errors import (
+from tensormass._src.demo import builtin_scenes
+from tensormass._src.errors import (
     AlreadyExistsError,
     DeadlineExceededError,
     FailedPreconditionError,
@@ -25,11 +24,19 @@ from tensormass.errors import (
     TensormassError,
     UnavailableError,
 )
-from tensormass.fields import FieldName, Fields
-from tensormass.mesh_files import read_mesh, read_surface, write_mesh
-from tensormass.meshes import TriangleSurface, VolumeMesh, grid, tetrahedralize
-from tensormass.scene import Scene, law_message
-from tensormass.streams import Feedback, Frame, PoseSender, Subscription
+from tensormass._src.fields import FieldName, Fields
+from tensormass._src.frames import Feedback, Frame
+from tensormass._src.grids import grid
+from tensormass._src.launching import launch
+from tensormass._src.laws import law_message
+from tensormass._src.mesh_files import read_mesh, read_surface, write_mesh
+from tensormass._src.meshes import TriangleSurface, VolumeMesh
+from tensormass._src.poses import PoseSender
+from tensormass._src.scene import Scene
+from tensormass._src.scene_handle import FrameStream, SceneHandle
+from tensormass._src.server import DEFAULT_ADDRESS, Server, connect
+from tensormass._src.subscriptions import Subscription
+from tensormass._src.tetwild import tetrahedralize
 
 __all__ = [
     "DEFAULT_ADDRESS",

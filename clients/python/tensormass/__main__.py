@@ -2,6 +2,6 @@
 
 import sys
 
-from tensormass.cli import main
+from tensormass_tools.cli import main
 
 sys.exit(main())

@@ -1,0 +1,84 @@
+"""The gRPC connection to a daemon, and the data plane that the daemon announces over it."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import grpc
+
+from tensormass._src import errors
+from tensormass._src.data_plane import DataPlane
+from tensormass._src.endpoints import reached_endpoints
+from tensormass._src.streams import Closing
+from tensormass.v1 import control_pb2, control_pb2_grpc
+
+# The daemon's own limit (server/core/limits.h).
+_MAX_MESSAGE_BYTES = 512 << 20
+CALL_TIMEOUT_S = 30.0
+#: For calls that compile a scene or measure all of it.
+LOAD_TIMEOUT_S = 300.0
+
+
+class Connection(Closing):
+    """Makes calls to one daemon. Close it, or use it as a context manager."""
+
+    def __init__(self, address: str, *, timeout_s: float = 5.0) -> None:
+        self.address = address
+        self._cleanup = contextlib.ExitStack()
+        self._closed = False
+        self._channel = grpc.insecure_channel(
+            address,
+            options=[
+                ("grpc.max_send_message_length", _MAX_MESSAGE_BYTES),
+                ("grpc.max_receive_message_length", _MAX_MESSAGE_BYTES),
+                ("grpc.enable_http_proxy", 0),  # the data plane does not use a proxy either
+            ],
+        )
+        self._stub = control_pb2_grpc.ControlStub(self._channel)
+        try:
+            grpc.channel_ready_future(self._channel).result(timeout_s)
+            self._data_plane = DataPlane(self.version())
+        except grpc.FutureTimeoutError:
+            self._channel.close()
+            raise errors.UnavailableError(
+                f"no daemon answers on {address}; start one with `tensormassd` or tm.launch()"
+            ) from None
+        except BaseException:
+            self._channel.close()
+            raise
+
+    def close(self) -> None:
+        """Closes the connection, then unwinds the work of `at_close`. May be called again."""
+        self._closed = True
+        self._data_plane.close()
+        self._channel.close()
+        self._cleanup.close()
+
+    @property
+    def data_plane(self) -> DataPlane:
+        """Gives access to the streams, for clients that need more than `SceneHandle` offers."""
+        return self._data_plane
+
+    def version(self) -> control_pb2.GetVersionResponse:
+        """Returns version, backend, device, counters of malformed input, and data endpoints as this client reaches
+        them."""
+        return reached_endpoints(self.call("GetVersion", control_pb2.GetVersionRequest()), self.address)
+
+    def at_close(self, work: contextlib.ExitStack) -> None:
+        """Unwinds `work` after the connection is closed."""
+        self._cleanup.push(work)
+
+    def call(self, method: str, request: Any, timeout_s: float | None = CALL_TIMEOUT_S) -> Any:  # noqa: ANN401
+        """Makes one unary call. A failed call raises an exception of the SDK.
+
+        Args:
+            method: its name in control.proto.
+            timeout_s: None waits as long as it takes.
+        """
+        if self._closed:
+            raise errors.UnavailableError(f"this connection to {self.address} is closed; connect again")
+        try:
+            return getattr(self._stub, method)(request, timeout=timeout_s)
+        except grpc.RpcError as error:
+            raise errors.from_rpc_error(error) from error

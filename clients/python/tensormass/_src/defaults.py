@@ -1,0 +1,44 @@
+"""Defaults of scene.proto: the values of fields that a scene leaves open."""
+
+from __future__ import annotations
+
+from tensormass.v1 import scene_pb2
+
+_QUASI_STATIC = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
+
+
+def dt_s(scene: scene_pb2.Scene) -> float:
+    """Returns the simulated time of a step [s]."""
+    return scene.stepping.dt_s if scene.stepping.HasField("dt_s") else 1 / 60
+
+
+def cg_max_iterations(solver: scene_pb2.Solver) -> int:
+    """Returns the largest number of conjugate-gradient iterations in a solve."""
+    if solver.HasField("cg_max_iterations"):
+        return solver.cg_max_iterations
+    return 10_000 if solver.integrator == _QUASI_STATIC else 100
+
+
+def cg_tolerance(solver: scene_pb2.Solver) -> float:
+    """Returns the residual, relative to the right-hand side, at which a solve ends."""
+    return solver.cg_tolerance if solver.HasField("cg_tolerance") else 1e-3
+
+
+def newton_max_iterations(solver: scene_pb2.Solver) -> int:
+    """Returns the largest number of linearized solves in a step."""
+    if solver.HasField("newton_max_iterations"):
+        return solver.newton_max_iterations
+    return 50 if solver.integrator == _QUASI_STATIC else 1
+
+
+def newton_tolerance(solver: scene_pb2.Solver) -> float:
+    """Returns the residual, as a share of the forces, at which a step ends."""
+    if solver.HasField("newton_tolerance"):
+        return solver.newton_tolerance
+    return 1e-6 if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else 1e-3
+
+
+def scheduled_s(scene: scene_pb2.Scene) -> float:
+    """Returns when the last schedule of a prescribed displacement ends [s]; 0 without one."""
+    ends = (max(of.schedule.time_s, default=0.0) for body in scene.bodies for of in body.prescribed)
+    return max(ends, default=0.0)

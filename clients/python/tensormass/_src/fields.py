@@ -1,0 +1,82 @@
+"""Fields of nodes and elements, and energies, for analysis. See `Field` in control.proto."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, cast, get_args
+
+import numpy as np
+
+from tensormass._src.errors import InternalError, InvalidArgumentError
+from tensormass._src.meshes import FloatArray
+from tensormass._src.names import suggestion
+from tensormass.v1 import control_pb2
+
+FieldName = Literal[
+    "displacement",
+    "velocity",
+    "reaction_force",
+    "cauchy_stress",
+    "von_mises_stress",
+    "det_f",
+    "elastic_energy",
+]
+FIELD_NAMES: tuple[FieldName, ...] = get_args(FieldName)
+#: Fields with a value at each node. The others have one in each element.
+NODE_FIELDS: frozenset[FieldName] = frozenset({"displacement", "velocity", "reaction_force"})
+_PREFIX = "FIELD_"
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Fields of one body after a step, by name: `fields["cauchy_stress"]`."""
+
+    step: int
+    simulated_time_s: float
+    #: float64 [node or element count, components]; one-component fields have no second dimension:
+    #: displacement [m], velocity [m/s], reaction_force [N], cauchy_stress [Pa] (xx yy zz yz xz xy),
+    #: von_mises_stress [Pa], det_f, elastic_energy [J].
+    values: dict[FieldName, FloatArray]
+    #: Energies [J] and smallest det F of the whole body, whatever fields were asked for.
+    elastic_energy_j: float
+    kinetic_energy_j: float
+    min_det_f: float
+
+    def __getitem__(self, name: FieldName) -> FloatArray:
+        return self.values[name]
+
+    @staticmethod
+    def from_message(message: control_pb2.GetFieldsResponse) -> Fields:
+        """Decodes a reply.
+
+        Raises:
+            InternalError: bytes that are not whole rows.
+        """
+        values: dict[FieldName, FloatArray] = {}
+        for of in message.fields:
+            name = control_pb2.Field.Name(of.field).removeprefix(_PREFIX).lower()
+            if of.components == 0 or len(of.values) % (8 * of.components) != 0:
+                raise InternalError(f"field {name}: {len(of.values)} bytes are no rows of {of.components} numbers")
+            rows = np.frombuffer(of.values, "<f8").copy()
+            values[name] = rows.reshape(-1, of.components) if of.components > 1 else rows  # type: ignore[index]
+        return Fields(
+            message.step,
+            message.simulated_time_s,
+            values,
+            message.elastic_energy_j,
+            message.kinetic_energy_j,
+            message.min_det_f,
+        )
+
+
+def field_numbers(names: Sequence[str]) -> list[control_pb2.Field]:
+    """Returns the protocol's values of fields, by their names.
+
+    Raises:
+        InvalidArgumentError: an unknown name.
+    """
+    for name in names:
+        if name not in FIELD_NAMES:
+            raise InvalidArgumentError(f"unknown field {name!r}; {suggestion(name, FIELD_NAMES)}")
+    return [cast(control_pb2.Field, control_pb2.Field.Value(_PREFIX + name.upper())) for name in names]

@@ -1,0 +1,130 @@
+"""Frames and feedback as the SDK hands them out, decoded from the protocol's messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from tensormass._src.errors import (
+    InternalError,
+    NotFoundError,
+)
+from tensormass.v1 import scene_pb2, stream_pb2
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """Force on a tool after a step. See `ToolFeedback` in stream.proto."""
+
+    tool: str
+    step: int
+    #: End of the step on the server's clock, nanoseconds since the Unix epoch.
+    server_time_ns: int
+    #: Sequence of the newest pose that the step used; 0 before the first.
+    pose_sequence: int
+    #: Time on the client's own clock, as sent with that pose.
+    client_time_ns: int
+    #: Client that sent the pose. A device renders only feedback with its own `PoseSender.client_id`.
+    client_id: int
+    #: Position of the tool in the simulation, [3] m.
+    position_m: npt.NDArray[np.float64]
+    #: Quaternion [4] w, x, y, z.
+    orientation: npt.NDArray[np.float64]
+    #: Force on the tool, [3] N.
+    force_n: npt.NDArray[np.float64]
+    #: Torque on the tool about its position, [3] N m.
+    torque_n_m: npt.NDArray[np.float64]
+    #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after arrival.
+    stiffness_n_per_m: npt.NDArray[np.float64]
+    valid_for_s: float
+
+    @staticmethod
+    def from_message(message: stream_pb2.ToolFeedback) -> Feedback:
+        stiffness = np.array(message.local_model.stiffness_n_per_m, dtype=np.float64)
+        orientation = message.orientation
+        return Feedback(
+            tool=message.tool,
+            step=message.step,
+            server_time_ns=message.server_time_ns,
+            pose_sequence=message.pose_sequence,
+            client_time_ns=message.client_time_ns,
+            client_id=message.client_id,
+            position_m=_array(message.position_m),
+            orientation=np.array([orientation.w, orientation.x, orientation.y, orientation.z]),
+            force_n=_array(message.force_n),
+            torque_n_m=_array(message.torque_n_m),
+            stiffness_n_per_m=stiffness.reshape(3, 3) if stiffness.size == 9 else np.zeros((3, 3)),
+            valid_for_s=message.local_model.valid_for_s,
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Surfaces of all bodies at one moment. See `Frame` in stream.proto."""
+
+    topology: stream_pb2.Topology
+    #: Number of the frame; a gap is a dropped frame.
+    sequence: int
+    step: int
+    simulated_time_s: float
+    server_time_ns: int
+    #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
+    positions: npt.NDArray[np.float32]
+    tools: dict[str, Feedback]
+
+    def vertices(self, body: str) -> npt.NDArray[np.float32]:
+        """Returns the part of `positions` that belongs to a body, [vertex_count, 3] m."""
+        surface = find_body(self.topology, body)
+        return self.positions[surface.first_vertex : surface.first_vertex + surface.vertex_count]
+
+    @staticmethod
+    def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology) -> Frame:
+        size = frame_size_bytes(topology)
+        if len(message.positions) != size:
+            raise InternalError(
+                f"frame {message.sequence} of {topology.scene!r} has {len(message.positions)} bytes of positions; "
+                f"its topology needs {size}"
+            )
+        return Frame(
+            topology=topology,
+            sequence=message.sequence,
+            step=message.step,
+            simulated_time_s=message.simulated_time_s,
+            server_time_ns=message.server_time_ns,
+            positions=np.frombuffer(message.positions, dtype="<f4").reshape(-1, 3),
+            tools={tool.tool: Feedback.from_message(tool) for tool in message.tools},
+        )
+
+
+def frame_size_bytes(topology: stream_pb2.Topology) -> int:
+    """Returns the size of `positions` in a frame of this topology [bytes]."""
+    return 12 * sum(body.vertex_count for body in topology.bodies)
+
+
+def find_body(topology: stream_pb2.Topology, body: str) -> stream_pb2.BodySurface:
+    """Finds the surface of a body. NotFoundError lists the bodies there are."""
+    return _find(topology, topology.bodies, "body", body)
+
+
+def find_tool(topology: stream_pb2.Topology, tool: str) -> stream_pb2.ToolShape:
+    """Finds the shape of a tool. NotFoundError lists the tools there are."""
+    return _find(topology, topology.tools, "tool", tool)
+
+
+NamedType = TypeVar("NamedType", stream_pb2.BodySurface, stream_pb2.ToolShape)
+
+
+def _find(topology: stream_pb2.Topology, there: Sequence[NamedType], kind: str, name: str) -> NamedType:
+    for each in there:
+        if each.name == name:
+            return each
+    known = ", ".join(each.name for each in there) or "none"
+    raise NotFoundError(f"scene {topology.scene!r} has no {kind} {name!r}; it has: {known}")
+
+
+def _array(vector: scene_pb2.Vector3) -> npt.NDArray[np.float64]:
+    return np.array([vector.x, vector.y, vector.z])

@@ -1,0 +1,102 @@
+"""The demo's organs: shapes blended from smooth primitives, as implicit functions.
+
+They model no patient and no data set. Lengths in metres, z up, x towards the liver's left lobe, y to the front.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tensormass._src import isosurface
+from tensormass._src.mesh_geometry import boundary
+from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
+
+
+@dataclass(frozen=True)
+class Organ:
+    """A shape, the box around it, and the cell sizes of its volume and skin."""
+
+    inside: isosurface.Implicit
+    lower_m: FloatArray
+    upper_m: FloatArray
+    cell_m: float
+    skin_cell_m: float
+
+    def volume(self) -> VolumeMesh:
+        """Makes the tetrahedra that are simulated."""
+        return isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
+
+    def skin(self) -> TriangleSurface:
+        """Makes the visible surface."""
+        fine = isosurface.fill(self.inside, self.lower_m, self.upper_m, self.skin_cell_m)
+        return isosurface.smooth(boundary(fine), self.inside, step_m=1e-4)
+
+
+def liver(points: FloatArray) -> FloatArray:
+    """Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m].
+    Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m]."""
+    # The right lobe is a thick dome, the left one a thin wedge that tapers away; between them a shallow furrow.
+    right = _ellipsoid(points, (-0.040, -0.004, 0.000), (0.068, 0.068, 0.050), tilt_deg=(0.0, 6.0, 10.0))
+    right_tip = _ellipsoid(points, (-0.068, 0.022, -0.018), (0.036, 0.044, 0.032), tilt_deg=(0.0, 0.0, 25.0))
+    left = _ellipsoid(points, (0.042, 0.000, 0.004), (0.070, 0.046, 0.029), tilt_deg=(0.0, 9.0, -12.0))
+    body = _blend(_blend(right, right_tip, 0.030), left, 0.035)
+    furrow = _ellipsoid(points, (0.016, 0.052, 0.034), (0.009, 0.038, 0.029), tilt_deg=(20.0, 0.0, -10.0))
+    # The underside is hollow where other organs lie against it, and has the groove of the gall bladder.
+    hollow = _ellipsoid(points, (0.020, -0.008, -0.085), (0.115, 0.075, 0.066), tilt_deg=(8.0, -8.0, 0.0))
+    groove = _ellipsoid(points, (-0.012, 0.045, -0.040), (0.014, 0.036, 0.018), tilt_deg=(-15.0, 0.0, 8.0))
+    for carved, width in ((furrow, 0.024), (hollow, 0.022), (groove, 0.016)):
+        body = -_blend(-body, carved, width)
+    return body
+
+
+def kidney(points: FloatArray) -> FloatArray:
+    """Implicit function of the kidney, like `liver`: a bean, its hilum towards -x."""
+    bean = _ellipsoid(points, (0.000, 0.000, 0.000), (0.030, 0.024, 0.055), tilt_deg=(0.0, 0.0, 0.0))
+    hilum = _ellipsoid(points, (-0.034, 0.000, 0.000), (0.018, 0.026, 0.016), tilt_deg=(0.0, 0.0, 0.0))
+    return -_blend(-bean, hilum, 0.018)
+
+
+# The liver has about 20,000 tetrahedra, the kidney about 6,000.
+ORGANS = {
+    "liver": Organ(liver, np.array([-0.12, -0.085, -0.065]), np.array([0.125, 0.085, 0.065]), 0.0093, 0.0042),
+    "kidney": Organ(kidney, np.array([-0.035, -0.03, -0.06]), np.array([0.035, 0.03, 0.06]), 0.0074, 0.0034),
+}
+
+
+def _ellipsoid(
+    points: FloatArray,
+    center_m: tuple[float, float, float],
+    radii_m: tuple[float, float, float],
+    tilt_deg: tuple[float, float, float],
+) -> FloatArray:
+    """Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole).
+    Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole)."""
+    local = (points - np.array(center_m)) @ _rotation(tilt_deg)
+    radii = np.array(radii_m)
+    k0 = np.linalg.norm(local / radii, axis=1)
+    k1 = np.linalg.norm(local / radii**2, axis=1)
+    distance: FloatArray = np.where(k0 > 1e-3, k0 * (1.0 - k0) / np.maximum(k1, 1e-9), radii.min())
+    return np.minimum(distance, radii.min())
+
+
+def _rotation(tilt_deg: tuple[float, float, float]) -> FloatArray:
+    """Returns the matrix of rotations about x, then y, then z."""
+    matrix = np.eye(3)
+    for axis, angle in enumerate(np.radians(tilt_deg)):
+        turn = np.eye(3)
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        turn[u, u] = turn[v, v] = np.cos(angle)
+        turn[v, u] = np.sin(angle)
+        turn[u, v] = -turn[v, u]
+        matrix = turn @ matrix
+    return matrix
+
+
+def _blend(a: FloatArray, b: FloatArray, width_m: float) -> FloatArray:
+    """Returns the smooth union: the larger of the two, rounded (cubic, so that curvature is continuous) where they are
+    close."""
+    close = np.maximum(width_m - np.abs(a - b), 0.0) / width_m
+    union: FloatArray = np.maximum(a, b) + close**3 * (width_m / 6.0)
+    return union

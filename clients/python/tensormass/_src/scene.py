@@ -1,0 +1,188 @@
+"""Scenes, built from files, meshes or arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import meshio
+import numpy.typing as npt
+
+from tensormass._src import mesh_files, meshes
+from tensormass._src.enums import enum_number
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.laws import LAWS, LIVER, law_message
+from tensormass._src.names import as_name, suggestion
+from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
+from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass._src.vectors import Vector, vector3
+from tensormass.v1 import scene_pb2
+
+
+class Scene:
+    """Holds a scene to load: `message`, the protobuf `tensormass.v1.Scene`, and the usual ways to make one.
+
+    Whatever these methods do not offer is a field of `message`.
+    """
+
+    def __init__(self, name: str = "scene", message: scene_pb2.Scene | None = None) -> None:
+        self.message = message if message is not None else scene_pb2.Scene(name=name)
+
+    def __repr__(self) -> str:
+        bodies = ", ".join(body.name for body in self.message.bodies)
+        return f"Scene({self.message.name!r}, bodies: {bodies or 'none'})"
+
+    @property
+    def name(self) -> str:
+        return self.message.name
+
+    @staticmethod
+    def from_file(path: str | Path) -> Scene:
+        """Reads a scene (.yaml, .yml) or a bare volume mesh, which becomes one body of soft tissue at rest.
+
+        `path` may be the name of a built-in scene (`builtin_scenes`). A file of that name takes precedence.
+
+        Raises:
+            NotFoundError: the file, or a mesh that it names, does not exist.
+            InvalidArgumentError: a mistake; the message names the file and the path of the field.
+        """
+        if is_mesh_file(path):
+            return Scene.from_mesh(mesh_files.read_mesh(Path(path)), name=as_name(Path(path).stem) or "scene")
+        return Scene(message=SceneFile.read(path).message())
+
+    @staticmethod
+    def from_yaml(text: str, *, directory: str | Path = ".", where: str = "scene") -> Scene:
+        """Parses the text of a scene file. Mesh files are relative to `directory`."""
+        return Scene(message=SceneFile.parse(text, Path(directory), where).message())
+
+    @staticmethod
+    def from_arrays(nodes: npt.ArrayLike, tetrahedra: npt.ArrayLike, **options: Any) -> Scene:  # noqa: ANN401
+        """Makes a scene of tetrahedra [n, 4] in VTK node order and nodes [node_count, 3] m. Options of `from_mesh`."""
+        return Scene.from_mesh(meshes.VolumeMesh.from_tetrahedra(nodes, tetrahedra), **options)
+
+    @staticmethod
+    def from_meshio(mesh: meshio.Mesh, **options: Any) -> Scene:  # noqa: ANN401
+        """Makes a scene of a `meshio.Mesh` in metres. Options of `from_mesh`."""
+        return Scene.from_mesh(mesh_files.from_meshio(mesh), **options)
+
+    @staticmethod
+    def from_mesh(
+        mesh: meshes.VolumeMesh,
+        *,
+        name: str = "scene",
+        body: str = "body",
+        gravity_m_per_s2: Vector | None = None,
+        density_kg_per_m3: float = 1060.0,
+        **options: Any,  # noqa: ANN401
+    ) -> Scene:
+        """Makes a scene of one body, by default of liver tissue. Add tools with `add_spherical_probe`.
+
+        Args:
+            options: the further arguments of `add_body`.
+
+        Raises:
+            InvalidArgumentError: a mistake in an array; the message names array, row and remedy.
+        """
+        scene = Scene(name)
+        scene.add_body(body, mesh, density_kg_per_m3=density_kg_per_m3, **options)
+        if gravity_m_per_s2 is not None:
+            scene.message.gravity_m_per_s2.CopyFrom(vector3(gravity_m_per_s2, "gravity_m_per_s2"))
+        return scene
+
+    def add_body(
+        self,
+        name: str,
+        mesh: meshes.VolumeMesh,
+        *,
+        law: str = "st_venant_kirchhoff",
+        constants: Mapping[str, float | Vector] | None = None,
+        young_modulus_pa: float | None = None,
+        poisson_ratio: float | None = None,
+        prony: Sequence[tuple[float, float]] = (),
+        density_kg_per_m3: float,
+        quadrature: str | None = None,
+        mass: str | None = None,
+        fixed: str | Sequence[str] = (),
+        fixed_nodes: npt.ArrayLike | None = None,
+        skin: meshes.TriangleSurface | None = None,
+    ) -> scene_pb2.Body:
+        """Adds a body and returns its message. Loads, prescribed displacements and laws of regions are set there.
+
+        Args:
+            mesh: elements in m; its named sets and element fields become those of the body.
+            law: one of `LAWS`.
+            constants: of the law, by name: `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
+            young_modulus_pa: a constant of many laws; default 4 kPa if `constants` is not given.
+            poisson_ratio: likewise; default 0.45 if `constants` is not given.
+            prony: (share, relaxation time [s]) of each term.
+            quadrature: "full" (default), "reduced" or "selective".
+            mass: "lumped" (default) or "consistent".
+            fixed: names of sets whose nodes do not move.
+            fixed_nodes: further nodes that do not move, indices [k] or mask [node_count].
+            skin: a finer surface that moves with the body; clients see it instead of the boundary.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it and the known values.
+        """
+        given = dict(constants or {})
+        if constants is None and law in LAWS:
+            fields = getattr(scene_pb2.Law(), law).DESCRIPTOR.fields_by_name
+            given = {name: value for name, value in LIVER.items() if name in fields}
+        if young_modulus_pa is not None:
+            given["young_modulus_pa"] = young_modulus_pa
+        if poisson_ratio is not None:
+            given["poisson_ratio"] = poisson_ratio
+        body = scene_pb2.Body(name=name, mesh=scene_pb2.Mesh(packed=pack_mesh(mesh)))
+        body.law.CopyFrom(law_message(law, given, prony, where=f"{name}.law"))
+        body.density_kg_per_m3 = density_kg_per_m3
+        if quadrature is not None:
+            body.quadrature = cast(
+                scene_pb2.Quadrature,
+                enum_number(scene_pb2.Quadrature.DESCRIPTOR, quadrature, f"{name}.quadrature"),
+            )
+        if mass is not None:
+            body.mass = cast(scene_pb2.Mass, enum_number(scene_pb2.Mass.DESCRIPTOR, mass, f"{name}.mass"))
+        add_what_the_mesh_carries(body, mesh, name)
+        for set_name in [fixed] if isinstance(fixed, str) else fixed:
+            if set_name not in mesh.sets:
+                raise InvalidArgumentError(
+                    f"{name}.fixed: the mesh has no set {set_name!r}; {suggestion(set_name, mesh.sets)}"
+                )
+            body.fixed.add().set = set_name
+        if fixed_nodes is not None:
+            indices = meshes.node_indices(fixed_nodes, len(mesh.nodes), f"{name}.fixed_nodes")
+            body.fixed.add().nodes.indices.extend(indices.tolist())
+        if skin is not None:
+            body.skin.packed.CopyFrom(pack_triangles(skin))
+        self.message.bodies.append(body)
+        return self.message.bodies[-1]
+
+    def add_spherical_probe(
+        self, name: str, *, radius_m: float, position_m: Vector, max_speed_m_per_s: float | None = None
+    ) -> scene_pb2.Tool:
+        """Adds a probe and returns its message. The probe stays at `position_m` until its first pose."""
+        tool = scene_pb2.Tool(
+            name=name,
+            spherical_probe=scene_pb2.SphericalProbe(radius_m=radius_m),
+            position_m=vector3(position_m, f"{name}.position_m"),
+            max_speed_m_per_s=max_speed_m_per_s,
+        )
+        self.message.tools.append(tool)
+        return self.message.tools[-1]
+
+    def keep_to_budget(
+        self, budget_s: float, *, floor_cg_iterations: int | None = None, floor_tolerance: float | None = None
+    ) -> None:
+        """Lets the daemon lower the solver's iterations, down to a floor, while steps take longer than `budget_s`.
+
+        Args:
+            floor_cg_iterations: lowest number of conjugate-gradient iterations.
+            floor_tolerance: largest relative residual of a published step.
+        """
+        solver = self.message.solver
+        solver.budget_s = budget_s
+        if floor_cg_iterations is not None:
+            solver.floor_cg_iterations = floor_cg_iterations
+        if floor_tolerance is not None:
+            solver.floor_tolerance = floor_tolerance

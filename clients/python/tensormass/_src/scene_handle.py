@@ -1,0 +1,228 @@
+"""A loaded scene: its time, state, frames and tools."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
+from tensormass._src.fields import FieldName, Fields, field_numbers
+from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
+from tensormass._src.poses import PoseSender, PoseSequence
+from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
+from tensormass._src.streams import Closing, Transport
+from tensormass._src.subscriptions import Subscription
+from tensormass._src.vectors import Vector
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+
+
+class SceneHandle:
+    """A loaded scene. The scene outlives the handle; `unload` ends it."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        name: str,
+        report: control_pb2.SceneReport | None,
+        message: scene_pb2.Scene | None = None,
+    ) -> None:
+        self.name = name
+        #: Bodies as admitted, and the cost of a step; None for a scene that another client loaded.
+        self.report = report
+        #: The loaded scene, with its meshes; None for a scene that another client loaded.
+        self.message = message
+        self._connection = connection
+        self._topology: stream_pb2.Topology | None = None
+        self._poses: dict[str, PoseSequence] = {}
+
+    def __repr__(self) -> str:
+        return f"SceneHandle({self.name!r} on {self._connection.address})"
+
+    # --- time ---------------------------------------------------------------------------------------------------------
+
+    def step(self, count: int = 1) -> stream_pb2.SceneStatus:
+        """Makes `count` steps and returns after the last one.
+
+        Raises:
+            FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
+        """
+        request = control_pb2.StepSceneRequest(scene=self.name, count=count)
+        return self._connection.call("StepScene", request, timeout_s=None).status
+
+    def pause(self) -> stream_pb2.SceneStatus:
+        """Pauses the scene between two steps."""
+        return self._connection.call("PauseScene", control_pb2.PauseSceneRequest(scene=self.name)).status
+
+    def resume(self) -> stream_pb2.SceneStatus:
+        """Continues after `pause`."""
+        return self._connection.call("ResumeScene", control_pb2.ResumeSceneRequest(scene=self.name)).status
+
+    def reset(self) -> stream_pb2.SceneStatus:
+        """Resets positions, velocities, time and tools to the start, and clears a fault."""
+        return self._connection.call("ResetScene", control_pb2.ResetSceneRequest(scene=self.name)).status
+
+    def unload(self) -> None:
+        """Unloads the scene."""
+        self._connection.call("UnloadScene", control_pb2.UnloadSceneRequest(scene=self.name))
+
+    # --- state --------------------------------------------------------------------------------------------------------
+
+    def status(self) -> stream_pb2.SceneStatus:
+        """Returns rates, deadlines, solver figures and counters; see `SceneStatus` in stream.proto."""
+        return self._connection.call("GetStatus", control_pb2.GetStatusRequest(scene=self.name)).status
+
+    def positions(self, body: str) -> npt.NDArray[np.float64]:
+        """Returns the nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
+        request = control_pb2.GetPositionsRequest(scene=self.name, body=body)
+        reply = self._connection.call("GetPositions", request)
+        return np.frombuffer(reply.positions, dtype="<f8").reshape(-1, 3).copy()
+
+    def fields(self, body: str, names: Sequence[FieldName] = ()) -> Fields:
+        """Computes fields of a body after the last step. Its energies are always included.
+
+        Raises:
+            NotFoundError: no such body.
+            InvalidArgumentError: an unknown name.
+        """
+        request = control_pb2.GetFieldsRequest(scene=self.name, body=body, fields=field_numbers(names))
+        return Fields.from_message(self._connection.call("GetFields", request, timeout_s=LOAD_TIMEOUT_S))
+
+    def write_report(self, path: str | Path) -> Path:
+        """Writes status, state and the loaded scene to an .npz file; docs/protocol.md names its arrays.
+
+        Raises:
+            InvalidArgumentError: the path does not end in .npz, or cannot be written.
+            FailedPreconditionError: the device failed, so its state cannot be trusted.
+        """
+        file = report_path(path)
+        bodies = {body.name: self.fields(body.name, REPORT_FIELDS) for body in self.topology().bodies}
+        return write_report(file, self.status(), bodies, self.message)
+
+    def surface(self, body: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
+        """Returns the visible surface of a body: vertices float64 [vertex_count, 3] m, triangles uint32 [n, 3].
+
+        Raises:
+            NotFoundError: no such body.
+        """
+        frame = self.frame()
+        triangles = np.frombuffer(find_body(frame.topology, body).triangles, dtype="<u4").reshape(-1, 3)
+        return frame.vertices(body).astype(np.float64), triangles.copy()
+
+    def topology(self) -> stream_pb2.Topology:
+        """Returns what does not change between frames: bodies, tools and triangles."""
+        reply = self._connection.call("GetTopology", control_pb2.GetTopologyRequest(scene=self.name))
+        self._topology = reply.topology
+        return reply.topology
+
+    def frame(self) -> Frame:
+        """Returns the surfaces after the last step."""
+        while True:
+            reply = self._connection.call("GetFrame", control_pb2.GetFrameRequest(scene=self.name))
+            frame = self._decode(reply.frame)
+            if frame is not None:
+                return frame
+
+    def frames(self, transport: Transport = "zeromq", *, timeout_s: float = 5.0) -> FrameStream:
+        """Subscribes to the frames: `for frame in scene.frames(): ...`.
+
+        The first item is the present state, even of a paused scene. Each later item is the newest frame, and frames in
+        between are skipped. Waits at most `timeout_s` for each.
+        """
+        subscription = self._connection.data_plane.subscribe(self.name, "frame", stream_pb2.Frame, transport)
+        return FrameStream(self, subscription, timeout_s)
+
+    def statuses(self, transport: Transport = "zeromq") -> Subscription[stream_pb2.SceneStatus]:
+        """Subscribes to the status of the scene."""
+        return self._connection.data_plane.subscribe(self.name, "status", stream_pb2.SceneStatus, transport)
+
+    # --- tools --------------------------------------------------------------------------------------------------------
+
+    def move_tool(self, name: str, position_m: Vector, orientation: Vector | None = None) -> None:
+        """Moves a tool from the next step on, no faster than its maximum speed.
+
+        Args:
+            position_m: [3] m.
+            orientation: quaternion w, x, y, z; None is the identity.
+
+        Raises:
+            NotFoundError: no such tool.
+            InvalidArgumentError: a value that is not a finite number.
+        """
+        pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation)
+        self._connection.call("MoveTool", control_pb2.MoveToolRequest(scene=self.name, tool=name, pose=pose))
+
+    def feedback(self, name: str) -> Feedback:
+        """Returns force, torque and local model of a tool after the last step."""
+        request = control_pb2.GetFeedbackRequest(scene=self.name, tool=name)
+        return Feedback.from_message(self._connection.call("GetFeedback", request).feedback)
+
+    def tool_stream(self, name: str, transport: Transport = "zeromq") -> PoseSender:
+        """Opens a stream of poses, for clients that move a tool more often than a call per pose allows.
+
+        Raises:
+            NotFoundError: no such tool. The stream itself would not report it.
+        """
+        find_tool(self.topology(), name)
+        return self._connection.data_plane.pose_sender(self.name, name, transport)
+
+    def feedbacks(self, name: str, transport: Transport = "zeromq") -> Subscription[stream_pb2.ToolFeedback]:
+        """Subscribes to the feedback of a tool: the newest after each step.
+
+        Raises:
+            NotFoundError: no such tool. Its stream would stay silent.
+        """
+        find_tool(self.topology(), name)
+        stream = f"tool/{name}/feedback"
+        return self._connection.data_plane.subscribe(self.name, stream, stream_pb2.ToolFeedback, transport)
+
+    def _decode(self, frame: stream_pb2.Frame) -> Frame | None:
+        """Decodes a frame; None if its topology has been replaced since."""
+        topology = self._topology
+        # The size differs if a scene was unloaded and another one was loaded under its name.
+        if (
+            topology is None
+            or topology.version != frame.topology_version
+            or len(frame.positions) != frame_size_bytes(topology)
+        ):
+            topology = self.topology()
+        return Frame.from_message(frame, topology) if topology.version <= frame.topology_version else None
+
+
+class FrameStream(Closing, Iterator[Frame]):
+    """Iterates over the frames of a scene; see `SceneHandle.frames`."""
+
+    def __init__(self, scene: SceneHandle, subscription: Subscription[stream_pb2.Frame], timeout_s: float) -> None:
+        #: Number of frames that newer ones replaced before they were taken.
+        self.dropped_count = 0
+        self._scene = scene
+        self._subscription = subscription
+        self._timeout_s = timeout_s
+        # The frame of the call at the start, and the newest one that came, whether it was handed out or not.
+        self._first: Frame | None = None
+        self._last: Frame | None = None
+
+    def __next__(self) -> Frame:
+        if self._first is None or self._last is None:
+            self._first = self._last = self._scene.frame()
+            return self._first
+        while True:
+            frame = self._scene._decode(self._subscription.receive(self._timeout_s))
+            if frame is None:
+                continue
+            if frame.topology.version == self._last.topology.version:
+                self.dropped_count += max(0, frame.sequence - self._last.sequence - 1)
+            self._last = frame
+            # The bus may repeat the first frame, but no later one. The step does not tell them apart: a reset or a
+            # pause publishes a step number again.
+            if (
+                frame.topology.version > self._first.topology.version
+                or frame.server_time_ns > self._first.server_time_ns
+            ):
+                return frame
+
+    def close(self) -> None:
+        """Ends the subscription."""
+        self._subscription.close()

@@ -1,0 +1,68 @@
+"""Volume meshes from closed surfaces, by fTetWild."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.mesh_repair import repair
+from tensormass._src.meshes import TriangleSurface, VolumeMesh
+from tensormass._src.processes import ChildProcess
+
+
+def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
+    """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
+
+    fTetWild draws random numbers, so the mesh differs from run to run. Keep the result.
+
+    Args:
+        edge_length: wanted length of an edge, in the surface's unit. The boundary stays within a twentieth of it
+            from the surface.
+
+    Raises:
+        InvalidArgumentError: an edge that is not positive or longer than the surface, or nothing enclosed.
+    """
+    diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    if not 0 < edge_length < diagonal:
+        raise InvalidArgumentError(
+            f"edge length {edge_length:g}: must be positive and below the surface's diagonal, {diagonal:g}"
+        )
+    # Runs in its own process, because the mesher writes files into its working directory, prints, and may exit.
+    with tempfile.TemporaryDirectory() as folder:
+        surface_file, volume_file = Path(folder) / "surface.npz", Path(folder) / "volume.npz"
+        np.savez(surface_file, vertices=surface.vertices, triangles=surface.triangles.astype(np.int32))
+        run = [sys.executable, "-P", "-c", _TETWILD]
+        run += [str(surface_file), str(volume_file), str(edge_length), str(edge_length / 20 / diagonal)]
+        with tempfile.TemporaryFile() as log:
+            mesher = ChildProcess(run, output=log, folder=folder)
+            try:
+                mesher.process.wait()
+            finally:
+                status = mesher.stop()
+            log.seek(0)
+            words = log.read().decode(errors="replace").strip()
+        if status != 0 or not volume_file.is_file():
+            reason = (words or f"it ended with status {status}").splitlines()[-1]
+            raise InvalidArgumentError(f"fTetWild could not mesh the surface: {reason}")
+        with np.load(volume_file) as volume:
+            nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]
+    if len(tetrahedra) == 0:
+        raise InvalidArgumentError("the surface encloses no volume; close its holes first")
+    return repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"))
+
+
+# Without `coarsen`, edges get no longer than those of the input.
+_TETWILD = """
+import sys
+import numpy as np
+from pytetwild import tetrahedralize
+surface = np.load(sys.argv[1])
+nodes, tetrahedra = tetrahedralize(
+    surface["vertices"], surface["triangles"], edge_length_abs=float(sys.argv[3]), epsilon=float(sys.argv[4]),
+    coarsen=True, quiet=True)
+np.savez(sys.argv[2], nodes=nodes, tetrahedra=tetrahedra)
+"""

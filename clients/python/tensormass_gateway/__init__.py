@@ -1,0 +1,1 @@
+"""The gateway between a daemon and browsers. Built on the SDK, which does not know it."""

@@ -1,0 +1,104 @@
+"""Admission of browsers by token, Origin header and number; and the headers of every answer.
+
+Whoever knows the token may connect from a page of this gateway or of an --origin, up to a number of browsers. The
+Origin header names the page; a program that is not a browser sends the gateway's own, http://host:port. A browser hides
+from its page why a WebSocket was refused; POST on the same address tells.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import platform
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
+
+from aiohttp import web
+
+from tensormass_gateway.options import GatewayOptions
+from tensormass_gateway.origins import origin_of
+
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    # The address holds the token.
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Admission:
+    """Checks of one gateway."""
+
+    def __init__(self, options: GatewayOptions) -> None:
+        self.refused_connections = 0
+        self._options = options
+        self._origins = frozenset(origin_of(origin) for origin in options.origins)
+        self._own_names = frozenset({options.host.lower(), "localhost", platform.node().lower()})
+
+    def check(self, request: web.Request, browser_count: int) -> None:
+        """Refuses a browser that may not connect, by an HTTP error with the reason.
+
+        Args:
+            browser_count: how many are connected now.
+        """
+        self.check_token(request)
+        # A page from elsewhere could make a browser that knows the token connect. The browser names that page here.
+        origin = request.headers.get("Origin", "")
+        if not origin:
+            wanted = f"that of this gateway's page, http://{request.host}, or one given with --origin"
+            self._refuse(web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
+        if not self._is_named(origin) and not self._is_own(origin, request.host):
+            self._refuse(web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
+        if browser_count >= self._options.max_browsers:
+            self._refuse(
+                web.HTTPServiceUnavailable(
+                    text=f"{self._options.max_browsers} browsers are connected (--max-browsers)\n"
+                )
+            )
+
+    def _is_named(self, origin: str) -> bool:
+        """Tells whether --origin allows pages of `origin`."""
+        try:
+            return origin_of(origin) in self._origins
+        except ValueError:
+            return False
+
+    def _is_own(self, origin: str, host: str) -> bool:
+        """Tells whether a page of `origin` came from this gateway, which the browser calls `host`."""
+        if origin not in (f"http://{host}", f"https://{host}"):
+            return False
+        # Equal names prove nothing: whoever serves a page can later let its name point here (DNS rebinding) and try
+        # tokens. An address cannot be rebound, and nobody else has our own names.
+        try:
+            name = urlsplit(origin).hostname or ""
+            if name not in self._own_names:
+                ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+    def check_token(self, request: web.Request) -> None:
+        """Refuses a request without the token."""
+        given = request.query.get("token", "")
+        if not hmac.compare_digest(given.encode(), self._options.token.encode()):
+            self._refuse(web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n"))
+
+    def _refuse(self, error: web.HTTPException) -> None:
+        self.refused_connections += 1
+        raise error
+
+
+@web.middleware
+async def secure_headers(request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
+    try:
+        response: web.StreamResponse = await handler(request)
+    except web.HTTPException as error:
+        error.headers.update(_HEADERS)
+        raise
+    if not response.prepared:
+        response.headers.update(_HEADERS)
+    return response

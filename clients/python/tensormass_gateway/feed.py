@@ -1,0 +1,151 @@
+"""The streams of one scene, received once for all browsers that watch it.
+
+Every frame stays behind its topology: a browser never gets positions that do not fit what it draws.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any, Protocol
+
+import grpc
+import zmq
+import zmq.asyncio
+from google.protobuf.message import DecodeError, Message
+
+from tensormass.v1 import control_pb2, control_pb2_grpc, stream_pb2
+from tensormass_gateway.outbox import Stream, Watcher
+from tensormass_gateway.tasks import background
+
+log = logging.getLogger(__name__)
+
+MAX_BUS_MESSAGE_BYTES = 512 << 20
+"""ZeroMQ drops a larger message from the daemon."""
+
+
+RPC_TIMEOUT_S = 5.0
+
+
+class Bus(Protocol):
+    """The parts of `daemon.Daemon` that a feed needs."""
+
+    zeromq: zmq.asyncio.Context
+    version: control_pb2.GetVersionResponse
+    control: control_pb2_grpc.ControlStub
+    malformed: int
+
+
+class Feed:
+    """The streams of one scene, received once for all browsers that watch it."""
+
+    def __init__(self, scene: str, daemon: Bus) -> None:
+        self.scene = scene
+        self.watchers: set[Watcher] = set()
+        self.topology: stream_pb2.Topology | None = None
+        self._daemon = daemon
+        self._latest: dict[Stream, bytes] = {}
+        self._last_sequence = 0
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def open(self) -> None:
+        """Subscribes again and forgets what was received, which may come from a daemon that has ended."""
+        self.close()
+        receivers = {
+            Stream.TOPOLOGY: self._on_topology,
+            Stream.STATUS: self._on_status,
+            Stream.FRAME: self._on_frame,
+        }
+        self._tasks = [background(self._receive(stream, handler)) for stream, handler in receivers.items()]
+        self._tasks.append(background(self._fetch_first()))
+
+    def close(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        self._tasks = []
+        self._latest.clear()
+        self.topology = None
+        self._last_sequence = 0
+
+    def add(self, watcher: Watcher) -> None:
+        """Sends the newest messages to a watcher at once, and every new one from now on."""
+        self.watchers.add(watcher)
+        for stream in Stream:
+            if stream in self._latest:
+                watcher.outbox.offer(stream, self._latest[stream])
+
+    async def _receive(self, stream: Stream, handler: Callable[[bytes], Coroutine[Any, Any, None]]) -> None:
+        prefix = self._key(stream)
+        with self._daemon.zeromq.socket(zmq.SUB) as socket:
+            # CONFLATE keeps one message for each socket, so every stream has its own socket.
+            socket.setsockopt(zmq.CONFLATE, 1)
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.MAXMSGSIZE, MAX_BUS_MESSAGE_BYTES)
+            socket.subscribe(prefix)
+            socket.connect(self._daemon.version.zeromq_publish_endpoint)
+            while True:
+                message: bytes = await socket.recv()
+                try:
+                    await handler(message[len(prefix) :])
+                except DecodeError:
+                    self._daemon.malformed += 1
+                    log.warning("scene %s: a %s message of %d bytes is not protobuf", self.scene, stream, len(message))
+                except grpc.aio.AioRpcError as error:
+                    log.warning("scene %s: no topology for its frames: %s", self.scene, error.details())
+
+    async def _fetch_first(self) -> None:
+        """Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends.
+        Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends."""
+        try:
+            await self._fetch_topology()
+            if Stream.FRAME not in self._latest:
+                reply = await self._daemon.control.GetFrame(
+                    control_pb2.GetFrameRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
+                )
+                if Stream.FRAME not in self._latest and reply.frame.positions:
+                    self._publish(Stream.FRAME, self._message(Stream.FRAME, reply.frame))
+        except grpc.aio.AioRpcError as error:
+            # Scene or daemon ended meanwhile; the next poll finds out.
+            log.info("scene %s: %s", self.scene, error.details())
+
+    async def _fetch_topology(self) -> None:
+        reply = await self._daemon.control.GetTopology(
+            control_pb2.GetTopologyRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
+        )
+        self._set_topology(reply.topology)
+
+    def _set_topology(self, topology: stream_pb2.Topology) -> None:
+        if topology != self.topology:
+            self.topology = topology
+            self._latest.pop(Stream.FRAME, None)
+            self._publish(Stream.TOPOLOGY, self._message(Stream.TOPOLOGY, topology))
+
+    async def _on_topology(self, payload: bytes) -> None:
+        self._set_topology(stream_pb2.Topology.FromString(payload))
+
+    async def _on_status(self, payload: bytes) -> None:
+        stream_pb2.SceneStatus.FromString(payload)
+        self._publish(Stream.STATUS, self._key(Stream.STATUS) + payload)
+
+    async def _on_frame(self, payload: bytes) -> None:
+        frame = stream_pb2.Frame.FromString(payload)
+        # A frame may overtake its topology, because each stream has its own socket. Every load has a new topology
+        # version. If the sequence does not rise under the same version, the scene started again and its topology may
+        # differ.
+        known = self.topology is not None and self.topology.version == frame.topology_version
+        if not known or frame.sequence <= self._last_sequence:
+            await self._fetch_topology()
+        self._last_sequence = frame.sequence
+        self._publish(Stream.FRAME, self._key(Stream.FRAME) + payload)
+
+    def _publish(self, stream: Stream, message: bytes) -> None:
+        self._latest[stream] = message
+        for watcher in self.watchers:
+            watcher.outbox.offer(stream, message)
+
+    def _key(self, stream: Stream) -> bytes:
+        return f"tensormass/{self._daemon.version.server}/{self.scene}/{stream}\0".encode()
+
+    def _message(self, stream: Stream, message: Message) -> bytes:
+        return self._key(stream) + message.SerializeToString()

@@ -1,0 +1,250 @@
+"""The gateway between a daemon and browsers: serves the viewer and forwards the messages of the bus.
+
+A browser speaks neither ZeroMQ nor gRPC. Nothing that a browser does may slow the daemon's step loop or fill memory
+here. Each browser therefore has one slot for the newest message of each stream, and the next message of a stream leaves
+only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
+
+    daemon --ZeroMQ--> one SUB socket (CONFLATE) per stream --> a slot per browser and stream --WebSocket--> browser
+           <--gRPC--   which scenes there are, their topology
+
+On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged.
+Text messages are JSON objects with a `type`:
+
+    gateway -> browser   daemon  problem (empty: none), server, backend, device, version, scenes, poses_allowed
+                         clock   client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
+    browser -> gateway   watch   scene
+                         ack     stream
+                         clock   client_time_ms
+                         pose    tool, position_m [3], orientation [w, x, y, z]     (only with --allow-poses)
+
+A pose's orientation is a quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers
+are finite. A browser that breaks this protocol is closed with code 1008 and the reason.
+
+admission.py says who may connect.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from tensormass_gateway.admission import Admission, secure_headers
+from tensormass_gateway.daemon import Daemon
+from tensormass_gateway.options import GatewayOptions
+from tensormass_gateway.outbox import ProtocolError, Stream, Watcher
+from tensormass_gateway.requests import (
+    MAX_COORDINATE_M,
+    finite_number,
+    finite_numbers,
+    is_name,
+    read_request,
+    rotation,
+)
+from tensormass_gateway.tasks import background
+
+log = logging.getLogger(__name__)
+MAX_BROWSER_MESSAGE_BYTES = 4096
+"""A larger message from a browser closes its connection."""
+
+
+HEARTBEAT_S = 15.0
+"""A browser that does not answer a ping for this long is disconnected. It reconnects when it wakes."""
+
+
+class Browser(Watcher):
+    """One connected viewer."""
+
+    def __init__(self, socket: web.WebSocketResponse) -> None:
+        super().__init__()
+        self.socket = socket
+        self._daemon_state: dict[str, Any] | None = None
+        self._wake = asyncio.Event()
+
+    def tell_daemon_state(self, state: dict[str, Any]) -> None:
+        """Sends the state of the daemon as soon as the socket takes it. A newer state replaces a waiting one."""
+        self._daemon_state = state
+        self._wake.set()
+
+    async def send_daemon_states(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            await self.socket.send_json(self._daemon_state)
+
+    async def send_messages(self) -> None:
+        while True:
+            await self.socket.send_bytes(await self.outbox.take())
+
+
+class Gateway:
+    """HTTP server: the viewer's files, and one WebSocket for each browser. Use `serve`."""
+
+    def __init__(self, options: GatewayOptions) -> None:
+        if not (options.viewer / "index.html").is_file():
+            raise FileNotFoundError(
+                f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web"
+            )
+        if options.max_browsers < 1:
+            raise ValueError(f"max_browsers is {options.max_browsers}; at least one browser must be let in")
+        self.options = options
+        self._admission = Admission(options)
+        self.port = options.port
+        self.closed_for_errors = 0
+        self._browsers: set[Browser] = set()
+        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce)
+        self._runner: web.AppRunner | None = None
+        self._follower: asyncio.Task[None] | None = None
+
+    @property
+    def url(self) -> str:
+        """Returns the address to open, with the token."""
+        host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
+        return f"http://{host}:{self.port}/?token={self.options.token}"
+
+    @property
+    def browser_count(self) -> int:
+        return len(self._browsers)
+
+    def stats(self) -> dict[str, Any]:
+        """Returns the counters of `/status`, ready for JSON."""
+        return {
+            "daemon": self._daemon.state(),
+            "browsers": [
+                {"scene": browser.scene, "replaced": browser.outbox.replaced}
+                for browser in sorted(self._browsers, key=lambda browser: browser.client_id)
+            ],
+            "refused_connections": self._admission.refused_connections,
+            "closed_for_errors": self.closed_for_errors,
+            "malformed_messages": self._daemon.malformed,
+        }
+
+    async def start(self) -> None:
+        """Starts to listen. Raises OSError if the address is taken."""
+        app = web.Application(middlewares=[secure_headers])
+        app.add_routes(
+            [
+                web.get("/", self._page),
+                web.get("/stream", self._stream),
+                web.post("/stream", self._ask_admission),
+                web.get("/status", self._status),
+                web.static("/assets", self.options.viewer / "assets"),
+            ]
+        )
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        await self._runner.setup()
+        await web.TCPSite(self._runner, self.options.host, self.options.port).start()
+        self.port = self._runner.addresses[0][1]
+        self._follower = background(self._daemon.follow())
+
+    async def stop(self) -> None:
+        """Closes every connection and task."""
+        if self._follower is not None:
+            self._follower.cancel()
+        for browser in list(self._browsers):
+            await browser.socket.close(code=WSCloseCode.GOING_AWAY, message=b"the gateway stops")
+        if self._runner is not None:
+            await self._runner.cleanup()
+        await self._daemon.close()
+
+    async def _page(self, request: web.Request) -> web.FileResponse:
+        return web.FileResponse(self.options.viewer / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def _status(self, request: web.Request) -> web.Response:
+        self._admission.check_token(request)
+        return web.json_response(self.stats(), headers={"Cache-Control": "no-store"})
+
+    async def _ask_admission(self, request: web.Request) -> web.Response:
+        self._admission.check(request, len(self._browsers))
+        return web.Response(status=204)
+
+    async def _stream(self, request: web.Request) -> web.StreamResponse:
+        self._admission.check(request, len(self._browsers))
+        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
+        browser = Browser(socket)
+        # Counts the browser before the handshake, so that no burst passes the limit.
+        self._browsers.add(browser)
+        senders: list[asyncio.Task[None]] = []
+        try:
+            await socket.prepare(request)
+            browser.tell_daemon_state(self._daemon_state())
+            senders = [background(browser.send_messages()), background(browser.send_daemon_states())]
+            await self._listen(browser)
+        except ProtocolError as error:
+            self.closed_for_errors += 1
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode()[:120])
+        except ConnectionError as error:  # the browser disconnected during an answer
+            log.info("a browser went away: %s", error)
+        finally:
+            self._browsers.discard(browser)
+            self._daemon.leave(browser)
+            for sender in senders:
+                sender.cancel()
+        return socket
+
+    async def _listen(self, browser: Browser) -> None:
+        async for message in browser.socket:
+            if message.type is WSMsgType.ERROR:
+                self.closed_for_errors += 1
+                return
+            if message.type is not WSMsgType.TEXT:
+                raise ProtocolError("a browser sends text messages only")
+            await self._handle(browser, read_request(message.data))
+
+    async def _handle(self, browser: Browser, request: dict[str, Any]) -> None:
+        match request:
+            case {"type": "ack", "stream": str(stream)}:
+                if stream not in set(Stream):
+                    raise ProtocolError(f"acknowledged {stream!r}, which is no stream")
+                browser.outbox.acknowledge(Stream(stream))
+            case {"type": "clock", "client_time_ms": client_time_ms}:
+                if finite_number(client_time_ms) is None:
+                    raise ProtocolError("client_time_ms is not a finite number")
+                await browser.socket.send_json(
+                    {
+                        "type": "clock",
+                        "client_time_ms": client_time_ms,
+                        "gateway_time_ms": time.time_ns() / 1e6,
+                        "replaced": browser.outbox.replaced,
+                    }
+                )
+            case {"type": "watch", "scene": str(scene)}:
+                if not is_name(scene):
+                    raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
+                self._daemon.watch(browser, scene)
+            case {"type": "pose", "tool": str(tool), "position_m": position_m}:
+                if not self.options.allow_poses:
+                    raise ProtocolError("this gateway takes no poses (--allow-poses)")
+                position = finite_numbers(position_m, 3)
+                if position is None or max(map(abs, position)) > MAX_COORDINATE_M:
+                    raise ProtocolError("position_m is not three finite numbers [m]")
+                given = request.get("orientation")
+                self._daemon.move_tool(browser, tool, position, None if given is None else rotation(given))
+            case _:
+                raise ProtocolError("a message's type or fields are unknown")
+
+    def _daemon_state(self) -> dict[str, Any]:
+        return {"type": "daemon", **self._daemon.state(), "poses_allowed": self.options.allow_poses}
+
+    def _announce(self) -> None:
+        for browser in self._browsers:
+            browser.tell_daemon_state(self._daemon_state())
+
+
+@contextlib.asynccontextmanager
+async def serve(options: GatewayOptions) -> AsyncIterator[Gateway]:
+    """Runs a gateway: `async with serve(options) as gateway: print(gateway.url)`.
+
+    Raises FileNotFoundError if the viewer is not built, OSError if the address is taken.
+    """
+    gateway = Gateway(options)
+    try:
+        await gateway.start()
+        yield gateway
+    finally:
+        await gateway.stop()

@@ -1,0 +1,79 @@
+"""Options of the gateway, and their command-line arguments."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tensormass_gateway.origins import origin_of
+
+DEFAULT_VIEWER = Path(__file__).resolve().parents[2] / "web" / "dist"
+
+
+@dataclass(frozen=True)
+class GatewayOptions:
+    """Options of a gateway: its address, and who may connect."""
+
+    control: str = "127.0.0.1:50051"
+    """Control address of the daemon, host:port."""
+    host: str = "127.0.0.1"
+    port: int = 0
+    """0 takes a free port."""
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    max_browsers: int = 16
+    origins: tuple[str, ...] = ()
+    """Origins that may connect in addition to the gateway's own pages."""
+    allow_poses: bool = False
+    viewer: Path = DEFAULT_VIEWER
+    poll_interval_s: float = 1.0
+    """Period at which the daemon is asked for its scenes. A restarted daemon is found as soon."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the gateway's options, for `tensormass view` and `tensormass run`."""
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s, loopback)")
+    parser.add_argument("--port", type=int, default=0, help="port to listen on; 0: a free one (default)")
+    parser.add_argument("--token", default=None, help="what a browser must know (default: random)")
+    parser.add_argument("--max-browsers", type=int, default=16, help="browsers at once (default: %(default)s)")
+    parser.add_argument(
+        "--origin",
+        action="append",
+        type=_origin_argument,
+        default=[],
+        metavar="URL",
+        help="let in pages of this origin too, such as http://viewer.example:8000: needed where a page's address is a "
+        "name other than localhost and this machine's (repeatable)",
+    )
+    parser.add_argument("--allow-poses", action="store_true", help="let browsers move tools (default: they only look)")
+    parser.add_argument("--viewer", type=Path, default=DEFAULT_VIEWER, help="folder of the built viewer")
+    parser.add_argument(
+        "--gateway-ready-file",
+        type=Path,
+        default=None,
+        metavar="PATH",
+        help="write {url, host, port, token, pid} as JSON when listening",
+    )
+
+
+def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
+    """Makes options of the arguments of `add_arguments`, for the daemon at `control` (host:port)."""
+    optional = {} if args.token is None else {"token": args.token}
+    return GatewayOptions(
+        control=control,
+        host=args.host,
+        port=args.port,
+        max_browsers=args.max_browsers,
+        origins=tuple(args.origin),
+        allow_poses=args.allow_poses,
+        viewer=args.viewer,
+        **optional,
+    )
+
+
+def _origin_argument(text: str) -> str:
+    try:
+        return origin_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error

@@ -1,0 +1,1 @@
+"""The command `tensormass` and its subcommands. Built on the SDK and the gateway, which do not know it."""

@@ -1,0 +1,306 @@
+"""The command `tensormass`.
+
+Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 130 after Ctrl-C and 143 after SIGTERM.
+`run` and `view` end with 0 after both signals, because that is how they are ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import FrameType
+
+from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
+from tensormass._src.demo import builtin_scenes
+from tensormass._src.errors import TensormassError
+from tensormass._src.launching import launch
+from tensormass._src.plain import to_plain
+from tensormass._src.processes import end_explained
+from tensormass._src.server import DEFAULT_ADDRESS, connect
+from tensormass_gateway import command as gateway
+from tensormass_gateway.options import add_arguments as add_gateway_arguments
+from tensormass_tools import export, load_test, run, solve
+from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
+from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
+from tensormass_tools.running import find_server
+from tensormass_tools.trade import command as trade
+from tensormass_tools.trade.arguments import add_arguments as add_trade_arguments
+
+_LENGTH = re.compile(r"([0-9.eE+-]+?)\s*(m|dm|cm|mm|um)?")
+_METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_SCENE_HELP = f"a scene file (.yaml), a mesh file, or a built-in scene ({', '.join(builtin_scenes())})"
+# The daemon's own limit (server/core/limits.h).
+_MAX_CPU_THREADS = 256
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM was received. It is cleaned up after like Ctrl-C."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command and returns the exit status."""
+    if sys.stdout is None:  # `>&-`
+        print("tensormass: standard output is closed", file=sys.stderr)
+        return 1
+    try:
+        try:
+            return _run_command(argv)
+        finally:
+            sys.stdout.flush()  # reports an error here, and not when the interpreter ends
+    except BrokenPipeError:  # `tensormass list | head`
+        _output_is_lost()
+        return 1
+    except OSError as error:
+        where = error.filename or ("standard output" if _output_is_lost() else None)
+        print(f"tensormass: {where}: {error.strerror}" if where else f"tensormass: {error}", file=sys.stderr)
+        return 1
+
+
+def _run_command(argv: Sequence[str] | None) -> int:
+    parser = _parser()
+    args = parser.parse_args(argv)
+    _check_usage(parser, args)
+    handler = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        return int(args.command(args))
+    except TensormassError as error:
+        if getattr(args, "json", None) in (True, "-"):  # load-test names a file
+            print_json({"error": str(error), "kind": type(error).__name__})
+        else:
+            print(f"tensormass: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt as interrupt:
+        return 143 if isinstance(interrupt, _Terminated) else 130
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+
+
+def _terminate(_signal: int, _frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second SIGTERM must not interrupt the cleaning up
+    raise _Terminated
+
+
+def _check_usage(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Refuses options that contradict each other, for every command that has them."""
+    threads = getattr(args, "cpu_threads", None)
+    if threads is not None and not 1 <= threads <= _MAX_CPU_THREADS:
+        parser.error(f"argument --cpu-threads: {threads} is not in 1 to {_MAX_CPU_THREADS}")
+    if getattr(args, "server", None) and (threads is not None or getattr(args, "backend", "auto") != "auto"):
+        parser.error("--backend and --cpu-threads are for a daemon to start; the one at --server has its own")
+
+
+def _output_is_lost() -> bool:
+    """Tells whether standard output is broken. If so, redirects it, so that the interpreter's last flush is silent."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
+
+
+def parse_length_m(text: str) -> float:
+    """Parses a length: `8mm`, `0.8cm`, `0.008` (metres) -> metres."""
+    match = _LENGTH.fullmatch(text.strip())
+    try:
+        length_m = float(match[1]) * _METRES[match[2]] if match else 0.0
+    except ValueError:
+        length_m = 0.0
+    if not 0 < length_m < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive length such as 8mm, 0.8cm or 0.008m")
+    return length_m
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="tensormass", description="Soft-tissue simulation for surgical trainers.")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    json_option = argparse.ArgumentParser(add_help=False)
+    json_option.add_argument("--json", action="store_true", help="print JSON")
+    server = argparse.ArgumentParser(add_help=False)
+    server.add_argument(
+        "--server",
+        metavar="HOST:PORT",
+        help=f"default: the daemon that runs here, as `tensormass run` starts it or at {DEFAULT_ADDRESS}",
+    )
+
+    sub = commands.add_parser("run", help="daemon, scene, simulated haptic device and viewer in one")
+    run.add_arguments(sub)
+    sub.set_defaults(command=run.run)
+
+    sub = commands.add_parser(
+        "solve", parents=[json_option], help="compute a scene in lockstep and write the result as VTU"
+    )
+    solve.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=solve.run)
+
+    sub = commands.add_parser(
+        "trade", parents=[json_option], help="measure what each choice of a scene costs in time and buys in accuracy"
+    )
+    add_trade_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=trade.run)
+
+    sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
+    sub.add_argument("scene", help=_SCENE_HELP)
+    sub.add_argument("--name", help="instead of the scene's own")
+    sub.add_argument("--lockstep", action="store_true", default=None, help="step only when asked")
+    sub.set_defaults(command=_load)
+
+    sub = commands.add_parser("unload", parents=[server, json_option], help="end a scene")
+    sub.add_argument("name", help="of the loaded scene")
+    sub.set_defaults(command=_unload)
+
+    sub = commands.add_parser("list", parents=[server, json_option], help="loaded scenes")
+    sub.set_defaults(command=_list)
+
+    sub = commands.add_parser("status", parents=[server, json_option], help="daemon and scenes, in full")
+    sub.add_argument("name", nargs="?", help="of one scene; default: all")
+    sub.set_defaults(command=_status)
+
+    sub = commands.add_parser(
+        "report", parents=[server, json_option], help="status and state of a scene in one file, for a report"
+    )
+    sub.add_argument("name", help="of the loaded scene")
+    sub.add_argument("-o", "--output", type=Path, required=True, help=".npz")
+    sub.set_defaults(command=_report)
+
+    sub = commands.add_parser("inspect", parents=[json_option], help="check a scene and print its plan and cost")
+    sub.add_argument("scene", help=_SCENE_HELP)
+    sub.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
+    sub.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="of the daemon to start")
+    sub.set_defaults(command=_inspect)
+
+    sub = commands.add_parser(
+        "export", parents=[json_option], help="write a scene with its meshes as one message, for other clients"
+    )
+    export.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=export.run)
+
+    sub = commands.add_parser(
+        "mesh",
+        parents=[json_option],
+        help="make a volume from a closed surface, or repair and convert one",
+        description="With --edge, fills a closed surface with tetrahedra (fTetWild). Without, repairs a volume: "
+        "inverted elements are rewound, flat ones and all but the largest component dropped. Writes metres.",
+    )
+    sub.add_argument("input", type=Path, help=".obj, .stl, .ply, .msh, .vtk ...")
+    sub.add_argument("-o", "--output", type=Path, required=True, help=".msh, .vtk, .vtu")
+    sub.add_argument("--edge", type=parse_length_m, metavar="LENGTH", help="wanted edge of the tetrahedra, as in 8mm")
+    sub.add_argument(
+        "--unit", type=parse_length_m, default=1.0, metavar="LENGTH", help="the input's unit of length, as in 1mm"
+    )
+    sub.set_defaults(command=_mesh)
+
+    sub = commands.add_parser("view", parents=[server, json_option], help="viewer for a running daemon")
+    add_gateway_arguments(sub)
+    sub.set_defaults(command=_view)
+
+    sub = commands.add_parser("load-test", help="drive a daemon with real clients and measure")
+    add_load_test_arguments(sub)
+    sub.set_defaults(command=load_test.run)
+    return parser
+
+
+def _load(args: argparse.Namespace) -> int:
+    with connect(find_server(args.server)) as server:
+        progress = load_line(quiet=args.json)
+        report = server.load(args.scene, name=args.name, lockstep=args.lockstep, progress=progress).report
+        assert report is not None
+        if args.json:
+            print_json({"server": server.address, **to_plain(report)})
+        else:
+            print(f"server {server.address}\n{report_text(report)}")
+    return 0
+
+
+def _unload(args: argparse.Namespace) -> int:
+    with connect(find_server(args.server)) as server:
+        server.scene(args.name).unload()
+        if args.json:
+            print_json({"server": server.address, "unloaded": args.name})
+        else:
+            print(f"unloaded {args.name} from {server.address}")
+    return 0
+
+
+def _list(args: argparse.Namespace) -> int:
+    with connect(find_server(args.server)) as server:
+        scenes = server.scenes()
+    if args.json:
+        each = [{"scene": status.scene, "state": state_name(status), "step": status.step} for status in scenes]
+        print_json([{"server": server.address, **of} for of in each])
+    else:
+        print(f"server {server.address}")
+        for status in scenes:
+            print(f"{status.scene}  {state_name(status)}  step {status.step}")
+        if not scenes:
+            print("no scene is loaded")
+    return 0
+
+
+def _status(args: argparse.Namespace) -> int:
+    with connect(find_server(args.server)) as server:
+        version = server.version()
+        statuses = [server.scene(args.name).status()] if args.name else server.scenes()
+    if args.json:
+        scenes = [to_plain(status) for status in statuses]
+        print_json({"address": server.address, "server": to_plain(version), "scenes": scenes})
+        return 0
+    daemon = f"tensormassd {version.version}, {version.backend} ({version.device}), server {version.server!r}"
+    print(f"{daemon}, control {server.address}")
+    print(f"zeromq {version.zeromq_publish_endpoint} {version.zeromq_pose_endpoint} | zenoh {version.zenoh_locator}")
+    print(f"malformed messages: {version.malformed_messages}")
+    for status in statuses:
+        print(f"{status.scene}: {status_line(status)}")
+        if status.guard_text not in ("", status.fault):
+            print(f"guard: {status.guard_text}")
+        for line in Warnings().lines(status):
+            print(line)
+    return 0
+
+
+def _report(args: argparse.Namespace) -> int:
+    with connect(find_server(args.server)) as server:
+        path = server.scene(args.name).write_report(args.output)
+        if args.json:
+            print_json({"server": server.address, "output": str(path)})
+        else:
+            print(f"wrote {path} from {server.address}")
+    return 0
+
+
+def _inspect(args: argparse.Namespace) -> int:
+    with (
+        connect(args.server) if args.server else launch(backend=args.backend, zenoh=False) as server,
+        end_explained(server.process, server.log_file),
+    ):
+        report = server.inspect(args.scene)
+    print_json(to_plain(report)) if args.json else print(report_text(report))
+    return 0
+
+
+def _view(args: argparse.Namespace) -> int:
+    run.check_gateway_options(args)
+    args.server = find_server(args.server)
+    return gateway.run(args)
+
+
+def _mesh(args: argparse.Namespace) -> int:
+    if args.edge is None:
+        mesh = mesh_repair.repair(mesh_files.read_mesh(args.input))
+    else:
+        mesh = tetwild.tetrahedralize(mesh_files.read_surface(args.input), args.edge / args.unit)
+    mesh = replace(mesh, nodes=mesh.nodes * args.unit)
+    mesh_files.write_mesh(args.output, mesh)
+    quality = mesh_geometry.quality(mesh)
+    if args.json:
+        print_json({"output": str(args.output), **asdict(quality)})
+    else:
+        print(f"{args.output}: {quality_text(quality)}")
+    return 0

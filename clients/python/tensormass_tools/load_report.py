@@ -1,0 +1,181 @@
+"""Report of a load test: counts and percentiles over all clients, as JSON and for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tensormass.v1 import stream_pb2
+
+Json = dict[str, Any]
+_FRACTIONS = {"p50_s": 0.5, "p99_s": 0.99, "p999_s": 0.999}
+
+
+def merged_histogram(histograms: Iterable[Mapping[str, Any]]) -> Json:
+    """Computes percentiles over the histograms of several clients (`buckets`: [upper bound in s, count])."""
+    pairs = [(float(upper), int(count)) for histogram in histograms for upper, count in histogram["buckets"]]
+    buckets = np.array(sorted(pairs)).reshape(-1, 2)
+    return _summary(buckets[:, 0], buckets[:, 1])
+
+
+def percentiles(samples: npt.NDArray[np.float64]) -> Json:
+    """Computes percentiles of samples [s]."""
+    return _summary(np.sort(samples), np.ones(len(samples)))
+
+
+def _summary(values: npt.NDArray[np.float64], counts: npt.NDArray[np.float64]) -> Json:
+    """Computes nearest-rank percentiles of sorted `values`; 0 without values, like the haptic client."""
+    total = int(counts.sum())
+    if total == 0:
+        return {"count": 0, **dict.fromkeys(_FRACTIONS, 0.0), "max_s": 0.0}
+    ranks = np.cumsum(counts)
+    summary: Json = {"count": total}
+    for name, fraction in _FRACTIONS.items():
+        index = int(np.searchsorted(ranks, np.ceil(fraction * total)))
+        summary[name] = float(values[index])
+    summary["max_s"] = float(values[-1])
+    return summary
+
+
+def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int | None) -> Json:
+    """Reports what happened to a scene between two statuses. `poses_sent`: poses that clients sent meanwhile; None if a
+    client failed, so that the number is unknown."""
+
+    def grown(counter: str) -> int:
+        return int(getattr(after, counter)) - int(getattr(before, counter))
+
+    steps = grown("step")
+    received = grown("poses_received")
+    return {
+        "scene": after.scene,
+        "state": stream_pb2.SceneStatus.State.Name(after.state),
+        "fault": after.fault,
+        "backend": after.backend,
+        "steps": steps,
+        "target_rate_hz": after.target_rate_hz,
+        "reached_rate_hz": after.reached_rate_hz,
+        **step_times(after),
+        "missed_deadlines": grown("missed_deadlines"),
+        "missed_fraction": grown("missed_deadlines") / steps if steps else 0.0,
+        "cg_iterations": after.cg_iterations,
+        "poses_sent": poses_sent,
+        "poses_received": received,
+        # A newer pose replaces an older one that still waits at the client, so the older one is never sent.
+        "poses_overtaken_on_the_way": max(0, poses_sent - received) if poses_sent is not None else None,
+        "poses_superseded": grown("poses_superseded"),
+        "poses_rejected": grown("poses_rejected"),
+        "frames_published": grown("frames_published"),
+        "frames_replaced": grown("frames_replaced"),
+    }
+
+
+def above_max_missed(scenes: Iterable[Mapping[str, Any]], max_missed_percent: float) -> list[str]:
+    """Returns an error for each scene that missed too many of its deadlines."""
+    return [
+        f"scene {scene['scene']} missed {100 * scene['missed_fraction']:.2f} % of its deadlines, above --max-missed "
+        f"{max_missed_percent:g}"
+        for scene in scenes
+        if 100 * scene["missed_fraction"] > max_missed_percent
+    ]
+
+
+def step_times(status: stream_pb2.SceneStatus) -> Json:
+    """Returns the server's percentiles over the last 1024 steps at most."""
+    return {
+        "step_time_p50_s": status.step_time_p50_s,
+        "step_time_p99_s": status.step_time_p99_s,
+        "step_time_max_s": status.step_time_max_s,
+    }
+
+
+def to_text(report: Mapping[str, Any]) -> str:
+    """Formats a report for people: a table for each kind of client, then the errors."""
+    lines = [
+        f"load test of {report['scene_source']} on {report['server']['device'] or report['server']['backend']}: "
+        f"{len(report['scenes'])} scenes, {len(report['haptic'])} haptic clients, {len(report['viewers'])} viewers, "
+        f"{report['seconds']:.1f} s",
+    ]
+    if report["haptic"]:
+        lines += [f"  pose to force      {_ms(report['pose_to_force'])}"]
+        lines += [f"  answered pose age  {_ms(report['answered_pose_age'])}"]
+    if report["viewers"]:
+        lines += [f"  frame age          {_ms(report['frame_age'])}"]
+    lines += _table(
+        ("scene", "rate [Hz]", "step p50", "p99", "max [ms]", "missed", "poses sent", "superseded", "rejected"),
+        [
+            (
+                scene["scene"],
+                f"{scene['reached_rate_hz']:.1f}/{scene['target_rate_hz']:.1f}",
+                *(f"{scene[f'step_time_{p}_s'] * 1e3:.2f}" for p in ("p50", "p99", "max")),
+                f"{scene['missed_deadlines']}/{scene['steps']}",
+                scene["poses_sent"] if scene["poses_sent"] is not None else "–",
+                scene["poses_superseded"],
+                scene["poses_rejected"],
+            )
+            for scene in report["scenes"]
+        ],
+    )
+    lines += _table(
+        ("haptic client", "over", "p50", "p99", "p99.9 [ms]", "sent", "lost at end", "dropped", "stale", "force [N]"),
+        [
+            (
+                f"{client['scene']}/{client['tool']}",
+                client["transport"],
+                *(f"{client['pose_to_force'][p] * 1e3:.2f}" for p in _FRACTIONS),
+                int(client["poses_sent"]),
+                int(client["last_sequence_sent"] - client["last_sequence_echoed"]),
+                int(client["feedback_dropped"]),
+                int(client["stale_ticks"]),
+                f"{client['max_force_n']:.2f}",
+            )
+            for client in report["haptic"]
+        ],
+    )
+    lines += _table(
+        ("viewer of", "over", "frames", "dropped", "age p50", "p99", "max [ms]", ""),
+        [
+            (
+                viewer["scene"],
+                viewer["transport"],
+                viewer["frame_age"]["count"],
+                viewer["frames_dropped"],
+                *(f"{viewer['frame_age'][p] * 1e3:.2f}" for p in ("p50_s", "p99_s", "max_s")),
+                "stopped for a while" if viewer["was_stopped"] else "",
+            )
+            for viewer in report["viewers"]
+        ],
+    )
+    stopped = report.get("stopped_viewer")
+    if stopped:
+        lines += [f"  a viewer of {stopped['scene']} ({stopped['transport']}) stopped for {stopped['seconds']:.1f} s:"]
+        lines += _table(
+            ("", "step p50", "p99", "max [ms]", "missed"),
+            [
+                (
+                    phase["name"],
+                    *(f"{phase[f'step_time_{p}_s'] * 1e3:.2f}" for p in ("p50", "p99", "max")),
+                    phase["missed_deadlines"],
+                )
+                for phase in stopped["phases"]
+            ],
+        )
+    lines += [f"error: {error}" for error in report["errors"]]
+    return "\n".join([*lines, "no errors" if not report["errors"] else f"{len(report['errors'])} errors"])
+
+
+def _ms(summary: Mapping[str, Any]) -> str:
+    values = "  ".join(f"{name.removesuffix('_s')} {summary[name] * 1e3:.2f}" for name in (*_FRACTIONS, "max_s"))
+    return f"{values} ms  ({summary['count']} samples)"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    if not rows:
+        return []
+    cells = [list(head), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells
+    ]

@@ -1,0 +1,172 @@
+"""Output of the command: protobuf messages as JSON, and the same for people."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.mesh_geometry import MeshQuality
+from tensormass.v1 import control_pb2, stream_pb2
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
+
+
+def print_json(value: object) -> None:
+    """Prints one line of JSON and flushes it."""
+    print(json.dumps(value), flush=True)
+
+
+def check_writable(option: str, path: Path) -> None:
+    """Refuses a file that cannot be written, before the work that produces its content."""
+    if os.path.exists(path):
+        if path.is_dir() or not os.access(path, os.W_OK):
+            raise InvalidArgumentError(f"{option} {path}: is no file that can be written")
+    elif not os.access(path.resolve().parent, os.W_OK):
+        raise InvalidArgumentError(f"{option} {path}: no folder that can be written to")
+
+
+def state_name(status: stream_pb2.SceneStatus) -> str:
+    """Returns `running`, `paused`, `lockstep` or `faulted`."""
+    return stream_pb2.SceneStatus.State.Name(status.state).removeprefix("STATE_").lower()
+
+
+def load_line(*, quiet: bool = False) -> Callable[[str, float], None] | None:
+    """Returns a `progress` for `Server.load` that rewrites one line of the terminal; None without a terminal."""
+    if quiet or not sys.stdout.isatty():
+        return None
+    width = shutil.get_terminal_size().columns - 1
+
+    def write(part: str, fraction: float) -> None:
+        text = f"loading {100 * fraction:3.0f} %  {part}" if part else ""  # the last one clears the line
+        print(f"\r{text[:width]:<{width}}", end="" if part else "\r", flush=True)
+
+    return write
+
+
+def load_silently(_part: str, _fraction: float) -> None:
+    """Shows nothing, as a `progress` for `Server.load`. With one, the load ends if this client ends; without, the
+    daemon would complete it."""
+
+
+def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None) -> str:
+    """Returns the state of a scene on one line."""
+    missed = 100.0 * status.missed_deadlines / max(1, status.step)
+    parts = [
+        f"{status.reached_rate_hz:.1f}/{status.target_rate_hz:g} Hz",
+        f"missed {missed:.1f} %",
+        f"{1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
+        f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
+    ]
+    if status.step_budget_s > 0:
+        range_text = f"at most {status.cg_iteration_limit} (floor {status.floor_cg_iterations})"
+        parts.append(f"{range_text} in {1e3 * status.step_budget_s:g} ms")
+    if status.newton_iterations > 0:
+        parts.append(f"Newton {status.newton_iterations} to {status.newton_residual:.0e}")
+    if status.state != stream_pb2.SceneStatus.STATE_RUNNING:
+        parts.insert(0, state_name(status))
+    parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
+    if client_count is not None:
+        parts.append(f"clients {client_count}")
+    if status.guard_events > 0:
+        parts.append(f"guards {status.guard_events}, mended {status.guard_recoveries}")
+    if status.fault:
+        parts.append(f"FAULT: {status.fault}")
+    return "  ".join(parts)
+
+
+class Warnings:
+    """Collects the warnings of a scene, each once although its numbers change from step to step."""
+
+    def __init__(self) -> None:
+        self._by_kind: dict[str, str] = {}
+
+    def take(self, status: stream_pb2.SceneStatus) -> list[str]:
+        """Returns the warnings of `status` that are new."""
+        new = [text for text in status.warnings if self._kind(text) not in self._by_kind]
+        self._by_kind.update({self._kind(text): text for text in status.warnings})
+        return new
+
+    def lines(self, status: stream_pb2.SceneStatus) -> list[str]:
+        """Returns the new warnings as the command prints them."""
+        return [f"warning: {text}" for text in self.take(status)]
+
+    @property
+    def latest(self) -> list[str]:
+        """Returns every warning so far, in its latest wording."""
+        return list(self._by_kind.values())
+
+    @staticmethod
+    def _kind(text: str) -> str:
+        # Digits within a quoted name belong to the name.
+        return "'".join(part if index % 2 else _NUMBER.sub("#", part) for index, part in enumerate(text.split("'")))
+
+
+def force_n(feedback: stream_pb2.ToolFeedback) -> float:
+    """Returns the magnitude of the force on a tool [N]."""
+    force = feedback.force_n
+    return float(np.linalg.norm([force.x, force.y, force.z]))
+
+
+def report_text(report: control_pb2.SceneReport) -> str:
+    """Returns the plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
+    bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
+    for body in report.bodies:
+        surface = f"{body.surface_vertex_count} vertices, {body.surface_triangle_count} triangles"
+        bodies.append(
+            [
+                body.name,
+                str(body.node_count),
+                str(body.element_count),
+                str(body.fixed_node_count),
+                f"{1e6 * body.volume_m3:.4g} cm³",
+                f"{body.mass_kg:.4g} kg",
+                f"{body.min_dihedral_angle_deg:.1f}°",
+                surface,
+            ]
+        )
+    stages = [["stage", "bytes", "operations", "reads", "writes"]]
+    stages += [
+        [stage.name, _bytes(stage.bytes), f"{stage.operations:,}", stage.reads, stage.writes] for stage in report.stages
+    ]
+    buffers = [["buffer", "bytes"], *([buffer.name, _bytes(buffer.bytes)] for buffer in report.buffers)]
+    sections = [f"scene {report.scene}", table(bodies)]
+    if report.not_modelled:
+        sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
+    if report.warnings:
+        sections.append("warnings:\n" + "\n".join(f"  {item}" for item in report.warnings))
+    sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
+    sections += [table(stages), table(buffers)]
+    return "\n\n".join(sections)
+
+
+def quality_text(quality: MeshQuality) -> str:
+    """Describes a mesh in metres, in two lines."""
+    elements = ", ".join(f"{count} × {name.replace('_', ' ')}" for name, count in quality.element_counts.items())
+    return (
+        f"{quality.node_count} nodes, {elements}, {1e6 * quality.volume:.4g} cm³\n"
+        f"mean edge {1e3 * quality.mean_edge_length:.3g} mm, smallest dihedral angle "
+        f"{quality.min_dihedral_angle_deg:.1f}°"
+    )
+
+
+def _bytes(count: int) -> str:
+    if count < 1000:
+        return f"{count} B"
+    power = min((len(str(count)) - 1) // 3, 4)
+    return f"{count / 1000**power:.3g} {' kMGT'[power]}B"
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Aligns rows in columns. The first row is the heading."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )

@@ -1,0 +1,216 @@
+"""`tensormass run`: starts a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway.
+
+All parts run until Ctrl-C, SIGTERM or the end of --seconds. They end in the order of their dependencies.
+
+A guard may stop the scene. A run with --seconds then ends at once, because nobody watches it. Without --seconds the run
+continues: users can inspect the stopped scene and reset it over the control address. A run that ends with its scene
+stopped has failed. It writes the report of `SceneHandle.write_report` to NAME-fault.npz, because the daemon, which has
+the state, ends with the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import math
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, TensormassError, UnavailableError
+from tensormass._src.launching import launch
+from tensormass._src.plain import to_plain
+from tensormass._src.processes import ChildProcess, end_explained, find_program, log_tail
+from tensormass._src.scene import Scene
+from tensormass._src.scene_handle import SceneHandle
+from tensormass._src.server import Server
+from tensormass_gateway.command import write_ready_file
+from tensormass_gateway.gateway import Gateway, serve
+from tensormass_gateway.options import add_arguments as add_gateway_arguments
+from tensormass_gateway.options import options_from
+from tensormass_tools import presets
+from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
+from tensormass_tools.running import announced
+
+_STATUS_PERIOD_S = 0.5
+# Period of status lines that are not rewritten in place, as in a log.
+_LOG_PERIOD_S = 5.0
+_MAX_PORT = 65_535
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of `tensormass run`."""
+    parser.add_argument("scene", nargs="?", default="demo", help="a scene file or a built-in scene (default: demo)")
+    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
+    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    parser.add_argument(
+        "--haptic-transport", choices=("zeromq", "zenoh"), default="zeromq", help="default: %(default)s"
+    )
+    parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
+    parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
+    parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="T",
+        help="end by itself after stepping so long, or when a guard stops the scene; its report is NAME-fault.npz then",
+    )
+    parser.add_argument("--verbose", action="store_true", help="print the scene's plan")
+    add_gateway_arguments(parser)
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object a line: where control and viewer are, then statuses"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs until told to end. Returns 0 if every part ran and ended without an error."""
+    # Reports mistakes before anything starts.
+    if args.seconds is not None and not 0 < args.seconds < math.inf:
+        raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
+    if not args.no_viewer:
+        check_gateway_options(args)
+    scene = presets.read_scene(args.scene, args.preset)
+    if args.rate is not None:
+        if not args.rate > 0:
+            raise InvalidArgumentError(f"--rate {args.rate:g}: must be positive")
+        scene.message.stepping.rate_hz = args.rate
+        scene.message.stepping.dt_s = 1 / args.rate
+    streams = scene.message.streams
+    if streams.HasField("frame_rate_hz") and streams.frame_rate_hz == 0 and not (args.no_viewer and args.no_haptic):
+        without = "it runs without viewer and simulated haptic devices, which need them"
+        _say(args, f"scene {scene.name!r} has no frames (streams.frame_rate_hz is 0): {without}")
+        args.no_viewer = args.no_haptic = True
+    return asyncio.run(_run(args, scene))
+
+
+def check_gateway_options(args: argparse.Namespace) -> None:
+    """Refuses values with which no viewer's gateway could start."""
+    if not 0 <= args.port <= _MAX_PORT:
+        raise InvalidArgumentError(f"--port {args.port}: must be 0 (a free one) to {_MAX_PORT}")
+    if args.max_browsers < 1:
+        raise InvalidArgumentError(f"--max-browsers {args.max_browsers}: at least one browser must be let in")
+    if args.gateway_ready_file is not None:
+        check_writable("--gateway-ready-file", args.gateway_ready_file)
+
+
+async def _run(args: argparse.Namespace, scene: Scene) -> int:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with contextlib.AsyncExitStack() as parts:
+        server = await asyncio.to_thread(launch, backend=args.backend, cpu_threads=args.cpu_threads)
+        parts.callback(server.close)
+        parts.enter_context(end_explained(server.process, server.log_file))
+        handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
+        parts.enter_context(announced(server.address, handle.name))
+        if args.seconds is not None:
+            asyncio.get_running_loop().call_later(args.seconds, stop.set)
+        version = server.version()
+        _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
+        if args.verbose and handle.report is not None:
+            _say(args, report_text(handle.report))
+        viewer = None if args.no_viewer else await parts.enter_async_context(_viewer(args, server))
+        if args.json:
+            print_json({"control": server.address, **({"viewer": viewer.url} if viewer is not None else {})})
+        hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
+        await _report_until(stop, args, server, handle, viewer, hands)
+        _say(args, "ending")
+    _say(args, "ended: haptic devices, viewer, daemon")
+    return 0
+
+
+@contextlib.asynccontextmanager
+async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gateway]:
+    async with contextlib.AsyncExitStack() as parts:
+        try:
+            running = await parts.enter_async_context(serve(options_from(args, server.address)))
+        except FileNotFoundError as error:
+            raise UnavailableError(f"{error}; or run with --no-viewer") from error
+        except (OSError, UnicodeError) as error:  # UnicodeError: an impossible host name
+            reason = getattr(error, "strerror", None) or error
+            where = f"--host {args.host} --port {args.port}"
+            raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
+        if args.gateway_ready_file is not None:
+            write_ready_file(args.gateway_ready_file, running)
+        _say(args, f"\n  viewer: {running.url}\n")
+        yield running
+
+
+def _start_hands(
+    args: argparse.Namespace, server: Server, handle: SceneHandle, parts: contextlib.AsyncExitStack
+) -> list[tuple[ChildProcess, Path]]:
+    program = find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
+    folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-run-")))
+    hands = []
+    for tool in handle.topology().tools:
+        log_file = folder / f"{tool.name}.log"
+        command: list[str | Path] = [program, "--server", server.address, "--scene", handle.name, "--tool", tool.name]
+        with log_file.open("wb") as log:
+            hand = ChildProcess([*command, "--transport", args.haptic_transport], output=log)
+        parts.callback(hand.stop)
+        hands.append((hand, log_file))
+    return hands
+
+
+async def _report_until(
+    stop: asyncio.Event,
+    args: argparse.Namespace,
+    server: Server,
+    handle: SceneHandle,
+    viewer: Gateway | None,
+    hands: list[tuple[ChildProcess, Path]],
+) -> None:
+    """Prints the live status. Returns when told to end; raises if a part ended by itself."""
+    live = sys.stdout.isatty() and not args.json
+    period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
+    warnings = Warnings()
+    fault = ""
+    while True:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), period_s)
+        for hand, log_file in hands:
+            if not hand.running:
+                raise UnavailableError(f"a haptic device ended by itself:\n{log_tail(log_file)}")
+        status = await asyncio.to_thread(handle.status)
+        clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
+        width = shutil.get_terminal_size().columns - 1
+        for line in warnings.lines(status):
+            # On a terminal, the warning replaces the status line.
+            _say(args, f"\r{line:<{width}}" if live else line)
+        if args.json:
+            print_json({"status": to_plain(status), "clients": clients})
+        elif live:
+            print(f"\r{status_line(status, clients)[:width]:<{width}}", end="", flush=True)
+        else:
+            print(status_line(status, clients), flush=True)
+        ends = stop.is_set() or (args.seconds is not None and status.fault != "")
+        if ends and live:
+            print()
+        if ends and status.fault:
+            kept = await asyncio.to_thread(_keep_report, handle)
+            raise FailedPreconditionError(f"scene {handle.name!r} is stopped: {status.fault}\n{kept}")
+        if ends:
+            return
+        if status.fault and status.fault != fault:
+            still = f"scene {handle.name!r} stands still until it is reset (control {server.address})"
+            _say(args, f"\n{still}: {status.fault}" if live else still)
+        fault = status.fault
+
+
+def _keep_report(handle: SceneHandle) -> str:
+    """Writes the report of a stopped scene into the current folder. Returns its path in words, or why it is missing."""
+    try:
+        path = handle.write_report(Path.cwd() / f"{handle.name}-fault.npz")
+    except TensormassError as error:  # the fault itself is more important
+        return f"no report of it: {error}"
+    return f"its status and state: {path}"
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    if not args.json:
+        print(text, flush=True)

@@ -1,0 +1,345 @@
+"""The choices that a scene leaves open. A setting is an edit of the scene file, so the written file is the measured
+scene."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+from google.protobuf.descriptor import Descriptor
+
+from tensormass._src import defaults, mesh_files
+from tensormass._src.enums import short_name
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.files import replacing
+from tensormass._src.names import suggestion
+from tensormass._src.organ import ORGANS
+from tensormass._src.scene_file import SceneFile
+from tensormass._src.shapes import BY_NUMBER, SHAPES
+from tensormass.v1 import scene_pb2
+from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, solver_setter, with_numbers
+from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
+
+#: Values by the names of knobs. Knobs that are missing keep the value of the scene.
+Setting = Mapping[str, Value]
+#: Parts of the engine that exist once, so that there is nothing to choose or measure.
+ONE_CHOICE = {
+    "preconditioner": "block-Jacobi",
+    "contact": "penalty at the closest point of each triangle",
+    "stream codec": "32-bit floats",
+}
+_RESOLUTIONS = (0.5, 0.7, 1.0, 1.4, 2.0)
+_DT_FACTORS = (2.0, 1.0, 0.5, 0.25)
+_CG_SHARES = (0.1, 0.25, 1.0)
+_CG_TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)
+_NEWTON_ITERATIONS = (1, 2, 5)
+_NEWTON_TOLERANCES = (1e-2, 1e-3, 1e-4)
+#: Knobs that change how accurately a step is solved, but not the problem.
+SOLVE_KNOBS = ("newton_max_iterations", "newton_tolerance", "cg_max_iterations", "cg_tolerance", "precision")
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One choice. `values` include the scene's own; ordered ones go from cheap to expensive."""
+
+    name: str
+    what: str
+    own: Value
+    values: tuple[Value, ...]
+    #: True if the values have an order.
+    ordered: bool = False
+
+    def others(self, nearest: bool = False) -> list[Value]:
+        """Returns the values except the scene's own; `nearest`: of an ordered knob only its two neighbours."""
+        at = self.values.index(self.own)
+        near = self.values[max(0, at - 1) : at + 2] if nearest and self.ordered else self.values
+        return [value for value in near if value != self.own]
+
+
+class Knobs:
+    """Finds the choices of one scene and applies settings to its file.
+
+    Args:
+        file: a scene that the daemon accepts. A built-in organ is meshed again for each resolution.
+        mesh_folder: for those meshes.
+    """
+
+    def __init__(self, file: SceneFile, mesh_folder: Path) -> None:
+        self.message = file.message()
+        self.file = replace(file, fields=with_numbers(file.fields, cast(Descriptor, self.message.DESCRIPTOR)))
+        self._mesh_folder = mesh_folder
+        self._made: set[Path] = set()
+        self.quasi_static = self.message.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
+        #: Knobs by name.
+        self.knobs: dict[str, Knob] = {}
+        #: Reason why there is nothing to choose, by the name of the knob.
+        self.without: dict[str, str] = {name: f"one choice, not measured: {what}" for name, what in ONE_CHOICE.items()}
+        self._setters: dict[str, Callable[[dict[str, Any], Value], None]] = {
+            "resolution": self._set_resolution,
+            "shape": self._set_shape,
+            "law": self._set_law,
+            "quadrature": lambda fields, value: each_body(fields, lambda body: body.update(quadrature=value)),
+            "mass": lambda fields, value: each_body(fields, lambda body: body.update(mass=value)),
+            "dt_s": set_dt,
+            **{name: solver_setter(name) for name in _SOLVER_FIELDS},
+        }
+        self._find_mesh_knobs()
+        self._find_law_knob()
+        self._find_time_knobs()
+        self._find_solver_knobs()
+        #: Knobs of the mesh that a reference may refine, even if `choose` drops them.
+        self.refinable = {"resolution", "shape"} & set(self.knobs)
+
+    # --- settings -----------------------------------------------------------------------------------------------------
+
+    def canonical(self, setting: Setting) -> dict[str, Value]:
+        """Drops values that equal the scene's own or have no effect, and sorts by the order of the knobs."""
+        kept = {name: setting[name] for name in self.knobs if name in setting and setting[name] != self.knobs[name].own}
+        if kept.get("shape", self._own_shape) == "tetrahedron":
+            kept.pop("quadrature", None)  # a linear tetrahedron always has one point
+        if self.value(kept, "integrator") == "quasi_static" and not self.quasi_static:
+            kept.pop("mass", None)
+        return kept
+
+    def value(self, setting: Setting, name: str) -> Value | None:
+        """Returns the value of a knob in a setting; None if there is no such knob."""
+        if name in setting:
+            return setting[name]
+        return self.knobs[name].own if name in self.knobs else None
+
+    def effort(self, setting: Setting) -> tuple[float, ...]:
+        """Returns how accurately a setting is solved, for each of `SOLVE_KNOBS`; more is better. The daemon's defaults,
+        which depend on the integrator, replace values that neither scene nor setting has."""
+        solver = scene_pb2.Solver()
+        solver.CopyFrom(self.message.solver)
+        for name, value in setting.items():
+            if name in _SOLVER_FIELDS:
+                kind = solver.DESCRIPTOR.fields_by_name[name].enum_type
+                number = kind.values_by_name[f"{name.upper()}_{str(value).upper()}"].number if kind else value
+                setattr(solver, name, number)
+        return (
+            defaults.newton_max_iterations(solver),
+            -defaults.newton_tolerance(solver),
+            defaults.cg_max_iterations(solver),
+            -defaults.cg_tolerance(solver),
+            solver.precision == scene_pb2.Solver.PRECISION_DOUBLE,
+        )
+
+    def solved_better(self, setting: Setting) -> dict[str, Value]:
+        """Returns the setting without the values by which it is solved worse than the scene."""
+        of_scene = self.effort({name: value for name, value in setting.items() if name not in SOLVE_KNOBS})
+        worse = [
+            name for name, own, ours in zip(SOLVE_KNOBS, of_scene, self.effort(setting), strict=True) if own > ours
+        ]
+        return self.canonical({name: value for name, value in setting.items() if name not in worse})
+
+    def apply(self, setting: Setting) -> SceneFile:
+        """Returns the scene file with these values. All other fields are unchanged."""
+        fields = copy.deepcopy(self.file.fields)
+        for name, value in setting.items():
+            self._setters[name](fields, value)
+        return replace(self.file, fields=fields)
+
+    def choose(self, names: Iterable[str]) -> None:
+        """Keeps only these knobs.
+
+        Raises:
+            InvalidArgumentError: the scene has no such knob; the message says why.
+        """
+        names = list(names)
+        for name in names:
+            if name not in self.knobs:
+                raise InvalidArgumentError(
+                    f"knob {name!r}: " + (self.without.get(name) or f"unknown; {suggestion(name, self.knobs)}")
+                )
+        self.without.update({name: "not asked for" for name in self.knobs if name not in names})
+        self.knobs = {name: knob for name, knob in self.knobs.items() if name in names}
+
+    def write(self, setting: Setting, path: Path, comment: str) -> None:
+        """Writes the scene of a setting as a file that needs nothing else; meshes of built-in organs go into its
+        folder."""
+        file = self.apply(setting)
+
+        def place(of: dict[str, Any]) -> None:
+            source = (file.directory / of["file"]).resolve()
+            if file.builtin is None:
+                of["file"] = os.path.relpath(source, path.resolve().parent)
+            else:
+                of["file"] = f"{path.stem}_{source.name}"
+                shutil.copyfile(source, path.with_name(of["file"]))
+
+        for body in file.fields["bodies"]:
+            for of in (body["mesh"], body.get("skin", {})):
+                if "file" in of:
+                    place(of)
+        lines = "".join(f"# {line}\n" for line in comment.splitlines())
+        with replacing(path) as aside:
+            aside.write_text(lines + yaml.safe_dump(file.fields, sort_keys=False, allow_unicode=True), "utf-8")
+
+    # --- what there is to choose --------------------------------------------------------------------------------------
+
+    def _add(self, name: str, what: str, own: Value, values: Sequence[Value], ordered: bool = False) -> None:
+        if own not in values:
+            values = [own, *values]
+        self.knobs[name] = Knob(name, what, own, tuple(dict.fromkeys(values)), ordered)
+
+    def _find_mesh_knobs(self) -> None:
+        bodies = self.message.bodies
+        grids, reasons = [], []
+        for index, body in enumerate(bodies):
+            own = self.file.fields["bodies"][index]["mesh"]
+            grids.append("grid" in own)
+            if "grid" not in own and self._organ(own) is None:
+                reasons.append(f"body {body.name!r}: its mesh comes from a file")
+            elif _names_single_nodes(body):
+                reasons.append(f"body {body.name!r}: node numbers or element fields belong to its mesh as it is")
+        if reasons:
+            self.without["resolution"] = "; ".join(reasons)
+        else:
+            self._add("resolution", "elements along an edge, against the scene's own", 1.0, _RESOLUTIONS, True)
+        shapes = {_shape_of_grid(body) for body in bodies if body.mesh.WhichOneof("source") == "grid"}
+        self._own_shape = "tetrahedron" if all(map(_is_tetrahedral, bodies)) else "any"
+        if reasons or not all(grids):
+            self.without["shape"] = "; ".join(reasons) or "only grids are cut into any shape"
+        elif len(shapes) > 1:
+            self.without["shape"] = "the grids differ"
+        else:
+            self._add("shape", "shape of the elements", shapes.pop(), tuple(SHAPES))
+        quadratures = {body.quadrature or scene_pb2.QUADRATURE_FULL for body in bodies}
+        if "shape" not in self.knobs and self._own_shape == "tetrahedron":
+            self.without["quadrature"] = "linear tetrahedra have one point"
+        elif len(quadratures) > 1:
+            self.without["quadrature"] = "the bodies differ"
+        else:
+            own = short_name(scene_pb2.Quadrature.DESCRIPTOR, quadratures.pop())
+            self._add("quadrature", "points an element's energy is summed over", own, ("reduced", "selective", "full"))
+
+    def _find_law_knob(self) -> None:
+        laws = {body.law.WhichOneof("kind") or "" for body in self.message.bodies}
+        if any(body.law_regions for body in self.message.bodies):
+            self.without["law"] = "regions have laws of their own"
+        elif any(small_strain(body.law) is None for body in self.message.bodies):
+            self.without["law"] = f"{', '.join(sorted(laws))} has no isotropic law that equals it for small strains"
+        else:
+            self._add("law", "law, of equal stiffness for small strains", "+".join(sorted(laws)), ISOTROPIC_LAWS)
+
+    def _find_time_knobs(self) -> None:
+        dt_s = defaults.dt_s(self.message)
+        if self.quasi_static:
+            self.without["integrator"] = self.without["mass"] = "the scene asks for equilibrium"
+            if defaults.scheduled_s(self.message) == 0 and not self.message.tools:
+                self.without["dt_s"] = "equilibrium under constant loads knows no time"
+                return
+        self._add("dt_s", "simulated time of a step [s]", dt_s, [dt_s * factor for factor in _DT_FACTORS], True)
+        if self.quasi_static:
+            return
+        own = self.message.solver.integrator or scene_pb2.Solver.INTEGRATOR_IMPLICIT_EULER
+        integrators = ["implicit_euler", "bdf2"]
+        if all(body.fixed or body.prescribed for body in self.message.bodies):
+            integrators.append("quasi_static")
+        self._add("integrator", "time scheme", short_name(scene_pb2.Solver.Integrator.DESCRIPTOR, own), integrators)
+        masses = {body.mass or scene_pb2.MASS_LUMPED for body in self.message.bodies}
+        if len(masses) > 1:
+            self.without["mass"] = "the bodies differ"
+        else:
+            self._add(
+                "mass",
+                "mass at the nodes or over the elements",
+                short_name(scene_pb2.Mass.DESCRIPTOR, masses.pop()),
+                _MASSES,
+            )
+
+    def _find_solver_knobs(self) -> None:
+        solver = self.message.solver
+        newton = defaults.newton_max_iterations(solver)
+        counts = sorted({*_NEWTON_ITERATIONS, newton})
+        self._add("newton_max_iterations", "linearized solves a step, at most", newton, counts, True)
+        if newton > 1:
+            tolerance = defaults.newton_tolerance(solver)
+            tolerances = sorted({*_NEWTON_TOLERANCES, tolerance}, reverse=True)
+            self._add("newton_tolerance", "residual of the forces that ends a step", tolerance, tolerances, True)
+        else:
+            self.without["newton_tolerance"] = "one linearized solve a step"
+        most = defaults.cg_max_iterations(solver)
+        counts = sorted({max(1, round(share * most)) for share in _CG_SHARES})
+        self._add("cg_max_iterations", "conjugate-gradient iterations a solve, at most", most, counts, True)
+        tolerance = defaults.cg_tolerance(solver)
+        tolerances = sorted({*_CG_TOLERANCES, tolerance}, reverse=True)
+        self._add("cg_tolerance", "residual that ends a solve", tolerance, tolerances, True)
+        precision = "double" if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else "float"
+        self._add("precision", "of the numbers", precision, ("float", "double"))
+
+    # --- edits of the file --------------------------------------------------------------------------------------------
+
+    def _set_resolution(self, fields: dict[str, Any], value: Value) -> None:
+        factor = float(value)
+
+        def set_of(body: dict[str, Any]) -> None:
+            mesh = body["mesh"]
+            if "grid" in mesh:
+                for axis in ("cells_x", "cells_y", "cells_z"):
+                    mesh["grid"][axis] = max(1, math.floor(mesh["grid"][axis] * factor + 0.5))
+                return
+            organ = self._organ(mesh)
+            assert organ is not None
+            path = (self._mesh_folder / f"{organ}-{factor:g}.msh").resolve()
+            if path not in self._made:
+                self._mesh_folder.mkdir(parents=True, exist_ok=True)
+                finer = replace(ORGANS[organ], cell_m=ORGANS[organ].cell_m / factor)
+                mesh_files.write_mesh(path, finer.volume())
+                self._made.add(path)
+            mesh["file"] = str(path)
+
+        each_body(fields, set_of)
+
+    def _organ(self, mesh: Mapping[str, Any]) -> str | None:
+        """Returns the built-in organ of a mesh, which can be meshed more finely; None for other meshes."""
+        stem = Path(mesh.get("file", "")).stem
+        return stem if self.file.builtin is not None and stem in ORGANS else None
+
+    def _set_shape(self, fields: dict[str, Any], value: Value) -> None:
+        def set_of(body: dict[str, Any]) -> None:
+            body["mesh"]["grid"]["shape"] = value
+            if value == "tetrahedron":
+                body.pop("quadrature", None)
+
+        each_body(fields, set_of)
+
+    def _set_law(self, fields: dict[str, Any], value: Value) -> None:
+        for body, message in zip(fields["bodies"], self.message.bodies, strict=True):
+            constants = small_strain(message.law)
+            assert constants is not None
+            body["law"] = {
+                str(value): dict(zip(("young_modulus_pa", "poisson_ratio"), constants, strict=True)),
+                **{key: of for key, of in body["law"].items() if key == "prony"},
+            }
+
+
+_MASSES = ("lumped", "consistent")
+_SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
+
+
+def _names_single_nodes(body: scene_pb2.Body) -> bool:
+    regions = [*body.fixed, *(load.region for load in body.loads), *(of.region for of in body.law_regions)]
+    regions += [of.region for of in body.prescribed] + [region for named in body.sets for region in named.regions]
+    fields = body.element_fields
+    of_elements = fields.young_modulus_pa or fields.poisson_ratio or fields.fibre_directions
+    return bool(of_elements) or any(region.WhichOneof("kind") == "nodes" for region in regions)
+
+
+def _shape_of_grid(body: scene_pb2.Body) -> str:
+    return BY_NUMBER[body.mesh.grid.shape or scene_pb2.SHAPE_TETRAHEDRON].name
+
+
+def _is_tetrahedral(body: scene_pb2.Body) -> bool:
+    if body.mesh.WhichOneof("source") == "grid":
+        return _shape_of_grid(body) == "tetrahedron"
+    shapes = {block.shape or scene_pb2.SHAPE_TETRAHEDRON for block in body.mesh.packed.elements}
+    return shapes == {scene_pb2.SHAPE_TETRAHEDRON}

@@ -1,0 +1,188 @@
+"""The reference: the scene refined until its result no longer moves. All settings are compared with it.
+
+Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
+second-order scheme and, for grids, the shape that converges fastest, because the limit is the same. Richardson
+extrapolation estimates the remaining error from the differences between levels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from tensormass._src.errors import InvalidArgumentError, TensormassError
+from tensormass_tools.trade.knobs import Knobs
+from tensormass_tools.trade.measures import compare, richardson
+from tensormass_tools.trade.recorder import Recorder
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.scene_edits import Value
+from tensormass_tools.trade.script import Script
+from tensormass_tools.trade.store import Machine, Store, key_of
+
+# Refinement of each level against the one before.
+_RATIO = 1.5
+# The first level is coarser than the scene, so that the order is known early.
+_FIRST_LEVEL = -1
+_LEVELS = 8
+# Steps in a sample at level 0: four times as fine as the longest step that is tried.
+_STEPS_A_SAMPLE = 4
+_NEWTON = {"newton_max_iterations": 50, "newton_tolerance": 1e-6, "cg_max_iterations": 10_000, "cg_tolerance": 1e-3}
+#: The reference is accurate enough if its own error is below this share of the tolerance.
+SHARE_OF_TOLERANCE = 1 / 3
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of the sequence. Differences are against the level before."""
+
+    setting: dict[str, Value]
+    element_count: int
+    step_count: int
+    wall_s: float
+    unconverged_steps: int
+    min_det_f: float
+    displacement: float | None = None
+    force: float | None = None
+
+    def text(self) -> str:
+        """Describes it for people."""
+        text = f"{self.element_count} elements, {self.step_count} steps, {self.wall_s:.0f} s"
+        if self.displacement is not None:
+            text += f", displacement {self.displacement:.2%} from the level before"
+        if self.force is not None:
+            text += f", force {self.force:.2%}"
+        if self.min_det_f <= 0:
+            text += f", det F down to {self.min_det_f:.2g}"
+        return text + (f", {self.unconverged_steps} steps not converged" if self.unconverged_steps else "")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The finest level and its distance from the limit."""
+
+    key: str
+    recording: Recording
+    levels: list[Level]
+    #: Relative errors, estimated by Richardson extrapolation.
+    displacement_error: float
+    force_error: float | None
+    order: float
+    #: Reason why it is not refined further.
+    ended: str
+
+    @property
+    def refines_mesh(self) -> bool:
+        """Tells whether the mesh was refined. Otherwise every error, the reference's own too, leaves out that of the
+        mesh."""
+        return "resolution" in self.levels[-1].setting
+
+    @property
+    def error(self) -> float:
+        return max(self.displacement_error, self.force_error or 0.0)
+
+    def text(self) -> list[str]:
+        """Describes it for people."""
+        lines = [level.text() for level in self.levels]
+        force = "" if self.force_error is None else f", force {self.force_error:.2%}"
+        mesh = "" if self.refines_mesh else " (without that of the mesh)"
+        lines.append(
+            f"its own error{mesh}, by Richardson extrapolation of order {self.order:.2f}: displacement "
+            f"{self.displacement_error:.2%}{force}; {self.ended}"
+        )
+        return lines
+
+    def to_plain(self) -> dict[str, object]:
+        plain = {name: getattr(self, name) for name in ("key", "displacement_error", "force_error", "order", "ended")}
+        return plain | {"refines_mesh": self.refines_mesh, "levels": [asdict(level) for level in self.levels]}
+
+
+def find(
+    knobs: Knobs,
+    script: Script,
+    recorder: Recorder,
+    store: Store,
+    machine: Machine,
+    *,
+    tolerance: float,
+    limit_s: float,
+    say: Callable[[str], None],
+) -> Reference:
+    """Refines until the estimate is below a third of `tolerance`, or another level would take longer than `limit_s`.
+
+    Raises:
+        TensormassError: the scene cannot be run, or nothing in it moves.
+    """
+    levels: list[Level] = []
+    best: Recording | None = None
+    key = ""
+    estimates: tuple[float, float | None, float] = (float("inf"), None, 1.0)
+    growth = _RATIO ** ((3 if "resolution" in knobs.refinable else 0) + (0 if script.one_step else 1))
+    ended = "the last level"
+    for number in range(_LEVELS):
+        setting = _setting(knobs, script, number + _FIRST_LEVEL)
+        if len(levels) > 1:
+            expected_s = levels[-1].wall_s * growth
+            if sum(level.wall_s for level in levels) + expected_s > limit_s:
+                ended = f"another level would take about {expected_s:.0f} s (--reference-seconds {limit_s:g})"
+                break
+        try:
+            scene = knobs.apply(setting).message()
+            own_key = key_of(scene, script, machine, "reference")
+            recording = store.recording(own_key)
+            if recording is None:
+                recording = recorder.record(scene)
+                store.keep(own_key, recording)
+        except TensormassError as error:
+            if len(levels) < 2:
+                raise
+            ended = f"the next level failed: {error}"
+            break
+        if not any(values.any() for values in recording.displacement):
+            raise InvalidArgumentError("nothing in the scene moves in this run; a load or a tool has to reach a body")
+        errors = compare(best, recording, recorder.weights) if best is not None else None
+        levels.append(
+            Level(
+                setting,
+                recording.element_count,
+                recording.costs.step_count,
+                recording.costs.wall_s,
+                recording.unconverged_steps,
+                recording.min_det_f,
+                errors.displacement if errors else None,
+                errors.force if errors else None,
+            )
+        )
+        key, best = own_key, recording
+        said = f"reference, level {number}: {levels[-1].text()}"
+        if len(levels) > 1:
+            estimates = _estimates(levels)
+            error_now = max(estimates[0], estimates[1] or 0.0)
+            said += f"; own error about {error_now:.2%}, wanted {tolerance * SHARE_OF_TOLERANCE:.2%}"
+        say(said)
+        # Two levels alone say nothing about the order.
+        if len(levels) > 2 and error_now < tolerance * SHARE_OF_TOLERANCE:
+            ended = "below a third of the tolerance"
+            break
+    assert best is not None
+    return Reference(key, best, levels, *estimates, ended)
+
+
+def _estimates(levels: list[Level]) -> tuple[float, float | None, float]:
+    """Estimates the errors of displacement and force, and the order of the displacement."""
+    displacement, order = richardson([level.displacement for level in levels if level.displacement is not None], _RATIO)
+    forces = [level.force for level in levels if level.force is not None]
+    return displacement, richardson(forces, _RATIO)[0] if forces else None, order
+
+
+def _setting(knobs: Knobs, script: Script, level: int) -> dict[str, Value]:
+    factor = _RATIO**level
+    setting: dict[str, Value] = {"precision": "double", **_NEWTON}
+    if "resolution" in knobs.refinable:
+        setting["resolution"] = factor
+    if "shape" in knobs.refinable:
+        setting |= {"shape": "hexahedron", "quadrature": "selective"}
+    if not script.one_step:
+        setting["dt_s"] = script.sample_s / max(1, round(_STEPS_A_SAMPLE * factor))
+    if not knobs.quasi_static:
+        setting["integrator"] = "bdf2"
+    return setting

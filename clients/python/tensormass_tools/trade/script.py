@@ -1,0 +1,170 @@
+"""The script: the test run of every setting.
+
+The scene starts at rest, and its loads act at once. The first tool, if there is one, then moves straight to the nearest
+point of the surface, presses in by half its radius, stays, and lifts off. Other tools do not move. At a depth of a
+whole radius, elements of a thin or coarse tissue may become inverted, and there is no solution to converge to.
+
+All settings see the same path. They are compared at the same times and at the same points, the nodes of the scene's own
+mesh.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from tensormass._src import defaults, mesh_geometry
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.meshes import FloatArray
+from tensormass._src.packing import volume_mesh
+from tensormass.v1 import scene_pb2
+
+# Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
+PATH_SHARES = (0.35, 0.6, 0.75, 0.9)
+#: Depth to which the tool presses, in radii.
+PRESS_RADII = 0.5
+_TOOL_DURATION_S = 1.6
+_FREE_DURATION_S = 1.0
+# Longest step that is tried, in steps of the scene. Fields are compared at its multiples.
+SAMPLE_STEPS = 2
+# Rounding of a step in a scene file.
+_ROUNDING = 1e-3
+_Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Script:
+    """Course of a run. Times in s, lengths in m."""
+
+    duration_s: float
+    #: Interval at which fields are compared.
+    sample_s: float
+    #: True if the run is one step to equilibrium.
+    one_step: bool
+    #: Start and end of the free motion, from which frequency and damping are taken.
+    free_s: tuple[float, float]
+    tool: str | None = None
+    start_m: _Point = (0.0, 0.0, 0.0)
+    travel_m: _Point = (0.0, 0.0, 0.0)
+
+    @staticmethod
+    def of(scene: scene_pb2.Scene, seconds: float | None = None, press_radii: float = PRESS_RADII) -> Script:
+        """Makes the script of the unmodified scene.
+
+        Args:
+            seconds: replaces the usual duration.
+            press_radii: depth to which the tool presses.
+
+        Raises:
+            InvalidArgumentError: nothing in the scene would move.
+        """
+        dt_s = defaults.dt_s(scene)
+        scheduled_s = defaults.scheduled_s(scene)
+        loaded = scene.HasField("gravity_m_per_s2") or any(body.loads or body.prescribed for body in scene.bodies)
+        if not loaded and not scene.tools:
+            raise InvalidArgumentError("the scene has no gravity, no load and no tool: nothing would move")
+        quasi_static = scene.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
+        if quasi_static and not scene.tools and scheduled_s == 0:
+            return Script(dt_s, dt_s, True, (0.0, 0.0))
+        sample_s = SAMPLE_STEPS * dt_s
+        usual_s = _TOOL_DURATION_S if scene.tools else 0 if quasi_static else _FREE_DURATION_S
+        wanted_s = seconds or max(scheduled_s, usual_s)
+        duration_s = sample_s * max(1, math.ceil(wanted_s / sample_s - 1e-3))
+        if not scene.tools:
+            return Script(duration_s, sample_s, False, (0.0, duration_s))
+        free_s = (0.0, PATH_SHARES[0] * duration_s) if loaded else (PATH_SHARES[3] * duration_s, duration_s)
+        tool = scene.tools[0]
+        start, travel = _press(scene, tool, press_radii)
+        return Script(duration_s, sample_s, False, free_s, tool.name, start, travel)
+
+    def pose(self, time_s: float) -> FloatArray:
+        """Returns the position of the tool, [3] m."""
+        begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
+        if time_s < leave:
+            share = min(max((time_s - begin) / (inside - begin), 0.0), 1.0)
+        else:
+            share = 1.0 - min(max((time_s - leave) / (back - leave), 0.0), 1.0)
+        smooth = (1 - math.cos(math.pi * share)) / 2
+        return np.array(self.start_m) + smooth * np.array(self.travel_m)
+
+    @property
+    def sample_count(self) -> int:
+        return max(1, round(self.duration_s / self.sample_s))
+
+    def text(self) -> str:
+        """Describes the script for the report."""
+        if self.one_step:
+            return "one step from rest to equilibrium"
+        what = f"{self.duration_s:g} s from rest under its loads, compared every {self.sample_s:.4g} s"
+        if self.tool is not None:
+            begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
+            travel_mm = 1e3 * float(np.linalg.norm(self.travel_m))
+            what += (
+                f"; {self.tool!r} moves by {travel_mm:.1f} mm from {begin:.2g} to {inside:.2g} s, stays to "
+                f"{leave:.2g} s, and is back at {back:.2g} s"
+            )
+        return what
+
+
+def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Script) -> None:
+    """Checks that the script of `own` can be run on a scene, which must be `own` with other choices.
+
+    Raises:
+        InvalidArgumentError: it is another scene; the message says in what.
+    """
+    named, wanted = ([body.name for body in of.bodies] for of in (scene, own))
+    if named != wanted:
+        raise InvalidArgumentError(
+            f"bodies are {', '.join(named)}, those of the scene that is measured {', '.join(wanted)}; give that scene "
+            "with other choices"
+        )
+    if script.tool is not None and script.tool not in [tool.name for tool in scene.tools]:
+        raise InvalidArgumentError(f"tools: has no {script.tool!r}, which moves in the test run; leave it in")
+    if script.one_step:
+        if scene.solver.integrator != scene_pb2.Solver.INTEGRATOR_QUASI_STATIC:
+            raise InvalidArgumentError("solver.integrator: the test run is one step to equilibrium; take quasi_static")
+        return
+    dt_s = defaults.dt_s(scene)
+    steps = script.sample_s / dt_s
+    if abs(steps - round(steps)) > _ROUNDING * steps:
+        raise InvalidArgumentError(
+            f"stepping.dt_s: {dt_s:g} does not divide the {script.sample_s:g} s after which results are compared; take "
+            f"{script.sample_s:g} s or a whole part of it"
+        )
+
+
+def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> tuple[_Point, _Point]:
+    """Returns the start of a tool and its way, straight to the nearest point of the surface at rest and `press_radii`
+    beyond it."""
+    start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
+    probe, q = tool.spherical_probe, tool.orientation
+    centre = start + _rotated(q, np.array([probe.tip_offset_m.x, probe.tip_offset_m.y, probe.tip_offset_m.z]))
+    surface = np.concatenate(
+        [rest_nodes(body, mesh_geometry.boundary(volume_mesh(body)).vertices) for body in scene.bodies]
+    )
+    way = surface[np.linalg.norm(surface - centre, axis=1).argmin()] - centre
+    distance = float(np.linalg.norm(way))
+    if distance > 0:
+        way = way * (distance + (press_radii - 1) * probe.radius_m) / distance
+    return (start[0], start[1], start[2]), (way[0], way[1], way[2])
+
+
+def _rotated(q: scene_pb2.Quaternion, v: FloatArray) -> FloatArray:
+    axis = np.array([q.x, q.y, q.z])
+    norm = q.w**2 + axis @ axis
+    turned: FloatArray = v + 2 * np.cross(axis, np.cross(axis, v) + q.w * v) / norm if norm > 0 else v
+    return turned
+
+
+def rest_nodes(body: scene_pb2.Body, nodes: FloatArray) -> FloatArray:
+    """Places the nodes of a body's mesh as the scene does."""
+    of = body.mesh
+    scale = of.scale if of.HasField("scale") else 1.0
+    return nodes * scale + np.array([of.translation_m.x, of.translation_m.y, of.translation_m.z])
+
+
+def script_fields(script: Script) -> dict[str, object]:
+    """Returns plain values, for the key of a measurement."""
+    return asdict(script)
