@@ -21,11 +21,10 @@
 #include "core/limits.h"
 #include "haptic/checks.h"
 #include "haptic/discovery.h"
-#include "haptic/force_guard.h"
-#include "haptic/loop.h"
 #include "haptic/realtime.h"
 #include "haptic/report.h"
 #include "haptic/report_file.h"
+#include "haptic/run_device.h"
 #include "haptic/simulated_device.h"
 #include "haptic/zenoh_link.h"
 #include "haptic/zeromq_link.h"
@@ -222,16 +221,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
 
   MonotonicClock clock;
   SimulatedDevice device(options.device, *script, clock);
-  if (const auto opened = device.open(); !opened) return tl::make_unexpected(opened.error());
-
-  static_cast<void>(request_realtime(kLoopPriority));
-  ForceGuard guard(device, clock, options.watchdog_s);
-  Result<LoopReport> report;
-  {
-    const Watchdog watchdog(guard, options.watchdog_s / 4);
-    report = Loop(guard, **link, clock, options.loop).run(stop);
-  }
-  device.close();
+  const Result<LoopReport> report = run_device(device, **link, options.loop, stop, options.watchdog_s);
   if (!report) return tl::make_unexpected(report.error());
 
   const RunLabel label{options.server, options.scene, options.tool, options.transport, device.info().name};
