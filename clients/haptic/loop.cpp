@@ -109,7 +109,7 @@ Result<void> Loop::tick_without(const DevicePose& invalid) {
   if (++invalid_in_a_row_ < kMaxInvalidPosesInARow) return {};
   const Eigen::Vector3d& p = invalid.position_m;
   return fail(ErrorCode::kUnavailable,
-              fmt::format("device {}: {} poses in a row are no poses, the last one at ({}, {}, {}) m with a quaternion "
+              fmt::format("device {}: {} poses in a row are invalid, the last one at ({}, {}, {}) m with a quaternion "
                           "of length {}; check the device and its driver",
                           guard_.info().name, invalid_in_a_row_, p.x(), p.y(), p.z(), invalid.orientation.norm()));
 }

@@ -27,8 +27,8 @@
 // 3. The model jumps once a step and its anchor is late, so it can return more energy than the hand gave. The
 //    passivity controller behind it dissipates the excess.
 //
-// Units: m, N, s; ns on the Clock. Threading: run() owns the thread that calls it; only `stop` may be set from outside.
-// Fails only if the device fails; a missing server is a stale model, which fades to no force.
+// Units: m, N, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set `stop`.
+// Only a failing device is an error. Without a server the model expires and the force fades to zero.
 
 #include <atomic>
 #include <cstdint>

@@ -122,7 +122,7 @@ std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_re
     case v1::SceneStatus::STATE_FAULTED:
       return "a guard stopped the scene: " + status.fault();
     default:
-      return "the scene runs and refused none; are the server's data ports open to this machine?";
+      return "the scene runs and refused no pose; are the server's data ports open to this machine?";
   }
 }
 

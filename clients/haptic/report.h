@@ -1,6 +1,6 @@
 #pragma once
 
-// What a run measured, as text and as JSON. Pure functions; nothing fails.
+// The measurements of a run as text and as JSON. Pure functions; nothing fails.
 
 #include <string>
 
@@ -9,7 +9,7 @@
 
 namespace tensormass::haptic {
 
-/// Where and with what a run was made.
+/// Server, scene, tool, transport and device of a run.
 struct RunLabel {
   std::string server;
   std::string scene;

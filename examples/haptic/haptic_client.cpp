@@ -3,7 +3,7 @@
 //     haptic_client 127.0.0.1:50051 demo probe 5      server, scene, tool, seconds
 //
 // MyDevice stands in for a driver: it presses one tool radius into the nearest tissue and lifts, once in two seconds.
-// Replace its functions by your driver's. What the loop does between read() and write_force(): haptic/loop.h.
+// Replace its functions by your driver's. The loop between read() and write_force(): haptic/loop.h.
 #include <cmath>
 #include <iostream>
 #include <numbers>
@@ -32,7 +32,7 @@ class MyDevice final : public Device {
   Eigen::Vector3d rest_m_, travel_m_;
   MonotonicClock clock_;
   std::int64_t start_ns_ = clock_.now_ns();
-  // What yours renders stably: 3 N, 1000 N/m, 5 N s/m.
+  // Limits of your device: 3 N, 1000 N/m, 5 N s/m.
   DeviceInfo info_{"mine", 3.0, 1000.0, 5.0};
 };
 

@@ -82,7 +82,7 @@ describe("SceneStore", () => {
 
   it("says why the newest message is not on show, until a frame is", () => {
     store.setFrame(frame(1n));
-    store.refuse("a status that is none", "status");
+    store.refuse("not a status", "status");
     store.refuse("no stream at all", null);
     expect(store.unshown).toBeNull();
     store.refuse("frame 2 is torn", "frame");
