@@ -1,5 +1,7 @@
 #pragma once
 
+// Checks of values that come from outside: options, devices, feedback. Pure functions, for any thread.
+
 #include <cmath>
 
 #include <Eigen/Core>
@@ -12,12 +14,12 @@ namespace tensormass::haptic {
 inline bool is_positive(double value) { return std::isfinite(value) && value > 0.0; }
 inline bool is_not_negative(double value) { return std::isfinite(value) && value >= 0.0; }
 
-/// Finite and within the largest length that the protocol takes.
+/// True if every coordinate is finite and within the largest length of the protocol [m].
 inline bool is_position(const Eigen::Vector3d& position_m) {
   return position_m.allFinite() && position_m.cwiseAbs().maxCoeff() <= limits::kMaxLength;
 }
 
-/// Less than 1 % off unit length, as the protocol asks; refuses what is not finite too.
+/// True if the quaternion's length is off 1 by less than 1 %, as the protocol asks. False if it is not finite.
 inline bool is_rotation(const Eigen::Quaterniond& orientation) { return std::abs(orientation.norm() - 1.0) < 0.01; }
 
 }  // namespace tensormass::haptic

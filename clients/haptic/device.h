@@ -1,5 +1,10 @@
 #pragma once
 
+// The interface that the author of a haptic device implements: position in, force out.
+//
+// Units: m, N, N/m, N s/m, in the scene's frame. Threading: ForceGuard calls a device from the loop and from the
+// watchdog, one at a time. A call that fails ends the loop and reaches the user as the loop's error.
+
 #include <string>
 
 #include <Eigen/Core>
@@ -9,36 +14,39 @@
 
 namespace tensormass::haptic {
 
-/// What a device can render; the force pipeline stays within it.
+/// Limits of the device. The loop stays within them, whatever its options ask for.
 struct DeviceInfo {
   std::string name;
   double max_force_n = 0.0;
-  /// Stiffest spring that the device renders stably at the loop's rate. A sampled spring is passive only for
-  /// K < 2 b / T with b the device's own damping (Colgate and Schenkel 1997); stiffer local models are scaled down.
+  /// Stiffest spring that the device renders stably at the loop's rate; stiffer local models are scaled down to it.
+  /// A sampled spring of stiffness K is passive only for K < 2 b / T (Colgate and Schenkel 1997): b is the device's
+  /// own damping [N s/m], T the loop's period [s].
   double max_stiffness_n_per_m = 0.0;
-  /// Strongest damper that it renders stably; bounds what the passivity controller may add.
+  /// Strongest damper that the device renders stably. Bounds the damping that the passivity controller adds.
   double max_damping_n_s_per_m = 0.0;
 };
 
-/// Where the hand holds the tool, in the scene's frame. What is not finite, beyond limits::kMaxLength, or whose
-/// quaternion is 1 % or more off unit length the loop takes for a fault of the device: no force and nothing sent.
+/// Pose of the tool in the scene's frame. A pose is invalid if a coordinate is not finite or exceeds
+/// limits::kMaxLength, or if the quaternion's length is off 1 by 1 % or more. For an invalid pose the loop renders no
+/// force and sends nothing.
 struct DevicePose {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
 };
 
-/// A haptic device: position in, force out. Called by one thread at a time (ForceGuard sees to it).
+/// A haptic device. Called by one thread at a time, which need not always be the same one.
 class Device {
  public:
   virtual ~Device() = default;
-  /// Ready to read and write, with no force on the hand. The error says which device and what to check.
+  /// Makes the device ready to read and write, with no force on the hand. The error names the device and the remedy.
   virtual Result<void> open() = 0;
-  /// Constant once open.
+  /// Must not change while the device is open. The reference lives as long as the device.
   virtual const DeviceInfo& info() const = 0;
+  /// The pose now. Must return within a small part of the loop's period (1 ms at 1 kHz).
   virtual Result<DevicePose> read() = 0;
-  /// The force [N] on the hand, held until the next write.
+  /// Applies this force [N] to the hand until the next write.
   virtual Result<void> write_force(const Eigen::Vector3d& force_n) = 0;
-  /// Without force, and released. May be called again.
+  /// Takes the force off and releases the device. May be called again, and before open().
   virtual void close() noexcept = 0;
 };
 

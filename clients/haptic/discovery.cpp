@@ -13,16 +13,16 @@
 namespace tensormass::haptic {
 namespace {
 
-/// How often a call looks whether it should end.
+/// Interval at which a call checks `stop`.
 constexpr auto kStopPoll = std::chrono::milliseconds(20);
-/// The extent of tissue in radii of the tool that is made for it: 0.2 m for a probe of 1 cm.
+/// Assumed size of the tissue in radii of its tool: 0.2 m for a probe of 1 cm.
 constexpr double kExtentInRadii = 20.0;
-/// Nearer than this the positions' single precision leaves no direction.
+/// Below this distance single-precision positions give no direction.
 constexpr double kNoDistanceM = 1e-6;
 
 Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
 
-/// The host of a gRPC target that ends in host:port; an IPv6 one keeps its brackets.
+/// Returns the host of a gRPC target that ends in host:port. An IPv6 address keeps its brackets.
 std::string host_of(const std::string& target) {
   const std::size_t open = target.rfind('['), close = target.rfind(']');
   if (open != std::string::npos && close != std::string::npos && open < close) {
@@ -39,20 +39,20 @@ using Method = std::unique_ptr<grpc::ClientAsyncResponseReader<Response>> (Stub:
                                                                                     const Request&,
                                                                                     grpc::CompletionQueue*);
 
-/// Calls that share their patience.
+/// Calls to one server that share one deadline.
 class Caller {
  public:
   Caller(const std::string& control, Patience patience) : control_(control), stop_(patience.stop) {
     deadline_ = std::chrono::system_clock::now() + std::chrono::duration_cast<std::chrono::system_clock::duration>(
                                                        std::chrono::duration<double>(patience.timeout_s));
     grpc::ChannelArguments arguments;
-    // The streams go to the server straight, so the calls do too, whatever proxy the environment names for the web.
+    // The streams use no proxy, so the calls must not either: both have to reach the same server.
     arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
     arguments.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
     stub_ = v1::Control::NewStub(grpc::CreateCustomChannel(control, grpc::InsecureChannelCredentials(), arguments));
   }
 
-  /// `method`: the stub's Async one. A blocking call could not be left when `stop` is set.
+  /// `method`: the stub's asynchronous variant. A blocking call could not be ended by `stop`.
   template <class Request, class Response>
   Result<Response> call(Method<Request, Response> method, const Request& request) {
     grpc::ClientContext context;
@@ -67,7 +67,7 @@ class Caller {
     bool good = false;
     while (queue.AsyncNext(&tag, &good, std::chrono::system_clock::now() + kStopPoll) ==
            grpc::CompletionQueue::TIMEOUT) {
-      if (stop_) context.TryCancel();  // and the call ends with the next event
+      if (stop_) context.TryCancel();  // the next event then ends the call
     }
     if (status.ok()) return response;
     if (stop_) return fail(ErrorCode::kCancelled, "ended before the server at " + control_ + " answered");
@@ -208,7 +208,7 @@ Result<Aim> aim_at_nearest_surface(const DiscoveredTool& tool, const Surface& su
   }
   Aim aim;
   aim.direction = way / distance;
-  // Already touching: press from where it stands.
+  // A tool that touches already starts its press at its own position.
   aim.contact_m = tool.tool_position_m + std::max(0.0, distance - tool.radius_m) * aim.direction;
   return aim;
 }

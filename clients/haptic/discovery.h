@@ -1,5 +1,12 @@
 #pragma once
 
+// Finds a tool of a running scene: asks the server's control plane (gRPC) where the tool's streams are, where the tool
+// is, and which tissue is nearest.
+//
+// Lengths are in m, in the scene's frame. Every call blocks for up to its Patience, so none belongs in the loop; calls
+// may come from any thread. Errors: kUnavailable if no server answers, kCancelled after `stop`, kNotFound for the scene
+// or the tool, kFailedPrecondition if the scene cannot answer. The messages name the remedy.
+
 #include <atomic>
 #include <cstdint>
 #include <string>
@@ -13,62 +20,63 @@
 
 namespace tensormass::haptic {
 
-/// What a haptic client needs to know of a running scene before it starts.
+/// Server, streams and geometry of one tool.
 struct DiscoveredTool {
   v1::GetVersionResponse server;
   LinkAddress address;
-  /// Where the tool stands.
+  /// The tool's origin at the time of the call.
   Eigen::Vector3d tool_position_m = Eigen::Vector3d::Zero();
   double radius_m = 0.0;
-  /// From the tool's origin to the sphere's centre.
+  /// Vector from the tool's origin to the centre of its sphere.
   Eigen::Vector3d tip_offset_m = Eigen::Vector3d::Zero();
-  /// The scene's count, as it was then.
+  /// The scene's count of rejected poses at the time of the call.
   std::uint64_t poses_rejected = 0;
 };
 
-/// How long a server is waited for: until the time is up or `stop` is set, which fails with kCancelled.
+/// How long to wait for a server: `timeout_s`, or less if `stop` is set. `stop` must outlive the call.
 struct Patience {
   double timeout_s;
   const std::atomic<bool>& stop;
 };
 
-/// Asks the server at `control` (host:port) for a tool of a scene. Errors name the server, scene or tool that was not
-/// found, and for a tool those that the scene has.
+/// Asks the server at `control` (host:port) for a tool of a scene. If the scene lacks the tool, the error lists the
+/// tools that it has.
 Result<DiscoveredTool> discover_tool(const std::string& control, const std::string& scene, const std::string& tool,
                                      Patience patience);
 
-/// What of a scene can be pressed: the visible surface of all bodies, where it is now.
+/// Visible surface of all bodies of a scene at the time of the call.
 struct Surface {
-  /// float32 [vertex_count, 3] m; empty if the scene has none.
+  /// float32 [vertex_count, 3] m; empty if the scene publishes no frames.
   std::string positions;
-  /// Why it has none, in the server's words; may be empty.
+  /// The server's reason for an empty surface; may be empty.
   std::string absence;
 };
 
-/// A scene that publishes no frames has no surface; that is no error.
+/// Fetches the surface. Returns an empty one, not an error, if the scene publishes no frames.
 Result<Surface> fetch_surface(const std::string& control, const std::string& scene, Patience patience);
 
+/// Fetches the newest status of a scene.
 Result<v1::SceneStatus> fetch_status(const std::string& control, const std::string& scene, Patience patience);
 
-/// A data endpoint (tcp://host:port, tcp/host:port) as a client connects to it that reached the server at `control`
-/// (host:port). A server that listens on every interface (0.0.0.0, [::], *) does not know which of them leads to the
-/// client: it is reached where its control plane was. Every other endpoint stays as it is.
+/// Turns a server's data endpoint (tcp://host:port or tcp/host:port) into one that a client can connect to. A wildcard
+/// host (0.0.0.0, [::], *) becomes the host of `control` (host:port), where the client has reached the server. Returns
+/// every other endpoint unchanged.
 std::string reached_endpoint(const std::string& endpoint, const std::string& control);
 
-/// Where and how to press so that the nearest tissue is hit.
+/// A press that meets the nearest tissue.
 struct Aim {
-  /// The tool's origin when its sphere first touches.
+  /// The tool's origin at the first touch of its sphere.
   Eigen::Vector3d contact_m = Eigen::Vector3d::Zero();
   /// Unit vector from the tool to the tissue.
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();
 };
 
-/// At the surface vertex nearest to the tool's sphere. Refuses a scene without a surface, and a tool so close that it
-/// has no direction.
+/// Aims at the surface vertex nearest to the tool's sphere. Fails if the surface is empty or not finite, or if the
+/// sphere's centre lies on the vertex, which gives no direction.
 Result<Aim> aim_at_nearest_surface(const DiscoveredTool& tool, const Surface& surface);
 
-/// A scale for a press: the diagonal of the surface's bounding box. Without a surface it follows from the tool, which
-/// is made for tissue of some size.
+/// Size of the tissue [m]: the diagonal of the surface's bounding box. Without a surface the size is estimated from the
+/// tool's radius. Fails if the surface is not finite.
 Result<double> extent_of(const Surface& surface, const DiscoveredTool& tool);
 
 }  // namespace tensormass::haptic

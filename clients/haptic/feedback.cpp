@@ -10,7 +10,7 @@
 namespace tensormass::haptic {
 namespace {
 
-// The server works in single precision by default, so an exactly symmetric stiffness cannot be asked for.
+// Relative. The server works in single precision by default, so its stiffness is symmetric only up to rounding.
 constexpr double kStiffnessTolerance = 1e-3;
 
 Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }

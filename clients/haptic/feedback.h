@@ -1,5 +1,10 @@
 #pragma once
 
+// The two messages of a haptic client, checked, and the mailbox between the transport's thread and the loop.
+//
+// Units: m, N, N/m, s; times in ns on this client's monotonic clock. FeedbackInbox may be used by any thread; the
+// functions are pure. A message that does not parse or is not finite is an error, never a force.
+
 #include <cstdint>
 #include <mutex>
 #include <optional>
@@ -13,7 +18,7 @@
 
 namespace tensormass::haptic {
 
-/// A pose on its way to the server.
+/// A pose for the server, with what the server echoes in its feedback: sequence, client and time.
 struct OutgoingPose {
   std::uint64_t sequence = 0;
   std::uint64_t client_id = 0;
@@ -21,38 +26,40 @@ struct OutgoingPose {
   DevicePose pose;
 };
 
-/// A ToolFeedback that was checked: everything in it is finite and the stiffness is symmetric positive semi-definite.
+/// A checked ToolFeedback: every value is finite and the stiffness is symmetric positive semi-definite.
 struct Feedback {
   std::uint64_t step = 0;
+  /// Echo of the pose that this feedback answers.
   std::uint64_t pose_sequence = 0;
   std::uint64_t client_id = 0;
   std::int64_t client_time_ns = 0;
-  /// On this client's clock.
+  /// Time of arrival on this client's clock.
   std::int64_t arrival_ns = 0;
+  /// Local model: force(p) = force_n − stiffness_n_per_m (p − position_m).
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   Eigen::Vector3d force_n = Eigen::Vector3d::Zero();
   Eigen::Matrix3d stiffness_n_per_m = Eigen::Matrix3d::Zero();
-  /// Its largest eigenvalue.
+  /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
   double valid_for_s = 0.0;
 };
 
-/// The bytes of a v1::ToolPose, into `out` (whose capacity is reused).
+/// Serializes a v1::ToolPose into `out`, and reuses the string's capacity.
 void encode_pose(const OutgoingPose& pose, std::string& out);
 
-/// Parses and checks a v1::ToolFeedback. Refuses what does not parse, is not finite, or has a stiffness that is not
-/// 3×3, symmetric and positive semi-definite: a force from it could push without bound.
+/// Parses and checks a v1::ToolFeedback. Fails if it does not parse, a value is not finite, or the stiffness is not
+/// 3×3, symmetric and positive semi-definite. Such a stiffness could push the hand without bound.
 Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_ns);
 
-/// Where a transport's thread leaves what it receives and the loop picks up the newest. The lock is held for a copy
-/// of a few hundred bytes; decoding happens outside of it.
+/// Mailbox of one message: a transport's thread offers, the loop takes the newest. The lock is held for a copy of a few
+/// hundred bytes; decoding happens outside the lock.
 class FeedbackInbox {
  public:
-  /// Decodes and keeps; a malformed message is counted and changes nothing else.
+  /// Decodes the message and replaces the newest. A malformed message is only counted.
   void offer(std::string_view payload, std::int64_t arrival_ns);
   void count_malformed();
 
-  /// The newest since the last call.
+  /// The newest message since the last call, if one came.
   std::optional<Feedback> take();
   std::uint64_t malformed() const;
 

@@ -30,7 +30,7 @@ void ForceGuard::release() noexcept {
   if (released_) return;
   released_ = true;
   held_force_n_.setZero();
-  // A device that no longer takes writes holds nothing that could be set to zero.
+  // If this write fails too, nothing is left to try: only the device's own watchdog can clear its force.
   static_cast<void>(device_.write_force(held_force_n_));
 }
 
@@ -54,7 +54,7 @@ std::uint64_t ForceGuard::trips() const {
 
 Watchdog::Watchdog(ForceGuard& guard, double interval_s)
     : thread_([&guard, interval_s](std::stop_token stop) {
-        // Above the loop: a loop that spins must not keep its watchdog from running.
+        // Above the loop's priority: a loop that spins must not block its watchdog.
         static_cast<void>(request_realtime(kWatchdogPriority));
         std::mutex mutex;
         std::condition_variable_any wake;

@@ -1,5 +1,10 @@
 #pragma once
 
+// Keeps a stalled loop from leaving a force on the hand: a lock around the device and a watchdog thread.
+//
+// Forces in N, times in s. ForceGuard may be used by any thread. Device errors pass through; a write after release()
+// fails with kFailedPrecondition.
+
 #include <cstdint>
 #include <mutex>
 #include <thread>
@@ -11,13 +16,13 @@
 
 namespace tensormass::haptic {
 
-/// The only way to the device while the loop runs. A force on the hand has to be renewed: if no write comes for
-/// `timeout_s`, the watchdog sets it to zero, so that a loop that stalls does not leave the last force standing.
+/// The only access to the device while the loop runs. A force must be renewed: if no write comes for `timeout_s`,
+/// check() sets the force to zero. The next write may apply a force again.
 class ForceGuard {
  public:
-  /// `device` is open and outlives the guard, as does `clock`.
+  /// `device` must be open. `device` and `clock` must outlive the guard.
   ForceGuard(Device& device, Clock& clock, double timeout_s);
-  /// Zero force.
+  /// Releases.
   ~ForceGuard();
   ForceGuard(const ForceGuard&) = delete;
   ForceGuard& operator=(const ForceGuard&) = delete;
@@ -25,14 +30,14 @@ class ForceGuard {
   const DeviceInfo& info() const { return device_.info(); }
   Result<DevicePose> read();
   Result<void> write(const Eigen::Vector3d& force_n);
-  /// Zero now, and every later write is refused.
+  /// Sets the force to zero. Every later write fails.
   void release() noexcept;
-  /// What the device holds; zero after the watchdog has stepped in.
+  /// The force that the device holds; zero after the watchdog has cleared it.
   Eigen::Vector3d held_force_n() const;
 
-  /// The watchdog's look: zeroes a force that was not renewed in time.
+  /// Sets a force to zero that was not renewed in time. Called by the watchdog.
   void check();
-  /// How often it had to.
+  /// How often check() had to set a force to zero.
   std::uint64_t trips() const;
 
  private:
@@ -46,7 +51,7 @@ class ForceGuard {
   std::uint64_t trips_ = 0;
 };
 
-/// Looks at a guard every `interval_s` from a thread of its own until destroyed.
+/// Calls guard.check() every `interval_s` from its own thread until destroyed. `guard` must outlive it.
 class Watchdog {
  public:
   Watchdog(ForceGuard& guard, double interval_s);

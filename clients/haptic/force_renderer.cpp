@@ -29,7 +29,7 @@ ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, s
   const double stale_s = static_cast<double>(now_ns - valid_until_ns_) / kNsPerS;
   const double weight = stale_s <= 0.0 ? 1.0 : std::max(0.0, 1.0 - stale_s / options_.fade_s);
   Eigen::Vector3d force = model_->force_n - model_->stiffness_n_per_m * (position_m - model_->position_m);
-  // Without a contact force there is no direction to push in, and nothing to pull away from.
+  // Without a contact force there is no direction to clamp.
   if (const double norm = model_->force_n.norm(); norm > 0.0) {
     const Eigen::Vector3d direction = model_->force_n / norm;
     force -= std::min(0.0, force.dot(direction)) * direction;

@@ -1,5 +1,10 @@
 #pragma once
 
+// The force on the hand from the server's local model, and its last limits. Pure: the caller passes the time, nothing
+// is sent or written, nothing fails.
+//
+// Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired).
+
 #include <cstdint>
 #include <optional>
 
@@ -10,39 +15,37 @@
 namespace tensormass::haptic {
 
 struct ForceRendererOptions {
-  /// A stale force falls linearly to zero in this time. Long against a loop period, so that the hand is not jerked;
-  /// short against a reaction time (about 150 ms), so that the hand does not lean on a tissue that is gone.
+  /// Time in which a stale force falls linearly to zero [s]. Much longer than a loop period, so that the hand is not
+  /// jerked. Much shorter than a reaction time (about 150 ms), so that the hand does not lean on vanished tissue.
   double fade_s = 0.05;
-  /// A feedback that answers an older pose than this is stale however new it is: the way up is broken, and its anchor
-  /// no longer follows the hand.
+  /// Largest age of the answered pose [s]. A feedback that answers an older pose is stale even if it has just arrived:
+  /// poses no longer reach the server, so the model's anchor no longer follows the hand.
   double max_pose_age_s = 0.5;
-  /// A local model is trusted no longer than this, whatever it says.
+  /// Upper bound on the model's own valid_for_s [s].
   double max_valid_for_s = 0.5;
-  /// DeviceInfo::max_stiffness_n_per_m; a stiffer local model is scaled down to it.
+  /// Usually DeviceInfo::max_stiffness_n_per_m. A stiffer local model is scaled down to it.
   double max_stiffness_n_per_m = 2000.0;
 };
 
-/// Closes the haptic loop on the server's local model, which changes only once a simulation step:
+/// Evaluates the server's local model at the device's position. The model changes only once in a simulation step:
 ///
-///     force(p) = w (force_n − stiffness (p − position_m))
+///     F(p) = w (force_n − K (p − position_m))
 ///
-/// The weight w is 1 while the model is valid, then falls linearly to 0 in fade_s. Pushing contact does not pull: the
-/// part of the force along the model's own force_n is not allowed to change sign when the hand leaves the tissue
-/// between two steps.
-///
-/// Pure: time comes in as an argument, nothing is sent or written.
+/// The weight w is 1 while the model is valid, then falls linearly to 0 in fade_s. Contact pushes and never pulls: when
+/// the hand leaves the tissue between two steps, the part of F along force_n is clamped at zero.
 class ForceRenderer {
  public:
   explicit ForceRenderer(const ForceRendererOptions& options) : options_(options) {}
 
+  /// Replaces the model. `feedback` must have passed decode_feedback().
   void update(const Feedback& feedback);
 
   struct Output {
     Eigen::Vector3d force_n = Eigen::Vector3d::Zero();
-    /// w: 1 valid, 0 gone.
+    /// w: 1 valid, 0 expired.
     double weight = 0.0;
   };
-  /// Zero with weight 0 before the first update.
+  /// The force at `position_m` and `now_ns`. Before the first update: zero, with weight 0.
   Output render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const;
 
  private:
@@ -56,8 +59,8 @@ struct ForceLimits {
   double max_slew_n_per_s = 300.0;
 };
 
-/// `wanted_n` with its change from `applied_n` limited to the slew of `dt_s` and then its magnitude to the maximum.
-/// A force that is not finite becomes zero at once; so does every force if a limit is not a number.
+/// Limits a force: first its change from `applied_n` to max_slew_n_per_s · dt_s, then its magnitude to max_force_n.
+/// Returns zero at once if `wanted_n` is not finite or a limit is NaN.
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,
                             const ForceLimits& limits);
 

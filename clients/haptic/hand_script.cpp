@@ -15,7 +15,7 @@ constexpr double kPressEnd = 0.40;
 constexpr double kCirclesEnd = 0.80;
 constexpr double kLiftEnd = 0.95;
 
-// From `from` to `to` while u goes from 0 to 1 in `duration_s`: s = 10 u³ − 15 u⁴ + 6 u⁵ (Flash and Hogan 1985).
+// Moves from `from` to `to` while u goes from 0 to 1 in `duration_s`: s = 10 u³ − 15 u⁴ + 6 u⁵ (Flash and Hogan 1985).
 HandScript::Target minimum_jerk(const Eigen::Vector3d& from, const Eigen::Vector3d& to, double u, double duration_s) {
   const double s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u));
   const double ds_du = 30.0 * u * u * (1.0 - u) * (1.0 - u);
@@ -57,7 +57,7 @@ HandScript::Target HandScript::at(double time_s) const {
   if (phase < kApproachEnd) return segment(0.0, kApproachEnd, options_.home_m, options_.contact_m);
   if (phase < kPressEnd) return segment(kApproachEnd, kPressEnd, options_.contact_m, bottom_m_);
   if (phase < kCirclesEnd) {
-    // The radius swells and shrinks as sin², which starts and ends at rest.
+    // The radius follows sin²(πu), so the circles start and end at rest.
     const double u = (phase - kPressEnd) / (kCirclesEnd - kPressEnd);
     const double du_dt = 1.0 / ((kCirclesEnd - kPressEnd) * period);
     const double radius = options_.circle_radius_m * std::pow(std::sin(std::numbers::pi * u), 2);

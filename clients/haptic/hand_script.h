@@ -1,29 +1,31 @@
 #pragma once
 
+// Motion of a simulated hand that palpates. Units: m, s, in the scene's frame. Pure and immutable after create(), which
+// fails on options without meaning.
+
 #include <Eigen/Core>
 
 #include "core/result.h"
 
 namespace tensormass::haptic {
 
-/// How a scripted hand palpates: from `home_m` to `contact_m`, `depth_m` beyond it along `direction`, around in
-/// circles there, and back.
+/// One cycle of palpation: from `home_m` to `contact_m`, on by `depth_m` along `direction`, in circles there, and back.
 struct HandScriptOptions {
   Eigen::Vector3d home_m = Eigen::Vector3d::Zero();
-  /// Where the tool first touches.
+  /// The tool's origin at first touch.
   Eigen::Vector3d contact_m = Eigen::Vector3d::Zero();
-  /// Into the tissue; any length but zero.
+  /// Points into the tissue. Any length except zero.
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();
   double depth_m = 0.01;
   double circle_radius_m = 0.005;
-  /// Circles in one cycle.
+  /// Number of circles in a cycle.
   double circle_count = 2.0;
-  /// One cycle: 25 % approach, 15 % press, 40 % circles, 15 % lift, 5 % rest.
+  /// Duration of a cycle: 25 % approach, 15 % press, 40 % circles, 15 % lift, 5 % rest.
   double period_s = 4.0;
 };
 
-/// Where the scripted hand wants to be: a periodic path whose position and velocity are continuous (minimum-jerk
-/// segments), so that the hand itself excites nothing.
+/// Target of the hand: a periodic path of minimum-jerk segments. Position and velocity are continuous, so the path
+/// itself excites no oscillation.
 class HandScript {
  public:
   struct Target {
@@ -31,9 +33,10 @@ class HandScript {
     Eigen::Vector3d velocity_m_per_s;
   };
 
-  /// Refuses lengths and times that are not finite or not positive, naming the option.
+  /// Fails if a length or a time is not finite or has the wrong sign, or if the direction is zero. Names the option.
   static Result<HandScript> create(const HandScriptOptions& options);
 
+  /// Target at `time_s` after the start of the first cycle.
   Target at(double time_s) const;
 
  private:
@@ -41,7 +44,7 @@ class HandScript {
 
   HandScriptOptions options_;
   Eigen::Vector3d bottom_m_;
-  // The circles' plane.
+  // Unit vectors that span the plane of the circles.
   Eigen::Vector3d tangent_u_;
   Eigen::Vector3d tangent_v_;
 };

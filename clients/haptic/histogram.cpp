@@ -8,7 +8,7 @@ namespace tensormass::haptic {
 
 void Histogram::add(std::int64_t duration_ns) {
   const auto value = static_cast<std::uint64_t>(std::max<std::int64_t>(duration_ns, 0));
-  // The first two octaves' worth of buckets are 1 ns wide; from there each octave has kSubCount buckets.
+  // The first 2 kSubCount buckets are 1 ns wide. Above them each octave has kSubCount buckets.
   const std::size_t width = std::bit_width(value);
   const std::size_t shift = width > kSubBits + 1 ? width - (kSubBits + 1) : 0;
   const std::size_t index = shift * kSubCount + static_cast<std::size_t>(value >> shift);

@@ -1,5 +1,10 @@
 #pragma once
 
+// The transport between a client and one tool, as an interface: zeromq_link.h and zenoh_link.h implement it.
+//
+// Threading: the loop's thread calls a link; each implementation receives on its own thread. No call blocks. A broken
+// network is not an error: send() returns false and receive() returns nothing.
+
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -8,27 +13,27 @@
 
 namespace tensormass::haptic {
 
-/// One tool's way to the server and back, over any transport: newest wins in both directions, nothing ever waits.
+/// Poses to one tool and feedback from it. In both directions a newer message replaces an older one that still waits.
 class Link {
  public:
   virtual ~Link() = default;
-  /// False if the transport did not take it at once (no server yet). It may go with a later call then, unless a newer
-  /// pose replaces it.
+  /// Returns false if the transport did not take the pose at once, for example without a server. A later call may still
+  /// send it, unless a newer pose has replaced it.
   virtual bool send(const OutgoingPose& pose) = 0;
-  /// The newest feedback since the last call.
+  /// The newest feedback since the last call, if one came.
   virtual std::optional<Feedback> receive() = 0;
-  /// Messages that could not be read.
+  /// Number of messages that could not be decoded.
   virtual std::uint64_t malformed() const = 0;
 };
 
-/// Where a tool's streams are: endpoints as GetVersion names them, keys as bus/keys.h makes them.
+/// Endpoints and keys of a tool's streams. discover_tool() fills them from GetVersion and bus/keys.h.
 struct LinkAddress {
   std::string pose_key;
   std::string feedback_key;
-  /// ZeroMQ; empty if the server has it off.
+  /// Empty if the server has ZeroMQ off.
   std::string zeromq_pose_endpoint;
   std::string zeromq_publish_endpoint;
-  /// zenoh; empty if the server has it off.
+  /// Empty if the server has zenoh off.
   std::string zenoh_locator;
 };
 

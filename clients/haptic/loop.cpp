@@ -15,11 +15,11 @@ constexpr std::int64_t kDrainPollNs = 1'000'000;
 
 std::uint64_t random_client_id() {
   std::random_device random;
-  // Never zero, which stands for "no pose yet".
+  // From 1: zero means "no pose yet".
   return std::uniform_int_distribution<std::uint64_t>(1)(random);
 }
 
-/// fmin: of a number that is none, the device's holds.
+/// Bounds the options by the device. fmin returns the device's bound if an option is NaN.
 LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   const auto bind = [](double& asked, double device) { asked = std::fmin(asked, device); };
   bind(options.limits.max_force_n, info.max_force_n);
@@ -92,7 +92,7 @@ Result<void> Loop::tick() {
     report_.stale_episodes += stale && !was_stale_;
     was_stale_ = stale;
   }
-  // The held force is asked of the guard: the watchdog may have zeroed it since the last tick.
+  // From the guard, because the watchdog may have set it to zero since the last tick.
   const Eigen::Vector3d held = guard_.held_force_n();
   const Eigen::Vector3d passive = passivity_.apply(pose->position_m, held, rendered.force_n, period_s_);
   const Eigen::Vector3d force = limit_force(passive, held, period_s_, options_.limits);
@@ -104,12 +104,12 @@ Result<void> Loop::tick() {
 Result<void> Loop::tick_without(const DevicePose& invalid) {
   ++report_.poses_invalid;
   if (auto written = guard_.write(Eigen::Vector3d::Zero()); !written) return written;
-  // Feedback is taken all the same: it is timed when it comes, and renews the local model for the next good pose.
+  // Take feedback all the same: it is timed on arrival and renews the local model for the next valid pose.
   receive();
   if (++invalid_in_a_row_ < kMaxInvalidPosesInARow) return {};
   const Eigen::Vector3d& p = invalid.position_m;
   return fail(ErrorCode::kUnavailable,
-              fmt::format("device {}: {} poses in a row are no poses, the last one at ({}, {}, {}) m with a quaternion "
+              fmt::format("device {}: {} poses in a row are invalid, the last one at ({}, {}, {}) m with a quaternion "
                           "of length {}; check the device and its driver",
                           guard_.info().name, invalid_in_a_row_, p.x(), p.y(), p.z(), invalid.orientation.norm()));
 }
@@ -117,7 +117,7 @@ Result<void> Loop::tick_without(const DevicePose& invalid) {
 void Loop::receive() {
   const std::optional<Feedback> feedback = link_.receive();
   if (!feedback) return;
-  // Only an answer to this client's own poses may push its hand: another client's model is anchored somewhere else.
+  // Only an answer to this client's own pose may push its hand: another client's model has another anchor.
   const bool own = feedback->client_id == options_.client_id && feedback->client_time_ns <= feedback->arrival_ns &&
                    latency_.echoed(feedback->pose_sequence, feedback->arrival_ns);
   if (!own) {

@@ -1,5 +1,35 @@
 #pragma once
 
+// The haptic loop: a force every millisecond from a simulation that steps at 60 Hz or so on another machine.
+//
+//      hand                        this client, 1 kHz                          server, 60 Hz or so
+//
+//     +--------+  pose   +-------+  pose, 1 kHz    +------+   bus   +------------------------------+
+//     | device |-------->| tick  |---------------->| Link |========>| takes the newest pose,       |
+//     |        |         |       |                 |      |         | steps, publishes feedback:   |
+//     |        |         |       |<----------------|      |<========| force F0, stiffness K at p0  |
+//     +--------+         +-------+  newest feedback+------+   bus   +------------------------------+
+//         ^                  |      once a step
+//         |                  | pose p of this tick
+//         |                  v
+//         |         local model F0 − K (p − p0)      force_renderer.h
+//         |                  v
+//         |         passivity controller             passivity_controller.h
+//         |                  v
+//         |         limits of slew and magnitude     force_renderer.h
+//         |   force, 1 kHz   v
+//         +------------ ForceGuard                   force_guard.h (50 ms watchdog)
+//
+// Reasons:
+// 1. A force that is itself transmitted is late by a step and the network, and a late spring is unstable. The tick
+//    therefore evaluates the local model at its own pose. The network only renews the model.
+// 2. Nothing in a tick waits for the network, so its jitter does not reach the hand.
+// 3. The model jumps once a step and its anchor is late, so it can return more energy than the hand gave. The
+//    passivity controller behind it dissipates the excess.
+//
+// Units: m, N, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set `stop`.
+// Only a failing device is an error. Without a server the model expires and the force fades to zero.
+
 #include <atomic>
 #include <cstdint>
 #include <limits>
@@ -15,15 +45,15 @@
 
 namespace tensormass::haptic {
 
-/// Invalid poses of a device in a row, after which the loop ends: a tenth of a second at 1 kHz.
+/// Number of consecutive invalid poses after which the loop ends: 0.1 s at 1 kHz.
 inline constexpr std::uint64_t kMaxInvalidPosesInARow = 100;
 
 struct LoopOptions {
   double rate_hz = 1000.0;
   double duration_s = std::numeric_limits<double>::infinity();
-  /// After the end, with the force already at zero: how long to wait for the echo of the last pose.
+  /// How long to wait for the echo of the last pose after the end [s]. The force is already zero then.
   double drain_s = 1.0;
-  /// 0: at random, one for each loop.
+  /// Tells this client's poses from others. 0: chosen at random for each loop.
   std::uint64_t client_id = 0;
   ForceRendererOptions renderer;
   ForceLimits limits;
@@ -33,62 +63,64 @@ struct LoopOptions {
 struct LoopReport {
   double seconds = 0.0;
   std::uint64_t ticks = 0;
-  /// Deadlines that passed while an earlier tick was late; they are skipped, not made up for.
+  /// Deadlines that passed while an earlier tick was late. They are skipped.
   std::uint64_t missed_ticks = 0;
-  /// Those that the transport took at once.
+  /// Poses that the transport took at once.
   std::uint64_t poses_sent = 0;
-  /// Those that it did not; the newest of them goes when the server is back.
+  /// Poses that the transport did not take at once. The newest of them is sent when the server is back.
   std::uint64_t poses_not_taken = 0;
-  /// Poses of the device that are none (see DevicePose), each with a tick without force; never sent.
+  /// Invalid poses of the device (see DevicePose): each costs a tick without force and is not sent.
   std::uint64_t poses_invalid = 0;
   std::uint64_t last_sequence_sent = 0;
   std::uint64_t last_sequence_echoed = 0;
   std::uint64_t feedback_received = 0;
-  /// Steps whose feedback a newer one replaced on the way.
+  /// Steps whose feedback was replaced by a newer one on the way.
   std::uint64_t feedback_dropped = 0;
-  /// Answers to another client's poses, or to none; not rendered.
+  /// Answers to another client's poses or to no pose. They are not rendered.
   std::uint64_t feedback_foreign = 0;
+  /// Messages that could not be decoded.
   std::uint64_t feedback_malformed = 0;
-  /// Ticks after the first feedback whose local model had run out, and how often that began.
+  /// Ticks after the first feedback whose local model had expired, and how often such a period started.
   std::uint64_t stale_ticks = 0;
   std::uint64_t stale_episodes = 0;
   std::uint64_t watchdog_trips = 0;
   double max_force_n = 0.0;
-  /// Most negative energy that the passivity observer saw; 0 if the tissue was passive throughout.
+  /// Lowest energy that the passivity observer counted [J]. 0 if the virtual tissue was always passive.
   double min_energy_j = 0.0;
-  /// Poses whose round trip could not be timed; see LatencyTracker.
+  /// Poses whose round trip was not timed; see LatencyTracker::forgotten().
   std::uint64_t poses_forgotten = 0;
+  /// From sending a pose to the first feedback that answers it or a newer one.
   Histogram round_trip;
-  /// Age of the pose that a feedback answers, when the feedback arrives.
+  /// Age of the answered pose when its feedback arrives.
   Histogram answered_pose_age;
-  /// Wake-up after the deadline.
+  /// From the deadline of a tick to its wake-up.
   Histogram wake_up_lateness;
-  /// Wake-up to force written.
+  /// From wake-up to the written force.
   Histogram tick_duration;
 };
 
-/// The haptic loop: at a fixed rate against a monotonic clock
+/// Runs one tick per period of a monotonic clock:
 ///
 ///     read the device -> send the pose -> take the newest feedback -> local model -> passivity -> limits -> write
 ///
-/// The force of a tick comes from the pose of the same tick; the network only renews the local model, so its jitter
-/// never enters the loop. Nothing in a tick waits for the network.
-///
-/// A pose that is none (not finite, no rotation) takes the force off for its tick and goes nowhere: neither to the
-/// server nor into the passivity controller, whose energy it would spoil for good. The next good one goes on from
-/// there.
+/// An invalid pose (see DevicePose) sets the force to zero for its tick. It is neither sent nor given to the passivity
+/// controller, whose energy count it would spoil for good. The next valid pose continues from there.
 class Loop {
  public:
-  /// All outlive the loop; the guard's device is open. What its DeviceInfo says binds whatever the options say.
+  /// All arguments except the options must outlive the loop, and the device must be open. DeviceInfo bounds the
+  /// options.
   Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& options);
 
-  /// Runs for duration_s or until `stop`, releases the guard (zero force) and drains. The error is the device's.
+  /// Runs for duration_s or until `stop`, then releases the guard (zero force) and waits for the last echo. Call once.
+  /// Returns the device's error if a read or a write fails, or after kMaxInvalidPosesInARow.
   Result<LoopReport> run(const std::atomic<bool>& stop);
 
  private:
   Result<void> tick();
+  /// A tick with an invalid pose: zero force, nothing sent.
   Result<void> tick_without(const DevicePose& invalid);
   void receive();
+  /// Waits for the echo of the last pose, for at most drain_s.
   void drain(const std::atomic<bool>& stop);
 
   ForceGuard& guard_;

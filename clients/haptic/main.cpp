@@ -1,8 +1,8 @@
 // tensormass-haptic: one haptic device on one tool of a running scene.
 //
-// SIGINT and SIGTERM take the force off the hand within one period; then the last pose's echo is awaited and the report
-// printed. Before the loop runs they just end the program. Exit codes: 0 done; 1 no server, scene, tool or device, or
-// no report; 2 wrong options; 3 no feedback ever answered, and the report is written all the same.
+// SIGINT and SIGTERM take the force off the hand within one period. The program then waits for the echo of the last
+// pose and prints the report. Before the loop runs, they end the program. Exit codes: 0 done; 1 no server, scene, tool,
+// device or report; 2 wrong options; 3 no feedback answered a pose (the report is still written).
 
 #include <pthread.h>
 #include <signal.h>
@@ -21,11 +21,10 @@
 #include "core/limits.h"
 #include "haptic/checks.h"
 #include "haptic/discovery.h"
-#include "haptic/force_guard.h"
-#include "haptic/loop.h"
 #include "haptic/realtime.h"
 #include "haptic/report.h"
 #include "haptic/report_file.h"
+#include "haptic/run_device.h"
 #include "haptic/simulated_device.h"
 #include "haptic/zenoh_link.h"
 #include "haptic/zeromq_link.h"
@@ -37,10 +36,10 @@ constexpr int kExitFailed = 1;
 constexpr int kExitOptions = 2;
 constexpr int kExitNoFeedback = 3;
 
-/// Part of the surface's extent that a press goes deep, and the circles go wide, unless told otherwise.
+/// Default depth of the press and radius of the circles, as fractions of the surface's extent.
 constexpr double kDefaultDepth = 0.05;
 constexpr double kDefaultCircleRadius = 0.04;
-/// How long the server is asked why nothing answered.
+/// Time to ask the server why no feedback came [s].
 constexpr double kStatusTimeoutS = 2.0;
 
 struct Options {
@@ -51,7 +50,7 @@ struct Options {
   double connect_timeout_s = 10.0;
   std::string json_path;
   double watchdog_s = 0.05;
-  // Absent ones follow from the scene.
+  // Empty or negative: taken from the scene.
   std::vector<double> press_at_m;
   std::vector<double> direction;
   double depth_m = -1.0;
@@ -60,8 +59,8 @@ struct Options {
   LoopOptions loop;
 };
 
-/// SIGINT and SIGTERM as a flag, received by a thread of its own: no other thread is ever interrupted, so no call in
-/// this program has to expect EINTR. Created before any other thread, which inherit the mask.
+/// Receives SIGINT and SIGTERM on its own thread and sets a flag. No other thread is interrupted, so no call in this
+/// program has to handle EINTR. Must be created before any other thread: threads inherit the signal mask.
 class SignalFlag {
  public:
   SignalFlag() {
@@ -84,7 +83,7 @@ class SignalFlag {
   std::jthread thread_;
 };
 
-/// A finite number from least to most; CLI::Range lets what is not a number pass.
+/// Accepts a number from `least` to `most`. CLI::Range accepts NaN.
 struct Within : CLI::Validator {
   Within(double least, double most) {
     name_ = "WITHIN";
@@ -102,11 +101,13 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--server", o.server, "The server's control endpoint, host:port")->capture_default_str();
   app.add_option("--scene", o.scene, "Name of the loaded scene")->capture_default_str();
   app.add_option("--tool", o.tool, "Name of the tool in it")->capture_default_str();
-  app.add_option("--transport", o.transport)->check(CLI::IsMember({"zeromq", "zenoh"}))->capture_default_str();
-  app.add_option("--connect-timeout", o.connect_timeout_s, "Wait so long for the server [s]")
+  app.add_option("--transport", o.transport, "Transport of poses and feedback")
+      ->check(CLI::IsMember({"zeromq", "zenoh"}))
+      ->capture_default_str();
+  app.add_option("--connect-timeout", o.connect_timeout_s, "How long to wait for the server [s]")
       ->check(Within(0.1, 600.0))
       ->capture_default_str();
-  app.add_option("--seconds", o.loop.duration_s, "Run so long [s]; without it until SIGINT or SIGTERM")
+  app.add_option("--seconds", o.loop.duration_s, "How long to run [s]; default: until SIGINT or SIGTERM")
       ->check(Within(0.001, 1e9));
   app.add_option("--rate", o.loop.rate_hz, "Rate of the loop [Hz]")
       ->check(Within(10.0, 10'000.0))
@@ -128,44 +129,45 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--depth", o.depth_m, "Depth of the press [m]; default: 5 % of the surface's extent")
       ->check(Within(0.0, 1e3))
       ->group(hand);
-  app.add_option("--circle-radius", o.hand.circle_radius_m, "Of the palpation [m]; default: 4 % of the extent")
+  app.add_option("--circle-radius", o.hand.circle_radius_m,
+                 "Radius of the circles [m]; default: 4 % of the surface's extent")
       ->check(Within(0.0, 1e3))
       ->group(hand);
-  app.add_option("--circles", o.hand.circle_count, "Circles in a cycle")
+  app.add_option("--circles", o.hand.circle_count, "Number of circles in a cycle")
       ->check(Within(0.0, 1e3))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--period", o.hand.period_s, "Of a cycle: approach, press, circles, lift, rest [s]")
+  app.add_option("--period", o.hand.period_s, "Duration of a cycle of approach, press, circles, lift and rest [s]")
       ->check(Within(0.1, 3600.0))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "[N/m]")
+  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "Stiffness of the hand's grip [N/m]")
       ->check(positive)
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "[N s/m]")
+  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "Damping of the hand's grip [N s/m]")
       ->check(Within(0.0, 1e6))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--mass", o.device.mass_kg, "Of device and hand [kg]")
+  app.add_option("--mass", o.device.mass_kg, "Mass of device and hand together [kg]")
       ->check(positive)
       ->capture_default_str()
       ->group(hand);
 
   const std::string force = "Force";
-  app.add_option("--max-force", o.loop.limits.max_force_n, "Clamp [N]")
+  app.add_option("--max-force", o.loop.limits.max_force_n, "Largest force on the hand [N]")
       ->check(Within(0.001, 1e3))
       ->capture_default_str()
       ->group(force);
-  app.add_option("--max-slew", o.loop.limits.max_slew_n_per_s, "Fastest change of the force [N/s]")
+  app.add_option("--max-slew", o.loop.limits.max_slew_n_per_s, "Largest rate of change of the force [N/s]")
       ->check(Within(0.1, 1e6))
       ->capture_default_str()
       ->group(force);
-  app.add_option("--fade", o.loop.renderer.fade_s, "A stale force falls to zero in this time [s]")
+  app.add_option("--fade", o.loop.renderer.fade_s, "Time in which a stale force falls to zero [s]")
       ->check(Within(0.001, 1.0))
       ->capture_default_str()
       ->group(force);
-  app.add_option("--watchdog", o.watchdog_s, "Zero force when the loop stalls for longer [s]")
+  app.add_option("--watchdog", o.watchdog_s, "Set the force to zero if the loop stalls for longer than this [s]")
       ->check(Within(0.002, 1.0))
       ->capture_default_str()
       ->group(force);
@@ -173,7 +175,7 @@ void add_options(CLI::App& app, Options& o) {
 
 Eigen::Vector3d to_eigen(const std::vector<double>& v) { return {v[0], v[1], v[2]}; }
 
-/// Asks for the surface, which may be large or absent, only if something has to follow from it.
+/// Completes the hand's script from the scene. Fetches the surface, which may be large or absent, only if needed.
 Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool, Patience patience) {
   HandScriptOptions hand = options.hand;
   hand.home_m = tool.tool_position_m;
@@ -195,7 +197,7 @@ Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool,
 }
 
 std::string ask_why_unanswered(const Options& options, const DiscoveredTool& tool) {
-  // The signal that ended the run is no reason not to ask.
+  // Not the run's own flag: the question must be asked after a signal too.
   const std::atomic<bool> never = false;
   const Result<v1::SceneStatus> status = fetch_status(options.server, options.scene, {kStatusTimeoutS, never});
   return status ? why_unanswered(*status, tool.poses_rejected) : status.error().message;
@@ -211,7 +213,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   if (!tool) return tl::make_unexpected(tool.error());
   const Result<HandScript> script = plan_hand(options, *tool, patience);
   if (!script) return tl::make_unexpected(script.error());
-  // Before the link starts its threads, which inherit it: a feedback that waits for a core is as late as a lost one.
+  // Before the link starts its threads, which inherit the priority. Feedback that waits for a core is as good as lost.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
     std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';
   }
@@ -222,16 +224,7 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
 
   MonotonicClock clock;
   SimulatedDevice device(options.device, *script, clock);
-  if (const auto opened = device.open(); !opened) return tl::make_unexpected(opened.error());
-
-  static_cast<void>(request_realtime(kLoopPriority));
-  ForceGuard guard(device, clock, options.watchdog_s);
-  Result<LoopReport> report;
-  {
-    const Watchdog watchdog(guard, options.watchdog_s / 4);
-    report = Loop(guard, **link, clock, options.loop).run(stop);
-  }
-  device.close();
+  const Result<LoopReport> report = run_device(device, **link, options.loop, stop, options.watchdog_s);
   if (!report) return tl::make_unexpected(report.error());
 
   const RunLabel label{options.server, options.scene, options.tool, options.transport, device.info().name};

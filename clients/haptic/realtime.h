@@ -1,5 +1,7 @@
 #pragma once
 
+// Real-time scheduling of the calling thread. Threads that it starts later inherit it.
+
 #include "core/result.h"
 
 namespace tensormass::haptic {
@@ -9,8 +11,8 @@ inline constexpr int kLinkPriority = 39;
 inline constexpr int kLoopPriority = 40;
 inline constexpr int kWatchdogPriority = 41;
 
-/// Puts the calling thread under SCHED_FIFO and its timer slack to 1 ns (which needs no privilege and is set in any
-/// case). The error says what to do; going on without is fine on a machine with a free core.
+/// Puts the calling thread under SCHED_FIFO and sets its timer slack to 1 ns. Fails without the privilege, and the
+/// error says how to grant it; the timer slack is set anyway. A machine with a free core can do without.
 Result<void> request_realtime(int priority);
 
 }  // namespace tensormass::haptic

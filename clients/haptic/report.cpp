@@ -9,12 +9,12 @@
 namespace tensormass::haptic {
 namespace {
 
-/// An object that is written as its members come.
+/// Builds a JSON object member by member.
 class JsonObject {
  public:
   JsonObject& add(std::string_view name, std::string_view text) { return add_raw(name, log::json_quoted(text)); }
   JsonObject& add(std::string_view name, std::uint64_t value) { return add_raw(name, fmt::format("{}", value)); }
-  /// Finite.
+  /// `value` must be finite: JSON has no NaN.
   JsonObject& add(std::string_view name, double value) { return add_raw(name, fmt::format("{}", value)); }
   JsonObject& add(std::string_view name, const Histogram& histogram);
   std::string finish() const { return "{" + members_ + "}"; }
@@ -122,7 +122,7 @@ std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_re
     case v1::SceneStatus::STATE_FAULTED:
       return "a guard stopped the scene: " + status.fault();
     default:
-      return "the scene runs and refused none; are the server's data ports open to this machine?";
+      return "the scene runs and refused no pose; are the server's data ports open to this machine?";
   }
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+// The measurements of a run as text and as JSON. Pure functions; nothing fails.
+
 #include <string>
 
 #include "haptic/loop.h"
@@ -7,7 +9,7 @@
 
 namespace tensormass::haptic {
 
-/// What a report is about.
+/// Server, scene, tool, transport and device of a run.
 struct RunLabel {
   std::string server;
   std::string scene;
@@ -16,15 +18,15 @@ struct RunLabel {
   std::string device;
 };
 
-/// For people: a few lines.
+/// A few lines for people.
 std::string to_text(const LoopReport& report, const RunLabel& label);
 
-/// For programs: one JSON object; durations in seconds. Histograms carry their buckets as [upper bound in s, count], so
-/// that those of several clients can be added.
+/// One JSON object for programs, durations in s. A histogram carries its buckets as [upper bound in s, count], so that
+/// the histograms of several clients can be added.
 std::string to_json(const LoopReport& report, const RunLabel& label);
 
-/// For people: why a run had no answer to any pose, as far as the scene's status after it tells.
-/// `poses_rejected_before` is the status' count before it.
+/// Explains to people why no pose of a run was answered, from the scene's `status` after the run.
+/// `poses_rejected_before` is status.poses_rejected() before the run.
 std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before);
 
 }  // namespace tensormass::haptic

@@ -23,7 +23,7 @@ Result<void> ReportFile::open(const std::string& path) {
   if (path.empty() || path == kStandardOutput) return {};
   std::error_code ignored;
   const bool existed = std::filesystem::exists(path, ignored);
-  file_.open(path, std::ios::app);  // which leaves what is there
+  file_.open(path, std::ios::app);  // keeps an older report
   if (!file_) return invalid("cannot write the report to " + path + ": " + std::strerror(errno));
   made_ = !existed;
   return {};
@@ -32,7 +32,7 @@ Result<void> ReportFile::open(const std::string& path) {
 Result<void> ReportFile::write(const std::string& report) {
   if (path_.empty()) return {};
   std::error_code ignored;
-  // Devices and pipes have no size.
+  // Only regular files: devices and pipes have no size to set.
   if (file_.is_open() && std::filesystem::is_regular_file(path_, ignored))
     std::filesystem::resize_file(path_, 0, ignored);
   std::ostream& out = path_ == kStandardOutput ? std::cout : file_;

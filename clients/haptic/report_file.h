@@ -1,5 +1,7 @@
 #pragma once
 
+// The file of a report. Used by one thread. Errors name the path and the system's reason.
+
 #include <fstream>
 #include <string>
 
@@ -7,19 +9,19 @@
 
 namespace tensormass::haptic {
 
-/// Where a report goes. Opened before the run: a path that cannot be written is told at once, not when the measurement
-/// is over and lost. An older report stays until the new one is there to replace it.
+/// Destination of a report. Opened before the run, so that a path that cannot be written fails before the measurement
+/// and not after it. An older report stays until write() replaces it.
 class ReportFile {
  public:
   ReportFile() = default;
-  /// Takes away a file that it made and did not write.
+  /// Removes the file if open() created it and nothing was written.
   ~ReportFile();
   ReportFile(const ReportFile&) = delete;
   ReportFile& operator=(const ReportFile&) = delete;
 
-  /// `path`: a file, - for standard output, or empty for nowhere.
+  /// `path`: a file, `-` for standard output, or empty for no report. Fails with kInvalidArgument.
   Result<void> open(const std::string& path);
-  /// All of it, once.
+  /// Writes the whole report. Call once. Fails with kUnavailable, for example on a full disk.
   Result<void> write(const std::string& report);
 
  private:

@@ -8,14 +8,15 @@
 namespace tensormass::haptic {
 namespace {
 
-// The target moves between sub-steps; 0.1 ms keeps its steps far below what a 1 kHz loop can see.
+// The target is constant within a sub-step. At 0.1 ms its jumps are far below the resolution of a 1 kHz loop.
 constexpr std::int64_t kStepNs = 100'000;
 constexpr double kStepS = static_cast<double>(kStepNs) / kNsPerS;
-// After a longer stall (a stopped process) the motion that was missed is skipped, not replayed in one tick.
+// Longer stalls, of a stopped process for example, are skipped. Replaying them would take the whole tick.
 constexpr std::int64_t kMaxStepsAtOnce = 10'000;
 
-// exp(A h) of x'' = −stiffness x − damping x' (per mass): with s = −damping/2 and d² = s² − stiffness it is
-// e^{sh} [cosh(dh) I + sinh(dh)/d (A − s I)], and cos and sin for d² < 0.
+// Returns exp(A h), which advances (x, x')ᵀ of x'' = −stiffness x − damping x' by h. Both are per mass: [1/s²], [1/s].
+// With s = −damping/2 and d² = s² − stiffness it is e^{sh} [cosh(dh) I + sinh(dh)/d (A − s I)]; for d² < 0 cosh and
+// sinh become cos and sin.
 Eigen::Matrix2d oscillator_transition(double stiffness, double damping, double h) {
   const Eigen::Matrix2d a{{0.0, 1.0}, {-stiffness, -damping}};
   const double s = -0.5 * damping;
@@ -29,8 +30,8 @@ Eigen::Matrix2d oscillator_transition(double stiffness, double damping, double h
     even = decay * std::cos(d * h);
     odd = decay * (critical ? h : std::sin(d * h) / d);
   } else {
-    // An exponential for each mode, e^{(s±d)h}: of a stiff damper e^{sh} is zero and cosh(dh) infinite. s + d would
-    // cancel; it is stiffness / (s − d), and s is negative here.
+    // One exponential for each mode, e^{(s±d)h}: for a stiff damper e^{sh} underflows and cosh(dh) overflows. The sum
+    // s + d would cancel, so it is computed as stiffness / (s − d). This is safe, because s is negative here.
     const double slow = std::exp(stiffness / (s - d) * h), fast = std::exp((s - d) * h);
     even = 0.5 * (slow + fast);
     odd = slow * (critical ? h : -std::expm1(-2.0 * d * h) / (2.0 * d));
@@ -53,7 +54,8 @@ Result<void> SimulatedDevice::open() {
   const double stiffness = options_.hand_stiffness_n_per_m / options_.mass_kg;
   const double damping = (options_.hand_damping_n_s_per_m + options_.damping_n_s_per_m) / options_.mass_kg;
   transition_ = oscillator_transition(stiffness, damping, kStepS);
-  // A constant force u per mass rests at x = u / stiffness: its response is (I − Φ) (1/stiffness, 0)ᵀ u.
+  // With transition matrix Φ, a constant force u per mass rests at x = u / stiffness, so its response over a sub-step
+  // is (I − Φ) (1/stiffness, 0)ᵀ u.
   input_ = (Eigen::Matrix2d::Identity() - transition_).col(0) / stiffness;
   const HandScript::Target start = script_.at(0.0);
   position_m_ = start.position_m;
@@ -90,7 +92,7 @@ void SimulatedDevice::advance_to_now() {
 }
 
 void SimulatedDevice::step(double time_s) {
-  // The target of the sub-step's middle stands for all of it.
+  // The target at the middle of the sub-step is used for the whole sub-step.
   const HandScript::Target target = script_.at(time_s + 0.5 * kStepS);
   const Eigen::Vector3d input = (force_n_ + options_.hand_stiffness_n_per_m * target.position_m +
                                  options_.hand_damping_n_s_per_m * target.velocity_m_per_s) /

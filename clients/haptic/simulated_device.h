@@ -1,5 +1,8 @@
 #pragma once
 
+// A device without hardware, for tests, demos and load. Units: kg, m, N, s. Called by one thread at a time, as every
+// Device. open() fails on options without meaning; read and write fail before open().
+
 #include <Eigen/Core>
 
 #include "haptic/clock.h"
@@ -9,11 +12,11 @@
 namespace tensormass::haptic {
 
 struct SimulatedDeviceOptions {
-  /// Of the moving end of the device together with the hand's.
+  /// Moving mass of device and hand together.
   double mass_kg = 0.1;
-  /// The device's own friction, against the ground.
+  /// The device's own viscous friction.
   double damping_n_s_per_m = 1.0;
-  /// The hand holds the device by a spring and a damper on the script's target.
+  /// Spring and damper between the script's target and the device: the hand's grip.
   double hand_stiffness_n_per_m = 300.0;
   double hand_damping_n_s_per_m = 8.0;
   DeviceInfo info{"simulated", 8.0, 2000.0, 20.0};
@@ -23,11 +26,12 @@ struct SimulatedDeviceOptions {
 ///
 ///     m x'' = F + k (target − x) + c (target' − x') − b x'
 ///
-/// F is the written force, held between writes as a real device holds it. The motion over each sub-step is the exact
-/// solution for a constant input, so the device adds no energy of its own and stays stable for any hand.
+/// x position, m mass, F written force (held between writes), k and c stiffness and damping of the grip, b friction.
+/// Each sub-step is the exact solution for a constant input. The device therefore adds no energy and stays stable for
+/// every hand.
 class SimulatedDevice final : public Device {
  public:
-  /// `clock` outlives the device.
+  /// `clock` must outlive the device.
   SimulatedDevice(const SimulatedDeviceOptions& options, const HandScript& script, Clock& clock);
 
   Result<void> open() override;
@@ -36,7 +40,7 @@ class SimulatedDevice final : public Device {
   Result<void> write_force(const Eigen::Vector3d& force_n) override;
   void close() noexcept override;
 
-  /// The force that the hand feels now.
+  /// The force on the hand now [N].
   const Eigen::Vector3d& held_force_n() const { return force_n_; }
   const Eigen::Vector3d& velocity_m_per_s() const { return velocity_m_per_s_; }
 

@@ -36,7 +36,7 @@ class ZenohLink final : public Link {
   zenoh::Session session_;
   std::string pose_key_;
   std::string payload_;
-  // Last: the handler ends before what it uses.
+  // Declared last, so that it is destroyed first: its handler uses the members above.
   zenoh::Subscriber subscriber_;
 };
 

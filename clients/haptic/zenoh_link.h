@@ -7,8 +7,9 @@
 
 namespace tensormass::haptic {
 
-/// Over zenoh, as a client of the server's locator: urgent, and dropped rather than waited for when the network is
-/// busy.
+/// Connects over zenoh, as a client of the server's locator. Poses go ahead of other traffic and are dropped, not
+/// queued, when the network is busy. Feedback arrives on zenoh's threads. Fails if the server has zenoh off, or
+/// if the session or the subscription fails.
 Result<std::unique_ptr<Link>> connect_zenoh(const LinkAddress& address);
 
 }  // namespace tensormass::haptic

@@ -13,9 +13,9 @@
 namespace tensormass::haptic {
 namespace {
 
-/// How long the receiver blocks before it looks whether it should end.
+/// Longest wait of the receiver before it checks whether to stop.
 constexpr int kReceiveTimeoutMs = 50;
-/// How long the last pose may still be under way when the link closes.
+/// Longest wait for the last pose to leave when the link closes.
 constexpr int kLingerMs = 100;
 
 class ZeroMqLink final : public Link {
@@ -31,7 +31,7 @@ class ZeroMqLink final : public Link {
     sub_.set(zmq::sockopt::rcvtimeo, kReceiveTimeoutMs);
     sub_.set(zmq::sockopt::subscribe, feedback_prefix_);
     sub_.connect(address.zeromq_publish_endpoint);
-    // Last, when everything that it uses stands.
+    // Started last: the receiver uses the sockets above.
     receiver_ = std::jthread([this](std::stop_token stop) { receive_until(stop); });
   }
 
@@ -41,7 +41,7 @@ class ZeroMqLink final : public Link {
       push_.set(zmq::sockopt::sndtimeo, kLingerMs);
       push_.send(zmq::buffer(message_), zmq::send_flags::none);
     } catch (const zmq::error_t&) {
-      // Interrupted: then the pose is as lost as when no server comes in time.
+      // Interrupted. The pose is lost, as it is if no server comes in time.
     }
   }
   ZeroMqLink(const ZeroMqLink&) = delete;
@@ -65,14 +65,14 @@ class ZeroMqLink final : public Link {
  private:
   void send_waiting() {
     if (!is_waiting_) return;
-    // Asked first: only then ZeroMQ looks at once whether the pose before has left its queue. A send alone looks once
-    // in a millisecond or so, which is every other pose.
+    // Reading `events` makes ZeroMQ process its queue now. Send alone does so about once in a millisecond, so it would
+    // refuse every other pose.
     if ((push_.get(zmq::sockopt::events) & ZMQ_POLLOUT) == 0) return;
     is_waiting_ = !push_.send(zmq::buffer(message_), zmq::send_flags::dontwait).has_value();
   }
 
   void receive_until(const std::stop_token& stop) {
-    // Signals are for the program's own threads; here one would only interrupt a receive.
+    // Signals belong to the program's own threads. Here they would only interrupt a receive.
     sigset_t signals;
     sigfillset(&signals);
     pthread_sigmask(SIG_BLOCK, &signals, nullptr);
@@ -92,7 +92,7 @@ class ZeroMqLink final : public Link {
   std::string prefix_;
   std::string feedback_prefix_;
   std::string payload_;
-  /// The newest pose; waits until the server takes it.
+  /// The newest pose, until the server takes it.
   std::string message_;
   bool is_waiting_ = false;
   MonotonicClock clock_;

@@ -7,12 +7,15 @@
 
 namespace tensormass::haptic {
 
-/// Over ZeroMQ: SUB for feedback with CONFLATE, so that the newest wins (a high-water mark bounds a queue but keeps its
-/// oldest messages); CONFLATE would silently break multipart, so a message is one frame: key, zero byte, protobuf.
+/// Connects over ZeroMQ. Returns before the server has answered, and reconnects by itself. Starts one receiving thread.
+/// Fails if the server has ZeroMQ off (kUnavailable) or an endpoint is malformed (kInvalidArgument).
 ///
-/// PUSH for poses without it: at its close a socket with CONFLATE may drop the message that it holds. Here the queue
-/// has room for one, exists only while the server is there, and the newest pose waits outside of it. The last pose
-/// counts: the server holds it until the next one, and it may be what lifts the tool off.
+/// Feedback: a SUB socket with CONFLATE, which keeps the newest message. A high-water mark would keep the oldest.
+/// CONFLATE silently breaks multipart messages, so a message is one frame: key, zero byte, protobuf.
+///
+/// Poses: a PUSH socket without CONFLATE, because a CONFLATE socket may drop its message when it closes. The socket's
+/// queue holds one pose and exists only while the server is connected; the newest pose waits in the link. The last pose
+/// matters: the server applies it until another comes, and it may be the one that lifts the tool off the tissue.
 Result<std::unique_ptr<Link>> connect_zeromq(const LinkAddress& address);
 
 }  // namespace tensormass::haptic

@@ -4,7 +4,7 @@ export default defineConfig({
   base: "./",
   build: {
     target: "es2022",
-    // three.js alone is above Vite's default of 500 kB.
+    // three.js alone exceeds Vite's default limit of 500 kB.
     chunkSizeWarningLimit: 900,
   },
   test: {

@@ -1,4 +1,4 @@
-// The tests in tests/e2e, which have no node_modules of their own.
+// Runs the tests in tests/e2e with the modules of this folder: tests/e2e has none.
 import { join } from "node:path";
 
 import { defineConfig } from "vitest/config";
@@ -19,7 +19,7 @@ export default defineConfig({
     include: ["tests/e2e/**/*.test.ts"],
     testTimeout: 60_000,
     hookTimeout: 60_000,
-    // One daemon and one software renderer fill two cores.
+    // One daemon and one software renderer already use two cores.
     fileParallelism: false,
   },
 });

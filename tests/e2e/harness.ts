@@ -1,4 +1,4 @@
-// What the browser's test needs around it: the stack under test as a child process, Chromium, and pixels to compare.
+// Surroundings of the browser's test: the stack under test as a child process, Chromium, and pictures to compare.
 import { spawn, type ChildProcessWithoutNullStreams } from "node:child_process";
 import { existsSync, mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -13,12 +13,12 @@ const CHROMIUM = process.env.CHROMIUM ?? "/usr/bin/chromium";
 const PYTHON = process.env.PYTHON ?? join(ROOT, ".venv", "bin", "python");
 const DAEMON = process.env.TENSORMASSD ?? join(ROOT, "build", "bin", "tensormassd");
 
-/** What is missing to run, in words; empty if nothing is. */
+/** Says what is missing to run the test; empty if nothing is. */
 export function missing(): string[] {
   return [CHROMIUM, PYTHON, DAEMON, join(ROOT, "clients", "web", "dist", "index.html")].filter((path) => !existsSync(path));
 }
 
-/** stack.py as a child: a daemon, its scenes and the gateway. */
+/** stack.py as a child process: a daemon, its scenes and the gateway. */
 export class Stack {
   readonly #process: ChildProcessWithoutNullStreams;
   readonly #lines: AsyncIterator<string>;
@@ -38,7 +38,7 @@ export class Stack {
     return { stack, url };
   }
 
-  /** Asks for a method of stack.py's Stack. */
+  /** Calls a method of stack.py's Stack. */
   async ask(what: string, args: Record<string, unknown> = {}): Promise<unknown> {
     this.#process.stdin.write(`${JSON.stringify({ do: what, ...args })}\n`);
     const reply = (await this.#answer()) as { result?: unknown; error?: string };
@@ -65,7 +65,7 @@ export class Stack {
   }
 }
 
-/** A fresh Chromium that draws in software. */
+/** A new Chromium that draws in software. */
 export class Browser {
   readonly #profile = mkdtempSync(join(tmpdir(), "tensormass-chromium-"));
   #context: BrowserContext | null = null;
@@ -99,7 +99,7 @@ export class Browser {
   }
 }
 
-/** What main.ts offers to scripts. */
+/** The interface of main.ts for scripts. */
 export interface ViewerState {
   readonly scene: string | null;
   readonly vertexCount: number;
@@ -120,7 +120,7 @@ declare global {
 
 /** The page under test. */
 export class ViewerPage {
-  /** Errors of the page's own scripts. */
+  /** Errors thrown by the page's scripts. */
   readonly errors: string[] = [];
 
   constructor(readonly page: Page) {
@@ -135,7 +135,7 @@ export class ViewerPage {
     return this.page.evaluate((at) => window.tensormass.project(at), point);
   }
 
-  /** Waits until so many vertices are on show and a frame of them has been drawn. */
+  /** Waits until the topology on show has this many vertices and a frame of it is drawn. */
   async shows(vertexCount: number): Promise<void> {
     await this.page.waitForFunction(
       (count) => {
@@ -164,7 +164,7 @@ export class ViewerPage {
     await this.page.locator(selector).filter({ hasText: text, visible: true }).waitFor();
   }
 
-  /** The picture without the numbers around it. */
+  /** The picture without the readings. */
   async picture(): Promise<PNG> {
     await this.#setReadings("hidden");
     const png = await this.page.screenshot();
@@ -172,7 +172,7 @@ export class ViewerPage {
     return PNG.sync.read(png);
   }
 
-  // Through the elements: the page's own policy forbids the style sheet that a screenshot could bring along.
+  // Hides elements one by one: the page's content policy forbids the style sheet that a screenshot could inject.
   #setReadings(visibility: string): Promise<void> {
     return this.page.evaluate(async (value) => {
       for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #labels, #notice")) {
@@ -187,7 +187,7 @@ export class ViewerPage {
   }
 }
 
-/** Mean absolute difference of two pictures [0, 255] over the pixels that `inside` names. */
+/** Mean absolute difference of two pictures [0, 255] over the pixels for which `inside` is true. */
 export function difference(a: PNG, b: PNG, inside: (x: number, y: number) => boolean): number {
   if (a.width !== b.width || a.height !== b.height) {
     throw new Error(`pictures of ${a.width}x${a.height} and ${b.width}x${b.height} pixels cannot be compared`);

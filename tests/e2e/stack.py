@@ -1,7 +1,7 @@
-"""The whole path for the browser's test: a daemon, its scenes and the gateway, driven over stdin and stdout.
+"""Runs a daemon, its scenes and the gateway for the browser's test, controlled over stdin and stdout.
 
 Each line on stdin is a JSON request {"do": name, ...}; each gets one line on stdout, {"result": ...} or {"error": ...}.
-The first line on stdout is {"url": ...}. Everything ends with stdin.
+The first line on stdout is {"url": ...}. The end of stdin ends everything.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_BROWSERS = 2
 
 
 class Stack:
-    """The daemon and what the test does to it. Every method is a request."""
+    """The daemon and its scenes. Every public method is a request."""
 
     def __init__(self, viewer: Path) -> None:
         self.viewer = viewer
@@ -38,7 +38,7 @@ class Stack:
         self.server.close()
 
     def load(self, scene: str, name: str) -> int:
-        """Loads the built-in `scene` under `name`; the number of vertices that a viewer shows."""
+        """Loads the built-in `scene` under `name`. Returns the number of vertices that a viewer shows."""
         self.scenes[name] = self.server.load(scene, name=name)
         return self._vertex_count(name)
 
@@ -52,9 +52,9 @@ class Stack:
         lockstep: bool = False,
         turned_tool: bool = False,
     ) -> int:
-        """Loads a cube of `cells` a side under `name`; the number of vertices that a viewer shows.
+        """Loads a cube of 1 m with `cells` per side under `name`. Returns the number of vertices that a viewer shows.
 
-        `turned_tool` puts a probe above it, a quarter turn about x away from its own axes.
+        `turned_tool` adds a probe above the cube, rotated by a quarter turn about x.
         """
         one = scene_pb2.Vector3(x=1, y=1, z=1)
         body = scene_pb2.Body(
@@ -93,14 +93,14 @@ class Stack:
         self.scenes.pop(name).unload()
 
     def settle(self, name: str, speed_m_per_s: float = 2e-3) -> float:
-        """Waits until nothing moves faster than `speed_m_per_s`; the speed that is left."""
+        """Waits until nothing moves faster than `speed_m_per_s`. Returns the remaining speed [m/s]."""
         handle = self.scenes[name]
         deadline = time.monotonic() + DEADLINE_S
         before = handle.frame()
         with handle.frames() as frames:
             for frame in frames:
                 elapsed_s = frame.simulated_time_s - before.simulated_time_s
-                # Over a quarter of a second, so that an oscillation is not caught at its turning point.
+                # Average over 0.25 s of simulated time, so that the turning point of an oscillation does not count.
                 if elapsed_s < 0.25:
                     continue
                 moved = np.abs(frame.positions - before.positions).max()
@@ -112,7 +112,7 @@ class Stack:
         raise AssertionError("frames never end")
 
     def press(self, name: str, depth_m: float) -> dict[str, Any]:
-        """Pushes the first tool into the top of the tissue below it; where that was, and the force."""
+        """Pushes the first tool into the top of the tissue below it. Returns contact point [m] and force [N]."""
         handle = self.scenes[name]
         tool = handle.topology().tools[0]
         position = np.array(handle.feedback(tool.name).position_m)
@@ -138,7 +138,7 @@ class Stack:
         process.process.wait()
 
     def start_daemon(self) -> None:
-        """Starts a daemon on the control address of the one before, with other data endpoints."""
+        """Starts a daemon on the control address of the previous one, with other data endpoints."""
         address = self.server.address
         self.server.close()
         self.server = tm.launch(backend="cpu", control=address)

@@ -1,4 +1,4 @@
-// A real Chromium on the real page, with the real daemon behind it.
+// Runs Chromium on the built page, with a daemon and the gateway behind it.
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
 import { Browser, Stack, difference, missing, type ViewerPage } from "./harness";
@@ -9,11 +9,11 @@ if (absent.length > 0) {
 }
 
 const PRESS_DEPTH_M = 0.015;
-/** Around the probe, and beyond where its dent is felt [CSS pixels]. */
+/** Radii around the probe: its dent, and the distance beyond which the tissue does not move [CSS pixels]. */
 const NEAR_PX = 35;
 const FAR_PX = 230;
 
-/** Whether two boxes of the page do not overlap. */
+/** True if two boxes of the page do not overlap. */
 function apart(a: DOMRect, b: DOMRect): boolean {
   return a.right <= b.left || b.right <= a.left || a.bottom <= b.top || b.bottom <= a.top;
 }
@@ -34,7 +34,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   });
 
   afterEach(async () => {
-    // A page that threw has failed, whatever else it shows.
+    // An exception in the page fails the test, whatever the page shows.
     expect(viewer?.errors ?? []).toEqual([]);
     await viewer?.close();
     viewer = null;
@@ -45,12 +45,12 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.stop();
   });
 
-  it("shows the organ give way where the probe presses, and only there", async () => {
+  it("shows the organ deform where the probe presses, and only there", async () => {
     const vertexCount = (await stack.ask("load", { scene: "demo", name: "pressed" })) as number;
     await stack.ask("settle", { name: "pressed" });
     const page = await open("scene=pressed");
     await page.shows(vertexCount);
-    // The tissue, not the tool, is to differ.
+    // Without tools, so that only the tissue can differ.
     await page.page.keyboard.press("t");
     await page.draws(2);
     const before = await page.picture();
@@ -80,20 +80,20 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await label.waitFor();
     expect(parseFloat((await label.textContent()) ?? "")).toBeCloseTo(force_n, 1);
 
-    // The gateway of this test lets browsers move tools: the pointer takes the probe away again.
+    // The gateway of this test lets browsers move tools, so the pointer can lift the probe off.
     const { tools } = await page.state();
     const held = await page.project(tools[0]!.positionM);
     expect(held).not.toBeNull();
     await page.drag(held!, { x: held!.x, y: held!.y - 90 });
     await page.page.locator("#labels .force").waitFor({ state: "detached" });
-    // The force is gone as soon as the tissue is left behind, while the tool is still on its way.
+    // The force ends when the tool leaves the tissue, while the tool is still moving.
     const free = tools[0]!.positionM[2] + PRESS_DEPTH_M;
     await page.page.waitForFunction((least) => window.tensormass.state().tools[0]!.positionM[2] > least, free);
     expect((await page.state()).refused).toBe(0);
     await stack.ask("unload", { name: "pressed" });
   });
 
-  it("follows a scene that is loaded anew with another topology, and offers all scenes", async () => {
+  it("follows a scene that is reloaded with another topology, and lists all scenes", async () => {
     const small = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");
     await page.shows(small);
@@ -114,7 +114,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "cube" });
   });
 
-  it("survives the daemon", async () => {
+  it("reconnects after a crash of the daemon", async () => {
     const before = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");
     await page.shows(before);
@@ -139,14 +139,14 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await viewer.says("#link", /Refused/);
   });
 
-  it("says that its origin is not let in", async () => {
+  it("says that its origin is refused", async () => {
     const named = new URL(url);
-    named.hostname = "viewer.localhost"; // found without DNS, and none of the gateway's own names
+    named.hostname = "viewer.localhost"; // resolves without DNS and is not one of the gateway's names
     viewer = await browser.open(named.href);
     await viewer.says("#notice", /Origin http:\/\/viewer\.localhost:\d+ is not let in; allow it with --origin/);
   });
 
-  it("says that the gateway is full, and is let in when it is not", async () => {
+  it("says that the gateway is full, and connects once it is not", async () => {
     const others = [await browser.open(url), await browser.open(url)];
     for (const other of others) {
       await other.says("#link", /No scene/);
@@ -158,7 +158,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await others[1]!.close();
   });
 
-  it("is live only while frames come", async () => {
+  it("is live only while frames arrive", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     await stack.ask("load_grid", { name: "blind", cells: 2, frame_rate_hz: 0 });
     const page = await open("scene=cube");
@@ -174,13 +174,13 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "cube" });
   });
 
-  it("says that a scene in lockstep waits to be asked", async () => {
+  it("says that a scene in lockstep waits for requests", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "locked", cells: 2, lockstep: true })) as number;
     const page = await open("scene=locked");
     await page.shows(vertexCount);
     await page.says("#link", /^Lockstep$/);
     await page.says("#target", /^in lockstep$/);
-    // The frame on show was made at the load, whenever that was.
+    // The frame on show dates from the load, so its age says nothing.
     await page.says("#display", /[1-9]/);
     expect(await page.page.locator("#latency").textContent()).toBe("–");
     await stack.ask("step", { name: "locked", count: 1 });
@@ -188,7 +188,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "locked" });
   });
 
-  it("shows no numbers of a status that frames have left behind", async () => {
+  it("shows no numbers of a status that newer frames have outdated", async () => {
     await stack.ask("load_grid", { name: "silent", cells: 2, status_rate_hz: 0 }); // one status, at the load
     const page = await open("scene=silent");
     await page.says("#link", /Live/);
@@ -198,12 +198,12 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "silent" });
   });
 
-  it("moves a turned tool without turning it", async () => {
+  it("moves a rotated tool and keeps its orientation", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "turned", cells: 2, turned_tool: true })) as number;
     const page = await open("scene=turned");
     await page.shows(vertexCount);
     const before = (await page.state()).tools[0]!;
-    // The tip, 0.4 m along the tool's own z, lies along -y.
+    // The tip is 0.4 m along the tool's z axis, which points along -y here.
     const [x, y, z] = before.positionM;
     const held = await page.project([x, y - 0.4, z]);
     expect(held).not.toBeNull();
@@ -211,14 +211,14 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.waitForFunction((from) => window.tensormass.state().tools[0]!.positionM[2] > from + 0.05, z);
     const after = (await page.state()).tools[0]!;
     expect(after.orientationWxyz).toEqual(before.orientationWxyz.map((value) => expect.closeTo(value) as number));
-    // Straight up and away in the plane that faces the camera: no jump by the length of the tool.
+    // The tool must move up in the plane that faces the camera, without a jump by its own length.
     expect(Math.abs(after.positionM[0] - x)).toBeLessThan(0.05);
     expect(Math.abs(after.positionM[1] - y)).toBeLessThan(0.3);
     await stack.ask("unload", { name: "turned" });
   });
 
-  it("lets a notice be closed, and read again", async () => {
-    await stack.ask("load", { scene: "beam", name: "broken" }); // runs into its fault by itself
+  it("lets the user close a notice and open it again", async () => {
+    await stack.ask("load", { scene: "beam", name: "broken" }); // faults without help
     const page = await open("scene=broken");
     await page.says("#link", /Stopped/);
     const notice = page.page.locator("#notice");
@@ -229,7 +229,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await notice.waitFor();
     await page.page.getByRole("button", { name: "Hide this notice" }).click();
     await notice.waitFor({ state: "hidden" });
-    // The page writes it anew a few times a second; closed it stays, and the keyboard finds it again.
+    // The page rewrites the notice a few times a second. It must stay closed, and the keyboard must open it again.
     await page.page.waitForTimeout(600);
     expect(await notice.isVisible()).toBe(false);
     await page.says("#link", /Stopped/);
@@ -239,7 +239,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   });
 
   it("shows the scene's warnings on request", async () => {
-    // No step takes so little time.
+    // No step meets this budget.
     await stack.ask("load_grid", { name: "hasty", cells: 2, budget_s: 1e-6 });
     const page = await open("scene=hasty");
     await page.says("#warnings-count", /^[12] warnings?$/);
@@ -264,7 +264,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const page = await open(`scene=${names[0]!}`);
     await page.page.setViewportSize(size);
     await page.says("#link", /Live/);
-    // At once: the page writes the notice anew a few times a second.
+    // In one evaluation, because the page rewrites the notice a few times a second.
     const { link, picker, panel, tools, notice, close, scrolls } = await page.page.evaluate(() => {
       const shown = document.querySelector<HTMLElement>("#notice")!;
       shown.hidden = false;
@@ -287,7 +287,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(apart(tools, panel)).toBe(true);
     expect(panel.height).toBeGreaterThan(60);
     expect(panel.bottom).toBeLessThanOrEqual(size.height);
-    // The notice hides neither the readings nor the buttons nor the middle of the picture, and can be closed.
+    // The notice covers neither the readings nor the buttons nor the middle of the picture, and can be closed.
     expect(notice.width).toBeCloseTo(Math.min(380, size.width - 44));
     expect(notice.right).toBeLessThanOrEqual(size.width);
     expect(notice.top).toBeGreaterThanOrEqual(link.bottom);

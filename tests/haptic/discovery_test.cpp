@@ -8,7 +8,7 @@
 namespace tensormass::haptic {
 namespace {
 
-TEST(ReachedEndpoint, AWildcardIsReachedWhereTheControlPlaneWas) {
+TEST(ReachedEndpoint, ReplacesAWildcardByTheHostOfTheControlPlane) {
   EXPECT_EQ(reached_endpoint("tcp://0.0.0.0:1", "trainer:50051"), "tcp://trainer:1");
   EXPECT_EQ(reached_endpoint("tcp://*:1", "10.0.0.2:50051"), "tcp://10.0.0.2:1");
   EXPECT_EQ(reached_endpoint("tcp://[::]:1", "[fe80::1]:50051"), "tcp://[fe80::1]:1");
@@ -16,14 +16,14 @@ TEST(ReachedEndpoint, AWildcardIsReachedWhereTheControlPlaneWas) {
   EXPECT_EQ(reached_endpoint("tcp://0.0.0.0:1", "dns:///trainer:50051"), "tcp://trainer:1");
 }
 
-TEST(ReachedEndpoint, EveryOtherStaysAsItIs) {
+TEST(ReachedEndpoint, LeavesEveryOtherEndpointUnchanged) {
   for (const char* endpoint : {"tcp://127.0.0.1:1", "tcp://[::1]:1", "tcp/10.0.0.2:1", "", "nonsense", "a:b/c"}) {
     EXPECT_EQ(reached_endpoint(endpoint, "trainer:50051"), endpoint);
   }
   EXPECT_EQ(reached_endpoint("tcp://0.0.0.0:1", ""), "tcp://0.0.0.0:1");
 }
 
-TEST(DiscoverTool, EndsAtOnceWhenItIsToStop) {
+TEST(DiscoverTool, EndsAtOnceWhenStopped) {
   std::atomic<bool> stop = false;
   const auto start = std::chrono::steady_clock::now();
   std::jthread stopper([&] {
@@ -37,7 +37,7 @@ TEST(DiscoverTool, EndsAtOnceWhenItIsToStop) {
   EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(10));
 }
 
-TEST(DiscoverTool, SaysWhereNobodyAnswered) {
+TEST(DiscoverTool, NamesTheAddressThatDidNotAnswer) {
   const std::atomic<bool> stop = false;
   const auto tool = discover_tool("127.0.0.1:1", "demo", "probe", {0.1, stop});
   ASSERT_FALSE(tool);

@@ -10,7 +10,7 @@
 
 namespace tensormass::haptic {
 
-/// Time that passes only when a test or the loop says so.
+/// A clock that advances only when a test or the loop asks.
 class FakeClock final : public Clock {
  public:
   std::int64_t now_ns() override { return now_ns_; }
@@ -20,7 +20,7 @@ class FakeClock final : public Clock {
   }
   void advance_s(double seconds) { now_ns_ += static_cast<std::int64_t>(seconds * kNsPerS); }
 
-  /// Added to every wake-up.
+  /// Added to every wake-up [ns].
   std::int64_t lateness_ns = 0;
   std::function<void(std::int64_t)> on_wake;
 
@@ -28,7 +28,7 @@ class FakeClock final : public Clock {
   std::int64_t now_ns_ = 1'000'000'000;
 };
 
-/// Stands where it is put and remembers the forces.
+/// A device whose pose a test sets; records the forces.
 class FakeDevice final : public Device {
  public:
   Result<void> open() override { return {}; }
@@ -46,7 +46,7 @@ class FakeDevice final : public Device {
 
   DevicePose pose;
   bool broken = false;
-  /// May change the pose that is read next.
+  /// Called before each read; may change `pose`.
   std::function<void()> on_read;
   std::vector<Eigen::Vector3d> forces_n;
 
@@ -54,7 +54,7 @@ class FakeDevice final : public Device {
   DeviceInfo info_{"fake", 10.0, 2000.0, 20.0};
 };
 
-/// A server in the loop's own thread: `answer` sees each pose and may leave feedback for the next receive.
+/// A server in the loop's thread. `answer` is called with each pose; the feedback that it returns is received next.
 class FakeLink final : public Link {
  public:
   bool send(const OutgoingPose& pose) override {
@@ -73,7 +73,7 @@ class FakeLink final : public Link {
   std::vector<OutgoingPose> sent;
 };
 
-/// Feedback that answers `pose` at once.
+/// Returns feedback that answers `pose` without delay, with zero force and stiffness.
 inline Feedback answer_to(const OutgoingPose& pose, std::uint64_t step) {
   Feedback feedback;
   feedback.step = step;

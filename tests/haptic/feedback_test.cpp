@@ -29,7 +29,7 @@ std::string refusal(const v1::ToolFeedback& message) {
   return feedback ? "accepted" : feedback.error().message;
 }
 
-TEST(Feedback, IsDecodedWholeWithItsArrival) {
+TEST(Feedback, DecodesEveryFieldAndTheArrival) {
   const Feedback feedback = decode_feedback(good().SerializeAsString(), 456).value();
   EXPECT_EQ(feedback.step, 7u);
   EXPECT_EQ(feedback.pose_sequence, 41u);
@@ -40,11 +40,11 @@ TEST(Feedback, IsDecodedWholeWithItsArrival) {
   EXPECT_EQ(feedback.force_n, Eigen::Vector3d(0.0, 0.0, 2.0));
   EXPECT_EQ(feedback.stiffness_n_per_m(0, 1), 10.0);
   EXPECT_EQ(feedback.valid_for_s, 0.05);
-  // Of [[100, 10], [10, 50]]: 75 + sqrt(25² + 10²).
+  // Largest eigenvalue of [[100, 10], [10, 50]]: 75 + sqrt(25² + 10²).
   EXPECT_NEAR(feedback.largest_stiffness_n_per_m, 75.0 + std::sqrt(725.0), 1e-9);
 }
 
-TEST(Feedback, WithoutALocalModelIsValidForNoTime) {
+TEST(Feedback, IsValidForNoTimeWithoutALocalModel) {
   v1::ToolFeedback message = good();
   message.clear_local_model();
   const Feedback feedback = decode_feedback(message.SerializeAsString(), 0).value();
@@ -52,7 +52,7 @@ TEST(Feedback, WithoutALocalModelIsValidForNoTime) {
   EXPECT_TRUE(feedback.stiffness_n_per_m.isZero(0.0));
 }
 
-TEST(Feedback, RefusesWhatCouldPushWithoutBound) {
+TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto with = [](auto change) {
     v1::ToolFeedback message = good();

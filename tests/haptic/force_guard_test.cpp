@@ -12,7 +12,7 @@ namespace {
 
 const Eigen::Vector3d kForce(0.0, 0.0, 1.5);
 
-TEST(ForceGuard, ZeroesAForceThatIsNotRenewed) {
+TEST(ForceGuard, SetsAForceToZeroThatIsNotRenewed) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
@@ -26,7 +26,7 @@ TEST(ForceGuard, ZeroesAForceThatIsNotRenewed) {
   EXPECT_EQ(guard.trips(), 1u);
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
   EXPECT_EQ(guard.held_force_n(), Eigen::Vector3d::Zero());
-  // Nothing more to take away, and the loop may come back.
+  // Zero already, so no further write. The loop may resume.
   clock.advance_s(1.0);
   guard.check();
   EXPECT_EQ(guard.trips(), 1u);
@@ -34,7 +34,7 @@ TEST(ForceGuard, ZeroesAForceThatIsNotRenewed) {
   EXPECT_EQ(device.forces_n.back(), kForce);
 }
 
-TEST(ForceGuard, ReleaseZeroesAndRefusesLaterWrites) {
+TEST(ForceGuard, ReleaseSetsTheForceToZeroAndRefusesLaterWrites) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
@@ -55,7 +55,7 @@ TEST(ForceGuard, EndsWithoutForce) {
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
 }
 
-// Tells when a force of zero arrives.
+// Signals the arrival of a zero force.
 class SignallingDevice final : public Device {
  public:
   Result<void> open() override { return {}; }
@@ -81,7 +81,7 @@ class SignallingDevice final : public Device {
   bool zero_ = true;
 };
 
-TEST(Watchdog, StepsInWhileTheLoopIsStuck) {
+TEST(Watchdog, SetsTheForceToZeroWhileTheLoopIsStuck) {
   MonotonicClock clock;
   SignallingDevice device;
   ForceGuard guard(device, clock, 0.005);

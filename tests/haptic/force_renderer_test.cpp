@@ -46,7 +46,7 @@ TEST(ForceRenderer, FollowsTheLocalModelBetweenSteps) {
   EXPECT_EQ(moved.weight, 1.0);
 }
 
-TEST(ForceRenderer, FadesLinearlyToZeroAfterTheModelRanOut) {
+TEST(ForceRenderer, FadesLinearlyToZeroAfterTheModelExpired) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());
   const Eigen::Vector3d anchor(0.1, 0.2, 0.3);
@@ -66,7 +66,7 @@ TEST(ForceRenderer, AFeedbackThatAnswersAnOldPoseIsStaleOnArrival) {
   EXPECT_NEAR(renderer.render(late.position_m, after(0.0)).weight, 0.5, 1e-6);
 }
 
-TEST(ForceRenderer, TrustsNoModelForLongerThanItsOwnLimit) {
+TEST(ForceRenderer, BoundsTheModelsValidityByItsOwnLimit) {
   Feedback boastful = pressed();
   boastful.valid_for_s = 1e12;
   ForceRendererOptions options = kOptions;
@@ -77,7 +77,7 @@ TEST(ForceRenderer, TrustsNoModelForLongerThanItsOwnLimit) {
   EXPECT_EQ(renderer.render(boastful.position_m, after(0.5 + 0.05)).weight, 0.0);
 }
 
-TEST(ForceRenderer, ScalesAModelThatIsStifferThanTheDeviceRenders) {
+TEST(ForceRenderer, ScalesDownAModelThatIsStifferThanTheDeviceRenders) {
   Feedback stiff = pressed();
   stiff.stiffness_n_per_m = Eigen::Vector3d(500.0, 0.0, 4000.0).asDiagonal();
   stiff.largest_stiffness_n_per_m = 4000.0;
@@ -89,7 +89,7 @@ TEST(ForceRenderer, ScalesAModelThatIsStifferThanTheDeviceRenders) {
 TEST(ForceRenderer, TissueDoesNotPullAToolThatLeavesIt) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());
-  // 20 mm out of the tissue the linear model would pull with 2 N; sideways parts stay.
+  // 20 mm outside the tissue the linear model would pull with 2 N. Sideways components remain.
   expect_near(renderer.render({0.102, 0.2, 0.32}, after(0.0)).force_n, {-0.1, 0.0, 0.0});
 }
 
@@ -106,14 +106,14 @@ TEST(LimitForce, LimitsTheSlewInBothDirections) {
   expect_near(limit_force({0.0, 0.0, 2.05}, {0.0, 0.0, 2.0}, 1e-3, limits), {0.0, 0.0, 2.05});
 }
 
-TEST(LimitForce, WhatIsNotFiniteBecomesZeroAtOnce) {
+TEST(LimitForce, ANonFiniteForceBecomesZeroAtOnce) {
   const ForceLimits limits{.max_force_n = 5.0, .max_slew_n_per_s = 100.0};
   for (const double bad : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
     expect_near(limit_force({bad, 0.0, 1.0}, {0.0, 0.0, 2.0}, 1e-3, limits), Eigen::Vector3d::Zero());
   }
 }
 
-TEST(LimitForce, ALimitThatIsNotANumberLetsNothingThrough) {
+TEST(LimitForce, ALimitOfNanGivesZeroForce) {
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   for (const ForceLimits& limits : {ForceLimits{kNan, 100.0}, ForceLimits{5.0, kNan}}) {
     expect_near(limit_force({0.0, 0.0, 1.0}, {0.0, 0.0, 2.0}, 1e-3, limits), Eigen::Vector3d::Zero());

@@ -25,7 +25,7 @@ TEST(HandScript, ApproachesPressesPalpatesLiftsAndRests) {
   EXPECT_LT((at(0.0) - options().home_m).norm(), 1e-12);
   EXPECT_LT((at(0.25) - options().contact_m).norm(), 1e-12);
   EXPECT_LT((at(0.40) - Eigen::Vector3d(0.0, 0.0, 0.005)).norm(), 1e-12);
-  // The middle of the circles is at full radius and still at full depth.
+  // Half-way through the circles the radius and the depth are at their largest.
   EXPECT_NEAR(at(0.60).head<2>().norm(), 0.01, 1e-12);
   EXPECT_NEAR(at(0.60).z(), 0.005, 1e-12);
   EXPECT_LT((at(0.97) - options().home_m).norm(), 1e-12);
@@ -41,7 +41,7 @@ TEST(HandScript, VelocityIsTheDerivativeOfAContinuousPosition) {
   }
 }
 
-TEST(HandScript, RefusesWhatHasNoMeaningAndNamesIt) {
+TEST(HandScript, NamesTheOptionThatItRefuses) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto message = [](auto change) {
     HandScriptOptions o = options();

@@ -40,7 +40,7 @@ TEST(Histogram, PercentilesAreWithinOneBucketOfTheSortedSample) {
   EXPECT_EQ(histogram.count(), 10'000u);
 }
 
-TEST(Histogram, TakesAnyDuration) {
+TEST(Histogram, CountsDurationsOfAnySize) {
   Histogram histogram;
   EXPECT_EQ(histogram.percentile_ns(0.5), 0);
   histogram.add(-5);

@@ -11,7 +11,7 @@ TEST(LatencyTracker, APoseIsAnsweredByItsOwnEchoOrANewerOne) {
   tracker.sent(2, 110);
   tracker.sent(3, 120);
   ASSERT_TRUE(tracker.echoed(2, 150));
-  // 50 ns for the first, overtaken by the second's 40.
+  // 50 ns for the first pose, which the echo of the second answers, and 40 ns for the second.
   EXPECT_EQ(tracker.round_trip().count(), 2u);
   EXPECT_EQ(tracker.round_trip().buckets()[50], 1u);
   EXPECT_EQ(tracker.round_trip().buckets()[40], 1u);
@@ -32,7 +32,7 @@ TEST(LatencyTracker, RefusesEchoesOfPosesThatWereNeverSent) {
   EXPECT_EQ(tracker.last_echoed(), 0u);
 }
 
-TEST(LatencyTracker, SaysHowManyPosesItForgot) {
+TEST(LatencyTracker, CountsThePosesWhoseTimeWasOverwritten) {
   LatencyTracker tracker;
   constexpr std::uint64_t kSent = 20'000;
   for (std::uint64_t s = 1; s <= kSent; ++s) tracker.sent(s, static_cast<std::int64_t>(s));
@@ -42,7 +42,7 @@ TEST(LatencyTracker, SaysHowManyPosesItForgot) {
   EXPECT_EQ(tracker.round_trip().max_ns(), 16'383);
 }
 
-TEST(LatencyTracker, AnOldEchoAfterALongSilenceForgetsToo) {
+TEST(LatencyTracker, AnOldEchoAfterALongSilenceCountsThemToo) {
   LatencyTracker tracker;
   for (std::uint64_t s = 1; s <= 20'000; ++s) tracker.sent(s, static_cast<std::int64_t>(s));
   ASSERT_TRUE(tracker.echoed(1'000, 20'000));

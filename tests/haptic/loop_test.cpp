@@ -30,7 +30,7 @@ struct Bench {
 
   Result<LoopReport> run(const LoopOptions& o) { return Loop(guard, link, clock, o).run(stop); }
 
-  /// Answers every pose at once with a force.
+  /// Answers every pose with a force, without delay.
   void answer_with(const Eigen::Vector3d& force_n) {
     link.answer = [this, force_n](const OutgoingPose& pose) {
       Feedback feedback = answer_to(pose, ++step);
@@ -62,7 +62,7 @@ TEST(Loop, SendsAPoseEachTickAndRendersTheAnswer) {
   EXPECT_DOUBLE_EQ(report.max_force_n, 1.0);
 }
 
-TEST(Loop, StaysWithinItsDeviceWhateverItIsAsked) {
+TEST(Loop, BoundsItsOptionsByTheDevice) {
   for (const double asked : {1e3, std::numeric_limits<double>::infinity(), std::numeric_limits<double>::quiet_NaN()}) {
     Bench bench;
     bench.answer_with({0.0, 0.0, 50.0});
@@ -72,7 +72,7 @@ TEST(Loop, StaysWithinItsDeviceWhateverItIsAsked) {
   }
 }
 
-TEST(Loop, TakesAClientIdOfItsOwn) {
+TEST(Loop, ChoosesItsOwnClientId) {
   Bench bench;
   LoopOptions o = options(0.01);
   o.client_id = 0;
@@ -108,7 +108,7 @@ TEST(Loop, FadesToZeroWhenFeedbackStops) {
     return feedback;
   };
   const LoopReport report = bench.run(options(0.2)).value();
-  // Valid for 20 ms from the first tick, then 50 ms of fading.
+  // The model is valid for 20 ms from the first tick, then fades for 50 ms.
   const auto at = [&](std::size_t tick) { return bench.device.forces_n[tick].z(); };
   EXPECT_DOUBLE_EQ(at(20), 1.0);
   EXPECT_NEAR(at(45), 0.5, 1e-9);
@@ -142,14 +142,14 @@ TEST(Loop, RendersOnlyAnswersToItsOwnPoses) {
   run_with([](Feedback& f) { f.client_time_ns = f.arrival_ns + 1; });
 }
 
-TEST(Loop, CountsStepsThatWereReplacedOnTheWay) {
+TEST(Loop, CountsStepsWhoseFeedbackWasReplaced) {
   Bench bench;
   bench.link.answer = [&](const OutgoingPose& pose) { return std::optional(answer_to(pose, 3 * pose.sequence)); };
   const LoopReport report = bench.run(options(0.1)).value();
   EXPECT_EQ(report.feedback_dropped, 2u * 99u);
 }
 
-TEST(Loop, SkipsDeadlinesThatPassedAndCountsThem) {
+TEST(Loop, SkipsAndCountsMissedDeadlines) {
   Bench bench;
   bench.clock.lateness_ns = 2'500'000;  // every wake-up is two and a half periods late
   const LoopReport report = bench.run(options(0.301)).value();
@@ -158,7 +158,7 @@ TEST(Loop, SkipsDeadlinesThatPassedAndCountsThem) {
   EXPECT_EQ(report.wake_up_lateness.max_ns(), 2'500'000);
 }
 
-TEST(Loop, WaitsForTheEchoOfTheLastPoseWithTheForceAlreadyOff) {
+TEST(Loop, WaitsForTheEchoOfTheLastPoseWithoutForce) {
   Bench bench;
   std::optional<OutgoingPose> last;
   bench.link.answer = [&](const OutgoingPose& pose) -> std::optional<Feedback> {
@@ -178,14 +178,14 @@ TEST(Loop, WaitsForTheEchoOfTheLastPoseWithTheForceAlreadyOff) {
   EXPECT_NEAR(static_cast<double>(report.round_trip.max_ns()), 39e6, 2e6);
 }
 
-TEST(Loop, GivesUpDrainingAtItsDeadline) {
+TEST(Loop, StopsWaitingForTheLastEchoAtTheDeadline) {
   Bench bench;
   const LoopReport report = bench.run(options(0.01)).value();
   EXPECT_EQ(report.last_sequence_echoed, 0u);
   EXPECT_LT(bench.clock.now_ns(), 1'000'000'000 + 10'000'000 + 100'000'000 + 5'000'000);
 }
 
-TEST(Loop, AfterTheWatchdogTheForceComesBackBySlew) {
+TEST(Loop, AfterTheWatchdogTheForceReturnsAtTheSlewLimit) {
   Bench bench;
   bench.answer_with({0.0, 0.0, 2.0});
   LoopOptions o = options(0.2);
@@ -193,7 +193,7 @@ TEST(Loop, AfterTheWatchdogTheForceComesBackBySlew) {
   int wakes = 0;
   bench.clock.on_wake = [&](std::int64_t) {
     if (++wakes != 100) return;
-    bench.clock.advance_s(0.06);  // the loop stalls, and the watchdog looks
+    bench.clock.advance_s(0.06);  // the loop stalls, and the watchdog checks
     bench.guard.check();
   };
   const LoopReport report = bench.run(o).value();
@@ -204,7 +204,7 @@ TEST(Loop, AfterTheWatchdogTheForceComesBackBySlew) {
   EXPECT_NEAR(forces[100].z(), 0.1, 1e-12) << "from zero, not from where it was";
 }
 
-TEST(Loop, ReportsADeviceThatFailsAndTakesTheForceOff) {
+TEST(Loop, ReturnsTheDevicesErrorWithoutForce) {
   Bench bench;
   bench.answer_with({0.0, 0.0, 1.0});
   int wakes = 0;
@@ -217,7 +217,7 @@ TEST(Loop, ReportsADeviceThatFailsAndTakesTheForceOff) {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-TEST(Loop, AnInvalidPoseTakesTheForceOffForItsTickAndTheNextGoodOneGoesOn) {
+TEST(Loop, AnInvalidPoseHasNoForceForItsTickOnly) {
   const DevicePose good{{0.1, 0.2, 0.3}, Eigen::Quaterniond::Identity()};
   const Eigen::Quaterniond upright = good.orientation;
   for (const DevicePose& invalid :
@@ -241,17 +241,17 @@ TEST(Loop, AnInvalidPoseTakesTheForceOffForItsTickAndTheNextGoodOneGoesOn) {
   }
 }
 
-TEST(Loop, AQuaternionThatIsAlmostNormalizedIsGood) {
+TEST(Loop, AcceptsAQuaternionThatIsAlmostNormalized) {
   Bench bench;
   bench.device.pose.orientation = Eigen::Quaterniond(0.0, 0.6 * 1.009, 0.0, 0.8 * 1.009);
   EXPECT_EQ(bench.run(options(0.01)).value().poses_invalid, 0u);
 }
 
-TEST(Loop, EndsWhenADeviceNoLongerSaysWhereItIs) {
+TEST(Loop, EndsAfterTooManyInvalidPosesInARow) {
   Bench bench;
   bench.answer_with({0.0, 0.0, 1.0});
   std::uint64_t reads = 0;
-  // One less than too many, a good one, and then for good.
+  // One below the limit, a valid pose, then invalid poses until the loop ends.
   bench.device.on_read = [&] { bench.device.pose.position_m.x() = ++reads == kMaxInvalidPosesInARow ? 0.1 : kNan; };
   const auto report = bench.run(options(1.0));
   ASSERT_FALSE(report);
@@ -263,9 +263,9 @@ TEST(Loop, EndsWhenADeviceNoLongerSaysWhereItIs) {
   EXPECT_EQ(bench.link.sent.size(), 1u);
 }
 
-// The whole client against a soft wall that is stepped at 60 Hz and answers one step late: the hand presses, feels the
-// wall, comes to rest against it and never shakes.
-TEST(Loop, PressesASoftWallStably) {
+// Runs the whole client against a soft wall. The wall steps at 60 Hz and answers one step late. The hand must press,
+// feel the wall, come to rest against it and never shake.
+TEST(Loop, PressesASoftWallWithoutShaking) {
   constexpr double kWall = 300.0;  // N/m, below z = 0
   constexpr std::int64_t kStepNs = 16'666'667;
   HandScriptOptions hand;
@@ -297,7 +297,7 @@ TEST(Loop, PressesASoftWallStably) {
     }
     return feedback;
   };
-  // Where the script holds still at full depth (circles of radius zero), for two seconds of the twelve.
+  // While the script holds still at full depth: circles of radius zero, two of the twelve seconds.
   double slowest_m_per_s = 0.0;
   double force_n = 0.0;
   const std::int64_t start_ns = clock.now_ns();
@@ -312,7 +312,7 @@ TEST(Loop, PressesASoftWallStably) {
   std::atomic<bool> stop = false;
   const LoopReport report = Loop(guard, link, clock, o).run(stop).value();
   EXPECT_LT(slowest_m_per_s, 1e-3);
-  // Two springs of 300 N/m share 10 mm.
+  // The wall and the hand are springs of 300 N/m in series: they share 10 mm.
   EXPECT_NEAR(force_n, 1.5, 0.05);
   EXPECT_EQ(report.stale_ticks, 0u);
 }

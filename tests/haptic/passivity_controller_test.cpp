@@ -11,8 +11,8 @@ namespace {
 constexpr double kPeriodS = 1e-3;
 constexpr PassivityOptions kOptions{.max_stored_energy_j = 0.1, .max_damping_n_s_per_m = 20.0};
 
-// A mass against a spring that a server answers `delay` periods late: a classic source of energy. Returns the largest
-// speed in the last fifth of two seconds relative to the first speed.
+// Simulates a mass on a spring that a server renders `delay` periods late, which generates energy. Returns the largest
+// speed in the last fifth of two seconds, divided by the first speed.
 double speed_growth(bool with_controller, int delay) {
   constexpr double kMassKg = 0.1;
   constexpr double kStiffness = 400.0;
@@ -25,7 +25,7 @@ double speed_growth(bool with_controller, int delay) {
     Eigen::Vector3d wanted(forces[static_cast<std::size_t>(i)], 0.0, 0.0);
     if (with_controller) wanted = controller.apply({x, 0.0, 0.0}, {held, 0.0, 0.0}, wanted, kPeriodS);
     held = wanted.x();
-    // Exact under a held force.
+    // Exact while the force is constant.
     x += v * kPeriodS + 0.5 * held / kMassKg * kPeriodS * kPeriodS;
     v += held / kMassKg * kPeriodS;
     if (i > kSteps * 4 / 5) late_speed = std::max(late_speed, std::abs(v));
@@ -36,7 +36,7 @@ double speed_growth(bool with_controller, int delay) {
 TEST(PassivityController, CountsTheEnergyThatTheHandGives) {
   PassivityController controller(kOptions);
   controller.apply({0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, kPeriodS);
-  // 1 mm against 2 N gives 2 mJ; the same way back returns it.
+  // 1 mm against 2 N gives 2 mJ. The way back returns them.
   controller.apply({0.0, 0.0, -0.001}, {0.0, 0.0, 2.0}, {0.0, 0.0, 2.0}, kPeriodS);
   EXPECT_NEAR(controller.energy_j(), 0.002, 1e-15);
   controller.apply({0.0, 0.0, 0.0}, {0.0, 0.0, 2.0}, {0.0, 0.0, 2.0}, kPeriodS);
@@ -48,7 +48,7 @@ TEST(PassivityController, LeavesPassiveTissueAlone) {
   double held = 0.0;
   for (int i = 0; i < 1000; ++i) {
     const double x = -0.01 * std::sin(1e-3 * M_PI * i);  // press and lift
-    // A spring with a little loss, as an implicit scheme has.
+    // A spring with a little loss, like that of an implicit scheme.
     const double wanted = -200.0 * x + 1.0 * 0.01 * std::cos(1e-3 * M_PI * i);
     const Eigen::Vector3d force = controller.apply({0.0, 0.0, x}, {0.0, 0.0, held}, {0.0, 0.0, wanted}, kPeriodS);
     ASSERT_EQ(force.z(), wanted) << "in period " << i << " with " << controller.energy_j() << " J";
@@ -56,7 +56,7 @@ TEST(PassivityController, LeavesPassiveTissueAlone) {
   }
 }
 
-TEST(PassivityController, TakesADeficitBackByDampingWithinThePeriod) {
+TEST(PassivityController, DampingRemovesADeficitWithinThePeriod) {
   PassivityController controller(kOptions);
   controller.apply({0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, kPeriodS);
   // The tissue pushed the hand 0.1 mm with 0.01 N: a deficit of 1 µJ at 0.1 m/s asks for α = 1e-6 / (0.01 · 1e-3).
@@ -64,14 +64,14 @@ TEST(PassivityController, TakesADeficitBackByDampingWithinThePeriod) {
   EXPECT_NEAR(force.x(), 0.01 - 0.1 * 0.1, 1e-12);
 }
 
-TEST(PassivityController, DampsNoMoreThanTheDeviceRenders) {
+TEST(PassivityController, BoundsItsDampingByTheDevice) {
   PassivityController controller(kOptions);
   controller.apply({0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, kPeriodS);
   const Eigen::Vector3d force = controller.apply({1e-4, 0.0, 0.0}, {5.0, 0.0, 0.0}, {5.0, 0.0, 0.0}, kPeriodS);
   EXPECT_NEAR(force.x(), 5.0 - 20.0 * 0.1, 1e-12);
 }
 
-TEST(PassivityController, CreditsNoMoreThanTissueCanStore) {
+TEST(PassivityController, BoundsTheCreditedEnergy) {
   PassivityController controller(kOptions);
   controller.apply({0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, kPeriodS);
   controller.apply({0.0, 0.0, -1.0}, {0.0, 0.0, 3.0}, {0.0, 0.0, 3.0}, kPeriodS);

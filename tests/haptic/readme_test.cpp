@@ -3,14 +3,14 @@
 #include "fakes.h"
 #include "haptic/loop.h"
 
-// The README's, compiled from there.
+// Defined in the README's example, which CMake extracts and compiles.
 tensormass::Result<tensormass::haptic::LoopReport> run_device(tensormass::haptic::Device& device,
                                                               const std::string& server, const std::atomic<bool>& stop);
 
 namespace tensormass::haptic {
 namespace {
 
-TEST(Readme, ItsExampleLeavesADeviceAloneThatHasNoServer) {
+TEST(Readme, ItsExampleDoesNotTouchTheDeviceWithoutAServer) {
   FakeDevice device;
   const std::atomic<bool> stop = true;
   const auto report = run_device(device, "127.0.0.1:1", stop);

@@ -27,7 +27,7 @@ class ReportFileTest : public testing::Test {
   std::string folder_;
 };
 
-TEST_F(ReportFileTest, ReplacesAnOlderReportWhole) {
+TEST_F(ReportFileTest, ReplacesTheWholeOlderReport) {
   std::ofstream(path()) << "an older and longer one";
   ReportFile file;
   ASSERT_TRUE(file.open(path()));
@@ -36,7 +36,7 @@ TEST_F(ReportFileTest, ReplacesAnOlderReportWhole) {
   EXPECT_EQ(text(), "new");
 }
 
-TEST_F(ReportFileTest, LeavesNothingWhereNothingWasWritten) {
+TEST_F(ReportFileTest, LeavesNoFileIfNothingWasWritten) {
   {
     ReportFile file;
     ASSERT_TRUE(file.open(path()));
@@ -50,7 +50,7 @@ TEST_F(ReportFileTest, LeavesNothingWhereNothingWasWritten) {
   EXPECT_EQ(text(), "old");
 }
 
-TEST_F(ReportFileTest, APathThatCannotBeWrittenIsAWrongOption) {
+TEST_F(ReportFileTest, APathThatCannotBeWrittenIsAnInvalidArgument) {
   for (const std::string& wrong : {folder_, folder_ + "/missing/report.json"}) {
     ReportFile file;
     const auto opened = file.open(wrong);
@@ -60,7 +60,7 @@ TEST_F(ReportFileTest, APathThatCannotBeWrittenIsAWrongOption) {
   }
 }
 
-TEST_F(ReportFileTest, AWriteThatFailsLaterIsNot) {
+TEST_F(ReportFileTest, ALaterWriteErrorIsNotAnInvalidArgument) {
   ReportFile file;
   ASSERT_TRUE(file.open("/dev/full"));
   const auto written = file.write("report");
@@ -69,7 +69,7 @@ TEST_F(ReportFileTest, AWriteThatFailsLaterIsNot) {
   EXPECT_NE(written.error().message.find("/dev/full: No space left"), std::string::npos) << written.error().message;
 }
 
-TEST_F(ReportFileTest, MayGoNowhere) {
+TEST_F(ReportFileTest, AnEmptyPathWritesNoReport) {
   ReportFile file;
   EXPECT_TRUE(file.open(""));
   EXPECT_TRUE(file.write("report"));

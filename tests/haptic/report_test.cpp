@@ -20,7 +20,7 @@ TEST(Report, JsonHoldsCountsPercentilesAndBuckets) {
   EXPECT_TRUE(json.ends_with("}}\n"));
 }
 
-TEST(Report, TextNamesWhatWasLost) {
+TEST(Report, TextNamesTheLosses) {
   LoopReport report;
   report.last_sequence_sent = 12;
   report.last_sequence_echoed = 9;
@@ -32,7 +32,7 @@ TEST(Report, TextNamesWhatWasLost) {
   EXPECT_NE(to_json(report, {}).find(R"("poses_not_taken": 2, "poses_invalid": 3)"), std::string::npos);
 }
 
-TEST(Report, SaysWhyNothingAnsweredAsFarAsTheSceneTells) {
+TEST(Report, ExplainsMissingAnswersFromTheScenesStatus) {
   v1::SceneStatus status;
   const auto why = [&](v1::SceneStatus::State state, std::uint64_t rejected) {
     status.set_state(state);

@@ -8,7 +8,7 @@
 namespace tensormass::haptic {
 namespace {
 
-// A hand that stays at the origin.
+// Options of a hand that stays at the origin.
 HandScript still_hand() {
   HandScriptOptions options;
   options.depth_m = 0.0;
@@ -25,8 +25,8 @@ SimulatedDeviceOptions oscillator(double damping) {
   return options;
 }
 
-// x(t) of m x'' + c x' + k x = F from rest at 0: F/k (1 − e^{−ζωt} (cos ω_d t + ζω/ω_d sin ω_d t)), complex ω_d if
-// overdamped.
+// Returns x(t) of m x'' + c x' + k x = F from rest at 0: F/k (1 − e^{−ζωt} (cos ω_d t + ζω/ω_d sin ω_d t)) with
+// ω = sqrt(k/m), ζ = c/(2 m ω), ω_d = ω sqrt(1 − ζ²), which is complex if overdamped.
 double step_response(double m, double c, double k, double force, double t) {
   const double decay = c / (2.0 * m);
   const double square = k / m - decay * decay;
@@ -38,7 +38,7 @@ double step_response(double m, double c, double k, double force, double t) {
 
 class StepResponse : public testing::TestWithParam<double> {};
 
-TEST_P(StepResponse, EqualsTheClosedForm) {
+TEST_P(StepResponse, MatchesTheClosedForm) {
   const double damping = GetParam();
   FakeClock clock;
   SimulatedDevice device(oscillator(damping), still_hand(), clock);
@@ -55,7 +55,7 @@ TEST_P(StepResponse, EqualsTheClosedForm) {
 // Undamped, underdamped, close to critical, overdamped.
 INSTANTIATE_TEST_SUITE_P(Damping, StepResponse, testing::Values(0.0, 4.0, 2.0 * std::sqrt(300.0 * 0.2) * 0.999, 60.0));
 
-TEST(SimulatedDevice, FollowsItsHand) {
+TEST(SimulatedDevice, FollowsTheHand) {
   HandScriptOptions hand;
   hand.home_m = {0.0, 0.0, 0.1};
   const HandScript script = HandScript::create(hand).value();
@@ -67,13 +67,13 @@ TEST(SimulatedDevice, FollowsItsHand) {
   for (int i = 1; i <= 4000; ++i) {
     clock.advance_s(1e-3);
     const Eigen::Vector3d target = script.at(i * 1e-3).position_m;
-    // Without a force the lag is m x''/k: below 1 mm for this path.
+    // Without a force the lag is m x''/k, which is below 1 mm on this path.
     ASSERT_LT((device.read().value().position_m - target).norm(), 1e-3) << "after " << i << " ms";
   }
 }
 
-// The ends of what the program's options take, and a stiff damper between them.
-TEST(SimulatedDevice, StandsEveryHandThatItsOptionsAllow) {
+// Covers the extremes of the program's options, and a stiff damper between them.
+TEST(SimulatedDevice, IsStableForEveryHandThatItsOptionsAllow) {
   HandScriptOptions hand;
   hand.home_m = {0.0, 0.0, 0.1};
   const HandScript script = HandScript::create(hand).value();
@@ -94,7 +94,7 @@ TEST(SimulatedDevice, StandsEveryHandThatItsOptionsAllow) {
   }
 }
 
-TEST(SimulatedDevice, AStiffDamperTakesItAlong) {
+TEST(SimulatedDevice, AStiffDamperCarriesItAlong) {
   HandScriptOptions hand;
   hand.home_m = {0.0, 0.0, 0.1};
   const HandScript script = HandScript::create(hand).value();
@@ -129,11 +129,11 @@ TEST(SimulatedDevice, SkipsTheMotionOfALongStall) {
   SimulatedDevice device(oscillator(4.0), still_hand(), clock);
   ASSERT_TRUE(device.open());
   ASSERT_TRUE(device.write_force({1.0, 0.0, 0.0}));
-  clock.advance_s(1e7);  // replayed, this would be 1e11 sub-steps
+  clock.advance_s(1e7);  // a replay would take 1e11 sub-steps
   EXPECT_NEAR(device.read().value().position_m.x(), 1.0 / 300.0, 1e-6);
 }
 
-TEST(SimulatedDevice, RefusesUseBeforeOpenAndOptionsWithoutMeaning) {
+TEST(SimulatedDevice, RefusesInvalidOptionsAndUseBeforeOpen) {
   FakeClock clock;
   SimulatedDevice closed(oscillator(0.0), still_hand(), clock);
   EXPECT_FALSE(closed.read());

@@ -43,7 +43,7 @@ TEST(ZenohLink, CarriesPosesAndFeedback) {
   std::optional<Feedback> received;
   OutgoingPose pose;
   const auto end = std::chrono::steady_clock::now() + kPatience;
-  // Declarations travel, so the first messages may find nobody.
+  // The first messages may precede the subscriptions, which take time to travel.
   while (!received && std::chrono::steady_clock::now() < end) {
     ++pose.sequence;
     ASSERT_TRUE(link->send(pose));

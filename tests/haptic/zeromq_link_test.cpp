@@ -19,7 +19,7 @@ namespace {
 constexpr auto kPatience = std::chrono::seconds(20);
 constexpr int kPatienceMs = 20'000;
 
-// The server's two sockets, on free ports.
+// Two sockets like the server's, on free ports.
 struct FakeServer {
   zmq::context_t context;
   zmq::socket_t poses{context, zmq::socket_type::pull};
@@ -59,7 +59,7 @@ struct FakeServer {
   }
 };
 
-// Publishes until the link has what `done` wants: a subscriber may still be connecting, and keeps only the newest.
+// Publishes until `done` returns true. One message is not enough: the subscriber may still be connecting.
 template <class Publish, class Done>
 bool publish_until(Publish publish, Done done) {
   const auto end = std::chrono::steady_clock::now() + kPatience;
@@ -106,12 +106,12 @@ TEST(ZeroMqLink, TheNewestPoseWins) {
   {
     const auto link = connect_zeromq(server.address).value();
     OutgoingPose pose;
-    // Nobody listens yet.
+    // No server is connected yet.
     for (pose.sequence = 1; pose.sequence <= 1'000; ++pose.sequence) ASSERT_FALSE(link->send(pose));
     zmq::socket_t late(server.context, zmq::socket_type::pull);
     late.set(zmq::sockopt::linger, 0);
     late.bind(server.address.zeromq_pose_endpoint);
-    // A loop that waits for the last echo asks for feedback and sends nothing more.
+    // A loop that waits for the last echo only receives.
     late.set(zmq::sockopt::rcvtimeo, 1);
     v1::ToolPose arrived;
     ASSERT_TRUE(
@@ -121,7 +121,7 @@ TEST(ZeroMqLink, TheNewestPoseWins) {
   std::filesystem::remove_all(folder);
 }
 
-// The poses of 100 ms that were not taken at once.
+// Sends poses for 100 ms. Returns how many were not taken at once.
 int count_refused(FakeServer& server) {
   const auto link = connect_zeromq(server.address).value();
   MonotonicClock clock;
@@ -136,9 +136,9 @@ int count_refused(FakeServer& server) {
   return refused;
 }
 
-TEST(ZeroMqLink, TakesThePoseOfEveryTick) {
+TEST(ZeroMqLink, TakesAPoseInEveryTick) {
   FakeServer server;
-  // Where ZeroMQ's own thread waits for a core, some are held up; hardly in each of several tries.
+  // Some poses wait while ZeroMQ's thread has no core. That is unlikely in each of several tries.
   int fewest = count_refused(server);
   for (int attempt = 1; attempt < 5 && fewest >= 10; ++attempt) fewest = std::min(fewest, count_refused(server));
   EXPECT_LT(fewest, 10);
@@ -169,7 +169,7 @@ TEST(ZeroMqLink, TheLastPoseBeforeTheCloseArrives) {
   }
 }
 
-TEST(ZeroMqLink, CountsGarbageAndGoesOn) {
+TEST(ZeroMqLink, CountsGarbageAndContinues) {
   FakeServer server;
   const auto link = connect_zeromq(server.address).value();
   server.next_subscription();
@@ -181,7 +181,7 @@ TEST(ZeroMqLink, CountsGarbageAndGoesOn) {
                     [&] { return link->receive().has_value(); }));
 }
 
-TEST(ZeroMqLink, RefusesEndpointsThatAreNone) {
+TEST(ZeroMqLink, RefusesMalformedEndpoints) {
   FakeServer server;
   LinkAddress off = server.address;
   off.zeromq_pose_endpoint.clear();

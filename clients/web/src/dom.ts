@@ -1,4 +1,4 @@
-/** The element of index.html that `selector` names; a page without it is our own mistake. */
+/** Returns the element of index.html that matches `selector`. Throws if there is none: an error of our own. */
 export function find<Type extends Element>(selector: string, type: new () => Type): Type {
   const found = document.querySelector(selector);
   if (!(found instanceof type)) {

@@ -1,4 +1,4 @@
-// The numbers beside the picture. Written a few times a second: digits that change faster cannot be read.
+// The readings beside the picture. They are written four times a second; faster digits cannot be read.
 import { find } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
@@ -7,7 +7,7 @@ import type { Counters } from "./stream/store";
 
 export interface Readings {
   readonly status: Status | null;
-  /** `status` while its numbers hold. */
+  /** `status` while its numbers are current, else null. */
   readonly currentStatus: Status | null;
   readonly warnings: readonly string[];
   readonly counters: Counters;
@@ -30,9 +30,9 @@ export class Hud {
   readonly #pill = find("#link", HTMLButtonElement);
   readonly #notice = element("notice");
   readonly #device = element("device");
-  /** What the notice says; null: nothing. */
+  /** The notice on show or hidden; null if there is none. */
   #said: Notice = null;
-  /** Until it says something else. */
+  /** Whether the user closed the notice. A new notice opens again. */
   #noticeClosed = false;
 
   constructor(actions: Actions) {
@@ -63,7 +63,7 @@ export class Hud {
     this.#device.textContent = parts.filter(Boolean).join(" · ");
   }
 
-  /** @param pictured There is a picture, which a notice must not cover. */
+  /** @param pictured Whether there is a picture. A notice must not cover it. */
   show({ tone, text, hint, notice }: Situation, pictured: boolean): void {
     this.#pill.dataset.tone = tone;
     write("link", text);
@@ -129,7 +129,7 @@ export class Hud {
   }
 }
 
-/** What follows the rate of the physics. */
+/** The text after the rate of the physics: its target rate, or "in lockstep". */
 export function targetText(status: Status | null): string {
   if (status?.state === SceneState.LOCKSTEP) {
     return "in lockstep";

@@ -1,7 +1,7 @@
-// Wires the gateway's stream to the store, the store to the picture and the numbers.
+// Connects the gateway's stream to the store, and the store to the picture and the readings.
 //
-// Address: ?token= as the gateway prints it; ?scene= chooses a scene (else the first that runs);
-// ?quality=high|low (else by whether there is a GPU).
+// Parameters of the address: ?token= as the gateway prints it; ?scene= names the scene to show (default: the first that
+// runs); ?quality=high|low (default: high with a GPU, low without).
 import "./style.css";
 
 import { find } from "./dom";
@@ -54,7 +54,7 @@ document.addEventListener("visibilitychange", () => connection.setPaused(documen
 connection.setPaused(document.hidden);
 setInterval(showReadings, READINGS_INTERVAL_MS);
 
-// For scripts and tests that drive the page: what is drawn, and where.
+// For scripts and tests that control the page: what is drawn, and where.
 Object.assign(window, {
   tensormass: {
     state: () => ({
@@ -78,7 +78,7 @@ function openViewer(): Viewer {
       onToolMoved: moveTool,
     });
   } catch (error) {
-    const detail = "This browser draws no WebGL 2; enable hardware acceleration or take another browser.";
+    const detail = "This browser has no WebGL 2; enable hardware acceleration or use another browser.";
     const notice = { tone: "warning", title: "Nothing can be drawn", detail } as const;
     hud.show({ tone: "bad", text: "No WebGL", notice }, false);
     throw error;
@@ -104,7 +104,7 @@ function onDaemon(state: DaemonState): void {
   chooseScene();
 }
 
-/** Watches the scene that is to be shown once the daemon has it. */
+/** Watches the wanted scene if the daemon has it. Without a wanted scene it keeps the present one or takes the first. */
 function chooseScene(): void {
   if (daemon === null) {
     return;
@@ -124,7 +124,7 @@ function chooseScene(): void {
   showState();
 }
 
-/** What comes back under the same name, after a reload or a restart, may be another scene. */
+/** Forgets the watched scene. After a reload or a restart the same name may be another scene. */
 function forget(): void {
   watched = null;
   replaced = 0;
@@ -146,7 +146,7 @@ function onMessage(data: ArrayBuffer): void {
   try {
     const message = splitMessage(data);
     stream = message.stream;
-    // What was on its way when the scene was changed is acknowledged but not shown.
+    // A message of the previous scene may still be under way. It is acknowledged but not shown.
     if (message.scene === watched) {
       switch (message.stream) {
         case "topology":
@@ -172,13 +172,13 @@ function onMessage(data: ArrayBuffer): void {
 
 function onClock(reply: ClockReply, receivedMs: number): void {
   clock.add(reply.clientTimeMs, receivedMs, reply.gatewayTimeMs);
-  // What was asked before the scene was changed counts the frames of the scene before.
+  // A request sent before the change of scene counts frames of the previous scene.
   if (watched !== null && reply.clientTimeMs >= watchedSinceMs) {
     replaced = reply.replaced;
   }
 }
 
-/** A WebSocket that was refused says no reason; the gateway tells it to who asks by POST. */
+/** Asks the gateway by POST why a connection failed. A browser hides the reason of a refused WebSocket from its page. */
 async function diagnose(): Promise<Diagnosis> {
   try {
     const reply = await fetch(streamAddress, { method: "POST" });
@@ -203,13 +203,13 @@ function showReadings(): void {
     drawRateHz: store.topology === null ? null : drawn.length / (RATE_WINDOW_MS / 1000),
     ageMs: ages[Math.floor(ages.length / 2)] ?? null,
     ageUncertaintyMs: clock.uncertaintyMs(),
-    // A frame before which the gateway replaced some may not be drawn yet.
+    // The gateway may have replaced frames before one that is not drawn yet, so the count is bounded by `dropped`.
     replaced: Math.min(replaced, store.counters.dropped),
   });
   showState();
 }
 
-/** A pose is the tool's origin; what the pointer holds is its sphere. The tool stays turned as it is. */
+/** Sends the pose that brings the tool's sphere to `centerM` and keeps the tool's orientation. */
 function moveTool(name: string, centerM: Vector): void {
   const shape = store.topology?.tools.find((tool) => tool.name === name);
   const state = store.frame?.tools.find((tool) => tool.name === name);

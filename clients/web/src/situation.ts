@@ -1,4 +1,4 @@
-// Where the page stands, in words: in the pill, and in a notice above the picture.
+// The state of the page in words: for the pill in the header and for the notice beside the picture.
 import type { DaemonState, LinkState } from "./stream/connection";
 import { SceneState, type Frame, type Status, type Topology } from "./stream/decode";
 
@@ -8,14 +8,14 @@ export type Notice = { readonly tone: "quiet" | "warning"; readonly title: strin
 
 export interface Situation {
   readonly tone: Tone;
-  /** A word or two. */
+  /** Text of the pill: a word or two. */
   readonly text: string;
-  /** What they mean, for who points at them. */
+  /** Tooltip of the pill. */
   readonly hint?: string;
   readonly notice: Notice;
 }
 
-/** null while there is nothing to say about the connection. */
+/** The situation while there is no state of the daemon. null: the connection has nothing to say. */
 export function linkSituation(link: LinkState): Situation | null {
   switch (link.kind) {
     case "connecting":
@@ -35,11 +35,14 @@ export interface Scene {
   readonly topology: Topology | null;
   readonly frame: Frame | null;
   readonly status: Status | null;
-  /** Why what came last is not on show; null while it is. */
+  /** Why the newest topology or frame is not on show; null while it is. */
   readonly unshown: string | null;
 }
 
-/** @param watched The name of `scene`; null while the daemon has none that is `wanted`. */
+/**
+ * @param wanted Name in the address; null if the user chose none.
+ * @param watched Name of the scene on show; null while the daemon does not have it.
+ */
 export function sceneSituation(
   daemon: DaemonState,
   wanted: string | null,
@@ -63,7 +66,7 @@ export function sceneSituation(
     return { tone: "bad", text: frame === null ? "No picture" : "Frozen", notice };
   }
   const standing = standingSituation(status);
-  // The server gathers no vertices for a scene without frames, so its topology has none.
+  // A scene without frames has a topology without vertices.
   if (topology?.vertexCount === 0) {
     const detail = "The scene sends no frames (streams.frame_rate_hz is 0).";
     const notice = { tone: "quiet", title: "Nothing to show", detail } as const;
@@ -77,11 +80,11 @@ export function sceneSituation(
     : { tone: "good", text: "Live", notice: null };
 }
 
-/** null for a scene that steps by itself. */
+/** null if the scene steps by itself. */
 function standingSituation(status: Status | null): Omit<Situation, "notice"> | null {
   switch (status?.state) {
     case SceneState.PAUSED:
-      return { tone: "warning", text: "Paused", hint: "The scene stands until it is resumed." };
+      return { tone: "warning", text: "Paused", hint: "The scene does not step until it is resumed." };
     case SceneState.LOCKSTEP:
       return { tone: "waiting", text: "Lockstep", hint: "The scene steps only when it is asked to." };
     default:

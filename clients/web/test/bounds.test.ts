@@ -16,7 +16,7 @@ function bounds(positionM: { x: number; y: number; z: number }, orientation = { 
   return sceneBounds(topology, decodeFrame(frameBytes({ positions, tools })));
 }
 
-it("holds the tissue and the tool's sphere, wherever the tool is turned to", () => {
+it("contains the tissue and the tool's sphere in any orientation of the tool", () => {
   expect(bounds({ x: 0.5, y: 0.5, z: 3 })).toEqual(
     new THREE.Box3(new THREE.Vector3(0, 0, 0), new THREE.Vector3(1, 1, 2.25)),
   );
@@ -24,7 +24,7 @@ it("holds the tissue and the tool's sphere, wherever the tool is turned to", () 
   expect(bounds({ x: 0.5, y: 0.5, z: 1 }, { w: 0, x: 1, y: 0, z: 0 }).max.z).toBeCloseTo(2.25);
 });
 
-it("leaves out a tool that is parked far away", () => {
+it("leaves out a tool far away", () => {
   expect(bounds({ x: 0, y: 0, z: 100 }).max.z).toBe(1);
   // The tissue's radius is 0.87, its centre (0.5, 0.5, 0.5), and the tip is 1 below the tool's origin.
   expect(bounds({ x: 0.5, y: 0.5, z: 1.5 + 4.2 }).max.z).toBeCloseTo(0.5 + 4.2 + 0.25);

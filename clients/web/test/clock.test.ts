@@ -6,21 +6,21 @@ it("knows no age before the first exchange", () => {
   expect(new GatewayClock().ageMs(1n, 0)).toBeNull();
 });
 
-it("finds the age through the gateway's clock", () => {
+it("computes the age from the gateway's clock", () => {
   const clock = new GatewayClock();
   clock.add(100, 104, 1_000_002); // the gateway is 999,900 ms ahead
   expect(clock.ageMs(1_000_000_000_000n, 112)).toBe(12);
   expect(clock.uncertaintyMs()).toBe(2);
 });
 
-it("believes the exchange with the shortest round trip", () => {
+it("uses the exchange with the shortest round trip", () => {
   const clock = new GatewayClock();
   clock.add(0, 2, 1001);
   clock.add(10, 90, 1085); // delayed on one way only: 35 ms off
   expect(clock.ageMs(1_000_000_000n, 20)).toBe(20);
 });
 
-it("forgets exchanges that are long ago, as clocks drift", () => {
+it("forgets old exchanges, because clocks drift", () => {
   const clock = new GatewayClock();
   clock.add(0, 0, 1000);
   for (let k = 1; k <= 16; k += 1) {
@@ -29,14 +29,14 @@ it("forgets exchanges that are long ago, as clocks drift", () => {
   expect(clock.ageMs(2_000_000_000n, 20)).toBe(20);
 });
 
-it("ignores what cannot be", () => {
+it("ignores impossible exchanges", () => {
   const clock = new GatewayClock();
   clock.add(10, 5, 1000);
   clock.add(1, 2, NaN);
   expect(clock.uncertaintyMs()).toBeNull();
 });
 
-it("never reports a frame from the future", () => {
+it("never reports a negative age", () => {
   const clock = new GatewayClock();
   clock.add(0, 0, 1000);
   expect(clock.ageMs(1_500_000_000n, 0)).toBe(0);

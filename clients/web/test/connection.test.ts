@@ -89,7 +89,7 @@ describe("Connection", () => {
     vi.restoreAllMocks();
   });
 
-  it("comes back after a loss, with the gateway's reason", async () => {
+  it("reconnects after a loss and reports the gateway's reason", async () => {
     FakeSocket.last.open();
     connection.watch("liver");
     expect(FakeSocket.last.of("watch")).toEqual([{ type: "watch", scene: "liver" }]);
@@ -107,7 +107,7 @@ describe("Connection", () => {
     ]);
   });
 
-  it("waits longer after each failure, up to a limit, and briefly again after success", async () => {
+  it("waits longer after each failure, up to a limit, and starts short again after a success", async () => {
     const waits: number[] = [];
     for (let attempt = 0; attempt < 7; attempt += 1) {
       const count = FakeSocket.opened.length;
@@ -128,7 +128,7 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(count + 1);
   });
 
-  it("asks why a connection never opened, and tries again", async () => {
+  it("asks why a connection did not open, and tries again", async () => {
     FakeSocket.last.fail("");
     await vi.advanceTimersByTimeAsync(0);
     expect(events.onLink).toHaveBeenLastCalledWith({ kind: "lost", everOpened: false, reason: "full" });
@@ -136,7 +136,7 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(2);
   });
 
-  it("stops trying where that is of no use", async () => {
+  it("stops trying after a final refusal", async () => {
     diagnose.mockResolvedValueOnce({ reason: "the token is wrong", final: true });
     FakeSocket.last.fail("");
     await vi.advanceTimersByTimeAsync(10 * LAST_RETRY_MS);
@@ -144,7 +144,7 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(1);
   });
 
-  it("owes acknowledgements while nobody looks, one for each stream", () => {
+  it("owes one acknowledgement for each stream while paused", () => {
     FakeSocket.last.open();
     connection.acknowledge("frame");
     connection.setPaused(true);
@@ -154,11 +154,11 @@ describe("Connection", () => {
     connection.setPaused(false);
     expect(FakeSocket.last.of("ack").map((ack) => ack.stream)).toEqual(["frame", "frame", "status"]);
     connection.setPaused(true);
-    connection.setPaused(false); // what was paid is not owed again
+    connection.setPaused(false); // an acknowledgement is sent once
     expect(FakeSocket.last.of("ack")).toHaveLength(3);
   });
 
-  it("owes a new connection nothing", async () => {
+  it("owes a new connection no acknowledgements", async () => {
     FakeSocket.last.open();
     connection.setPaused(true);
     connection.acknowledge("frame");
@@ -169,7 +169,7 @@ describe("Connection", () => {
     expect(FakeSocket.last.of("ack")).toEqual([]);
   });
 
-  it("moves a tool without turning it", () => {
+  it("moves a tool and keeps its orientation", () => {
     FakeSocket.last.open();
     connection.moveTool({ name: "probe", positionM: [1, 2, 3], orientationWxyz: [0.6, 0, 0.8, 0] });
     expect(FakeSocket.last.of("pose")).toEqual([
@@ -184,14 +184,14 @@ describe("Connection", () => {
     expect(FakeSocket.opened).toHaveLength(1);
   });
 
-  it("tries no more when it is closed between two tries", async () => {
+  it("stops trying when closed between two attempts", async () => {
     FakeSocket.last.fail("");
     connection.close();
     await vi.advanceTimersByTimeAsync(10 * LAST_RETRY_MS);
     expect(FakeSocket.opened).toHaveLength(1);
   });
 
-  it("says nothing of a try that failed once the next is under way", async () => {
+  it("reports no failed attempt once the next has started", async () => {
     let answer: (diagnosis: Diagnosis) => void = () => undefined;
     diagnose.mockReturnValueOnce(new Promise((resolve) => (answer = resolve)));
     FakeSocket.last.fail("");
@@ -202,7 +202,7 @@ describe("Connection", () => {
     expect(events.onLink).toHaveBeenLastCalledWith({ kind: "open" });
   });
 
-  it("has words for a loss without any", () => {
+  it("gives a reason for a loss without one", () => {
     FakeSocket.last.open();
     FakeSocket.last.fail("");
     expect(events.onLink).toHaveBeenLastCalledWith({
@@ -217,7 +217,7 @@ describe("Connection", () => {
     expect(FakeSocket.last.sent).toEqual([]);
   });
 
-  it("asks for the gateway's clock at once, then once a second, on the clock by which it takes the answer", async () => {
+  it("asks for the gateway's clock at once, then once a second, and uses one clock for sending and receiving", async () => {
     await vi.advanceTimersByTimeAsync(30);
     FakeSocket.last.open();
     const asked = performance.now();
@@ -233,7 +233,7 @@ describe("Connection", () => {
     expect(FakeSocket.last.of("clock")).toHaveLength(2);
   });
 
-  it("hands on what arrives", () => {
+  it("passes on binary messages", () => {
     FakeSocket.last.open();
     FakeSocket.last.onmessage?.({ data: DAEMON });
     const data = new ArrayBuffer(4);

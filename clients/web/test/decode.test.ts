@@ -4,7 +4,7 @@ import { decodeFrame, decodeStatus, decodeTopology, splitMessage } from "../src/
 import { POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
 
 describe("splitMessage", () => {
-  it("parts key and payload, which may hold zero bytes", () => {
+  it("splits key and payload, which may contain zero bytes", () => {
     const { scene, stream, payload } = splitMessage(busMessage("tensormass/host/liver/frame", Uint8Array.of(0, 1, 0)));
     expect([scene, stream, [...payload]]).toEqual(["liver", "frame", [0, 1, 0]]);
   });
@@ -22,7 +22,7 @@ describe("splitMessage", () => {
 });
 
 describe("decodeTopology", () => {
-  it("keeps bodies, tools and which way is up", () => {
+  it("decodes bodies, tools and the up direction", () => {
     const topology = decodeTopology(topologyBytes());
     expect(topology.version).toBe(7n);
     expect(topology.vertexCount).toBe(7);
@@ -35,7 +35,7 @@ describe("decodeTopology", () => {
     expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1] }]);
   });
 
-  it("takes z for up where there is no gravity", () => {
+  it("uses z as up without gravity", () => {
     expect(decodeTopology(topologyBytes({ gravityMPerS2: { x: 0, y: 0, z: 0 } })).up).toEqual([0, 0, 1]);
   });
 
@@ -51,7 +51,7 @@ describe("decodeTopology", () => {
     );
   });
 
-  it("refuses a torn triangle, a tool without size and a colour that is no number", () => {
+  it("refuses an incomplete triangle, a tool without size and a colour that is not finite", () => {
     const torn = [{ name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2).subarray(0, 11) }];
     expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/11 bytes of triangles/);
     for (const radiusM of [0, -1, NaN, 1e6]) {
@@ -77,7 +77,7 @@ describe("decodeFrame", () => {
     }
   });
 
-  it("normalises orientations, and takes all zero for the identity", () => {
+  it("normalises orientations and reads zeros as the identity", () => {
     expect(decodeFrame(frameBytes()).tools[0]).toEqual({
       name: "probe",
       positionM: [0.1, 0.2, 0.3],
@@ -94,7 +94,7 @@ describe("decodeFrame", () => {
     expect(() => decodeFrame(frameBytes({ positions: f32(0, 0, value) }))).toThrow(/frame 1: a position is not finite/);
   });
 
-  it("refuses a torn vertex, a force that is no number and a tool out of reach", () => {
+  it("refuses an incomplete vertex, a force that is not finite and a tool beyond the largest length", () => {
     const withTool = (fields: object) => decodeFrame(frameBytes({ tools: [{ tool: "p", ...fields }] }));
     expect(() => decodeFrame(frameBytes({ positions: f32(0, 0) }))).toThrow(/8 bytes of positions/);
     expect(() => withTool({ forceN: { x: 0, y: NaN, z: 0 } })).toThrow(/tool "p", force_n: \(0, NaN, 0\) is not finite$/);
@@ -102,7 +102,7 @@ describe("decodeFrame", () => {
     expect(() => withTool({ positionM: { x: 0, y: 0, z: 1e6 } })).toThrow(/position_m: .* is not finite or too large/);
   });
 
-  it("takes a force of any size", () => {
+  it("accepts a finite force of any size", () => {
     const forceN = { x: 0, y: -1e6, z: 4.5e9 };
     expect(decodeFrame(frameBytes({ tools: [{ tool: "p", forceN }] })).tools[0]?.forceN).toEqual([0, -1e6, 4.5e9]);
   });

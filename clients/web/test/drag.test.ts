@@ -10,7 +10,7 @@ const canvas = () =>
     setPointerCapture: () => undefined,
   }) as unknown as HTMLCanvasElement;
 
-/** At so many hundredths of the canvas from its left and its top. */
+/** A pointer event at `x`, `y` percent of the canvas from its left and its top. */
 function pointer(type: string, x: number, y = 50, button = 0): Event {
   return Object.assign(new Event(type), { button, pointerId: 1, clientX: 10 + x, clientY: 20 + y });
 }
@@ -44,7 +44,7 @@ beforeEach(() => {
   target.dispatchEvent(pointer("pointerdown", 50));
 });
 
-it("moves the tool that was taken, until it is released", () => {
+it("moves the dragged tool until it is released", () => {
   expect(controls.enabled).toBe(false);
   target.dispatchEvent(pointer("pointermove", 60, 70));
   // A tenth of the picture to the right and two down, in the plane of the sphere's centre.
@@ -55,21 +55,21 @@ it("moves the tool that was taken, until it is released", () => {
   expect(controls.enabled).toBe(true);
 });
 
-it("says where the tool is to be in the scene, however that is turned", () => {
+it("reports positions in the scene's frame, also if the scene is rotated", () => {
   world.rotation.x = -Math.PI / 2;
   world.updateMatrixWorld(true);
   target.dispatchEvent(pointer("pointermove", 50, 40));
   expect(onMove).toHaveBeenCalledWith("probe", [expect.closeTo(0), expect.closeTo(0), expect.closeTo(TENTH)]);
 });
 
-it("releases the tool where the pointer is taken away", () => {
+it("releases the tool when the pointer is cancelled", () => {
   target.dispatchEvent(pointer("pointercancel", 50));
   target.dispatchEvent(pointer("pointermove", 60));
   expect(onMove).not.toHaveBeenCalled();
   expect(controls.enabled).toBe(true);
 });
 
-it("takes a tool by the first button alone, and only where it is", () => {
+it("drags a tool with the first button only, and only where its sphere is", () => {
   target.dispatchEvent(pointer("pointerup", 50));
   for (const press of [pointer("pointerdown", 50, 50, 2), pointer("pointerdown", 80)]) {
     target.dispatchEvent(press);
@@ -79,7 +79,7 @@ it("takes a tool by the first button alone, and only where it is", () => {
   expect(controls.enabled).toBe(true);
 });
 
-it("lets go of a tool with its topology, even if the next has one of that name", () => {
+it("releases a tool when its topology ends, even if the next has a tool of that name", () => {
   spheres = [probe()];
   target.dispatchEvent(pointer("pointermove", 60));
   expect(onMove).not.toHaveBeenCalled();

@@ -5,7 +5,7 @@ import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { targetText } from "../src/hud";
 import { SceneState } from "../src/stream/decode";
 
-it("names the rate that the physics is to reach, where there is one", () => {
+it("names the target rate of the physics, if there is one", () => {
   const text = (fields: object) => targetText(create(SceneStatusSchema, fields));
   expect(text({ state: SceneState.RUNNING, targetRateHz: 60 })).toBe("of 60 Hz");
   expect(text({ state: SceneState.PAUSED, targetRateHz: 33.333 })).toBe("of 33.3 Hz");

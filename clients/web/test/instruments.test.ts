@@ -5,14 +5,14 @@ import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { Instruments, arrowLength } from "../src/view/instruments";
 import { frameBytes, topologyBytes } from "./messages";
 
-it("draws a longer arrow for a larger force, and none that leaves the screen", () => {
+it("draws a longer arrow for a larger force, within a bound", () => {
   const lengths = [0.01, 1, 10, 1e6, Infinity].map(arrowLength);
   expect(lengths).toEqual([...lengths].sort((a, b) => a - b));
   expect(lengths.at(-1)).toBeLessThan(1);
   expect(arrowLength(0)).toBe(0);
 });
 
-/** Of a tool at (1, 2, 3) whose sphere is 0.1 below it, in a scene of radius 2. */
+/** Instruments with a tool at (1, 2, 3) whose sphere is 0.1 below it, in a scene of radius 2 [m]. */
 function update(forceN: { x: number; y: number; z: number }, orientation = { w: 1, x: 0, y: 0, z: 0 }) {
   const topology = decodeTopology(topologyBytes());
   const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
@@ -24,8 +24,8 @@ function update(forceN: { x: number; y: number; z: number }, orientation = { w: 
 
 const close = (...values: number[]): unknown[] => values.map((value) => expect.closeTo(value, 6) as unknown);
 
-it("places the sphere where the tool is, turned as the tool is", () => {
-  // By a quarter of a turn about x.
+it("places the sphere with the position and orientation of the tool", () => {
+  // A quarter turn about x.
   const { instruments } = update({ x: 0, y: 0, z: 0 }, { w: 1, x: 1, y: 0, z: 0 });
   const [sphere] = instruments.spheres();
   expect(sphere?.name).toBe("probe");
@@ -44,7 +44,7 @@ it("draws the arrow from the sphere along the force, and the label at its tip", 
   expect(arrow.max.z).toBeCloseTo(2.9);
 });
 
-it("draws no arrow for what is only rounding", () => {
+it("draws no arrow for a force that is only rounding", () => {
   expect(update({ x: 0, y: 0.004, z: 0 }).labels).toEqual([]);
   expect(update({ x: 0, y: 0.006, z: 0 }).labels).toHaveLength(1);
 });

@@ -1,9 +1,9 @@
-// Messages as the daemon would send them, for the tests to spoil.
+// Valid messages of a daemon, which tests then change.
 import { create, toBinary, type DescMessage, type Message, type MessageInitShape } from "@bufbuild/protobuf";
 
 import { FrameSchema, TopologySchema } from "../src/generated/tensormass/v1/stream_pb";
 
-/** Fields to set, as against a whole message. */
+/** Fields of a message to set. */
 type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
 
 export function u32(...values: number[]): Uint8Array {

@@ -57,8 +57,8 @@ it("points outwards on a sphere", () => {
   }
 });
 
-it("weighs triangles by their area", () => {
-  // Vertex 0 touches a large triangle that faces z and one a hundredth of it that faces x.
+it("weights triangles by area", () => {
+  // Vertex 0 belongs to a large triangle that faces z and to one of a hundredth of its area that faces x.
   const positions = Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0.1, 0, 0, 0, 0.1);
   const normals = new Float32Array(15);
   vertexNormals(positions, Uint32Array.of(0, 1, 2, 0, 3, 4), normals);
@@ -68,7 +68,7 @@ it("weighs triangles by their area", () => {
   }
 });
 
-it("leaves zero where a vertex has no area around it", () => {
+it("gives zero at a vertex without any area", () => {
   const normals = new Float32Array(9).fill(1);
   vertexNormals(new Float32Array(9), Uint32Array.of(0, 1, 2), normals);
   expect([...normals]).toEqual([0, 0, 0, 0, 0, 0, 0, 0, 0]);

@@ -23,7 +23,7 @@ function inState(state: SceneState, scene: Partial<Scene> = {}) {
 }
 
 describe("sceneSituation", () => {
-  it("is live only while the scene is", () => {
+  it("is live only while the scene runs", () => {
     expect(inState(SceneState.RUNNING)).toEqual({ tone: "good", text: "Live", notice: null });
     expect(inState(SceneState.LOCKSTEP)).toEqual({
       tone: "waiting",
@@ -31,7 +31,7 @@ describe("sceneSituation", () => {
       hint: "The scene steps only when it is asked to.",
       notice: null,
     });
-    // The pill says it all: nothing is to cover what the pause is for.
+    // No notice: it would cover the picture that the user paused to see.
     expect(inState(SceneState.PAUSED)).toMatchObject({ tone: "warning", text: "Paused", notice: null });
     expect(inState(SceneState.FAULTED)).toMatchObject({
       tone: "bad",
@@ -44,7 +44,7 @@ describe("sceneSituation", () => {
     expect(inState(SceneState.RUNNING, { frame: null })).toEqual({ tone: "waiting", text: "Loading", notice: null });
   });
 
-  it("is not live while what comes from the scene is refused", () => {
+  it("is not live while the scene's messages are refused", () => {
     const refused = { unshown: "frame 9: a position is not finite" };
     expect(inState(SceneState.RUNNING, refused)).toMatchObject({
       tone: "bad",
@@ -67,21 +67,21 @@ describe("sceneSituation", () => {
     expect(inState(SceneState.FAULTED, withoutFrames).notice?.detail).toBe("det F is 0");
   });
 
-  it("names what is missing", () => {
+  it("names the missing daemon or scene", () => {
     expect(sceneSituation(DAEMON, "kidney", null, SHOWN).notice?.detail).toMatch(/no scene "kidney"/);
     expect(sceneSituation({ ...DAEMON, problem: "gone" }, null, null, SHOWN).notice?.detail).toBe("gone");
   });
 });
 
 describe("linkSituation", () => {
-  it("tells a lost connection from one that never was and from a refusal", () => {
+  it("distinguishes a lost connection, one that never opened and a refusal", () => {
     const title = (link: Parameters<typeof linkSituation>[0]) => linkSituation(link)?.notice?.title;
     expect(title({ kind: "lost", everOpened: true, reason: "" })).toBe("Connection lost, trying again");
     expect(title({ kind: "lost", everOpened: false, reason: "" })).toBe("No connection, trying again");
     expect(title({ kind: "refused", reason: "" })).toBe("Not let in");
   });
 
-  it("is not live before a scene is", () => {
+  it("is not live before a scene is shown", () => {
     expect(linkSituation({ kind: "connecting" })).toBeNull();
     expect(linkSituation({ kind: "open" })).toEqual({ tone: "waiting", text: "Connected", notice: null });
   });

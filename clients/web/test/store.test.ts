@@ -18,7 +18,7 @@ describe("SceneStore", () => {
     store.setTopology(decodeTopology(topologyBytes()));
   });
 
-  it("gives the newest frame once", () => {
+  it("returns the newest frame once", () => {
     store.setFrame(frame(1n));
     store.setFrame(frame(2n));
     expect(store.takeFrame()?.sequence).toBe(2n);
@@ -26,7 +26,7 @@ describe("SceneStore", () => {
     expect(store.frame?.sequence).toBe(2n);
   });
 
-  it("counts the gap between frames that were drawn, wherever the frames between were lost", () => {
+  it("counts the gap between drawn frames, wherever the missing ones were lost", () => {
     for (const sequence of [10n, 11n, 14n]) {
       store.setFrame(frame(sequence));
       store.takeFrame();
@@ -37,7 +37,7 @@ describe("SceneStore", () => {
     expect(store.counters).toMatchObject({ drawn: 4, dropped: 3 });
   });
 
-  it("takes a sequence that falls back for a source that began anew", () => {
+  it("treats a falling sequence as a restarted source", () => {
     for (const sequence of [100n, 1n, 2n]) {
       store.setFrame(frame(sequence));
       expect(store.takeFrame()?.sequence).toBe(sequence);
@@ -80,9 +80,9 @@ describe("SceneStore", () => {
     expect(() => store.setFrame(frame(6n))).toThrow(/on show is none/);
   });
 
-  it("tells why what came last is not on show, until something is", () => {
+  it("says why the newest message is not on show, until a frame is", () => {
     store.setFrame(frame(1n));
-    store.refuse("a status that is none", "status");
+    store.refuse("not a status", "status");
     store.refuse("no stream at all", null);
     expect(store.unshown).toBeNull();
     store.refuse("frame 2 is torn", "frame");
@@ -90,7 +90,7 @@ describe("SceneStore", () => {
     store.setFrame(frame(3n));
     expect(store.unshown).toBeNull();
 
-    // The frames after it are refused too, but not for a reason of their own.
+    // The frames after it are refused only because their topology is missing.
     store.refuse("the topology is torn", "topology");
     store.refuse("frame 4 belongs to another topology", "frame");
     expect(store.unshown).toBe("the topology is torn");
@@ -99,17 +99,17 @@ describe("SceneStore", () => {
     expect(store.counters).toMatchObject({ refused: 5, lastRefusal: "frame 4 belongs to another topology" });
   });
 
-  it("forgets status and warnings of the scene before with its topology", () => {
+  it("forgets status and warnings of the previous scene with its topology", () => {
     store.setStatus(status(20n, "too fast"));
     store.setTopology(topology(30n));
     expect(store.status).toBeNull();
     expect(store.warnings.texts()).toEqual([]);
-    store.setStatus(status(29n, "too fast")); // was on its way
+    store.setStatus(status(29n, "too fast")); // still under way
     expect(store.status).toBeNull();
     expect(store.warnings.texts()).toEqual([]);
   });
 
-  it("keeps what the new scene said before its topology came", () => {
+  it("keeps the new scene's status if it precedes the topology", () => {
     store.setStatus(status(20n, "too fast"));
     store.setStatus(status(31n, "too soft"));
     store.setTopology(topology(30n));
@@ -117,7 +117,7 @@ describe("SceneStore", () => {
     expect(store.warnings.texts()).toEqual(["too soft"]);
   });
 
-  it("keeps status and warnings when a topology comes again", () => {
+  it("keeps status and warnings when the same topology comes again", () => {
     store.setStatus(status(20n, "too fast"));
     store.setStatus(status(21n)); // a warning that comes and goes stays for a while
     store.setTopology(topology(7n));
@@ -125,7 +125,7 @@ describe("SceneStore", () => {
     expect(store.warnings.texts()).toEqual(["too fast"]);
   });
 
-  it("lets a warning go by the server's clock", () => {
+  it("expires a warning by the server's clock", () => {
     const at = (ms: number, ...warnings: string[]) => store.setStatus(status(BigInt(ms) * 1_000_000n, ...warnings));
     at(1000, "too fast");
     at(1000 + STAY_MS);
@@ -134,7 +134,7 @@ describe("SceneStore", () => {
     expect(store.warnings.texts()).toEqual([]);
   });
 
-  it("has no current status once frames have gone on without it", () => {
+  it("has no current status once frames have advanced without it", () => {
     const loaded = status(1_000n);
     expect(store.currentStatus).toBeNull();
     store.setStatus(loaded);
@@ -145,11 +145,11 @@ describe("SceneStore", () => {
     at(1_001n + STATUS_HOLDS_NS);
     expect(store.currentStatus).toBeNull();
     expect(store.status).toBe(loaded);
-    at(10n); // a scene that stands still, while its statuses go on
+    at(10n); // the scene stands still, its statuses continue
     expect(store.currentStatus).toBe(loaded);
   });
 
-  it("knows a frame that came after another of its topology", () => {
+  it("knows whether a frame followed another of its topology", () => {
     const follows = [1n, 2n].map((sequence) => {
       store.setFrame(frame(sequence));
       store.takeFrame();

@@ -8,7 +8,7 @@ import { f32, frameBytes, topologyBytes } from "./messages";
 type Shown = THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial>;
 const meshesOf = (tissue: Tissue) => tissue.group.children.filter((child): child is Shown => child instanceof THREE.Mesh);
 
-it("gives each body its own vertices of every frame", () => {
+it("gives each body its vertices from every frame", () => {
   const { positions } = decodeFrame(frameBytes());
   const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
   const meshes = meshesOf(tissue);
@@ -17,14 +17,14 @@ it("gives each body its own vertices of every frame", () => {
   expect(array("position")).toEqual([[...positions.subarray(0, 12)], [...positions.subarray(12)]]);
   expect(array("normal")[1]).toEqual([0, 0, 1, 0, 0, 1, 0, 0, 1]);
 
-  // Turned: the triangle lies in the plane of x = 2 now.
+  // The triangle now lies in the plane x = 2.
   const next = new Float32Array(f32(...positions.subarray(0, 12), 2, 0, 0, 2, 1, 0, 2, 0, 1).buffer);
   tissue.update(next);
   expect(array("position")[1]).toEqual([2, 0, 0, 2, 1, 0, 2, 0, 1]);
   expect(array("normal")[1]).toEqual([1, 0, 0, 1, 0, 0, 1, 0, 0]);
 });
 
-it("paints a body in the colour that it has, else in one of its own", () => {
+it("paints a body in its colour, or in one of the palette", () => {
   const { positions } = decodeFrame(frameBytes());
   const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
   const [liver, vein] = meshesOf(tissue).map(({ material }) => material.color);

@@ -10,7 +10,7 @@ describe("Warnings", () => {
     warnings = new Warnings();
   });
 
-  it("keeps a wording for a while although its numbers change", () => {
+  it("keeps a wording for a while although the numbers change", () => {
     warnings.update([steps("0.02")], 0);
     warnings.update([steps("3.1e-02")], REWORD_MS - 1);
     expect(warnings.texts()).toEqual([steps("0.02")]);
@@ -26,7 +26,7 @@ describe("Warnings", () => {
     expect(warnings.texts()).toEqual(["other"]);
   });
 
-  it("takes digits in quoted names for part of the name", () => {
+  it("treats digits in quoted names as part of the name", () => {
     const texts = ["body 'lobe1': strain 0.5", "body 'lobe2': strain 0.5"];
     warnings.update(texts, 0);
     expect(warnings.texts()).toEqual(texts);

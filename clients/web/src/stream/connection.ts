@@ -1,9 +1,9 @@
-// The WebSocket to the gateway: opens, watches a scene, acknowledges, keeps the clock, and comes back after any loss.
+// The WebSocket to the gateway: opens, watches a scene, acknowledges, asks for the clock, and reconnects after a loss.
 import type { StreamName, ToolState } from "./decode";
 
-/** What the gateway knows of the daemon. */
+/** The gateway's view of the daemon. */
 export interface DaemonState {
-  /** Why there are no streams; empty while the daemon is there. */
+  /** Why there are no streams; empty while the gateway reaches the daemon. */
   readonly problem: string;
   readonly server: string;
   readonly version: string;
@@ -23,15 +23,15 @@ export interface ClockReply {
 export type LinkState =
   | { readonly kind: "connecting" }
   | { readonly kind: "open" }
-  /** The connection was lost, or never came about, and is tried again. */
+  /** The connection was lost or never opened. Another attempt follows. */
   | { readonly kind: "lost"; readonly everOpened: boolean; readonly reason: string }
-  /** The gateway does not let this page in; trying again would not change that. */
+  /** The gateway refuses this page. No attempt follows, because the answer would not change. */
   | { readonly kind: "refused"; readonly reason: string };
 
-/** Why a connection did not come about. */
+/** Why a connection did not open. */
 export interface Diagnosis {
   readonly reason: string;
-  /** Trying again is of no use. */
+  /** Whether another attempt would fail too. */
   readonly final: boolean;
 }
 
@@ -46,7 +46,7 @@ export interface ConnectionOptions {
   readonly url: string;
   readonly events: ConnectionEvents;
   readonly WebSocket?: typeof WebSocket;
-  /** Asked when a connection did not open. */
+  /** Called when a connection did not open; returns why. */
   readonly diagnose: () => Promise<Diagnosis>;
 }
 
@@ -71,7 +71,7 @@ export class Connection {
     this.#open();
   }
 
-  /** Asks for the streams of a scene from their beginning. Every connection begins with none. */
+  /** Asks for the streams of a scene from their start. A new connection has no streams. */
   watch(scene: string): void {
     this.#send({ type: "watch", scene });
   }
@@ -85,7 +85,7 @@ export class Connection {
     }
   }
 
-  /** A page that nobody sees acknowledges nothing, so the gateway sends nothing. */
+  /** A paused (hidden) page acknowledges nothing, so the gateway sends nothing. Resuming sends what is owed. */
   setPaused(paused: boolean): void {
     this.#paused = paused;
     if (!paused) {
@@ -96,6 +96,7 @@ export class Connection {
     }
   }
 
+  /** Sends a pose of a tool. */
   moveTool({ name, positionM, orientationWxyz }: Omit<ToolState, "forceN">): void {
     this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
   }
@@ -138,7 +139,7 @@ export class Connection {
   }
 
   #retryLater(): void {
-    // Some jitter, so that the viewers of a restarted gateway do not come back in step.
+    // Jitter, so that the viewers of a restarted gateway do not reconnect at the same moment.
     const wait = this.#retryMs * (0.8 + 0.4 * Math.random());
     this.#retryMs = Math.min(LAST_RETRY_MS, 2 * this.#retryMs);
     this.#retry = setTimeout(() => this.#open(), wait);
@@ -146,7 +147,7 @@ export class Connection {
 
   async #diagnose(): Promise<void> {
     const { reason, final } = await this.#options.diagnose();
-    // Meanwhile the next try may be under way; what comes of it is newer.
+    // The next attempt may have started meanwhile. Its result is newer.
     if (this.#socket !== null) {
       return;
     }
@@ -183,7 +184,7 @@ export class Connection {
   }
 
   #send(message: object): void {
-    // What could not be sent is of no use later: a new connection begins anew.
+    // Drop the message if the socket is not open: a new connection starts without it.
     if (this.#socket?.readyState === 1) {
       this.#socket.send(JSON.stringify(message));
     }
@@ -194,7 +195,7 @@ type TextMessage =
   | { readonly type: "daemon"; readonly state: DaemonState }
   | { readonly type: "clock"; readonly reply: ClockReply };
 
-/** null if the text is no message of the gateway. */
+/** Parses a text message of the gateway. null if it is not one. */
 export function parseText(text: string): TextMessage | null {
   let message: unknown;
   try {

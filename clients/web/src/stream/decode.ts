@@ -1,5 +1,5 @@
-// Bytes of the bus -> plain arrays that can be drawn. Everything here comes from outside, so sizes, indices and numbers
-// are checked once, at this edge; what leaves this file is safe to hand to WebGL, which checks nothing itself.
+// Decodes the bus's bytes into plain arrays to draw. The bytes come from outside, so sizes, indices and numbers are
+// checked here, once. WebGL checks nothing itself; the results of this file are safe to pass to it.
 import { fromBinary } from "@bufbuild/protobuf";
 
 import type { Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
@@ -37,7 +37,7 @@ export interface Surface {
 export interface ToolShape {
   readonly name: string;
   readonly radiusM: number;
-  /** The sphere's centre in the tool's own frame. */
+  /** Centre of the sphere in the tool's frame [m]. */
   readonly tipOffsetM: Vector;
 }
 
@@ -47,7 +47,7 @@ export interface Topology {
   readonly vertexCount: number;
   readonly bodies: readonly Surface[];
   readonly tools: readonly ToolShape[];
-  /** Unit vector against gravity; z where there is none. */
+  /** Unit vector against gravity; z without gravity. */
   readonly up: Vector;
 }
 
@@ -55,7 +55,7 @@ export interface ToolState {
   readonly name: string;
   readonly positionM: Vector;
   readonly orientationWxyz: readonly [number, number, number, number];
-  /** On the tool. */
+  /** Force on the tool. */
   readonly forceN: Vector;
 }
 
@@ -73,14 +73,14 @@ export interface Frame {
 export type Status = SceneStatus;
 export { SceneStatus_State as SceneState };
 
-/** What was wrong with a message, and where. */
+/** Says what was wrong with a message, and where. */
 export class DecodeError extends Error {}
 
 const MAX_KEY_BYTES = 512;
-/** 1e6 m is the server's own limit on lengths. */
+/** The server's limit on lengths. */
 const MAX_LENGTH_M = 1e6;
 
-/** Throws DecodeError unless `data` is `tensormass/<server>/<scene>/<stream>`, a zero byte and a payload. */
+/** Splits `tensormass/<server>/<scene>/<stream>`, a zero byte and a payload. Throws DecodeError on other data. */
 export function splitMessage(data: ArrayBuffer): BusMessage {
   const bytes = new Uint8Array(data);
   const end = bytes.subarray(0, MAX_KEY_BYTES + 1).indexOf(0);
@@ -95,7 +95,7 @@ export function splitMessage(data: ArrayBuffer): BusMessage {
   return { scene, stream: stream as StreamName, payload: bytes.subarray(end + 1) };
 }
 
-/** Throws DecodeError if a body's vertices or triangles point outside its range. */
+/** Decodes a Topology. Throws DecodeError if a body's vertices or triangles are outside its range. */
 export function decodeTopology(payload: Uint8Array): Topology {
   const message = parse("topology", () => fromBinary(TopologySchema, payload));
   let vertexCount = 0;
@@ -133,7 +133,7 @@ export function decodeTopology(payload: Uint8Array): Topology {
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
 }
 
-/** Throws DecodeError on a length that is no whole number of vertices or a number that is not finite. */
+/** Decodes a Frame. Throws DecodeError on a fraction of a vertex and on a coordinate that is not finite. */
 export function decodeFrame(payload: Uint8Array): Frame {
   const message = parse("frame", () => fromBinary(FrameSchema, payload));
   const where = `frame ${message.sequence}`;
@@ -141,7 +141,7 @@ export function decodeFrame(payload: Uint8Array): Frame {
     throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are not a multiple of 12`);
   }
   const positions = new Float32Array(aligned(message.positions));
-  // NaN and infinity times zero are NaN: one pass without a branch.
+  // NaN · 0 and infinity · 0 are NaN, so the sum shows any of them without a branch.
   let probe = 0;
   for (const coordinate of positions) {
     probe += coordinate * 0;
@@ -168,7 +168,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
   const here = `${where}, tool "${tool.tool}"`;
   const q = tool.orientation;
   const length = q ? Math.hypot(q.w, q.x, q.y, q.z) : 0;
-  // All zero means "not given": the identity.
+  // An orientation of zeros means "not given", which is the identity.
   const orientationWxyz =
     q && length > 0 && Number.isFinite(length)
       ? ([q.w / length, q.x / length, q.y / length, q.z / length] as const)
@@ -177,7 +177,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     name: tool.tool,
     positionM: vector(`${here}, position_m`, tool.positionM),
     orientationWxyz,
-    // A stiff body pushes back with meganewtons.
+    // No limit: a stiff body can push with meganewtons.
     forceN: vector(`${here}, force_n`, tool.forceN, Infinity),
   };
 }
@@ -189,7 +189,7 @@ function up(gravity: ProtoVector3 | undefined): Vector {
     : [0, 0, 1];
 }
 
-/** @param limit Infinity: only what is not finite is refused. */
+/** @param limit Largest coordinate. Infinity: refuses only values that are not finite. */
 function vector(where: string, value: ProtoVector3 | undefined, limit = MAX_LENGTH_M): Vector {
   const { x, y, z } = value ?? { x: 0, y: 0, z: 0 };
   if (!(Math.abs(x) < limit && Math.abs(y) < limit && Math.abs(z) < limit)) {
@@ -206,7 +206,7 @@ function parse<Message>(what: string, decode: () => Message): Message {
   }
 }
 
-/** A copy that starts on a word boundary, as typed arrays need; protobuf's own view need not. */
+/** Copies to a word boundary, which typed arrays need and protobuf's view does not guarantee. */
 function aligned(bytes: Uint8Array): ArrayBuffer {
   return bytes.slice().buffer;
 }

@@ -1,19 +1,19 @@
-// What is known of the scene on show: its topology, its newest frame and status, and what was lost on the way.
-// Frames that do not fit the topology are refused here, so that drawing needs no checks.
+// State of the scene on show: topology, newest frame and status, and counts of losses. Refuses frames that do not match
+// the topology, so that drawing needs no checks.
 import { DecodeError, type Frame, type Status, type StreamName, type Topology } from "./decode";
 import { Warnings } from "./warnings";
 
 export interface Counters {
   drawn: number;
-  /** Frames that the server made and this viewer never drew, wherever they were replaced by a newer one. */
+  /** Frames that the server made and this viewer never drew, wherever a newer one replaced them. */
   dropped: number;
-  /** Messages that could not be used. */
+  /** Messages that could not be decoded or did not match the topology. */
   refused: number;
-  /** What was wrong with the last of them. */
+  /** Reason for the last refusal. */
   lastRefusal: string | null;
 }
 
-/** The numbers of a status say nothing of frames that are newer than it by more [ns on the server's clock]. */
+/** A status is current for frames that are at most this much newer [ns on the server's clock]. */
 export const STATUS_HOLDS_NS = 3_000_000_000n;
 
 export class SceneStore {
@@ -22,18 +22,18 @@ export class SceneStore {
   status: Status | null = null;
   /** Why the scene's newest topology or frame is not on show; null while it is. */
   unshown: string | null = null;
-  /** Whether the frame taken last came after another of its topology. The first may be of any age: where a scene stands
-   * still, the gateway asks for it. */
+  /** Whether the last frame taken followed another of its topology. The first frame may be of any age, because the
+   * gateway requests it from a scene that stands still. */
   followsAnother = false;
   readonly warnings = new Warnings();
-  /** Rises with everything that changes which objects are drawn. */
+  /** Rises with each change of the set of objects to draw. */
   topologyRevision = 0;
   readonly counters: Counters = { drawn: 0, dropped: 0, refused: 0, lastRefusal: null };
 
   #fresh = false;
   #lastDrawnSequence: bigint | null = null;
 
-  /** Forgets the scene; the counters begin anew. */
+  /** Forgets the scene and resets the counters. */
   clear(): void {
     this.#replaceTopology(null);
     this.#forgetStatus();
@@ -46,12 +46,12 @@ export class SceneStore {
     const { status } = this;
     if (another && status !== null) {
       this.#forgetStatus();
-      // Unless it is of the scene before: each stream finds its own way here, so that of the new one may have come first.
+      // Streams may overtake each other: this status may already belong to the new scene. setStatus drops it if not.
       this.setStatus(status);
     }
   }
 
-  /** Throws DecodeError if the frame belongs to another topology than the one on show. */
+  /** Takes a frame. Throws DecodeError if it belongs to another topology than the one on show. */
   setFrame(frame: Frame): void {
     const topology = this.topology;
     if (topology?.version !== frame.topologyVersion) {
@@ -70,9 +70,9 @@ export class SceneStore {
     this.#fresh = true;
   }
 
-  /** A status of a scene before the one on show is dropped. */
+  /** Takes a status. Drops it if it is of a previous scene. */
   setStatus(status: Status): void {
-    // A topology's version is the server's time when its scene was loaded.
+    // The version of a topology is the server's time when the scene was loaded.
     if (this.topology !== null && status.serverTimeNs < this.topology.version) {
       return;
     }
@@ -80,24 +80,24 @@ export class SceneStore {
     this.warnings.update(status.warnings, Number(status.serverTimeNs) / 1e6);
   }
 
-  /** `status` while its numbers hold: null where frames have gone on without it. */
+  /** `status` while its numbers are current; null once frames have advanced without it. */
   get currentStatus(): Status | null {
     const { status, frame } = this;
     const overtaken = status !== null && frame !== null && frame.serverTimeNs - status.serverTimeNs > STATUS_HOLDS_NS;
     return overtaken ? null : status;
   }
 
-  /** @param stream That of the message; null if not even that is known. */
+  /** Counts a refused message. @param stream Stream of the message; null if unknown. */
   refuse(reason: string, stream: StreamName | null): void {
     this.counters.refused += 1;
     this.counters.lastRefusal = reason;
     if (stream === "topology" || stream === "frame") {
-      // The first reason stays: frames that are refused for want of their topology would hide what was wrong with it.
+      // Keep the first reason. Later frames are refused because their topology is missing, which would hide the cause.
       this.unshown ??= reason;
     }
   }
 
-  /** The newest frame if it was not taken yet; taking it counts it as drawn and the gap before it as dropped. */
+  /** Returns the newest frame, once. Counts it as drawn and the gap before it as dropped. */
   takeFrame(): Frame | null {
     if (!this.#fresh || this.frame === null) {
       return null;
@@ -106,7 +106,7 @@ export class SceneStore {
     const last = this.#lastDrawnSequence;
     this.followsAnother = last !== null;
     const sequence = this.frame.sequence;
-    // A sequence that falls back is a source that began anew: nothing was lost.
+    // A sequence that falls belongs to a restarted source: nothing was lost.
     if (last !== null && sequence > last) {
       this.counters.dropped += Number(sequence - last - 1n);
     }

@@ -1,9 +1,9 @@
-// The warnings of a scene's statuses as they can be read: the numbers in one change from status to status, and some
+// Makes the warnings of a scene's statuses readable. Numbers in a warning change with every status, and some warnings
 // come and go with every step.
 
-/** A warning stays for so long after the last status that held it. */
+/** How long a warning stays after the last status that held it [ms]. */
 export const STAY_MS = 5000;
-/** So long it keeps its wording. */
+/** How long a warning keeps its wording [ms]. */
 export const REWORD_MS = 2000;
 
 interface Shown {
@@ -13,10 +13,10 @@ interface Shown {
 }
 
 export class Warnings {
-  /** In the order in which they came. */
+  /** Warnings by kind, in order of arrival. */
   readonly #shown = new Map<string, Shown>();
 
-  /** Takes the warnings of a status of the time `nowMs` on the server's clock. */
+  /** Takes the warnings of a status. @param nowMs Time of the status on the server's clock. */
   update(texts: readonly string[], nowMs: number): void {
     for (const text of texts) {
       const shown = this.#shown.get(kindOf(text));
@@ -45,7 +45,7 @@ export class Warnings {
   }
 }
 
-/** The text without its numbers. A digit within a quoted name belongs to the name. */
+/** The text without its numbers. Digits in a quoted name stay. */
 function kindOf(text: string): string {
   return text
     .split("'")

@@ -1,13 +1,13 @@
-// What a view of the whole scene has to hold.
+// The box that a view of the whole scene must contain.
 import * as THREE from "three";
 
 import type { Frame, Topology } from "../stream/decode";
 import { tipOf } from "./tip";
 
-/** A tool farther off [radii of the tissue] is out of use; holding it too would make the tissue a speck. */
+/** Largest distance of a tool in use [radii of the tissue]. A farther tool would shrink the tissue to a speck. */
 const REACH = 5;
 
-/** The tissue and the spheres of the tools within reach of it [m]. */
+/** Box around the tissue and the spheres of the tools within REACH [m]. */
 export function sceneBounds(topology: Topology, frame: Frame): THREE.Box3 {
   const bounds = new THREE.Box3().setFromArray(frame.positions);
   const tissue = bounds.getBoundingSphere(new THREE.Sphere());

@@ -1,17 +1,18 @@
-// Moves tools with the pointer, where the gateway lets browsers do so: a tool's sphere follows the pointer in the plane
-// that faces the camera.
+// Moves tools with the pointer, if the gateway allows it. The sphere of a tool follows the pointer in the plane through
+// its centre that faces the camera.
 import * as THREE from "three";
 
 import type { Vector } from "../stream/decode";
 import type { Studio } from "./studio";
 
 export interface DragTarget {
-  /** The spheres that can be taken; their `name` is the tool's. What is not among them any more is let go. */
+  /** Spheres that can be dragged; `name` is the tool's name. A dragged sphere that is no longer listed is released. */
   spheres(): THREE.Object3D[];
-  /** The sphere's centre was dragged to this place [m]. */
+  /** Called for each move with the new centre of the sphere [m]. */
   onMove(tool: string, centerM: Vector): void;
 }
 
+/** Listens to the canvas from now on. There is no way to stop. */
 export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: DragTarget): void {
   const caster = new THREE.Raycaster();
   const plane = new THREE.Plane();
@@ -40,7 +41,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
         canvas.setPointerCapture(event.pointerId);
       }
     },
-    // Before the orbit controls see it.
+    // Handled before the orbit controls.
     { capture: true },
   );
   const release = () => {

@@ -1,15 +1,15 @@
-// The tools and their forces. Sizes are in metres except the arrow's, which is measured in scene radii so that it can
-// be read in every scene.
+// The tools and their forces. Sizes are in metres, except those of arrow and handle: these are in scene radii, so that
+// they are visible in every scene.
 import * as THREE from "three";
 
 import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
 import type { Quality } from "./quality";
 import { tipOf } from "./tip";
 
-/** Length of the arrow for a very large force [scene radii]; half of it is reached at HALF_FORCE_N. */
+/** Limit of the arrow's length for large forces [scene radii]. HALF_FORCE_N gives half of it. */
 const ARROW_LIMIT = 0.75;
 const HALF_FORCE_N = 1.5;
-/** Below it no arrow is drawn: there is no contact, only rounding. */
+/** Smallest force with an arrow. Below it there is no contact, only rounding. */
 const LEAST_FORCE_N = 0.005;
 const ARROW_WIDTH = 0.014;
 const HANDLE_LENGTH = 1.1;
@@ -32,12 +32,12 @@ export class Instruments {
     }
   }
 
-  /** Places the tools; returns what to write beside their arrows. */
+  /** Places the tools. Returns the labels of their arrows. */
   update(frame: Frame): ForceLabel[] {
     return frame.tools.flatMap((state) => this.#tools.get(state.name)?.update(state) ?? []);
   }
 
-  /** The tools' spheres, to be picked by a pointer; their `name` is the tool's. */
+  /** Spheres of the tools, for picking; `name` is the tool's name. */
   spheres(): THREE.Object3D[] {
     return [...this.#tools.values()].map((tool) => tool.sphere);
   }
@@ -68,14 +68,14 @@ class Instrument {
 
     const steel = new THREE.MeshStandardMaterial({
       color: "#d5dce2",
-      // Metal is what it mirrors; where there is nothing to mirror it would be black.
+      // Metal shows its environment. Without one it would be black.
       metalness: quality.level === "high" ? 1 : 0.2,
       roughness: 0.24,
     });
     this.sphere = new THREE.Mesh(new THREE.SphereGeometry(shape.radiusM, 48, 32), steel);
     this.sphere.name = shape.name;
     this.sphere.position.set(...shape.tipOffsetM);
-    // The handle is not simulated; it lies along the tool's z axis and lets the eye see how the tool is turned.
+    // The handle is not simulated. It lies along the tool's z axis and shows the tool's orientation.
     const length = HANDLE_LENGTH * sceneRadiusM;
     const thickness = 0.26 * shape.radiusM;
     const handle = new THREE.Mesh(
@@ -89,7 +89,7 @@ class Instrument {
       this.#tool.add(mesh);
     }
 
-    // Always in sight: the force matters most where tissue closes around the tool.
+    // Drawn over everything: the force matters most where tissue surrounds the tool.
     const amber = () => new THREE.MeshBasicMaterial({ color: "#ffc24a", depthTest: false, transparent: true, toneMapped: false });
     const width = ARROW_WIDTH * sceneRadiusM;
     this.#arrowShaft = new THREE.Mesh(new THREE.CylinderGeometry(width, width, 1, 20).translate(0, 0.5, 0), amber());
@@ -108,7 +108,7 @@ class Instrument {
     this.#tool.quaternion.set(x, y, z, w);
 
     const force = new THREE.Vector3(...state.forceN);
-    // The square of a force may leave the range of numbers.
+    // hypot, because the square of a large force overflows.
     const magnitudeN = Math.hypot(...state.forceN);
     this.#arrow.visible = magnitudeN >= LEAST_FORCE_N;
     if (!this.#arrow.visible) {
@@ -125,7 +125,7 @@ class Instrument {
   }
 }
 
-/** Nearly proportional for small forces, and bounded: a hard push must not leave the screen [scene radii]. */
+/** Length of the arrow [scene radii]: nearly proportional for small forces, bounded so that it stays on the screen. */
 export function arrowLength(magnitudeN: number): number {
   return ARROW_LIMIT / (1 + HALF_FORCE_N / magnitudeN);
 }

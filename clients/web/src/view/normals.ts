@@ -1,6 +1,6 @@
 /**
- * Smooth vertex normals: the sum of the adjacent triangles' normals weighted by their areas, which is what the cross
- * product is before it is normalised. Linear in triangles and without allocation, as it runs for every frame.
+ * Computes smooth vertex normals: the normalised sum of the adjacent triangles' normals, weighted by area. The cross
+ * product of two edges is this weighted normal. Runs for every frame, so it does not allocate.
  *
  * @param positions [vertex_count, 3] m
  * @param triangles [triangle_count, 3] vertex indices, counter-clockwise seen from outside

@@ -1,11 +1,11 @@
-/** How much the picture may cost. "low" is for machines that draw without a GPU: no coat, grain, shadows, mirror. */
+/** Cost of the picture. "low" is for machines without a GPU: no coat, grain, shadows or reflections. */
 export interface Quality {
   readonly level: "high" | "low";
-  /** Fewer pixels while drawing is slow. */
+  /** Whether slow drawing reduces the number of pixels. */
   readonly adaptive: boolean;
 }
 
-/** `wanted` (from the address) if it is a level, kept whatever it costs; else what the machine can do. */
+/** Uses `wanted` (from the address) if it is a level, and then does not adapt. Otherwise asks for the GPU. */
 export function chooseQuality(wanted: string | null): Quality {
   if (wanted === "high" || wanted === "low") {
     return { level: wanted, adaptive: false };

@@ -1,5 +1,5 @@
-// The room: camera, lights, floor, backdrop. Its unit is the radius of the scene and its y is up, so that nothing here
-// depends on whether a scene is a gallbladder or a beam of eight metres; `world` carries metres into it.
+// The room: camera, lights, floor, backdrop. Its unit is the radius of the scene and y points up, so it fits a
+// gallbladder and a beam of eight metres alike. `world` transforms the scene's metres into this room.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -8,12 +8,12 @@ import type { Quality } from "./quality";
 
 const FIELD_OF_VIEW_DEG = 32;
 const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.6, 1).normalize();
-/** The scene sits below the middle of the picture, so that tools and arrows above it are seen. */
+/** The view aims this far above the scene [scene radii], so that tools and arrows above it are visible. */
 const HEAD_ROOM = 0.12;
 const FLOOR_GAP = 0.12;
 
 export class Studio {
-  /** Holds what is given in metres in the scene's own frame. */
+  /** Parent of all objects in the scene's frame [m]. */
   readonly world = new THREE.Group();
   readonly camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.05, 60);
   readonly controls: OrbitControls;
@@ -53,7 +53,7 @@ export class Studio {
     this.camera.updateProjectionMatrix();
   }
 
-  /** Brings a scene of these bounds [m] to the middle of the room, `up` upwards, and the camera before it. */
+  /** Centres a scene of these bounds [m] in the room, turns `up` upwards and moves the camera in front of it. */
   frame(bounds: THREE.Box3, up: Vector): void {
     const radius = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
     const rotation = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(...up), new THREE.Vector3(0, 1, 0));
@@ -73,7 +73,7 @@ export class Studio {
     this.controls.update();
   }
 
-  /** A point of the scene [m] on the canvas [CSS pixels]; null behind the camera. */
+  /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
   project(point: Vector): { x: number; y: number } | null {
     const clip = new THREE.Vector3(...point).applyMatrix4(this.world.matrixWorld).project(this.camera);
     const { clientWidth, clientHeight } = this.#renderer.domElement;
@@ -102,7 +102,7 @@ function lights(fillIntensity: number): THREE.Object3D[] {
   return [key, rim, fill];
 }
 
-/** What the wet surface mirrors: three softboxes in a dim room. Blurring it takes seconds without a GPU. */
+/** Environment for reflections: three softboxes in a dim room. Its blur takes seconds without a GPU. */
 function softboxes(renderer: THREE.WebGLRenderer): THREE.Texture {
   const room = new THREE.Scene();
   room.add(
@@ -146,7 +146,7 @@ function backdrop(): THREE.Texture {
   return texture;
 }
 
-/** Fine lines that fade out, and the shadow. */
+/** The floor: fine lines that fade out, and a plane that receives the shadow. */
 function floor(): THREE.Object3D[] {
   const lines = new THREE.Mesh(
     new THREE.CircleGeometry(4.5, 64).rotateX(-Math.PI / 2),

@@ -1,18 +1,18 @@
-// The bodies: one mesh each, whose positions are replaced by every frame.
+// The bodies: one mesh each. Every frame replaces the positions.
 import * as THREE from "three";
 
 import type { Surface, Topology } from "../stream/decode";
 import type { Quality } from "./quality";
 import { vertexNormals } from "./normals";
 
-/** For bodies without a colour of their own: liver, kidney, gallbladder, spleen, fat. */
+/** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
 const PALETTE: readonly string[] = ["#82291f", "#a8493f", "#6f7a3c", "#6d2f45", "#c9a25a"];
 
 export class Tissue {
   readonly group = new THREE.Group();
   readonly #bodies: readonly Body[];
 
-  /** @param positions [vertex_count, 3] m of the first frame: the pattern of the surface sticks to these places. */
+  /** @param positions [vertex_count, 3] m of the first frame. The surface pattern is fixed to these material points. */
   constructor(topology: Topology, positions: Float32Array, radiusM: number, quality: Quality) {
     this.#bodies = topology.bodies
       .filter((surface) => surface.triangles.length > 0)
@@ -60,7 +60,7 @@ class Body {
     this.mesh.name = surface.name;
     this.mesh.castShadow = true;
     this.mesh.receiveShadow = true;
-    // The bounds of a deforming mesh change with every frame; finding them costs more than drawing off screen.
+    // The bounds of a deforming mesh change with every frame. Computing them costs more than drawing off screen.
     this.mesh.frustumCulled = false;
   }
 
@@ -87,7 +87,7 @@ function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {
   return attribute;
 }
 
-/** A moist capsule over soft tissue: broad highlights below, a thin sharp coat above, light scattered at the rim. */
+/** A moist capsule over soft tissue: broad highlights, a thin sharp coat above them, light scattered at the rim. */
 function tissueMaterial(color: THREE.Color): THREE.MeshPhysicalMaterial {
   const material = new THREE.MeshPhysicalMaterial({
     color,
@@ -119,7 +119,7 @@ function plainMaterial(color: THREE.Color): THREE.MeshStandardMaterial {
   return new THREE.MeshStandardMaterial({ color, vertexColors: true, roughness: 0.42 });
 }
 
-/** The fine relief of a capsule, as a bump that needs no texture coordinates (Mikkelsen's surface gradient). */
+/** Fine relief of a capsule: bump mapping without texture coordinates (Mikkelsen's surface gradient). */
 const GRAIN = `
 varying vec3 vPlace;
 
@@ -156,8 +156,8 @@ vec3 grained(vec3 normal) {
 }`;
 
 /**
- * Faint lobules as vertex colours, found once: living tissue is never of one colour, and a pattern that sticks to the
- * surface lets the eye see it slide.
+ * Computes faint lobules as vertex colours, once. Living tissue is not uniform, and a pattern fixed to the surface makes
+ * its sliding visible.
  *
  * @param places [vertex_count, 3] scene radii
  */

@@ -1,5 +1,5 @@
-// Draws what the store holds: rebuilds objects when the topology changes, moves them with every frame, and draws only
-// when something moved.
+// Draws the store's scene. Rebuilds the objects when the topology changes, moves them with every frame, and draws only
+// if something changed.
 import * as THREE from "three";
 
 import type { SceneStore } from "../stream/store";
@@ -11,15 +11,15 @@ import type { Quality } from "./quality";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
 
-/** Longer times between two pictures make them coarser, shorter ones finer [ms]. */
+/** Times between two pictures [ms]: slower than the first reduces the resolution, faster than the second raises it. */
 const SLOW_PICTURE_MS = 45;
 const FAST_PICTURE_MS = 20;
 const LEAST_PIXEL_RATIO = 0.5;
 
 export interface ViewerEvents {
-  /** A new frame is on the screen. */
+  /** Called when a new frame was drawn. */
   onDrawn(serverTimeNs: bigint): void;
-  /** The pointer drags a tool to this place [m]. */
+  /** Called while the pointer drags a tool: new centre of its sphere [m]. */
   onToolMoved(tool: string, positionM: Vector): void;
 }
 
@@ -68,7 +68,7 @@ export class Viewer {
     requestAnimationFrame(loop);
   }
 
-  /** The whole scene as it is now, seen from the front. */
+  /** Shows the whole scene from the front. */
   resetView(): void {
     const { topology, frame } = this.#store;
     if (topology !== null && frame !== null) {
@@ -77,18 +77,18 @@ export class Viewer {
     }
   }
 
-  /** Hides the tools and their forces, to see the tissue below them; or shows them again. */
+  /** Hides the tools and their forces, so that the tissue below is visible, or shows them again. */
   toggleTools(): void {
     this.#toolsShown = !this.#toolsShown;
     this.#dirty = true;
   }
 
-  /** Where a point of the scene [m] is on the canvas [CSS pixels]; null behind the camera. */
+  /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
   project(point: Vector): { x: number; y: number } | null {
     return this.#studio.project(point);
   }
 
-  /** From now on the pointer can take tools. */
+  /** Lets the pointer drag tools from now on. */
   enableDrag(): void {
     if (!this.#dragEnabled) {
       this.#dragEnabled = true;
@@ -99,7 +99,7 @@ export class Viewer {
     }
   }
 
-  /** None once the topology has changed, though the old ones stay until the next picture. */
+  /** Spheres to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
   #spheres(): THREE.Object3D[] {
     const current = this.#revision === this.#store.topologyRevision;
     return current && this.#instruments !== null ? this.#instruments.spheres() : [];
@@ -181,7 +181,10 @@ export class Viewer {
     }
   }
 
-  /** Drawing goes on after `render` returns, so only the pace of pictures drawn one after the other tells its cost. */
+  /**
+   * Adapts the resolution to the cost of a picture. The GPU draws after `render` returns, so only the interval of
+   * consecutive pictures shows that cost.
+   */
   #adapt(nowMs: number): void {
     const last = this.#lastPictureMs;
     this.#lastPictureMs = nowMs;
