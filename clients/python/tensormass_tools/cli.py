@@ -148,32 +148,34 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)
-    sub.add_argument("--name", help="instead of the scene's own")
+    sub.add_argument("--name", help="name that replaces the scene's own")
     sub.add_argument("--lockstep", action="store_true", default=None, help="step only when asked")
     sub.set_defaults(command=_load)
 
     sub = commands.add_parser("unload", parents=[server, json_option], help="end a scene")
-    sub.add_argument("name", help="of the loaded scene")
+    sub.add_argument("name", help="name of the loaded scene")
     sub.set_defaults(command=_unload)
 
     sub = commands.add_parser("list", parents=[server, json_option], help="loaded scenes")
     sub.set_defaults(command=_list)
 
     sub = commands.add_parser("status", parents=[server, json_option], help="daemon and scenes, in full")
-    sub.add_argument("name", nargs="?", help="of one scene; default: all")
+    sub.add_argument("name", nargs="?", help="name of one scene; default: all")
     sub.set_defaults(command=_status)
 
     sub = commands.add_parser(
         "report", parents=[server, json_option], help="status and state of a scene in one file, for a report"
     )
-    sub.add_argument("name", help="of the loaded scene")
+    sub.add_argument("name", help="name of the loaded scene")
     sub.add_argument("-o", "--output", type=Path, required=True, help=".npz")
     sub.set_defaults(command=_report)
 
     sub = commands.add_parser("inspect", parents=[json_option], help="check a scene and print its plan and cost")
     sub.add_argument("scene", help=_SCENE_HELP)
     sub.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    sub.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="of the daemon to start")
+    sub.add_argument(
+        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
+    )
     sub.set_defaults(command=_inspect)
 
     sub = commands.add_parser(
@@ -191,9 +193,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("input", type=Path, help=".obj, .stl, .ply, .msh, .vtk ...")
     sub.add_argument("-o", "--output", type=Path, required=True, help=".msh, .vtk, .vtu")
-    sub.add_argument("--edge", type=parse_length_m, metavar="LENGTH", help="wanted edge of the tetrahedra, as in 8mm")
+    sub.add_argument("--edge", type=parse_length_m, metavar="LENGTH", help="edge of the tetrahedra, such as 8mm")
     sub.add_argument(
-        "--unit", type=parse_length_m, default=1.0, metavar="LENGTH", help="the input's unit of length, as in 1mm"
+        "--unit", type=parse_length_m, default=1.0, metavar="LENGTH", help="the input's unit of length, such as 1mm"
     )
     sub.set_defaults(command=_mesh)
 

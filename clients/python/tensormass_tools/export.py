@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         metavar="FILE",
         help=".pb: the message Scene as protobuf bytes; .json: the message LoadSceneRequest as JSON, for grpcurl",
     )
-    parser.add_argument("--name", help="instead of the scene's own")
+    parser.add_argument("--name", help="name that replaces the scene's own")
     parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
 
 

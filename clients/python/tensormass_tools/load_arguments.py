@@ -26,10 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--transport",
         choices=("mixed", "zeromq", "zenoh"),
         default="mixed",
-        help="of haptic clients and viewers; mixed: every second one over zenoh",
+        help="transport of haptic clients and viewers; mixed: every second one uses zenoh",
     )
     parser.add_argument("--server", metavar="ADDR", help="a running daemon, host:port; without it one is started")
-    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="of the daemon to start")
+    parser.add_argument(
+        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
+    )
     parser.add_argument(
         "--stop-viewer",
         type=_seconds,

@@ -54,11 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     )
     parser.add_argument("--fields", metavar="A,B", help=f"what to write, by default all: {', '.join(FIELD_NAMES)}")
     parser.add_argument(
-        "--precision", choices=("float", "double"), help="instead of the scene's; double where it does not say"
+        "--precision",
+        choices=("float", "double"),
+        help="replaces the scene's choice; default: double if the scene has none",
     )
     parser.add_argument("--allow-unconverged", action="store_true", help="write results of steps that did not converge")
     parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="of the daemon to start")
+    parser.add_argument(
+        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
+    )
     parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
     parser.description = (
         "Computes a scene in lockstep and writes displacements, forces and stresses. A quasi-static scene makes one "

@@ -18,7 +18,7 @@ _TIMES_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _MOST = 1e6
 # Settings that are tried for each of the two files. If all leave their limit, another is unlikely to keep it.
 CANDIDATES = 3
-# Time for timing one setting [s]. Runs of the written files get _AGAIN times as long, so that slow settings are timed
+# Time for timing one setting [s]. Runs of the written files get AGAIN times as long, so that slow settings are timed
 # over enough steps.
 TIMING_S, QUICK_TIMING_S = 5.0, 0.5
 AGAIN = 4
@@ -29,10 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     # Other commands take a bare mesh, but it does not say what happens to it.
     parser.add_argument("scene", help=scene_help.replace(" a mesh file,", ""))
     parser.add_argument(
-        "--budget", type=parse_time_s, metavar="TIME", help="for the median step of the scene, as 1ms; default: its dt"
+        "--budget",
+        type=parse_time_s,
+        metavar="TIME",
+        help="limit of the median step, such as 1ms; default: the scene's dt",
     )
     parser.add_argument(
-        "--tolerance", type=parse_share, default=0.02, metavar="SHARE", help="of the error, as 2%% (default)"
+        "--tolerance", type=parse_share, default=0.02, metavar="SHARE", help="largest error; default: 2%%"
     )
     parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help="default: %(default)s")
     parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
@@ -45,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help="how deep the tool presses, against its radius; default: %(default)s",
     )
     parser.add_argument("--knobs", metavar="A,B", help="only these; default: all that the scene has")
-    parser.add_argument("--combinations", type=int, metavar="N", help=f"of several knobs; default: {COMBINATIONS}")
+    parser.add_argument(
+        "--combinations", type=int, metavar="N", help=f"settings of several knobs; default: {COMBINATIONS}"
+    )
     parser.add_argument(
         "--reference-seconds",
         type=parse_number,
@@ -74,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help="scene files to run through the same script in the end; the two that the command writes always are",
     )
     parser.add_argument(
-        "-o", "--out", type=Path, metavar="FOLDER", help="for results and report; a run goes on where it was stopped"
+        "-o", "--out", type=Path, metavar="FOLDER", help="folder of results and report; a stopped run continues from it"
     )
     parser.description = (
         "Runs a scene through a script over and over, with other meshes, laws, steps and solvers, and compares each "
