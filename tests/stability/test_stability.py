@@ -18,7 +18,7 @@ import tensormass as tm
 from accuracy.engine import Engine
 from tensormass._src import processes
 from tensormass.v1 import scene_pb2
-from tensormass_tools.trade import knobs
+from tensormass_tools.trade.small_strain import small_strain
 
 from . import cases_start, cases_steps, journal, report
 from .case import (
@@ -86,9 +86,9 @@ def test_every_law_has_a_promise_and_a_tissue() -> None:
 
 def test_every_isotropic_law_has_a_small_strain_equivalent() -> None:
     for name in LAWS:
-        found = knobs._small_strain(tissue(name, 4000, 0.3).message)
+        found = small_strain(tissue(name, 4000, 0.3).message)
         expected = None if LAWS[name].directed else (pytest.approx(4000), pytest.approx(0.3))
-        assert found == expected, f"{name}: add it to _small_strain of tensormass/trade/knobs.py"
+        assert found == expected, f"{name}: add it to small_strain of tensormass_tools/trade/small_strain.py"
 
 
 def test_promised_range_of_hooke_is_that_of_its_header() -> None:
