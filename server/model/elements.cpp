@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "core/parallel.h"
+#include "matrix/patch_elements.h"
 #include "matrix/row_elements.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
