@@ -36,9 +36,11 @@ void warn_of_loose_bodies(Model& model) {
   if (model.integrator != Integrator::kQuasiStatic) return;
   for (const BodyModel& body : model.bodies) {
     if (body.fixed_node_count > 0) continue;
-    model.warnings.push_back(fmt::format(
-        "body '{}': nothing holds it, and a quasi-static step knows no inertia; give fixed or prescribed nodes",
-        body.name));
+    model.warnings.push_back(
+        fmt::format("body '{}': no node is fixed or prescribed, and a quasi-static step has no inertia, so the "
+                    "position of the body "
+                    "is not determined; give fixed or prescribed nodes",
+                    body.name));
   }
 }
 

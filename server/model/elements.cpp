@@ -295,7 +295,7 @@ Result<void> list_elements_of_rows(Compilation& c) {
                             "split the elements around it",
                             widest, matrix::own_place(16)));
   }
-  std::vector<matrix::ElementRows> rows;  // of the first groups: their tensors are computed in each step
+  std::vector<matrix::ElementRows> rows;  // [group] only the first groups compute tensors in each step
   for (const ElementGroup& group : model.groups) {
     if (!group.is_constant) rows.push_back(rows_of(group));
   }

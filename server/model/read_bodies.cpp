@@ -43,9 +43,10 @@ Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<st
       break;
     case v1::QUADRATURE_REDUCED:
       out.quadrature = physics::Quadrature::kReduced;
-      warnings.push_back(fmt::format(
-          "{}: reduced quadrature is blind to the bending modes of an element; a mesh may move in zigzag at no cost",
-          where));
+      warnings.push_back(
+          fmt::format("{}: reduced quadrature does not see the bending modes of an element; the mesh may fold in "
+                      "zigzag without resistance",
+                      where));
       break;
     case v1::QUADRATURE_SELECTIVE:
       out.quadrature = physics::Quadrature::kSelective;
