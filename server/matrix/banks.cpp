@@ -4,6 +4,7 @@
 #include <array>
 #include <numeric>
 
+#include "core/assert.h"
 #include "view/scene.h"
 
 namespace tensormass::matrix {
@@ -12,10 +13,10 @@ namespace {
 
 constexpr std::uint32_t kBanks = 8;
 
-/// How often each bank is read.
+/// How often the eight rows of a group read each bank.
 using Load = std::array<std::int32_t, kBanks>;
 
-/// What is read `count` times goes to another bank. Returns what that changes Σ load² by.
+/// Moves `count` reads from one bank to another. Returns the change of Σ load².
 std::int32_t move(Load& load, std::uint32_t from, std::uint32_t to, std::int32_t count) {
   const std::int32_t change = 2 * count * (load[to] - load[from] + count);
   load[from] -= count;
@@ -47,7 +48,7 @@ std::vector<std::uint32_t> places_by_bank(const mesh::Rows& rows, std::uint32_t 
     for (const Reads& read : reads[column]) change += move(loads[read.group], from, to, read.count);
     return change;
   };
-  // Loads are even where the sum of their squares is least. Four rounds find all but a hundredth of what many do.
+  // Swaps pairs while that lowers Σ load², which is least when loads are even. Four rounds reach 99 % of what many do.
   constexpr int kRounds = 4;
   bool found = true;
   for (int round = 0; round < kRounds && found; ++round) {
@@ -72,10 +73,13 @@ std::vector<std::uint32_t> places_by_bank(const mesh::Rows& rows, std::uint32_t 
 
 void order_by_bank(std::span<std::uint32_t> columns, std::span<std::uint32_t> neighbour_rows,
                    std::span<const std::uint32_t> ends) {
+  TM_ASSERT(columns.size() % kSliceRows == 0 && columns.size() == neighbour_rows.size() && ends.size() == kSliceRows,
+            "a column has a slot for each row of a slice");
   const auto width = static_cast<std::uint32_t>(columns.size()) / kSliceRows;
   for (std::uint32_t first = 0; first < kSliceRows; first += kBanks) {
     for (std::uint32_t j = 0; j < width; ++j) {
-      // What is left to be placed, by bank: the fullest first, or its rows would meet at the end.
+      // load: neighbours that are not placed yet, by bank. The fullest bank is served first, or its reads would all
+      // meet in the last columns.
       std::array<std::uint32_t, kBanks> load{}, order{};
       std::iota(order.begin(), order.end(), 0);
       const auto column = [&](std::uint32_t i, std::uint32_t k) { return columns[k * kSliceRows + first + i]; };
@@ -94,7 +98,7 @@ void order_by_bank(std::span<std::uint32_t> columns, std::span<std::uint32_t> ne
         }
         return width;
       };
-      // A matching of banks and rows by augmenting paths.
+      // Matches banks to rows by augmenting paths: each row reads another bank in column j.
       constexpr std::uint32_t kFree = kBanks;
       std::array<std::uint32_t, kBanks> bank_of_row{};
       bank_of_row.fill(kFree);

@@ -6,15 +6,21 @@
 
 #include "core/scalar.h"
 
-/// A scaled matrix (solver/jacobi_scaling.h) in two thirds of its bytes, where a solve reads it from memory in every
-/// iteration and waits for little else: block floating point, and a diagonal that takes back what rounding does to
-/// motions of many rows together.
+/// The scaled matrix (solver/jacobi_scaling.h) in two thirds of its bytes.
 ///
-/// Rounded by itself, a matrix resists what it should let pass: where all cells are alike their blocks are rounded
-/// alike, a row's blocks no longer add up to its mass, and that was ten times the error that float makes of a beam's
-/// motion (docs/performance.md). So each row adds up what its blocks have lost, and its diagonal block, which is the
-/// unit matrix, is given that: neighbours that move together then find the row as it was. What is left is less than
-/// float's own (tests/gpu/agreement_test.cpp).
+/// Why: a solve that streams the matrix from memory is as fast as its reads. Blocks off the diagonal are stored as
+/// block floating point: nine integers and a common exponent.
+///
+/// Rounding blocks independently breaks the row sums, so rigid motion becomes stiff. In a mesh of equal cells all
+/// blocks are rounded alike, and a beam's motion had ten times the error of float (docs/performance.md). Each row
+/// therefore adds the rounding errors of its blocks to its diagonal block, which scaling has made the unit matrix:
+///
+///   Â_ii = I + Σ_j lost(Â_ij)        neighbours that move together then feel the exact row
+///
+/// The error that remains is below that of float (tests/gpu/agreement_test.cpp).
+///
+///   Â     the scaled matrix; its diagonal blocks are I, and no entry exceeds 1 if it is positive definite
+///   lost  a block minus its packed value
 namespace tensormass::matrix {
 
 namespace detail {
@@ -30,26 +36,28 @@ inline float float_of(std::uint32_t bits) { return std::bit_cast<float>(bits); }
 TM_HOST_DEVICE inline float power_of_two(int exponent) {
   return float_of(static_cast<std::uint32_t>(127 + exponent) << 23);
 }
-/// The largest n for which 2ⁿ is not above x; far below zero for zero.
+/// Returns the largest n with 2ⁿ ≤ x for x > 0; -127 for zero.
 TM_HOST_DEVICE inline int exponent_of(float x) { return static_cast<int>(bits_of(x) >> 23) - 127; }
-/// The whole number next to x in [−most − 1, most], in two's complement.
+/// Returns the integer nearest to x, clamped to [−most − 1, most], in two's complement.
 TM_HOST_DEVICE inline std::uint32_t rounded(float x, std::int32_t most) {
-  constexpr float kShift = 1.5f * (1 << 23);  // adding it leaves whole numbers, in the low bits
+  constexpr float kShift = 1.5f * (1 << 23);  // adding it rounds to an integer, which is then in the low bits
   const float within = minimum(maximum(x, static_cast<float>(-most - 1)), static_cast<float>(most));
   return bits_of(within + kShift) - bits_of(kShift);
 }
 
 }  // namespace detail
 
-/// A block off the diagonal in 24 bytes for 36: nine numbers of 21 bits and an exponent of three. The numbers are
-/// multiples of 2⁻²⁰ R, where R is a power of two from 2⁻⁶ to 2 and above the largest of them.
+/// A block off the diagonal in 24 bytes instead of 36: nine integers of 21 bits and an exponent of 3 bits. An entry is
+/// an integer times 2⁻²⁰ R. R is a power of two between 2⁻⁶ and 2, above the largest entry.
 ///
-/// Of a positive definite matrix with unit diagonal blocks no number is beyond 1. What is beyond 2 becomes ±2, which
-/// leaves the matrix indefinite, as it was. What is no number becomes one: the row's diagonal block, which sums up the
-/// others, is none either, and with it the right-hand side that the solve begins with.
+/// Entries beyond ±2 become ±2. Only an indefinite matrix has such entries, and it stays indefinite. NaN packs to a
+/// finite value, but the row's diagonal block sums up all blocks and is then NaN. So is the right-hand side, and the
+/// solve still reports it.
 struct PackedBlock {
-  /// By pairs, low word first: 21 bits of the first number, the lower 11 of the third; the upper 10 of the third, a bit
-  /// of the exponent, 21 bits of the second.
+  /// Three pairs of words, one for each row (a, b, c) of the block. The bits of a pair, lowest first:
+  ///
+  ///   low word    21 bits of a, lower 11 bits of c
+  ///   high word   upper 10 bits of c, 1 bit of the exponent, 21 bits of b
   std::uint32_t words[6];
 
   /// block: row by row.
@@ -73,11 +81,11 @@ struct PackedBlock {
     return packed;
   }
 
-  /// The words of each pair of a block of zeros.
+  /// Each pair of words of a zero block.
   static constexpr std::uint32_t kZeroWords[2] = {1u << 20, 1u << 9 | 1u << 31};
 
-  /// block: row by row. In few instructions, as this is done in every iteration: a field becomes the low bits of a
-  /// float of the right exponent, from which the one is taken that stands for zero.
+  /// block: row by row. Takes few instructions, because every iteration unpacks every block: an integer becomes the low
+  /// bits of a float with the right exponent. Subtracting the float that stands for zero leaves the entry.
   TM_HOST_DEVICE void unpack(float* block) const {
     const std::uint32_t halvings = (words[1] >> 10 & 1) | (words[3] >> 9 & 2) | (words[5] >> 8 & 4);
     const std::uint32_t exponent = (127 + 3 + 1 - halvings) << 23;
@@ -95,7 +103,7 @@ struct PackedBlock {
   static constexpr int kMostHalvings = 7;
 };
 
-/// Symmetric 3×3: its upper triangle, xx xy xz yy yz zz.
+/// The upper triangle of a symmetric 3×3 matrix.
 struct UpperTriangle {
   float xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;
 
@@ -112,14 +120,14 @@ struct UpperTriangle {
   }
 };
 
-/// What a block has lost when it was packed: its symmetric part, which is that of the transposed block, too.
+/// Returns the symmetric part of the error that packing made. It is the same for a block and its transpose.
 TM_HOST_DEVICE inline UpperTriangle lost(const float* block, const float* unpacked) {
   const auto of = [&](int a, int b) { return ((block[a] - unpacked[a]) + (block[b] - unpacked[b])) / 2; };
   return {of(0, 0), of(1, 3), of(2, 6), of(4, 4), of(5, 7), of(8, 8)};
 }
 
-/// The sum of what a row's blocks have lost, in 8 bytes: six numbers of ten bits and an exponent of four. They are
-/// multiples of a power of two from 2⁻⁴⁰ to 2⁻²⁵, up to 2⁻¹⁶: blocks whose numbers are not beyond 1 lose no more.
+/// The sum of the errors of a row's blocks in 8 bytes: six integers of 10 bits and an exponent of 4 bits. The integers
+/// count a power of two from 2⁻⁴⁰ to 2⁻²⁵. Sums reach 2⁻¹⁶, which is enough for blocks with entries up to 1.
 struct PackedDiagonal {
   std::uint32_t words[2];
 

@@ -5,13 +5,15 @@
 #include <limits>
 #include <numeric>
 
+#include "core/assert.h"
+
 namespace tensormass::matrix {
 
 namespace {
 
 using Local = std::array<std::uint16_t, 4>;
 
-/// Those that leave a volume its sign.
+/// The permutations of four nodes that keep the sign of the volume.
 constexpr std::array<std::array<std::uint8_t, 4>, 12> kEvenPermutations{{{0, 1, 2, 3},
                                                                          {0, 2, 3, 1},
                                                                          {0, 3, 1, 2},
@@ -27,10 +29,10 @@ constexpr std::array<std::array<std::uint8_t, 4>, 12> kEvenPermutations{{{0, 1, 
 
 constexpr std::size_t kBanks = 8;
 
-/// Rows that some threads read at once, by bank.
+/// The rows that threads read together, by bank (matrix/banks.h).
 class Reads {
  public:
-  /// How many others a row would wait for; none if it is read already.
+  /// Returns how many other rows of its bank a row would wait for; 0 if it is read already.
   unsigned meetings(std::uint16_t row) const {
     const Bank& bank = banks_[row % kBanks];
     for (unsigned i = 0; i < bank.count; ++i) {
@@ -51,19 +53,20 @@ class Reads {
   std::array<Bank, kBanks> banks_;
 };
 
-/// Orders tetrahedra that threads side by side look at, and the nodes of each, so that the eight that read at once
-/// seldom meet at a bank (matrix/banks.h): of some that come next the one, in the permutation, that meets fewest.
+/// Orders tetrahedra and the nodes of each, so that eight threads that read together have few bank conflicts.
+///
+/// Greedy: tries the next kCandidates tetrahedra in all even permutations, and takes the one with the fewest conflicts.
 void spread_over_banks(std::span<Local> tetrahedra) {
   constexpr std::size_t kCandidates = 2;
   for (std::size_t first = 0; first < tetrahedra.size(); first += kBanks) {
-    std::array<Reads, 4> reads;  // of each node
+    std::array<Reads, 4> reads;  // [k] what eight threads read as their k-th node
     const std::size_t last = std::min(first + kBanks, tetrahedra.size());
     for (std::size_t place = first; place < last; ++place) {
       unsigned fewest = std::numeric_limits<unsigned>::max();
       std::size_t chosen = place;
       const std::array<std::uint8_t, 4>* best = nullptr;
       for (std::size_t t = place; t < std::min(place + kCandidates, tetrahedra.size()) && fewest > 0; ++t) {
-        unsigned meetings[4][4];  // [node][place among the four]
+        unsigned meetings[4][4];  // [node][k] if it came k-th
         for (std::size_t node = 0; node < 4; ++node) {
           for (std::size_t k = 0; k < 4; ++k) meetings[node][k] = reads[k].meetings(tetrahedra[t][node]);
         }
@@ -89,11 +92,13 @@ void spread_over_banks(std::span<Local> tetrahedra) {
 }  // namespace
 
 PatchTetrahedra share_out_tetrahedra(const Layout& layout, std::span<const ElementRows> groups) {
+  TM_ASSERT(layout.largest_patch() <= 1u << 16, "local numbers of a patch fit into 16 bits");
   const std::vector<std::uint32_t> patch_of_slice = layout.patch_of_slice();
   std::vector<std::array<std::uint32_t, 4>> tetrahedra;
-  std::vector<std::uint32_t> part_of;  // [tetrahedron] 2 patch + 1 if it has rows of the halo
+  std::vector<std::uint32_t> part_of;  // [tetrahedron] 2 · patch, + 1 if it has rows of the halo
   std::vector<std::uint32_t> of_patch(layout.patch_count, 0), of_part(2 * layout.patch_count, 0);
   for (const ElementRows& group : groups) {
+    TM_ASSERT(group.node_count == 4, "the elements are linear tetrahedra");
     for (std::uint32_t e = 0; e < group.element_count; ++e) {
       auto& rows = tetrahedra.emplace_back();
       std::uint32_t fewest = patch_of_slice[group.rows[e] / kSliceRows];

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
+#include "core/assert.h"
 #include "core/parallel.h"
 #include "matrix/row_elements.h"
 
@@ -10,7 +11,7 @@ namespace tensormass::matrix {
 
 namespace {
 
-/// The elements of a group at each row, ascending: 16 times the element and the node that the row is.
+/// The elements of a group at each row, ascending. An item is 16 · element + index of the node that the row is.
 struct Incidence {
   std::vector<std::uint32_t> begin;
   std::vector<std::uint64_t> items;
@@ -35,6 +36,7 @@ Incidence incidence_of(const ElementRows& group, std::uint32_t row_count) {
   return out;
 }
 
+/// Returns the length of the longest list of a slice.
 std::uint32_t length_of(const Incidence& incidence, std::uint32_t slice) {
   std::uint32_t longest = 0;
   for (std::uint32_t row = slice * kSliceRows; row < (slice + 1) * kSliceRows; ++row) {
@@ -43,7 +45,7 @@ std::uint32_t length_of(const Incidence& incidence, std::uint32_t slice) {
   return longest;
 }
 
-/// Writes the lists of a slice, whose columns begin at `column`.
+/// Writes the lists of a slice. Its list columns start at `column`.
 void fill_slice(const Layout& layout, const ElementRows& group, const Incidence& incidence, std::uint32_t slice,
                 std::uint32_t column, RowLists& out) {
   const std::uint32_t words = place_words(group.node_count, out.place_bits), in_word = 32 / out.place_bits;
@@ -74,7 +76,10 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
   GroupRowLists out;
   std::vector<std::uint32_t> last_group(slice_count, kNone);
   std::vector<Incidence> incidences;
+  TM_ASSERT(layout.widest_slice() < own_place(16), "16 bits tell all columns of a slice from the row itself");
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
+    TM_ASSERT(groups[g].node_count <= 16, "an item of Incidence has 4 bits for the node");
+    TM_ASSERT(groups[g].rows.size() == std::size_t{groups[g].node_count} * groups[g].stride, "rows: [node][stride]");
     incidences.push_back(incidence_of(groups[g], layout.row_count));
     for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
       if (length_of(incidences[g], slice) > 0) last_group[slice] = g;
@@ -85,7 +90,7 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
     RowLists& lists = out.groups.emplace_back();
     lists.place_bits = layout.widest_slice() < own_place(8) ? 8 : 16;
-    std::vector<std::pair<std::uint32_t, std::uint32_t>> by_length;  // and the slice
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> by_length;  // length, slice
     for (std::uint32_t slice = 0; slice < slice_count; ++slice) {
       if (const std::uint32_t length = length_of(incidences[g], slice)) by_length.emplace_back(length, slice);
     }

@@ -5,16 +5,29 @@
 #include <numeric>
 #include <vector>
 
+#include "core/assert.h"
 #include "matrix/layout.h"
 #include "mesh/mesh.h"
 
+/// Orders one tile in three steps (tiles.h says what for):
+///
+///   share_pairs   decides which row of each pair reads it: the row that reads less. even_out then moves pairs along
+///                 paths of rows, so that no row makes its slice wider than it must be. spread_pairs limits how many
+///                 rows of a slice add to one partner row.
+///   EdgeColours   colours the pairs of a slice, a graph between its 32 lanes and the tile's rows: the colour of a pair
+///                 is its column. Pairs of one colour share neither lane nor partner row.
+///   order_row     puts pairs into the columns of their colours, outer neighbours into the gaps, mirrored ones behind.
+///
+/// Row numbers in this file are local to the tile, and slots to the tile's part of the layout.
 namespace tensormass::matrix {
 
 namespace {
 
-/// Colours the edges of a bipartite graph so that no two of a colour meet, with as many colours as the largest degree
-/// (König). Each edge gets a colour that is free at both ends; where there is none, two colours are exchanged along the
-/// path that is in the way.
+/// Colours the edges of a bipartite graph so that edges of one colour share no node. By König's theorem the largest
+/// degree is enough colours.
+///
+/// An edge takes a colour a that is free at its left end and a colour b that is free at its right end. If a is not b,
+/// the path of alternating colours a, b, a, .. from the right end swaps its two colours. Then a is free at both ends.
 class EdgeColours {
  public:
   static constexpr std::uint32_t kFree = 0xFFFFFFFFu;
@@ -26,7 +39,8 @@ class EdgeColours {
 
   void add(std::uint32_t left, std::uint32_t right) {
     const std::uint32_t a = free_at(right_of_, left), b = free_at(left_of_, right);
-    // The path from `right` in colours a, b, a, ..; it cannot come to `left`, where a is free.
+    TM_ASSERT(a < colours_ && b < colours_, "there are as many colours as the largest degree");
+    // The path cannot reach `left`: it arrives on the left by colour a, which is free there.
     path_.clear();
     for (std::uint32_t at = right; left_of(at, a) != kFree;) {
       const std::uint32_t next = left_of(at, a), beyond = right_of(next, b);
@@ -43,7 +57,7 @@ class EdgeColours {
     for (const Edge& edge : path_) set(edge);
     set({left, right, a});
   }
-  /// The other end of the edge of a colour; kFree if there is none.
+  /// Returns the right end of the edge of this colour at `left`; kFree if there is no such edge.
   std::uint32_t right_of(std::uint32_t left, std::uint32_t colour) const {
     return right_of_[std::size_t{left} * colours_ + colour];
   }
@@ -72,6 +86,7 @@ class EdgeColours {
   std::vector<Edge> path_;
 };
 
+/// The order of one tile. The constructor decides who reads which pair; write() orders the slots.
 class TileOrder {
  public:
   explicit TileOrder(const TileSlots& tile)
@@ -96,9 +111,12 @@ class TileOrder {
   }
 
  private:
-  /// What a slot is to its row: of a row outside of the tile, of a pair that the row reads, or of one that the other
-  /// row reads.
-  enum class Kind : std::uint8_t { kPadding, kOuter, kRead, kMirrored };
+  enum class Kind : std::uint8_t {
+    kPadding,
+    kOuter,     // the neighbour is outside of the tile
+    kRead,      // a pair that this row reads
+    kMirrored,  // a pair that the partner row reads
+  };
 
   std::uint32_t slot(std::uint32_t row, std::uint32_t j) const {
     return (begins_[row / kSliceRows] + j) * kSliceRows + row % kSliceRows;
@@ -115,7 +133,7 @@ class TileOrder {
       for (std::uint32_t j = 0; j < width(row); ++j) visit(row, slot(row, j));
     }
   }
-  /// The tile's row behind a slot that is neither padding nor outer.
+  /// Returns the neighbour of a slot as a row of the tile; rows_ or more (it wraps) if it is outside of the tile.
   std::uint32_t other(std::uint32_t slot) const { return tile_.columns[slot] - tile_.first_row; }
   std::uint32_t slot_of(std::uint32_t row, std::uint32_t other_row) const {
     for (std::uint32_t j = 0; j < width(row); ++j) {
@@ -125,6 +143,7 @@ class TileOrder {
     return kNoPlace;
   }
 
+  /// Finds the kind of each slot: all pairs are mirrored at first. Counts the outer neighbours of each row.
   void sort_out() {
     kinds_.resize(tile_.columns.size(), Kind::kPadding);
     for_each_slot(0, rows_, [&](std::uint32_t row, std::uint32_t at) {
@@ -135,7 +154,7 @@ class TileOrder {
     });
   }
 
-  /// Decides which row of each pair reads it: the one that reads less.
+  /// Lets that row of each pair read it which reads less so far. Ties alternate.
   void share_pairs() {
     for_each_slot(0, rows_, [&](std::uint32_t row, std::uint32_t at) {
       if (kinds_[at] != Kind::kMirrored || other(at) < row) return;
@@ -148,8 +167,8 @@ class TileOrder {
     spread_pairs();
   }
 
-  /// As many columns as each slice will read at least: those of the row with the most outer neighbours, or what makes
-  /// room for all pairs.
+  /// Returns for each slice the fewest columns that it can read. They hold the outer neighbours of each row, and in
+  /// total there is room for all pairs.
   std::vector<std::uint32_t> least_columns() const {
     std::vector<std::uint32_t> outer(tile_.widths.size(), 0);
     std::vector<std::uint32_t> count(rows_, 0);
@@ -168,10 +187,11 @@ class TileOrder {
     }
   }
 
-  /// Hands pairs over along paths of rows, from rows that would make their slice wider to rows that have room.
+  /// Moves pairs from rows that read more than least_columns() to rows with room. A breadth-first search finds a path
+  /// of rows. Each row of the path hands one pair over to the next.
   void even_out() {
     const std::vector<std::uint32_t> columns = least_columns();
-    std::vector<std::uint32_t> queue, through(rows_);  // the slot by which a row was found
+    std::vector<std::uint32_t> queue, through(rows_);  // through: the slot by which the search found a row
     for (std::uint32_t row = 0; row < rows_; ++row) {
       bool found = true;
       while (read_[row] > columns[row / kSliceRows] && found) {
@@ -197,8 +217,9 @@ class TileOrder {
     }
   }
 
-  /// Leaves no row to be added to by more rows of a slice than that has columns: the row reads the rest of those pairs
-  /// itself. Its slice is wider than that of the others, so that the same cannot happen the other way round.
+  /// Limits how many rows of a slice add to one partner row to the width of the slice: the colours need no more columns
+  /// than exist. The partner row reads the remaining pairs itself. That cannot break the limit of its own slice, which
+  /// is wider.
   void spread_pairs() {
     for (std::uint32_t first = 0; first < rows_; first += kSliceRows) {
       std::vector<std::uint32_t> meeting(rows_, 0);
@@ -207,7 +228,7 @@ class TileOrder {
       });
     }
   }
-  /// The pair of a slot, which the row reads, to the other row.
+  /// Lets the partner row read the pair of a slot that `row` has read so far.
   void hand_over(std::uint32_t row, std::uint32_t at) {
     kinds_[slot_of(other(at), row)] = Kind::kRead;
     kinds_[at] = Kind::kMirrored;
@@ -215,9 +236,10 @@ class TileOrder {
     --read_[row];
   }
 
+  /// Orders the rows of a slice. Returns its number of read columns.
   std::uint32_t order_slice(std::uint32_t slice, std::span<std::uint32_t> used_twice) {
     const std::uint32_t first = slice * kSliceRows, last = first + kSliceRows;
-    // As many columns as the longest row reads, and as pairs meet in one other row.
+    // Enough for the row that reads most, and for the partner row in which most pairs of the slice meet.
     std::uint32_t columns = 0;
     std::vector<std::uint32_t> meeting(rows_, 0);
     for_each_slot(first, last, [&](std::uint32_t row, std::uint32_t at) {
@@ -232,6 +254,7 @@ class TileOrder {
     return columns;
   }
 
+  /// Orders the slots of one row: the first `columns` are read.
   void order_row(std::uint32_t row, std::uint32_t columns, const EdgeColours& colours,
                  std::span<std::uint32_t> used_twice) {
     struct Item {
@@ -255,8 +278,8 @@ class TileOrder {
       put(colour, item, Kind::kRead);
       used_twice[colour] |= 1u << lane;
     }
-    // Outer rows fill gaps. Where the rest of the row has no room for all mirrored ones, those fill gaps, too, and both
-    // rows read the pair.
+    // Outer neighbours fill the gaps between the pairs. If the mirrored ones do not all fit behind, the surplus fills
+    // gaps as well. Both rows then read such a pair, and neither block serves the other row.
     std::uint32_t free = columns;
     const std::uint32_t room = wide - columns;
     for (std::uint32_t j = 0; j < columns; ++j) {
@@ -270,6 +293,7 @@ class TileOrder {
         mirrored.pop_back();
       }
     }
+    TM_ASSERT(outer.empty() && mirrored.size() <= room, "a row has a column for each of its neighbours");
     for (const Item& item : mirrored) put(free++, item, Kind::kMirrored);
     for (std::uint32_t j = 0; j < wide; ++j) {
       const std::uint32_t at = slot(row, j);
@@ -281,8 +305,8 @@ class TileOrder {
 
   const TileSlots& tile_;
   const std::uint32_t rows_;
-  std::vector<std::uint32_t> begins_;  // [slice + 1] of the slices, in columns
-  std::vector<std::uint32_t> read_;    // [row] slots that the row reads
+  std::vector<std::uint32_t> begins_;  // [slice + 1] first column of each slice
+  std::vector<std::uint32_t> read_;    // [row] slots that the row reads: outer neighbours and pairs
   std::vector<Kind> kinds_;            // [slot]
   std::vector<std::pair<std::uint32_t, std::uint32_t>> read_by_both_;
 };
@@ -290,12 +314,17 @@ class TileOrder {
 }  // namespace
 
 std::uint32_t rows_of_tiles(std::uint32_t most_rows) {
+  TM_ASSERT(most_rows > 0, "the largest patch has rows");
   const std::uint32_t rounds = (most_rows - 1) / (kTilesAtOnce * kMostTileRows) + 1;
   const std::uint32_t tiles = rounds * kTilesAtOnce;
   return ((most_rows - 1) / tiles / kSliceRows + 1) * kSliceRows;
 }
 
 void order_tile(const TileSlots& tile, std::span<std::uint32_t> read_widths, std::span<std::uint32_t> used_twice) {
+  TM_ASSERT(tile.columns.size() % kSliceRows == 0 && tile.columns.size() == tile.neighbour_rows.size(),
+            "a column has a slot for each row of a slice");
+  TM_ASSERT(read_widths.size() == tile.widths.size() && kSliceRows * used_twice.size() == tile.columns.size(),
+            "each slice has a width to read, each column a word of bits");
   TileOrder(tile).write(read_widths, used_twice);
 }
 

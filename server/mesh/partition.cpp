@@ -1,10 +1,11 @@
 #include "mesh/partition.h"
 
 #include <algorithm>
-#include <cassert>
 #include <numeric>
 
 #include <Eigen/Geometry>
+
+#include "core/assert.h"
 
 /// Recursive coordinate bisection in two stages.
 ///
@@ -76,7 +77,7 @@ void order_patches(std::span<Item> items, std::span<const std::uint32_t> offsets
 }  // namespace
 
 Partition partition(const Mesh& mesh, std::uint32_t patch_count, std::uint32_t leaf_size) {
-  assert(patch_count >= 1 && leaf_size >= 1);
+  TM_ASSERT(patch_count >= 1 && leaf_size >= 1, "a partition has patches, and leaves have nodes");
   std::vector<Item> items = items_of(mesh.nodes);
   Partition result;
   result.offsets.resize(patch_count + std::size_t{1});
@@ -89,7 +90,7 @@ Partition partition(const Mesh& mesh, std::uint32_t patch_count, std::uint32_t l
 }
 
 std::vector<std::uint32_t> bisection_order(std::span<const Eigen::Vector3d> points, std::uint32_t leaf_size) {
-  assert(leaf_size >= 1);
+  TM_ASSERT(leaf_size >= 1, "leaves have points");
   std::vector<Item> items = items_of(points);
   order_leaves(items, leaf_size);
   return indices_of(items);

@@ -1,12 +1,12 @@
 #pragma once
 
 #include <array>
-#include <cassert>
 #include <cstdint>
 #include <span>
 #include <string_view>
 #include <vector>
 
+#include "core/assert.h"
 #include "mesh/mesh.h"
 
 /// The topology of every element shape. A new shape is one entry in kShapes; the rest of server/mesh reads that table
@@ -206,7 +206,7 @@ void for_each_element(const Mesh& mesh, Visitor&& visit) {
   std::uint32_t element = 0;
   for (const ElementBlock& block : mesh.blocks) {
     const Topology& shape = topology(block.shape);
-    assert(block.nodes.size() % shape.node_count == 0);
+    TM_ASSERT(block.nodes.size() % shape.node_count == 0, "a block lists all nodes of each of its elements");
     const std::uint32_t* nodes = block.nodes.data();
     for (std::uint32_t i = 0; i < element_count(block); ++i, nodes += shape.node_count, ++element) {
       visit(element, shape, std::span<const std::uint32_t>(nodes, shape.node_count));

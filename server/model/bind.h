@@ -1,22 +1,36 @@
 #pragma once
 
 #include <algorithm>
+#include <cstdint>
+#include <iterator>
 #include <string_view>
 
+#include "core/assert.h"
 #include "core/parallel.h"
 #include "model/model.h"
 #include "physics/lists.h"
 
-/// The one place that says which buffers a model needs. The same function fills a view in host memory, in device
-/// memory, or, with an arena that only counts, lists the buffers for the plan.
+/// Allocates the buffers of a model and makes the views that stages read (view/scene.h).
 ///
-/// An Arena has
-///   const T* constant<T>(name, const std::vector<U>&)  a copy, converted by static_cast; nullptr for an empty vector
-///   T* zeros<T>(name, count)                           zeroed memory; nullptr for no items
-///   const T* generated<T>(name, count, fill)           what fill(T*) writes over zeros; nullptr for no items
+/// Why templates: one function serves three arenas, so host memory, device memory and the plan of `tensormass inspect`
+/// cannot disagree about buffers.
+///
+///                    +--> backend::cpu::Arena   host memory          SceneView: the scene
+///   Model --bind()--+--> DeviceArena           device memory   -->  ElementView: one for each group
+///                    +--> CountingArena         names and bytes      StepExchange: input and output of a step
+///
+/// An Arena has three functions. Each returns nullptr for no items; CountingArena always does.
+///
+///   const T* constant<T>(name, const std::vector<U>& items)   returns a copy, converted to T by static_cast
+///   T* zeros<T>(name, count)                                  returns `count` zeros
+///   const T* generated<T>(name, count, fill)                  returns zeros over which fill(T*) has written once
+///
+/// A buffer that the scene does not need has no items, and its pointer is null. Lengths follow from
+///   rows   rows of the layout, with gap rows       local  rows + all halos: vectors that are stored patch by patch
+///   4      reals of a vector: three, and padding
 namespace tensormass::model {
 
-/// What a step is told and what it reports. A device may have it elsewhere than its other buffers.
+/// The input of a step and its reports. A device may keep them apart from its other buffers, to copy them at once.
 template <class Real>
 struct StepExchange {
   const view::StepControl<Real>* control;
@@ -46,6 +60,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   return e;
 }
 
+/// Allocates the buffers of a scene, except those of its groups and of the exchange.
 template <class Real, class Arena>
 view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real>& exchange) {
   using std::uint32_t;
@@ -54,6 +69,9 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   const std::size_t local = rows + layout.halo.size();
   const std::size_t triangles = m.contact.triangle_count();
   const auto only_if = [](bool needed, std::size_t count) { return needed ? count : 0; };
+  TM_ASSERT(layout.patch_rows.size() == patches + 1 && layout.patch_halo.size() == patches + 1,
+            "each patch has rows and a halo");
+  TM_ASSERT(rows % view::kSliceRows == 0 && m.rest.size() == 4 * rows, "a row field has a vector for each row");
   view::SceneView<Real> s{};
   s.patches.row_count = layout.row_count;
   s.patches.patch_count = layout.patch_count;
@@ -159,13 +177,20 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   return s;
 }
 
-/// All of it from one arena.
+/// Allocates the exchange and the other buffers of a scene from one arena.
 template <class Real, class Arena>
 view::SceneView<Real> bind(const Model& m, Arena& arena) {
   return bind<Real>(m, arena, make_exchange<Real>(m, arena));
 }
 
-/// Rest shapes and parameters of a group, element by element (view::record_reals).
+/// Returns whether four reals can be read at once from here on; true for nullptr.
+template <class Real>
+bool is_aligned(const Real* reals) {
+  return reinterpret_cast<std::uintptr_t>(reals) % (4 * sizeof(float)) == 0;
+}
+
+/// Writes the records of a group (view/elements.h): rest shapes and parameters, element by element.
+/// to: [stride][record_reals], zeros
 template <class Real>
 void write_records(const ElementGroup& group, Real* to) {
   const std::size_t stride = group.stride, parameters = group.parameters.size() / stride;
@@ -187,8 +212,10 @@ void write_records(const ElementGroup& group, Real* to) {
   });
 }
 
+/// Allocates the buffers of one group.
 template <class Real, class Arena>
 view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& arena) {
+  TM_ASSERT(group_index < m.groups.size(), "the model has the group");
   const ElementGroup& group = m.groups[group_index];
   view::ElementView<Real> e{};
   e.count = group.stride;
@@ -197,7 +224,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
   e.rows = arena.template constant<std::uint32_t>("element rows", group.rows);
   physics::for_each_type(physics::Shapes{}, [&](auto shape, int index) {
     using Shape = typename decltype(shape)::Type;
-    // One point of several nodes' mean gradients is no point of the reference shape.
+    // A single point with mean gradients does not exist in the reference shape.
     const bool is_mean = group.point_count == 1 && !Shape::kSinglePoint;
     if (index != group.shape || !group.checks_volume || group.solve_checks_volume || is_mean) return;
     const std::vector<double> gradients = physics::reference_gradients<Shape>();
@@ -214,6 +241,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     const bool decomposes = physics::decomposes(group.law) && !group.is_constant;
     e.decompositions = arena.template zeros<Real>(
         "decompositions", decomposes ? std::size_t{e.count} * e.point_count * view::kDecompositionReals : 0);
+    TM_ASSERT(is_aligned(e.records) && is_aligned(e.decompositions), "four reals of a record are read at once");
     const matrix::RowLists& lists = group.row_lists;
     e.slice_count = static_cast<std::uint32_t>(lists.slices.size());
     e.slices = arena.template constant<view::ListedSlice>("slices of elements", lists.slices);
@@ -222,6 +250,7 @@ view::ElementView<Real> bind(const Model& m, std::size_t group_index, Arena& are
     e.places = arena.template constant<std::uint32_t>("places of elements", lists.places);
   }
   e.moduli_weights = arena.template constant<view::ModuliWeights<Real>>("selective integration", group.shares);
+  TM_ASSERT(group.prony.size() <= std::size(e.prony), "the view has room for the Prony terms");
   e.prony_count = static_cast<std::uint32_t>(group.prony.size());
   for (std::size_t i = 0; i < group.prony.size(); ++i) {
     e.prony[i] = {static_cast<Real>(group.prony[i].share), static_cast<Real>(group.prony[i].relaxation_time_s)};

@@ -11,8 +11,8 @@
 #include "model/scene_input.h"
 #include "physics/element/face.h"
 
-/// What holds a body, what acts on it and how it starts: fixed and prescribed nodes, forces, tractions, pressures,
-/// gravity, initial displacements and velocities.
+/// Reads boundary conditions, loads and the initial state of each body: fixed and prescribed nodes, forces, tractions,
+/// pressures, gravity, initial displacements and velocities.
 namespace tensormass::model {
 
 namespace {
@@ -20,14 +20,16 @@ namespace {
 constexpr std::uint32_t kAllDirections = 7;
 static_assert(mesh::kMaxFaceNodes == physics::kMaxFaceNodes);
 
-/// A row's prescribed displacement in some directions.
+/// A row with a prescribed displacement in some directions.
 struct PrescribedDirections {
-  std::uint32_t row, prescribed, bits;
+  std::uint32_t row;
+  std::uint32_t prescribed;  // index into Model::prescribed
+  std::uint32_t bits;        // the directions x, y, z
 };
 
-class Supports {
+class BoundaryConditions {
  public:
-  explicit Supports(Compilation& c)
+  explicit BoundaryConditions(Compilation& c)
       : c_(c), external_(4 * std::size_t{c.model.layout.row_count}, 0), fixed_(c.model.layout.row_count, false) {}
 
   Result<void> run() {
@@ -55,7 +57,7 @@ class Supports {
   std::size_t row(std::size_t body, std::uint32_t node) const {
     return c_.model.layout.row_of_node[c_.model.bodies[body].node_begin + node];
   }
-  void hold(std::size_t row, std::uint32_t bits) {
+  void fix_directions(std::size_t row, std::uint32_t bits) {
     double& free = c_.model.rest[4 * row + 3];
     free = static_cast<std::uint32_t>(free) & ~bits;
   }
@@ -65,7 +67,7 @@ class Supports {
       TM_ASSIGN_OR_RETURN(
           nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
       for (const std::uint32_t node : nodes) {
-        hold(row(b, node), kAllDirections);
+        fix_directions(row(b, node), kAllDirections);
         fixed_[row(b, node)] = true;
       }
     }
@@ -89,7 +91,8 @@ class Supports {
       c_.model.prescribed.push_back(std::move(out));
       const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
       for (const std::uint32_t node : nodes) {
-        TM_RETURN_IF_ERROR(drive(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
+        TM_RETURN_IF_ERROR(
+            prescribe_directions(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
       }
     }
     return {};
@@ -116,11 +119,12 @@ class Supports {
     return {};
   }
 
-  /// Edges and corners belong to several regions: the same displacement given twice is one.
+  /// Prescribes a displacement to some directions of a row. Nodes at edges and corners belong to several regions, so
+  /// the same displacement may be given twice; two different ones are an error.
   template <class Where>
-  Result<void> drive(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
+  Result<void> prescribe_directions(std::size_t row, std::uint32_t index, std::uint32_t bits, const Where& where) {
     const Prescribed& mine = c_.model.prescribed[index];
-    std::uint32_t open = bits;  // directions that no entry before this one has
+    std::uint32_t open = bits;  // directions that no earlier entry has
     std::vector<PrescribedDirections>& of_row = prescribed_[static_cast<std::uint32_t>(row)];
     for (const PrescribedDirections& other : of_row) {
       for (std::uint32_t c = 0; c < 3; ++c) {
@@ -141,7 +145,7 @@ class Supports {
       }
     }
     if (open != 0) of_row.push_back({static_cast<std::uint32_t>(row), index, open});
-    hold(row, bits);
+    fix_directions(row, bits);
     return {};
   }
 
@@ -214,7 +218,7 @@ class Supports {
                                   c_.model.initial_displacement));
     const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
     if (!body.initial_velocity_m_per_s().empty() && c_.model.integrator == Integrator::kQuasiStatic) {
-      return invalid(fmt::format("{}: a quasi-static step knows no velocity; leave it out", at));
+      return invalid(fmt::format("{}: a quasi-static step has no velocity; leave it out", at));
     }
     return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);
   }
@@ -249,11 +253,12 @@ class Supports {
     }
   }
 
+  /// Lists the prescribed rows by patch.
   void group_prescribed_rows() {
     if (prescribed_.empty()) return;
     PrescribedRows& out = c_.model.prescribed_rows;
     out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
-    for (const auto& [row, all] : prescribed_) {  // rows ascend, and with them the patches
+    for (const auto& [row, all] : prescribed_) {  // a map: rows ascend, and so do their patches
       for (const PrescribedDirections& one : all) {
         out.rows.insert(out.rows.end(), {one.row, one.prescribed, one.bits});
         ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
@@ -262,10 +267,11 @@ class Supports {
     std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
   }
 
+  /// Lists the rows under pressure by patch, and for each row its corners in the faces.
   void group_pressure() {
     PressureSurface& out = c_.model.pressure;
     if (out.faces.empty()) return;
-    std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // of each row: face, corner
+    std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // [row] pairs of face, corner
     for (std::uint32_t f = 0; f < out.faces.size(); ++f) {
       for (std::uint32_t k = 0; k < out.faces[f].node_count; ++k) {
         auto& list = corners[out.faces[f].rows[k]];
@@ -292,6 +298,6 @@ class Supports {
 
 }  // namespace
 
-Result<void> fill_boundary_conditions(Compilation& c) { return Supports(c).run(); }
+Result<void> fill_boundary_conditions(Compilation& c) { return BoundaryConditions(c).run(); }
 
 }  // namespace tensormass::model

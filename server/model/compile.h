@@ -14,27 +14,33 @@ namespace tensormass::model {
 /// How a backend wants the mesh cut. A patch is one CPU thread or one GPU thread block.
 struct PatchPolicy {
   std::uint32_t max_patches = 1;
-  std::uint32_t min_nodes_per_patch = 1;
+  std::uint32_t min_nodes_per_patch = 1;  ///< fewer patches rather than smaller ones
   matrix::Storage storage = matrix::Storage::kRows;
   /// Patches to make where the limits on nodes leave a choice.
   std::uint32_t usual_patches = std::numeric_limits<std::uint32_t>::max();
   std::uint32_t max_nodes_per_patch = std::numeric_limits<std::uint32_t>::max();
   /// Patches with more nodes than this store tiles (kTiles) instead of rows (kRows).
   std::uint32_t tiles_beyond_nodes = std::numeric_limits<std::uint32_t>::max();
-  /// In single precision a solve keeps its vectors in shared memory and can check the volume of tetrahedra if no patch
-  /// has more rows than this, halo included.
+  /// A solve in single precision keeps its vectors in shared memory if no patch has more rows than this, halo included.
+  /// Such a solve can also check the volume of tetrahedra.
   std::uint32_t solve_keeps_rows = 0;
-  /// Called once in single precision with storage by rows: who runs the solve. Empty: its stages.
+  /// solve_of(layout): is called once, for single precision without kEdges. Returns who runs the solve. Empty: stages
+  /// do.
   std::function<SolveKind(const matrix::Layout&)> solve_of = {};
+
+  /// Returns how the matrix of a scene with so many nodes is stored.
   matrix::Storage storage_of(std::uint32_t node_count) const;
+  /// Returns how many patches such a scene gets. Needs node_count ≥ 1.
   std::uint32_t count(std::uint32_t node_count) const;
 };
 
-/// Checks the whole scene and compiles it. Errors name the place in the scene, the element or node, and the remedy;
-/// kCancelled if `progress` says so.
+/// Checks the whole scene and compiles it to a model that stages can trust.
+///
+/// Errors name the place in the scene, the element or node, and the remedy. kCancelled if `progress` says so. Asserts
+/// the invariants of the model (check.h) once, so that steps need not.
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress = {});
 
-/// Threads that the scene asks for on a CPU; `otherwise` if it does not say.
+/// Returns how many CPU threads the scene asks for; `otherwise` if it does not say.
 std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise);
 
 }  // namespace tensormass::model

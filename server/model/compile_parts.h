@@ -13,10 +13,10 @@
 #include "physics/lists.h"
 #include "tensormass/v1/scene.pb.h"
 
-/// The parts of model::compile, which calls them in the order of this file. Each adds to the model.
+/// The parts of model::compile. It calls them in the order of this file, and each adds to the model.
 namespace tensormass::model {
 
-/// A body read and admitted, before it becomes part of the scene's mesh.
+/// A body whose message is read and whose mesh is admitted.
 struct ReadBody {
   mesh::Mesh mesh;
   physics::Quadrature quadrature = physics::Quadrature::kFull;
@@ -30,26 +30,30 @@ struct ReadBody {
   }
 };
 
-/// Two wedges that integrate their change of volume together (wedge_pairs.h).
+/// Two wedges that share a volumetric quadrature point (wedge_pairs.h).
 struct WedgePair {
   std::size_t body;
-  std::array<std::uint32_t, 2> elements;    ///< in the body
-  std::array<std::uint32_t, 8> nodes;       ///< in the scene: the first wedge's, then what the second one adds
-  std::array<std::size_t, 6> second_nodes;  ///< where the second wedge's nodes are in `nodes`
+  std::array<std::uint32_t, 2> elements;    ///< numbered in the body
+  std::array<std::uint32_t, 8> nodes;       ///< numbered in the scene: six of the first wedge, two more of the second
+  std::array<std::size_t, 6> second_nodes;  ///< places of the second wedge's nodes in `nodes`
 };
 
 /// A model that is being compiled.
 struct Compilation {
   const v1::Scene& scene;
   Model model;
-  mesh::Mesh merged;                      ///< all bodies; its blocks are those of the bodies in their order
-  std::vector<std::size_t> block_bodies;  ///< the body of each block of merged
+  mesh::Mesh merged;                      ///< the meshes of all bodies, one after the other
+  std::vector<std::size_t> block_bodies;  ///< [block of merged] its body
   std::vector<ReadBody> bodies;
   std::vector<WedgePair> wedge_pairs;
 };
 
-/// Calls visit(shape tag, body, index of the element in its body, its scene nodes, their positions) for every element.
-/// mesh::Shape counts as physics::Shapes does.
+/// Visits every element of the scene.
+///
+///   visit(shape tag, body, element, nodes, x)   is called once an element. element: numbered in its body; nodes:
+///                                               numbered in the scene; x: their positions [m]. Returns nothing.
+///
+/// Needs mesh::Shape and physics::Shapes in the same order.
 template <class Visit>
 void for_each_element(const Compilation& c, const Visit& visit) {
   std::uint32_t element = 0;
@@ -71,25 +75,36 @@ void for_each_element(const Compilation& c, const Visit& visit) {
   }
 }
 
-/// body.law, law_regions, element_fields, quadrature, mass.
+/// Reads the name, stepping, solver, streams and gravity of the scene.
+Result<void> read_header(Compilation& c);
+
+/// Reads the bodies and merges their meshes. Adds the warnings of their meshes.
+Result<void> read_bodies(Compilation& c, const Progress& progress);
+
+/// Reads body.law, law_regions and element_fields.
 Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where);
 
-/// Rest positions, masses, damping.
+/// Reads the tools. Needs the materials of all bodies, which set the default stiffness of contact.
+Result<void> read_tools(Compilation& c);
+
+/// Fills rest positions, masses and damping. Needs the layout.
 Result<void> fill_row_fields(Compilation& c);
 
-/// Fixed and prescribed nodes, forces, tractions, pressures, gravity, initial displacements and velocities.
+/// Fills fixed and prescribed nodes, forces, tractions, pressures, gravity, initial displacements and velocities.
 Result<void> fill_boundary_conditions(Compilation& c);
 
-/// Linear laws go into constant tensors; every element goes into a group.
+/// Puts every element into a group. Adds the tensors of linear laws to the constant edges.
 Result<void> group_elements(Compilation& c);
 
-/// With storage by rows: lists the elements that each row evaluates.
+/// Storage::kRows, kTiles: lists the elements that each row evaluates.
 Result<void> list_elements_of_rows(Compilation& c);
 
-/// Decides who runs the solve, where its vectors live, and which volumes it checks at its end.
+/// Decides who runs the solve, where its vectors are stored, and which volumes it checks at its end.
 void equip_solve(Compilation& c, const PatchPolicy& policy);
 
+/// Makes the triangles that tools can touch: the boundary of all bodies.
 void make_contact_surface(Compilation& c);
+/// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
 Result<void> make_visible_surface(Compilation& c);
 
 }  // namespace tensormass::model

@@ -14,10 +14,10 @@ namespace tensormass::model {
 namespace {
 
 constexpr double kMinModulusPa = 1e-3, kMaxModulusPa = 1e13;
-/// Beyond, single precision cannot tell the change of volume from rounding.
+/// Above the maximum, single precision cannot tell the change of volume from rounding.
 constexpr double kMinPoissonRatio = -0.999, kMaxPoissonRatio = 0.4999;
 
-/// Like read_number, but writes the place in words only for an error: elements are read by the million.
+/// Does what read_number does, but formats the place only for an error, because scenes have millions of elements.
 Result<double> read_constant(double value, double low, double high, std::string_view where, std::string_view field) {
   if (value >= low && value <= high) return value;
   return read_number(value, low, high, fmt::format("{}.{}", where, field));
@@ -31,7 +31,8 @@ Result<double> read_poisson_ratio(double value, std::string_view where) {
   return read_constant(value, kMinPoissonRatio, kMaxPoissonRatio, where, "poisson_ratio");
 }
 
-/// Of a law that may be given by other constants, but for their rounding.
+/// Refuses moduli whose Poisson's ratio is outside its range. Laws may be given by other constants, so their rounding
+/// is allowed for.
 Result<void> check_compressibility(const physics::Moduli& moduli, double poisson_ratio, std::string_view where) {
   constexpr double kRounding = 1e-9;
   if (poisson_ratio >= kMinPoissonRatio - kRounding && poisson_ratio <= kMaxPoissonRatio + kRounding) return {};
@@ -41,8 +42,8 @@ Result<void> check_compressibility(const physics::Moduli& moduli, double poisson
       where, moduli.bulk_pa, moduli.shear_pa, poisson_ratio, kMinPoissonRatio, kMaxPoissonRatio));
 }
 
-/// A law's message, and what the law stores of it. A law with constants of its own needs a specialization; this is for
-/// all others.
+/// Maps the message of a law to the parameters that the law stores. This template serves all laws that are given by
+/// Young's modulus and Poisson's ratio; a law with other constants needs a specialization.
 template <class Law>
 struct Constants {
   using Message = v1::IsotropicElastic;
@@ -94,7 +95,7 @@ struct Constants<physics::TransverselyIsotropic> {
   }
 };
 
-/// What an element's own values are written over: not used, and yet no number that is none.
+/// Refuses a constant that is not finite although element_fields replace it.
 Result<void> check_shadowed(double value, std::string_view where, const char* name) {
   if (std::isfinite(value)) return {};
   return invalid(
@@ -160,10 +161,10 @@ Result<std::vector<physics::PronyTerm>> read_prony(const v1::Law& law, std::stri
   return terms;
 }
 
-/// One element's material.
+/// Makes the material of one element.
 ///
-/// constants: of the law, before the element's own values take their places.
-/// prony:     of the law, the same for all of its elements; an error in them is reported after those in the constants.
+/// constants: the constants of the law; the element's own values replace some of them.
+/// prony:     the terms of the law, equal for all of its elements. Their error is reported after errors in constants.
 template <class Law>
 Result<Material> read_material(int index, typename Constants<Law>::Message constants, const ElementValues& values,
                                const Result<std::vector<physics::PronyTerm>>& prony, std::string_view where) {
@@ -194,7 +195,7 @@ ElementLaw element_law(const v1::Law& law, std::string_view where) {
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
     if (kind == nullptr || kind->name() != Law::kName) return;
-    // Throws where the protocol has another message than Constants: in the first scene with the law.
+    // Throws if the protocol and Constants disagree about the message: every scene with the law then fails.
     const auto& constants =
         dynamic_cast<const typename Constants<Law>::Message&>(law.GetReflection()->GetMessage(law, kind));
     result = [index, constants, prony = read_prony(law, where), at = fmt::format("{}.{}", where, Law::kName)](

@@ -11,20 +11,20 @@
 #include "physics/element/prony.h"
 #include "tensormass/v1/scene.pb.h"
 
-/// Laws from untrusted messages.
+/// Reads material laws from untrusted messages.
 namespace tensormass::model {
 
-/// What the scene says of a material, checked.
+/// A material of the scene, checked.
 struct Material {
   int law = 0;                            ///< index into physics::Laws
-  std::vector<double> parameters;         ///< as the law stores them
-  std::vector<physics::PronyTerm> prony;  ///< empty: no memory
-  double young_modulus_pa = 0;            ///< at rest, under a sudden load
-  double poisson_ratio = 0;               ///< at rest
-  bool constant_stiffness = false;        ///< its tensors do not change while it deforms
+  std::vector<double> parameters;         ///< in the order in which the law stores them
+  std::vector<physics::PronyTerm> prony;  ///< viscoelastic terms; empty: elastic
+  double young_modulus_pa = 0;            ///< at zero strain, under a sudden load
+  double poisson_ratio = 0;               ///< at zero strain
+  bool constant_stiffness = false;        ///< its stiffness does not change with deformation
 };
 
-/// In place of what a law says, for one element.
+/// The values of one element that replace constants of its law.
 struct ElementValues {
   std::optional<double> young_modulus_pa, poisson_ratio;
   std::optional<Vec3<double>> fibre_direction;
@@ -32,15 +32,17 @@ struct ElementValues {
 
 /// Makes the material of one element of a law.
 ///
-/// values:  the element's own, over the law's constants.
-/// returns: its material, or the error that read_law reports.
+/// values:  the values that replace constants of the law.
+/// returns: the material, or the error that read_law reports.
 using ElementLaw = std::function<Result<Material>(const ElementValues& values)>;
 
-/// Reads what all elements of a law share once, because scenes have millions of elements with their own values.
+/// Reads a law once for all of its elements, because scenes have millions of elements with their own values.
 ElementLaw element_law(const v1::Law& law, std::string_view where);
 
-/// The law whose field is set, by its name in physics/lists.h. A law that is given by Young's modulus and Poisson's
-/// ratio needs no code here. Errors: no law, a modulus or ratio outside its range, a value that the law does not have.
+/// Reads the law whose field is set; fields are named as the laws in physics/lists.h. A law that is given by Young's
+/// modulus and Poisson's ratio needs no code here.
+///
+/// Errors: no law, a modulus or ratio outside its range, an element value that the law does not have.
 Result<Material> read_law(const v1::Law& law, const ElementValues& values, std::string_view where);
 
 }  // namespace tensormass::model

@@ -11,7 +11,7 @@ namespace tensormass::model {
 
 namespace {
 
-/// Elements all of whose nodes are in the region.
+/// Returns the elements that have all of their nodes in the region.
 std::vector<std::uint32_t> elements_in(const mesh::Mesh& mesh, const std::vector<std::uint32_t>& nodes) {
   std::vector<bool> chosen(mesh.nodes.size(), false);
   for (const std::uint32_t node : nodes) chosen[node] = true;
@@ -23,7 +23,7 @@ std::vector<std::uint32_t> elements_in(const mesh::Mesh& mesh, const std::vector
   return elements;
 }
 
-/// [element_count, components] of element_fields; empty if it is not given.
+/// Reads a field of element_fields: [element_count, components]; empty if the scene does not give it.
 Result<std::vector<double>> read_field(const std::string& bytes, std::size_t components, std::size_t element_count,
                                        std::string_view where) {
   if (bytes.empty()) return std::vector<double>{};

@@ -14,78 +14,92 @@
 #include "physics/element/rest.h"
 #include "solver/time_scheme.h"
 
-/// A compiled scene: immutable, in double precision, and nothing in it that the scene does not need. An empty vector
-/// means that the scene has no use for it; no backend allocates a buffer for it.
+/// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
+///
+/// A Model is immutable and in double precision. An empty vector means that the scene does not need it, and no backend
+/// allocates a buffer for it. model/check.h asserts the sizes that the comments state.
+///
+///   Model ── layout         rows, patches, slots (matrix/layout.h)
+///         ── groups         elements by (shape, law), sorted by row
+///         ── row fields     rest, inertia, external, ..: [row_count, 4]
+///         ── slot fields    constant_edges, mass_edges
+///         ── boundary       prescribed rows, pressure
+///         ── surfaces       contact: what tools touch; visible: what clients see
+///
+///   row, slot, patch, slice   as in matrix/layout.h
+///   place                     index of an element within its group, padding included
 namespace tensormass::model {
 
 /// Who runs the linear solve and what belongs to it (step/stages.h).
 enum class SolveKind : std::uint8_t {
   kStages,    ///< scaling, conjugate gradients and `advance` are stages
   kResident,  ///< one GPU kernel for all of them; the matrix stays on the chip
-  kStreamed,  ///< one GPU kernel; the matrix comes from memory in each iteration
+  kStreamed,  ///< one GPU kernel; each iteration reads the matrix from memory
 };
 
-/// Elements of one (shape, law); of one body if the law is linear or has a memory.
+/// Elements of one (shape, law). Linear and viscoelastic laws have a group for each body.
 struct ElementGroup {
   int shape = 0;  ///< index into physics::Shapes
   int law = 0;    ///< index into physics::Laws
   std::uint32_t element_count = 0;
-  std::uint32_t stride = 0;                    ///< places: a multiple of kSliceRows, at least element_count
-  bool is_constant = false;                    ///< the tensors are in Model::constant_edges
-  std::uint32_t point_count = 0;               ///< quadrature points of an element
-  std::vector<physics::ModuliWeights> shares;  ///< [point_count]; empty: each integrates all moduli
-  std::vector<physics::PronyTerm> prony;       ///< empty: no memory
-  /// [place] index in the scene's mesh; mesh::kNone where an element is computed once more for another patch, and in
-  /// padding. May end before the padding does.
+  std::uint32_t stride = 0;       ///< places: a multiple of kSliceRows, at least element_count
+  bool is_constant = false;       ///< a linear law: the tensors are in Model::constant_edges
+  std::uint32_t point_count = 0;  ///< quadrature points of an element
+  /// [point_count] selective reduced integration weights; empty: each point integrates all moduli.
+  std::vector<physics::ModuliWeights> shares;
+  std::vector<physics::PronyTerm> prony;  ///< viscoelastic terms; empty: the law is elastic
+  /// [place] element of the scene. mesh::kNone: padding, or an element that an earlier place has computed for another
+  /// patch. May end before the padding does.
   std::vector<std::uint32_t> elements;
-  std::vector<std::uint32_t> partners;  ///< [place] of wedge pairs (wedge_pairs.h) the second; else empty
-  std::vector<double> first_parts;      ///< [place] the first's part of a pair's volume; else empty
+  std::vector<std::uint32_t> partners;  ///< [place] second wedge of a pair (wedge_pairs.h); empty: no pairs
+  std::vector<double> first_parts;      ///< [place] V₁ / (V₁ + V₂) of a pair; empty: no pairs
   std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
   std::vector<double> rest;             ///< [point_count][rest reals][stride]
   std::vector<double> parameters;       ///< [law parameters][stride]
-  matrix::RowLists row_lists;           ///< but for Storage::kEdges, of refreshed tensors
-  // Only with Storage::kEdges, see ElementView:
+  matrix::RowLists row_lists;           ///< empty if is_constant, and with Storage::kEdges
+  // Storage::kEdges only (matrix/patch_elements.h):
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
-  /// Its law is Inversion::kCaught; a pair of wedges is looked at by its wedges.
+  /// The law does not recover from inversion (Inversion::kCaught). False for wedge pairs: their wedges are checked.
   bool checks_volume = false;
-  bool solve_checks_volume = false;  ///< with Model::checked, in place of a stage
+  bool solve_checks_volume = false;  ///< the solve checks the volumes (Model::checked), not a stage
 
-  /// Of an element's record (view::record_reals).
+  /// Returns the reals of an element's record (view::record_reals).
   std::uint32_t record_reals() const {
     return view::record_reals(static_cast<std::uint32_t>(rest.size() / stride / point_count), point_count,
                               static_cast<std::uint32_t>(parameters.size() / stride));
   }
   bool is_wedge_pairs() const { return !partners.empty(); }
-  /// Of Γ_i, [point_count][prony][6][stride].
+  /// Returns the reals of all Γ_i: [point_count][prony][6][stride].
   std::size_t internal_variable_reals() const {
     return std::size_t{point_count} * prony.size() * physics::kSymmetricReals * stride;
   }
 };
 
-/// Rows with prescribed displacements, grouped by the patch that owns them.
+/// Rows with prescribed displacements, grouped by patch.
 struct PrescribedRows {
   std::vector<std::uint32_t> patch_begin;  ///< [patch_count + 1] into rows
-  std::vector<std::uint32_t> rows;         ///< [.., 3] row, index into Model::prescribed, bits of the directions
+  std::vector<std::uint32_t> rows;         ///< [entry, 3] row, index into Model::prescribed, bits of the directions
 };
 
-/// A displacement over time, the same for all of its nodes.
+/// A prescribed displacement over time, the same for all of its nodes.
 struct Prescribed {
   Vec3<double> displacement_m = Vec3<double>::Zero();
-  std::vector<double> time_s, factor;  ///< empty: always 1
+  std::vector<double> time_s, factor;  ///< points of the curve; empty: the factor is 1
+  /// Returns displacement_m times the factor, which is linear between points and constant before and after them.
   Vec3<double> at(double time_s) const;
 };
 
-/// Boundary faces under pressure, in rows, and the corners of each row in them; grouped by patch.
+/// Boundary faces under pressure, and for each row the corners that it has in them. Rows are grouped by patch.
 struct PressureSurface {
   std::vector<view::PressureFace<double>> faces;
   std::vector<std::uint32_t> patch_begin;   ///< [patch_count + 1] into rows
   std::vector<std::uint32_t> rows;          ///< [pressed row]
   std::vector<std::uint32_t> corner_begin;  ///< [pressed row + 1] into corners
-  std::vector<std::uint32_t> corners;       ///< [.., 2] face, corner
+  std::vector<std::uint32_t> corners;       ///< [entry, 2] face, corner
 };
 
-/// Tissue boundary for contact, in rows; grouped by the patch that owns it.
+/// The boundary of the bodies, for contact. Triangles and vertices are grouped by the patch that owns them.
 struct ContactSurface {
   std::vector<std::uint32_t> triangle_rows;        ///< [triangle_count, 3]
   std::vector<std::uint32_t> triangle_neighbours;  ///< [triangle_count, 3]
@@ -95,12 +109,12 @@ struct ContactSurface {
   std::vector<std::uint32_t> surface_rows;         ///< [surface vertex]
   std::vector<std::uint32_t> patch_surface;        ///< [patch_count + 1]
   std::vector<std::uint32_t> incidence_begin;      ///< [surface vertex + 1]
-  std::vector<std::uint32_t> incidence;            ///< [.., 4], see SceneView
+  std::vector<std::uint32_t> incidence;            ///< [entry, 4], see ContactView
 
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
 };
 
-/// Vertices that clients see, all bodies one after the other.
+/// The vertices that clients see, body by body: each is a weighted mean of four rows.
 struct VisibleSurface {
   std::vector<std::uint32_t> rows;  ///< [visible_count, 4]
   std::vector<double> weights;      ///< [visible_count, 4]
@@ -109,12 +123,12 @@ struct VisibleSurface {
 
 struct BodyModel {
   std::string name;
-  std::uint32_t node_begin = 0, node_count = 0;        ///< in the scene's nodes
-  std::uint32_t element_begin = 0, element_count = 0;  ///< in the scene's elements
-  std::uint32_t fixed_node_count = 0;                  ///< held or driven in at least one direction
+  std::uint32_t node_begin = 0, node_count = 0;        ///< range in the scene's nodes
+  std::uint32_t element_begin = 0, element_count = 0;  ///< range in the scene's elements
+  std::uint32_t fixed_node_count = 0;                  ///< fixed or prescribed in at least one direction
   std::uint32_t component_count = 0;
   double volume_m3 = 0, mass_kg = 0, min_dihedral_angle_deg = 0;
-  std::uint32_t vertex_begin = 0, vertex_count = 0;  ///< in the visible surface
+  std::uint32_t vertex_begin = 0, vertex_count = 0;  ///< range in the visible surface
   std::vector<mesh::Triangle> triangles;             ///< visible, relative to vertex_begin
   std::vector<std::uint32_t> vertex_nodes;           ///< mesh node of each visible vertex; empty for a skin
   bool has_skin = false;
@@ -128,7 +142,7 @@ struct ToolModel {
   Vec3<double> tip_offset_m = Vec3<double>::Zero();
   double penalty_pa_per_m = 0;
   double max_speed_m_per_s = 0;
-  /// E / (1 − ν²) of the stiffest law of the scene, for the local model [Pa].
+  /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
   double plane_strain_modulus_pa = 0;
   Vec3<double> initial_position_m = Vec3<double>::Zero();
   std::array<double, 4> initial_orientation{1, 0, 0, 0};  ///< w x y z
@@ -148,9 +162,9 @@ struct Model {
   std::uint32_t newton_max_iterations = 1;
   double newton_tolerance = 0;
   double cg_tolerance = 0;
-  double budget_s = 0;                    ///< time that a step may take; 0: whatever it takes
-  std::uint32_t floor_cg_iterations = 0;  ///< to which cg_max_iterations may be lowered for the budget
-  double floor_tolerance = 0;             ///< residual above which no step is published; 0: none stated
+  double budget_s = 0;                    ///< time that a step may take; 0: no limit
+  std::uint32_t floor_cg_iterations = 0;  ///< the budget may lower cg_max_iterations to this
+  double floor_tolerance = 0;             ///< steps with a larger residual are not published; 0: no limit
   std::uint32_t cg_max_iterations = 0;
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
@@ -160,34 +174,35 @@ struct Model {
   std::vector<std::string> warnings;
 
   matrix::Layout layout;
-  std::vector<std::uint8_t> begun_slices;  ///< see SceneView; but for Storage::kEdges
-  std::vector<ElementGroup> groups;        ///< those with refreshed tensors first
+  std::vector<std::uint8_t> begun_slices;  ///< [slice] MatrixView::begun_slices
+  std::vector<ElementGroup> groups;        ///< linear laws last
   SolveKind solve = SolveKind::kStages;
   bool solve_keeps_vectors = false;    ///< the solve's vectors stay in shared memory; no buffer exists for them
-  matrix::PatchTetrahedra checked;     ///< by the solve; empty: stages check
-  std::vector<double> constant_edges;  ///< [slot] 3×3, blocked as SceneView; empty without linear laws
-  std::vector<double> mass_edges;      ///< [slot] kg; empty for lumped mass
+  matrix::PatchTetrahedra checked;     ///< tetrahedra whose volume the solve checks; empty: stages check
+  std::vector<double> constant_edges;  ///< [slot] 3×3, at Layout::component; empty: no linear laws
+  std::vector<double> mass_edges;      ///< [slot] kg; empty: lumped mass
   double size_m = 0;                   ///< diagonal of the box around the scene at rest
   std::vector<double> rest;            ///< [row_count, 4]
-  std::vector<double> inertia;         ///< [row_count, 4] as SceneView
-  std::vector<double> row_mass;        ///< [row_count] kg, also where inertia leaves it out (quasi-static)
-  std::vector<double> external;        ///< [row_count, 4]; empty without gravity and loads
-  /// [row_count, 4] m, m/s; empty: at rest.
+  std::vector<double> inertia;         ///< [row_count, 4] StateView::inertia
+  std::vector<double> row_mass;        ///< [row_count] kg; also in quasi-static scenes, where inertia has no mass
+  std::vector<double> external;        ///< [row_count, 4] N; empty: neither gravity nor loads
+  /// [row_count, 4] m, m/s; empty: the scene starts at rest.
   std::vector<double> initial_displacement, initial_velocity;
   PrescribedRows prescribed_rows;
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
-  ContactSurface contact;  ///< empty without tools
-  VisibleSurface visible;  ///< empty without frames
+  ContactSurface contact;  ///< empty: no tools
+  VisibleSurface visible;  ///< empty: no frames
 
-  /// More than one linearized solve a step.
+  /// Returns whether a step runs Newton's method: more than one linear solve.
   bool iterates() const { return newton_max_iterations > 1; }
-  /// Implicit Euler linearized once, without prescribed displacements: such a step needs neither û nor v̂
-  /// (view/state.h). The velocity of a prescribed node differs from the v̂ that its neighbours feel through a consistent
-  /// mass. It is also written before a plain step would save its checkpoint.
+  /// Returns whether a step needs neither û nor v̂ (view/state.h): implicit Euler, linearized once, without prescribed
+  /// displacements. A prescribed node needs v̂ because its neighbours feel that, not its velocity, through a consistent
+  /// mass. Its velocity is also written before a plain step would save its checkpoint.
   bool is_plain() const {
     return integrator == Integrator::kImplicitEuler && !iterates() && prescribed_rows.rows.empty();
   }
+  /// Returns whether some tensors change in each step, so that elements are evaluated.
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

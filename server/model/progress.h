@@ -8,7 +8,7 @@
 
 namespace tensormass::model {
 
-/// The parts of a load that take time, in their order.
+/// The parts of a load that take time, in order.
 enum class LoadPart : std::uint8_t {
   kReadMesh,
   kCheckMesh,
@@ -19,17 +19,19 @@ enum class LoadPart : std::uint8_t {
   kBuffers
 };
 
-/// How far a load is. Told on the thread that loads, at the begin of each part.
+/// Reports how far a load is, at the start of each part, on the thread that loads.
 class Progress {
  public:
-  /// part: for people; fraction: of the time of the whole, as a large scene of one body takes it. False if nobody waits
-  /// for the scene any more.
+  /// part:     name of the part, for people.
+  /// fraction: time so far over the time of the whole load, as measured for a large scene of one body.
+  /// returns:  false if nobody waits for the scene any more.
   using Listener = std::function<bool(std::string_view part, double fraction)>;
 
   Progress() = default;
   explicit Progress(Listener listener) : listener_(std::move(listener)) {}
 
-  /// Fails with kCancelled if nobody waits. done, of count: for parts that come once a body.
+  /// Reports the start of a part. Fails with kCancelled if nobody waits.
+  /// done, count: for parts that come once a body, the bodies that are done and their number.
   Result<void> begin(LoadPart part, std::size_t done = 0, std::size_t count = 1) const;
 
  private:

@@ -19,7 +19,7 @@ static_assert(std::endian::native == std::endian::little, "packed arrays are lit
 
 namespace {
 
-/// A packed array of `Item`s with `width` of them a row.
+/// Reads a packed array with `width` items a row.
 template <class Item>
 Result<std::vector<Item>> read_packed(const std::string& bytes, std::size_t width, std::string_view where) {
   const std::size_t row = width * sizeof(Item);
@@ -43,7 +43,7 @@ Result<std::vector<Eigen::Vector3d>> read_points(const std::string& bytes, std::
   });
 }
 
-/// Scale and translation of the body's mesh, applied to mesh and skin alike.
+/// The scale and translation of a body, for its mesh and its skin.
 struct Placement {
   double scale = 1;
   Vec3<double> translation_m = Vec3<double>::Zero();
@@ -147,7 +147,7 @@ Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::str
   for (const double value : values) squared += value * value;
   const double length = std::sqrt(squared);
   if (!(std::abs(length - 1) < 1e-2)) {  // also refuses NaN and infinity
-    return invalid(fmt::format("{}: a quaternion of length {} is no rotation; normalize it", where,
+    return invalid(fmt::format("{}: a quaternion of length {} is not a rotation; normalize it", where,
                                std::hypot(std::hypot(q.w(), q.x()), std::hypot(q.y(), q.z()))));
   }
   return std::array<double, 4>{q.w() / length, q.x() / length, q.y() / length, q.z() / length};
@@ -208,7 +208,7 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
     }
     std::vector<bool> is_in(nodes.size(), false);
     for (int r = 0; r < regions; ++r) {
-      // The sets before this one may be parts of it.
+      // A set may refer to earlier sets.
       TM_ASSIGN_OR_RETURN(some,
                           read_region(body.sets(i).regions(r), nodes, sets, fmt::format("{}.regions[{}]", at, r)));
       for (const std::uint32_t node : some) is_in[node] = true;

@@ -9,6 +9,7 @@
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 
+/// Makes the surfaces of a scene: triangles that tools can touch, and vertices that clients see.
 namespace tensormass::model {
 
 void make_contact_surface(Compilation& c) {
@@ -17,12 +18,12 @@ void make_contact_surface(Compilation& c) {
   ContactSurface& out = c.model.contact;
   const auto row_of = [&](std::uint32_t vertex) { return layout.row_of_node[surface.nodes[vertex]]; };
 
-  // Surface vertices in the order of their rows, which groups them by patch.
+  // Sorts surface vertices by row, which groups them by patch.
   std::vector<std::uint32_t> vertices(surface.nodes.size()), place(surface.nodes.size());
   std::iota(vertices.begin(), vertices.end(), 0);
   std::sort(vertices.begin(), vertices.end(), [&](std::uint32_t a, std::uint32_t b) { return row_of(a) < row_of(b); });
   for (std::uint32_t i = 0; i < vertices.size(); ++i) place[vertices[i]] = i;
-  // Triangles belong to the patch of their first corner.
+  // Sorts triangles by the row of their first corner: its patch owns them.
   std::vector<std::uint32_t> triangles(surface.triangles.size()), triangle_place(surface.triangles.size());
   std::iota(triangles.begin(), triangles.end(), 0);
   std::stable_sort(triangles.begin(), triangles.end(), [&](std::uint32_t a, std::uint32_t b) {

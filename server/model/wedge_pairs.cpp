@@ -15,9 +15,9 @@ namespace {
 
 constexpr const mesh::Topology& kWedge = mesh::topology(mesh::Shape::kWedge);
 
-/// From here on a wedge alone is too stiff.
+/// Poisson's ratio above which a wedge without a partner is too stiff.
 constexpr double kNearlyIncompressible = 0.49;
-/// Of a body's wedges, alone, before it is worth a warning; an irregular mesh leaves up to two in a hundred.
+/// Fraction of a body's wedges that may lock without a warning. An irregular mesh leaves up to 0.02 alone.
 constexpr double kNoticeablePart = 0.1;
 
 struct SharedFace {
@@ -39,7 +39,7 @@ std::vector<bool> wedges_of(const mesh::Mesh& mesh) {
   return wedges;
 }
 
-/// Quadrilaterals between two wedges that could be a pair, the largest first.
+/// Returns the quadrilaterals between two wedges that could be a pair, the largest first.
 std::vector<SharedFace> shared_faces(const ReadBody& body) {
   const std::vector<bool> is_wedge = wedges_of(body.mesh);
   const auto nodes_of = mesh::element_nodes(body.mesh);

@@ -8,6 +8,7 @@
 
 #include <gtest/gtest.h>
 
+#include "matrix/patch_elements.h"
 #include "mesh/random_mesh.h"
 #include "mesh/shapes.h"
 

@@ -1,0 +1,126 @@
+#include "model/check.h"
+
+#include <algorithm>
+
+#include "core/assert.h"
+#include "core/offsets.h"
+
+namespace tensormass::model {
+
+namespace {
+
+using view::kSliceRows;
+
+template <class T>
+bool is_empty_or(const std::vector<T>& items, std::size_t size) {
+  return items.empty() || items.size() == size;
+}
+
+template <class Items>
+bool are_below(const Items& items, std::uint32_t end) {
+  return std::all_of(items.begin(), items.end(), [end](std::uint32_t item) { return item < end; });
+}
+
+void check_row_lists(const ElementGroup& group, const matrix::Layout& layout) {
+  const matrix::RowLists& lists = group.row_lists;
+  TM_ASSERT(lists.place_bits == 8 || lists.place_bits == 16, "places have 8 or 16 bits");
+  TM_ASSERT(lists.listed.size() % kSliceRows == 0, "a list column has an element for each row of a slice");
+  TM_ASSERT(lists.places.size() % kSliceRows == 0, "a list column has places for each row of a slice");
+  const std::size_t columns = lists.listed.size() / kSliceRows;
+  for (const view::ListedSlice& slice : lists.slices) {
+    TM_ASSERT(slice.slice() < layout.row_count / kSliceRows, "lists are those of slices");
+    TM_ASSERT(slice.list_begin <= slice.list_end && slice.list_end <= columns, "lists lie within their columns");
+  }
+}
+
+void check_patch_elements(const ElementGroup& group, const matrix::Layout& layout) {
+  TM_ASSERT(group.patch_elements.size() == 2 * std::size_t{layout.patch_count}, "each patch has a range of elements");
+  for (std::size_t patch = 0; patch < layout.patch_count; ++patch) {
+    const std::uint32_t first = group.patch_elements[2 * patch], last = group.patch_elements[2 * patch + 1];
+    TM_ASSERT(first % kSliceRows == 0, "the elements of a patch start at a vector register");
+    TM_ASSERT(first <= last && last <= group.stride, "the elements of a patch lie within the group");
+  }
+  TM_ASSERT(group.pair_places.size() % group.stride == 0, "pair_places: [pairs][stride]");
+}
+
+void check_group(const ElementGroup& group, const matrix::Layout& layout) {
+  TM_ASSERT(group.element_count > 0 && group.point_count > 0, "a group has elements, and these have points");
+  TM_ASSERT(group.stride % kSliceRows == 0, "elements are padded to whole vector registers and warps");
+  TM_ASSERT(group.stride >= group.element_count, "each element has a place");
+  TM_ASSERT(group.elements.size() <= group.stride, "each place has at most one element");
+  TM_ASSERT(!group.rows.empty() && group.rows.size() % group.stride == 0, "rows: [shape nodes][stride]");
+  TM_ASSERT(are_below(group.rows, layout.row_count), "elements name rows of the layout");
+  TM_ASSERT(!group.rest.empty() && group.rest.size() % (std::size_t{group.point_count} * group.stride) == 0,
+            "rest: [point_count][rest reals][stride]");
+  TM_ASSERT(group.parameters.size() % group.stride == 0, "parameters: [law parameters][stride]");
+  TM_ASSERT(is_empty_or(group.shares, group.point_count), "each point has its weights, or none has");
+  TM_ASSERT(group.prony.size() <= physics::kMaxPronyTerms, "ElementView has room for the Prony terms");
+  TM_ASSERT(is_empty_or(group.partners, group.stride) && group.first_parts.size() == group.partners.size(),
+            "each place of a wedge pair has a partner and a part of the volume");
+  TM_ASSERT(group.record_reals() % 4 == 0, "records start at multiples of four reals");
+  if (layout.storage == matrix::Storage::kEdges) {
+    check_patch_elements(group, layout);
+  } else {
+    check_row_lists(group, layout);
+  }
+}
+
+void check_boundary(const Model& m) {
+  const std::size_t patches = m.layout.patch_count;
+  const PrescribedRows& prescribed = m.prescribed_rows;
+  TM_ASSERT(prescribed.rows.size() % 3 == 0, "an entry is row, displacement, directions");
+  if (!prescribed.rows.empty()) assert_offsets(prescribed.patch_begin, patches, prescribed.rows.size() / 3);
+  for (std::size_t i = 0; i < prescribed.rows.size(); i += 3) {
+    TM_ASSERT(prescribed.rows[i] < m.layout.row_count, "displacements are prescribed to rows of the layout");
+    TM_ASSERT(prescribed.rows[i + 1] < m.prescribed.size(), "each prescribed row has a displacement");
+  }
+  if (!m.pressure.faces.empty()) {
+    assert_offsets(m.pressure.patch_begin, patches, m.pressure.rows.size());
+    assert_offsets(m.pressure.corner_begin, m.pressure.rows.size(), m.pressure.corners.size() / 2);
+    TM_ASSERT(are_below(m.pressure.rows, m.layout.row_count), "pressure acts on rows of the layout");
+  }
+}
+
+void check_surfaces(const Model& m) {
+  const ContactSurface& contact = m.contact;
+  const std::size_t triangles = contact.triangle_count();
+  TM_ASSERT(triangles == 0 || !m.tools.empty(), "only scenes with tools have a contact surface");
+  if (triangles > 0) {
+    assert_offsets(contact.patch_triangles, m.layout.patch_count, triangles);
+    assert_offsets(contact.patch_surface, m.layout.patch_count, contact.surface_rows.size());
+    assert_offsets(contact.incidence_begin, contact.surface_rows.size(), contact.incidence.size() / 4);
+  }
+  TM_ASSERT(contact.triangle_rows.size() == 3 * triangles && contact.triangle_neighbours.size() == 3 * triangles &&
+                contact.vertex_of_corner.size() == 3 * triangles,
+            "a triangle has three corners");
+  TM_ASSERT(are_below(contact.triangle_rows, m.layout.row_count), "triangles name rows of the layout");
+  TM_ASSERT(are_below(contact.vertex_of_corner, static_cast<std::uint32_t>(contact.surface_rows.size())),
+            "triangles name surface vertices");
+  TM_ASSERT(m.visible.rows.size() % 4 == 0 && m.visible.weights.size() == m.visible.rows.size(),
+            "a visible vertex has four rows and their weights");
+  TM_ASSERT(are_below(m.visible.rows, m.layout.row_count), "visible vertices name rows of the layout");
+}
+
+}  // namespace
+
+void check_model(const Model& m) {
+  const std::size_t rows = m.layout.row_count, slots = m.layout.slot_count();
+  TM_ASSERT(m.rest.size() == 4 * rows && m.inertia.size() == 4 * rows && m.row_mass.size() == rows,
+            "each row has a position at rest and a mass");
+  TM_ASSERT(is_empty_or(m.external, 4 * rows), "each row has an external force, or none has");
+  TM_ASSERT(is_empty_or(m.initial_displacement, 4 * rows) && is_empty_or(m.initial_velocity, 4 * rows),
+            "each row has an initial state, or all are at rest");
+  TM_ASSERT(is_empty_or(m.constant_edges, 9 * slots), "each slot has a constant tensor, or none has");
+  TM_ASSERT(is_empty_or(m.mass_edges, slots), "each slot has a consistent mass, or none has");
+  TM_ASSERT(is_empty_or(m.begun_slices, rows / kSliceRows), "each slice has a flag, or none has");
+  TM_ASSERT(std::is_partitioned(m.groups.begin(), m.groups.end(), [](const auto& group) { return !group.is_constant; }),
+            "groups whose tensors are computed in each step come first");
+  for (const ElementGroup& group : m.groups) check_group(group, m.layout);
+  if (!m.checked.rows.empty()) {
+    assert_offsets(m.checked.begin, 2 * std::size_t{m.layout.patch_count}, m.checked.rows.size() / 4);
+  }
+  check_boundary(m);
+  check_surfaces(m);
+}
+
+}  // namespace tensormass::model

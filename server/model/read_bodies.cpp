@@ -1,0 +1,147 @@
+#include <set>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "mesh/admission.h"
+#include "mesh/shapes.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+
+/// Reads the bodies of a scene: their meshes, densities, colours, quadrature and materials.
+namespace tensormass::model {
+
+namespace {
+
+/// Refuses lists that are longer than the limits of the server.
+Result<void> check_counts(const v1::Body& body, std::string_view where) {
+  const struct {
+    const char* name;
+    int count;
+    std::size_t most;
+    const char* limit;
+  } lists[] = {
+      {"sets", body.sets_size(), limits::kMaxSets, "kMaxSets"},
+      {"law_regions", body.law_regions_size(), limits::kMaxLawRegions, "kMaxLawRegions"},
+      {"fixed", body.fixed_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
+      {"prescribed", body.prescribed_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
+      {"loads", body.loads_size(), limits::kMaxBoundaryConditions, "kMaxBoundaryConditions"},
+  };
+  for (const auto& list : lists) {
+    if (static_cast<std::size_t>(list.count) <= list.most) continue;
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("{}.{}: {} exceed limits::{} = {}", where, list.name, list.count, list.limit, list.most));
+  }
+  return {};
+}
+
+Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<std::string>& warnings,
+                             std::string_view where) {
+  switch (body.quadrature()) {
+    case v1::QUADRATURE_UNSPECIFIED:
+    case v1::QUADRATURE_FULL:
+      break;
+    case v1::QUADRATURE_REDUCED:
+      out.quadrature = physics::Quadrature::kReduced;
+      warnings.push_back(
+          fmt::format("{}: reduced quadrature does not see the bending modes of an element; the mesh may fold in "
+                      "zigzag without resistance",
+                      where));
+      break;
+    case v1::QUADRATURE_SELECTIVE:
+      out.quadrature = physics::Quadrature::kSelective;
+      break;
+    default:
+      return invalid(fmt::format("{}.quadrature: {} is unknown", where, static_cast<int>(body.quadrature())));
+  }
+  switch (body.mass()) {
+    case v1::MASS_UNSPECIFIED:
+    case v1::MASS_LUMPED:
+      return {};
+    case v1::MASS_CONSISTENT:
+      out.consistent_mass = true;
+      return {};
+    default:
+      return invalid(fmt::format("{}.mass: {} is unknown", where, static_cast<int>(body.mass())));
+  }
+}
+
+/// Reads one body, checks its mesh, and appends it to the mesh of the scene.
+Result<void> read_body(Compilation& c, std::size_t index, const Progress& progress) {
+  const v1::Body& body = c.scene.bodies(static_cast<int>(index));
+  const auto body_count = static_cast<std::size_t>(c.scene.bodies_size());
+  TM_RETURN_IF_ERROR(progress.begin(LoadPart::kReadMesh, index, body_count));
+  const std::string where = fmt::format("body '{}'", body.name());
+  TM_RETURN_IF_ERROR(check_counts(body, where));
+  TM_ASSIGN_OR_RETURN(mesh, read_mesh(body, where));
+  const std::uint64_t nodes = c.merged.nodes.size() + mesh.nodes.size();
+  const std::uint64_t elements = std::uint64_t{mesh::element_count(c.merged)} + mesh::element_count(mesh);
+  if (nodes > limits::kMaxNodes || elements > limits::kMaxElements) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("{}: the scene would have {} nodes and {} elements; limits::kMaxNodes = {}, "
+                            "limits::kMaxElements = {}",
+                            where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
+  }
+  TM_RETURN_IF_ERROR(progress.begin(LoadPart::kCheckMesh, index, body_count));
+  TM_ASSIGN_OR_RETURN(report, mesh::admit(mesh, body.name()));
+  TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
+
+  BodyModel out;
+  out.name = body.name();
+  out.node_begin = static_cast<std::uint32_t>(c.merged.nodes.size());
+  out.node_count = report.node_count;
+  out.element_begin = mesh::element_count(c.merged);
+  out.element_count = report.element_count;
+  out.component_count = report.component_count;
+  out.volume_m3 = report.volume_m3;
+  out.mass_kg = report.volume_m3 * density;
+  out.min_dihedral_angle_deg = report.min_dihedral_angle_deg;
+  c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+  if (body.has_color_srgb()) {
+    const v1::Vector3& color = body.color_srgb();
+    for (const double component : {color.x(), color.y(), color.z()}) {
+      TM_RETURN_IF_ERROR(read_number(component, 0, 1, where + ".color_srgb"));
+    }
+    out.has_color = true;
+    out.color_srgb = {color.x(), color.y(), color.z()};
+  }
+
+  c.merged.nodes.insert(c.merged.nodes.end(), mesh.nodes.begin(), mesh.nodes.end());
+  for (const mesh::ElementBlock& block : mesh.blocks) {
+    mesh::ElementBlock shifted = block;
+    for (std::uint32_t& node : shifted.nodes) node += out.node_begin;
+    c.merged.blocks.push_back(std::move(shifted));
+    c.block_bodies.push_back(c.bodies.size());
+  }
+  c.model.bodies.push_back(std::move(out));
+
+  ReadBody read;
+  read.mesh = std::move(mesh);
+  read.density_kg_per_m3 = density;
+  TM_RETURN_IF_ERROR(read_quadrature(body, read, c.model.warnings, where));
+  TM_RETURN_IF_ERROR(read_materials(body, read, where));
+  c.bodies.push_back(std::move(read));
+  return {};
+}
+
+}  // namespace
+
+Result<void> read_bodies(Compilation& c, const Progress& progress) {
+  if (c.scene.bodies().empty()) return invalid("scene.bodies: a scene needs at least one body");
+  if (static_cast<std::size_t>(c.scene.bodies_size()) > limits::kMaxBodies) {
+    return fail(ErrorCode::kResourceExhausted, fmt::format("scene.bodies: {} exceed limits::kMaxBodies = {}",
+                                                           c.scene.bodies_size(), limits::kMaxBodies));
+  }
+  std::set<std::string> names;
+  for (int i = 0; i < c.scene.bodies_size(); ++i) {
+    const v1::Body& body = c.scene.bodies(i);
+    TM_RETURN_IF_ERROR(check_name(body.name(), fmt::format("scene.bodies[{}].name", i)));
+    if (!names.insert(body.name()).second) {
+      return invalid(fmt::format("scene.bodies[{}]: the name '{}' is taken by another body", i, body.name()));
+    }
+    TM_RETURN_IF_ERROR(read_body(c, static_cast<std::size_t>(i), progress));
+  }
+  return {};
+}
+
+}  // namespace tensormass::model
