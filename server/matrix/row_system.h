@@ -67,7 +67,7 @@ struct RowTerms {
 /// The sums from which a row of A and b follows.
 template <class Real>
 struct RowSums {
-  Vec3<Real> force = Vec3<Real>::Zero();  // f [N]
+  Vec3<Real> force = Vec3<Real>::Zero();            // f [N]
   Mat3<Real> vertex = Mat3<Real>::Zero();           // K_kk [N/m]
   Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();  // K (β v + d) [N]
   Vec3<Real> momentum = Vec3<Real>::Zero();         // Σ M_kl momentum_gap(l) over the neighbours [N s]
