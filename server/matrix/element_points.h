@@ -207,8 +207,7 @@ TM_HOST_DEVICE void for_each_point(const ElementView<Real>& e, std::uint32_t fir
   }
 }
 
-/// The stiffness that the step uses: projected to positive definite, unless Newton's method asks for the consistent
-/// one.
+/// The stiffness of a step: projected to positive definite, unless Newton's method asks for the consistent one.
 template <class Real>
 TM_HOST_DEVICE physics::Stiffness stiffness_kind(const view::NewtonView<Real>& newton) {
   return newton.control == nullptr || newton.control->positive_stiffness != 0 ? physics::Stiffness::kPositive

@@ -28,8 +28,7 @@
 ///    positive and the residual stays below kMaxDetour of the forces.
 /// 4. The step has converged if the residual is small against the forces. It has also converged if an increment no
 ///    longer moves a node by more than its coordinates can resolve. Without that second test a body without any load
-///    would never
-/// converge: the forces of its elements are rounding errors, and so is every fraction of them.
+///    would never converge: the forces of its elements are rounding errors, and so is every fraction of them.
 /// 5. The step ends unconverged at the largest number of iterations, if no halving makes the increment short enough, or
 ///    after kMaxDetourIterations without a new smallest residual.
 namespace tensormass::solver {
@@ -43,9 +42,9 @@ inline constexpr double kRoundingShare = sizeof(Real) == 4 ? 0.1 : 1e-6;
 /// Runs one step. Device has
 ///
 ///   begin(), evaluate(), solve(), backtrack(), end()   enqueue the stages of a phase after those enqueued before
-///   view::NewtonControl& control()                     inputs of the next phase; waits until the last one has read
-///   them NewtonResidual residual()                          of the last evaluation; waits for it StepResult result()
-///   of the last solve or backtrack; waits for it
+///   view::NewtonControl& control()                     for the next phase; waits until the last one has read it
+///   NewtonResidual residual()                          of the last evaluation; waits for it
+///   StepResult result()                                of the last solve or backtrack; waits for it
 ///
 /// project_to_psd: use the projected stiffness in every iteration.
 /// largest_force_squared: the largest forces at the end of any converged step since the scene's start [N² s²]; read and

@@ -80,7 +80,7 @@ struct ElementView {
   Real* internal_variables;             // [quadrature points][prony_count][6][count]
   Real* checkpoint_internal_variables;  // copy for restoring the checkpoint
 
-  // For the inversion check (physics::reference_gradients); nullptr: no check, or a check of F from `rest`.
+  // For the inversion check (physics::reference_gradients); nullptr: no check, or F from stored rest shapes.
   std::uint32_t reference_points;
   const Real* reference_gradients;
 
