@@ -6,16 +6,27 @@
 #include "physics/contact/closest_point.h"
 #include "view/scene.h"
 
-/// A rigid sphere against the tissue's surface: penalty pressure, frictionless, implicit.
+/// A rigid sphere against the tissue's surface: penalty pressure, without friction, implicit in time.
 ///
-/// Every surface triangle within reach has one contact point, the point closest to the sphere's centre, and pushes with
-/// k = penalty · area for each metre of penetration along the direction n away from the centre. The force at the *end*
-/// of the step, k (depth − dt n·Σ w_a v_a), enters the same linear system as the tissue, with weights w_a of the
-/// triangle's corners: three diagonal blocks and the three edge tensors between them, which the mesh has anyway.
+///                   ___
+///                 /     \       c   centre of the sphere
+///                |   c   |      n   direction in which the tissue is pushed, from c to the contact point
+///                 \__│__/       w_a, d_a   weight of the contact point at corner a of the triangle; motion of a in the
+///                 step
+///    tissue ─────── n↓ ──────   k   stiffness, penalty · area of the triangle [N/m]
+///                               depth   radius − distance from c to the contact point [m]
 ///
-/// Whether the centre is inside the tissue is decided once a step, at the closest feature of the whole surface, by its
-/// angle-weighted pseudonormal (Bærentzen, Aanæs 2005); a centre that got inside pushes the tissue back over it. Only
-/// triangles that it is behind take part in that: another body beside the one it is in is pushed away as ever.
+/// 1. Each surface triangle has one contact point with a tool: its point closest to the sphere's centre. The triangle
+///    is in contact if its depth is positive.
+/// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n. It enters the same linear system as the
+///    tissue. Its derivative has three diagonal blocks and the edge tensors between the three corners. The mesh has
+///    those edges anyway.
+/// 3. Each step decides once whether the centre is inside the tissue: at the closest point of the whole surface, by the
+///    angle-weighted pseudonormal there (Bærentzen, Aanæs 2005).
+/// 4. A centre inside pushes the tissue back over itself: n is reversed, and the depth grows by twice
+///    the depth of the centre. This concerns
+///    only triangles that face away from the centre. Another body beside the one that contains the centre is pushed as
+///    usual.
 namespace tensormass::contact {
 
 template <class Real>
@@ -23,14 +34,14 @@ TM_HOST_DEVICE Vec3<Real> cross(const Vec3<Real>& a, const Vec3<Real>& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
-/// A triangle's corners where they are now.
+/// Current positions of a triangle's corners.
 template <class Real>
 struct Corners {
   Vec3<Real> x[3];
   TM_HOST_DEVICE Vec3<Real> at(const Vec3<Real>& weights) const {
     return x[0] * weights[0] + x[1] * weights[1] + x[2] * weights[2];
   }
-  /// Outward, not normalized: twice the area long.
+  /// The outward normal, not normalized: its length is twice the area.
   TM_HOST_DEVICE Vec3<Real> normal() const { return cross<Real>(x[1] - x[0], x[2] - x[0]); }
 };
 
@@ -48,7 +59,7 @@ TM_HOST_DEVICE Vec3<Real> unit(const Vec3<Real>& v) {
   return squared > 0 ? Vec3<Real>(v / sqrt(squared)) : Vec3<Real>(Vec3<Real>::Zero());
 }
 
-/// The surface's direction outward at a feature of a triangle; not normalized.
+/// Outward pseudonormal of the surface at a feature of a triangle, not normalized.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                        std::uint32_t triangle, physics::TriangleFeature feature) {
@@ -81,7 +92,8 @@ TM_HOST_DEVICE Vec3<Real> center_of(const view::ToolState<Real>& tool) {
   return {tool.center_m[0], tool.center_m[1], tool.center_m[2]};
 }
 
-/// Stage 1: the closest triangle of each patch to each tool.
+/// Stage 1, closest-point query: finds the closest triangle of each patch to each tool, and on which side of it the
+/// centre lies.
 /// Reads displacement, tools; writes closest.
 template <class Team, class Real>
 TM_HOST_DEVICE void detect(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -115,7 +127,7 @@ TM_HOST_DEVICE void detect(Team& team, const view::PatchesView& patches, const v
   }
 }
 
-/// Stage 2: each triangle's contact with each tool.
+/// Stage 2, contact generation: computes each triangle's contact with each tool.
 /// Reads displacement, tools, closest; writes contacts.
 template <class Team, class Real>
 TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -129,7 +141,7 @@ TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, 
       if (other.distance_squared < nearest.distance_squared) nearest = other;
     }
     const Vec3<Real> center = center_of(tool);
-    // How far the centre is inside; a continuous continuation of radius − distance from outside to inside.
+    // Depth of the centre inside the tissue. With it, depth continues radius − distance continuously to the inside.
     const Real inside = nearest.side < 0 ? sqrt(nearest.distance_squared) : Real(0);
     team.for_each(
         contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
@@ -154,7 +166,7 @@ TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, 
   }
 }
 
-/// Stage 3: contacts into the linear system, gathered by surface node.
+/// Stage 3: adds contacts to the linear system. Each surface node gathers from the triangles around it.
 /// Reads contacts, velocity; adds to edges, diagonal, rhs.
 template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -197,8 +209,8 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
   });
 }
 
-/// Stage 4, after the solve: what the tissue does to each tool, at the end of the step.
-/// Reads contacts, velocity; writes tool_loads.
+/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step.
+/// Reads contacts, displacement, velocity; writes tool_loads.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                             const view::ContactView<Real>& contact) {
@@ -214,14 +226,14 @@ TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const 
           Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
           for (int c = 0; c < 3; ++c) {
             const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-            // Where a step is solved more than once, contacts are those of its end.
+            // With base fields, contacts are generated again at the end of the step: nothing has moved since.
             if (state.base_displacement == nullptr) {
               change += view::load3<Real>(state.velocity, row) * (view::step_size(state) * touch.weight[c]);
             }
             point += view::position(state, row) * touch.weight[c];
           }
-          point -= change;  // where the step began and the normal was taken: tissue's sliding twists no sphere
-          // Penalty contact pushes only: a point that left the sphere within the step carries nothing.
+          point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
+          // Penalty contact only pushes: a point that left the sphere within the step carries no force.
           const Real pressure = touch.stiffness * maximum(touch.depth_m - n.dot(change), Real(0));
           force -= n * pressure;
           torque -= cross<Real>(point - center_of(tool), n) * pressure;

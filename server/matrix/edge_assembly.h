@@ -4,15 +4,16 @@
 #include "matrix/element_points.h"
 #include "matrix/row_system.h"
 
-/// Assembly of a matrix that stores edges (edges.h): one CPU thread for each patch.
+/// Assembly of a matrix that stores edges (edges.h). One CPU thread assembles each patch:
 ///
-///   begin_edges ──> A = mass and constant tensors, b = inertia
+///   begin_edges ──> A = mass and constant tensors, b = inertia and the forces of the constant tensors
 ///   element_pass ─> for each group: A += h (β + h) K_kl, b += h (f − K (β v + d))
 ///
-/// The terms of A and b are derived in row_system.h.
+/// row_system.h derives the terms of A and b and defines the symbols. Other stages add gravity, loads and contact.
 namespace tensormass::matrix {
 
-/// Writes the part of A and b that is not refreshed: inertia and constant tensors. The element passes then add theirs.
+/// Writes the part of A and b that no element pass computes: mass, and the constant tensors of linear laws. The element
+/// passes then add theirs.
 /// HasConstant: the scene has linear laws.
 /// Reads constant tensors, displacement, velocity, base fields; writes edges, diagonal, rhs, internal_force.
 template <bool HasConstant, class Team, class Real>
@@ -65,7 +66,7 @@ void begin_edges(const Team& team, const view::PatchesView& patches, const view:
   });
 }
 
-/// Writes the part of A and b that is not refreshed, with or without constant tensors.
+/// Writes that part with or without constant tensors, as the scene has them.
 template <class Team, class Real>
 void begin_edges(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                  const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton) {

@@ -7,30 +7,37 @@
 #include "physics/element/element.h"
 #include "view/scene.h"
 
-/// A matrix that stores edges, for patches that one thread runs.
+/// A matrix that stores edges, for patches that one CPU thread runs.
 ///
-/// A symmetric matrix needs each block off its diagonal once: a product reads it and uses it for both rows, which
-/// halves what an iteration must move. Between rows of one patch this is what happens; a block between two patches is
-/// stored in both, so that a patch still writes to its own rows only. Which of two rows stores their edge is free, and
-/// make_layout shares the edges out so that all rows of a slice have about equally many.
+///   A_ij    3×3 block that couples the rows i and j;  A_ji = A_ijᵀ
+///   edge    a pair of coupled rows; its block is A_ij
+///   slot    column · kEdgeSliceRows + row within the slice: where a block is stored
+///   place   2 · slot, + 1 if the slot holds the transpose of the block that an element computes
 ///
-/// Slices are kEdgeSliceRows rows high, a vector register of floats. The columns of slice i are
+/// 1. The matrix is symmetric, so each block off the diagonal is needed only once. A product reads A_ij and uses it for
+///    both rows. This halves the bytes that an iteration reads.
+/// 2. An edge between two patches is stored in both. A patch therefore writes only to its own rows.
+/// 3. Either of two rows may store their edge. make_layout balances the edges, so that all rows of a slice store about
+///    equally many.
+/// 4. Elements add to the matrix one after the other, directly: there are no element records and no gather maps. During
+///    assembly the nine components of a block therefore lie side by side, row by row. scale_edges then moves them
+///    kEdgeSliceRows apart, as the solver's lanes read them.
 ///
-///   [slice_begin[i], slice_halo[i])      edges within the patch: used for both rows
-///   [slice_halo[i], slice_begin[i + 1])  edges to the halo: used for the own row
+/// Slices are kEdgeSliceRows rows high, which is a vector register of floats. The columns of slice i are
 ///
-/// While the system is assembled, the nine components of a block lie side by side, row by row, because elements are
-/// added one after the other: an element writes straight into the matrix, and neither records nor gather maps exist.
-/// scale_edges leaves the components kEdgeSliceRows apart, for the solver's lanes.
+///     slice_begin[i]               slice_halo[i]              slice_begin[i + 1]
+///     │ A_ij, used for i and j     │ A_ih, used for i only     │
+///     │ edges within the patch     │ edges to the halo         │
 namespace tensormass::matrix {
 
 using namespace view;
 
 inline constexpr std::uint32_t kEdgeSliceRows = 8;
 
-/// Where the block of a slot begins while the system is assembled.
+/// Index of the first component of a slot's block during assembly.
 TM_HOST_DEVICE constexpr std::size_t edge_begin(std::size_t slot) { return 9 * slot; }
 
+/// Whether the matrix stores edges. Otherwise each row stores all of its blocks.
 template <class Real>
 TM_HOST_DEVICE bool stores_edges(const view::MatrixView<Real>& matrix) {
   return matrix.slice_halo != nullptr;
@@ -45,7 +52,7 @@ void store_edge(Real* blocks, std::size_t slot, const Mat3<Real>& m) {
   Eigen::Map<Eigen::Matrix<Real, 3, 3, Eigen::RowMajor>>(blocks + edge_begin(slot)) = m;
 }
 
-/// Adds to a block of the assembled system, however it is stored.
+/// Adds to a block of the system during assembly, in every storage.
 template <class Real>
 TM_HOST_DEVICE void add_to_block(const view::MatrixView<Real>& matrix, std::size_t slot, const Mat3<Real>& m) {
   if (stores_edges(matrix)) {
@@ -55,7 +62,9 @@ TM_HOST_DEVICE void add_to_block(const view::MatrixView<Real>& matrix, std::size
   }
 }
 
-/// Calls visit(slot, patch-local row, patch-local column, whether the edge is used for both) for the edges of a patch.
+/// Calls visit for each slot of a patch, padding included.
+///
+///   visit(slot, row, column, both)   row, column: patch-local;  both: the edge is used for both rows
 template <class Real, class Visit>
 void for_each_edge(const view::MatrixView<Real>& matrix, const Patch& patch, const Visit& visit) {
   for (std::uint32_t slice = patch.row_begin / kEdgeSliceRows; slice < patch.row_end / kEdgeSliceRows; ++slice) {
@@ -71,8 +80,8 @@ void for_each_edge(const view::MatrixView<Real>& matrix, const Patch& patch, con
 
 namespace detail {
 
-/// The first eight components of to += block, or of its transpose, row by row. Without a branch: which of the two is as
-/// good as random.
+/// Adds the first eight components of a block, or of its transpose, to `to`, row by row. It has no branch: whether a
+/// block is transposed is practically random, so the processor could not predict it.
 template <class Real>
 void add_eight(Real* to, const Real* block, std::uint32_t transposed) {
   typedef Real Eight __attribute__((vector_size(8 * sizeof(Real))));
@@ -95,9 +104,9 @@ void add_reals(Real* to, const Real* from) {
 
 }  // namespace detail
 
-/// Fetches what the elements from `first` on will need soon: more streams than the processor follows by itself, and
-/// blocks that are spread over the matrix. Inlined by force: GCC 12 takes a function that only prefetches for one
-/// without effect and drops its calls.
+/// Prefetches what the elements from `first` on will need soon. They read more streams than the processor follows by
+/// itself, and their blocks are spread over the matrix. Inlining is forced: GCC 12 takes a function that only
+/// prefetches for one without effect and drops its calls.
 template <class Lanes, class Shape, class Real>
 [[gnu::always_inline]] inline void prefetch_elements(const view::MatrixView<Real>& matrix, const ElementView<Real>& e,
                                                      std::uint32_t first) {
@@ -113,13 +122,14 @@ template <class Lanes, class Shape, class Real>
     const std::uint32_t* places = e.pair_places + std::size_t{pair} * e.count + first;
     __builtin_prefetch(places + kStreamsAhead);
     for (std::uint32_t lane = kBlocksAhead; lane < kBlocksAhead + Lanes::kWidth; ++lane) {
-      __builtin_prefetch(matrix.edges + edge_begin(places[lane] / 2), 1);  // kNoPlace is no address, which is no fault
+      __builtin_prefetch(matrix.edges + edge_begin(places[lane] / 2), 1);  // kNoPlace: a bad address, harmless
     }
   }
 }
 
-/// Adds what elements contribute to A and b (x) to the rows and edges of a patch. `count` elements from
-/// `first`, at most as many as there are lanes.
+/// Adds the contributions of some elements to A and b (matrix/row_system.h) to the rows and edges of a patch. Nodes and
+/// edges of other patches are skipped.
+/// count: elements from `first` on, at most Lanes::kWidth.
 template <class Lanes, class Shape, class Real>
 void add_to_edges(const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
                   const view::NewtonView<Real>& newton, const ElementView<Real>& e, const Patch& patch,
@@ -127,17 +137,21 @@ void add_to_edges(const view::StateView<Real>& state, const view::MatrixView<Rea
                   const physics::ElementTensors<Shape, typename Lanes::Scalar>& tensors) {
   using T = typename Lanes::Scalar;
   constexpr std::uint32_t kNodes = Shape::kNodes, kPairs = physics::kPairs<Shape::kNodes>;
-  // By eights, each of which is written as one vector and read from one: of the nodes A_kk as `diagonal` has them, of
-  // the pairs the first eight components; then four of b a node, the ninth component of each pair and, for outer
-  // iterations, four of f a node.
+  // An element's record. Each field starts at a multiple of eight reals and is written and read as whole vectors:
+  //
+  //   0        8 a node   its part of the diagonal block, as MatrixView::diagonal stores it
+  //   kEdges   8 a pair   the first eight components of its part of A_kl
+  //   kRhs     4 a node   b
+  //   kNinths  1 a pair   the ninth component of A_kl
+  //   kForces  4 a node   f, for Newton's method
   constexpr std::uint32_t kEdges = 8 * kNodes, kRhs = kEdges + 8 * kPairs, kNinths = kRhs + (kNodes + 1) / 2 * 8;
   constexpr std::uint32_t kForces = kNinths + (kPairs + 7) / 8 * 8, kRecord = kForces + (kNodes + 1) / 2 * 8;
   const auto rows = [&](std::uint32_t k) { return e.rows + std::size_t{k} * e.count + first; };
   const T h = T(step_size(state));
-  // Mass, α and β of a row lie side by side; an element's nodes belong to one body and have its damping.
+  // Mass, α and β of a row lie side by side. All nodes of an element belong to one body and have its damping.
   const T beta = Lanes::gather3(state.inertia, rows(0))[2];
   const T stiffness_share = h * (beta + h);
-  Vec3<T> ahead[kNodes], rhs[kNodes];  // of stretch_ahead
+  Vec3<T> ahead[kNodes], rhs[kNodes];  // β v + d, as RowTerms::stretch_ahead
   for (std::uint32_t k = 0; k < kNodes; ++k) {
     const Vec3<T> velocity = Lanes::gather3(state.velocity, rows(k));
     ahead[k] = velocity * (h + beta);
@@ -183,7 +197,7 @@ void add_to_edges(const view::StateView<Real>& state, const view::MatrixView<Rea
     const Real* from = records + lane * kRecord;
     for (std::uint32_t k = 0; k < kNodes; ++k) {
       const std::size_t row = rows(k)[lane];
-      if (row - patch.row_begin >= patch.own()) continue;  // wraps around for the patches before
+      if (row - patch.row_begin >= patch.own()) continue;  // another patch's row; the difference wraps
       detail::add_reals<4>(matrix.rhs + 4 * row, from + kRhs + 4 * k);
       detail::add_reals<8>(matrix.diagonal + 8 * row, from + 8 * k);
       if (newton.internal_force != nullptr)
@@ -199,8 +213,9 @@ void add_to_edges(const view::StateView<Real>& state, const view::MatrixView<Rea
   }
 }
 
-/// Gives q where other patches read it, and what the patch adds to p · q and q · q. Both from q as it is in the end:
-/// edge by edge, p · q would add up what cancels in q, and lose the digits that an ill-conditioned matrix leaves it.
+/// Publishes q of the rows that other patches read, and adds the patch's part to p · q (`pq`) and q · q (`qq`). Both
+/// sums use the finished q. Summed edge by edge, p · q would add up terms that cancel in q. It would lose the digits
+/// that an ill-conditioned matrix leaves it.
 template <class Lanes, class Real>
 void publish_product(const view::MatrixView<Real>& matrix, const Patch& patch, const Real* p, const Real* q,
                      Real* product, typename Lanes::Scalar& pq, typename Lanes::Scalar& qq) {
@@ -215,7 +230,9 @@ void publish_product(const view::MatrixView<Real>& matrix, const Patch& patch, c
   }
 }
 
-/// q = Â p on the rows of a patch, after scale_edges. p: patch-local, halo behind; q: of its own rows, zero before.
+/// Computes q = Â p on the rows of a patch, after scale_edges.
+/// p: patch-local, own rows and then the halo.
+/// q: own rows only; must be zero before.
 template <class Lanes, class Real>
 void multiply_edges(const view::MatrixView<Real>& matrix, const Patch& patch, const Real* p, Real* q) {
   using T = typename Lanes::Scalar;

@@ -8,18 +8,21 @@
 #include "view/newton.h"
 #include "view/state.h"
 
-/// Quadrature points of elements: what is read of them, and the law evaluated there.
+/// Quadrature points of elements: their stored data, and the law evaluated there.
 ///
-///   lane   one element of several that are evaluated together: one on a GPU thread, as many as a vector register
-///          holds on a CPU. Lanes::Scalar is a number or a pack of numbers, and formulas do not know which.
+///   lane   one of several elements that are evaluated together. A GPU thread has one lane; a CPU has as many as a
+///          vector register holds. Lanes::Scalar is a number or a pack of numbers, and formulas do not know which.
 ///   first  index of the first element of the lanes
-///   u      displacement of the elements' nodes [m];  F = I + Σ u_k ⊗ ∇N_k
+///   q      index of a quadrature point
+///   u      displacement of the elements' nodes [m]
+///   F      deformation gradient, I + Σ u_k ⊗ ∇N_k over the nodes k with shape functions N_k
 namespace tensormass::matrix {
 
 using namespace view;
 
-/// The elements of a group that a patch works on. Where the matrix stores edges, those that touch the patch, so that
-/// some are evaluated by several patches. Otherwise an even share of whole slices, whoever owns their nodes.
+/// The elements of a group that a patch works on. If the matrix stores edges, these are all elements that touch the
+/// patch, so several patches may evaluate the same element. Otherwise each patch has an even share of whole slices,
+/// whichever patches own their nodes.
 struct ElementRange {
   std::uint32_t begin, end;
 };
@@ -32,6 +35,7 @@ TM_HOST_DEVICE ElementRange element_range(const view::PatchesView& patches, cons
           static_cast<std::uint32_t>(std::uint64_t{slices} * (patch + 1) / patches.patch_count) * kSliceRows};
 }
 
+/// Reads the displacements of the nodes of the elements from `first` on.
 template <class Lanes, class Shape, class Real>
 TM_HOST_DEVICE void load_displacement(const view::StateView<Real>& state, const ElementView<Real>& e,
                                       std::uint32_t first, Vec3<typename Lanes::Scalar> (&u)[Shape::kNodes]) {
@@ -41,8 +45,8 @@ TM_HOST_DEVICE void load_displacement(const view::StateView<Real>& state, const 
   }
 }
 
-/// Reads reals that lie together. Both the address and Count are multiples of four, so that a GPU reads four at once.
-/// Once: the step reads them only once (read_once).
+/// Reads reals that lie together. The address and Count must be multiples of four, so that a GPU reads four at once.
+/// Once: the step does not read them again later (core/scalar.h, read_once).
 template <bool Once = false, std::uint32_t Count, class Real>
 TM_HOST_DEVICE void read_reals(const Real* from, Real (&to)[Count]) {
   static_assert(Count % 4 == 0);
@@ -83,17 +87,18 @@ TM_HOST_DEVICE void write_reals(const Real (&from)[Count], Real* to) {
   }
 }
 
+/// Quadrature points of an element: a constant for shapes with one.
 template <class Shape, class Real>
 TM_HOST_DEVICE std::uint32_t points_of(const ElementView<Real>& e) {
   return Shape::kSinglePoint ? 1 : e.point_count;
 }
 
-/// Elements read one at a time are records; elements read in packs are structures of arrays (view/elements.h).
+/// Whether elements are read from records, one at a time, or from structures of arrays, in packs (view/elements.h).
 template <class Lanes>
 inline constexpr bool kReadsRecords = Lanes::kWidth == 1;
 
-/// A quadrature point as it is stored. The constructor only reads: what follows from the values is computed where it is
-/// used, so that a GPU thread does not wait for the reads here.
+/// A quadrature point as it is stored. The constructor only reads. Derived values are computed where they are used, so
+/// that a GPU thread does not wait for the reads here.
 template <class Lanes, class Shape, class Law>
 struct StoredPoint {
   using T = typename Lanes::Scalar;
@@ -107,10 +112,10 @@ struct StoredPoint {
     if constexpr (kReadsRecords<Lanes>) {
       const std::uint32_t points = points_of<Shape>(e), stride = point_stride(kReals, points);
       const Real* record = e.records + std::size_t{first} * e.record_reals;
-      // The rows that read an element of a single point lie in a few slices, which a GPU evaluates at about the same
-      // time: one read brings it into the cache for all of them.
+      // The rows of an element with a single point lie in few slices, which a GPU evaluates at about the same time. One
+      // read from memory serves all of them, so the cache need not keep it longer.
       read_reals<Shape::kSinglePoint>(record + q * stride, reals);
-      // The padding behind the reals of a single point holds its first parameters, which have been read already.
+      // The padding behind the reals of a single point holds its first parameters. They are already read.
       constexpr int kParameters = Law::kParameterCount;
       constexpr int kFilling = static_cast<int>(round_to_four(kReals) - kReals);
       constexpr int kRead = Shape::kSinglePoint ? minimum(kFilling, kParameters) : 0;
@@ -131,7 +136,8 @@ struct StoredPoint {
   TM_HOST_DEVICE auto gradients() const {
     return physics::PointGradients<Shape, T>::read([&](int c) { return reals[c]; });
   }
-  /// The law at F, or at the decomposition of F, with the moduli weighted as the point integrates them.
+  /// Evaluates the law at F, or at the decomposition of F. Its moduli are multiplied by the point's integration
+  /// weights.
   template <class Real, class DeformationGradient>
   TM_HOST_DEVICE auto law_at(const ElementView<Real>& e, std::uint32_t q, const DeformationGradient& f) const {
     T own[maximum(Law::kParameterCount, 1)];
@@ -143,20 +149,21 @@ struct StoredPoint {
   }
 };
 
-/// The law of whoever needs the shape alone: no parameters are read.
+/// Stands for the law in code that needs only the shape: no parameters are read.
 struct NoLaw {
   static constexpr int kParameterCount = 0;
 };
 
-/// Time by which the internal variables must advance in this evaluation [s]: the length of the last step in the first
-/// evaluation of this one, zero in later Newton iterations.
+/// Returns the time by which the internal variables must advance in this evaluation [s]: StepControl::internal_dt_s in
+/// the first evaluation of a step, zero in later Newton iterations.
 template <class Real>
 TM_HOST_DEVICE Real internal_step(const view::StateView<Real>& state, const view::NewtonView<Real>& newton) {
   return newton.control == nullptr || newton.control->begins_step != 0 ? state.control->internal_dt_s : Real(0);
 }
 
-/// The viscous stress of a point in a step of dt_s (physics/element/prony.h). If internal_dt_s is positive, first
-/// advances the internal variables by that time, to the stress at the end of the last step, and stores them.
+/// Returns the viscous part of a point's stress in a step of dt_s (physics/element/prony.h). If internal_dt_s is
+/// positive, it first advances the internal variables by that time, to the stress at the end of the last step, and
+/// stores them.
 template <class Lanes, class Law, class Point, class Real>
 TM_HOST_DEVICE auto viscous_stress_at(const ElementView<Real>& e, std::uint32_t q, std::uint32_t first,
                                       const Point& point, Real dt_s, Real internal_dt_s) {
@@ -184,7 +191,9 @@ TM_HOST_DEVICE auto viscous_stress_at(const ElementView<Real>& e, std::uint32_t 
   return physics::Viscous<T>{instant, physics::symmetric<T>(memory)};
 }
 
-/// Calls visit(gradients, F, point, q) for each quadrature point q; point: the law evaluated at F.
+/// Evaluates every quadrature point.
+///
+///   visit(gradients, F, point, q)   called for each point; point: the law evaluated at F
 template <class Lanes, class Shape, class Law, class Real, class Visit>
 TM_HOST_DEVICE void for_each_point(const ElementView<Real>& e, std::uint32_t first,
                                    const Vec3<typename Lanes::Scalar> (&u)[Shape::kNodes], const Visit& visit) {
@@ -198,14 +207,18 @@ TM_HOST_DEVICE void for_each_point(const ElementView<Real>& e, std::uint32_t fir
   }
 }
 
+/// The stiffness of a step: projected to positive definite, unless Newton's method asks for the consistent one.
 template <class Real>
 TM_HOST_DEVICE physics::Stiffness stiffness_kind(const view::NewtonView<Real>& newton) {
   return newton.control == nullptr || newton.control->positive_stiffness != 0 ? physics::Stiffness::kPositive
                                                                               : physics::Stiffness::kConsistent;
 }
 
-/// Calls add(const physics::Viscous*), with nullptr for a group without Prony terms. internal_dt_s: as for
-/// viscous_stress_at.
+/// Computes a point's viscous stress, if its group has Prony terms.
+///
+///   add(const physics::Viscous*)   called once, with nullptr for a group without Prony terms
+///
+/// internal_dt_s: as for viscous_stress_at.
 template <class Lanes, class Law, class Real, class Point, class Add>
 TM_HOST_DEVICE void with_viscous_stress(const view::StateView<Real>& state, const ElementView<Real>& e, std::uint32_t q,
                                         std::uint32_t first, const Point& point, Real internal_dt_s, const Add& add) {
@@ -215,8 +228,9 @@ TM_HOST_DEVICE void with_viscous_stress(const view::StateView<Real>& state, cons
   add(&memory);
 }
 
-/// Advances the internal variables of a group to the stress at the end of the last step. On a GPU a stage of its own:
-/// several rows evaluate an element there, and none of them may write its variables.
+/// Advances the internal variables of a group to the stress at the end of the last step. A GPU does this in a stage of
+/// its
+/// own: several rows evaluate an element there, and none of them may write its variables.
 /// Reads displacement, internal variables; writes internal variables.
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void advance_internal_variables(const Team& team, const view::PatchesView& patches,

@@ -3,22 +3,34 @@
 #include "matrix/element_points.h"
 #include "physics/material/law.h"
 
-/// The elements of a row, as a thread that owns the row (matrix/rows.h) finds and reads them.
+/// The elements of a row, as the thread that owns the row (matrix/rows.h) finds and reads them.
+///
+///   row ──> its list of elements ──> Places of the element's nodes ──> blocks of the row to which it adds
+///                (ElementView::listed)  └─> a ReadPoint for each quadrature point ──> F, stress, stiffness
+///
+///   place   column of a slot within the row's slice, in 8 or 16 bits; all bits set: the row itself
+///   F       deformation gradient; F = U Σ Vᵀ is its signed singular value decomposition
+///
+/// 1. An element has one place for each of its nodes, relative to the row that reads it. 8 bits suffice if the widest
+///    slice has fewer than 255 columns.
+/// 2. Laws of the principal stretches need F = U Σ Vᵀ. All rows of an element need the same one, and it is expensive. A
+///    first pass therefore computes it once for each quadrature point.
 namespace tensormass::matrix {
 
 using namespace view;
 
-/// A place is the column of a row's slot in its slice, in 8 or 16 bits; that of the row itself has all bits set.
+/// The place that stands for the row itself.
 TM_HOST_DEVICE constexpr std::uint32_t own_place(std::uint32_t bits) { return bits == 8 ? 0xFF : 0xFFFF; }
+/// Words of 32 bits that hold the places of one element.
 TM_HOST_DEVICE constexpr std::uint32_t place_words(std::uint32_t nodes, std::uint32_t bits) {
   return (nodes * bits + 31) / 32;
 }
 
-/// Where the blocks of an element belong in one of its rows.
+/// Places of an element's nodes in one of its rows.
 template <int Nodes>
 class Places {
  public:
-  /// As they are stored.
+  /// The places as they are stored.
   struct Packed {
     std::uint32_t words[place_words(Nodes, 16)];
     template <class Real>
@@ -46,11 +58,11 @@ class Places {
     for (std::uint32_t m = 0; m + 1 < Nodes; ++m) others_[m] = is_own_[m + 1] ? nodes_[0] : nodes_[m + 1];
   }
 
-  /// Whether node l is the row, and its place if it is not.
+  /// Whether node l is the row itself; otherwise of(l) is its place.
   TM_HOST_DEVICE bool is_own(int l) const { return is_own_[l]; }
   TM_HOST_DEVICE std::uint32_t of(int l) const { return nodes_[l]; }
 
-  /// Of the other nodes, as physics::kOthers counts them.
+  /// Places of the other nodes, in the order of physics::kOthers.
   TM_HOST_DEVICE const std::uint32_t (&others() const)[Nodes - 1] { return others_; }
 
  private:
@@ -63,8 +75,8 @@ class Places {
   std::uint32_t nodes_[Nodes], others_[Nodes - 1];
 };
 
-/// F = U Σ Vᵀ of a quadrature point, as it is kept between the two passes over elements: of U and V, which are
-/// rotations, two columns.
+/// F = U Σ Vᵀ of a quadrature point, as it is stored between the two passes over elements. U and V are rotations, so
+/// two columns of each are stored; the third is their cross product.
 template <class Real>
 struct Decomposition {
   Real reals[kDecompositionReals];
@@ -100,7 +112,7 @@ struct Decomposition {
   }
 };
 
-/// The first pass, for laws that want it (physics::kDecomposes): each point once.
+/// Decomposes F at each quadrature point once, for laws that need it (physics::kDecomposes).
 /// Reads displacement; writes decompositions.
 template <class Shape, class Team, class Real>
 TM_HOST_DEVICE void decompose(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -117,8 +129,8 @@ TM_HOST_DEVICE void decompose(const Team& team, const view::PatchesView& patches
   });
 }
 
-/// What is read of a quadrature point to evaluate it. Of laws that decompose, F is what it is decomposed to; of others
-/// it takes displacements.
+/// The stored data of a quadrature point. For laws that decompose it contains F, decomposed; other laws compute F from
+/// displacements.
 template <class Shape, class Law, class Real>
 struct ReadPoint {
   struct Nothing {
@@ -133,7 +145,7 @@ struct ReadPoint {
       : stored(e, q, element), decomposition(e, q, element) {}
 };
 
-/// Elements of a row that are evaluated side by side, so that the arithmetic of one hides what another waits for.
+/// Elements of a row that a thread evaluates side by side. The arithmetic of one hides the memory latency of the other.
 template <class Shape>
 inline constexpr std::uint32_t kElementsAtOnce = Shape::kSinglePoint ? 2 : 1;
 

@@ -6,23 +6,35 @@
 
 /// The linear system of one implicit step, row by row.
 ///
-/// The step ends at u' = û + h v' with M (v' − v̂) / h = f(u') + f_ext − α M v' − β K v' (u, v, û, v̂, h: view/state.h;
-/// α, β: Rayleigh damping C = α M + β K). The elements are evaluated at u. Linearized about u and about any velocity v,
-/// with d = û + h v − u:
+///   u, v            displacement and velocity now             view/state.h defines these
+///   u', v'          the same at the end of the step
+///   û, v̂, h         base displacement, base velocity, effective step
+///   f, f_ext        forces of the elements at u; gravity and loads
+///   M               mass
+///   K = −∂f/∂u      stiffness; K_kl is its 3×3 block for the rows k and l (an edge tensor)
+///   α, β            Rayleigh damping, C = α M + β K
+///   d = û + h v − u   how far v still moves the rows from u
+///
+/// The step must satisfy
+///
+///   u' = û + h v',   M (v' − v̂) / h = f(u') + f_ext − α M v' − β K v'
+///
+/// The elements are evaluated at u. Linearized about u and about any velocity v, the step becomes
 ///
 ///   A (v' − v) = b,   A = (1 + α h) M + h (β + h) K
 ///                     b = h (f + f_ext − α M v − K (β v + d)) + M (v̂ − v)
 ///
-/// 1. Implicit Euler has u = û and v = v̂: this is then Baraff and Witkin 1998.
+/// 1. Implicit Euler has û = u and v̂ = v. The system is then that of Baraff and Witkin 1998.
 /// 2. In a later Newton iteration d = 0, and b is the residual.
 /// 3. A rigid translation causes no force, so the diagonal tensor is K_kk = −Σ K_kl over the row's edges. Only edge
 ///    tensors are summed, and K d of a row is the sum of K_kl (d_l − d_k).
+/// 4. Edge tensors of linear laws are constant and stored. The others are *refreshed*: evaluated in each step.
 namespace tensormass::matrix {
 
 using namespace view;
 
-/// The factors of M and K in A and b for one row (row_system.h). Neighbours of a row belong to the same body and have
-/// the same damping, so a row's factors hold for all of its blocks.
+/// The factors of M and K for one row. Neighbours belong to the same body and have its damping, so a row's factors hold
+/// for all of its blocks.
 template <class Real>
 struct RowTerms {
   const view::StateView<Real>& state;
@@ -35,14 +47,18 @@ struct RowTerms {
         alpha(of_state.inertia[4 * row + 1]),
         beta(of_state.inertia[4 * row + 2]) {}
 
+  /// Factor of M in A.
   TM_HOST_DEVICE Real mass_share() const { return 1 + alpha * h; }
+  /// Factor of K in A [s²].
   TM_HOST_DEVICE Real stiffness_share() const { return h * (beta + h); }
+  /// What M multiplies in b: v̂ − v − α h v of any row of the body [m/s].
   TM_HOST_DEVICE Vec3<Real> momentum_gap(std::size_t row) const {
     const Vec3<Real> velocity = load3<Real>(state.velocity, row);
     const Vec3<Real> lost = velocity * (-alpha * h);
     if (state.base_velocity == nullptr) return lost;
     return lost + load3<Real>(state.base_velocity, row) - velocity;
   }
+  /// What K multiplies in b: β v + d of any row of the body [m].
   TM_HOST_DEVICE Vec3<Real> stretch_ahead(std::size_t row) const {
     return change_ahead(state, row) + load3<Real>(state.velocity, row) * beta;
   }
@@ -51,17 +67,17 @@ struct RowTerms {
 /// The sums from which a row of A and b follows.
 template <class Real>
 struct RowSums {
-  Vec3<Real> force = Vec3<Real>::Zero();  // of the elements [N]
-  Mat3<Real> vertex = Mat3<Real>::Zero();
-  Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();  // K (β v + d)
-  Vec3<Real> momentum = Vec3<Real>::Zero();         // of the neighbours
+  Vec3<Real> force = Vec3<Real>::Zero();            // f [N]
+  Mat3<Real> vertex = Mat3<Real>::Zero();           // K_kk [N/m]
+  Vec3<Real> stiffness_ahead = Vec3<Real>::Zero();  // K (β v + d) [N]
+  Vec3<Real> momentum = Vec3<Real>::Zero();         // Σ M_kl momentum_gap(l) over the neighbours [N s]
 };
 
-/// One row of A and b from the edge tensors K_kl of its slots.
+/// Forms one row of A and b from the edge tensors K_kl of its slots.
 template <bool HasConstant, class Real>
 class RowAssembly {
  public:
-  /// Reads what is needed of the row itself, so that nothing waits for it later.
+  /// Reads the data of the row itself, so that nothing waits for it later.
   TM_HOST_DEVICE RowAssembly(const view::PatchesView& patches, const view::StateView<Real>& state,
                              const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton,
                              const PatchColumns& patch, std::uint32_t row)
@@ -77,12 +93,13 @@ class RowAssembly {
         momentum_gap_(terms_.momentum_gap(row)),
         external_(state.external != nullptr ? load3<Real>(state.external, row) : Vec3<Real>(Vec3<Real>::Zero())) {}
 
-  /// What coupling to the row behind a slot needs. It is read before the refreshed tensors, so that the reads overlap.
+  /// Data of the row behind a slot, which couple() needs. They are read before the refreshed tensors, so that the reads
+  /// overlap.
   struct Neighbour {
     std::uint32_t row;
-    Vec3<Real> ahead;
-    Vec3<Real> stretch;  // like `constant`, only with constant tensors
-    Mat3<Real> constant;
+    Vec3<Real> ahead;     // stretch_ahead of that row
+    Vec3<Real> stretch;   // u_l − u_k; set only with constant tensors
+    Mat3<Real> constant;  // K_kl of linear laws; set only with constant tensors
   };
   TM_HOST_DEVICE Neighbour neighbour(std::size_t slot) const {
     Neighbour out;
@@ -94,7 +111,7 @@ class RowAssembly {
     }
     return out;
   }
-  /// Likewise without constant tensors, where the caller knows how far the row behind the slot moves.
+  /// Reads them likewise, for a caller that already has `ahead` and no constant tensors.
   TM_HOST_DEVICE Neighbour neighbour(std::size_t slot, const Vec3<Real>& ahead) const {
     static_assert(!HasConstant);
     Neighbour out;
@@ -102,14 +119,14 @@ class RowAssembly {
     out.ahead = ahead;
     return out;
   }
-  /// Adds the neighbour's part to the sums and returns the block of A. edge: K_kl of the refreshed elements.
+  /// Adds the neighbour's part to the sums and returns the block A_kl.
+  /// edge: K_kl of the refreshed elements.
   TM_HOST_DEVICE Mat3<Real> couple(std::size_t slot, const Neighbour& neighbour, Mat3<Real> edge,
                                    RowSums<Real>& sums) const {
     if constexpr (HasConstant) {
       sums.force -= neighbour.constant * neighbour.stretch;
       edge += neighbour.constant;
     }
-    // K_kk = −Σ K_kl, so K d and K u of the row are sums over its edges of K_kl (d_l − d_k).
     sums.vertex -= edge;
     sums.stiffness_ahead += edge * (neighbour.ahead - own_ahead_);
     edge *= terms_.stiffness_share();
@@ -120,7 +137,7 @@ class RowAssembly {
     }
     return edge;
   }
-  /// Writes the row's diagonal block and right-hand side from the sums of all of its slots.
+  /// Writes the row's diagonal block and right-hand side. sums: complete, from all of its slots.
   TM_HOST_DEVICE void finish(const RowSums<Real>& sums) const {
     const Mat3<Real> diagonal =
         sums.vertex * terms_.stiffness_share() + Mat3<Real>::Identity() * (terms_.mass * terms_.mass_share());

@@ -4,8 +4,8 @@
 #include "matrix/row_elements.h"
 #include "matrix/row_system.h"
 
-/// Assembly where a thread owns a row (storage by rows, on a GPU). The thread evaluates every element that touches its
-/// row and keeps what belongs to the row.
+/// Assembly in which a thread owns a row (storage by rows, on a GPU). The thread evaluates every element that touches
+/// its row and keeps the row's part of it.
 ///
 ///   for each round of the row's element list:
 ///     read ──> F at each quadrature point ──> stress, stiffness ──> force of the own node   added to RowSums
@@ -13,33 +13,37 @@
 ///   then for each column of the row:
 ///     Blocks ──> A_kl, and K d into RowSums ──> diagonal block and right-hand side of the row
 ///
-/// 1. Threads exchange nothing, no element tensor is stored anywhere, and every sum runs in the order of the row's
-/// list:
-///    the result repeats bitwise. Each element is evaluated once for each of its nodes, but only the own row of its
-///    tensors. Storing tensors and gathering them would take as long as this repeated arithmetic.
-/// 2. The rows of an element must find the same F and the same stress to the last bit. Otherwise the forces of a stiff
-///    element would not balance, by the rounding error of its modulus.
-/// 3. Blocks live in shared memory on a GPU. A wide row may not fit: it then comes in turns, each of which evaluates
-/// all
-///    of its elements and keeps the columns of that turn.
+///   round   kElementsAtOnce elements of the list, evaluated side by side
+///   part    one of several threads that share a row
+///   turn    the columns of a row whose blocks fit into shared memory together
+///   begun   the row holds sums of an earlier group: K_kl in edges, f in rhs
 ///
+/// row_system.h defines A, K, d and RowSums.
+///
+/// 1. Threads exchange nothing, and no element tensor is stored anywhere. Every sum runs in the order of the row's
+///    list, so results repeat bitwise. Each element is evaluated once for each of its nodes, but only that node's row
+///    of its tensors. Storing tensors and gathering them would take as long as this repeated arithmetic.
+/// 2. The rows of an element must find the same F and the same stress to the last bit. Otherwise the forces of a stiff
+/// element would not balance: they would be off by the rounding error of its modulus.
+/// 3. Blocks live in shared memory on a GPU, and a wide row may not fit. It is then processed in several turns. Each
+///    turn evaluates all elements of the row and keeps only its own columns.
 namespace tensormass::matrix {
 
-/// What a row needs of the row behind a slot: its displacement, and how far it moves (RowTerms::stretch_ahead) [m].
+/// The row behind a slot: its displacement, and how far it moves (RowTerms::stretch_ahead) [m].
 template <class Real>
 struct RowNeighbour {
   Vec3<Real> displacement, ahead;
 };
 
 /// True: cache the RowNeighbours in shared memory while the elements of a row are evaluated. False: read them when they
-/// are needed. Worth it only for linear tetrahedra, whose rows are narrow: wider rows would leave shared memory for
-/// fewer rows at once, and less of it to the cache.
+/// are needed. The cache pays only for linear tetrahedra, whose rows are narrow. With wider rows, shared memory would
+/// hold fewer rows at once and leave less room for the L1 cache.
 template <class Shape>
 inline constexpr bool kKeepsNeighbours = Shape::kSinglePoint;
 
-/// True: threads that share a row add to one sum of its blocks, one after the other. False: each has a sum of its own.
-/// An element of several points takes long to evaluate, so waiting for a turn is cheap; sums of their own would leave
-/// shared memory for fewer threads.
+/// True: the parts of a row have one sum of its blocks and add to it one after the other. False: each part has a sum of
+/// its own. An element of several points takes long to evaluate, so waiting for the others is cheap there. Separate
+/// sums would leave shared memory for fewer threads.
 template <class Shape>
 inline constexpr bool kAddsInTurns = !Shape::kSinglePoint;
 
@@ -54,7 +58,7 @@ struct ListedRow {
 
   TM_HOST_DEVICE std::uint32_t index() const { return slice.slice() * kSliceRows + lane; }
   TM_HOST_DEVICE std::uint32_t width() const { return slice.columns_end - slice.columns_begin; }
-  /// column: counted within the slice.
+  /// The slot of a column, counted within the slice.
   TM_HOST_DEVICE std::size_t slot(std::uint32_t column) const {
     return (std::size_t{slice.columns_begin} + column) * kSliceRows + lane;
   }
@@ -63,8 +67,9 @@ struct ListedRow {
   }
 };
 
-/// Reads the displacements of the nodes of a round's elements, relative to each element's first node: all rows of an
-/// element then find the same stress to the last bit. held: columns of the row that `blocks` holds.
+/// Reads the displacements of the nodes of a round's elements, relative to each element's first node. All rows of an
+/// element then find the same stress to the last bit.
+/// held: how many columns of the row `blocks` holds in this turn.
 template <class Shape, class Real, class Blocks>
 TM_HOST_DEVICE void read_moves(const ListedRow<Real>& row, const Vec3<Real>& own, const ElementView<Real>& e,
                                const std::uint32_t (&elements)[kElementsAtOnce<Shape>],
@@ -104,27 +109,28 @@ TM_HOST_DEVICE void read_moves(const ListedRow<Real>& row, const Vec3<Real>& own
   }
 }
 
-/// Assembles row `lane` of the slice at `index` of a group's slices: adds the group's elements and, if the group is the
-/// last one there, forms the row of A and b. Several threads, called parts, may share a row. Each then evaluates some
-/// of its elements and, once their sums have been added up, forms some of its columns.
+/// Assembles row `lane` of the slice at `index` of a group's slices. It adds the group's elements. If the group is the
+/// last one there, it also forms the row of A and b. Parts evaluate different elements of the row and, once their sums
+/// have been added up, form different columns.
 ///
 /// Blocks holds the row's blocks of a turn. It has
+///
 ///   parts(), part()                     how many threads share the row, and which one this is
 ///   begin(column, count) -> count       starts a turn at `column`; returns how many columns fit
 ///   clear(place, neighbour)             zeroes the block of a place for all parts; stores the neighbour if
 ///                                       kKeepsNeighbours
 ///   holds(place) -> bool                whether the place belongs to this turn
-///   displacement(place), ahead(place)   as clear() stored them; displacement() returns any value for a place that is
-///                                       not held. Only with kKeepsNeighbours
-///   add(places, blocks, adds)           if `adds`, adds each block at its place. Places differ; places that are not
-///   held
+///   displacement(place), ahead(place)   as clear() stored them; displacement() returns any value for a place of
+///                                       another turn. Only with kKeepsNeighbours
+///   add(places, blocks, adds)           if `adds`, adds each block at its place. Places differ; those of another turn
 ///                                       are ignored. With kAddsInTurns the parts synchronize within: each must call it
 ///                                       equally often, also with nothing to add
 ///   meet()                              synchronizes the parts
 ///   block(place) -> Mat3                the sum of all parts
 ///   leads(sums) -> bool                 adds up the RowSums of all parts; true for the part that must use them
-/// Reads displacement, velocity, base fields, internal variables, decompositions, external; writes edges, diagonal, rhs
-/// (and reads edges and rhs of begun rows), internal_force.
+///
+/// Reads displacement, velocity, base fields, internal variables, decompositions, external, and edges and rhs of begun
+/// rows; writes edges, diagonal, rhs, internal_force.
 template <class Shape, class Law, class Real, class Blocks>
 TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::StateView<Real>& state,
                                  const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton,
@@ -143,7 +149,7 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
   const Vec3<Real> own_displacement = load3<Real>(state.displacement, own);
   const RowTerms<Real> terms(state, own);
   const physics::Stiffness kind = stiffness_kind(newton);
-  // The list's columns of this part, round by round. Behind a list's end, element 0 is evaluated and discarded.
+  // The list's columns of this part, round by round. Beyond the end of a list, element 0 is evaluated and discarded.
   const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
     return list_begin + (round * kAtOnce + k) * parts;
   };
@@ -221,7 +227,8 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
             points[k] = ahead[k].stored.law_at(e, q, f[k]);
           }
           if (ends) {
-            // All at once and not earlier: reads return in order, so waiting for the neighbours would wait for these.
+            // Read here all at once, and not earlier: reads return in order, so waiting for the neighbours would also
+            // wait for these.
             next[k] = element_of(listed[k], round + 1, k);
             listed[k] = listed_at(column_of(round + 2, k));
             packed[k] = places_at(column_of(round + 1, k));
@@ -285,9 +292,10 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
   }
 }
 
-/// Forms the rows of A and b where no group does: in scenes with linear laws, behind all element passes.
-/// Reads constant tensors, displacement, velocity, base fields, external, and edges and rhs where begun; writes edges,
-/// diagonal, rhs, internal_force.
+/// Forms the rows of A and b in scenes with linear laws, after all element passes. In other scenes the last group does
+/// it.
+/// Reads constant tensors, displacement, velocity, base fields, external, and edges and rhs of begun rows; writes
+/// edges, diagonal, rhs, internal_force.
 template <class Team, class Real>
 TM_HOST_DEVICE void finish_rows(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                 const view::MatrixView<Real>& matrix, const view::NewtonView<Real>& newton) {

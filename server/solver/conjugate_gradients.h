@@ -7,16 +7,27 @@
 
 /// Conjugate gradients on Â x = b̂, written for one patch. Each iteration communicates once.
 ///
-/// What a patch needs from its neighbours is q = Â p on its halo, and every patch needs the same three sums. So both
-/// travel together: a patch publishes q of its own rows, the team exchanges it along with p·q, q·q and r·r, and then
-/// each patch updates r and p of its own rows *and*, redundantly, of its halo. The next residual norm follows from the
-/// sums at hand, r·r − 2α p·q + α² q·q, so that β needs no second exchange; r·r itself is summed afresh every
-/// iteration, which keeps the recurrence from drifting (Saad 1985; Meurant 1987).
+///   Â, b̂, x   the scaled system and its solution (jacobi_scaling.h); Â has unit diagonal blocks
+///   r         residual b̂ − Â x                 r'  the residual after the update
+///   p         search direction                 q   Â p
+///   α         r·r / p·q, the step along p:     x += α p,  r' = r − α q
+///   β         r'·r' / r·r, next direction:     p' = r' + β p
 ///
-/// Sums run in a fixed order: results repeat bitwise for the same number of patches.
+///   start: x = 0, r = p = b̂
+///
+///   own rows: q = Â p ──> exchange q, p·q, q·q, r·r ──> α, β ──┬──> own rows: update x, r, p ──> next iteration
+///                                                              └──> halo:     update r, p
+///
+/// 1. A patch needs q on its halo, and every patch needs the same three sums. One exchange carries both.
+/// 2. Each patch also updates r and p of its halo, redundantly. So p needs no exchange of its own.
+/// 3. β needs r'·r' in the same iteration. It follows from the sums at hand: r'·r' = r·r − 2α p·q + α² q·q. So β needs
+///    no second exchange.
+/// 4. r·r itself is summed afresh in every iteration, which keeps the recurrence from drifting (Saad 1985; Meurant
+///    1987).
+/// 5. Sums run in a fixed order: results repeat bitwise for the same number of patches.
 namespace tensormass::solver {
 
-/// r·r and what follows from it; the same in every patch.
+/// The scalars of the iteration: α, β and when it ends. They are the same in every patch.
 template <class Real>
 class Recurrence {
  public:
@@ -24,12 +35,13 @@ class Recurrence {
       : tolerance_squared_(solve.cg_tolerance * solve.cg_tolerance),
         max_iterations_(state.control->cg_max_iterations) {}
 
-  /// The sums of an iteration. False: the solve ends before its update.
+  /// Takes the sums of an iteration and computes α and β. Returns false if the solve must end without an update: the
+  /// residual is zero or not a number, or the curvature p·q is not positive.
   TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr) {
     if (iterations_ == 0) first_rr_ = rr_next_ = rr;
     if (!(rr > 0)) return false;  // solved exactly, or not a number
     if (!(pq > 0)) {
-      negative_curvature_ = pq != 0;  // zero: what is left of the residual is below the smallest number
+      negative_curvature_ = pq != 0;  // zero: the residual is so small that products underflow
       return false;
     }
     alpha_ = quotient(rr, pq);
@@ -38,7 +50,8 @@ class Recurrence {
     ++iterations_;
     return true;
   }
-  /// After an update.
+  /// Whether another iteration is needed. Call after an update. The solve ends when ‖r'‖ has fallen to `cg_tolerance`
+  /// ‖b̂‖.
   TM_HOST_DEVICE bool goes_on() const {
     return iterations_ < max_iterations_ && !(rr_next_ <= tolerance_squared_ * first_rr_);
   }
@@ -61,6 +74,7 @@ class Recurrence {
   bool negative_curvature_ = false;
 };
 
+/// Solves Â x = b̂, starting at x = 0. The system must be scaled: `edges` holds Â, `rhs` holds b̂.
 /// Reads edges, rhs; writes solution, residual, direction, product, own_product, reduction, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
@@ -76,7 +90,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
   const auto start_from = [&](std::uint32_t local, std::uint32_t row) {
     const Real* b = matrix.rhs + std::size_t{4} * row;
     for (int c = 0; c < 4; ++c) {
-      // The fourth is nothing, and stays zero whatever a solve that left the numbers behind has made of it.
+      // The fourth component is padding. It must be zero even if an earlier solve has left NaN there.
       r[std::size_t{4} * local + c] = p[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
     }
   };
@@ -92,7 +106,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
                 [&](std::uint32_t h) { start_from(patch.own() + h, patches.halo[patch.halo_begin + h]); });
   team.sync();
 
-  // r · r of the own rows is summed where r is made.
+  // r·r of the own rows is summed where r is computed: here, and in each update.
   T sum_rr = T(0);
   team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
     const T residual = Lanes::load(r + c);
@@ -134,7 +148,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
     if (!recurrence.take(sums[0], sums[1], sums[2])) break;
     const Real alpha = recurrence.alpha(), beta = recurrence.beta();
-    // Component by component: rows are of four, of which the last stays zero.
+    // Component by component: a row has four, and the fourth stays zero.
     sum_rr = T(0);
     team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
       const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
@@ -144,7 +158,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       Lanes::store(r + c, residual);
       Lanes::store(p + c, residual + direction * T(beta));
       sum_rr += residual * residual;
-      if (matrix::stores_edges(matrix)) Lanes::store(own_product + c, T(0));  // what multiply_edges adds to
+      if (matrix::stores_edges(matrix)) Lanes::store(own_product + c, T(0));  // multiply_edges adds to it
     });
     team.for_each(0, patch.halo_count, [&](std::uint32_t h) {
       const std::uint32_t local = patch.own() + h;

@@ -5,22 +5,31 @@
 #include "matrix/edges.h"
 #include "view/scene.h"
 
-/// Block-Jacobi preconditioning folded into the matrix: with the Cholesky factors D_i = L_i L_iᵀ of the diagonal
-/// blocks,
+/// Block-Jacobi preconditioning, folded into the matrix.
+///
+///   A, b, Δv         the system of the step, A Δv = b (matrix/row_system.h)
+///   D_i = L_i L_iᵀ   Cholesky factorization of the diagonal block of row i
+///   s_i              weight of the body of row i, see 3
 ///
 ///   Â_ij = L_i⁻¹ A_ij L_j⁻ᵀ,   b̂_i = s_i L_i⁻¹ b_i,   Δv_i = L_i⁻ᵀ x_i / s_i
 ///
-/// has unit diagonal blocks: the iteration needs neither a diagonal nor a preconditioned residual. A fixed direction of
-/// a row gets zeros in L⁻¹, which takes its row, its column and its right-hand side out of the system without a branch.
+///   diagonal ── factorize ───> L⁻¹
+///   rhs ─────── factorize ───> b̂ ──┐
+///   edges ───── scale_edges ─> Â ──┴─> conjugate_gradients ──> x ── unscaled ──> Δv
 ///
-/// s is one number for each body, whose rows nothing couples to those of another: Â does not know of it. The iteration
-/// ends at a share of ‖b̂‖, the residual's D⁻¹ norm, where a body counts by its mass, and a light one beside a heavy one
-/// would be left unsolved. With s² = (largest density of the scene) / (that of the body) it counts by its volume.
-/// Without inertia s = 1.
+/// 1. Â has unit diagonal blocks, so the iteration needs neither a diagonal nor a preconditioned residual.
+/// 2. A fixed direction of a row gets zeros in L⁻¹. That takes its row, its column and its right-hand side out of the
+///    system without a branch.
+/// 3. s is one number for each body. Nothing couples rows of two bodies, so Â does not depend on s. The iteration ends
+///    at a fraction of ‖b̂‖. With s = 1 that is the residual's D⁻¹ norm, in which a body counts by its mass. A light
+///    body beside a heavy one would then stay unsolved. With s² = (largest density of the scene) / (the body's
+///    density), a body counts by its volume. Without inertia s = 1.
 namespace tensormass::solver {
 
-/// Inverse of the lower Cholesky factor of the block whose upper triangle is `d` (xx xy xz yy yz zz), as
-/// (00, 10, 11, 20, 21, 22). A pivot that rounding made non-positive is replaced by the block's scale.
+/// Computes L⁻¹ of a block.
+/// d: the block's upper triangle, xx xy xz yy yz zz.
+/// out: L⁻¹ as (00, 10, 11, 20, 21, 22). A pivot that is not above 1e-7 of the block's trace, for example because of
+/// rounding, is replaced by that bound.
 template <class Real>
 TM_HOST_DEVICE void inverse_cholesky(const Real* d, Real* out) {
   const Real floor = (d[0] + d[3] + d[5]) * Real(1e-7);
@@ -41,7 +50,7 @@ TM_HOST_DEVICE void inverse_cholesky(const Real* d, Real* out) {
   out[5] = i2;
 }
 
-/// L⁻¹ as inverse_cholesky writes it, as a matrix.
+/// The 3×3 matrix L⁻¹ from the six reals that inverse_cholesky writes.
 template <class Real>
 TM_HOST_DEVICE Mat3<Real> lower(const Real* p) {
   Mat3<Real> m;
@@ -53,17 +62,18 @@ TM_HOST_DEVICE Mat3<Real> load_lower(const Real* diagonal, std::size_t row) {
   return lower(diagonal + 8 * row);
 }
 
-/// s of a row, see above.
+/// s of a row.
 template <class Real>
 TM_HOST_DEVICE Real body_weight(const view::StateView<Real>& state, std::size_t row) {
   return state.inertia[4 * row + 3];
 }
 
-/// L⁻¹ of a row whose diagonal block has the upper triangle `d`; zeros in the directions that are not free.
+/// Computes L⁻¹ of a row whose diagonal block has the upper triangle `d`, with zeros in the directions that are not
+/// free.
 template <class Real>
 TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real* out) {
   const Real x = free_bits & 1, y = free_bits >> 1 & 1, z = free_bits >> 2 & 1;       // 1 in the free directions
-  const Real free[6] = {d[0], x * y * d[1], x * z * d[2], d[3], y * z * d[4], d[5]};  // the others stand alone
+  const Real free[6] = {d[0], x * y * d[1], x * z * d[2], d[3], y * z * d[4], d[5]};  // fixed ones decoupled
   inverse_cholesky(free, out);
   out[0] *= x;
   out[1] *= x * y;
@@ -73,14 +83,14 @@ TM_HOST_DEVICE void inverse_factor(const Real* d, std::uint32_t free_bits, Real*
   out[5] *= z;
 }
 
-/// b̂ of a row whose L⁻¹ is `factor`.
+/// b̂ of a row. factor: its L⁻¹.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> scaled_rhs(const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
                                      std::size_t row, const Mat3<Real>& factor) {
   return factor * view::load3<Real>(matrix.rhs, row) * body_weight(state, row);
 }
 
-/// Δv of a row from its x.
+/// Δv of a row from its x. factor: its L⁻¹.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> unscaled(const view::StateView<Real>& state, std::size_t row, const Mat3<Real>& factor,
                                    const Vec3<Real>& x) {
@@ -103,7 +113,7 @@ TM_HOST_DEVICE void factorize(const Team& team, const view::PatchesView& patches
   });
 }
 
-/// L_i⁻¹ A_ij L_j⁻ᵀ of blocks that lie row by row, in place; l: the six reals of L⁻¹.
+/// Replaces A_ij by L_i⁻¹ A_ij L_j⁻ᵀ. block: row by row; l_i, l_j: the six reals of L⁻¹.
 template <class T>
 TM_HOST_DEVICE void scale_block(const T* l_i, T* block, const T* l_j) {
   for (int c = 0; c < 3; ++c) {
@@ -120,7 +130,7 @@ TM_HOST_DEVICE void scale_block(const T* l_i, T* block, const T* l_j) {
   }
 }
 
-/// Replaces the edges of a patch by Â_ij, whose components then lie apart (matrix/edges.h).
+/// Replaces the edges of a patch by Â_ij and moves the components of a block apart, as multiply_edges reads them.
 template <class Lanes, class Real>
 TM_FLATTEN void scale_edge_slices(const view::PatchesView& patches, const view::MatrixView<Real>& matrix,
                                   const view::Patch& patch) {

@@ -7,47 +7,56 @@
 #include "solver/step_result.h"
 
 /// Newton's method with backtracking, for scenes that solve a step to a tolerance. It runs on the host and is the same
-/// for every device:
+/// for every device.
 ///
-///        ┌──────────────────────────────────────────────────────────────┐
-///        v                                                              │ residual above the tolerance
-///   evaluate ──> solve ──> full increment ──> evaluate ──> too long? ───┤
-///   forces, K     CG                             ^            │ yes     │ no
-///                                                └─ half of the         └──> end
-///                                                   increment
+///                       ┌────────────────────────────────────────────────────────────┐
+///                       v                                                            │ no
+///   begin ─> evaluate ─> solve ─────────> evaluate ─> too long? ─ no ─> converged? ──┤
+///            forces, K   CG, then the        ^           │ yes                       │ yes
+///                        full increment      └─ half of ─┘                           └────> end
+///                                               the increment
 ///
-/// 1. The stiffness is the consistent one. Far from the solution it may be indefinite; conjugate gradients notice
-///    negative curvature, and that solve is repeated with the stiffness projected to positive definite.
-/// 2. An increment is too long if the residual grew. Two exceptions: the first increment also moves prescribed nodes
-///    and carries the step's inertia, so there is nothing to compare it with; and large bends pass through residuals
-///    above the one they start from, so growth is accepted while the increment leads downhill and the residual stays
-///    below kMaxDetour of the forces.
-/// 3. The step has converged if the residual is small against the forces, or if an increment no longer moves a node by
-///    more than its coordinates can resolve. Without the second test a body without any load would never converge: the
-///    forces of its elements are rounding errors, and so is every fraction of them.
+///   residual    right-hand side of the linearized step, over the free directions (view::PatchResidual)
+///   increment   change of the velocities that a linear solve finds
+///   slope       residual · increment; positive: the increment still leads downhill
+///
+/// 1. The stiffness is the consistent one. Far from the solution it may be indefinite. If conjugate gradients find
+///    negative curvature, that solve is repeated with the stiffness projected to positive definite.
+/// 2. An increment is too long if the residual grew. The first increment is an exception: it also moves prescribed
+///    nodes and carries the step's inertia, so there is nothing to compare it with.
+/// 3. Large bends pass through residuals above the one they start from. Growth is therefore accepted while the slope is
+///    positive and the residual stays below kMaxDetour of the forces.
+/// 4. The step has converged if the residual is small against the forces. It has also converged if an increment no
+///    longer moves a node by more than its coordinates can resolve. Without that second test a body without any load
+///    would never converge: the forces of its elements are rounding errors, and so is every fraction of them.
+/// 5. The step ends unconverged at the largest number of iterations, if no halving makes the increment short enough, or
+///    after kMaxDetourIterations without a new smallest residual.
 namespace tensormass::solver {
 
 /// The residual is compared with the acting forces, but at least with this fraction of the largest forces that the
-/// scene has seen: rounding leaves something of those, and a scene that was released would never come to rest.
+/// scene has seen. Rounding errors of that size remain, so a scene whose loads are released would otherwise never
+/// converge.
 template <class Real>
 inline constexpr double kRoundingShare = sizeof(Real) == 4 ? 0.1 : 1e-6;
 
 /// Runs one step. Device has
-///   begin(), evaluate(), solve(), backtrack(), end()   enqueue the stages of a phase after what was enqueued before
-///   view::NewtonControl& control()                     what the next phase reads; waits until the last one has read it
+///
+///   begin(), evaluate(), solve(), backtrack(), end()   enqueue the stages of a phase after those enqueued before
+///   view::NewtonControl& control()                     for the next phase; waits until the last one has read it
 ///   NewtonResidual residual()                          of the last evaluation; waits for it
 ///   StepResult result()                                of the last solve or backtrack; waits for it
+///
 /// project_to_psd: use the projected stiffness in every iteration.
-/// largest_force_squared [N² s²]: read and updated; of the ends of all steps since the scene's start. Forces within a
-/// step do not count: an increment that rotates a nearly incompressible body passes through forces far above those at
-/// its end, and any residual would be small against them.
+/// largest_force_squared: the largest forces at the end of any converged step since the scene's start [N² s²]; read and
+/// updated. Forces within a step do not count. An increment that rotates a nearly incompressible body passes through
+/// forces far above those at its end, and any residual would be small against them.
 template <class Real, class Device>
 StepResult newton_step(Device& device, std::uint32_t max_iterations, double tolerance, bool project_to_psd,
                        double& largest_force_squared) {
   constexpr int kMaxHalvings = 10;
   constexpr double kMaxDetour = 0.25;
-  constexpr int kMaxDetourIterations = 6;   // rounding errors would go up and down for ever
-  constexpr double kTrustedResidual = 0.5;  // relative CG residual below which an increment says how far there is to go
+  constexpr int kMaxDetourIterations = 6;   // rounding errors would oscillate for ever
+  constexpr double kTrustedResidual = 0.5;  // relative CG residual above which an increment may be far too short
   view::NewtonControl& control = device.control();
   const std::uint32_t usual_stiffness = project_to_psd ? 1 : 0;
   control = {.positive_stiffness = usual_stiffness, .begins_step = 1, .line_share = 1};

@@ -5,7 +5,7 @@
 /// The stages that only a scene with Newton iterations has. solver/newton.h decides when they run.
 namespace tensormass::solver {
 
-/// Replaces the last full increment by a fraction of it: v = iterate + line_share · increment.
+/// Takes a fraction of the last increment instead of all of it: v = iterate + line_share · increment, u = û + h v.
 /// Reads iterate, increment, Newton's control, checkpoint; writes velocity, displacement, relative_position,
 /// patch_reports.
 template <class Team, class Real>
@@ -21,7 +21,8 @@ TM_HOST_DEVICE void backtrack(const Team& team, const view::PatchesView& patches
   });
 }
 
-/// Measures how far the step is from equilibrium, before the right-hand side is scaled.
+/// Measures how far the step is from equilibrium (view::PatchResidual). Must run before factorize scales the right-hand
+/// side.
 /// Reads rhs, internal_force, external, increment, displacement; writes residuals.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_residual(const Team& team, const view::PatchesView& patches,

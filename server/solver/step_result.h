@@ -10,34 +10,34 @@
 #include "view/newton.h"
 #include "view/solve.h"
 
-/// What a step reports to the host, and how the reports of patches become one: the last, short reduction, in the order
+/// The host's result of a step, reduced from the reports of the patches. This last, short reduction runs in the order
 /// of the patches, so that it repeats bitwise.
 namespace tensormass::solver {
 
 struct StepResult {
-  std::uint32_t cg_iterations = 0;  ///< of all solves of the step
-  double cg_relative_residual = 0;  ///< of the last one
+  std::uint32_t cg_iterations = 0;  ///< sum over all solves of the step
+  double cg_relative_residual = 0;  ///< after the last solve
   bool negative_curvature = false;
   bool finite = true;
   double max_speed_m_per_s = 0;
-  double max_move_m = 0;        ///< of any node from the checkpoint
-  double max_distance_m = 0;    ///< of any node from rest
-  double kinetic_energy_j = 0;  ///< of the nodes' masses
-  double work_j = 0;            ///< of gravity and loads since the checkpoint
-  /// Smallest det F of the elements that are checked in each step; 1 if the scene checks no elements, infinity if it
-  /// does and no element is inverted.
+  double max_move_m = 0;        ///< largest move of a node from the checkpoint
+  double max_distance_m = 0;    ///< largest distance of a node from rest
+  double kinetic_energy_j = 0;  ///< sum over the nodes
+  double work_j = 0;            ///< work of gravity and loads since the checkpoint
+  /// Smallest det F of the inverted elements, among those that each step checks. 1 if the scene checks none; infinity
+  /// if it does and no element is inverted.
   double min_det_f = 1;
   std::uint32_t newton_iterations = 1;
   double newton_residual = 0;  ///< relative to the acting forces; 0 in a step that is linearized once
-  /// False: Newton's method ended above its tolerance, and the remaining residual would still have moved a node.
+  /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;
 };
 
-/// view::PatchResidual of the whole scene.
+/// view::PatchResidual, summed over the patches.
 struct NewtonResidual {
   double residual_squared = 0;  ///< [N² s²]
   double force_squared = 0;     ///< [N² s²]
-  double slope = 0;             ///< [J] residual · increment; positive: the increment still leads downhill
+  double slope = 0;             ///< [J] residual · increment; positive: the increment leads downhill
   double moved = 0;             ///< largest motion of a node by the increment, relative to its own coordinates
 
   bool finite() const { return std::isfinite(residual_squared) && std::isfinite(force_squared); }
@@ -55,7 +55,7 @@ NewtonResidual read_residual(std::span<const view::PatchResidual<Real>> patches)
   return sum;
 }
 
-/// The result of one solve and what moved with it. min_det_f: as far as the solve checks volumes.
+/// The result of one solve and of the motion that follows it. min_det_f: only of elements that the solve checks.
 template <class Real>
 StepResult read_step(const view::SolveReport<Real>& solve, std::span<const view::PatchReport<Real>> patches) {
   StepResult result;

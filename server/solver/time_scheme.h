@@ -9,19 +9,21 @@
 /// Time schemes: where a step starts from, and how its solution moves the rows.
 ///
 ///   predict ───> û, v̂ from the last two steps;  v = v̂
-///   prescribe ─> v of rows whose displacement the scene gives
+///   prescribe ─> v of rows whose displacement the scene prescribes
 ///     solve for Δv (conjugate_gradients.h), once or in Newton's iterations (newton.h)
-///   advance ───> v += Δv,  u = û + h v,  and what the guards check
+///   advance ───> v += Δv,  u = û + h v,  and the values that guards check
 ///
-/// view/state.h defines u, v, û, v̂ and h. Δv = L⁻ᵀ x / s, where x solves the scaled system (jacobi_scaling.h).
+///   u, v    displacement and velocity        û, v̂, h   base values and effective step (all: view/state.h)
+///   Δv      L⁻ᵀ x / s, where x solves the scaled system (jacobi_scaling.h)
 ///
-/// A scene that is linearized once by implicit Euler has û = u and v̂ = v. It needs neither base fields nor `predict`;
-/// `advance` then saves the checkpoint.
+/// A *plain* scene (model::Model::is_plain) is linearized once by implicit Euler and prescribes no displacements. It
+/// has û = u and v̂ = v, so it needs neither base fields nor `predict`. In a plain scene `advance` saves the
+/// checkpoint.
 namespace tensormass::solver {
 
 enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
 
-/// The coefficients of a step of dt_s. first: no step of the same length comes before it.
+/// Returns the coefficients of a step of dt_s. first: the step before it had another length, or there was none.
 inline view::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first) {
   switch (integrator) {
     case Integrator::kBdf2:  // (3 y' − 4 y + y₋₁) / (2 dt) = ẏ', solved for y'
@@ -35,7 +37,7 @@ inline view::StepScheme<double> step_scheme(Integrator integrator, double dt_s, 
   return {dt_s, {1, 0}, {1, 0}};
 }
 
-/// Saves the state (u, v) of a row as the checkpoint, if the step is told to.
+/// Saves the state (u, v) of a row as the checkpoint, if the inputs of the step ask for it.
 template <class Real>
 TM_HOST_DEVICE void save_checkpoint(const view::StateView<Real>& state, const view::GuardView<Real>& guard,
                                     std::uint32_t row, const Vec3<Real>& u, const Vec3<Real>& v) {
@@ -47,9 +49,8 @@ TM_HOST_DEVICE void save_checkpoint(const view::StateView<Real>& state, const vi
   view::store3<Real>(guard.checkpoint_previous_velocity, row, view::load3<Real>(state.previous_velocity, row));
 }
 
-/// Makes û and v̂ of the step from the last two, and starts the solve at v = v̂. Only for scenes that are not plain
-/// (model::Model::is_plain).
-/// Reads displacement, velocity; writes base and previous fields, velocity, checkpoint.
+/// Computes û and v̂ from the last two steps, and starts the solve at v = v̂. Only for scenes that are not plain.
+/// Reads displacement, velocity, previous fields; writes base and previous fields, velocity, checkpoint.
 template <class Team, class Real>
 TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                             const view::GuardView<Real>& guard) {
@@ -71,7 +72,7 @@ TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, 
   });
 }
 
-/// Sets the velocities that take prescribed rows to their displacement at the end of the step.
+/// Sets the velocities that move prescribed rows to their displacement at the end of the step.
 /// Reads prescribed displacement, û; writes velocity.
 template <class Team, class Real>
 TM_HOST_DEVICE void prescribe(const Team& team, const view::StateView<Real>& state,
@@ -100,14 +101,15 @@ TM_HOST_DEVICE void prefetch_move(const view::StateView<Real>& state, const view
   if (state.external != nullptr) expect(state.external + at);
 }
 
-/// What a thread has found about the rows that it moved.
+/// Largest values and sums over the rows that one thread moved.
 template <class Real>
 struct Motion {
   Real maxima[3] = {0, 0, 0};  // squares of speed, move from the checkpoint, distance from rest
   Real sums[3] = {0, 0, 0};    // rows with a value that is not a number, twice the kinetic energy, work
 };
 
-/// Reduces the motion of all threads of a patch into its report.
+/// Reduces the motion of all threads of a patch to its report.
+///
 ///   least_det_f() -> Real   called once by every thread; returns PatchReport::min_det_f to the thread that leads the
 ///                           patch. The patch's threads must synchronize within it at least once.
 template <class Team, class Real, class LeastDetF>
@@ -124,7 +126,7 @@ TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard,
       min_det_f};
 }
 
-/// Reduces the motion likewise where the solve does not check volumes.
+/// Reduces the motion likewise, in solves that check no volumes.
 template <class Team, class Real>
 TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard, const Motion<Real>& motion) {
   report(team, guard, motion, [&] {
@@ -134,12 +136,14 @@ TM_HOST_DEVICE void report(const Team& team, const view::GuardView<Real>& guard,
 }
 
 /// Moves the rows of a patch to new velocities v and to u = û + h v.
-///   read(row) -> T               what v is made from; called ahead of its use, so that reads are under way together
-///   velocity_of(row, T) -> v     the new velocity
-///   moved.read(row) -> M         what moved() needs of the row; called ahead, as read(row) is
+///
+///   read(row) -> T               reads what velocity_of needs; called ahead of it, so that reads overlap
+///   velocity_of(row, T) -> v     returns the new velocity
+///   moved.read(row) -> M         reads what moved() needs; called ahead of it, as read(row) is
 ///   moved(row, u, M)             called once the row has its new displacement
-/// saves: save the row's state (û, read(row)) as the checkpoint before overwriting it. The caller must know that û is
-/// the displacement before the step and read(row) the velocity before it.
+///
+/// saves: save the row's state (û, read(row)) as the checkpoint before overwriting it. Then û must be the displacement
+/// before the step and read(row) the velocity before it.
 template <class Team, class Real, class Read, class Velocity, class Moved>
 TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView& patches,
                                       const view::StateView<Real>& state, const view::GuardView<Real>& guard,
@@ -183,16 +187,19 @@ TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView&
   return motion;
 }
 
-/// Moves the rows by a change of velocity, and stores what Newton's method needs to take part of it back.
+/// Moves the rows by a change of velocity. For Newton's method it also stores the change and the velocity before it, so
+/// that `backtrack` can take a fraction of the change.
+///
 ///   change_of(row) -> Vec3   Δv of the row
 ///   moved                    as in move_rows
-/// Writes velocity, displacement, iterate, increment, checkpoint.
+///
+/// Reads velocity, displacement or û, checkpoint; writes velocity, displacement, iterate, increment, checkpoint.
 template <class Team, class Real, class Change, class Moved>
 TM_HOST_DEVICE Motion<Real> advance_by(const Team& team, const view::PatchesView& patches,
                                        const view::StateView<Real>& state, const view::NewtonView<Real>& newton,
                                        const view::GuardView<Real>& guard, const Change& change_of,
                                        const Moved& moved) {
-  // With base fields `predict` has saved it already.
+  // In a scene with base fields `predict` has already saved the checkpoint.
   const bool saves = state.base_displacement == nullptr && state.control->saves_checkpoint != 0;
   return move_rows(
       team, patches, state, guard, saves, [&](std::uint32_t row) { return view::load3<Real>(state.velocity, row); },
@@ -207,7 +214,7 @@ TM_HOST_DEVICE Motion<Real> advance_by(const Team& team, const view::PatchesView
       moved);
 }
 
-/// `moved` of move_rows in scenes where no volume check reads positions.
+/// `moved` of move_rows in scenes in which no volume check reads positions.
 struct DiscardPosition {
   struct Nothing {};
   TM_HOST_DEVICE Nothing read(std::uint32_t) const { return {}; }
@@ -215,7 +222,7 @@ struct DiscardPosition {
   TM_HOST_DEVICE void operator()(std::uint32_t, const Vector&, Nothing) const {}
 };
 
-/// `moved` of move_rows that stores each row's relative position.
+/// `moved` of move_rows that stores each row's position relative to row 0 (view::relative_rest).
 template <class Real>
 struct StorePosition {
   const view::StateView<Real>& state;
@@ -227,6 +234,7 @@ struct StorePosition {
 };
 
 /// Moves the rows and writes the patch's report.
+///
 ///   move(moved) -> Motion   moves the rows and calls `moved` as move_rows does
 template <class Team, class Real, class Move>
 TM_HOST_DEVICE void move_and_report(const Team& team, const view::StateView<Real>& state,

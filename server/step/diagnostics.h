@@ -8,7 +8,8 @@
 
 namespace tensormass::step {
 
-/// Measures how far the elements of a group are from rest, and their elastic energy. Runs now and then, for the status.
+/// Measures the deformation and elastic energy of a group's elements (view::PatchDiagnostics). Runs now and then, for
+/// the status.
 /// Reads displacement; writes diagnostics.
 template <class Shape, class Law, class Team, class Real>
 TM_HOST_DEVICE void diagnose_elements(const Team& team, const view::PatchesView& patches,
@@ -19,10 +20,10 @@ TM_HOST_DEVICE void diagnose_elements(const Team& team, const view::PatchesView&
   using T = typename Lanes::Scalar;
   const matrix::ElementRange range = matrix::element_range(patches, e, team.patch());
   T compression = T(-std::numeric_limits<Real>::max()), flattening = T(-1);  // −det F, −least stretch
-  T strain = T(0), rotation = T(0), energy = T(0);                           // the first two squared
+  T strain = T(0), rotation = T(0), energy = T(0);                           // strain and rotation are squares
   const view::Patch patch = view::patch_of(patches, team.patch());
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
-    // Where several patches evaluate an element, the one that owns its first node counts the energy.
+    // If several patches evaluate an element, only the owner of its first node counts its energy.
     T counted = T(1);
     if (e.patch_elements != nullptr) {
       Real counts[Lanes::kWidth];

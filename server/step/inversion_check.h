@@ -5,15 +5,24 @@
 #include "matrix/element_points.h"
 #include "view/guard.h"
 
-/// Looks for elements that a step has turned inside out, for laws that do not come back from that (Law::kInversion).
-/// Nearly always there is none. So first what is cheap: the sign of det J of where nodes are, J = Σ x_k ⊗ ∂N_k/∂r; and
-/// only where that is not positive det F, from differences of what was given.
+/// Finds elements that a step has inverted, for laws that do not recover from inversion (Law::kInversion).
 ///
-/// Linear tetrahedra in single precision on a GPU are looked at by the solve (backend/cuda/patch_volume.cuh).
+///   x_k, X_k   current and rest position of node k
+///   ∂N_k/∂r    gradient of its shape function in the reference shape, at a quadrature point
+///   J          Σ x_k ⊗ ∂N_k/∂r, likewise J⁰ from X_k
+///   det F      det J / det J⁰; inverted: not above zero
+///
+///   GPU   det J of each point ── not above 0 ──> det F
+///   CPU   lower bound of det J of a pack ── not above 0 ──> det J of each point ── not above 0 ──> det F
+///
+/// 1. Nearly always no element is inverted, so the cheap sign of det J comes first.
+/// 2. det F follows from differences of the stored positions, which keeps rounding small.
+/// 3. A fused GPU solve checks linear tetrahedra itself, in single precision (backend/cuda/patch_volume.cuh).
 namespace tensormass::step {
 
-/// det F of a linear tetrahedron, from where its nodes are at rest and how far they have moved. 1 for padding. Edges
-/// are differences of what was given, so that it is known to a few roundings in |edges|³ / (6 V), as well as F itself.
+/// det F of a linear tetrahedron, from the rest positions and displacements of its nodes; 1 for padding. Edges are
+/// differences of stored values. det F therefore has an error of only a few roundings times |edges|³ / (6 V), as F
+/// itself has.
 template <class Real>
 TM_HOST_DEVICE Real det_f_of_nodes(const Vec3<Real> (&rest)[4], const Vec3<Real> (&displacement)[4]) {
   Vec3<Real> at_rest[3], now[3];
@@ -25,8 +34,8 @@ TM_HOST_DEVICE Real det_f_of_nodes(const Vec3<Real> (&rest)[4], const Vec3<Real>
   return before != 0 ? quotient(after, before) : Real(1);
 }
 
-/// J of nodes that are each given less the first one, as gradients add up to zero. gradients: [nodes][3] of the
-/// reference shape at a quadrature point.
+/// J from node positions relative to the first node, which suffices because the gradients of all nodes add up to zero.
+/// gradients: [nodes][3] at a quadrature point.
 template <class Shape, class T, class Real>
 TM_HOST_DEVICE Mat3<T> jacobian(const Vec3<T> (&nodes)[Shape::kNodes], const Real* gradients) {
   Mat3<T> j = Mat3<T>::Zero();
@@ -37,12 +46,12 @@ TM_HOST_DEVICE Mat3<T> jacobian(const Vec3<T> (&nodes)[Shape::kNodes], const Rea
   return j;
 }
 
-/// Threads that share the points of an element in check_inversion, where it has several.
+/// Threads that share the points of an element in check_inversion, if it has several points.
 inline constexpr std::uint32_t kThreadsOfPoints = 2;
 
-/// The smallest det F of those of an element's quadrature points that look inside out; infinity: none does.
-/// det J of where its nodes are over det J of where they rest. Rest shapes are left alone, 64 bytes of a tetrahedron
-/// for 16, 850 of a hexahedron for 32. Of points first_point, first_point + step, ..
+/// Returns the smallest det F of an element's inverted quadrature points; infinity if no point is inverted. It checks
+/// the points first_point, first_point + step, ... It reads positions instead of stored rest shapes: 16 bytes instead
+/// of 64 for a tetrahedron, 32 instead of 850 for a hexahedron.
 template <class Shape, class Real>
 TM_HOST_DEVICE Real least_det_f(const view::StateView<Real>& state, const view::ElementView<Real>& e,
                                 std::uint32_t element, std::uint32_t first_point = 0, std::uint32_t step = 1) {
@@ -78,9 +87,9 @@ TM_HOST_DEVICE Real least_det_f(const view::StateView<Real>& state, const view::
   }
 }
 
-/// At most the smallest det J of some elements' quadrature points, from relative positions, which are rounded to the
-/// size of the scene: above zero where least_det_f finds nothing. Rest shapes are left alone, and half of what that
-/// reads of nodes. Of padding: below zero.
+/// Returns a lower bound of det J over the quadrature points of some elements. Where it is positive, least_det_f finds
+/// nothing. It uses relative positions, which are rounded to the size of the scene. It reads no rest shapes, and half
+/// as much of each node as least_det_f. Returns a negative value for padding.
 template <class Lanes, class Shape, class Real>
 TM_HOST_DEVICE typename Lanes::Scalar bound_det_j(const view::StateView<Real>& state,
                                                   const view::GuardView<Real>& guard, const view::ElementView<Real>& e,
@@ -94,8 +103,8 @@ TM_HOST_DEVICE typename Lanes::Scalar bound_det_j(const view::StateView<Real>& s
         Lanes::gather3(guard.relative_position, e.rows + std::size_t{static_cast<std::uint32_t>(k)} * e.count + first);
     if (k > 0) x[k] -= x[0];
   }
-  // An edge is off by four roundings of a scene's size and of how far away the element is, which det J takes times the
-  // other two columns and what a shape's gradients add up to, less than five.
+  // The error of an edge is at most four roundings of the scene's size and of the element's distance. det J multiplies
+  // it by the other two columns and by the sum of a shape's gradients, which is less than five.
   const T away = absolute(x[0][0]) + absolute(x[0][1]) + absolute(x[0][2]);
   const T rounding = T(32 * std::numeric_limits<Real>::epsilon() / 2) * (T(state.size_m) + away);
   T least = T(std::numeric_limits<Real>::infinity());
@@ -118,8 +127,8 @@ TM_HOST_DEVICE typename Lanes::Scalar bound_det_j(const view::StateView<Real>& s
   return least;
 }
 
-/// The smallest det F of a group, after each step: what a law that does not recover from inversion is guarded by.
-/// Reads displacement, relative_position; writes min_det_f, infinity where nothing looks inside out.
+/// Finds the smallest det F of a group's inverted elements, after each step.
+/// Reads displacement, relative_position; writes min_det_f: infinity if no element is inverted.
 template <class Shape, class Team, class Real>
 TM_HOST_DEVICE void check_inversion(const Team& team, const view::PatchesView& patches,
                                     const view::StateView<Real>& state, const view::GuardView<Real>& guard,
@@ -135,7 +144,7 @@ TM_HOST_DEVICE void check_inversion(const Team& team, const view::PatchesView& p
   if (e.reference_gradients != nullptr) {
     if constexpr (matrix::kReadsRecords<Lanes>) {
       constexpr std::uint32_t kThreads = Shape::kSinglePoint ? 1 : kThreadsOfPoints;
-      constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;  // nothing is written, and every turn waits for memory
+      constexpr int kAtOnce = Shape::kSinglePoint ? 4 : 1;  // bodies only read, and each waits for memory
       team.template for_each<kAtOnce>(kThreads * range.begin, kThreads * range.end, [&](std::uint32_t i) {
         compression = maximum(compression, T(-least_det_f<Shape>(state, e, i / kThreads, i % kThreads, kThreads)));
       });
@@ -146,7 +155,8 @@ TM_HOST_DEVICE void check_inversion(const Team& team, const view::PatchesView& p
         }
       };
       const auto is_sound = [](const T& bound) { return Lanes::largest(T(-bound)) < 0; };
-      // All packs at once, since to look into one takes longer than to bound it; in nearly all steps that is all.
+      // First the bound of all packs together: in nearly all steps no more is needed. Testing each pack takes longer
+      // than its bound.
       const std::uint32_t packed = range.end - (range.end - range.begin) % Lanes::kWidth;
       T least = T(std::numeric_limits<Real>::infinity());
       team.template for_lanes<Lanes::kWidth>(range.begin, packed, [&](std::uint32_t first) {
@@ -167,7 +177,7 @@ TM_HOST_DEVICE void check_inversion(const Team& team, const view::PatchesView& p
     TM_UNROLL(1)
     for (std::uint32_t q = 0; q < matrix::points_of<Shape>(e); ++q) {
       const matrix::StoredPoint<Lanes, Shape, matrix::NoLaw> stored(e, q, first);
-      const Mat3<T> f = stored.gradients().deformation_gradient(u);  // of padding: the identity
+      const Mat3<T> f = stored.gradients().deformation_gradient(u);  // the identity for padding
       compression = maximum(compression, T(-f.determinant()));
     }
   });

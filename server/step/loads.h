@@ -6,8 +6,8 @@
 
 namespace tensormass::step {
 
-/// Adds gravity and constant loads to the right-hand side. Only for a matrix that stores edges: on a GPU finished rows
-/// have them.
+/// Adds gravity and constant loads to the right-hand side, if the matrix stores edges. On a GPU the stage that forms
+/// the rows adds them (matrix::RowAssembly::finish).
 /// Reads external; adds to rhs.
 template <class Team, class Real>
 TM_HOST_DEVICE void add_external_forces(const Team& team, const view::PatchesView& patches,
@@ -20,7 +20,7 @@ TM_HOST_DEVICE void add_external_forces(const Team& team, const view::PatchesVie
   });
 }
 
-/// Adds the forces of pressure, which follow the surface. Their derivative stays out of the matrix, which it would make
+/// Adds the forces of pressure, which follow the surface. The matrix leaves out their derivative, which would make it
 /// unsymmetric.
 /// Reads displacement; adds to rhs.
 template <class Team, class Real>

@@ -12,7 +12,7 @@ namespace tensormass::step {
 
 namespace {
 
-/// An arena that only writes down what it is asked for.
+/// An arena that allocates nothing and lists the buffers that a scene asks for.
 class CountingArena {
  public:
   explicit CountingArena(v1::SceneReport& report) : report_(report) {}
@@ -111,7 +111,7 @@ v1::SceneReport make_report(const model::Model& model, const MachineRates& machi
     out.set_bytes(static_cast<std::uint64_t>(one.bytes));
     out.set_operations(static_cast<std::uint64_t>(one.operations));
     const double once_s = std::max(one.bytes / machine.bytes_per_s, one.operations / machine.operations_per_s);
-    // A tolerance ends most solves early; half of the iterations is a guess, and the report says that it is one.
+    // A tolerance ends most solves early. Half of the iterations is a guess, and the report says so.
     const double iterations = model.cg_tolerance > 0 ? 0.5 * model.cg_max_iterations : model.cg_max_iterations;
     if (info.phase == Phase::kDiagnostics || info.phase == Phase::kBacktrack || info.phase == Phase::kFrame)
       continue;  // now and then

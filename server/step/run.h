@@ -16,13 +16,14 @@
 #include "step/stages.h"
 #include "step/visible_surface.h"
 
-/// Runs the stages of the table (stages.h). Each line passes a stage exactly the parts of the scene that it may touch.
+/// Runs the stages of the table (stages.h). Each line of RunStage passes a stage exactly the parts of the scene that it
+/// may touch.
 ///
-/// Every backend runs these functions: the CPU with the team of a thread (backend/cpu/team.h), CUDA with a kernel for
-/// each stage type and the team of a thread block (backend/cuda/team.cuh).
+/// Every backend runs these functions. The CPU runs them with the team of one thread (backend/cpu/team.h). CUDA has a
+/// kernel for each stage type, with the team of a thread block (backend/cuda/team.cuh).
 namespace tensormass::step {
 
-/// A stage as a type. Shape: only of Scope::kShape.
+/// A stage as a type. Shape: the group's shape, for stages of Scope::kShape.
 template <StageKind kKind, class Shape = void>
 struct RunStage {
   static constexpr const StageInfo& kInfo = info(kKind);
@@ -54,8 +55,10 @@ struct RunStage {
   }
 };
 
-/// Calls visit(RunStage<..>{}) for a stage. Not for Scope::kShapeAndLaw and kFusedOnDevice: those have code of the
-/// backend's own, and visit is not called.
+/// Finds the type of a stage.
+///
+///   visit(RunStage<..>{})   called once; not called for Scope::kShapeAndLaw and kFusedOnDevice, which the backends run
+///                           with code of their own
 template <class Visit>
 void with_stage(const model::Model& m, const Stage& stage, const Visit& visit) {
   const auto try_kind = [&](auto kind) {

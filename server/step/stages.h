@@ -8,17 +8,17 @@
 #include "model/model.h"
 #include "physics/lists.h"
 
-/// The table of stages: everything that a step can consist of, in the order in which it runs.
-///
-/// 1. The table is the only list. list_stages selects from it what a model needs, the plan prints those stages, both
-///    backends run them, and docs/architecture.md shows the table (tests/step checks the document).
-/// 2. A scene pays for what it names: a stage whose condition is false has neither a kernel nor a buffer.
-/// 3. Stages that a GPU fuses into one kernel are stages of their own (resident and streamed solve), so that the plan
-///    shows what runs.
+/// The table of stages: all stages that a step can have, in the order in which they run.
 ///
 ///   begin ──> evaluate ──> solve ──> end ──> (frame)
 ///                ^           │
 ///                └───────────┘             Newton's method repeats these, and backtracks (solver/newton.h)
+///
+/// 1. The table is the only list. list_stages selects from it the stages that a model needs. The plan prints those, and
+///    both backends run them. docs/architecture.md shows the table, and tests/step checks the document.
+/// 2. A scene pays only for what it names: a stage whose condition is false is not launched and has no buffers.
+/// 3. Stages that a GPU fuses into one kernel are one stage of their own (resident and streamed solve). The plan then
+///    shows what runs.
 ///
 /// run.h says which function each stage calls.
 namespace tensormass::step {
@@ -53,15 +53,15 @@ enum class StageKind : std::uint8_t {
 enum class Phase : std::uint8_t {
   kBegin,        ///< once a step
   kEvaluate,     ///< forces and matrix at the present state
-  kSolve,        ///< the linear solve and its full increment
-  kBacktrack,    ///< a fraction of the increment instead
+  kSolve,        ///< the linear solve, and moving the rows by its full increment
+  kBacktrack,    ///< moving them by a fraction of the increment instead
   kEnd,          ///< once a step
   kDiagnostics,  ///< now and then, for the status
   kFrame,        ///< when a frame is due
 };
 inline constexpr int kPhases = 7;
 
-/// How often a stage runs in its phase, and for what its code is compiled.
+/// How often a stage runs in its phase, and the types for which its code is compiled.
 enum class Scope : std::uint8_t {
   kScene,         ///< once
   kShape,         ///< once for each group; compiled for each shape
@@ -69,15 +69,15 @@ enum class Scope : std::uint8_t {
   kFusedOnDevice  ///< once; a GPU has a kernel of its own, other backends never run it
 };
 
-/// What the patches of a stage do beyond their own loops.
+/// How the threads and patches of a stage communicate.
 enum class Communication : std::uint8_t {
   kNone,
   kReduces,         ///< a patch reduces over its own items
   kReducesInParts,  ///< likewise, once for each part of a patch that the team has
-  kExchanges,       ///< patches talk to each other while they run
+  kExchanges,       ///< patches exchange data while they run
 };
 
-/// Counted from the stage's own loops: bytes that it must move at least, and floating-point operations.
+/// Bytes that a stage must move at least, and its floating-point operations, counted from its loops.
 struct Cost {
   double bytes = 0, operations = 0;
 };
@@ -85,7 +85,7 @@ struct Cost {
 /// Sizes from which conditions and costs follow.
 struct StageSizes {
   const model::Model& m;
-  const model::ElementGroup* group;  ///< of stages of a group; else nullptr
+  const model::ElementGroup* group;  ///< the group of a stage of a group; else nullptr
   double real, rows, slots, tools, triangles;
   bool edges;  ///< the matrix stores edges
 
@@ -124,7 +124,7 @@ struct StageInfo {
   Communication communication;
   std::string_view name, reads, writes, when;
   bool (*needed)(const StageSizes&);
-  Cost (*cost)(const StageSizes&);  ///< of one run; of solves: of one iteration
+  Cost (*cost)(const StageSizes&);  ///< cost of one run; for solves, of one iteration
 };
 
 // clang-format off
@@ -273,7 +273,7 @@ inline constexpr StageInfo kStages[] = {
    "for each group whose law does not recover from inversion, unless the fused solve checks it",
    [](const StageSizes& s) { return s.group->checks_volume && !s.group->solve_checks_volume; },
    [](const StageSizes& s) {
-     // From positions: one field where packs of elements are checked, two otherwise.
+     // Checked from positions: one field for packs of elements, two otherwise.
      return Cost{static_cast<double>(s.group->rows.size()) * (4 + (s.edges ? 4 : 8) * s.real),
                  static_cast<double>(s.group->element_count) * s.group->point_count * 80};
    }},
@@ -296,7 +296,7 @@ inline constexpr StageInfo kStages[] = {
 };
 // clang-format on
 
-/// Everything about a kind that does not depend on its phase. The first row of the kind.
+/// The first row of a kind in the table, for its fields that do not depend on the phase.
 constexpr const StageInfo& info(StageKind kind) {
   for (const StageInfo& stage : kStages) {
     if (stage.kind == kind) return stage;
@@ -318,14 +318,13 @@ static_assert(
 /// A stage of one model.
 struct Stage {
   const StageInfo* info;
-  std::uint32_t group = 0;  ///< of stages of a group
+  std::uint32_t group = 0;  ///< index of its group, for a stage of a group
 };
 
-/// The stages of a model, in the order in which they run. Stages of groups that follow each other in the table run
-/// group by group.
+/// Returns the stages of a model in the order in which they run. Adjacent stages of groups run group by group.
 std::vector<Stage> list_stages(const model::Model& model);
 
-/// Bytes and operations of one run of a stage; of a solve, of one iteration.
+/// Returns the cost of one run of a stage; for a solve, of one iteration.
 Cost cost(const model::Model& model, const Stage& stage);
 
 }  // namespace tensormass::step

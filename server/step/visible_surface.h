@@ -5,7 +5,7 @@
 
 namespace tensormass::step {
 
-/// Computes the positions of visible vertices, when a frame is due. Patches take even shares of the vertices.
+/// Computes the positions of visible vertices. Runs when a frame is due. Patches take even shares of the vertices.
 /// Reads displacement; writes the surface's positions.
 template <class Team, class Real>
 TM_HOST_DEVICE void gather_surface(const Team& team, const view::PatchesView& patches,

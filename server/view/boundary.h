@@ -4,7 +4,7 @@
 
 #include "physics/element/face.h"
 
-/// Boundary conditions that a step evaluates. Fixed directions and constant loads are fields of rows (view/state.h).
+/// Boundary conditions that a step evaluates. Fixed directions and constant loads are fields of rows (state.h).
 namespace tensormass::view {
 
 /// Prescribed displacements, which may change over time.
@@ -30,6 +30,7 @@ struct PressureFace {
   }
 };
 
+/// Pressed faces and the rows of their nodes. A corner is one node of one face.
 template <class Real>
 struct PressureView {
   const PressureFace<Real>* faces;

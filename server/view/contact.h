@@ -2,12 +2,13 @@
 
 #include <cstdint>
 
-/// The tissue's surface and the tools that touch it (contact/). Everything is nullptr or zero in a scene without tools.
+/// The tissue's surface and the tools that touch it (contact/). In a scene without tools all pointers are nullptr and
+/// all counts zero.
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
 
-/// A spherical probe as a step sees it.
+/// Inputs of a step for one spherical probe.
 template <class Real>
 struct ToolState {
   Real center_m[3];

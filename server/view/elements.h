@@ -5,13 +5,16 @@
 #include "view/matrix.h"
 #include "view/patches.h"
 
-/// The elements of one group: those of one shape and one law, as a step reads them.
+/// The elements of one group, which all have the same shape and law. They are stored in one of two ways:
 ///
-/// They are stored in one of two ways. A CPU reads several elements into one vector register: structures of arrays,
-/// padded to a multiple of kSliceRows with elements of zero weight. A GPU thread reads one element at a time:
-/// *records*, each with the reals of its quadrature points, then the law's parameters.
+/// 1. A CPU reads several elements into one vector register. It needs structures of arrays, padded to a multiple of
+///    kSliceRows with elements of zero weight.
+/// 2. A GPU thread reads one element at a time. It needs *records*: the reals of the quadrature points, then the law's
+///    parameters.
 ///
-///   record:  point 0 | point 1 | ... | parameters | padding       all starts are multiples of four reals
+///   record:  point 0 | point 1 | ... | parameters | padding
+///
+/// Records, and each of several points, start at a multiple of four reals. Parameters follow a single point directly.
 namespace tensormass::view {
 
 TM_HOST_DEVICE constexpr std::uint32_t round_to_four(std::uint32_t reals) { return (reals + 3) / 4 * 4; }
@@ -25,7 +28,7 @@ TM_HOST_DEVICE constexpr std::uint32_t record_reals(std::uint32_t rest_reals, st
   return round_to_four(points * point_stride(rest_reals, points) + parameters);
 }
 
-/// Reals of a stored decomposition F = U Σ Vᵀ: two columns of U and of V, Σ, and padding to a multiple of four.
+/// Reals of a stored decomposition F = U Σ Vᵀ: two columns each of U and V, Σ, and padding to a multiple of four.
 inline constexpr std::uint32_t kDecompositionReals = 16;
 
 /// Selective reduced integration weights of a quadrature point (physics::ModuliWeights).
@@ -39,18 +42,19 @@ struct ModuliWeights {
       : deviatoric(static_cast<Real>(s.deviatoric)), volumetric(static_cast<Real>(s.volumetric)) {}
 };
 
-/// α_i and τ_i of physics/element/prony.h.
+/// One term of a Prony series: α_i and τ_i of physics/element/prony.h.
 template <class Real>
 struct PronyTerm {
   Real share;
   Real relaxation_time_s;
 };
 
-/// A slice that has elements of a group. A GPU reads it at once, before anything that it points to.
+/// A slice of the matrix whose rows have elements of a group. A GPU reads it as a whole, before the data that it refers
+/// to.
 struct alignas(16) ListedSlice {
-  std::uint32_t slice_and_state;             // 4 · slice + 1 if its rows are begun + 2 if the group finishes them
-  std::uint32_t columns_begin, columns_end;  // of its slots
-  std::uint32_t list_begin, list_end;        // of its element lists, in columns of kSliceRows
+  std::uint32_t slice_and_state;             // 4 · slice, + 1 if begun, + 2 if the group finishes
+  std::uint32_t columns_begin, columns_end;  // its slots
+  std::uint32_t list_begin, list_end;        // its element lists, in columns of kSliceRows
   PatchColumns patch;
 
   TM_HOST_DEVICE std::uint32_t slice() const { return slice_and_state / 4; }
@@ -74,9 +78,9 @@ struct ElementView {
   std::uint32_t prony_count;
   PronyTerm<Real> prony[physics::kMaxPronyTerms];
   Real* internal_variables;             // [quadrature points][prony_count][6][count]
-  Real* checkpoint_internal_variables;  // the same, as of the checkpoint
+  Real* checkpoint_internal_variables;  // copy for restoring the checkpoint
 
-  // For the inversion check (physics::reference_gradients); nullptr: no check, or one with mean gradients.
+  // For the inversion check (physics::reference_gradients); nullptr: no check, or F from stored rest shapes.
   std::uint32_t reference_points;
   const Real* reference_gradients;
 
@@ -92,7 +96,7 @@ struct ElementView {
 
   // Storage by edges (matrix/edges.h):
   const std::uint32_t* patch_elements;  // [patch_count, 2] range of elements that touch a patch; nullptr: even split
-  const std::uint32_t* pair_places;     // [pairs][count] 2 · slot + 1 if it holds the transposed block; kNoPlace: none
+  const std::uint32_t* pair_places;  // [pairs][count] 2 · slot + 1 if it holds the transposed block; kNoPlace: no slot
 };
 
 }  // namespace tensormass::view

@@ -4,22 +4,22 @@
 
 #include "view/state.h"
 
-/// What guards check after each step, and the checkpoint to which they take a step back (world/guard.h).
+/// Data that guards check after each step, and the checkpoint to which they take a step back (world/guard.h).
 namespace tensormass::view {
 
-/// One for each patch; the host reduces them in order.
+/// Report of one patch. The host reduces the reports in the order of the patches.
 template <class Real>
 struct PatchReport {
   Real max_speed_m_per_s;
   Real finite;            // 1, or 0 if a value of the patch is not a number
-  Real max_move_m;        // from the checkpoint
-  Real max_distance_m;    // from rest
-  Real kinetic_energy_j;  // of the nodes' masses
-  Real work_j;            // of gravity and loads since the checkpoint
-  Real min_det_f;         // of inverted tetrahedra that the solve has found; infinity: no element is inverted
+  Real max_move_m;        // largest move of a row from the checkpoint
+  Real max_distance_m;    // largest distance of a row from rest
+  Real kinetic_energy_j;  // sum over the rows
+  Real work_j;            // work of gravity and loads since the checkpoint
+  Real min_det_f;         // smallest, of tetrahedra that the solve finds inverted; infinity: it finds none
 };
 
-/// Deformation of one group in one patch; computed now and then for the status, not in each step.
+/// Deformation of one group in one patch. It is measured now and then for the status, not in each step.
 template <class Real>
 struct PatchDiagnostics {
   Real min_det_f;
@@ -39,16 +39,16 @@ struct GuardView {
 
   PatchReport<Real>* patch_reports;     // [patch_count]
   PatchDiagnostics<Real>* diagnostics;  // [group, patch_count]
-  Real* min_det_f;                      // [group, patch_count, parts of a patch], of groups that a stage checks
+  Real* min_det_f;                      // [group, patch_count, parts of a patch], for groups that a stage checks
 
   Real* relative_position;  // [row_count, 4] position [m] relative to where row 0 rests; nullptr: no check reads it
-  // Tetrahedra that the solve checks at its end (matrix/patch_tetrahedra.h); nullptr: it checks none.
+  // Tetrahedra that the solve checks in its epilogue (matrix/patch_tetrahedra.h); nullptr: it checks none.
   const std::uint32_t* patch_tetrahedra;  // [2 patch_count + 1] into tetrahedron_rows
   const std::uint16_t* tetrahedron_rows;  // [.., 4] patch-local
 };
 
-/// Relative position of a row at rest. Relative to a row of the scene, so that rounding depends on the scene's size and
-/// not on its distance from the origin.
+/// Rest position of a row relative to row 0 [m]. Rounding then depends on the scene's size and not on its distance from
+/// the origin.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> relative_rest(const StateView<Real>& state, std::size_t row) {
   return load3<Real>(state.rest, row) - load3<Real>(state.rest, 0);

@@ -4,8 +4,8 @@
 
 /// The linear system of a step, A Δv = b, as a sliced ELLPACK matrix (Kreutzer et al. 2014).
 ///
-/// 32 neighbouring rows form a slice that is as wide as its longest row. A GPU warp and a CPU vector register both walk
-/// a slice along its rows, column by column:
+/// kSliceRows neighbouring rows form a slice that is as wide as its longest row. A GPU warp and a CPU vector register
+/// both walk a slice along its rows, column by column:
 ///
 ///              column 0   column 1   column 2
 ///   row  0        .          .          .       slot = column · kSliceRows + row within the slice
@@ -14,27 +14,27 @@
 ///   row 31        .       padding    padding
 ///
 /// Three storages share this structure (matrix/layout.h chooses): whole rows, whole rows ordered by tiles
-/// (matrix/tiles.h), and edges that are stored once (matrix/edges.h).
+/// (matrix/tiles.h), and edges that are stored once (matrix/edges.h, with slices of only kEdgeSliceRows rows).
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoPlace = 0xFFFFFFFFu;
 
 template <class Real>
 struct MatrixView {
-  const std::uint32_t* slice_begin;  // [row_count / kSliceRows + 1], in columns of slots
+  const std::uint32_t* slice_begin;  // [slices + 1], in columns of slots
   const std::uint32_t* columns;      // [slot] patch-local: own rows, then halo; padding slots name the row itself
 
   // Tiles; nullptr otherwise.
   std::uint32_t tile_rows;
-  const std::uint32_t* slice_read;  // [row_count / kSliceRows] end of the columns that a solve must read
+  const std::uint32_t* slice_read;  // [slices] end of the columns that a solve must read
   const std::uint32_t* used_twice;  // [column] bit of each lane whose block also serves the row that it names
 
   // Edges; nullptr otherwise.
-  const std::uint32_t* slice_halo;      // [row_count / 8] where the halo of a slice starts
+  const std::uint32_t* slice_halo;      // [slices] where the halo of a slice starts
   const std::uint32_t* patch_boundary;  // [patch_count + 1] into boundary
-  const std::uint32_t* boundary;        // patch-local rows that are in the halo of others
+  const std::uint32_t* boundary;        // patch-local rows in the halo of another patch
 
-  // Constant parts, made when the scene is compiled.
+  // Constant parts, computed when the scene is compiled.
   const Real* constant_edges;        // [slot] 3×3 tensors of the linear laws
   const Real* mass_edges;            // [slot] kg, consistent mass off the diagonal; nullptr: lumped
   const std::uint8_t* begun_slices;  // [row_count / kSliceRows] 1: edges hold K, rhs holds forces of elements
@@ -45,7 +45,8 @@ struct MatrixView {
   Real* rhs;       // [row_count, 4]
 };
 
-/// Where the 3×3 block of a slot starts; its nine components lie kSliceRows apart.
+/// Index of the first component of a slot's 3×3 block. Its nine components lie kSliceRows apart. A matrix that stores
+/// edges has edge_begin instead.
 TM_HOST_DEVICE constexpr std::size_t block_begin(std::size_t slot) {
   return slot / kSliceRows * (9 * kSliceRows) + slot % kSliceRows;
 }

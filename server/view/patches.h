@@ -9,8 +9,8 @@
 ///
 ///   rows   0 ......... 63 | 64 ........ 127 | 128 ....... 223      row_count = 224
 ///          patch 0          patch 1           patch 2
-///          5 gap rows at    its halo: rows    ...
-///          its end          40 and 150
+///          its last 5       its halo: rows
+///          are gap rows     40 and 150
 ///
 ///   row     a node after renumbering; each patch owns a contiguous range that starts and ends at a multiple of
 ///           kSliceRows. Gap rows at the end of a patch fill up its last slice; no element refers to them.
@@ -57,7 +57,7 @@ TM_HOST_DEVICE inline std::uint32_t global_row(const PatchesView& patches, const
   return column < patch.own() ? patch.row_begin + column : patches.halo[patch.halo_begin + column - patch.own()];
 }
 
-/// A vector of a row: three reals, padded to four so that a GPU reads it at once. vectors: [.., 4]
+/// Loads the vector of a row: three reals, padded to four so that a GPU reads it at once. vectors: [.., 4]
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> load3(const Real* vectors, std::size_t row) {
   return read3(vectors + 4 * row);

@@ -11,13 +11,13 @@
 #include "view/state.h"
 #include "view/surface.h"
 
-/// What stages see of a scene: plain pointers to host or device memory, in one precision.
+/// The data of a scene that stages read and write: plain pointers to host or device memory, in one precision.
 ///
-/// 1. A stage takes the parts that it may touch, not the whole. Its signature then says what it reads and writes, and
-///    step/stages.h passes exactly those parts.
+/// 1. A stage takes the parts that it may touch, not the whole. Its signature then says what it may read and write.
+///    step/run.h passes exactly those parts.
 /// 2. A scene that does not use a part has null pointers there. No buffer exists for it, and no stage reads it.
-/// 3. model/bind.h fills a view. It is the only function that allocates, so that host memory, device memory and the
-///    plan of `tensormass inspect` cannot disagree.
+/// 3. model/bind.h fills a view and allocates its buffers, for host memory, device memory and the plan of `tensormass
+///    inspect` alike. They can therefore not disagree.
 ///
 ///   patches ──────> who owns which rows
 ///   state ────────> u, v, rest positions, masses        read by all, moved by `advance`

@@ -2,16 +2,18 @@
 
 #include "view/patches.h"
 
-/// The state of the rows, and how a step moves it.
+/// The state of the rows, and how a step moves it. Every time scheme has the form
 ///
-/// Every time scheme is written as u' = û + h v' and M (v' − v̂) / h = forces, where
+///   u' = û + h v'
+///   M (v' − v̂) / h = forces
 ///
 ///   u, v    displacement [m] and velocity [m/s] now
 ///   u', v'  the same at the end of the step
-///   û, v̂    base displacement and base velocity: what the scheme makes of the last two steps
+///   û, v̂    base displacement and base velocity: weighted sums of the last two steps' ends
 ///   h       effective step [s]; dt for implicit Euler, 2 dt / 3 for BDF2, 1 for equilibrium
+///   M       mass
 ///
-/// Implicit Euler has û = u and v̂ = v. Linearized once, it needs no base fields.
+/// Implicit Euler has û = u and v̂ = v. Linearized once, and without prescribed displacements, it needs no base fields.
 namespace tensormass::view {
 
 template <class Real>
@@ -21,7 +23,7 @@ struct StepScheme {
   Real velocity_weights[2];      // v̂ likewise
 };
 
-/// What the host tells the coming step. It may change from one step to the next.
+/// Inputs of the coming step from the host. They may change from one step to the next.
 template <class Real>
 struct StepControl {
   StepScheme<Real> scheme;
@@ -55,7 +57,8 @@ TM_HOST_DEVICE Real step_size(const StateView<Real>& state) {
   return state.control->scheme.step_s;
 }
 
-/// How far a row moves from `displacement`, where forces are evaluated, to û + h v with v as `velocity` stores it [m].
+/// d = û + h v − u of a row [m], where v is `velocity` as it is stored: how far the row moves from `displacement`, at
+/// which forces are evaluated.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> change_ahead(const StateView<Real>& state, std::size_t row) {
   const Vec3<Real> ahead = load3<Real>(state.velocity, row) * step_size(state);

@@ -2,7 +2,8 @@
 
 #include <cstdint>
 
-/// The visible surface: vertices that clients see, gathered only when a frame is due (step/visible_surface.h).
+/// The visible surface: the vertices that clients see. Their positions are gathered only when a frame is due
+/// (step/visible_surface.h).
 namespace tensormass::view {
 
 template <class Real>

@@ -13,8 +13,8 @@ struct ClosestPoint {
   TriangleFeature feature;
 };
 
-/// The point of triangle abc closest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5). A degenerate
-/// triangle answers with one of its vertices.
+/// Returns the point of triangle abc closest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5). For a
+/// degenerate triangle it may be any of its vertices.
 template <class Real>
 TM_HOST_DEVICE ClosestPoint<Real> closest_point_on_triangle(const Vec3<Real>& p, const Vec3<Real>& a,
                                                             const Vec3<Real>& b, const Vec3<Real>& c) {
