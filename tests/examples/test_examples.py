@@ -22,7 +22,7 @@ from tensormass._src import processes
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples"
-MAX_LINES = 80
+MAX_LINES = 60  # without docstring and empty lines
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tensormass").mkdir()
     (folder / "tensormass" / "__init__.py").touch()
     protos = [f"tensormass/v1/{name}.proto" for name in ("scene", "stream")]
-    protoc = [sys.executable, "-m", "grpc_tools.protoc", "-I", ROOT / "proto", f"--python_out={folder}", *protos]
-    subprocess.run(protoc, check=True)
+    run("-m", "grpc_tools.protoc", "-I", ROOT / "proto", f"--python_out={folder}", *protos)
     return folder
 
 
@@ -100,11 +99,11 @@ def test_the_zeromq_client_feels_the_liver_and_lifts_off(
     version = server.version()
     endpoints = [version.zeromq_publish_endpoint, version.zeromq_pose_endpoint]
     output = run(EXAMPLES / "zeromq_client.py", *endpoints, "demo", "probe", PYTHONPATH=generated)
-    pattern = r"(\d+) forces, the largest (\S+) N; (\S+) ms from pose to force \(median\)\n"
+    pattern = r"(\d+) forces, the largest (\S+) N\nfrom pose to force: (\S+) ms \(median\)\n"
     count, force_n, delay_ms = numbers(pattern, output)
     assert count >= 30, "3 s at 60 Hz give 180 on a machine with nothing else to do"
     assert 0.3 < force_n < 3.0
-    assert 0.0 < delay_ms < 500.0
+    assert 0.0 < delay_ms < 1000.0
     check_lifted(scene)
 
 
@@ -114,8 +113,8 @@ def test_the_zenoh_client_sees_the_liver_move_and_lifts_off(
     server, scene = demo
     locator = server.version().zenoh_locator
     output = run(EXAMPLES / "zenoh_client.py", locator, "demo", "probe", PYTHONPATH=generated)
-    pattern = r"(\d+) frames, (\d+) skipped, of (\d+) vertices: moved by (\S+) mm, force (\S+) N\n"
-    count, skipped, vertex_count, moved_mm, force_n = numbers(pattern, output)
+    pattern = r"(\d+) frames of (\d+) vertices, (\d+) skipped\nliver moved by (\S+) mm; largest force (\S+) N\n"
+    count, vertex_count, skipped, moved_mm, force_n = numbers(pattern, output)
     assert count >= 30, "3 s at 60 Hz give 180 on a machine with nothing else to do"
     assert count + skipped <= 200
     assert vertex_count == scene.topology().bodies[0].vertex_count
@@ -154,7 +153,6 @@ def test_notebooks_have_no_outputs() -> None:
 
 def test_every_example_is_tested_listed_and_short() -> None:
     files = [file for file in EXAMPLES.rglob("*") if file.suffix in {".py", ".ipynb", ".cpp"}]
-    assert len(files) == 6
     tests = "".join(file.read_text("utf-8") for file in (ROOT / "tests").glob("*/test_*example*.py"))
     listed = (EXAMPLES / "README.md").read_text("utf-8")
     for file in files:
@@ -163,6 +161,7 @@ def test_every_example_is_tested_listed_and_short() -> None:
         assert f"]({file.relative_to(EXAMPLES)})" in listed, f"examples/README.md does not list {file}"
         if file.suffix == ".py":
             text = file.read_text("utf-8")
-            assert len(text.splitlines()) <= MAX_LINES, file
             docstring = ast.get_docstring(ast.parse(text)) or ""
             assert all(word in docstring for word in ("Shows:", "Needs:", "Run:")), file
+            lines = [line for line in text.replace(docstring, "").splitlines() if line.strip()]
+            assert len(lines) <= MAX_LINES, f"{file}: {len(lines)} lines of code"
