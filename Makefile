@@ -116,12 +116,12 @@ sanitized:
 
 lint: setup-test python ## Check format, style and types: C++, Python, web
 	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
-	@cd clients/python && ruff check . ../../tests && ruff format --check . ../../tests && mypy
+	@cd clients/python && ruff check . ../../tests ../../examples && ruff format --check . ../../tests ../../examples && mypy
 	@cd clients/web && npm run --silent lint
 
 format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
-	@cd clients/python && ruff format . ../../tests
+	@cd clients/python && ruff format . ../../tests ../../examples
 
 protocol-release: setup-test ## Record the protocol as released; `make test` refuses what breaks it
 	@python tests/proto/compatibility.py --release

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import tensormass as tm
-from tensormass import processes
+from tensormass._src import processes
 
 BLOCK = """
 name: block
