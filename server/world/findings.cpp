@@ -52,12 +52,12 @@ void Findings::take_step(const World& world) {
   negative_curvature_.store(result.negative_curvature, kRelaxed);
 }
 
-void Findings::take_watch(const World& world) {
+void Findings::take_diagnostics(const World& world) {
   for (std::size_t g = 0; g < groups_.size(); ++g) {
-    groups_[g].min_det_f.store(world.watched()[g].min_det_f, kRelaxed);
-    groups_[g].max_strain.store(world.watched()[g].max_strain, kRelaxed);
-    groups_[g].max_rotation_rad.store(world.watched()[g].max_rotation_rad, kRelaxed);
-    groups_[g].least_stretch.store(world.watched()[g].least_stretch, kRelaxed);
+    groups_[g].min_det_f.store(world.diagnostics()[g].min_det_f, kRelaxed);
+    groups_[g].max_strain.store(world.diagnostics()[g].max_strain, kRelaxed);
+    groups_[g].max_rotation_rad.store(world.diagnostics()[g].max_rotation_rad, kRelaxed);
+    groups_[g].least_stretch.store(world.diagnostics()[g].least_stretch, kRelaxed);
   }
   elastic_j_.store(world.energy().elastic_j(), kRelaxed);
   dissipated_j_.store(world.energy().dissipated_j().value_or(0), kRelaxed);
@@ -172,11 +172,12 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   status.set_guard_text(to_text(last_event_));
   const std::uint32_t again = made_again_.load(kRelaxed);
   if (again <= kWindow / 2) return;
-  status.add_warnings(fmt::format(
-      "{} of {} steps left their bounds ({}) and were made again in another way, which takes longer; {}", again,
-      kWindow, to_text(last_event_.first),
-      last_event_.first.breach == Breach::kResidual ? "give it more cg_max_iterations, or a floor that it can keep"
-                                                    : "take smaller steps, or a law that stands the load"));
+  status.add_warnings(
+      fmt::format("{} of {} steps left their bounds ({}) and were made again in another way, which takes longer; {}",
+                  again, kWindow, to_text(last_event_.first),
+                  last_event_.first.breach == Breach::kLinearResidual
+                      ? "give it more cg_max_iterations, or a floor that it can keep"
+                      : "take smaller steps, or a law that stands the load"));
 }
 
 void Findings::add_budget(v1::SceneStatus& status) const {

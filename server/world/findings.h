@@ -23,7 +23,7 @@ class Findings {
   /// Of the last World::step, also of one that the guard did not let pass.
   void take_step(const World& world);
   /// Of the last World::watch.
-  void take_watch(const World& world);
+  void take_diagnostics(const World& world);
   /// The scene is at rest again.
   void clear();
   void add_to(v1::SceneStatus& status) const;

@@ -17,16 +17,16 @@ constexpr double kMaxMove = 1;
 /// In sizes of the scene: a held body that is stretched to ten times the scene shows no tissue any more.
 constexpr double kMaxDistance = 10;
 /// Of the solve, relative: conjugate gradients may rise on their way, by less than this.
-constexpr double kMaxResidual = 100;
+constexpr double kMaxLinearResidual = 100;
 /// Of the outer iteration: forces out of balance by as much as they are.
-constexpr double kMaxImbalance = 1;
+constexpr double kMaxNewtonResidual = 1;
 /// A step solves a linearized problem, and the work of forces is a sum over steps: energy is known to a few times.
 constexpr double kEnergySlack = 4;
 /// Strain of the whole scene whose energy is not worth a guard.
 constexpr double kLeastStrain = 1e-3;
 
 constexpr std::array<Retry, 4> kRetries{{
-    {1, 1, false, Breach::kResidual},
+    {1, 1, false, Breach::kLinearResidual},
     {2, 1, false, Breach::kNone},
     {8, 1, false, Breach::kNone},
     {8, 4, true, Breach::kNone},
@@ -81,8 +81,8 @@ bool counts_all_energy(const model::Model& m) {
          std::all_of(m.groups.begin(), m.groups.end(), [](const auto& group) { return group.prony.empty(); });
 }
 
-std::string to_text(const Verdict& verdict) {
-  const auto [breach, value, bound] = verdict;
+std::string to_text(const BoundCheck& check) {
+  const auto [breach, value, bound] = check;
   switch (breach) {
     case Breach::kNone:
       return "it holds its bounds";
@@ -94,9 +94,9 @@ std::string to_text(const Verdict& verdict) {
       return fmt::format("a node is {:.3g} m from where it rests, where {:.3g} m is the most", value, bound);
     case Breach::kEnergy:
       return fmt::format("the kinetic energy is {:.3g} J, where no more than {:.3g} J can be", value, bound);
-    case Breach::kResidual:
+    case Breach::kLinearResidual:
       return fmt::format("the linear solve ended at a residual of {:.3g}, above {:.3g}", value, bound);
-    case Breach::kImbalance:
+    case Breach::kNewtonResidual:
       return fmt::format("the outer iteration ended with an imbalance of {:.3g} of the forces, above {:.3g}", value,
                          bound);
     case Breach::kVolume:
@@ -115,7 +115,7 @@ void EnergyBalance::add_step(double kinetic_j, double loads_work_j, double tools
   available_j_ += std::max(loads_work_j, 0.0) + std::max(tools_work_j, 0.0);
 }
 
-void EnergyBalance::look(double elastic_j) {
+void EnergyBalance::take_elastic(double elastic_j) {
   elastic_j_ = elastic_j;
   available_j_ = kinetic_j_ + elastic_j_;
   dissipated_j_ = work_j_ - available_j_;
@@ -131,30 +131,30 @@ void EnergyBalance::start(double kinetic_j, double elastic_j) {
 Guard::Guard(const model::Model& m)
     : max_move_m_(kMaxMove * (size_of(m) + largest_start(m))),
       max_distance_m_(kMaxDistance * (size_of(m) + largest_start(m))),
-      max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxResidual),
+      max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
       least_energy_j_(least_energy(m)),
-      judges_energy_(counts_all_work(m)) {
+      checks_energy_(counts_all_work(m)) {
   // What nothing holds may fall as far as it likes.
   if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
     max_distance_m_ = std::numeric_limits<double>::infinity();
   }
 }
 
-Verdict Guard::judge(const solver::StepResult& result, const StepEnergy& energy) const {
+BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& energy) const {
   if (!result.finite) return {Breach::kNotFinite};
   if (!(result.max_move_m <= max_move_m_)) return {Breach::kMove, result.max_move_m, max_move_m_};
   if (!(result.max_distance_m <= max_distance_m_)) return {Breach::kDistance, result.max_distance_m, max_distance_m_};
   if (!(result.min_det_f > 0)) return {Breach::kVolume, result.min_det_f, 0};
-  if (!result.converged && !(result.newton_residual <= kMaxImbalance)) {
-    return {Breach::kImbalance, result.newton_residual, kMaxImbalance};
+  if (!result.converged && !(result.newton_residual <= kMaxNewtonResidual)) {
+    return {Breach::kNewtonResidual, result.newton_residual, kMaxNewtonResidual};
   }
   if (!(result.cg_relative_residual <= max_residual_)) {
-    return {Breach::kResidual, result.cg_relative_residual, max_residual_};
+    return {Breach::kLinearResidual, result.cg_relative_residual, max_residual_};
   }
   const double there =
       energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
   const double bound = kEnergySlack * there + least_energy_j_;
-  if (judges_energy_ && !(result.kinetic_energy_j <= bound)) return {Breach::kEnergy, result.kinetic_energy_j, bound};
+  if (checks_energy_ && !(result.kinetic_energy_j <= bound)) return {Breach::kEnergy, result.kinetic_energy_j, bound};
   return {};
 }
 

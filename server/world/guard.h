@@ -15,22 +15,22 @@ namespace tensormass::world {
 enum class Breach : std::uint8_t {
   kNone,
   kNotFinite,
-  kMove,       ///< a node moved too far in the step
-  kDistance,   ///< a node is too far from rest
-  kEnergy,     ///< more kinetic energy than there can be
-  kResidual,   ///< of the linear solve
-  kImbalance,  ///< of the outer iteration
-  kVolume,     ///< det F of an element whose law does not recover
+  kMove,            ///< a node moved too far in the step
+  kDistance,        ///< a node is too far from rest
+  kEnergy,          ///< more kinetic energy than there can be
+  kLinearResidual,  ///< of the linear solve
+  kNewtonResidual,  ///< of the outer iteration
+  kVolume,          ///< det F of an element whose law does not recover
 };
 
-struct Verdict {
+struct BoundCheck {
   Breach breach = Breach::kNone;
   double value = 0, bound = 0;
   bool good() const { return breach == Breach::kNone; }
 };
 
 /// In words: "a node is 0.3 m from where it rests, where 0.15 m is the most".
-std::string to_text(const Verdict& verdict);
+std::string to_text(const BoundCheck& check);
 
 /// Whether all work that is done on the scene is counted: displacements that are prescribed and pressure do some that
 /// is not. And whether all energy is that it holds: not with memory, consistent mass, or without inertia.
@@ -45,7 +45,7 @@ class EnergyBalance {
 
   /// A step that was published. Work since the step before.
   void add_step(double kinetic_j, double loads_work_j, double tools_work_j);
-  void look(double elastic_j);
+  void take_elastic(double elastic_j);
   /// What the scene has to begin with.
   void start(double kinetic_j, double elastic_j);
 
@@ -72,11 +72,11 @@ struct StepEnergy {
 class Guard {
  public:
   explicit Guard(const model::Model& model);
-  Verdict judge(const solver::StepResult& result, const StepEnergy& energy) const;
+  BoundCheck check(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:
   double max_move_m_, max_distance_m_, max_residual_, least_energy_j_;
-  bool judges_energy_;
+  bool checks_energy_;
 };
 
 /// How a step that left its bounds is done again, from the state that it began with.
@@ -92,7 +92,7 @@ std::span<const Retry> retries();
 /// A step that left its bounds.
 struct GuardEvent {
   std::uint64_t step = 0;
-  Verdict first, last;        ///< of the step itself, and of the last retry
+  BoundCheck first, last;     ///< of the step itself, and of the last retry
   std::uint32_t retries = 0;  ///< that were made
   std::uint32_t steps = 0;    ///< of the last one
   bool recovered = false;

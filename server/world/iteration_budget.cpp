@@ -17,7 +17,7 @@ void IterationBudget::take_step(double step_s, const solver::StepResult& result,
   if (model_.budget_s == 0) return;
   if (event != nullptr) {
     // Time and result are those of the step made in another way, and say nothing of this limit.
-    if (event->first.breach != Breach::kResidual) return;
+    if (event->first.breach != Breach::kLinearResidual) return;
     set_limit(limit() + std::max(limit() / 2, 1u));
     begin_window();
     return;

@@ -35,7 +35,7 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       touches_(model_->tools.size()),
       forces_(model_->tools.size()),
       readings_(model_->tools.size()),
-      watched_(model_->groups.size()),
+      diagnostics_(model_->groups.size()),
       guard_(*model_),
       energy_(*model_),
       cg_limit_(model_->cg_max_iterations) {
@@ -56,7 +56,7 @@ void World::write_start() {
     const double v = i % 4 < 3 ? model_->initial_velocity[i] : 0;
     kinetic_j += model_->row_mass[i / 4] * v * v / 2;
   }
-  energy_.start(kinetic_j, model_->initial_displacement.empty() ? 0 : watch_elastic_energy());
+  energy_.start(kinetic_j, model_->initial_displacement.empty() ? 0 : diagnose_elastic_energy());
 }
 
 void World::place_tools() {
@@ -111,10 +111,10 @@ void World::read_tools() {
 bool World::step(bool gather_visible) {
   move_tools();
   has_event_ = false;
-  Verdict verdict = make_step({1, 1, false, Breach::kNone}, cg_limit_, true, gather_visible);
-  if (!verdict.good()) {
-    verdict = retry(verdict);
-    if (!verdict.good()) {
+  BoundCheck check = make_step({1, 1, false, Breach::kNone}, cg_limit_, true, gather_visible);
+  if (!check.good()) {
+    check = retry(check);
+    if (!check.good()) {
       state_->restore();
       for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].current = before_[i].pose;
       return false;
@@ -128,7 +128,7 @@ bool World::step(bool gather_visible) {
 }
 
 /// Goes back and makes the step in other ways, until one of them holds its bounds.
-Verdict World::retry(const Verdict& first) {
+BoundCheck World::retry(const BoundCheck& first) {
   event_ = {.step = step_count_ + 1, .first = first, .last = first};
   has_event_ = true;
   for (const Retry& how : retries()) {
@@ -147,8 +147,8 @@ Verdict World::retry(const Verdict& first) {
 
 /// A step in equal parts, each of which must hold the bounds. `keeps`: the state that it begins with is the one to go
 /// back to.
-Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint,
-                         bool gather_visible) {
+BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint,
+                            bool gather_visible) {
   tools_work_j_ = 0;
   solver::StepResult before;  // of the parts so far
   before.newton_iterations = 0;
@@ -175,30 +175,30 @@ Verdict World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool
       touches_[i] = {centers_[i], force};
     }
     energy.tools_work_j = tools_work_j_;
-    const Verdict verdict = guard_.judge(last_, energy);
+    const BoundCheck check = guard_.check(last_, energy);
     last_.cg_iterations += before.cg_iterations;
     last_.newton_iterations += before.newton_iterations;
     last_.converged = last_.converged && before.converged;
     last_.newton_residual = std::max(last_.newton_residual, before.newton_residual);
     last_.cg_relative_residual = std::max(last_.cg_relative_residual, before.cg_relative_residual);
     before = last_;
-    if (!verdict.good()) return verdict;
+    if (!check.good()) return check;
   }
   return {};
 }
 
-double World::watch_elastic_energy() {
-  state_->diagnose(watched_);
+double World::diagnose_elastic_energy() {
+  state_->diagnose(diagnostics_);
   double elastic_j = 0;
-  for (const backend::GroupDiagnostics& group : watched_) elastic_j += group.elastic_energy_j;
+  for (const backend::GroupDiagnostics& group : diagnostics_) elastic_j += group.elastic_energy_j;
   return elastic_j;
 }
 
-void World::watch() { energy_.look(watch_elastic_energy()); }
+void World::diagnose() { energy_.take_elastic(diagnose_elastic_energy()); }
 
 void World::reset() {
   write_start();
-  std::fill(watched_.begin(), watched_.end(), backend::GroupDiagnostics{});
+  std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = 0;
   last_ = {};
   has_event_ = false;

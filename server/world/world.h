@@ -54,7 +54,7 @@ class World {
   /// The last step that left its bounds, if it is the last one that was tried.
   const GuardEvent* guard_event() const { return has_event_ ? &event_ : nullptr; }
   /// Looks at every element; now and then, not every step.
-  void watch();
+  void diagnose();
   /// Back to the start: displacement, velocity, time, tools.
   void reset();
 
@@ -64,7 +64,7 @@ class World {
   const EnergyBalance& energy() const { return energy_; }
   std::span<const ToolReading> readings() const { return readings_; }
   /// Of the last watch; [group_count].
-  std::span<const backend::GroupDiagnostics> watched() const { return watched_; }
+  std::span<const backend::GroupDiagnostics> diagnostics() const { return diagnostics_; }
 
   /// [visible_count, 3] m, of the last step that gathered.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
@@ -77,12 +77,12 @@ class World {
  private:
   World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state);
   void write_start();
-  double watch_elastic_energy();  ///< of all elements, as they are now [J]
+  double diagnose_elastic_energy();  ///< of all elements, as they are now [J]
   void place_tools();
   void move_tools();
   void read_tools();
-  Verdict retry(const Verdict& first);
-  Verdict make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint, bool gather_visible);
+  BoundCheck retry(const BoundCheck& first);
+  BoundCheck make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint, bool gather_visible);
 
   /// A tool where a step begins.
   struct Before {
@@ -104,7 +104,7 @@ class World {
   std::vector<Touch> touches_;         // at the end of the part before
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
-  std::vector<backend::GroupDiagnostics> watched_;
+  std::vector<backend::GroupDiagnostics> diagnostics_;
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // of the step at hand

@@ -362,16 +362,16 @@ TEST_P(Analysis, WatchSeesRotationAndCompression) {
   at_end(*end.mutable_region());
   end.set_x_m(-0.2);
   const auto world = start(scene);
-  world->watch();
-  EXPECT_EQ(world->watched()[0].min_det_f, 1);
-  EXPECT_EQ(world->watched()[0].max_strain, 0);
+  world->diagnose();
+  EXPECT_EQ(world->diagnostics()[0].min_det_f, 1);
+  EXPECT_EQ(world->diagnostics()[0].max_strain, 0);
   ASSERT_TRUE(world->step(false));
-  world->watch();
-  EXPECT_NEAR(world->watched()[0].max_strain, 0.5, 0.1);
-  EXPECT_LT(world->watched()[0].min_det_f, 0.75);
-  EXPECT_NEAR(world->watched()[0].min_det_f, fields(*world, {}).min_det_f(), 1e-12);
+  world->diagnose();
+  EXPECT_NEAR(world->diagnostics()[0].max_strain, 0.5, 0.1);
+  EXPECT_LT(world->diagnostics()[0].min_det_f, 0.75);
+  EXPECT_NEAR(world->diagnostics()[0].min_det_f, fields(*world, {}).min_det_f(), 1e-12);
   world->reset();
-  EXPECT_EQ(world->watched()[0].max_strain, 0);
+  EXPECT_EQ(world->diagnostics()[0].max_strain, 0);
 }
 
 /// Wedges and their pairs are two groups and one finding.
@@ -384,10 +384,10 @@ TEST_P(Analysis, LeavingTheLinearRangeIsSaidOnce) {
   end.set_x_m(-0.2);
   const auto world = start(scene);
   ASSERT_TRUE(world->step(false));
-  world->watch();
+  world->diagnose();
   const IterationBudget budget(world->model());
   Findings findings(world->model(), budget);
-  findings.take_watch(*world);
+  findings.take_diagnostics(*world);
   v1::SceneStatus status;
   findings.add_to(status);
   ASSERT_EQ(status.warnings_size(), 1);

@@ -39,9 +39,9 @@ class FindingsOf : public tests::OnBackend {
     const IterationBudget budget(world->model());
     Findings findings(world->model(), budget);
     EXPECT_TRUE(world->step(false));
-    world->watch();
+    world->diagnose();
     findings.take_step(*world);
-    findings.take_watch(*world);
+    findings.take_diagnostics(*world);
     v1::SceneStatus status;
     findings.add_to(status);
     findings.clear();

@@ -163,7 +163,7 @@ TEST_P(Guarding, IterationsThatWereLoweredTooFarAreGivenBackFirst) {
   for (int i = 0; i < 3; ++i) {
     ASSERT_TRUE(world->step(false) && all->step(false));
     ASSERT_NE(world->guard_event(), nullptr);
-    EXPECT_EQ(world->guard_event()->first.breach, Breach::kResidual);
+    EXPECT_EQ(world->guard_event()->first.breach, Breach::kLinearResidual);
     EXPECT_EQ(world->guard_event()->first.bound, 1e-4);
     EXPECT_EQ(world->guard_event()->steps, 1u);
     EXPECT_LE(world->last().cg_relative_residual, 1e-4);
@@ -179,8 +179,8 @@ TEST_P(Guarding, AFloorThatCannotBeReachedIsNotLeft) {
   scene.mutable_solver()->set_floor_tolerance(1e-9);
   const auto world = start(scene);
   EXPECT_FALSE(world->step(false));
-  EXPECT_EQ(world->guard_event()->first.breach, Breach::kResidual);
-  EXPECT_EQ(world->guard_event()->last.breach, Breach::kResidual);
+  EXPECT_EQ(world->guard_event()->first.breach, Breach::kLinearResidual);
+  EXPECT_EQ(world->guard_event()->last.breach, Breach::kLinearResidual);
 }
 
 /// A block between two plates, of which one is pushed through the other: no node is free, so that only the law decides.
@@ -223,8 +223,8 @@ TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreN
       EXPECT_EQ(steps, 13) << name << ": 3 cm each, 40 cm in all";
       EXPECT_EQ(world->guard_event()->first.breach, Breach::kVolume) << name;
       EXPECT_NEAR(world->guard_event()->first.value, -0.05, double_precision ? 1e-6 : 1e-5) << name << ": 42 cm";
-      world->watch();
-      EXPECT_NEAR(world->watched()[0].min_det_f, 0.025, double_precision ? 1e-6 : 1e-5)
+      world->diagnose();
+      EXPECT_NEAR(world->diagnostics()[0].min_det_f, 0.025, double_precision ? 1e-6 : 1e-5)
           << name << ": the state that it stands in";
     });
   };
@@ -246,7 +246,7 @@ TEST_P(Guarding, CountsWhatImplicitEulerTakesFromAFall) {
   const auto world = start(scene);
   const double mass = world->model().bodies[0].mass_kg, n = 20, unit = mass * std::pow(9.81 * 0.01, 2) / 2;
   for (int i = 0; i < n; ++i) ASSERT_TRUE(world->step(false));
-  world->watch();
+  world->diagnose();
   EXPECT_NEAR(world->energy().work_j(), unit * n * (n + 1), 1e-9 * unit * n * n);
   EXPECT_NEAR(world->energy().kinetic_j(), unit * n * n, 1e-9 * unit * n * n);
   EXPECT_NEAR(world->energy().elastic_j(), 0, 1e-9 * unit * n * n);
@@ -263,7 +263,7 @@ TEST_P(Guarding, ElasticEnergyIsThatOfTheFields) {
       *scene.mutable_bodies(0)->mutable_law() = tests::law(name, 5e3, 0.4);
       const auto world = start(scene);
       for (int i = 0; i < 3; ++i) ASSERT_TRUE(world->step(false));
-      world->watch();
+      world->diagnose();
       const auto fields = measure_fields(world->model(), world->state(), world->model().bodies[0], {});
       EXPECT_GT(fields->elastic_energy_j(), 0);
       EXPECT_NEAR(world->energy().elastic_j(), fields->elastic_energy_j(), 1e-9 * fields->elastic_energy_j())
@@ -281,7 +281,7 @@ TEST_P(Guarding, WorkOfToolsIsCounted) {
     world->set_tool_target(0, {{0.05, 0.06 - 0.0001 * i, 0.05}, {1, 0, 0, 0}});
     ASSERT_TRUE(world->step(false));
   }
-  world->watch();
+  world->diagnose();
   EXPECT_GT(world->energy().work_j(), 0);
   EXPECT_GT(world->energy().elastic_j(), 0.3 * world->energy().work_j()) << "pressed slowly, most of it is there";
   EXPECT_GT(world->energy().dissipated_j().value(), 0);
@@ -303,18 +303,18 @@ TEST(GuardBounds, AreEachAsked) {
                                 .min_det_f = 1e-6,
                                 .newton_residual = 0.9,
                                 .converged = false};
-  EXPECT_TRUE(guard.judge(good, energy).good()) << to_text(guard.judge(good, energy));
+  EXPECT_TRUE(guard.check(good, energy).good()) << to_text(guard.check(good, energy));
   solver::StepResult at_rest = good;
   at_rest.newton_residual = 1.1;
   at_rest.converged = true;
-  EXPECT_TRUE(guard.judge(at_rest, energy).good()) << "what is left of forces that are rounding moves nothing";
+  EXPECT_TRUE(guard.check(at_rest, energy).good()) << "what is left of forces that are rounding moves nothing";
   constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
   const auto breach = [&](auto member, auto value) {
     solver::StepResult bad = good;
     bad.*member = value;
-    const Verdict verdict = guard.judge(bad, energy);
-    EXPECT_FALSE(to_text(verdict).empty());
-    return verdict.breach;
+    const BoundCheck check = guard.check(bad, energy);
+    EXPECT_FALSE(to_text(check).empty());
+    return check.breach;
   };
   using Result = solver::StepResult;
   EXPECT_EQ(breach(&Result::finite, false), Breach::kNotFinite);
@@ -322,8 +322,8 @@ TEST(GuardBounds, AreEachAsked) {
   EXPECT_EQ(breach(&Result::max_distance_m, 1.6), Breach::kDistance);
   EXPECT_EQ(breach(&Result::kinetic_energy_j, 4.1), Breach::kEnergy);
   EXPECT_EQ(breach(&Result::kinetic_energy_j, kNan), Breach::kEnergy);
-  EXPECT_EQ(breach(&Result::cg_relative_residual, 101.0), Breach::kResidual);
-  EXPECT_EQ(breach(&Result::newton_residual, 1.1), Breach::kImbalance);
+  EXPECT_EQ(breach(&Result::cg_relative_residual, 101.0), Breach::kLinearResidual);
+  EXPECT_EQ(breach(&Result::newton_residual, 1.1), Breach::kNewtonResidual);
   EXPECT_EQ(breach(&Result::min_det_f, 0.0), Breach::kVolume);
   EXPECT_EQ(breach(&Result::min_det_f, kNan), Breach::kVolume);
 }
@@ -332,21 +332,21 @@ TEST(GuardBounds, EnergyMayBeWhatCameInSinceTheLastLook) {
   const model::Model model = model_of(tests::block_with_probe());
   const Guard guard(model);
   const solver::StepResult moving{.kinetic_energy_j = 1};
-  EXPECT_EQ(guard.judge(moving, {}).breach, Breach::kEnergy);
-  EXPECT_TRUE(guard.judge(moving, {.available_j = 1}).good());
-  EXPECT_TRUE(guard.judge(moving, {.tools_work_j = 1}).good());
-  EXPECT_TRUE(guard.judge(moving, {.contacts_j = 1}).good());
+  EXPECT_EQ(guard.check(moving, {}).breach, Breach::kEnergy);
+  EXPECT_TRUE(guard.check(moving, {.available_j = 1}).good());
+  EXPECT_TRUE(guard.check(moving, {.tools_work_j = 1}).good());
+  EXPECT_TRUE(guard.check(moving, {.contacts_j = 1}).good());
   solver::StepResult loaded = moving;
   loaded.work_j = 1;
-  EXPECT_TRUE(guard.judge(loaded, {}).good());
-  EXPECT_EQ(guard.judge(moving, {.available_j = 0.2, .tools_work_j = -10}).breach, Breach::kEnergy);
+  EXPECT_TRUE(guard.check(loaded, {}).good());
+  EXPECT_EQ(guard.check(moving, {.available_j = 0.2, .tools_work_j = -10}).breach, Breach::kEnergy);
 
   EnergyBalance balance(model);
   balance.add_step(1, 2, 3);
   balance.add_step(2, 1, -4);
   EXPECT_EQ(balance.available_j(), 6) << "work that went out was kinetic energy, or elastic energy before";
   EXPECT_EQ(balance.work_j(), 2);
-  balance.look(0.5);
+  balance.take_elastic(0.5);
   EXPECT_EQ(balance.available_j(), 2.5);
   EXPECT_EQ(balance.dissipated_j(), -0.5);
 }
@@ -356,16 +356,16 @@ TEST(GuardBounds, AreWideWhereAScenePrescribesIt) {
   v1::Scene loose = scene;
   loose.mutable_bodies(0)->clear_fixed();
   const solver::StepResult far{.max_distance_m = 100};
-  EXPECT_EQ(Guard(model_of(scene)).judge(far, {}).breach, Breach::kDistance);
-  EXPECT_TRUE(Guard(model_of(loose)).judge(far, {}).good()) << "nothing holds it";
+  EXPECT_EQ(Guard(model_of(scene)).check(far, {}).breach, Breach::kDistance);
+  EXPECT_TRUE(Guard(model_of(loose)).check(far, {}).good()) << "nothing holds it";
 
   v1::PrescribedDisplacement& pull = *scene.mutable_bodies(0)->add_prescribed();
   tests::set(*pull.mutable_region()->mutable_box()->mutable_min_m(), -1, 0.049, -1);
   tests::set(*pull.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
   pull.set_y_m(0.5);
   const model::Model driven = model_of(scene);
-  EXPECT_TRUE(Guard(driven).judge({.max_move_m = 0.5}, {}).good());
-  EXPECT_TRUE(Guard(driven).judge({.kinetic_energy_j = 1e6}, {}).good()) << "work of driven nodes is not counted";
+  EXPECT_TRUE(Guard(driven).check({.max_move_m = 0.5}, {}).good());
+  EXPECT_TRUE(Guard(driven).check({.kinetic_energy_j = 1e6}, {}).good()) << "work of driven nodes is not counted";
   EXPECT_FALSE(EnergyBalance(driven).dissipated_j().has_value());
 }
 

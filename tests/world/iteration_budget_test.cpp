@@ -94,7 +94,7 @@ TEST(IterationBudget, RisesAtOnceWhereAStepHadToBeMadeAgainForItsResidual) {
   // Made again with all iterations it is solved well, and slow.
   const solver::StepResult again{.cg_iterations = 100, .cg_relative_residual = 1e-5};
   GuardEvent event;
-  event.first.breach = Breach::kResidual;
+  event.first.breach = Breach::kLinearResidual;
   budget.take_step(2, again, &event);
   EXPECT_EQ(budget.limit(), 30u);
   for (int i = 0; i < 10; ++i) budget.take_step(2, again, &event);

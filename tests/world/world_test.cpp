@@ -103,8 +103,8 @@ TEST_P(Mechanics, NewtonsMethodFollowsABodyThatTurns) {
                                                   sizeof(double) * static_cast<std::size_t>(spin.size())));
     const auto world = start(scene);
     const auto energy_j = [&] {
-      world->watch();
-      return world->watched()[0].elastic_energy_j + world->last().kinetic_energy_j;
+      world->diagnose();
+      return world->diagnostics()[0].elastic_energy_j + world->last().kinetic_energy_j;
     };
     ASSERT_TRUE(world->step(false));
     EXPECT_TRUE(world->last().converged);

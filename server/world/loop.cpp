@@ -1,0 +1,272 @@
+#include "world/loop.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace tensormass::world {
+
+namespace {
+/// Diagnostics of a running scene, a second of simulated time.
+constexpr double kDiagnosticsRateHz = 4;
+}  // namespace
+
+Loop::Loop(std::string backend, std::unique_ptr<World> world)
+    : world_(std::move(world)),
+      model_(world_->model()),
+      inboxes_(model_.tools.size()),
+      budget_(model_),
+      outputs_(*world_),
+      status_(model_, std::move(backend), budget_, inboxes_, outputs_),
+      clock_(model_.rate_hz) {
+  outputs_.publish(true);
+  thread_ = std::thread([this] { run(); });
+}
+
+Loop::~Loop() {
+  {
+    const std::lock_guard lock(mutex_);
+    quit_ = true;
+  }
+  wake_.notify_one();
+  thread_.join();
+  TM_ASSERT(commands_.empty(), "nobody waits for a loop that ends");
+}
+
+Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose) {
+  TM_ASSERT(tool < inboxes_.size(), "a pose is for a tool of the scene");
+  return inboxes_[tool].submit(model_.tools[tool].name, pose);
+}
+
+void Loop::enqueue(std::function<void()> command) {
+  {
+    const std::lock_guard lock(mutex_);
+    commands_.push_back(std::move(command));
+  }
+  wake_.notify_one();
+}
+
+// -- the loop's thread ------------------------------------------------------------------------------------------------
+
+void Loop::run() {
+  clock_.restart(Clock::now());
+  while (wait_for_turn()) {
+    run_commands();
+    if (status_.state() != v1::SceneStatus::STATE_RUNNING || Clock::now() < clock_.begin()) continue;
+    const Clock::time_point begin = Clock::now();
+    if (!step_once(frame_due())) continue;
+    const Clock::time_point end = Clock::now();
+    status_.take_time(begin, end, clock_.finish(end));
+    budget_.take_step(std::chrono::duration<double>(end - begin).count(), world_->last(), world_->guard_event());
+    world_->set_cg_limit(budget_.limit());
+  }
+}
+
+/// Waits until the next step is due or a command arrives. Returns false if the loop must end.
+bool Loop::wait_for_turn() {
+  std::unique_lock lock(mutex_);
+  const auto called = [&] { return quit_ || !commands_.empty(); };
+  if (status_.state() == v1::SceneStatus::STATE_RUNNING) {
+    wake_.wait_until(lock, clock_.begin(), called);
+  } else {
+    wake_.wait(lock, called);
+  }
+  return !quit_;
+}
+
+void Loop::run_commands() {
+  for (;;) {
+    std::function<void()> command;
+    {
+      const std::lock_guard lock(mutex_);
+      if (commands_.empty()) return;
+      command = std::move(commands_.front());
+      commands_.pop_front();
+    }
+    command();
+  }
+}
+
+/// Says whether the coming step brings a frame: frame_rate_hz of them a second, spread evenly, at most one a step.
+bool Loop::frame_due() {
+  frame_phase_ += model_.frame_rate_hz / model_.rate_hz;
+  if (frame_phase_ < 1 - 1e-9) return false;  // at equal rates every step brings one, whatever rounding says
+  frame_phase_ = std::min(frame_phase_ - 1, 1.0);
+  return true;
+}
+
+/// Makes one step and publishes its results. Returns false if the scene stopped: state() is STATE_FAULTED then.
+/// with_diagnostics: checks the elements even if that is not due yet.
+bool Loop::step_once(bool with_frame, bool with_diagnostics) {
+  for (std::size_t i = 0; i < inboxes_.size(); ++i) {
+    if (const ReceivedPose* pose = inboxes_[i].take()) {
+      world_->set_tool_target(i, pose->pose);
+      outputs_.take_pose(i, *pose);
+    }
+  }
+  bool good = false;
+  try {
+    good = world_->step(with_frame && outputs_.has_frames());
+    if (!good) outputs_.gather_frame();
+    if (good && (with_diagnostics || world_->step_count() >= next_diagnostics_)) diagnose();
+  } catch (const std::exception& failure) {
+    stop_for_device(failure);
+    return false;
+  }
+  status_.take_step(*world_);
+  if (!good) {
+    TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
+    stop_with_fault(to_text(*world_->guard_event()));
+    return false;
+  }
+  outputs_.take_step();
+  status_.take_stamp(outputs_.stamp());
+  outputs_.publish(with_frame);
+  return true;
+}
+
+void Loop::diagnose() {
+  world_->diagnose();
+  next_diagnostics_ = world_->step_count() + 1 + static_cast<std::uint64_t>(model_.rate_hz / kDiagnosticsRateHz);
+  status_.take_diagnostics(*world_);
+}
+
+void Loop::set_state(State next) {
+  status_.set_state(next);
+  clock_.restart(Clock::now());
+}
+
+/// Publishes a scene that stops stepping: without forces, and with a frame of its last step, because frames are rarer
+/// than steps. with_frame: the frame has been gathered.
+void Loop::come_to_rest(bool with_frame) {
+  outputs_.release_tools();
+  outputs_.publish(with_frame);
+}
+
+void Loop::stop_with_fault(std::string reason) {
+  status_.set_fault(std::move(reason));
+  clock_.restart(Clock::now());
+  come_to_rest(!device_failed_);
+}
+
+/// Stops this scene after its device failed; other scenes go on. Its state on the device cannot be trusted any more.
+void Loop::stop_for_device(const std::exception& failure) {
+  device_failed_ = true;
+  stop_with_fault(fmt::format("the device failed in step {}: {}. Unload the scene and load it again",
+                              world_->step_count() + 1, failure.what()));
+}
+
+// -- commands ---------------------------------------------------------------------------------------------------------
+
+/// Refuses requests for a state that the device lost. A scene that the guard stopped still shows its last good state.
+Result<void> Loop::require_state() const { return device_failed_ ? status_.require_not_faulted() : Result<void>{}; }
+
+tl::unexpected<Error> Loop::lockstep_error(std::string_view what) const {
+  return fail(
+      ErrorCode::kFailedPrecondition,
+      fmt::format("scene '{}' is in lockstep: it steps only when asked, there is nothing to {}", model_.name, what));
+}
+
+Result<v1::SceneStatus> Loop::do_pause() {
+  TM_RETURN_IF_ERROR(status_.require_not_faulted());
+  if (status_.state() == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("pause");
+  if (status_.state() == v1::SceneStatus::STATE_PAUSED) return status_.make();
+  outputs_.gather_frame();
+  set_state(v1::SceneStatus::STATE_PAUSED);
+  come_to_rest(true);
+  return status_.make();
+}
+
+Result<v1::SceneStatus> Loop::do_resume() {
+  TM_RETURN_IF_ERROR(status_.require_not_faulted());
+  if (status_.state() == v1::SceneStatus::STATE_LOCKSTEP) return lockstep_error("resume");
+  set_state(v1::SceneStatus::STATE_RUNNING);
+  return status_.make();
+}
+
+Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
+  TM_RETURN_IF_ERROR(status_.require_not_faulted());
+  if (status_.state() != v1::SceneStatus::STATE_LOCKSTEP) {
+    return fail(
+        ErrorCode::kFailedPrecondition,
+        fmt::format("scene '{}' runs by the clock; load it with stepping.lockstep to step it by hand", model_.name));
+  }
+  for (std::uint32_t i = 0; i < count; ++i) {
+    if (cancelled_.load(std::memory_order_relaxed)) {
+      return fail(ErrorCode::kUnavailable,
+                  fmt::format("scene '{}' is being unloaded; {} of {} steps were done", model_.name, i, count));
+    }
+    const Clock::time_point begin = Clock::now();
+    // The caller asks for the last step's frame next. Frames before it go out at the stream's rate.
+    const bool last = i + 1 == count;
+    const bool with_frame = last || begin - last_lockstep_frame_ >= lockstep_frame_interval();
+    if (with_frame) last_lockstep_frame_ = begin;
+    if (!step_once(with_frame, last)) {
+      const Result<void> fault = status_.require_not_faulted();
+      TM_ASSERT(!fault, "a step that failed stopped the scene");
+      return tl::make_unexpected(fault.error());
+    }
+    const Clock::time_point end = Clock::now();
+    status_.take_time(begin, end, true);
+  }
+  return status_.make();
+}
+
+Clock::duration Loop::lockstep_frame_interval() const {
+  if (!(model_.frame_rate_hz > 0)) return Clock::duration::max();
+  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model_.frame_rate_hz));
+}
+
+Result<v1::SceneStatus> Loop::do_reset() {
+  world_->reset();
+  device_failed_ = false;
+  status_.clear();
+  if (status_.state() == v1::SceneStatus::STATE_FAULTED) {
+    set_state(model_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
+  }
+  budget_.clear();
+  world_->set_cg_limit(budget_.limit());
+  next_diagnostics_ = 0;
+  for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before the reset
+  outputs_.take_reset();
+  status_.take_stamp(outputs_.stamp());
+  outputs_.publish(true);
+  return status_.make();
+}
+
+Result<v1::Frame> Loop::do_frame(std::uint64_t topology_version) {
+  TM_RETURN_IF_ERROR(require_state());
+  if (!outputs_.has_frames()) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("scene '{}' has no frames: streams.frame_rate_hz is 0", model_.name));
+  }
+  return outputs_.frame(topology_version);
+}
+
+Result<const model::BodyModel*> Loop::find_body(std::string_view name) const {
+  for (const model::BodyModel& body : model_.bodies) {
+    if (body.name == name) return &body;
+  }
+  return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no body '{}'", model_.name, name));
+}
+
+Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {
+  TM_RETURN_IF_ERROR(require_state());
+  TM_ASSIGN_OR_RETURN(body, find_body(name));
+  const std::vector<double> positions = world_->positions(*body);
+  v1::GetPositionsResponse response;
+  response.set_step(world_->step_count());
+  response.set_positions(positions.data(), positions.size() * sizeof(double));
+  return response;
+}
+
+Result<Loop::FieldSource> Loop::do_copy_state() {
+  TM_RETURN_IF_ERROR(require_state());
+  return FieldSource{world_->state(), world_->step_count(), world_->simulated_time_s()};
+}
+
+Result<void> Loop::do_set_signal(std::function<void()> signal) {
+  outputs_.set_signal(std::move(signal));
+  return {};
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,154 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <future>
+#include <memory>
+#include <mutex>
+#include <string_view>
+#include <thread>
+
+#include <fmt/format.h>
+
+#include "core/assert.h"
+#include "core/result.h"
+#include "tensormass/v1/control.pb.h"
+#include "world/iteration_budget.h"
+#include "world/loop_outputs.h"
+#include "world/loop_status.h"
+#include "world/pose_inbox.h"
+#include "world/step_clock.h"
+#include "world/world.h"
+
+/// The loop of a scene, on a thread of its own:
+///
+///     wait for the next step or a command -> run commands -> take the newest poses -> step the world -> publish
+///      ^                                                                                                   |
+///      +---------------------------------------------------------------------------------------------------+
+///
+///     from               through                     to           who waits                 what is dropped
+///
+///     client's pose      PoseInbox, one a tool       the loop     writers, for each other   all but the newest pose
+///     control (Runner)   queue of commands, mutex    the loop     the caller, for a result  nothing
+///     the loop           LoopOutputs, mailboxes      publisher    nobody                    all but the newest frame
+///     the loop           LoopStatus, atomics         anyone       nobody                    -
+///
+/// The loop waits for no client, no publisher and no caller: it holds the queue's mutex only to take a command out.
+/// Only the loop's thread touches the world, so the world needs no lock. A step allocates nothing.
+namespace tensormass::world {
+
+class Loop {
+ public:
+  /// The state that fields are measured from, by the thread that asked and not by the loop.
+  struct FieldSource {
+    backend::RowState state;
+    std::uint64_t step;
+    double simulated_time_s;
+  };
+
+  /// Starts the thread. backend: its name, for the status.
+  Loop(std::string backend, std::unique_ptr<World> world);
+  /// Ends the thread after the step at hand. No `call` may be under way.
+  ~Loop();
+  Loop(const Loop&) = delete;
+  Loop& operator=(const Loop&) = delete;
+
+  // -- any thread -----------------------------------------------------------------------------------------------------
+
+  /// Runs a command between two steps and waits for its result.
+  /// command: Result<T>(), called once on the loop's thread; may use the commands below. If the device fails while it
+  /// runs, the scene stops and `call` returns kUnavailable.
+  template <class Command>
+  auto call(Command command) -> decltype(command());
+
+  const model::Model& model() const { return model_; }
+  const LoopStatus& status() const { return status_; }
+  Result<const model::BodyModel*> find_body(std::string_view name) const;
+  Result<void> submit_pose(std::size_t tool, const v1::ToolPose& pose);
+  void count_malformed_pose() { status_.count_malformed_pose(); }
+  /// Ends a `do_step` in progress after the step at hand.
+  void cancel() { cancelled_.store(true, std::memory_order_relaxed); }
+
+  // -- the publisher's thread -----------------------------------------------------------------------------------------
+
+  LoopOutputs& outputs() { return outputs_; }
+  bool take_status(v1::SceneStatus& status) { return status_.take(status); }
+
+  // -- commands, for `call` -------------------------------------------------------------------------------------------
+
+  Result<v1::SceneStatus> do_pause();
+  Result<v1::SceneStatus> do_resume();
+  /// Makes `count` steps in lockstep; the last one brings a frame and diagnostics.
+  Result<v1::SceneStatus> do_step(std::uint32_t count);
+  Result<v1::SceneStatus> do_reset();
+  Result<v1::Frame> do_frame(std::uint64_t topology_version);
+  Result<v1::GetPositionsResponse> do_positions(std::string_view body);
+  Result<FieldSource> do_copy_state();
+  Result<v1::ToolFeedback> do_feedback(std::size_t tool) { return outputs_.feedback(tool); }
+  Result<void> do_set_signal(std::function<void()> signal);
+
+ private:
+  using State = LoopStatus::State;
+
+  void run();
+  bool wait_for_turn();
+  void run_commands();
+  void enqueue(std::function<void()> command);
+  bool frame_due();
+  bool step_once(bool with_frame, bool with_diagnostics = false);
+  void diagnose();
+  void set_state(State next);
+  void come_to_rest(bool with_frame);
+  void stop_with_fault(std::string reason);
+  void stop_for_device(const std::exception& failure);
+  Result<void> require_state() const;
+  tl::unexpected<Error> lockstep_error(std::string_view what) const;
+  Clock::duration lockstep_frame_interval() const;
+
+  const std::unique_ptr<World> world_;
+  const model::Model& model_;
+
+  // Shared with other threads.
+  std::deque<PoseInbox> inboxes_;  // [tool]; a deque because an inbox does not move
+  IterationBudget budget_;
+  LoopOutputs outputs_;
+  LoopStatus status_;
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::deque<std::function<void()>> commands_;  // guarded by mutex_
+  bool quit_ = false;                           // guarded by mutex_
+  std::atomic<bool> cancelled_{false};
+
+  // The loop's own.
+  StepClock clock_;
+  double frame_phase_ = 0;  // frames that are due, less than one after each step
+  Clock::time_point last_lockstep_frame_{};
+  std::uint64_t next_diagnostics_ = 0;  // step
+  bool device_failed_ = false;
+
+  std::thread thread_;  // last: uses all of the above
+};
+
+template <class Command>
+auto Loop::call(Command command) -> decltype(command()) {
+  TM_ASSERT(std::this_thread::get_id() != thread_.get_id(), "the loop must not wait for a command of its own");
+  const auto guarded = [this, command]() -> decltype(command()) {
+    try {
+      return command();
+    } catch (const std::exception& failure) {
+      stop_for_device(failure);
+      return fail(ErrorCode::kUnavailable,
+                  fmt::format("scene '{}': the device failed: {}; unload the scene and load it again", model_.name,
+                              failure.what()));
+    }
+  };
+  auto task = std::make_shared<std::packaged_task<decltype(command())()>>(guarded);
+  auto result = task->get_future();
+  enqueue([task] { (*task)(); });
+  return result.get();
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,135 @@
+#include "world/loop_outputs.h"
+
+#include <algorithm>
+#include <span>
+#include <utility>
+
+#include "core/assert.h"
+
+namespace tensormass::world {
+
+LoopOutputs::LoopOutputs(World& world)
+    : world_(world),
+      model_(world.model()),
+      tools_(model_.tools.size()),
+      frames_(FrameSlot{{}, std::vector<float>(3 * std::size_t{model_.visible.count()}), tools_}),
+      feedback_(FeedbackSlot{{}, tools_}),
+      status_feedback_(FeedbackSlot{{}, tools_}) {
+  take_step();
+}
+
+void LoopOutputs::take_pose(std::size_t tool, const ReceivedPose& pose) {
+  TM_ASSERT(tool < tools_.size(), "a pose is for a tool of the scene");
+  tools_[tool].pose_sequence = pose.sequence;
+  tools_[tool].client_time_ns = pose.client_time_ns;
+  tools_[tool].client_id = pose.client_id;
+}
+
+void LoopOutputs::take_step() {
+  const std::span<const ToolReading> readings = world_.readings();
+  TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
+  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns()};
+  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].reading = readings[i];
+}
+
+void LoopOutputs::take_reset() {
+  std::fill(tools_.begin(), tools_.end(), ToolSnapshot{});
+  take_step();
+}
+
+void LoopOutputs::release_tools() {
+  for (ToolSnapshot& tool : tools_) {
+    tool.reading.force_n.setZero();
+    tool.reading.torque_n_m.setZero();
+    tool.reading.stiffness_n_per_m.setZero();
+  }
+  stamp_.server_time_ns = unix_time_ns();
+}
+
+void LoopOutputs::gather_frame() {
+  if (has_frames()) world_.gather_visible();
+}
+
+void LoopOutputs::publish(bool with_frame) {
+  leave_feedback();
+  if (with_frame) leave_frame();
+  if (signal_) signal_();
+}
+
+void LoopOutputs::set_signal(std::function<void()> signal) {
+  signal_ = std::move(signal);
+  if (signal_) signal_();
+}
+
+void LoopOutputs::leave_feedback() {
+  if (tools_.empty()) return;
+  for (Latest<FeedbackSlot>* mailbox : {&feedback_, &status_feedback_}) {
+    FeedbackSlot& slot = mailbox->writing();
+    TM_ASSERT(slot.tools.size() == tools_.size(), "a slot has the size of what it takes, so copying allocates nothing");
+    slot.stamp = stamp_;
+    slot.tools = tools_;
+    mailbox->publish();
+  }
+}
+
+void LoopOutputs::leave_frame() {
+  if (!has_frames()) return;
+  FrameSlot& slot = frames_.writing();
+  const std::span<const float> positions = world_.visible_positions();
+  TM_ASSERT(slot.positions.size() == positions.size() && slot.tools.size() == tools_.size(),
+            "a slot has the size of what it takes, so copying allocates nothing");
+  slot.stamp = stamp_;
+  std::copy(positions.begin(), positions.end(), slot.positions.begin());
+  slot.tools = tools_;
+  if (frames_.publish()) frames_replaced_.fetch_add(1, std::memory_order_relaxed);
+}
+
+v1::Frame LoopOutputs::frame(std::uint64_t topology_version) {
+  TM_ASSERT(has_frames(), "only a scene with visible nodes has frames");
+  world_.gather_visible();
+  v1::Frame frame;
+  frame.set_topology_version(topology_version);
+  frame.set_sequence(frames_published_.load(std::memory_order_relaxed));
+  fill_frame(model_, stamp_, world_.visible_positions(), tools_, frame);
+  return frame;
+}
+
+v1::ToolFeedback LoopOutputs::feedback(std::size_t tool) const {
+  TM_ASSERT(tool < tools_.size(), "feedback is of a tool of the scene");
+  v1::ToolFeedback feedback;
+  fill_feedback(model_, stamp_, tool, tools_[tool], feedback);
+  return feedback;
+}
+
+bool LoopOutputs::take_frame(std::uint64_t topology_version, v1::Frame& frame) {
+  const FrameSlot* slot = frames_.take();
+  if (slot == nullptr) return false;
+  frame.set_topology_version(topology_version);
+  frame.set_sequence(frames_published_.fetch_add(1, std::memory_order_relaxed) + 1);
+  fill_frame(model_, slot->stamp, slot->positions, slot->tools, frame);
+  return true;
+}
+
+bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
+  const FeedbackSlot* slot = feedback_.take();
+  if (slot == nullptr) return false;
+  feedback.resize(slot->tools.size());
+  for (std::size_t i = 0; i < slot->tools.size(); ++i) {
+    fill_feedback(model_, slot->stamp, i, slot->tools[i], feedback[i]);
+  }
+  return true;
+}
+
+void LoopOutputs::add_to(v1::SceneStatus& status) const {
+  status.set_frames_published(frames_published_.load(std::memory_order_relaxed));
+  status.set_frames_replaced(frames_replaced_.load(std::memory_order_relaxed));
+  const std::lock_guard lock(status_mutex_);
+  if (const FeedbackSlot* newer = status_feedback_.take()) newest_status_feedback_ = newer;
+  if (newest_status_feedback_ == nullptr) return;
+  const FeedbackSlot& slot = *newest_status_feedback_;
+  for (std::size_t i = 0; i < slot.tools.size(); ++i) {
+    fill_feedback(model_, slot.stamp, i, slot.tools[i], *status.add_tools());
+  }
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,92 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <mutex>
+#include <vector>
+
+#include "tensormass/v1/stream.pb.h"
+#include "world/latest.h"
+#include "world/messages.h"
+#include "world/pose_inbox.h"
+#include "world/world.h"
+
+/// The results of a scene's loop, and the mailboxes that carry them to other threads.
+///
+/// A step must never wait for a reader. Each reader therefore has a mailbox of its own that keeps the newest value
+/// (latest.h), and a value that nobody took in time is dropped:
+///
+///     loop's thread                   mailbox                 reader
+///
+///     world -> stamp, tools --+--> frames            --> publisher: take_frame      a replaced frame is counted
+///                             +--> feedback          --> publisher: take_feedback
+///                             +--> status feedback   --> any thread: add_to         readers share a mutex
+///
+/// A frame holds the positions of the visible nodes [m] and all tools. Feedback holds the tools only, and goes out
+/// after every step, while frames go out at the rate of the scene's streams.
+namespace tensormass::world {
+
+class LoopOutputs {
+ public:
+  /// `world` outlives the outputs. Allocates all buffers, so that publishing allocates nothing.
+  explicit LoopOutputs(World& world);
+
+  // -- the loop's thread; these read the world ------------------------------------------------------------------------
+
+  /// Notes whose pose a tool follows from now on; its feedback repeats this.
+  void take_pose(std::size_t tool, const ReceivedPose& pose);
+  /// Copies step, time and tool readings from the world.
+  void take_step();
+  /// Copies them from a world that was reset, and forgets all poses.
+  void take_reset();
+  /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
+  void release_tools();
+
+  bool has_frames() const { return model_.visible.count() > 0; }
+  /// Has the world collect its visible positions, if there are any, unless its last step did so.
+  void gather_frame();
+  /// Leaves the results in the mailboxes and calls the signal.
+  /// with_frame: leaves a frame as well; the world must have gathered its visible positions.
+  void publish(bool with_frame);
+  /// signal: void(), called on the loop's thread after each `publish` and once now. Must not block.
+  void set_signal(std::function<void()> signal);
+
+  const StepStamp& stamp() const { return stamp_; }
+  /// The frame of this moment; gathers the visible positions. Needs has_frames().
+  v1::Frame frame(std::uint64_t topology_version);
+  v1::ToolFeedback feedback(std::size_t tool) const;
+
+  // -- the publisher's thread -----------------------------------------------------------------------------------------
+
+  /// Takes the newest frame; false if there is none since the last call.
+  bool take_frame(std::uint64_t topology_version, v1::Frame& frame);
+  /// Takes the newest feedback of all tools; false if there is none since the last call.
+  bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
+
+  // -- any thread -----------------------------------------------------------------------------------------------------
+
+  /// Adds the counts of frames and the newest feedback of all tools.
+  void add_to(v1::SceneStatus& status) const;
+
+ private:
+  void leave_feedback();
+  void leave_frame();
+
+  World& world_;
+  const model::Model& model_;
+  // The loop's own copy of the newest results; readers get copies of it.
+  StepStamp stamp_;
+  std::vector<ToolSnapshot> tools_;
+  std::function<void()> signal_;
+
+  Latest<FrameSlot> frames_;
+  Latest<FeedbackSlot> feedback_;
+  mutable std::mutex status_mutex_;  // guards the reader's side of the next two
+  mutable Latest<FeedbackSlot> status_feedback_;
+  mutable const FeedbackSlot* newest_status_feedback_ = nullptr;
+
+  std::atomic<std::uint64_t> frames_published_{0}, frames_replaced_{0};
+};
+
+}  // namespace tensormass::world

@@ -1,0 +1,98 @@
+#include "world/loop_status.h"
+
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "world/messages.h"
+
+namespace tensormass::world {
+
+LoopStatus::LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
+                       const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs)
+    : model_(model),
+      backend_(std::move(backend)),
+      inboxes_(inboxes),
+      outputs_(outputs),
+      state_(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
+      findings_(model, budget) {}
+
+void LoopStatus::set_state(State next) {
+  state_ = next;
+  statistics_.interrupt();
+  due_.store(true, std::memory_order_relaxed);
+}
+
+void LoopStatus::set_fault(std::string reason) {
+  {
+    const std::lock_guard lock(fault_mutex_);
+    fault_ = std::move(reason);
+  }
+  set_state(v1::SceneStatus::STATE_FAULTED);
+}
+
+void LoopStatus::clear() {
+  {
+    const std::lock_guard lock(fault_mutex_);
+    fault_.clear();
+  }
+  findings_.clear();
+}
+
+void LoopStatus::take_stamp(const StepStamp& stamp) {
+  step_count_.store(stamp.step, std::memory_order_relaxed);
+  simulated_time_s_.store(stamp.simulated_time_s, std::memory_order_relaxed);
+}
+
+Result<void> LoopStatus::require_not_faulted() const {
+  if (state_ != v1::SceneStatus::STATE_FAULTED) return {};
+  const std::lock_guard lock(fault_mutex_);
+  return fail(ErrorCode::kFailedPrecondition, fmt::format("scene '{}' is stopped: {}", model_.name, fault_));
+}
+
+v1::SceneStatus LoopStatus::make() const {
+  v1::SceneStatus status;
+  status.set_scene(model_.name);
+  status.set_state(state_);
+  status.set_step(step_count_.load(std::memory_order_relaxed));
+  status.set_simulated_time_s(simulated_time_s_.load(std::memory_order_relaxed));
+  status.set_server_time_ns(unix_time_ns());
+  status.set_target_rate_hz(model_.lockstep ? 0 : model_.rate_hz);
+  status.set_reached_rate_hz(statistics_.reached_rate_hz());
+  status.set_missed_deadlines(statistics_.missed_deadlines());
+  const StepStatistics::Percentiles times = statistics_.percentiles();
+  status.set_step_time_p50_s(times.p50_s);
+  status.set_step_time_p99_s(times.p99_s);
+  status.set_step_time_max_s(times.max_s);
+  std::uint64_t received = 0, rejected = malformed_poses_.load(std::memory_order_relaxed), superseded = 0;
+  for (const PoseInbox& inbox : inboxes_) {
+    received += inbox.received();
+    rejected += inbox.rejected();
+    superseded += inbox.superseded();
+  }
+  status.set_poses_received(received);
+  status.set_poses_rejected(rejected);
+  status.set_poses_superseded(superseded);
+  status.set_backend(backend_);
+  findings_.add_to(status);
+  {
+    const std::lock_guard lock(fault_mutex_);
+    status.set_fault(fault_);
+  }
+  outputs_.add_to(status);
+  return status;
+}
+
+bool LoopStatus::take(v1::SceneStatus& status) {
+  const Clock::time_point now = Clock::now();
+  const bool changed = due_.exchange(false, std::memory_order_relaxed);
+  const double rate_hz = model_.status_rate_hz;
+  if (!changed && (rate_hz == 0 || now < next_)) return false;
+  if (rate_hz > 0) {
+    next_ = now + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / rate_hz));
+  }
+  status = make();
+  return true;
+}
+
+}  // namespace tensormass::world

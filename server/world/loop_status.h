@@ -1,0 +1,83 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <mutex>
+#include <string>
+
+#include "core/result.h"
+#include "tensormass/v1/stream.pb.h"
+#include "world/findings.h"
+#include "world/loop_outputs.h"
+#include "world/pose_inbox.h"
+#include "world/step_clock.h"
+
+/// A scene's state (running, paused, ...), its step times and its counts: what SceneStatus reports.
+///
+///     loop's thread: set_state, take_..., clear  -->  atomics, and a mutex for each text  -->  any thread: make
+///     publisher's thread: take, at the scene's status rate and after each change of state
+///
+/// The loop takes a mutex only when a scene stops or a step leaves its bounds. The values of one status may come from
+/// two steps next to each other, because no lock holds them together.
+namespace tensormass::world {
+
+class LoopStatus {
+ public:
+  using State = v1::SceneStatus::State;
+
+  /// backend: its name, as in SceneStatus. All references outlive the status.
+  LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
+             const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs);
+
+  // -- the loop's thread ----------------------------------------------------------------------------------------------
+
+  /// Restarts the measured rate, and makes a status due.
+  void set_state(State next);
+  /// Stops the scene: its state becomes STATE_FAULTED. `reason` is the text that callers get from then on.
+  void set_fault(std::string reason);
+  /// Clears a fault and all findings of a scene that was reset. The state stays: set_state changes it.
+  void clear();
+  /// Takes what World::step found, also if the guard stopped the scene.
+  void take_step(const World& world) { findings_.take_step(world); }
+  /// Takes what World::diagnose found.
+  void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
+  /// Step and simulated time of a step that was published.
+  void take_stamp(const StepStamp& stamp);
+  /// in_time: the step met its deadline.
+  void take_time(Clock::time_point begin, Clock::time_point end, bool in_time) {
+    statistics_.add(end - begin, end, in_time);
+  }
+
+  // -- any thread -----------------------------------------------------------------------------------------------------
+
+  State state() const { return state_.load(); }
+  /// An error that says why the scene stopped, if it did.
+  Result<void> require_not_faulted() const;
+  void count_malformed_pose() { malformed_poses_.fetch_add(1, std::memory_order_relaxed); }
+  v1::SceneStatus make() const;
+
+  // -- the publisher's thread -----------------------------------------------------------------------------------------
+
+  /// Fills `status` if one is due, else returns false.
+  bool take(v1::SceneStatus& status);
+
+ private:
+  const model::Model& model_;
+  const std::string backend_;
+  const std::deque<PoseInbox>& inboxes_;
+  const LoopOutputs& outputs_;
+
+  std::atomic<State> state_;
+  std::atomic<bool> due_{true};
+  std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0};
+  std::atomic<double> simulated_time_s_{0};
+  StepStatistics statistics_;
+  Findings findings_;
+  mutable std::mutex fault_mutex_;
+  std::string fault_;  // guarded by fault_mutex_
+
+  Clock::time_point next_{};  // the publisher's: when the next status is due by rate
+};
+
+}  // namespace tensormass::world
