@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "core/assert.h"
 #include "physics/lists.h"
 
 namespace tensormass::world {
@@ -14,13 +15,14 @@ namespace tensormass::world {
 namespace {
 constexpr auto kRelaxed = std::memory_order_relaxed;
 
-/// "one, another and a third"
+/// Names of the laws that recover from inversion: "one, another and a third".
 std::string recovering_laws() {
   std::vector<std::string> names;
   physics::for_each_type(physics::Laws{}, [&](auto tag, int) {
     using Law = typename decltype(tag)::Type;
     if (Law::kInversion == physics::Inversion::kRecovers) names.push_back(Law::kName);
   });
+  TM_ASSERT(!names.empty(), "some law recovers from inversion");
   const std::string last = names.back();
   names.pop_back();
   return names.empty() ? last : fmt::format("{} and {}", fmt::join(names, ", "), last);
@@ -32,13 +34,13 @@ void Findings::take_step(const World& world) {
     const std::lock_guard lock(event_mutex_);
     last_event_ = *event;
     guard_events_.fetch_add(1, kRelaxed);
-    if (!event->recovered) return;  // the scene stands where it stood
+    if (!event->recovered) return;  // the scene is back at its checkpoint
     guard_recoveries_.fetch_add(1, kRelaxed);
-    ++window_again_;
+    ++window_repeated_;
   }
   if (++window_steps_ == kWindow) {
-    made_again_.store(window_again_, kRelaxed);
-    window_steps_ = window_again_ = 0;
+    repeated_.store(window_repeated_, kRelaxed);
+    window_steps_ = window_repeated_ = 0;
   }
   const solver::StepResult& result = world.last();
   kinetic_j_.store(world.energy().kinetic_j(), kRelaxed);
@@ -53,6 +55,7 @@ void Findings::take_step(const World& world) {
 }
 
 void Findings::take_diagnostics(const World& world) {
+  TM_ASSERT(world.diagnostics().size() == groups_.size(), "diagnostics of each element group");
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     groups_[g].min_det_f.store(world.diagnostics()[g].min_det_f, kRelaxed);
     groups_[g].max_strain.store(world.diagnostics()[g].max_strain, kRelaxed);
@@ -68,8 +71,8 @@ void Findings::clear() {
   for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_}) {
     value->store(0, kRelaxed);
   }
-  window_steps_ = window_again_ = 0;
-  made_again_.store(0, kRelaxed);
+  window_steps_ = window_repeated_ = 0;
+  repeated_.store(0, kRelaxed);
   for (auto* count : {&unconverged_steps_, &guard_events_, &guard_recoveries_}) count->store(0, kRelaxed);
   converged_ = true;
   negative_curvature_ = false;
@@ -99,7 +102,7 @@ void Findings::add_solve(v1::SceneStatus& status) const {
     status.set_unconverged_steps(unconverged_steps_.load(kRelaxed));
     if (!converged_.load(kRelaxed)) {
       status.add_warnings(
-          fmt::format("the last step ended with an imbalance of {:.2g} of the forces, above newton_tolerance = {:.2g}; "
+          fmt::format("the last step ended with a residual of {:.2g} of the forces, above newton_tolerance = {:.2g}; "
                       "give it more newton_max_iterations or cg_max_iterations, or reach the load in smaller steps",
                       residual, model_.newton_tolerance));
     }
@@ -121,7 +124,7 @@ void Findings::add_elements(v1::SceneStatus& status) const {
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
     const model::ElementGroup& group = model_.groups[g];
-    if (group.is_wedge_pairs()) continue;  // watched by its wedges
+    if (group.is_wedge_pairs()) continue;  // each wedge has diagnostics of its own
     const double strain = groups_[g].max_strain.load(kRelaxed), rotation = groups_[g].max_rotation_rad.load(kRelaxed);
     const double stretch = groups_[g].least_stretch.load(kRelaxed);
     physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
@@ -150,8 +153,8 @@ void Findings::add_elements(v1::SceneStatus& status) const {
   status.set_min_det_f(min_det_f);
   if (min_det_f <= 0) {
     status.add_warnings(fmt::format(
-        "elements are turned inside out (min det F {:.2g}); what they carry means nothing until they come back, which "
-        "only {} do by themselves",
+        "elements are inverted (min det F {:.2g}); their stresses mean nothing until they recover, and only {} recover "
+        "by themselves",
         min_det_f, recovering_laws()));
   }
 }
@@ -170,10 +173,11 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   if (status.guard_events() == 0) return;
   const std::lock_guard lock(event_mutex_);
   status.set_guard_text(to_text(last_event_));
-  const std::uint32_t again = made_again_.load(kRelaxed);
+  const std::uint32_t again = repeated_.load(kRelaxed);
   if (again <= kWindow / 2) return;
   status.add_warnings(
-      fmt::format("{} of {} steps left their bounds ({}) and were made again in another way, which takes longer; {}",
+      fmt::format("{} of {} steps left their bounds ({}) and were repeated with smaller steps or safer settings, which "
+                  "takes longer; {}",
                   again, kWindow, to_text(last_event_.first),
                   last_event_.first.breach == Breach::kLinearResidual
                       ? "give it more cg_max_iterations, or a floor that it can keep"
@@ -202,7 +206,9 @@ void Findings::add_budget(v1::SceneStatus& status) const {
 const std::string& Findings::body_of_group(std::size_t group) const {
   const std::uint32_t element = model_.groups[group].elements.front();
   const auto holds = [&](const model::BodyModel& body) { return element - body.element_begin < body.element_count; };
-  return std::find_if(model_.bodies.begin(), model_.bodies.end(), holds)->name;
+  const auto body = std::find_if(model_.bodies.begin(), model_.bodies.end(), holds);
+  TM_ASSERT(body != model_.bodies.end(), "an element group is part of a body");
+  return body->name;
 }
 
 }  // namespace tensormass::world

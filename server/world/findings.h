@@ -12,20 +12,28 @@
 
 namespace tensormass::world {
 
-/// What a scene's status says of its results besides their numbers: how the outer iteration ended, whether elements are
-/// pressed flat, whether a law has left its range, where energy went, what guards and budget did. Written by the loop,
-/// which allocates nothing for it; read by anyone.
+/// The findings of a scene: what its status says about the quality of the results.
+///
+///     World::step        --> take_step         --+
+///     World::diagnose    --> take_diagnostics  --+--> atomics --> add_to, by any thread: values and warnings
+///     IterationBudget    ------------------------+
+///
+/// Values are residuals, iterations, energies and det F. Warnings say in words, with a remedy, when Newton's method did
+/// not converge, elements are inverted, a law left its range, the guard repeats steps or the budget lowers iterations.
+///
+/// The loop allocates nothing for this: warnings are put into words by the thread that asks.
 class Findings {
  public:
   Findings(const model::Model& model, const IterationBudget& budget)
       : model_(model), budget_(budget), groups_(model.groups.size()) {}
 
-  /// Of the last World::step, also of one that the guard did not let pass.
+  /// Loop: takes the results of the last World::step, also if the guard refused it.
   void take_step(const World& world);
   /// Of the last World::watch.
   void take_diagnostics(const World& world);
-  /// The scene is at rest again.
+  /// Loop: forgets everything, because the scene was reset.
   void clear();
+  /// Any thread: adds values and warnings.
   void add_to(v1::SceneStatus& status) const;
 
  private:
@@ -48,12 +56,12 @@ class Findings {
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
   std::atomic<std::uint64_t> guard_events_{0}, guard_recoveries_{0};
-  // Of the last whole window of steps, how many were made again.
+  // Number of steps in the last full window that the guard repeated.
   static constexpr std::uint32_t kWindow = 64;
-  std::uint32_t window_steps_ = 0, window_again_ = 0;
-  std::atomic<std::uint32_t> made_again_{0};
+  std::uint32_t window_steps_ = 0, window_repeated_ = 0;
+  std::atomic<std::uint32_t> repeated_{0};
   mutable std::mutex event_mutex_;  // taken by the loop only when there is an event
-  GuardEvent last_event_;           // of the events that were counted
+  GuardEvent last_event_;           // the newest that was counted
 };
 
 }  // namespace tensormass::world

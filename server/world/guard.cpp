@@ -12,17 +12,18 @@ namespace tensormass::world {
 
 namespace {
 
-/// In sizes of the scene: a node that crosses it in one step has passed through whatever it was to touch.
+/// Sizes of the scene. A node that crosses the scene in one step has passed through everything it should touch.
 constexpr double kMaxMove = 1;
-/// In sizes of the scene: a held body that is stretched to ten times the scene shows no tissue any more.
+/// Sizes of the scene. A fixed body that is stretched to ten times the scene is not tissue any more.
 constexpr double kMaxDistance = 10;
-/// Of the solve, relative: conjugate gradients may rise on their way, by less than this.
+/// Relative residual of the linear solve. Conjugate gradients may raise it on their way, by less than this.
 constexpr double kMaxLinearResidual = 100;
-/// Of the outer iteration: forces out of balance by as much as they are.
+/// Residual of Newton's method, relative to the forces: at 1 the forces are not balanced at all.
 constexpr double kMaxNewtonResidual = 1;
-/// A step solves a linearized problem, and the work of forces is a sum over steps: energy is known to a few times.
+/// Factor on the available energy. A step solves a linearized problem and work is summed over steps, so both energies
+/// are rough.
 constexpr double kEnergySlack = 4;
-/// Strain of the whole scene whose energy is not worth a guard.
+/// Energy of this shear strain in the whole scene is always allowed: near rest the bound would be rounding.
 constexpr double kLeastStrain = 1e-3;
 
 constexpr std::array<Retry, 4> kRetries{{
@@ -32,7 +33,7 @@ constexpr std::array<Retry, 4> kRetries{{
     {8, 4, true, Breach::kNone},
 }};
 
-/// Of the scene at rest, and what displacements are prescribed beyond it.
+/// Size of the scene at rest plus twice the largest prescribed displacement [m].
 double size_of(const model::Model& m) {
   double prescribed = 0;
   for (const model::Prescribed& p : m.prescribed) {
@@ -43,7 +44,7 @@ double size_of(const model::Model& m) {
   return m.size_m + 2 * prescribed;
 }
 
-/// How far from rest a scene lets its nodes begin: it may spring back as far in a step.
+/// Largest initial displacement [m]. A scene may spring back as far in a step.
 double largest_start(const model::Model& m) {
   double squared = 0;
   for (std::size_t i = 0; i + 2 < m.initial_displacement.size(); i += 4) {
@@ -52,7 +53,7 @@ double largest_start(const model::Model& m) {
   return std::sqrt(squared);
 }
 
-/// Of all elements at kLeastStrain, in shear.
+/// Energy of all elements in shear at kLeastStrain [J].
 double least_energy(const model::Model& m) {
   double energy = 0;
   for (const model::ElementGroup& group : m.groups) {
@@ -85,23 +86,21 @@ std::string to_text(const BoundCheck& check) {
   const auto [breach, value, bound] = check;
   switch (breach) {
     case Breach::kNone:
-      return "it holds its bounds";
+      return "it is within its bounds";
     case Breach::kNotFinite:
       return "the state is not finite any more";
     case Breach::kMove:
       return fmt::format("a node moved {:.3g} m in it, farther than the scene is large ({:.3g} m)", value, bound);
     case Breach::kDistance:
-      return fmt::format("a node is {:.3g} m from where it rests, where {:.3g} m is the most", value, bound);
+      return fmt::format("a node is {:.3g} m from its rest position, farther than {:.3g} m", value, bound);
     case Breach::kEnergy:
-      return fmt::format("the kinetic energy is {:.3g} J, where no more than {:.3g} J can be", value, bound);
+      return fmt::format("the kinetic energy is {:.3g} J, more than the {:.3g} J that are available", value, bound);
     case Breach::kLinearResidual:
       return fmt::format("the linear solve ended at a residual of {:.3g}, above {:.3g}", value, bound);
     case Breach::kNewtonResidual:
-      return fmt::format("the outer iteration ended with an imbalance of {:.3g} of the forces, above {:.3g}", value,
-                         bound);
+      return fmt::format("Newton's method ended with a residual of {:.3g} of the forces, above {:.3g}", value, bound);
     case Breach::kVolume:
-      return fmt::format("an element is turned inside out (det F {:.3g}), from which its law does not come back",
-                         value);
+      return fmt::format("an element is inverted (det F {:.3g}), and its law does not recover from that", value);
   }
   return {};
 }
@@ -134,7 +133,7 @@ Guard::Guard(const model::Model& m)
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
       least_energy_j_(least_energy(m)),
       checks_energy_(counts_all_work(m)) {
-  // What nothing holds may fall as far as it likes.
+  // A body without fixed nodes may fall without end.
   if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
     max_distance_m_ = std::numeric_limits<double>::infinity();
   }
@@ -163,14 +162,15 @@ std::span<const Retry> retries() { return kRetries; }
 std::string to_text(const GuardEvent& event) {
   const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
   if (event.recovered) {
-    return fmt::format("{}; done again as {} step{}, it held them", what, event.steps, event.steps == 1 ? "" : "s");
+    return fmt::format("{}; repeated as {} step{}, it stayed within them", what, event.steps,
+                       event.steps == 1 ? "" : "s");
   }
   return fmt::format(
-      "{}. {} retries with smaller steps and a safer setting did not help; the last of them: {}. Nothing of it was "
-      "published; the scene stands where step {} ended. Reset the scene, then make dt_s smaller or the loads gentler, "
-      "see that fixed nodes hold what is quasi-static, and take a law that stands what is asked of it: corotational "
-      "and "
-      "stable_neo_hookean come back from collapse and inversion, the others do not",
+      "{}. {} retries with smaller steps and fallback settings did not help; the last of them: {}. Nothing of this "
+      "step "
+      "was published; the scene stopped at the end of step {}. Reset the scene. Then make dt_s smaller or the loads "
+      "gentler, fix enough nodes of a quasi-static scene, or take a law that stands the load: corotational and "
+      "stable_neo_hookean recover from collapse and inversion, the others do not",
       what, event.retries, to_text(event.last), event.step - 1);
 }
 

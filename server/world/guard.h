@@ -8,53 +8,73 @@
 #include "backend/backend.h"
 #include "model/model.h"
 
-/// What a step must hold to be published, and what is tried before a scene is stopped. docs/decisions/guards.md says
-/// why these bounds and not others.
+/// The guard: bounds that a step must stay within to be published, and the retries before a scene is stopped.
+///
+/// A time step can fail without an error: NaN, a node that flies away, energy from nowhere. A client would feel that as
+/// a blow. So the world checks each step, and goes back to its checkpoint if the step left a bound:
+///
+///     checkpoint -> step -> check --within all bounds--> publish
+///          ^                  |
+///          +--- next retry <--+--no retry is left--> stop the scene at the checkpoint
+///
+/// docs/decisions/guards.md says why these bounds and not others.
+///
+///     E_kin      kinetic energy at the end of the step [J]
+///     E_el       elastic energy at the last diagnostics [J]; a step does not compute it
+///     available  energy that can be kinetic: E_kin + E_el at the last diagnostics, plus positive work since then [J]
 namespace tensormass::world {
 
+/// The bound that a step left.
 enum class Breach : std::uint8_t {
   kNone,
   kNotFinite,
   kMove,            ///< a node moved too far in the step
   kDistance,        ///< a node is too far from rest
-  kEnergy,          ///< more kinetic energy than there can be
-  kLinearResidual,  ///< of the linear solve
-  kNewtonResidual,  ///< of the outer iteration
+  kEnergy,          ///< more kinetic energy than is available
+  kLinearResidual,  ///< relative residual of the linear solve
+  kNewtonResidual,  ///< residual of Newton's method, relative to the forces
   kVolume,          ///< det F of an element whose law does not recover
 };
 
+/// A step compared with its bounds: the first bound it left, with its value and the bound in the bound's unit.
 struct BoundCheck {
   Breach breach = Breach::kNone;
   double value = 0, bound = 0;
+  /// True if the step stayed within all bounds.
   bool good() const { return breach == Breach::kNone; }
 };
 
-/// In words: "a node is 0.3 m from where it rests, where 0.15 m is the most".
+/// In words: "a node is 0.3 m from its rest position, farther than 0.15 m".
 std::string to_text(const BoundCheck& check);
 
-/// Whether all work that is done on the scene is counted: displacements that are prescribed and pressure do some that
-/// is not. And whether all energy is that it holds: not with memory, consistent mass, or without inertia.
+/// Says whether all work on the scene is counted. Prescribed displacements and pressure do work that is not.
 bool counts_all_work(const model::Model& model);
+/// Says whether all energy of the scene is counted. Viscoelastic internal variables and a consistent mass hold energy
+/// that is not, and a quasi-static scene has no kinetic energy.
 bool counts_all_energy(const model::Model& model);
 
-/// Energy that came in, and where it is. Elastic energy is known at a look at the elements; between two of them the
-/// kinetic energy cannot pass what was there at the last plus what has come in since.
+/// Books of the work done on a scene and the energy in it.
+///
+/// Elastic energy is known only after diagnostics. Between two of them, the kinetic energy cannot exceed the energy at
+/// the first plus the work done since: that sum is available_j().
 class EnergyBalance {
  public:
   explicit EnergyBalance(const model::Model& model);
 
-  /// A step that was published. Work since the step before.
+  /// Adds a published step: its kinetic energy, and the work of loads and tools since the step before [J].
   void add_step(double kinetic_j, double loads_work_j, double tools_work_j);
+  /// Takes the elastic energy that diagnostics found after the last step, and closes the books up to it.
   void take_elastic(double elastic_j);
-  /// What the scene has to begin with.
+  /// Starts with the energy of the scene's initial state.
   void start(double kinetic_j, double elastic_j);
 
-  /// What there was at the last look and came in since.
+  /// Energy at the last diagnostics plus positive work since then [J].
   double available_j() const { return available_j_; }
   double kinetic_j() const { return kinetic_j_; }
   double elastic_j() const { return elastic_j_; }
   double work_j() const { return work_j_; }
-  /// Work less the energy that is left of it, at the last look. Not where some of either is not counted.
+  /// Dissipated energy [J]: work done on the scene minus the energy in it, at the last diagnostics. No value if some
+  /// work or energy is not counted.
   std::optional<double> dissipated_j() const { return complete_ ? std::optional(dissipated_j_) : std::nullopt; }
 
  private:
@@ -62,16 +82,18 @@ class EnergyBalance {
   double kinetic_j_ = 0, elastic_j_ = 0, work_j_ = 0, dissipated_j_ = 0, available_j_ = 0;
 };
 
-/// What a step is judged by besides its result.
+/// The energies that a step's kinetic energy is compared with.
 struct StepEnergy {
-  double available_j = 0;  ///< EnergyBalance::available_j
-  double tools_work_j = 0;
-  double contacts_j = 0;  ///< the most that contacts with tools can hold
+  double available_j = 0;   ///< EnergyBalance::available_j
+  double tools_work_j = 0;  ///< work of the tools in this step
+  double contacts_j = 0;    ///< upper bound of the energy in the contacts with tools
 };
 
+/// The bounds of one scene. They follow from its size, its start and its tolerances.
 class Guard {
  public:
   explicit Guard(const model::Model& model);
+  /// Returns the first bound that the step left, if any. NaN leaves every bound.
   BoundCheck check(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:
@@ -79,25 +101,26 @@ class Guard {
   bool checks_energy_;
 };
 
-/// How a step that left its bounds is done again, from the state that it began with.
+/// A way to repeat a step that left its bounds, from the checkpoint at its start.
 struct Retry {
   std::uint32_t steps;             ///< equal parts of dt
-  std::uint32_t iteration_factor;  ///< of cg_max_iterations
-  bool fallback_settings;          ///< StepInput::careful
-  Breach only_for;                 ///< kNone: any
+  std::uint32_t iteration_factor;  ///< times cg_max_iterations
+  bool fallback_settings;          ///< StepInput::fallback_settings
+  Breach only_for;                 ///< tried after this breach only; kNone: after any
 };
-/// In this order. The first where iterations were lowered for a budget.
+/// All retries in the order of their trial. The first is for steps whose iterations a time budget had lowered.
 std::span<const Retry> retries();
 
 /// A step that left its bounds.
 struct GuardEvent {
   std::uint64_t step = 0;
-  BoundCheck first, last;     ///< of the step itself, and of the last retry
-  std::uint32_t retries = 0;  ///< that were made
-  std::uint32_t steps = 0;    ///< of the last one
+  BoundCheck first;           ///< the step as planned
+  BoundCheck last;            ///< the last retry
+  std::uint32_t retries = 0;  ///< number of retries made
+  std::uint32_t steps = 0;    ///< parts of dt in the last retry
   bool recovered = false;
 };
-/// What happened; where nothing helped also where the scene stands and what to do.
+/// Says what happened. If no retry helped, also says where the scene stopped and what a user can do.
 std::string to_text(const GuardEvent& event);
 
 }  // namespace tensormass::world

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 
+#include "core/assert.h"
+
 namespace tensormass::world {
 
 namespace {
-/// Of the budget: below it there is room for more iterations; between it and the budget nothing changes.
+/// Fraction of the budget. Shorter steps have room for more iterations; between it and the budget nothing changes.
 constexpr double kRoom = 0.8;
-/// Of the floor: a residual above it has no accuracy left to give up.
+/// Fraction of floor_tolerance. Above it there is no accuracy left to give up.
 constexpr double kNearFloor = 0.5;
 }  // namespace
 
@@ -16,21 +18,22 @@ IterationBudget::IterationBudget(const model::Model& model) : model_(model), lim
 void IterationBudget::take_step(double step_s, const solver::StepResult& result, const GuardEvent* event) {
   if (model_.budget_s == 0) return;
   if (event != nullptr) {
-    // Time and result are those of the step made in another way, and say nothing of this limit.
+    // Time and result belong to the repeated step and say nothing about this limit.
     if (event->first.breach != Breach::kLinearResidual) return;
     set_limit(limit() + std::max(limit() / 2, 1u));
-    begin_window();
+    start_window();
     return;
   }
   const std::uint32_t solves = std::max(result.newton_iterations, 1u);
   most_used_ = std::max(most_used_, (result.cg_iterations + solves - 1) / solves);
   worst_residual_ = std::max(worst_residual_, result.cg_relative_residual);
+  TM_ASSERT(filled_ < kWindow, "a full window was evaluated");
   times_s_[filled_++] = step_s;
   if (filled_ < kWindow) return;
   std::nth_element(times_s_.begin(), times_s_.begin() + kWindow / 2, times_s_.end());
   median_s_.store(times_s_[kWindow / 2], std::memory_order_relaxed);
   adapt();
-  begin_window();
+  start_window();
 }
 
 void IterationBudget::adapt() {
@@ -48,10 +51,11 @@ void IterationBudget::adapt() {
 }
 
 void IterationBudget::set_limit(std::uint32_t limit) {
+  TM_ASSERT(model_.floor_cg_iterations <= model_.cg_max_iterations, "the floor is at most the model's iterations");
   limit_.store(std::clamp(limit, model_.floor_cg_iterations, model_.cg_max_iterations), std::memory_order_relaxed);
 }
 
-void IterationBudget::begin_window() {
+void IterationBudget::start_window() {
   filled_ = 0;
   worst_residual_ = 0;
   most_used_ = 0;
@@ -60,7 +64,7 @@ void IterationBudget::begin_window() {
 void IterationBudget::clear() {
   set_limit(model_.cg_max_iterations);
   median_s_.store(0, std::memory_order_relaxed);
-  begin_window();
+  start_window();
 }
 
 }  // namespace tensormass::world

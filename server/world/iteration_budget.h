@@ -11,22 +11,29 @@
 
 namespace tensormass::world {
 
-/// How many conjugate-gradient iterations a solve may take, so that steps keep to the scene's budget of time: lowered
-/// while they take longer, raised while there is room, never below the scene's floor. A change waits for the median of
-/// some steps, since a single one may be late for reasons of its own. Only a step that the guard had to make again for
-/// its residual raises it at once: that costs more than the iterations which were saved. Written by the loop, read by
-/// anyone.
+/// Limits the conjugate-gradient iterations of a solve, so that steps keep to the scene's time budget.
+///
+///     limit:  floor_cg_iterations <= limit() <= cg_max_iterations
+///
+///     median step time above budget_s           lower the limit
+///     below 80 % of it, and the limit is used   raise the limit
+///     residual near floor_tolerance             do not lower; raise if the limit is used
+///     guard repeated a step for its residual    raise at once
+///
+/// A change waits for the median of kWindow steps, because a single step may be late for other reasons. A repeated step
+/// does not wait: it costs more than the iterations that were saved. Written by the loop, read by any thread.
 class IterationBudget {
  public:
   explicit IterationBudget(const model::Model& model);
 
-  /// event: World::guard_event.
+  /// Takes a step's duration and result. event: World::guard_event.
   void take_step(double step_s, const solver::StepResult& result, const GuardEvent* event = nullptr);
-  /// The scene is at rest again.
+  /// Starts again with cg_max_iterations, because the scene was reset.
   void clear();
 
+  /// Iterations that a solve may take.
   std::uint32_t limit() const { return limit_.load(std::memory_order_relaxed); }
-  /// Median of the last steps that were looked at [s]; 0 before.
+  /// Median time of the steps in the last full window [s]; 0 before the first.
   double step_s() const { return median_s_.load(std::memory_order_relaxed); }
 
  private:
@@ -34,7 +41,7 @@ class IterationBudget {
 
   void adapt();
   void set_limit(std::uint32_t limit);
-  void begin_window();
+  void start_window();
 
   const model::Model& model_;
   std::array<double, kWindow> times_s_{};

@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "core/assert.h"
 #include "model/scene_input.h"
 
 namespace tensormass::world {
@@ -41,6 +42,7 @@ Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& messag
                    fmt::format("{}: sequence {} is not newer than the client's last; count up from 1", where,
                                message.sequence())});
   }
+  TM_ASSERT(position->allFinite(), "the loop takes finite poses only");
   newest_.writing() = {{*position, *orientation}, message.sequence(), message.client_time_ns(), message.client_id()};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);

@@ -13,7 +13,7 @@
 
 namespace tensormass::world {
 
-/// A pose with what its feedback echoes.
+/// A pose, and the numbers of its message that feedback repeats, so that a client can measure its delay.
 struct ReceivedPose {
   Pose pose;
   std::uint64_t sequence = 0;
@@ -21,13 +21,22 @@ struct ReceivedPose {
   std::uint64_t client_id = 0;
 };
 
-/// Where the poses of one tool arrive: from any thread, checked, the newest kept for the loop.
+/// The mailbox for the poses of one tool.
+///
+///     threads of the bus and of gRPC --> submit: check, lock, compare sequence --> Latest --> take: the scene's loop
+///
+/// Writers wait for each other, for less than a microsecond. The loop waits for nobody. A tool is where its newest pose
+/// says, so a pose that the loop did not take before the next one arrived is dropped and counted as superseded.
+///
+/// Messages of one client may overtake each other on the way. Each client therefore numbers its poses from 1, and the
+/// inbox refuses a pose that is not newer than the client's last.
 class PoseInbox {
  public:
-  /// Refuses a pose that is not finite, no rotation, or not newer than the last of the same client. A pose with neither
-  /// client nor sequence is a script's and is always newer.
+  /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, or that is not
+  /// newer than the same client's last. A pose with neither client nor sequence comes from a script and is always
+  /// newer.
   Result<void> submit(std::string_view tool, const v1::ToolPose& message);
-  /// For the loop: the newest since the last call, else nullptr.
+  /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }
 
   std::uint64_t received() const { return received_.load(std::memory_order_relaxed); }
@@ -37,14 +46,15 @@ class PoseInbox {
  private:
   struct Client {
     std::uint64_t id = 0;
-    std::uint64_t last_sequence = 0;
+    std::uint64_t last_sequence = 0;  // 0: this entry is free
   };
+  /// Says whether a pose is newer than its client's last, and remembers its sequence if so. Needs the lock.
   bool is_newer(const v1::ToolPose& message);
 
-  /// Clients whose sequence is remembered; the one that came first is forgotten for a new one.
+  /// Number of clients whose sequence is remembered. A further client takes the place of the one that came first.
   static constexpr std::size_t kClients = 8;
 
-  std::mutex writers_;
+  std::mutex writers_;  // guards clients_, next_client_ and the writer's side of newest_
   std::array<Client, kClients> clients_{};
   std::size_t next_client_ = 0;
   Latest<ReceivedPose> newest_;

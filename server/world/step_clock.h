@@ -7,21 +7,35 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/assert.h"
+
 namespace tensormass::world {
 
 using Clock = std::chrono::steady_clock;
 
-/// The schedule of a scene that runs at a fixed rate. A step that begins late is made up for by the next ones beginning
-/// at once; a scene that is too slow for its rate falls behind by kMaxBacklog at most and then simulated time slows.
+/// The schedule of a scene that runs at a fixed rate. Used by the loop's thread only.
+///
+/// Step n should start n periods after the first one, whenever earlier steps ended. After a late step, the next ones
+/// start at once until the schedule is met again. If steps take longer than the period, that debt would grow without
+/// end, and the first fast steps would then run in a burst. The debt is therefore at most kMaxBacklog; beyond it,
+/// simulated time slows down.
+///
+///     begin()      the time at which the coming step should start
+///     deadline     begin() + period: a step is in time if it ends then or earlier, because the next one can still
+///     start
+///                  on time
 class StepClock {
  public:
   explicit StepClock(double rate_hz)
-      : period_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / rate_hz))) {}
+      : period_(std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / rate_hz))) {
+    TM_ASSERT(period_ > Clock::duration::zero(), "a rate is positive and has a period of at least a tick");
+  }
 
+  /// Schedules the coming step for `now`, and forgets any backlog.
   void restart(Clock::time_point now) { begin_ = now; }
-  /// When the coming step is to begin.
+  /// The time at which the coming step should start.
   Clock::time_point begin() const { return begin_; }
-  /// After a step that ended `now`: true if that was in time, before the next step's beginning.
+  /// Notes that the coming step ended `now` and schedules the next one. Returns true if it met its deadline.
   bool finish(Clock::time_point now) {
     begin_ += period_;
     const bool in_time = now <= begin_;
@@ -35,14 +49,17 @@ class StepClock {
   Clock::time_point begin_{};
 };
 
-/// Counts and times of the loop, written by it and read by anyone without a lock.
+/// Step times, reached rate and missed deadlines. The loop writes them and any thread reads them, without a lock:
+/// each number is an atomic, and a reader may see numbers of two steps next to each other.
 class StepStatistics {
  public:
   struct Percentiles {
     double p50_s = 0, p99_s = 0, max_s = 0;
   };
 
+  /// Adds a step that took `step_time` and ended at `end`. in_time: it met its deadline.
   void add(Clock::duration step_time, Clock::time_point end, bool in_time) {
+    TM_ASSERT(step_time >= Clock::duration::zero(), "a step ends after its start");
     times_s_[static_cast<std::size_t>(count_.load(std::memory_order_relaxed)) % kWindow].store(
         std::chrono::duration<float>(step_time).count(), std::memory_order_relaxed);
     count_.fetch_add(1, std::memory_order_release);
@@ -55,14 +72,16 @@ class StepStatistics {
       window_begin_ = end;
     }
   }
-  /// After a pause: the rate is measured anew.
+  /// Measures the rate anew, because a pause must not count as slow steps.
   void interrupt() {
     window_steps_ = 0;
     reached_rate_hz_.store(0, std::memory_order_relaxed);
   }
 
   std::uint64_t missed_deadlines() const { return missed_.load(std::memory_order_relaxed); }
+  /// Rate over the last full second or longer [Hz]; 0 before the first.
   double reached_rate_hz() const { return reached_rate_hz_.load(std::memory_order_relaxed); }
+  /// Percentiles of the last kWindow step times [s]; 0 before the first step. Allocates.
   Percentiles percentiles() const {
     const std::size_t filled = std::min<std::size_t>(count_.load(std::memory_order_acquire), kWindow);
     if (filled == 0) return {};
@@ -73,7 +92,7 @@ class StepStatistics {
   }
 
  private:
-  static constexpr std::size_t kWindow = 1024;
+  static constexpr std::size_t kWindow = 1024;  // steps
   std::array<std::atomic<float>, kWindow> times_s_{};
   std::atomic<std::uint64_t> count_{0}, missed_{0};
   std::atomic<double> reached_rate_hz_{0};

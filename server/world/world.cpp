@@ -14,7 +14,7 @@ Eigen::Quaterniond rotation(const Pose& pose) {
   return {pose.orientation[0], pose.orientation[1], pose.orientation[2], pose.orientation[3]};
 }
 
-/// Lever from the tool's position to the centre of its sphere.
+/// Vector from the tool's position to the centre of its sphere [m].
 Vec3<double> lever(const model::ToolModel& tool, const Pose& pose) { return rotation(pose) * tool.tip_offset_m; }
 
 }  // namespace
@@ -72,7 +72,7 @@ void World::move_tools() {
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     const model::ToolModel& tool = model_->tools[i];
     ToolMotion& motion = tools_[i];
-    // The sphere is what must not jump through tissue: its centre is limited, however the pose moves it.
+    // The sphere must not jump through tissue, so the speed of its centre is limited, for rotations too.
     const Vec3<double> from = motion.current.position_m + lever(tool, motion.current);
     const Vec3<double> to = motion.target.position_m + lever(tool, motion.target);
     before_[i] = {motion.current, from, readings_[i].force_n};
@@ -127,7 +127,7 @@ bool World::step(bool gather_visible) {
   return true;
 }
 
-/// Goes back and makes the step in other ways, until one of them holds its bounds.
+/// Restores the checkpoint and repeats the step as `retries` say, until one of them stays within the bounds.
 BoundCheck World::retry(const BoundCheck& first) {
   event_ = {.step = step_count_ + 1, .first = first, .last = first};
   has_event_ = true;
@@ -145,12 +145,14 @@ BoundCheck World::retry(const BoundCheck& first) {
   return event_.last;
 }
 
-/// A step in equal parts, each of which must hold the bounds. `keeps`: the state that it begins with is the one to go
-/// back to.
+/// Makes a step in equal parts. Each part must stay within the bounds; the first that does not ends the step.
+/// saves_checkpoint: the state before the step becomes the checkpoint. A retry starts from the checkpoint that is
+/// there.
 BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint,
                             bool gather_visible) {
   tools_work_j_ = 0;
-  solver::StepResult before;  // of the parts so far
+  TM_ASSERT(how.steps > 0, "a step has parts");
+  solver::StepResult before;  // sums and maxima over the previous parts
   before.newton_iterations = 0;
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {before_[i].center_m, before_[i].force_n};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
@@ -158,15 +160,16 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       centers_[i] = targets_[i] + (1 - share) * (before_[i].center_m - targets_[i]);
     }
-    last_ = state_->step({.centers = centers_,
-                          // One product, so that halves of a step end bitwise where steps of half its length do.
-                          .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
-                          .dt_s = model_->dt_s / how.steps,
-                          .cg_max_iterations = cg_max_iterations,
-                          .saves_checkpoint = saves_checkpoint,
-                          .fallback_settings = how.fallback_settings,
-                          .gather_visible = gather_visible},
-                         forces_);
+    last_ =
+        state_->step({.centers = centers_,
+                      // One product, so that halves of a step end at bitwise the same time as steps of half its length.
+                      .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
+                      .dt_s = model_->dt_s / how.steps,
+                      .cg_max_iterations = cg_max_iterations,
+                      .saves_checkpoint = saves_checkpoint,
+                      .fallback_settings = how.fallback_settings,
+                      .gather_visible = gather_visible},
+                     forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const Vec3<double> force = forces_[i].force_n;
@@ -187,6 +190,7 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
   return {};
 }
 
+/// Runs the diagnostics and returns the elastic energy of all elements [J].
 double World::diagnose_elastic_energy() {
   state_->diagnose(diagnostics_);
   double elastic_j = 0;
@@ -208,6 +212,7 @@ void World::reset() {
 
 std::vector<double> World::positions(const model::BodyModel& body) {
   const backend::RowState state = state_->read();
+  TM_ASSERT(body.node_begin + body.node_count <= model_->layout.row_of_node.size(), "a body of this model");
   std::vector<double> out(3 * std::size_t{body.node_count});
   for (std::uint32_t node = 0; node < body.node_count; ++node) {
     const std::size_t row = model_->layout.row_of_node[body.node_begin + node];

@@ -24,10 +24,10 @@ FELT = 1e-2
 # Warnings of the status (server/world/findings.cpp). Each is recognized by words that no other warning has.
 OUT_OF_RANGE = "has left its range of strains"
 SOFTER = "gets softer where it is pressed"
-INVERTED = "elements are turned inside out"
-NOT_CONVERGED = "ended with an imbalance of"
+INVERTED = "elements are inverted"
+NOT_CONVERGED = "ended with a residual of"
 CURVATURE = "direction of negative curvature"
-# Fault of the machine, not of the scene (server/world/runner.cpp).
+# Fault of the machine, not of the scene (server/world/loop.cpp).
 DEVICE_FAILED = "the device failed"
 
 

@@ -367,7 +367,7 @@ def test_results_are_read_back_as_written(tmp_path: Path, monkeypatch: pytest.Mo
         report.Row("group/1/60 s/hooke/pyramid", "double", Verdict(SHORT, math.inf, "distance nan, bound 1")),
         report.Row("group/1/60 s/hooke/wedge", "float", Verdict(CAUGHT, math.nan, fault)),
         report.Row(
-            "group/1/60 s/ogden/wedge", "float", Verdict(CAUGHT, 2, "an imbalance of 0.5; give it more (c 2, bound 1)")
+            "group/1/60 s/ogden/wedge", "float", Verdict(CAUGHT, 2, "a residual of 0.5; give it more (c 2, bound 1)")
         ),
     ]
     head = dict.fromkeys(("backend", "device", "machine", "commit", "command", "date"), "x")
@@ -380,7 +380,7 @@ def test_results_are_read_back_as_written(tmp_path: Path, monkeypatch: pytest.Mo
     assert by_key[rows[1].key, "double"] == rows[1].verdict
     # The advice, which every fault repeats, is left out.
     assert by_key[rows[2].key, "float"].text == "step 3 left its bounds: a node moved 2.5 m in it"
-    assert by_key[rows[3].key, "float"].text == "an imbalance of 0.5 (c 2, bound 1)"
+    assert by_key[rows[3].key, "float"].text == "a residual of 0.5 (c 2, bound 1)"
 
 
 def test_a_missing_reference_does_not_count_as_caught(server: tm.Server, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -441,7 +441,7 @@ TEST_P(Running, AStepThatARetryMendedGoesOnAndIsCounted) {
   EXPECT_EQ(status->guard_events(), 3u);
   EXPECT_EQ(status->guard_recoveries(), 3u);
   EXPECT_NE(status->guard_text().find("step 6 left its bounds"), std::string::npos) << status->guard_text();
-  EXPECT_NE(status->guard_text().find("done again as 8 steps"), std::string::npos) << status->guard_text();
+  EXPECT_NE(status->guard_text().find("repeated as 8 steps"), std::string::npos) << status->guard_text();
   v1::Frame frame;
   ASSERT_TRUE(runner->take_frame(frame));
   EXPECT_EQ(frame.step(), 6u);

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-/// The schedule in invented time: nothing here waits.
+/// Tests of the schedule with invented times: no test waits.
 namespace tensormass::world {
 namespace {
 
@@ -10,7 +10,7 @@ using namespace std::chrono_literals;
 
 const Clock::time_point kStart{1s};
 
-TEST(StepClock, KeepsTheRateWhateverAStepTakesOfItsPeriod) {
+TEST(StepClock, KeepsTheRateIfStepsAreShorterThanThePeriod) {
   StepClock clock(100);
   clock.restart(kStart);
   for (int i = 0; i < 1000; ++i) {
@@ -29,6 +29,13 @@ TEST(StepClock, CatchesUpAfterALateStepAndCountsOnlyTheLateOnes) {
   EXPECT_EQ(clock.begin(), kStart + 30ms);
 }
 
+TEST(StepClock, AStepThatEndsExactlyAtItsDeadlineIsInTime) {
+  StepClock clock(100);
+  clock.restart(kStart);
+  EXPECT_TRUE(clock.finish(kStart + 10ms)) << "the next step can start on time";
+  EXPECT_FALSE(clock.finish(kStart + 20ms + 1ns));
+}
+
 TEST(StepClock, OwesNoMoreThanItsBacklog) {
   StepClock clock(100);
   clock.restart(kStart);
@@ -36,7 +43,7 @@ TEST(StepClock, OwesNoMoreThanItsBacklog) {
   EXPECT_EQ(clock.begin(), kStart + 5s - 20ms) << "simulated time slows instead of a burst of 500 steps";
 }
 
-TEST(StepStatistics, PercentilesAreOfTheLastSteps) {
+TEST(StepStatistics, PercentilesCoverTheLast1024Steps) {
   StepStatistics statistics;
   EXPECT_EQ(statistics.percentiles().p50_s, 0);
   Clock::time_point end = kStart;
@@ -50,7 +57,7 @@ TEST(StepStatistics, PercentilesAreOfTheLastSteps) {
   EXPECT_NEAR(statistics.percentiles().p99_s, 50e-3, 1e-8);
   EXPECT_NEAR(statistics.percentiles().max_s, 50e-3, 1e-8);
   add(1024, 2ms);
-  EXPECT_NEAR(statistics.percentiles().max_s, 2e-3, 1e-9) << "what is older than 1024 steps is forgotten";
+  EXPECT_NEAR(statistics.percentiles().max_s, 2e-3, 1e-9) << "older steps are forgotten";
 }
 
 TEST(StepStatistics, ReachedRateIsMeasuredOverASecondAndAnewAfterAnInterruption) {
