@@ -14,6 +14,7 @@ struct CompiledScene {
   v1::SceneReport report;
 };
 
+/// Selects the backend and compiles the scene for it. Errors name the body, the element and the remedy.
 Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions& options,
                                     const model::Progress& progress = {});
 

@@ -19,15 +19,16 @@ namespace tensormass::world {
 
 namespace {
 
-/// What is known of a body's nodes and elements after one pass over its elements.
+/// Forces, stresses and energies of a body, summed over its elements.
 struct Measured {
-  std::vector<Vec3<double>> force;            // internal and pressure, by row [N]
+  std::vector<Vec3<double>> force;            // [row] internal and pressure forces, N
   std::vector<std::array<double, 6>> cauchy;  // [element] Pa, xx yy zz yz xz xy
-  std::vector<double> det_f, energy;          // [element]
+  std::vector<double> det_f, energy;          // [element] det F, energy in J
 };
 
-/// Deformation gradient, stress and all that of one element, its quadrature points summed up, or what both wedges of a
-/// pair have together: added to what is there. `first_element`: of the body whose elements `measured` holds.
+/// Adds force, stress, det F and energy of element `e` to `measured`, summed over its quadrature points. A wedge pair
+/// adds its sums to both wedges. history: the group's viscoelastic internal variables. first_element: index of the
+/// body's first element, which is entry 0 of `measured`.
 template <class Shape, class Law>
 void measure_element(const model::ElementGroup& group, std::span<const double> history, double internal_dt_s,
                      std::uint32_t e, const std::vector<double>& displacement, std::uint32_t first_element,
@@ -75,10 +76,10 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     }
     const double j = f.determinant();
     det_f = std::min(det_f, j);
-    // A linear law does not tell one measure of stress from another.
+    // A linear law does not distinguish Cauchy stress from the first Piola-Kirchhoff stress.
     const Mat3<double> true_stress = Law::kConstantStiffness ? stress : Mat3<double>(stress * f.transpose() / j);
     cauchy += true_stress * gradients.weight;
-    // Selective integration goes over the volume for each kind of moduli, or for one of them only.
+    // Selective reduced integration covers the volume once for each kind of moduli, or for one kind only.
     volume.deviatoric += shares.deviatoric * gradients.weight;
     volume.volumetric += shares.volumetric * gradients.weight;
     energy += Law::energy(point) * gradients.weight;
@@ -113,7 +114,7 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
     histories = histories.subspan(group.internal_variable_reals());
     physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
       for (std::uint32_t e = 0; e < group.elements.size(); ++e) {
-        // Wraps around for the bodies before; kNone is of no body.
+        // Unsigned: wraps around for elements of earlier bodies, and kNone belongs to no body.
         if (group.elements[e] - body.element_begin >= body.element_count) continue;
         measure_element<typename decltype(shape)::Type, typename decltype(law)::Type>(
             group, history, state.internal_dt_s, e, state.displacement, body.element_begin, measured);
@@ -139,7 +140,7 @@ double von_mises(const std::array<double, 6>& s) {
   return std::sqrt(0.5 * (xy * xy + yz * yz + zx * zx) + 3 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5]));
 }
 
-/// ½ vᵀ M v.
+/// Kinetic energy ½ vᵀ M v of a body [J]; M: mass matrix, lumped or with edges.
 double kinetic_energy(const model::Model& m, const std::vector<double>& velocity, const model::BodyModel& body) {
   double twice = 0;
   for (std::uint32_t node = 0; node < body.node_count; ++node) {
@@ -173,7 +174,7 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
     }
   }
   const Measured measured = measure(m, state, body);
-  // A quasi-static scene keeps the change of a step where others keep a velocity.
+  // A quasi-static scene stores the displacement of the last step in place of a velocity.
   const std::vector<double> still(m.integrator == model::Integrator::kQuasiStatic ? state.velocity.size() : 0, 0.0);
   const std::vector<double>& velocity = still.empty() ? state.velocity : still;
 

@@ -4,7 +4,7 @@
 #include "model/model.h"
 #include "tensormass/v1/control.pb.h"
 
-/// What an analysis wants to know and a step does not compute: stresses, reactions, energies.
+/// Stresses, reactions and energies for analyses. A step does not compute them, so a request pays for them.
 namespace tensormass::world {
 
 /// Fills fields and energies of `body` from a scene's state, in double precision on the host, whatever the scene's

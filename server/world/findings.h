@@ -21,7 +21,7 @@ namespace tensormass::world {
 /// Values are residuals, iterations, energies and det F. Warnings say in words, with a remedy, when Newton's method did
 /// not converge, elements are inverted, a law left its range, the guard repeats steps or the budget lowers iterations.
 ///
-/// The loop allocates nothing for this: warnings are put into words by the thread that asks.
+/// The loop allocates nothing for this: the thread that asks puts warnings into words.
 class Findings {
  public:
   Findings(const model::Model& model, const IterationBudget& budget)
@@ -29,7 +29,7 @@ class Findings {
 
   /// Loop: takes the results of the last World::step, also if the guard refused it.
   void take_step(const World& world);
-  /// Of the last World::watch.
+  /// Loop: takes the results of the last World::diagnose.
   void take_diagnostics(const World& world);
   /// Loop: forgets everything, because the scene was reset.
   void clear();

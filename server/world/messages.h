@@ -9,10 +9,10 @@
 #include "world/pose_inbox.h"
 #include "world/world.h"
 
-/// From a scene's values to the messages of the protocol.
+/// Conversion of a scene's values to the messages of the protocol.
 namespace tensormass::world {
 
-/// What the loop knows of a tool after a step.
+/// A tool after a step: its reading, and the numbers of the newest pose, which feedback repeats.
 struct ToolSnapshot {
   ToolReading reading;
   std::uint64_t pose_sequence = 0;
@@ -20,20 +20,21 @@ struct ToolSnapshot {
   std::uint64_t client_id = 0;
 };
 
-/// When a step ended, on both of the server's terms.
+/// The end of a step: its number, in simulated time and on the server's clock.
 struct StepStamp {
   std::uint64_t step = 0;
   double simulated_time_s = 0;
   std::uint64_t server_time_ns = 0;
 };
 
-/// A step's visible positions and tools, as the loop leaves them for the publisher.
+/// Visible positions and tools of a step, from the loop to the publisher.
 struct FrameSlot {
   StepStamp stamp;
   std::vector<float> positions;
   std::vector<ToolSnapshot> tools;
 };
 
+/// Tools of a step, from the loop to the publisher.
 struct FeedbackSlot {
   StepStamp stamp;
   std::vector<ToolSnapshot> tools;
@@ -50,7 +51,7 @@ void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<con
 void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolSnapshot& snapshot,
                    v1::ToolFeedback& out);
 
-/// How long a client may go on with a step's local model [s]: a few missing steps, or a short hiccup of the network.
+/// Time for which a client may use a step's local model [s]: it covers a few missing steps or a short network delay.
 double local_model_validity_s(const model::Model& model);
 
 }  // namespace tensormass::world

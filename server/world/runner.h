@@ -21,21 +21,26 @@ enum class BackendChoice { kAuto, kCpu, kCuda };
 
 struct RunnerOptions {
   BackendChoice backend = BackendChoice::kAuto;
-  std::uint32_t cpu_threads = 1;  ///< of a scene that does not say
-  std::uint32_t gpu_scenes = 1;   ///< that are to step on the GPU at the same time
+  std::uint32_t cpu_threads = 1;  ///< threads of a scene that does not set its own
+  std::uint32_t gpu_scenes = 1;   ///< number of scenes that step on the GPU at the same time
 };
 
-/// One scene stepping on a thread of its own.
+/// One scene that steps on a thread of its own. All methods may be called from any thread.
 ///
-/// Control never touches state: the methods below enqueue a command that the loop applies between two steps, and wait
-/// for it. Output goes the other way through mailboxes that keep the newest: the loop never waits for a reader.
-/// All methods may be called from any thread.
+/// Callers never touch the scene's state, so a step needs no lock. They reach it in three ways:
+///
+///     pause, resume, step, reset, frame, ...  --> queue of commands --> loop   the caller waits for the result
+///     submit_pose                             --> PoseInbox         --> loop   nobody waits; the newest pose counts
+///     take_frame, take_feedback, take_status  <-- mailboxes         <-- loop   nobody waits; the newest is kept
+///
+/// loop.h draws the loop, loop_outputs.h the mailboxes, loop_status.h the status. This class turns names into indices
+/// and forwards calls.
 class Runner {
  public:
   /// Checks the scene, compiles it and starts it. Errors name the body, the element and the remedy.
   static Result<std::unique_ptr<Runner>> start(const v1::Scene& scene, const RunnerOptions& options,
                                                const model::Progress& progress = {});
-  /// One that is compiled already.
+  /// Starts a scene that is compiled already.
   static Result<std::unique_ptr<Runner>> start(CompiledScene compiled);
   /// Checks and compiles without running.
   static Result<v1::SceneReport> inspect(const v1::Scene& scene, const RunnerOptions& options,
@@ -53,11 +58,11 @@ class Runner {
 
   Result<v1::SceneStatus> pause();
   Result<v1::SceneStatus> resume();
-  /// Lockstep only; returns when the steps are done.
+  /// Makes `count` steps of a lockstep scene and returns when they are done.
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;
-  /// The scene is about to be unloaded: a `step` in progress ends after the step at hand, with kUnavailable.
+  /// Ends a `step` in progress after its current step, with kUnavailable, because the scene will be unloaded.
   void cancel();
   /// Surface positions after the last step.
   Result<v1::Frame> frame();
@@ -71,13 +76,13 @@ class Runner {
   /// Counts a pose that could not even be parsed.
   void count_malformed_pose();
 
-  /// Called by the loop after it left something in a mailbox; must not block (it wakes the publisher).
+  /// signal: void(), called on the loop's thread after it published something. Must not block: it wakes the publisher.
   void set_output_signal(std::function<void()> signal);
-  /// Takes what is new since the last call; false if nothing is. One reader.
+  /// Takes the newest frame; false if there is none since the last call. One reader.
   bool take_frame(v1::Frame& frame);
-  /// Takes the feedback of every tool that is new since the last call.
+  /// Takes the newest feedback of all tools; false if there is none since the last call. One reader.
   bool take_feedback(std::vector<v1::ToolFeedback>& feedback);
-  /// True when a status message is due by the scene's status rate.
+  /// Fills `status` and returns true if one is due: by the scene's status rate, or after a change of state. One reader.
   bool take_status(v1::SceneStatus& status);
 
  private:
@@ -86,12 +91,12 @@ class Runner {
   std::unique_ptr<Impl> impl_;
 };
 
-/// The backend that `choice` comes to on this machine, with the device's name ("cpu", "AMD EPYC ..., 2 threads").
+/// Names of a backend and its device on this machine: "cpu", "AMD EPYC ..., 2 threads".
 struct BackendDescription {
   std::string backend;
   std::string device;
 };
-/// kCuda without a device is an error; kAuto falls back to the CPU.
+/// Describes the backend that `choice` selects. kCuda without a device is an error; kAuto falls back to the CPU.
 Result<BackendDescription> describe_backend(BackendChoice choice);
 
 }  // namespace tensormass::world

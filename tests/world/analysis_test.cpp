@@ -19,7 +19,7 @@ namespace {
 
 class Analysis : public tests::OnBackend {
  protected:
-  /// A bar 0.4 × 0.1 × 0.1 m of 4 × 2 × 2 cells, clamped at x = 0, in double precision, without gravity, solved to
+  /// A bar 0.4 × 0.1 × 0.1 m of 4 × 2 × 2 cells, clamped at x = 0, without gravity. Double precision, solved to
   /// rounding.
   static v1::Scene bar(v1::Shape shape = v1::SHAPE_HEXAHEDRON, const std::string& law = "hooke", double poisson = 0.3) {
     v1::Scene scene = tests::beam_scene({.cells_x = 4,
@@ -80,7 +80,7 @@ TEST_P(Analysis, TimeSchemesHaveTheirOrder) {
   EXPECT_NEAR(ratio(v1::Solver::INTEGRATOR_BDF2), 4, 0.4);
 }
 
-/// An outer iteration drives the imbalance of a large bend down to rounding, for every law that is not linear.
+/// Newton's method reduces the residual of a large bend to rounding, for every nonlinear law.
 TEST_P(Analysis, NewtonReachesEquilibriumOfEveryLaw) {
   for (const std::string& law : tests::law_names()) {
     v1::Scene scene = bar(v1::SHAPE_HEXAHEDRON, law);
@@ -100,7 +100,7 @@ TEST_P(Analysis, NewtonReachesEquilibriumOfEveryLaw) {
 }
 
 /// The first increment turns a nearly incompressible body before it bends it, and passes through forces far above those
-/// that it ends with. In single precision, too, the imbalance is measured against the latter.
+/// that it ends with. In single precision, too, the residual is measured against the latter.
 TEST_P(Analysis, ALooseToleranceEndsNearTheEquilibriumInSinglePrecision) {
   const auto tip = [&](bool double_precision, double tolerance) {
     v1::Scene scene = bar(v1::SHAPE_HEXAHEDRON, "stable_neo_hookean", 0.499);
@@ -123,9 +123,9 @@ TEST_P(Analysis, ALooseToleranceEndsNearTheEquilibriumInSinglePrecision) {
   EXPECT_NEAR(tip(false, 0.01), exact, 5e-4 * exact);
 }
 
-/// Consistent mass hands on what driven nodes gain in speed; for a linear law one solve is exact, however often it is
-/// repeated.
-TEST_P(Analysis, ALinearStepNeedsOneSolveAlsoWhereNodesAreDriven) {
+/// A consistent mass couples the acceleration of prescribed nodes to their neighbours. For a linear law one solve is
+/// exact, so a second one must change nothing.
+TEST_P(Analysis, ALinearStepNeedsOneSolveAlsoWithPrescribedNodes) {
   const auto end_after = [&](std::uint32_t solves) {
     v1::Scene scene = bar();
     scene.mutable_bodies(0)->set_mass(v1::MASS_CONSISTENT);
@@ -217,9 +217,8 @@ TEST_P(Analysis, SelectiveWedgesDoNotLock) {
   EXPECT_NEAR(tip(v1::SHAPE_WEDGE), hexahedra, 0.15 * hexahedra);
 }
 
-/// What a step computes and what the fields say are one mechanics: in equilibrium the reactions are the derivative of
-/// the energy by the displacements that are prescribed, also where wedges share their change of volume, and the energy
-/// of the elements is all there is.
+/// Steps and fields must compute the same mechanics. In equilibrium, reactions are the derivative of the energy with
+/// respect to the prescribed displacements, also for wedge pairs. The elements hold all of the energy.
 TEST_P(Analysis, ReactionsAreTheDerivativeOfTheEnergy) {
   for (const std::string& law : tests::law_names()) {
     const auto at = [&](double step) {
@@ -259,7 +258,7 @@ TEST_P(Analysis, ReactionsAreTheDerivativeOfTheEnergy) {
 }
 
 /// u = schedule(t) · displacement, where and in which directions it is given; the others stay free.
-TEST_P(Analysis, DrivenNodesGoWhereTheyAreToldAndNowhereElse) {
+TEST_P(Analysis, PrescribedNodesFollowTheirPrescribedDisplacement) {
   for (const bool dynamic : {true, false}) {
     v1::Scene scene = bar(v1::SHAPE_TETRAHEDRON, "st_venant_kirchhoff");
     if (!dynamic) quasi_static(scene);
@@ -321,9 +320,9 @@ TEST_P(Analysis, PressureAllAroundIsHydrostatic) {
   }
 }
 
-/// After a sudden stretch that is held the stress sinks to 1 − α of itself, in every law, also where the memory of the
-/// pressure is a pair's of wedges and that of the rest its wedges'.
-TEST_P(Analysis, MemoryRelaxesEveryLaw) {
+/// After a sudden constant stretch, the stress of every law relaxes to 1 − α of its first value. Also holds for wedge
+/// pairs, whose pressure has internal variables of the pair and whose shear has those of each wedge.
+TEST_P(Analysis, ViscoelasticityRelaxesEveryLaw) {
   for (const std::string& law : tests::law_names()) {
     for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE}) {
       const std::string what = v1::Shape_Name(shape) + " " + law;
@@ -355,7 +354,7 @@ TEST_P(Analysis, MemoryRelaxesEveryLaw) {
   }
 }
 
-TEST_P(Analysis, WatchSeesRotationAndCompression) {
+TEST_P(Analysis, DiagnosticsMeasureStrainAndCompression) {
   v1::Scene scene = bar(v1::SHAPE_TETRAHEDRON, "hooke");
   quasi_static(scene);
   v1::PrescribedDisplacement& end = *scene.mutable_bodies(0)->add_prescribed();
@@ -375,7 +374,7 @@ TEST_P(Analysis, WatchSeesRotationAndCompression) {
 }
 
 /// Wedges and their pairs are two groups and one finding.
-TEST_P(Analysis, LeavingTheLinearRangeIsSaidOnce) {
+TEST_P(Analysis, LeavingTheLinearRangeGivesOneWarning) {
   v1::Scene scene = bar(v1::SHAPE_WEDGE, "hooke");
   scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
   quasi_static(scene);

@@ -58,7 +58,7 @@ class FindingsOf : public tests::OnBackend {
   }
 };
 
-TEST_P(FindingsOf, ALinearLawThatLeftItsRangeIsNamed) {
+TEST_P(FindingsOf, ALinearLawThatLeftItsRangeGivesAWarning) {
   EXPECT_EQ(after("hooke", 0.005, 0).warnings_size(), 0) << "a small deflection is what it is for";
   const v1::SceneStatus turned = after("hooke", 0.2, 0);
   EXPECT_TRUE(says(turned, "body 'beam': hooke has left its range"));
@@ -66,14 +66,14 @@ TEST_P(FindingsOf, ALinearLawThatLeftItsRangeIsNamed) {
   EXPECT_EQ(after("corotational", 0.2, 0).warnings_size(), 0) << "rotation is nothing to it";
 }
 
-TEST_P(FindingsOf, InvertedElementsAreNamed) {
+TEST_P(FindingsOf, InvertedElementsGiveAWarning) {
   const v1::SceneStatus crushed = after("hooke", 0, 0.7);
   EXPECT_LT(crushed.min_det_f(), 0);
   EXPECT_TRUE(says(crushed, "elements are inverted"));
   EXPECT_TRUE(says(crushed, "only corotational and stable_neo_hookean recover by themselves"));
 }
 
-TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceIsNamed) {
+TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceGivesAWarning) {
   for (const std::uint32_t most : {3u, 1000u}) {
     const auto world = start(
         tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = most, .cg_tolerance = 1e-4}));
@@ -88,7 +88,7 @@ TEST_P(FindingsOf, ASolveThatEndsAboveItsToleranceIsNamed) {
   }
 }
 
-TEST_P(FindingsOf, StepsThatAreMadeTwiceAllTheTimeAreNamed) {
+TEST_P(FindingsOf, StepsThatAreAlwaysRepeatedGiveAWarning) {
   v1::Scene scene =
       tests::beam_scene({.cells_x = 6, .cells_y = 2, .cells_z = 2, .cg_max_iterations = 1000, .cg_tolerance = 1e-4});
   scene.mutable_solver()->set_floor_tolerance(1e-2);
@@ -108,7 +108,7 @@ TEST_P(FindingsOf, StepsThatAreMadeTwiceAllTheTimeAreNamed) {
   }
 }
 
-TEST_P(FindingsOf, AStepThatDidNotConvergeIsNamedAndCounted) {
+TEST_P(FindingsOf, AStepThatDidNotConvergeGivesAWarningAndIsCounted) {
   const v1::SceneStatus status = after("st_venant_kirchhoff", 0.1, 0, 2);
   EXPECT_EQ(status.unconverged_steps(), 1u);
   EXPECT_GT(status.newton_residual(), 0);

@@ -79,7 +79,7 @@ class Guarding : public tests::OnBackend {
 };
 
 /// A step that is taken back and made as two of half its length is exactly that, whatever the scene carries on.
-TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
+TEST_P(Guarding, AStepThatIsRolledBackLeavesNoTrace) {
   for (const Kind& kind : kinds()) {
     const auto faulty = start_faulty(pressed_block(kind), [](std::uint64_t, std::uint64_t call) {
       return call == 0 ? std::optional(Fault::kNotANumber) : std::nullopt;
@@ -111,12 +111,12 @@ TEST_P(Guarding, AStepThatIsTakenBackLeavesNoTrace) {
 }
 
 /// A world that nothing helped stands where it stood, and goes on from there as if nothing had been.
-TEST_P(Guarding, AWorldThatNothingHelpedStandsAtItsLastGoodState) {
+TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
   for (const Fault fault : {Fault::kNotANumber, Fault::kExplosion, Fault::kStall}) {
     for (const Kind& kind : kinds()) {
       // What drives a body brings it any energy, so that none is too much.
       if (fault == Fault::kExplosion && std::string_view(kind.name) == "driven") continue;
-      // Of the parts of each retry the first is good: histories move on in it.
+      // The first part of each retry is good, so internal variables advance in it.
       const auto faulty = start_faulty(pressed_block(kind), [&](std::uint64_t step, std::uint64_t call) {
         return step == 4 && call % 2 == 0 ? std::optional(fault) : std::nullopt;
       });
@@ -154,7 +154,7 @@ TEST_P(Guarding, AWorldThatNothingHelpedStandsAtItsLastGoodState) {
   }
 }
 
-TEST_P(Guarding, IterationsThatWereLoweredTooFarAreGivenBackFirst) {
+TEST_P(Guarding, TheFirstRetryRestoresIterationsThatTheBudgetLowered) {
   v1::Scene scene = pressed_block(kinds()[0]);
   scene.mutable_solver()->set_cg_tolerance(1e-8);
   scene.mutable_solver()->set_floor_tolerance(1e-4);
@@ -172,7 +172,7 @@ TEST_P(Guarding, IterationsThatWereLoweredTooFarAreGivenBackFirst) {
   }
 }
 
-TEST_P(Guarding, AFloorThatCannotBeReachedIsNotLeft) {
+TEST_P(Guarding, AStepFailsIfNoRetryReachesTheFloorTolerance) {
   v1::Scene scene = pressed_block(kinds()[0]);
   scene.mutable_solver()->set_cg_max_iterations(1);
   scene.mutable_solver()->set_cg_tolerance(1e-9);
@@ -183,8 +183,8 @@ TEST_P(Guarding, AFloorThatCannotBeReachedIsNotLeft) {
   EXPECT_EQ(world->guard_event()->last.breach, Breach::kLinearResidual);
 }
 
-/// A block between two plates, of which one is pushed through the other: no node is free, so that only the law decides.
-TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreNot) {
+/// One of two plates is pushed through the other, with a block between them. No node is free, so only the law decides.
+TEST_P(Guarding, OnlyLawsThatDoNotRecoverAreStoppedByInversion) {
   const auto check = [&](const std::string& name, bool double_precision) {
     SCOPED_TRACE(double_precision ? "double" : "float");
     v1::Scene scene = tests::beam_scene({.cells_x = 1,
@@ -234,8 +234,8 @@ TEST_P(Guarding, LawsThatDoNotComeBackFromInversionAreCaughtInItAndTheOthersAreN
   }
 }
 
-/// What the work of gravity becomes: v_n = n g dt, so that ½ m v² = m (g dt)² n² / 2 of m (g dt)² n (n + 1) / 2.
-TEST_P(Guarding, CountsWhatImplicitEulerTakesFromAFall) {
+/// After n steps v_n = n g dt. Kinetic energy is m (g dt)² n² / 2, and gravity did the work m (g dt)² n (n + 1) / 2.
+TEST_P(Guarding, CountsTheEnergyThatImplicitEulerDissipatesInAFall) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
                                        .cells_z = 2,
@@ -253,8 +253,8 @@ TEST_P(Guarding, CountsWhatImplicitEulerTakesFromAFall) {
   EXPECT_NEAR(world->energy().dissipated_j().value(), unit * n, 1e-8 * unit * n * n);
 }
 
-/// Of every law and shape, as GetFields measures it on the host.
-TEST_P(Guarding, ElasticEnergyIsThatOfTheFields) {
+/// Holds for every law and shape: GetFields computes the energy on the host.
+TEST_P(Guarding, ElasticEnergyEqualsThatOfTheFields) {
   for (const v1::Shape shape : tests::shapes()) {
     for (const std::string& name : tests::law_names()) {
       v1::Scene scene = tests::block_with_probe(true, 2);
@@ -292,7 +292,7 @@ TM_ON_EACH_BACKEND(Guarding);
 model::Model model_of(const v1::Scene& scene) { return std::move(model::compile(scene, {1, 1}).value()); }
 
 /// The block of 0.1 × 0.05 × 0.1 m is 0.15 m across.
-TEST(GuardBounds, AreEachAsked) {
+TEST(GuardBounds, EachBoundIsChecked) {
   v1::Scene scene = tests::block_with_probe();
   const model::Model model = model_of(scene);
   const Guard guard(model);
@@ -328,7 +328,7 @@ TEST(GuardBounds, AreEachAsked) {
   EXPECT_EQ(breach(&Result::min_det_f, kNan), Breach::kVolume);
 }
 
-TEST(GuardBounds, EnergyMayBeWhatCameInSinceTheLastLook) {
+TEST(GuardBounds, KineticEnergyMayReachTheAvailableEnergy) {
   const model::Model model = model_of(tests::block_with_probe());
   const Guard guard(model);
   const solver::StepResult moving{.kinetic_energy_j = 1};
@@ -351,13 +351,13 @@ TEST(GuardBounds, EnergyMayBeWhatCameInSinceTheLastLook) {
   EXPECT_EQ(balance.dissipated_j(), -0.5);
 }
 
-TEST(GuardBounds, AreWideWhereAScenePrescribesIt) {
+TEST(GuardBounds, FreeBodiesAndPrescribedDisplacementsWidenThem) {
   v1::Scene scene = tests::block_with_probe();
   v1::Scene loose = scene;
   loose.mutable_bodies(0)->clear_fixed();
   const solver::StepResult far{.max_distance_m = 100};
   EXPECT_EQ(Guard(model_of(scene)).check(far, {}).breach, Breach::kDistance);
-  EXPECT_TRUE(Guard(model_of(loose)).check(far, {}).good()) << "nothing holds it";
+  EXPECT_TRUE(Guard(model_of(loose)).check(far, {}).good()) << "no node is fixed";
 
   v1::PrescribedDisplacement& pull = *scene.mutable_bodies(0)->add_prescribed();
   tests::set(*pull.mutable_region()->mutable_box()->mutable_min_m(), -1, 0.049, -1);
@@ -365,7 +365,8 @@ TEST(GuardBounds, AreWideWhereAScenePrescribesIt) {
   pull.set_y_m(0.5);
   const model::Model driven = model_of(scene);
   EXPECT_TRUE(Guard(driven).check({.max_move_m = 0.5}, {}).good());
-  EXPECT_TRUE(Guard(driven).check({.kinetic_energy_j = 1e6}, {}).good()) << "work of driven nodes is not counted";
+  EXPECT_TRUE(Guard(driven).check({.kinetic_energy_j = 1e6}, {}).good())
+      << "work of prescribed displacements is not counted";
   EXPECT_FALSE(EnergyBalance(driven).dissipated_j().has_value());
 }
 

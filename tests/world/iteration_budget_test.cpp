@@ -28,7 +28,7 @@ void run(IterationBudget& budget, int steps, double fixed_s, double iteration_s,
   }
 }
 
-TEST(IterationBudget, StaysWhereThereIsRoom) {
+TEST(IterationBudget, KeepsTheLimitIfStepsAreShort) {
   const model::Model model = model_with();
   IterationBudget budget(model);
   EXPECT_EQ(budget.limit(), 100u);
@@ -36,7 +36,7 @@ TEST(IterationBudget, StaysWhereThereIsRoom) {
   EXPECT_EQ(budget.limit(), 100u);
 }
 
-TEST(IterationBudget, LowersUntilStepsKeepToItAndRaisesAgain) {
+TEST(IterationBudget, LowersTheLimitUntilStepsMeetTheBudgetAndRaisesItAgain) {
   const model::Model model = model_with();
   IterationBudget budget(model);
   run(budget, 400, 2e-3, 2e-4);  // 40 iterations are 10 ms
@@ -69,7 +69,7 @@ TEST(IterationBudget, GivesUpNoAccuracyThatTheFloorNeeds) {
   EXPECT_EQ(budget.limit(), 100u) << "whatever it takes";
 }
 
-TEST(IterationBudget, CountsFromWhatASolveReallyTakes) {
+TEST(IterationBudget, LowersFromTheIterationsThatASolveReallyUses) {
   const model::Model model = model_with();
   IterationBudget budget(model);
   run(budget, 8, 0.02, 0, 0, 50);
@@ -86,7 +86,7 @@ TEST(IterationBudget, ASingleLateStepChangesNothing) {
   EXPECT_EQ(budget.limit(), 100u);
 }
 
-TEST(IterationBudget, RisesAtOnceWhereAStepHadToBeMadeAgainForItsResidual) {
+TEST(IterationBudget, RisesAtOnceIfAStepWasRepeatedForItsResidual) {
   const model::Model model = model_with(1e-3);
   IterationBudget budget(model);
   run(budget, 400, 1, 1, 1e-4);
@@ -104,7 +104,7 @@ TEST(IterationBudget, RisesAtOnceWhereAStepHadToBeMadeAgainForItsResidual) {
   EXPECT_EQ(budget.limit(), 100u) << "neither fewer nor more iterations would have helped";
 }
 
-TEST(IterationBudget, BeginsAnewAfterAReset) {
+TEST(IterationBudget, StartsAgainAfterAReset) {
   const model::Model model = model_with();
   IterationBudget budget(model);
   run(budget, 100, 1, 1);

@@ -29,7 +29,7 @@ TEST(Latest, GivesTheNewestOnce) {
   EXPECT_EQ(*box.take(), 4);
 }
 
-TEST(Latest, SaysWhenItReplacedAValueThatNobodyTook) {
+TEST(Latest, SaysIfItDropsAValueThatNobodyTook) {
   Latest<int> box;
   box.writing() = 1;
   EXPECT_FALSE(box.publish());

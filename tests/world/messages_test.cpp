@@ -79,7 +79,7 @@ TEST(Messages, LocalModelOutlivesAFewMissingSteps) {
   EXPECT_NEAR(local_model_validity_s(model), 0.02, 1e-12) << "a short hiccup of the network";
 }
 
-TEST(Messages, FrameHoldsThePositionsAsTheyAre) {
+TEST(Messages, FrameHoldsThePositionsUnchanged) {
   const model::Model model = two_bodies_and_a_probe();
   const std::vector<float> positions{1, 2, 3, 4, 5, 6};
   const std::vector<ToolSnapshot> tools(1);

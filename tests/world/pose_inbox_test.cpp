@@ -18,7 +18,7 @@ v1::ToolPose pose(std::uint64_t client, std::uint64_t sequence, double x = 0) {
   return out;
 }
 
-TEST(PoseInbox, KeepsTheNewestWithWhatItsFeedbackEchoes) {
+TEST(PoseInbox, KeepsTheNewestPoseAndItsNumbersForFeedback) {
   PoseInbox inbox;
   EXPECT_EQ(inbox.take(), nullptr);
   ASSERT_TRUE(inbox.submit("probe", pose(7, 1, 0.1)));
@@ -35,7 +35,7 @@ TEST(PoseInbox, KeepsTheNewestWithWhatItsFeedbackEchoes) {
   EXPECT_EQ(inbox.rejected(), 0u);
 }
 
-TEST(PoseInbox, RefusesWhatIsNotNewerOfTheSameClient) {
+TEST(PoseInbox, RefusesPosesThatAreNotNewerThanTheSameClientsLast) {
   PoseInbox inbox;
   ASSERT_TRUE(inbox.submit("probe", pose(7, 5)));
   for (const std::uint64_t sequence : {5u, 4u, 0u}) {
@@ -49,21 +49,21 @@ TEST(PoseInbox, RefusesWhatIsNotNewerOfTheSameClient) {
   EXPECT_TRUE(inbox.submit("probe", pose(7, 6))) << "and the first goes on";
 }
 
-TEST(PoseInbox, TakesScriptedPosesAlways) {
+TEST(PoseInbox, AlwaysTakesPosesOfScripts) {
   PoseInbox inbox;
   EXPECT_TRUE(inbox.submit("probe", pose(0, 0, 1)));
   EXPECT_TRUE(inbox.submit("probe", pose(0, 0, 2)));
   EXPECT_EQ(inbox.take()->pose.position_m[0], 2);
 }
 
-TEST(PoseInbox, ForgetsTheOldestOfManyClientsOnly) {
+TEST(PoseInbox, OfManyClientsOnlyTheOldestIsForgotten) {
   PoseInbox inbox;
   for (std::uint64_t client = 1; client <= 9; ++client) ASSERT_TRUE(inbox.submit("probe", pose(client, 10)));
   for (std::uint64_t client = 2; client <= 9; ++client) EXPECT_FALSE(inbox.submit("probe", pose(client, 10))) << client;
   EXPECT_TRUE(inbox.submit("probe", pose(1, 10)));
 }
 
-TEST(PoseInbox, RefusesWhatIsNoPose) {
+TEST(PoseInbox, RefusesInvalidPoses) {
   PoseInbox inbox;
   const double bad[] = {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), 1e9};
   for (const double value : bad) {

@@ -124,7 +124,7 @@ TEST_P(Running, LockstepStepsWhenAskedAndOnlyThen) {
   EXPECT_EQ(runner->status().step(), 4u);
 }
 
-TEST_P(Running, LockstepRefusesWhatMakesNoSenseInIt) {
+TEST_P(Running, LockstepRefusesPauseResumeAndInvalidCounts) {
   const auto runner = load(lockstep_scene());
   EXPECT_REFUSED(runner->step(0), ErrorCode::kInvalidArgument, "count");
   EXPECT_REFUSED(runner->step(limits::kMaxStepsPerCall + 1), ErrorCode::kInvalidArgument, "kMaxStepsPerCall");
@@ -183,7 +183,7 @@ TEST_P(Running, StepsByTheClockUntilPausedAndAgainWhenResumed) {
   EXPECT_TRUE(eventually([&] { return runner->status().step() >= paused->step() + 5; }));
 }
 
-TEST_P(Running, PauseTakesTheForceOffTheHand) {
+TEST_P(Running, PausePublishesZeroForces) {
   v1::Scene scene = running_scene(200);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
   const auto runner = load(scene);
@@ -198,7 +198,7 @@ TEST_P(Running, PauseTakesTheForceOffTheHand) {
 }
 
 /// Frames are fewer than steps: whoever watches would be left with an older one, and with its forces.
-TEST_P(Running, PauseLeavesAFrameOfWhereTheSceneStands) {
+TEST_P(Running, PausePublishesAFrameOfTheLastStep) {
   v1::Scene scene = running_scene(200, 0.001);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
   const auto runner = load(scene);
@@ -219,7 +219,7 @@ TEST_P(Running, PauseLeavesAFrameOfWhereTheSceneStands) {
   EXPECT_EQ(runner->frame()->server_time_ns(), frame.server_time_ns());
 }
 
-TEST_P(Running, UsesTheNewestPoseAndSaysWhichItWas) {
+TEST_P(Running, UsesTheNewestPoseAndNamesItInFeedback) {
   const auto runner = load(lockstep_scene());
   for (std::uint64_t sequence = 1; sequence <= 3; ++sequence) {
     v1::ToolPose next = pose(0.05, 0.07 + 0.001 * static_cast<double>(sequence), 0.05, sequence);
@@ -286,7 +286,7 @@ TEST_P(Running, LeavesFramesAtTheStatedRate) {
   EXPECT_LE(status.frames_published() + status.frames_replaced(), status.step() / 4 + 1);
 }
 
-TEST_P(Running, WithoutFramesThereIsNone) {
+TEST_P(Running, WithoutAFrameRateThereAreNoFrames) {
   v1::Scene scene = lockstep_scene();
   scene.mutable_streams()->set_frame_rate_hz(0);
   const auto runner = load(scene);
@@ -393,7 +393,7 @@ TEST_P(Running, AFaultStopsARunningSceneUntilItsReset) {
 }
 
 /// Whatever goes wrong: nothing of it goes out, hands are free, the scene says why, and a reset brings it back.
-TEST_P(Running, NothingOfABadStepGoesOut) {
+TEST_P(Running, NothingOfABadStepIsPublished) {
   for (const tests::Fault fault : {tests::Fault::kNotANumber, tests::Fault::kExplosion, tests::Fault::kStall}) {
     v1::Scene scene = lockstep_scene();
     tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
@@ -431,7 +431,7 @@ TEST_P(Running, NothingOfABadStepGoesOut) {
   }
 }
 
-TEST_P(Running, AStepThatARetryMendedGoesOnAndIsCounted) {
+TEST_P(Running, ASceneGoesOnAfterASuccessfulRetryAndCountsIt) {
   const auto runner = load(lockstep_scene(), [](std::uint64_t step, std::uint64_t call) {
     return step % 2 == 0 && call < 2 ? std::optional(tests::Fault::kNotANumber) : std::nullopt;
   });
@@ -465,7 +465,7 @@ TEST_P(Running, ADeviceThatFailsStopsTheSceneUntilItsReset) {
   EXPECT_TRUE(runner->frame());
 }
 
-TEST_P(Running, KeepsToABudgetDownToTheFloorAndSaysSo) {
+TEST_P(Running, KeepsToABudgetDownToTheFloorAndWarns) {
   v1::Scene scene = running_scene(1000);
   scene.mutable_solver()->set_cg_max_iterations(60);
   scene.mutable_solver()->set_cg_tolerance(0);
@@ -494,7 +494,7 @@ TEST_P(Running, KeepsToABudgetDownToTheFloorAndSaysSo) {
   EXPECT_EQ(at_ease.warnings_size(), 0) << at_ease.warnings(0);
 }
 
-TEST_P(Running, CountsDeadlinesThatNoMachineMeets) {
+TEST_P(Running, CountsMissedDeadlines) {
   v1::Scene scene = tests::block_with_probe(true, 12);
   scene.mutable_stepping()->set_lockstep(false);
   scene.mutable_stepping()->set_rate_hz(limits::kMaxRateHz);

@@ -51,8 +51,8 @@ TEST_P(Mechanics, FreeFallIsExact) {
   }
 }
 
-/// Where nothing acts, the forces of elements are what rounding leaves, and Newton's method is not to chase them: it is
-/// no fault, every step is converged, and the body flies as it was thrown.
+/// Without loads, element forces are rounding errors, and Newton's method must not try to reduce them. Every step
+/// converges and the body keeps its velocity.
 TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {
   for (const bool double_precision : {false, true}) {
     for (const v1::Shape shape : {v1::SHAPE_TETRAHEDRON, v1::SHAPE_HEXAHEDRON}) {
@@ -278,7 +278,7 @@ TEST_P(Mechanics, ResetIsBackToRest) {
 }
 
 /// A body starts where its scene says, with the velocities that it says, and a reset brings it back there.
-TEST_P(Mechanics, StartsAsTheSceneSays) {
+TEST_P(Mechanics, StartsWithTheInitialStateOfTheScene) {
   v1::Scene scene = tests::beam_scene({.cells_x = 2,
                                        .cells_y = 1,
                                        .cells_z = 1,
@@ -309,7 +309,7 @@ TEST_P(Mechanics, StartsAsTheSceneSays) {
   }
 }
 
-TEST_P(Mechanics, ToolsFollowTheirTargetsNoFasterThanTheyMay) {
+TEST_P(Mechanics, ToolsFollowTheirTargetsAtTheMaximumSpeed) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   scene.mutable_tools(0)->set_max_speed_m_per_s(0.4);
   const auto world = start(scene);
@@ -324,7 +324,7 @@ TEST_P(Mechanics, ToolsFollowTheirTargetsNoFasterThanTheyMay) {
 }
 
 /// A long tool that turns sweeps its tip: what is limited is the sphere, and it still arrives.
-TEST_P(Mechanics, TurningSweepsTheSphereNoFasterThanItMayMove) {
+TEST_P(Mechanics, RotationMovesTheSphereNoFasterThanTheMaximumSpeed) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   tests::set(*scene.mutable_tools(0)->mutable_spherical_probe()->mutable_tip_offset_m(), 0, 0.2, 0);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0, 1, 0);
@@ -347,7 +347,7 @@ TEST_P(Mechanics, TurningSweepsTheSphereNoFasterThanItMayMove) {
 }
 
 /// Next to no mass and no stiffness: thrown faster and faster, until it moves farther in a step than it is large.
-TEST_P(Mechanics, TheGuardStopsAStateThatRunsAway) {
+TEST_P(Mechanics, TheGuardStopsAnUnstableState) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
                                        .cells_z = 2,
