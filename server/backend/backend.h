@@ -13,22 +13,32 @@
 #include "solver/step_result.h"
 #include "step/plan.h"
 
-/// Where a scene's numbers live and who runs its stages.
+/// A backend holds the data of scenes on a device and runs their stages there.
+///
+///   world (one thread a scene)          backend
+///     StepInput ───────────────────────> SceneState::step ──> the stages of step/stages.h
+///     StepResult, tool forces <──────────┘
+///     restore, visible_positions, diagnose, read, write: between steps
+///
+/// 1. A Backend stands for a device, a SceneState for one scene on it. Both backends, CPU and CUDA, run the same stage
+///    functions (step/run.h).
+/// 2. The state of a scene stays on its device. Only inputs, reports and visible positions move in a step.
+/// 3. `read` and `write` copy the whole state, for requests of clients. They do not belong in the loop.
 namespace tensormass::backend {
 
 /// Centre of each tool's sphere for the coming step [m].
 using ToolCenters = std::span<const Vec3<double>>;
 
-/// What the tissue does to a tool at the end of a step, about the centre of its sphere.
+/// Force and torque of the tissue on a tool at the end of a step, about the centre of its sphere.
 struct ToolForce {
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();
 };
 
-/// What the host tells a step.
+/// Inputs of a step.
 struct StepInput {
   ToolCenters centers{};  ///< [tool_count]
-  double end_time_s = 0;  ///< for displacements that are prescribed over time
+  double end_time_s = 0;  ///< time of the scene, for prescribed displacements that change
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;
   bool saves_checkpoint = true;  ///< `restore` goes back to the state before this step
@@ -48,12 +58,13 @@ struct GroupDiagnostics {
   double elastic_energy_j = 0;
 };
 
-/// Everything that moves, of all rows. internal_variables: the groups' Γ_i, one group after the other.
+/// The state of all rows.
+/// internal_variables: the groups' viscoelastic internal variables Γ_i, one group after the other.
 struct RowState {
   std::vector<double> displacement;        ///< [row_count, 4] m
   std::vector<double> velocity;            ///< [row_count, 4] m/s
   std::vector<double> internal_variables;  ///< Pa
-  /// Length of the step by which the displacement is ahead of the internal variables; 0: they belong together.
+  /// Time by which the internal variables lag behind the displacement, one step or none [s].
   double internal_dt_s = 0;
 };
 
@@ -62,19 +73,20 @@ class SceneState {
  public:
   virtual ~SceneState() = default;
 
-  /// One step of the model's stages. forces: [tool_count], written. With `gather_visible` the frame's positions are
-  /// ready when it returns.
+  /// Runs one step of the model's stages. forces: [tool_count], written. With `gather_visible` the visible positions
+  /// are ready when it returns.
   virtual StepResult step(const StepInput& input, std::span<ToolForce> forces) = 0;
-  /// Goes back to the checkpoint: the state before the last step that saved one. The state never leaves the device.
+  /// Goes back to the checkpoint: the state before the last step that saved one. No data leave the device.
   virtual void restore() = 0;
-  /// [visible_count, 3] m, as of the last step that gathered them; valid until the next one.
+  /// Visible positions as last gathered, [visible_count, 3] m. Valid until they are gathered again.
   virtual std::span<const float> visible_positions() = 0;
-  /// Gathers them without a step.
+  /// Gathers the visible positions without a step.
   virtual void gather_visible() = 0;
-  /// Measures the elements at the present state. groups: [group_count], written.
+  /// Measures the deformation of the elements at the present state. groups: [group_count], written.
   virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;
-  /// For requests, not for the loop.
+  /// Copies the state to the host; slow.
   virtual RowState read() = 0;
+  /// Replaces the state; slow.
   virtual void write(const RowState& state) = 0;
 };
 
@@ -83,18 +95,18 @@ class Backend {
  public:
   virtual ~Backend() = default;
   virtual std::string name() const = 0;    ///< "cpu" or "cuda"
-  virtual std::string device() const = 0;  ///< for people
+  virtual std::string device() const = 0;  ///< its product name
   virtual model::PatchPolicy patch_policy(const v1::Scene& scene) const = 0;
   virtual step::MachineRates rates(const v1::Scene& scene) const = 0;
-  /// Measures memory bandwidth by a copy or STREAM's triad, bytes read and written: the floor of a step whose data come
-  /// from memory.
+  /// Measures memory bandwidth by a copy or STREAM's triad; bytes read and written both count. It bounds the rate of a
+  /// scene whose data come from memory in each step.
   virtual double measure_bandwidth_bytes_per_s() const = 0;
   virtual Result<std::unique_ptr<SceneState>> create(const model::Model& model) const = 0;
 };
 
 std::unique_ptr<Backend> make_cpu_backend(std::uint32_t default_threads);
-/// scenes: how many are to step at the same time; each gets its share of the multiprocessors. Fails with kUnavailable,
-/// saying why, where there is no device or no CUDA in this build.
+/// scenes: how many must step at the same time. Each gets its share of the multiprocessors. Fails with kUnavailable and
+/// the reason if there is no device, or no CUDA in this build.
 Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes = 1);
 
 }  // namespace tensormass::backend

@@ -9,12 +9,13 @@
 #include "backend/backend.h"
 #include "view/scene.h"
 
-/// Between a view and the host, whatever device the view's buffers are on: the reports of patches become results, and a
-/// state is saved, restored, read and written. Reductions run in the order of the patches, so that they repeat bitwise.
+/// Results and state of a scene, for buffers on any device: reduces the reports of patches to results, and saves,
+/// restores, reads and writes a state. Reductions run in the order of the patches, so that they repeat bitwise.
 namespace tensormass::backend {
 
-/// Returns StepResult::min_det_f. of_solve: what the solve has found (read_step). min_det_f: [group_count, ..] what
-/// stages have found; infinity for groups that the solve checks.
+/// Returns StepResult::min_det_f.
+/// of_solve: smallest det F that the solve has found (read_step).
+/// min_det_f: [group_count, ..] the same from the stages; infinity for groups that the solve checks.
 template <class Real>
 double read_volume(const model::Model& m, double of_solve, std::span<const Real> min_det_f) {
   if (!m.checks_volume()) return 1;
@@ -72,14 +73,14 @@ void write_prescribed(const model::Model& m, double time_s, Real* prescribed) {
   }
 }
 
-/// What follows from the steps before, besides fields.
+/// State of the step sequence, besides the fields of the rows.
 struct StepRecord {
-  double dt_s = 0;                   ///< of the last step; 0: there was none
+  double dt_s = 0;                   ///< length of the last step; 0: there was none
   double internal_dt_s = 0;          ///< RowState::internal_dt_s
-  double largest_force_squared = 0;  ///< see newton_step
+  double largest_force_squared = 0;  ///< see solver::newton_step
 };
 
-/// BDF2 starts anew where the last two steps differ in length.
+/// Returns the inputs of a step for the device. BDF2 starts anew where the last two steps differ in length.
 template <class Real>
 view::StepControl<Real> control_of(const model::Model& m, const StepInput& input, const StepRecord& past) {
   const bool starts = input.fallback_settings || past.dt_s != input.dt_s;
@@ -97,11 +98,11 @@ view::StepControl<Real> control_of(const model::Model& m, const StepInput& input
   return out;
 }
 
-/// Keeps the record of steps, and takes a state back to its checkpoint. It is the same on every device.
+/// Records the sequence of steps, and restores a state from its checkpoint. The same code serves every device.
 template <class Real>
 class Checkpoint {
  public:
-  /// Call before a step; returns what the device must be told.
+  /// Call before a step. Returns the inputs of the step for the device.
   view::StepControl<Real> begin(const model::Model& m, const StepInput& input) {
     if (input.saves_checkpoint) {
       checkpoint_ = past_;
@@ -109,11 +110,13 @@ class Checkpoint {
     }
     return control_of<Real>(m, input, past_);
   }
+  /// Call after a step.
   void end(const StepInput& input) { past_.dt_s = past_.internal_dt_s = input.dt_s; }
   /// Call after fields were written from outside.
   void start_anew(double internal_dt_s) { past_ = {.internal_dt_s = internal_dt_s}; }
   /// Implements SceneState::restore.
-  ///   copy(from, count, to)   copies reals within the device; may return before it is done
+  ///
+  ///   copy(from, count, to)   copies reals within the device; may return before the copy has ended
   template <class Copy>
   void restore(const model::Model& m, const view::SceneView<Real>& view,
                std::span<const view::ElementView<Real>> groups, const Copy& copy) {
@@ -124,8 +127,8 @@ class Checkpoint {
       copy(view.guard.checkpoint_previous_displacement, reals, view.state.previous_displacement);
       copy(view.guard.checkpoint_previous_velocity, reals, view.state.previous_velocity);
     }
-    // The step that is taken back has advanced the internal variables to the checkpoint's stress, which a retry needs
-    // too. So the first restore saves them; only a retry of several steps advances them further.
+    // The step that is taken back has advanced the internal variables to the checkpoint's stress, and a retry needs
+    // them there. So the first restore saves them. A later restore, after a retry of several steps, copies them back.
     for (std::size_t g = 0; g < groups.size(); ++g) {
       const std::size_t count = m.groups[g].internal_variable_reals();
       if (restored_) {
@@ -144,10 +147,11 @@ class Checkpoint {
 
  private:
   StepRecord past_, checkpoint_;
-  bool restored_ = false;  // the state has gone back to the checkpoint since it was saved
+  bool restored_ = false;  // restored since the checkpoint was saved
 };
 
-/// Reads everything that moves.
+/// Reads the state of all rows.
+///
 ///   download(from, count) -> std::vector<double>   copies reals to the host
 template <class Real, class Download>
 RowState read_state(const model::Model& m, const view::SceneView<Real>& view,
@@ -161,7 +165,8 @@ RowState read_state(const model::Model& m, const view::SceneView<Real>& view,
   return state;
 }
 
-/// Writes everything that moves.
+/// Writes the state of all rows.
+///
 ///   upload(to, std::span<const double> from)   copies reals to the device
 template <class Real, class Upload>
 void write_state(const model::Model& m, const view::SceneView<Real>& view,

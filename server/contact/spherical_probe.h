@@ -9,11 +9,11 @@
 /// A rigid sphere against the tissue's surface: penalty pressure, without friction, implicit in time.
 ///
 ///                   ___
-///                 /     \       c   centre of the sphere
-///                |   c   |      n   direction in which the tissue is pushed, from c to the contact point
-///                 \__│__/       w_a, d_a   weight of the contact point at corner a of the triangle; motion of a in the
-///                 step
-///    tissue ─────── n↓ ──────   k   stiffness, penalty · area of the triangle [N/m]
+///                 /     \       c     centre of the sphere
+///                |   c   |      n     direction in which the tissue is pushed, from c to the contact point
+///                 \__│__/       w_a   weight of the contact point at corner a of the triangle
+///    tissue ─────── n↓ ──────   d_a   motion of corner a to the end of the step, û + h v − u (view/state.h) [m]
+///                               k     stiffness, penalty · area of the triangle [N/m]
 ///                               depth   radius − distance from c to the contact point [m]
 ///
 /// 1. Each surface triangle has one contact point with a tool: its point closest to the sphere's centre. The triangle
@@ -23,10 +23,9 @@
 ///    those edges anyway.
 /// 3. Each step decides once whether the centre is inside the tissue: at the closest point of the whole surface, by the
 ///    angle-weighted pseudonormal there (Bærentzen, Aanæs 2005).
-/// 4. A centre inside pushes the tissue back over itself: n is reversed, and the depth grows by twice
-///    the depth of the centre. This concerns
-///    only triangles that face away from the centre. Another body beside the one that contains the centre is pushed as
-///    usual.
+/// 4. A centre inside pushes the tissue back over itself: n is reversed, and the depth grows by twice the depth of the
+///    centre. This concerns only triangles that face away from the centre. Another body beside the one that contains
+///    the centre is pushed as usual.
 namespace tensormass::contact {
 
 template <class Real>

@@ -13,7 +13,7 @@
 
 namespace tensormass::backend::cpu {
 
-/// Buffers of a scene in host memory, each on a cache line of its own (model/bind.h says what an arena is).
+/// Buffers of a scene in host memory, each on cache lines of its own (model/bind.h says what an arena is).
 class Arena {
  public:
   template <class T, class U>

@@ -122,7 +122,7 @@ class CpuState final : public SceneState {
   }
 
  private:
-  /// What the team must run: a bit for each phase, and one to quit.
+  /// The phases that the team must run, one bit each, and a bit to quit.
   using Command = unsigned;
   static constexpr Command command(step::Phase phase) { return 1u << static_cast<unsigned>(phase); }
   static constexpr Command kQuit = 1u << step::kPhases;
@@ -137,7 +137,8 @@ class CpuState final : public SceneState {
     run_patch(0, what);
   }
 
-  /// Behind it the team meets at its barrier, which wants all of them.
+  /// Workers wait at the gate until all of them exist, because the team's barrier needs every one. kTooFew: a thread
+  /// could not be started, so they end.
   enum class Gate : std::uint8_t { kClosed, kAllThere, kTooFew };
   void open_gate(Gate gate) {
     gate_ = gate;
@@ -149,7 +150,7 @@ class CpuState final : public SceneState {
     if (gate_ == Gate::kTooFew) return;
     for (;;) {
       barrier_.arrive_and_wait();
-      const Command what = command_;  // the caller may write the next one as soon as the last barrier is passed
+      const Command what = command_;  // the caller may write the next one after the last barrier
       if (what == kQuit) return;
       run_patch(patch, what);
     }
@@ -206,12 +207,12 @@ class CpuBackend final : public Backend {
     return processor_name() + ", " + std::to_string(std::thread::hardware_concurrency()) + " threads";
   }
   model::PatchPolicy patch_policy(const v1::Scene& scene) const override {
-    // Below that, waiting for each other costs more than the work saved.
+    // With fewer nodes a thread, waiting for each other costs more than the work saved.
     constexpr std::uint32_t kMinNodesPerThread = 512;
     return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread, matrix::Storage::kEdges};
   }
   step::MachineRates rates(const v1::Scene& scene) const override {
-    // Of one core of a current server, with vectors; measured by tensormass-bench where it matters.
+    // For one core of a current server, with vectors. tensormass-bench measures the real rates.
     const double threads = model::requested_cpu_threads(scene, default_threads_);
     return {.bytes_per_s = 8e9 * threads,
             .operations_per_s = 6e9 * threads,
@@ -219,7 +220,7 @@ class CpuBackend final : public Backend {
             .iteration_latency_s = threads > 1 ? 2e-6 : 0};
   }
   double measure_bandwidth_bytes_per_s() const override {
-    const std::size_t count = std::size_t{16} << 20;  // of a thread's part of each array
+    const std::size_t count = std::size_t{16} << 20;  // numbers in a thread's part of each array
     const std::uint32_t threads = std::max(default_threads_, 1u);
     std::vector<double> a(count * threads, 1), b(count * threads, 2), c(count * threads, 3);
     double best = 0;

@@ -8,7 +8,7 @@ namespace tensormass::backend::cpu {
 
 namespace {
 
-/// Passes a stage over elements the parts of the scene that it may touch, as step/run.h does for the others.
+/// Calls a stage over elements with the parts of the scene that it may touch, as step/run.h does for other stages.
 template <class Shape, class Law, class Real>
 void element_tensors(const Team& team, const view::SceneView<Real>& s, const view::ElementView<Real>& e) {
   matrix::element_pass<Shape, Law>(team, s.patches, s.state, s.matrix, s.newton, e);

@@ -6,8 +6,8 @@
 #include "physics/lists.h"
 #include "view/scene.h"
 
-/// The passes over elements on the CPU. elements.cpp is compiled once for each law: they are many, and the longest to
-/// compile.
+/// The passes over elements on the CPU. elements.cpp is compiled once for each law, because these passes are many and
+/// take longest to compile.
 namespace tensormass::backend::cpu {
 
 template <class Real>
@@ -19,7 +19,7 @@ struct ElementPasses {
   ElementPass<Real> diagnose = nullptr;  ///< step::diagnose_elements
 };
 
-/// Of the law at this index of physics::Laws.
+/// The passes of the law at index Law of physics::Laws.
 template <int Law, class Real>
 ElementPasses<Real> element_passes_of_law(int shape);
 

@@ -5,9 +5,20 @@
 
 #include "core/pack.h"
 
+/// The team of the CPU: the interface between a stage and the threads that run it.
+///
+///   stage(team, parts of the scene)      thread 0: patch 0   thread 1: patch 1   ...
+///     for_each, for_lanes   loops over a patch's items     each in its own thread, several items a vector register
+///     patch_max, patch_sum  reduce over a patch            nothing to do: a patch has one thread
+///     exchange              sums over all patches          meets at the barrier
+///
+/// 1. Stages are written once, against this interface. backend/cuda/team.cuh implements it for a thread block.
+/// 2. A patch has one thread here. A stage may therefore write to its rows in any order, which is what a matrix that
+///    stores edges needs (matrix/edges.h).
+/// 3. Sums run in the order of the patches, so that results repeat bitwise.
 namespace tensormass::backend::cpu {
 
-/// Waits until all of a fixed number of threads have arrived. Spins shortly, since stages are short, then sleeps.
+/// Waits until a fixed number of threads have arrived. It spins first, because stages are short, and then sleeps.
 class Barrier {
  public:
   explicit Barrier(std::uint32_t count) : count_(count) {}
@@ -34,22 +45,24 @@ class Barrier {
   alignas(64) std::atomic<std::uint32_t> phase_{0};
 };
 
-/// One thread that runs one patch. The interface that the stages are written against; backend/cuda/team.cuh is the
-/// other.
+/// One thread that runs one patch.
 class Team {
  public:
   template <class Real>
   using Lanes = NativeLanes<Real>;
 
-  /// What no other thread writes, it may write in any order: a matrix may store edges (matrix/edges.h).
+  /// Stages with code for a single thread ask for this member.
   static constexpr bool kOneThread = true;
 
   Team(std::uint32_t patch, std::uint32_t patch_count, Barrier& barrier)
       : patch_(patch), patch_count_(patch_count), barrier_(barrier) {}
 
   std::uint32_t patch() const { return patch_; }
+  /// True in one thread of all patches.
   bool leads() const { return patch_ == 0; }
+  /// True in one thread of each patch: here in every thread.
   bool leads_patch() const { return true; }
+  /// A patch may be run in several parts on a GPU, never here.
   std::uint32_t part() const { return 0; }
   std::uint32_t parts() const { return 1; }
 
@@ -57,17 +70,19 @@ class Team {
   void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; ++i) body(i);
   }
-  /// use(i, read(i)) for all; up to AtOnce may be read before the first is used.
+  /// Calls use(i, read(i)) for all items; up to AtOnce items may be read before the first is used.
   template <int AtOnce, class Read, class Use>
   void for_each(std::uint32_t begin, std::uint32_t end, const Read& read, const Use& use) const {
     for (std::uint32_t i = begin; i < end; ++i) use(i, read(i));
   }
+  /// Calls body(i) for every Width-th item. The end must be padded, or body must handle a partial pack.
   template <std::uint32_t Width, int AtOnce = 1, class Body>
   void for_lanes(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     for (std::uint32_t i = begin; i < end; i += Width) body(i);
   }
-  /// What the patch's threads wrote is visible to them.
+  /// Makes the writes of the patch's threads visible to each of them.
   void sync() const {}
+  /// Reductions over the threads of a patch.
   template <class Real>
   Real patch_max(Real value) const {
     return value;
@@ -76,17 +91,19 @@ class Team {
   void patch_argmin(Real&, std::uint32_t&) const {}
   template <class Real, std::size_t Count>
   void patch_sum(Real (&)[Count]) const {}
-  /// The largest of some numbers and the sums of others, at once.
+  /// The largest of some numbers and the sums of others, in one reduction.
   template <class Real, std::size_t Maxima, std::size_t Sums>
   void patch_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
-  /// In two halves, once in a stage, with a sync between; the second is for whoever asks.
+  /// patch_reduce in two halves, at most once in a stage. The caller must synchronize between them. Only threads that
+  /// need the results call the second.
   template <class Real, std::size_t Maxima, std::size_t Sums>
   void begin_reduce(const Real (&)[Maxima], const Real (&)[Sums]) const {}
   template <class Real, std::size_t Maxima, std::size_t Sums>
   void end_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
 
-  /// Sums over all patches in their order, and makes what each patch wrote before visible to all.
-  /// scratch: [patch_count, 4], not the one of the exchange before.
+  /// Replaces `sums` by their sums over all patches, and makes everything that a patch wrote before visible to all
+  /// patches.
+  /// scratch: [patch_count, 4]; must differ from that of the previous exchange.
   template <class Real, std::size_t Count>
   void exchange(Real (&sums)[Count], Real* scratch) {
     static_assert(Count <= 4);

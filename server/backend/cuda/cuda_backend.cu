@@ -19,8 +19,9 @@ class CudaBackend final : public Backend {
   std::string name() const override { return "cuda"; }
   std::string device() const override { return properties_.name; }
   model::PatchPolicy patch_policy(const v1::Scene&) const override {
-    // One block a multiprocessor is always resident; fewer than that many nodes leave a block waiting for others, more
-    // than that many do not fit on the chip. Scenes that share the device take as few multiprocessors as will do.
+    // One block a multiprocessor is always resident. With fewer nodes than the least, blocks mostly wait for each
+    // other. With more than the most, a patch does not fit on the chip. Scenes that share the device take as few
+    // multiprocessors as will do.
     constexpr std::uint32_t kMinNodesPerPatch = 96, kMaxNodesPerPatch = 416, kMaxNodesIfShared = 480;
     const std::uint32_t max_nodes = scenes_ > 1 ? kMaxNodesIfShared : kMaxNodesPerPatch;
     return {processors(),
@@ -76,8 +77,8 @@ class CudaBackend final : public Backend {
 
  private:
   std::uint32_t processors() const { return static_cast<std::uint32_t>(properties_.multiProcessorCount); }
-  /// What a scene has of the device, so that it does not spread its work out over processors that others need: that
-  /// takes longer in all.
+  /// The device as one scene sees it: with its share of the multiprocessors. Spreading its work over those that other
+  /// scenes need would take longer in all.
   cudaDeviceProp share() const {
     cudaDeviceProp share = properties_;
     share.multiProcessorCount = static_cast<int>(std::max(1u, processors() / scenes_));

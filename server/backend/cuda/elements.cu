@@ -7,7 +7,7 @@
 // TM_LAW, an index into physics::Laws, comes from the build.
 namespace tensormass::backend::cuda {
 
-/// The stages over elements pass the parts of the scene that they may touch, as step/run.h does for the others.
+/// Calls a stage over elements with the parts of the scene that it may touch, as step/run.h does for other stages.
 template <class Shape, class Law>
 struct InternalVariables {
   template <class Team, class Real>

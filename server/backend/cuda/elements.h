@@ -12,12 +12,12 @@ struct ElementKernels {
   const void* assemble = nullptr;  ///< assemble_rows (rows.cuh), a block a slice
   bool keeps_neighbours = false;   ///< matrix::kKeepsNeighbours of the shape
   bool adds_in_turns = false;      ///< matrix::kAddsInTurns of the shape
-  // Of the signature of run_stage (launch.cuh):
+  // With the signature of run_stage (launch.cuh):
   const void* internal_variables = nullptr;  ///< matrix::advance_internal_variables; does not reduce
   const void* diagnostics = nullptr;         ///< step::diagnose_elements; reduces
 };
 
-/// Of the law at this index of physics::Laws.
+/// The kernels of the law at index Law of physics::Laws.
 template <int Law, class Real>
 ElementKernels element_kernels_of_law(int shape);
 

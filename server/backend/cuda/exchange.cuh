@@ -5,17 +5,25 @@
 #include "backend/cuda/team.cuh"
 #include "view/scene.h"
 
+/// Exchange of data between the patches of one solve, while it runs, without a barrier of the grid.
+///
+///   patch A                                  patch B
+///   begin()                                  begin()
+///   publish_row, publish_sums ──> cells ──>  wait_for_rows, wait_for_sums
+///                             <── cells ──   ...
+///
+///   cell   three floats and a tag, 16 bytes; read and written as one
+///   tag    number of the exchange
+///   q      Â p of the solve (solver/conjugate_gradients.h); the sums are p·q, q·q and r·r
+///
+/// 1. Data carry their own flag, the tag. A reader needs no fence, and it waits only for the cells that it needs.
+/// 2. Cells have two buffers, chosen by the parity of the tag. A patch writes a buffer again two exchanges later.
+///    By then every patch has read it, because each has published sums since.
+/// 3. Tags continue from solve to solve (SolveView::exchange_tags). Otherwise an old cell would pass for a new one.
+/// 4. All patches of a scene must run at the same time, or a patch would wait for ever.
 namespace tensormass::backend::cuda {
 
-/// What patches of one solve tell each other while it runs: q = Â p of their rows and three sums, without a barrier of
-/// the grid.
-///
-/// A cell is three floats and the number of the exchange, written and read as one: data carry their own flag, so that
-/// a reader needs no fence and waits for what it needs only. Cells come in two buffers by the parity of that number. A
-/// patch writes a buffer again two exchanges later, and by then every patch has read it: it has published sums since.
-/// The numbers go on from solve to solve (`tags`), or an old cell would pass for a new one.
-///
-/// All patches of a scene must run at once.
+/// One patch's end of the exchange. All threads of its block have a copy.
 class Exchange {
  public:
   struct Cell {
@@ -32,31 +40,35 @@ class Exchange {
         patch_(patch),
         tag_(tags_[patch]) {}
 
-  /// The next exchange begins.
+  /// Starts the next exchange. All threads must call it.
   __device__ void begin() { ++tag_; }
-  /// After the last one; by one thread.
+  /// Stores the tag for the next solve. One thread must call it, after the last exchange.
   __device__ void remember() const { tags_[patch_] = tag_; }
 
+  /// Publishes three floats for a row of the patch.
   __device__ void publish_row(std::uint32_t row, float x, float y, float z) const {
     store(cells_ + std::size_t{tag_ & 1} * rows_ + row, {x, y, z, tag_});
   }
 
-  /// The cells of rows in this exchange, four floats each.
+  /// Cells of the rows from `first` on in this exchange, four floats each.
   __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
 
-  /// What has been published of a row, and waited for, in this exchange.
+  /// The cell of a row in this exchange. The thread must know that it has been published.
   __device__ Cell row(std::uint32_t row) const { return load(cells_ + std::size_t{tag_ & 1} * rows_ + row); }
 
+  /// Publishes the three sums of the patch.
   __device__ void publish_sums(float x, float y, float z) const { store(sums_of(patch_), {x, y, z, tag_}); }
-  /// Sums of patches first, first + stride, .., as wait_for_rows.
+  /// Waits for the sums of the patches first, first + stride, .. as wait_for_rows does.
   template <int Count>
   __device__ void wait_for_sums(std::uint32_t first, std::uint32_t stride, std::uint32_t count,
                                 Cell (&cells)[Count]) const {
     wait_for(
         first, stride, count, [=, this](int i) { return sums_of(first + i * stride); }, cells);
   }
-  /// Cells of the rows index(0), index(1), .. that a thread waits for, as many of first, first + stride, .. as are
-  /// below `count`, at most Count; they are under way at once.
+  /// Waits for the cells of some rows and reads them, all at once: i counts those of first, first + stride, .. that are
+  /// below `count`, at most Count.
+  ///
+  ///   index(i) -> row   the row to wait for
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
@@ -65,7 +77,7 @@ class Exchange {
         first, stride, count, [&](int i) { return from + index(i); }, cells);
   }
 
-  /// Over groups of `Lanes` lanes, a power of two; each combination is commutative, so that all lanes have the same
+  /// Sums over groups of `Lanes` lanes, a power of two. Each combination is commutative, so all lanes get the same
   /// bits.
   template <unsigned Lanes = kWarp>
   __device__ static Cell sum_lanes(Cell value) {
@@ -107,7 +119,7 @@ class Exchange {
     const Cell* place[Count];
 #pragma unroll
     for (int i = 0; i < Count; ++i) {
-      // Beyond the end, the first one again.
+      // Beyond the end it reads the first cell again.
       place[i] = first + i * stride < count ? place_of(i) : place_of(0);
     }
     bool arrived;

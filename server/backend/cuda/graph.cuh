@@ -8,10 +8,15 @@
 
 #include "backend/cuda/memory.cuh"
 
-/// Streams and graphs that end with their owner, and waiting for them.
+/// Streams and graphs that end with their owner, and how to wait for them.
+///
+///   stages of a step ── record_graph, once ──> Graph ── launch, each step ──> Stream ── wait ──> results
+///
+/// 1. A step launches one recorded graph instead of each kernel: the host does less for each step.
+/// 2. A thread that waits for its stream may sleep (wait_asleep), because many scenes share few processors.
 namespace tensormass::backend::cuda {
 
-/// A stream, at the end of which nothing of it is under way.
+/// Ends a stream after its work has finished.
 struct EndStream {
   void operator()(cudaStream_t stream) const {
     cudaStreamSynchronize(stream);
@@ -31,8 +36,8 @@ struct DestroyGraph {
 };
 using Graph = std::unique_ptr<CUgraphExec_st, DestroyGraph>;
 
-/// Waits until a stream has done what it was given, without holding a processor: many scenes have more threads than a
-/// machine has processors. An event that blocks comes late, and makes all scenes meet at a lock of the driver.
+/// Waits until the work of a stream has finished, without occupying a processor: many scenes have more threads than a
+/// machine has processors. A blocking event would wake up late, and all scenes would meet at a lock of the driver.
 inline cudaError_t wait_asleep(cudaStream_t stream) {
   constexpr long kSleepNs = 20'000;
   thread_local const bool precise = prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL) == 0;
@@ -44,7 +49,9 @@ inline cudaError_t wait_asleep(cudaStream_t stream) {
   }
 }
 
-/// Records what enqueue() puts into the stream as a graph. enqueue may throw.
+/// Records the work that enqueue() puts into the stream as a graph, without running it.
+///
+///   enqueue()   called once; may throw
 template <class Enqueue>
 Graph record_graph(cudaStream_t stream, const Enqueue& enqueue) {
   cudaGraph_t graph = nullptr;
@@ -54,7 +61,7 @@ Graph record_graph(cudaStream_t stream, const Enqueue& enqueue) {
   try {
     enqueue();
   } catch (...) {
-    // A thread that is still recording could load no other scene.
+    // While a thread is recording, it cannot load another scene. So recording must end here too.
     cudaStreamEndCapture(stream, &graph);
     if (graph) cudaGraphDestroy(graph);
     throw;

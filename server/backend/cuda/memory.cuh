@@ -10,7 +10,16 @@
 
 #include <cuda_runtime.h>
 
-/// Memory of a scene on a device, and what goes between it and the host.
+/// Memory of a scene on a device, and its exchange with the host.
+///
+///   host                                    device
+///   Pinned, inside StepInputs ── one copy ─> StepInputs::device       inputs of a step
+///   Pinned <───────────────────── kernels write                       reports of a step
+///                                           DeviceArena               all other buffers of a scene
+///
+/// 1. All inputs of a step travel in one copy, because each copy takes time to start.
+/// 2. Kernels write reports straight to page-locked host memory. No copy follows the last kernel.
+/// 3. Small buffers share blocks, because an allocation or a release may wait for the work of other scenes.
 namespace tensormass::backend::cuda {
 
 struct CudaFailure : std::runtime_error {
@@ -21,8 +30,8 @@ inline void check(cudaError_t status, const char* what) {
   if (status != cudaSuccess) throw CudaFailure(std::string(what) + ": " + cudaGetErrorString(status));
 }
 
-/// Buffers of a scene in device memory. Small ones share blocks of the size in which the driver gives memory: each
-/// allocation and each release may wait for what other scenes do.
+/// Buffers of a scene in device memory (model/bind.h says what an arena is). Small ones share blocks of kBlockBytes,
+/// the size in which the driver hands out memory.
 class DeviceArena {
  public:
   DeviceArena() = default;
@@ -54,7 +63,7 @@ class DeviceArena {
   }
 
  private:
-  /// Cleared, and aligned for every type.
+  /// Returns cleared memory that is aligned for every type.
   void* take(std::size_t bytes) {
     constexpr std::size_t kAlignment = 256, kBlockBytes = std::size_t{2} << 20;
     bytes = (bytes + kAlignment - 1) / kAlignment * kAlignment;
@@ -64,7 +73,7 @@ class DeviceArena {
       check(cudaMalloc(&block, size), "device memory of the scene's buffers");
       blocks_.push_back(block);
       check(cudaMemset(block, 0, size), "clear");
-      if (size - bytes < left_) return block;  // what is left of the last one is more
+      if (size - bytes < left_) return block;  // the previous block has more room left
       next_ = static_cast<char*>(block);
       left_ = size;
     }
@@ -79,7 +88,7 @@ class DeviceArena {
   std::size_t left_ = 0;
 };
 
-/// Page-locked host memory, which copies beside the kernels.
+/// Page-locked host memory. Copies to and from it run while kernels do, and kernels can write to it.
 template <class T>
 class Pinned {
  public:
@@ -100,7 +109,7 @@ class Pinned {
   T* data_ = nullptr;
 };
 
-/// What a step is told, in host memory and in the device's: one copy brings all of it.
+/// The inputs of a step, in host memory and in device memory. One copy brings them all.
 class StepInputs {
  public:
   template <class T>
@@ -108,14 +117,16 @@ class StepInputs {
     T* host;
     const T* device;
   };
-  /// Of all items.
+  /// bytes: the sum of bytes_of() over all items that add() will be asked for.
   explicit StepInputs(std::size_t bytes, DeviceArena& arena)
       : host_(bytes), device_(arena.zeros<std::byte>("what a step is told", bytes)) {}
   template <class T>
+  /// Bytes that an item of `count` values takes.
   static std::size_t bytes_of(std::size_t count) {
     return (count * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment;
   }
   template <class T>
+  /// Reserves the next item.
   Item<T> add(std::size_t count) {
     const std::size_t at = used_;
     used_ += bytes_of<T>(count);

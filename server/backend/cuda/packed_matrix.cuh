@@ -7,7 +7,23 @@
 #include "matrix/tiles.h"
 #include "solver/jacobi_scaling.h"
 
-/// The matrix as streamed_solve.cuh reads it from memory in each iteration, and a warp's way through it.
+/// The packed matrix that streamed_solve.cuh reads from memory in each iteration, and the order in which a warp reads
+/// it.
+///
+///   Â            scaled matrix (solver/jacobi_scaling.h);  p, q   vectors of the solve, q = Â p
+///   tile         neighbouring rows of a patch that one warp multiplies (matrix/tiles.h); several slices
+///   column       32 blocks of a slice, one for each of its rows and so for each lane
+///   serves both  the block also serves the row that it names: transposed, as A_jiᵀ = A_ij
+///   loss         rounding error of a packed block, exact minus packed (matrix/packed_block.h)
+///
+///   one column, in the memory of its 32 unpacked blocks:
+///     │ pair 0, lanes 0..31 │ pair 1 │ pair 2 │ Neighbour, lanes 0..31 │ PackedDiagonal, lanes 0..31 │
+///     │ 256 bytes           │        │        │ 64 or 128 bytes        │ first column of a slice only│
+///
+/// 1. Each iteration waits mostly for these reads. Packing them makes an iteration faster, and so does reading a block
+///    once for two rows.
+/// 2. scale_tile replaces A by packed Â in place, before the first iteration.
+/// 3. TileWalk reads ahead: the next columns are under way while the warp multiplies, also while patches exchange.
 namespace tensormass::backend::cuda {
 
 using view::kSliceRows;
@@ -15,7 +31,7 @@ using view::SceneView;
 
 __device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
 
-/// Where the columns of a slice begin, and where those end that a solve reads.
+/// The columns of a slice that a solve reads.
 struct ReadColumns {
   std::uint32_t begin, end;
   __device__ ReadColumns(const SceneView<float>& s, std::uint32_t slice)
@@ -23,8 +39,8 @@ struct ReadColumns {
         end(s.matrix.slice_read != nullptr ? s.matrix.slice_read[slice] : s.matrix.slice_begin[slice + 1]) {}
 };
 
-/// The patch-local row behind a slot, and in the top bit whether the block serves that row, too (matrix/tiles.h). 16
-/// bits where a patch is small enough.
+/// The patch-local row behind a slot; the top bit says whether the block serves that row too. 16 bits suffice for small
+/// patches.
 template <class Word>
 struct Neighbour {
   static constexpr std::uint32_t kServesBoth = 1u << (8 * sizeof(Word) - 1), kMostLocals = kServesBoth;
@@ -35,9 +51,7 @@ struct Neighbour {
   __device__ static bool serves_both(Word word) { return (word & kServesBoth) != 0; }
 };
 
-/// What a solve reads of a column of the matrix, in the room of its 32 unpacked blocks, from its begin on: 256 bytes of
-/// each pair of words of the lanes' PackedBlocks, then their Neighbours; behind those of the first column of a slice
-/// the PackedDiagonals of its rows.
+/// Addresses of one packed column, as drawn above.
 template <class Word>
 struct PackedColumn {
   uint2* pairs;      // [pair][lane]
@@ -53,12 +67,13 @@ struct PackedColumn {
   }
 };
 
-/// What a row's blocks have lost when they were packed, in half precision: as many digits as PackedDiagonal keeps.
+/// Sum of the losses of a row's blocks, in half precision: as many digits as PackedDiagonal keeps. kUnit scales it to
+/// the middle of the range of halves.
 struct RowLoss {
   __half2 sums[3];
   __half2 unused;
 
-  static constexpr float kUnit = 0x1p20f;  // 1 is the middle of what halves have
+  static constexpr float kUnit = 0x1p20f;
   __device__ static RowLoss none() { return {}; }
   __device__ void add(const matrix::UpperTriangle& lost) {
     sums[0] = __hadd2(sums[0], __floats2half2_rn(lost.xx * kUnit, lost.xy * kUnit));
@@ -73,7 +88,8 @@ struct RowLoss {
 };
 static_assert(sizeof(RowLoss) == sizeof(float4));
 
-/// Â, packed, for A in what is read of a tile's rows. By its warp. losses: of the tile, in shared memory.
+/// Replaces A by packed Â in the columns of a tile that a solve reads. The tile's warp must call it.
+/// losses: one for each row of the tile, in shared memory.
 template <class Word>
 __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, std::uint32_t first, std::uint32_t last,
                            RowLoss* losses) {
@@ -86,7 +102,7 @@ __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, 
     const ReadColumns columns(s, row / kSliceRows);
     const Mat3<float> own = solver::load_lower<float>(s.matrix.diagonal, row);
     matrix::UpperTriangle lost_here;
-    // Some at once, as each waits for memory twice.
+    // Some at once, because each waits for memory twice.
     constexpr std::uint32_t kAtOnce = 3;
 #pragma unroll 1
     for (std::uint32_t begin = columns.begin; begin < columns.end; begin += kAtOnce) {
@@ -136,12 +152,12 @@ __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, 
   __syncwarp();
 }
 
-/// A warp's way through its tiles, over and over: the columns that it multiplies next are on their way from memory,
-/// also while patches exchange.
+/// A warp's order of reading its tiles, over and over. The columns that it multiplies next are always on their way from
+/// memory.
 template <unsigned Warps, class Word>
 class TileWalk {
  public:
-  /// A warp that has no tile is not to multiply.
+  /// A warp without a tile must not call multiply().
   __device__ TileWalk(const SceneView<float>& s, const view::Patch& patch, std::uint32_t tile_rows)
       : s_(s), patch_(patch), tile_rows_(tile_rows), own_(patch.own()), begin_(threadIdx.x / kWarp * tile_rows) {
     if (begin_ >= own_) return;
@@ -149,9 +165,10 @@ class TileWalk {
     load();
   }
 
-  /// q = Â p on the rows of the tile at hand, all of it: what other tiles' rows have to do with them is read here
-  /// (matrix/tiles.h). Then the warp's next tile is at hand. p: of the patch; q: of the tile, in shared memory; four
-  /// floats a row.
+  /// Computes q = Â p on the rows of the current tile and continues with the warp's next tile. The tile's columns hold
+  /// every block of these rows, also those that couple them to other tiles.
+  /// p: of the patch, four floats a row.
+  /// q: of the tile, in shared memory, four floats a row; overwritten.
   __device__ void multiply(const float4* p, float4* q) {
     const std::uint32_t first = first_, last = minimum(first + tile_rows_, own_);
     for (std::uint32_t local = first + lane(); local < last; local += kWarp)
@@ -198,7 +215,7 @@ class TileWalk {
   static constexpr std::uint32_t kAtOnce = 5;  // two rounds for most rows
 
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
-  /// A lane for each of its slices.
+  /// Starts a tile. Each lane reads the columns of one of its slices.
   __device__ void begin_tile(std::uint32_t first) {
     first_ = first;
     slice_ = 0;
@@ -213,7 +230,7 @@ class TileWalk {
   __device__ void begin_slice() {
     next_ = __shfl_sync(0xFFFFFFFFu, begin_of_, slice_);
     end_ = __shfl_sync(0xFFFFFFFFu, end_of_, slice_);
-    // Rows that read no block go without.
+    // Slices without columns have no PackedDiagonals.
     const uint2 words = next_ < end_ ? __ldcs(PackedColumn<Word>(s_, next_).diagonals + lane()) : uint2{0, 0};
     diagonal_.words[0] = words.x;
     diagonal_.words[1] = words.y;
@@ -226,11 +243,11 @@ class TileWalk {
     slice_ = 0;
     begin_slice();
   }
-  /// Reads are under way together.
+  /// Starts the next reads, all together.
   __device__ void load() {
 #pragma unroll
     for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-      // The matrix passes by in every iteration: it is not to drive out of the cache what stays.
+      // The matrix is read once an iteration, so __ldcs marks it as the first to evict: the cache is for other data.
       const bool more = next_ + i < end_;
       const PackedColumn<Word> from(s_, next_ + i);
       neighbour_[i] = more ? __ldcs(from.neighbours + lane()) : Word(0);
@@ -245,12 +262,12 @@ class TileWalk {
 
   const SceneView<float>& s_;
   const view::Patch& patch_;
-  const std::uint32_t tile_rows_, own_, begin_;  // where the warp's first tile begins
-  std::uint32_t first_;                          // where the tile at hand does
-  std::uint32_t slice_, slices_;                 // of it
-  std::uint32_t next_, end_;                     // columns of the slice
-  std::uint32_t begin_of_, end_of_;              // the same of the lane's slice
-  matrix::PackedDiagonal diagonal_;              // of the lane's row in the slice
+  const std::uint32_t tile_rows_, own_, begin_;  // begin_: first row of the warp's first tile
+  std::uint32_t first_;                          // first row of the current tile
+  std::uint32_t slice_, slices_;                 // current slice in the tile; slices of the tile
+  std::uint32_t next_, end_;                     // next column to read, and end of the slice's columns
+  std::uint32_t begin_of_, end_of_;              // columns of the slice that this lane has read
+  matrix::PackedDiagonal diagonal_;              // the diagonal of the lane's row in the slice
   matrix::PackedBlock block_[kAtOnce];
   Word neighbour_[kAtOnce];
 };

@@ -4,15 +4,21 @@
 
 #include "backend/cuda/exchange.cuh"
 
+/// Sums over all patches of a solve.
+///
+///   each warp ── sum of its lanes ──> shared memory ── last warp of the block ──> publish the patch's sums
+///                                                                                    │ (exchange.cuh)
+///   all threads <── barrier ── total in shared memory <── add all patches' sums <────┘
+///
+/// 1. Only the last warp waits for the other patches' sums. The other warps wait for the halo meanwhile.
+/// 2. Sums run in a fixed order, so every patch gets the same total to the last bit.
 namespace tensormass::backend::cuda {
 
-/// The sums of all patches. Each warp leaves its own in shared memory; the last warp of the block adds them up,
-/// publishes them, waits for those of all patches and adds those up, while the other warps wait for the halo. In a
-/// fixed order, and so the same to the last bit in every patch.
+/// Place of the sums in shared memory, one for a block of `Threads` threads.
 template <unsigned Threads>
 class PatchSums {
  public:
-  /// By all threads.
+  /// Sums `own` over all threads of all patches. All threads must call it and then meet at a barrier.
   __device__ void exchange(const Exchange& exchange, std::uint32_t patches, Exchange::Cell own) {
     const unsigned lane = threadIdx.x % kWarp, warp = threadIdx.x / kWarp;
     own = Exchange::sum_lanes(own);
@@ -39,7 +45,7 @@ class PatchSums {
     sum = Exchange::sum_lanes(sum);
     if (lane == 0) total_ = sum;
   }
-  /// After a barrier.
+  /// The sums over all patches. Valid after the barrier that follows exchange().
   __device__ Exchange::Cell total() const { return total_; }
 
  private:

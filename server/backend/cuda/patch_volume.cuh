@@ -8,11 +8,23 @@
 #include "solver/time_scheme.h"
 #include "step/inversion_check.h"
 
+/// The epilogue of a fused solve: moves the rows, and checks the volume of the patch's linear tetrahedra.
+///
+///   u, X, x   displacement, rest position and position of a row;  x = X + u
+///   own, halo   rows of the patch; rows of other patches to which they are coupled
+///
+///   prefetch ──> move own rows ──> publish u ──> check tetrahedra of own rows only
+///                                     │                        │
+///                                     └──> u of the halo ──────┴──> check those with rows of the halo ──> report
+///
+/// 1. A separate kernel would take longer to launch and to wait for than this whole check.
+/// 2. Positions are in shared memory, relative to a row of the patch. Rounding then depends on the patch's size.
+/// 3. Nearly always no tetrahedron is inverted, so only the sign of the volume is computed. det F, from differences of
+///    the stored values, is computed only for those without positive volume.
+/// 4. Own tetrahedra come first: their check hides the wait for the halo.
 namespace tensormass::backend::cuda {
 
-/// Finds inverted tetrahedra of a patch (matrix/patch_tetrahedra.h) at the end of a solve. Patches exchange the
-/// displacements of their rows, and each checks its own tetrahedra in shared memory. A separate kernel would take
-/// longer to launch and to wait for than this whole check.
+/// Finds inverted tetrahedra of a patch (matrix/patch_tetrahedra.h) at the end of a solve.
 template <unsigned Threads>
 class PatchVolume {
  public:
@@ -174,7 +186,7 @@ class PatchVolume {
   const view::SceneView<float>& s_;
   const view::Patch& patch_;
   Exchange& exchange_;
-  float4* const positions_;  // [own and halo], in the place of q and direction
+  float4* const positions_;  // [own and halo], overwrites the vectors of the solve
   const uint2* const tetrahedra_;
   const std::uint32_t begin_, halo_begin_, end_;  // tetrahedra of own rows only, then the others
   const Vec3<float> origin_;

@@ -9,33 +9,50 @@
 #include "solver/jacobi_scaling.h"
 #include "solver/time_scheme.h"
 
-/// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
-/// solve and has one or two rows a thread: matrix, vectors and direction stay in registers and shared memory. What
-/// differs is where numbers are kept and how patches exchange them (exchange.cuh). streamed_solve.cuh is for larger
-/// patches.
+/// The solve of solver/conjugate_gradients.h in single precision, for patches that fit on the chip. A thread block runs
+/// one patch for the whole solve, with one or two rows a thread. Symbols (Â, b̂, x, r, p, q, α, β, L⁻¹):
+/// conjugate_gradients.h and jacobi_scaling.h.
+///
+///   where the data of a patch are:
+///     registers       x, r, p, q of own rows; the first Held blocks of each row
+///     shared memory   direction (p, own and halo), r and q of the halo, L⁻¹, further blocks, as many as fit
+///     device memory   the blocks that remain (Whole = false)
+///
+///   factorize, scale ──> q = Â p ──> exchange q and sums ──> update x, r, p ──┬──> end_solve: move rows, check volume
+///                          ^                                                  │
+///                          └──────────────────────────────────────────────────┘
+///
+/// 1. Nothing but q of the patch's rows and three sums leaves the chip in an iteration (exchange.cuh). That is why it
+///    is fast.
+/// 2. The last warp waits for the sums, the others for the halo.
+/// 3. Reads run ahead of their use throughout, because one block a multiprocessor has few warps to hide latency.
+///
+/// streamed_solve.cuh serves larger patches.
 namespace tensormass::backend::cuda {
 
 using view::kSliceRows;
 using view::SceneView;
 
-/// Rows of a patch in resident_solve, at most.
+/// Largest number of rows of a patch in resident_solve.
 inline constexpr std::uint32_t kMostResidentRows = 512;
 
 /// Shared memory of resident_solve [bytes].
-inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own or of the halo: direction, L⁻¹
+inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own and halo: direction, L⁻¹
 inline constexpr std::size_t kResidentBytesPerHaloRow = 2 * 16;  // residual, product
 inline constexpr std::size_t kResidentBytesPerColumn = kSliceRows * (9 * 4 + 2);
 
-/// Hides how a number came about. To have a register less in use, the compiler would compute it again in each
-/// iteration.
+/// Hides from the compiler how a value was computed. To save a register, it would otherwise compute the value again in
+/// each iteration.
 __device__ inline std::uint32_t computed_once(std::uint32_t value) {
   asm volatile("" : "+r"(value));
   return value;
 }
 
-/// A thread has `Rows` rows, Threads apart. `Held`: blocks of a row in registers. column_capacity: columns of a slice's
-/// further blocks that shared memory holds. Whole: that is all of them; else what is left over is read from memory in
-/// each iteration.
+/// Solves the system of a patch and moves its rows.
+/// Rows: rows of a thread, Threads apart.
+/// Held: blocks of a row in registers.
+/// column_capacity: columns of further blocks that shared memory holds.
+/// Whole: shared memory holds all further blocks. Otherwise the remaining ones are read from memory in each iteration.
 template <unsigned Threads, int Rows, int Held, bool Whole>
 __global__ void __launch_bounds__(Threads, 1)
     resident_solve(const __grid_constant__ SceneView<float> s, std::uint32_t column_capacity) {
@@ -48,8 +65,8 @@ __global__ void __launch_bounds__(Threads, 1)
   float4* const direction = shared;                                        // [locals]
   float4* const halo_residual = direction + locals;                        // [halo]
   float4* const halo_product = halo_residual + patch.halo_count;           // [halo]
-  float4* const inverse = halo_product + patch.halo_count;                 // [locals] of L⁻¹ four reals
-  auto* const inverse_rest = reinterpret_cast<float2*>(inverse + locals);  // [locals] and the other two
+  float4* const inverse = halo_product + patch.halo_count;                 // [locals] four reals of L⁻¹
+  auto* const inverse_rest = reinterpret_cast<float2*>(inverse + locals);  // [locals] the other two
   float* const blocks =
       reinterpret_cast<float*>(inverse_rest) + view::round_to_four(2 * locals);  // [column][9][kSliceRows]
   auto* const columns = reinterpret_cast<std::uint16_t*>(blocks + 9 * kSliceRows * column_capacity);
@@ -58,8 +75,9 @@ __global__ void __launch_bounds__(Threads, 1)
   // The last warp waits for sums, the others for the halo.
   constexpr std::uint32_t kWarps = Threads / kWarp, kHaloThreads = Threads - kWarp;
 
-  // Where the blocks of each row's slice are: from `first` on, `width` of them, of which shared memory has
-  // `shared_width` behind those that are held [columns]. A lane for each slice of the patch, then what is the warp's.
+  // Places of the blocks of each row's slice [columns]. In the matrix they start at `first` and are `width` columns.
+  // The first Held are in registers. Shared memory holds the next `shared_width`, from `shared_begin` on. Each lane
+  // computes this for one slice of the patch; then each warp takes the values of its own slices.
   static_assert(kWarps * Rows <= kWarp && kSliceRows == kWarp);
   bool has_row[Rows];
   std::uint32_t row[Rows], first[Rows], width[Rows], shared_begin[Rows], shared_width[Rows];
@@ -85,7 +103,7 @@ __global__ void __launch_bounds__(Threads, 1)
     }
   }
 
-  // Of a column in shared memory each row has two float4 and a float.
+  // In shared memory, each row of a column has two float4 and a float.
   constexpr std::uint32_t kColumnReals = 9 * kSliceRows;
   const auto slot_of = [&first, lane](int k, std::uint32_t j) {
     return (std::size_t{first[k]} + j) * kSliceRows + lane;
@@ -99,7 +117,7 @@ __global__ void __launch_bounds__(Threads, 1)
     block[8] = from[8 * kSliceRows + lane];
   };
 
-  // b̂ and L⁻¹ of own rows and of the halo. What shared memory holds of the matrix is on its way meanwhile.
+  // Computes b̂ and L⁻¹ of own rows and of the halo, while shared memory's part of the matrix is on its way.
   struct Row {
     std::uint32_t free_bits;
     float diagonal[6], weight;
@@ -123,7 +141,7 @@ __global__ void __launch_bounds__(Threads, 1)
     direction[local] = {b[0], b[1], b[2], 0};
     if (local >= own) halo_residual[local - own] = direction[local];
   };
-  constexpr std::uint32_t kRowsAtOnce = 2 * Rows;  // all of most patches
+  constexpr std::uint32_t kRowsAtOnce = 2 * Rows;  // enough for most patches
   Row rows[kRowsAtOnce];
 #pragma unroll
   for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) rows[i] = read_row(minimum(thread + i * Threads, locals - 1));
@@ -164,7 +182,7 @@ __global__ void __launch_bounds__(Threads, 1)
     solver::scale_block(own_inverse, block, other);
   };
 
-  // What registers hold: some blocks are scaled while the next are on their way. Beyond the width blocks are zero.
+  // Blocks in registers: some are scaled while the next are on their way. Beyond the width they are zero.
   float held[Rows][Held][9];
   std::uint32_t held_columns[Rows][Held / 2];  // two 16-bit offsets into direction [bytes]
   {
@@ -194,7 +212,7 @@ __global__ void __launch_bounds__(Threads, 1)
     }
   }
 
-  // What shared memory holds, of which each thread has copied its own, and what neither does.
+  // Blocks in shared memory, where each thread has copied its own, and then the remaining blocks.
   __pipeline_wait_prior(0);
   for (int k = 0; k < Rows; ++k) {
 #pragma unroll 2
@@ -251,7 +269,7 @@ __global__ void __launch_bounds__(Threads, 1)
               block[(3 * i) * stride] * v.x + block[(3 * i + 1) * stride] * v.y + block[(3 * i + 2) * stride] * v.z;
         }
       };
-      // By fours without a branch between, so that reads are under way together; what is beyond the width is zero.
+      // By fours without a branch between them, so that reads overlap. Blocks beyond the width are zero.
 #pragma unroll
       for (int j = 0; j < Held; j += 4) {
         if (j >= width[k]) break;
@@ -263,7 +281,7 @@ __global__ void __launch_bounds__(Threads, 1)
 #pragma unroll 2
       for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
         const std::uint32_t place = shared_begin[k] + j;
-        // As read_shared does it, which called from here made the loop 34 instructions longer.
+        // As read_shared does it. Calling read_shared here made the loop 34 instructions longer.
         const float* from = blocks + place * kColumnReals;
         const float4 a = reinterpret_cast<const float4*>(from)[lane],
                      b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
@@ -304,7 +322,7 @@ __global__ void __launch_bounds__(Threads, 1)
       p[k] = r[k] + p[k] * beta;
       if (has_row[k]) direction[thread + k * Threads] = {p[k][0], p[k][1], p[k][2], 0};
     }
-    // Two at a time, so that they do not wait for each other's reads.
+    // Two at a time, so that their reads overlap.
     constexpr std::uint32_t kUpdatesAtOnce = 2;
     for (std::uint32_t h = thread; h < patch.halo_count; h += kUpdatesAtOnce * Threads) {
       float4 hq[kUpdatesAtOnce], hr[kUpdatesAtOnce], hp[kUpdatesAtOnce];

@@ -3,24 +3,36 @@
 #include "backend/cuda/team.cuh"
 #include "matrix/rows.h"
 
-/// matrix/rows.h with a warp a slice: a thread a row, its blocks in shared memory.
+/// Assembly by rows (matrix/rows.h) on a GPU: a block runs a slice, a thread a row, and the row's blocks are in shared
+/// memory.
+///
+///   part      warp of the block: parts share the rows of a slice
+///   sum       copy of the blocks to which a part adds: one for all parts (AddsInTurns) or one for each
+///   place     column of a slot within the slice;  capacity: columns that fit at once
+///   Quad      four reals, read and written at once
+///
+///   shared memory:  Quads of the blocks  [sum][column][2][32 rows]
+///                   ninth components     [sum][column][32 rows]
+///                   neighbours           [column][6][32 rows], only with KeepsNeighbours
+///
+/// 1. A lane reads four reals at once, and no two lanes of a warp meet in a bank.
+/// 2. Two parts a slice hide each other's reads. A small scene has few slices and takes more parts for each.
 namespace tensormass::backend::cuda {
 
 using view::ElementView;
 using view::kSliceRows;
 using view::SceneView;
 
-/// Reals of a part's sums of a row.
+/// Reals of the RowSums of a row, which parts exchange.
 inline constexpr std::uint32_t kSumsReals = 15;
 
-/// Reals of a column: of the block, of which each of `sums` warps has its own, and of the neighbour.
+/// Reals of a column in shared memory: one block for each sum, and the neighbour if it is kept.
 __host__ __device__ constexpr std::uint32_t column_reals(bool keeps_neighbours, std::uint32_t sums) {
   return 9 * sums + (keeps_neighbours ? 6 : 0);
 }
 
-/// A row's blocks, two quads and a real a column, and its neighbours if it keeps them: a thread reads four numbers at
-/// once, and meets no other's bank. Warps that share a slice have neighbours in common, and blocks of their own unless
-/// they add in turns.
+/// A row's blocks of a turn, and its neighbours with KeepsNeighbours: the `Blocks` of matrix::assemble_row. Parts have
+/// neighbours in common.
 template <class Real, bool KeepsNeighbours, bool AddsInTurns>
 class SharedBlocks {
  public:
@@ -35,7 +47,7 @@ class SharedBlocks {
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
   __device__ std::uint32_t begin(std::uint32_t column, std::uint32_t count) {
-    meet();  // what was held before has been used
+    meet();  // all parts are done with the last turn
     first_ = column;
     held_ = minimum(count, capacity_);
     holds_all_ = column == 0 && held_ == count;
@@ -120,7 +132,7 @@ class SharedBlocks {
   }
   template <int Count>
   __device__ void add_now(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
-    // Only wide rows have to look.
+    // Only wide rows, with several turns, must test each place.
     if (holds_all_) {
       add_where(places, blocks, [](std::uint32_t) { return true; });
     } else {
@@ -130,7 +142,7 @@ class SharedBlocks {
   template <int Count, class IsHeld>
   __device__ void add_where(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count],
                             const IsHeld& is_held) {
-    // Reads are under way together, as they are not where a write is between.
+    // All reads before all writes: a write between them would make the next read wait.
     constexpr int kAtOnce = 4;
 #pragma unroll
     for (int first = 0; first < Count; first += kAtOnce) {
@@ -155,7 +167,7 @@ class SharedBlocks {
       }
     }
   }
-  /// Of the vertex tensor, which is symmetric, the upper triangle: kSumsReals.
+  /// Calls visit(index, value) for kSumsReals reals of the sums: of the vertex tensor, which is symmetric, only six.
   template <class Sums, class Visit>
   __device__ static void each(Sums& sums, const Visit& visit) {
     unsigned c = 0;
@@ -182,20 +194,23 @@ class SharedBlocks {
   bool holds_all_ = false;
 };
 
-/// Warps that share a slice: two, so that one's reads are hidden by the other's arithmetic; more where a small scene
-/// has too few slices for all processors.
+/// Parts of a slice. Usually two, so that one's reads are hidden by the other's arithmetic. More if a small scene has
+/// too few slices for all multiprocessors.
 inline constexpr std::uint32_t kUsualParts = 2, kMostParts = 4;
-/// So many columns fit at least: behind the last turn kMostParts parts leave their RowSums where blocks have been
+/// Smallest capacity. After the last turn kMostParts parts leave their RowSums where the blocks were
 /// (SharedBlocks::leads).
 inline constexpr std::uint32_t kLeastColumns = (kMostParts * kSumsReals + 8) / 9;
 
 struct RowsLaunch {
-  std::uint32_t capacity;  ///< columns that a block keeps at once
+  std::uint32_t capacity;  ///< columns that fit into shared memory at once
   unsigned threads;
   std::size_t shared_bytes;
 };
 
-/// slices: of the group; widest: in columns; keeps_neighbours, adds_in_turns: of its shape (matrix/rows.h).
+/// Returns the launch of assemble_rows.
+/// slices: number of slices of the group.
+/// widest: largest width of a slice, in columns.
+/// keeps_neighbours, adds_in_turns: of the group's shape (matrix/rows.h).
 template <class Real>
 RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_neighbours, bool adds_in_turns,
                        const cudaDeviceProp& device) {
@@ -217,6 +232,7 @@ RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_ne
   return {capacity, parts * kWarp, capacity * bytes_per_column(parts)};
 }
 
+/// Assembles the rows of a group, one block a slice.
 template <class Shape, class Law, class Real>
 __global__ void __launch_bounds__(kMostParts* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,

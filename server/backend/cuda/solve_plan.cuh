@@ -8,7 +8,7 @@
 #include "backend/cuda/streamed_solve.cuh"
 #include "matrix/layout.h"
 
-/// Which of the solves a scene gets, and its launch.
+/// Chooses the fused solve of a scene, resident or streamed, and launches it.
 namespace tensormass::backend::cuda {
 
 struct SolvePlan {
@@ -16,18 +16,18 @@ struct SolvePlan {
   const void* kernel = nullptr;
   unsigned threads = 0;
   std::size_t shared_bytes = 0;
-  std::uint32_t argument = 0;  ///< column_capacity or near_vectors
+  std::uint32_t argument = 0;  ///< column_capacity of resident_solve, near_vectors of streamed_solve
 
-  /// Direction and residual are in no buffer of the scene.
+  /// Whether direction and residual stay on the chip, so that the scene needs no buffers for them.
   bool keeps_vectors() const {
     constexpr std::uint32_t kBoth = kNearDirection | kNearResidual;
     return resident || (argument & kBoth) == kBoth;
   }
 };
 
-/// Shared memory that a block of one kernel may have beside what the kernel declares itself [bytes]. From now on it
-/// may: the limit belongs to the kernel and not to a launch, so that scenes which load at the same time must not lower
-/// it.
+/// Allows a kernel all shared memory of a block, and returns how much that is besides what the kernel declares itself
+/// [bytes]. The limit belongs to the kernel and not to a launch. It must never be lowered, because scenes may load at
+/// the same time.
 inline std::size_t allow_all_shared_bytes(const void* kernel) {
   int device = 0, most = 0;
   cudaFuncAttributes attributes{};
@@ -39,14 +39,16 @@ inline std::size_t allow_all_shared_bytes(const void* kernel) {
   return static_cast<std::size_t>(most);
 }
 
-/// Rows of a patch, own and of its halo, for which direction and residual surely stay in shared memory, beside q of
-/// tiles where the matrix is streamed. PatchVolume has room there, too.
+/// Largest number of rows of a patch, own and halo, for which direction and residual certainly stay in shared memory.
+/// There is then also room for the tiles' q, if the matrix is streamed, and for PatchVolume.
 inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
-  constexpr std::size_t kStaticBytes = 2048;  // what the kernels declare themselves, at most
+  constexpr std::size_t kStaticBytes = 2048;  // most that the kernels declare themselves
   constexpr std::size_t kBytesPerRow = 2 * kStreamedBytesPerCell + kStreamedBytesPerVector;
   return static_cast<std::uint32_t>((device.sharedMemPerBlockOptin - kStaticBytes) / kBytesPerRow);
 }
 
+/// Chooses the first kernel that the largest patch fits: resident solves first, then the streamed one. As much as
+/// possible of the matrix or of the vectors stays on the chip.
 inline SolvePlan plan_solve(const matrix::Layout& layout) {
   const std::uint32_t most_locals = layout.largest_patch();
   std::uint32_t most_rows = 0, most_halo = 0;
@@ -57,7 +59,7 @@ inline SolvePlan plan_solve(const matrix::Layout& layout) {
     most_halo = std::max(most_halo, halo);
   }
   SolvePlan plan;
-  // Fewer rows leave more registers to each thread, and so more of the matrix.
+  // Smaller kernels first: fewer rows leave more registers to each thread, and so hold more of the matrix.
   const auto consider = [&]<unsigned Threads, int Rows, int Held>() {
     if (plan.kernel != nullptr || most_rows > Threads * Rows) return;
     const auto whole = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held, true>);
@@ -82,7 +84,7 @@ inline SolvePlan plan_solve(const matrix::Layout& layout) {
   consider.template operator()<128, 1, 18>();
   consider.template operator()<256, 1, 18>();
   consider.template operator()<384, 1, 12>();
-  // Two rows a thread: half as many warps to wait for.
+  // Two rows a thread: half as many warps must wait for each other.
   consider.template operator()<224, 2, 8>();
   consider.template operator()<kMostResidentRows / 2, 2, 8>();
   if (plan.kernel == nullptr) {
@@ -92,7 +94,7 @@ inline SolvePlan plan_solve(const matrix::Layout& layout) {
     plan.threads = kStreamedThreads;
     const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
     plan.shared_bytes = std::min(most_rows, matrix::kTilesAtOnce * tile_rows) * kStreamedBytesPerCell;
-    // What stays free of shared memory is the cache of the rest.
+    // Shared memory that stays free serves as L1 cache for the rest.
     std::size_t most = allow_all_shared_bytes(near);
     for (const void* kernel : {far, farthest}) most = std::min(most, allow_all_shared_bytes(kernel));
     const auto place = [&](StreamedVectors which, std::size_t bytes) {

@@ -25,16 +25,20 @@
 ///
 ///   host                                   device (one stream)
 ///   inputs_: tools, prescribed, control ──> one copy
-///   graph of the step ────────────────────> a kernel for each stage, one thread block a patch; the solve is
-///   cooperative wait <── reports in page-locked memory, written by the kernels: no copy comes back
+///   graph of the step ────────────────────> a kernel for each stage; the solve is a cooperative one
+///   wait <── reports in page-locked memory, written by the kernels: no copy comes back
 ///
-/// A step with Newton iterations is a graph for each of its phases instead, and the host decides between them.
+/// 1. A step is one graph, so that the host launches once. With Newton iterations each phase is a graph, and the host
+///    decides which one is next.
+/// 2. Everything that a step needs is allocated in the constructor.
+/// 3. A scene that shares the device uses only its share of the multiprocessors.
 namespace tensormass::backend::cuda {
 
 template <class Real>
 class CudaState final : public SceneState {
  public:
-  /// device: what the scene has of it. shares: other scenes step on the device at the same time.
+  /// device: the scene's share of the device.
+  /// shares: other scenes step on the device at the same time.
   CudaState(const model::Model& model, const cudaDeviceProp& device, bool shares)
       : model_(model),
         stages_(step::list_stages(model)),
@@ -115,7 +119,7 @@ class CudaState final : public SceneState {
                           check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()),
                                 "restore");
                         });
-    wait("restore");  // reading back does not go by this stream
+    wait("restore");  // a later read uses another stream
   }
 
   std::span<const float> visible_positions() override { return visible_.span(); }
@@ -172,8 +176,8 @@ class CudaState final : public SceneState {
   }
   void wait(const char* what) { check(shares_ ? wait_asleep(stream()) : cudaStreamSynchronize(stream()), what); }
   cudaStream_t stream() const { return stream_.get(); }
-  /// Copies from pageable memory and clearing are under way in a stream of their own. Not by waiting for the device:
-  /// other scenes may never leave it idle.
+  /// Waits for copies from pageable memory and for clearing, which have a stream of their own. It does not wait for the
+  /// whole device, which other scenes may never leave idle.
   static void finish_copies(const char* what) { check(cudaStreamSynchronize(cudaStreamLegacy), what); }
   Graph& graph(step::Phase phase) { return phases_[static_cast<std::size_t>(phase)]; }
 
@@ -187,7 +191,8 @@ class CudaState final : public SceneState {
     check(cudaMemcpy(to, copy.data(), copy.size() * sizeof(Real), cudaMemcpyHostToDevice), "write");
   }
 
-  /// Few elements a thread, and few blocks: each has a number to report.
+  /// Blocks of a patch in the stages that reduce in parts. Enough that each thread has few elements, but few, because
+  /// each block reports a number.
   static std::uint32_t parts_of(const model::Model& model) {
     constexpr std::uint32_t kMostParts = 8, kItemsOfThread = 2;
     std::uint32_t most = 0;
@@ -199,7 +204,7 @@ class CudaState final : public SceneState {
     return std::clamp((most + of_part - 1) / of_part, 1u, kMostParts);
   }
 
-  /// What a step reports goes straight to host memory: a few numbers a patch, and no copy after the last kernel.
+  /// Buffers that a step reports to, in host memory: a few numbers a patch, and no copy after the last kernel.
   model::StepExchange<Real> exchange() const {
     return {.control = control_.device,
             .tools = tools_.device,
@@ -212,7 +217,7 @@ class CudaState final : public SceneState {
             .tool_loads = loads_.data()};
   }
 
-  /// items: how many the stage has in all, a thread for each; 0: as many as rows, or as the surface has triangles.
+  /// Launches a stage. items: its number of items, a thread for each; 0: the larger number of rows or triangles.
   void launch(step::Communication communication, const void* kernel, const view::ElementView<Real>& elements,
               std::uint32_t items = 0) {
     void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), const_cast<view::ElementView<Real>*>(&elements)};

@@ -6,12 +6,27 @@
 #include "solver/conjugate_gradients.h"
 #include "solver/time_scheme.h"
 
-/// The solve of solver/conjugate_gradients.h for single precision, where a patch is a thread block for the whole
-/// solve and has more rows than threads: the matrix comes from memory in each iteration, vectors stay as near as they
-/// fit. resident_solve.cuh is for smaller patches.
+/// The solve of solver/conjugate_gradients.h in single precision, for patches with more rows than a block has threads.
+/// A thread block runs one patch for the whole solve and reads the packed matrix from memory in each iteration. Symbols
+/// (Â, b̂, x, r, p, q, α, β): conjugate_gradients.h.
+///
+///   where the data of a patch are:
+///     device memory   the packed matrix (packed_matrix.cuh)
+///     shared memory   q of the tiles that warps work on, then p, r, x in this order, as far as they fit
+///     device memory   the vectors that do not fit (bits of StreamedVectors say which ones do)
+///
+///   scale, pack ──> q = Â p, tile by tile ──> exchange q and sums ──> update x, r, p ──┬──> end_solve
+///                    ^                                                                 │
+///                    └─────────────────────────────────────────────────────────────────┘
+///
+/// 1. The matrix sets the speed: an iteration takes about as long as reading it. Warps therefore read ahead across
+///    tiles and iterations (TileWalk).
+/// 2. Where vectors are in device memory, x is updated only in every other iteration, which saves its reads and writes.
+///
+/// resident_solve.cuh serves smaller patches.
 namespace tensormass::backend::cuda {
 
-/// A patch's vector, in shared memory or in a buffer of the scene: three floats a row.
+/// A vector of a patch, in shared memory or in a buffer of the scene: three floats a row.
 struct Vectors {
   float* data;
   __device__ Vec3<float> operator[](std::uint32_t local) const {
@@ -25,18 +40,21 @@ struct Vectors {
     v[2] = value[2];
   }
 };
-/// Whole, as memory that is written in part is read first.
+/// A cell with all four floats: memory that is only partly written must be read first.
 __device__ inline float4 cell_of(const Vec3<float>& v) { return {v[0], v[1], v[2], 0}; }
 
-/// Shared memory of streamed_solve [bytes], and its threads: a warp a tile at once.
+/// Shared memory of streamed_solve [bytes]; its threads: one warp for each tile that is worked on at once.
 inline constexpr std::size_t kStreamedBytesPerCell = 16, kStreamedBytesPerVector = 12;
 inline constexpr unsigned kStreamedThreads = matrix::kTilesAtOnce * kWarp;
 
-/// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Beside them tiles add up their q
-/// there (kStreamedBytesPerCell a row): all of q where each warp has one tile.
+/// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Besides them shared memory has the
+/// q of the current tiles (kStreamedBytesPerCell a row). That is all of q if each warp has one tile.
 enum StreamedVectors : std::uint32_t { kNearDirection = 1, kNearResidual = 2, kNearSolution = 4 };
 
-/// Factors L⁻¹ and b̂ are in `diagonal` and `rhs` (solver::factorize).
+/// Solves the system of a patch and moves its rows. solver::factorize must have run: `diagonal` holds L⁻¹, `rhs` holds
+/// b̂.
+/// Word: type of a packed column index.
+/// NearDirection: p is in shared memory.
 template <unsigned Threads, class Word, bool NearDirection>
 __global__ void __launch_bounds__(Threads, 1)
     streamed_solve(const __grid_constant__ SceneView<float> s, std::uint32_t near_vectors) {
@@ -59,7 +77,7 @@ __global__ void __launch_bounds__(Threads, 1)
     next += (bytes_per_row * rows + 15) / 16 * 4;
     return begin;
   };
-  float4* p;  // of which the compiler is to know what memory it is in
+  float4* p;  // a template parameter, so that the compiler knows its memory
   if constexpr (NearDirection) {
     p = shared + held_rows;
     next += kStreamedBytesPerCell / sizeof(float) * locals;
@@ -88,14 +106,14 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
-  // Where vectors come from memory, x is brought up to date in every other iteration. One leaves it without its α p and
-  // keeps γ = α / β; the next, which begins with r' and p' = r' + β p, adds both:
-  // x + α p + α' p' = x + (α' + γ) p' − γ r'. Not where β is small, and p' − r' has few digits of β p.
+  // Vectors in device memory: x is updated in every other iteration. The first one omits α p and stores γ = α / β. The
+  // next one has r' and p' = r' + β p and adds both terms, because x + α p + α' p' = x + (α' + γ) p' − γ r'. If β is
+  // small, p' − r' has few digits of β p, so the update is not postponed.
   constexpr float kLeastBeta = 0.05f;
   float gamma = 0;
   do {
     exchange.begin();
-    // Without room for it, q is read back from the cells that this patch has just published.
+    // If q does not fit into shared memory, it is read back from the cells that this patch has just published.
     const auto* const q = held_rows == own ? shared : reinterpret_cast<const float4*>(exchange.rows(patch.row_begin));
     Exchange::Cell own_sums{0, 0, residual_squared, 0};
     for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
@@ -107,7 +125,7 @@ __global__ void __launch_bounds__(Threads, 1)
         own_sums.x += three_of(p[local]).dot(product);
         own_sums.y += product.dot(product);
       }
-      __syncwarp();  // the next tile is added up in the same place
+      __syncwarp();  // the next tile uses the same memory
     }
     sums.exchange(exchange, s.patches.patch_count, own_sums);
     __syncthreads();
@@ -125,7 +143,7 @@ __global__ void __launch_bounds__(Threads, 1)
       Vec3<float> direction[kRowsAtOnce], residual[kRowsAtOnce], product[kRowsAtOnce], solution[kRowsAtOnce];
 #pragma unroll
       for (std::uint32_t i = 0; i < kRowsAtOnce; ++i) {
-        // Beyond the end the thread's own first row again: others may be writing theirs.
+        // Beyond the end, the thread reads its own first row again: others may be writing theirs.
         const std::uint32_t local = begin + i * Threads < own ? begin + i * Threads : begin;
         direction[i] = three_of(p[local]);
         residual[i] = r[local];
@@ -160,15 +178,16 @@ __global__ void __launch_bounds__(Threads, 1)
     __syncthreads();
   } while (recurrence.goes_on());
 
-  // What the last one has left. Nobody has to meet behind it: each thread moves the rows that it completes here, and
-  // the end uses shared memory for others only where the direction is near, and nothing is left.
+  // Adds the update that the last iteration has postponed. No barrier is needed: each thread moves the rows that it
+  // completes here. end_solve overwrites other rows' vectors only if p is in shared memory, and then no update is
+  // postponed.
   if (gamma != 0) {
     for (std::uint32_t local = thread; local < own; local += Threads) {
       x.set(local, x[local] + (three_of(p[local]) - r[local]) * gamma);
     }
   }
   if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
-  // x is behind what the end has another use for.
+  // end_solve does not overwrite x, which lies after the memory that it uses.
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t row) -> Vec3<float> {
     return solver::unscaled(s.state, row, solver::load_lower<float>(s.matrix.diagonal, row), x[row - patch.row_begin]);
   });

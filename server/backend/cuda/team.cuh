@@ -4,14 +4,23 @@
 
 #include "core/strided.h"
 
+/// The team of a GPU: the interface between a stage and the thread blocks that run it.
+///
+///   grid:       x = patch           y = part of the patch, only in stages that may have several
+///   block:      the threads that share a patch's loops
+///   for_each    strides over all threads of the patch's blocks
+///   reductions  lanes of a warp (shuffles) ──> shared memory ──> all threads of the block
+///   exchange    reduction, then a barrier of the grid, then sums over all patches
+///
+/// 1. Stages are written once, against this interface. backend/cpu/team.h implements it for one thread.
+/// 2. A stage that reduces has one block a patch, or reduces over each part separately.
+/// 3. Reductions run in a fixed order, so that results repeat bitwise.
 namespace tensormass::backend::cuda {
 
 inline constexpr unsigned kMaxBlockThreads = 512;
 inline constexpr unsigned kWarp = 32;
 
-/// The thread blocks that run one patch; the counterpart of backend/cpu/team.h. A stage that reduces or exchanges has
-/// one block a patch (gridDim.y = 1), or its reductions are those of a part of the patch; the others may share a
-/// patch's loops out among several. Reductions run in a fixed order.
+/// The thread blocks that run one patch.
 class Team {
  public:
   template <class Real>
@@ -20,17 +29,18 @@ class Team {
   __device__ std::uint32_t patch() const { return blockIdx.x; }
   __device__ bool leads() const { return blockIdx.x == 0 && threadIdx.x == 0; }
   __device__ bool leads_patch() const { return threadIdx.x == 0; }
-  /// The block, of those that share the patch.
+  /// Index of this block among those that share the patch.
   __device__ std::uint32_t part() const { return blockIdx.y; }
   __device__ std::uint32_t parts() const { return gridDim.y; }
 
-  /// AtOnce: bodies in flight, where they do nothing but read.
+  /// AtOnce: bodies that run side by side, if they only read.
   template <int AtOnce = 1, class Body>
   __device__ void for_each(std::uint32_t begin, std::uint32_t end, Body&& body) const {
     const std::uint32_t stride = blockDim.x * gridDim.y;
 #pragma unroll AtOnce
     for (std::uint32_t i = begin + blockIdx.y * blockDim.x + threadIdx.x; i < end; i += stride) body(i);
   }
+  /// Calls use(i, read(i)) for all items; up to AtOnce items are read before the first is used.
   template <int AtOnce, class Read, class Use>
   __device__ void for_each(std::uint32_t begin, std::uint32_t end, const Read& read, const Use& use) const {
     const std::uint32_t first = begin + blockIdx.y * blockDim.x + threadIdx.x;
@@ -54,12 +64,13 @@ class Team {
   }
   template <class Real, std::size_t MaximumCount, std::size_t SumCount>
   __device__ void patch_reduce(Real (&maxima)[MaximumCount], Real (&sums)[SumCount]) const {
-    sync();  // what was reduced before has been read
+    sync();  // the results of the last reduction have been read
     begin_reduce(maxima, sums);
     sync();
     end_reduce(maxima, sums);
   }
-  /// In two halves, once in a kernel, between which the block meets; the second is for whoever asks.
+  /// patch_reduce in two halves, at most once in a kernel. The block must synchronize between them. Only threads that
+  /// need the results call the second.
   template <class Real, std::size_t MaximumCount, std::size_t SumCount>
   __device__ void begin_reduce(const Real (&maxima)[MaximumCount], const Real (&sums)[SumCount]) const {
     using Both = MaximaAndSums<Real, MaximumCount, SumCount>;
@@ -75,7 +86,7 @@ class Team {
     for (std::size_t i = 0; i < MaximumCount; ++i) maxima[i] = total.maxima.value[i];
     for (std::size_t i = 0; i < SumCount; ++i) sums[i] = total.sums.value[i];
   }
-  /// The smallest value with its index, the lowest index among equals; in every thread.
+  /// Replaces value and index by the smallest value and its index, the lowest index among equals, in every thread.
   template <class Real>
   __device__ void patch_argmin(Real& value, std::uint32_t& index) const {
     const Candidate<Real> best =
@@ -86,6 +97,8 @@ class Team {
     index = best.index;
   }
 
+  /// Replaces `sums` by their sums over all patches, and makes everything that a patch wrote before visible to all.
+  /// scratch: [patch_count, 4]; must differ from that of the previous exchange.
   template <class Real, std::size_t Count>
   __device__ void exchange(Real (&sums)[Count], Real* scratch) {
     static_assert(Count <= 4);
@@ -94,8 +107,8 @@ class Team {
       for (std::size_t i = 0; i < Count; ++i) scratch[4 * blockIdx.x + i] = sums[i];
     }
     cooperative_groups::this_grid().sync();
-    // Every warp adds up all patches in the same order, which costs no barrier of the block. Other blocks wrote a
-    // moment ago: past the L1 cache.
+    // Every warp adds up all patches in the same order, which needs no barrier of the block. Other blocks have just
+    // written, so the reads bypass the L1 cache.
     for (Real& sum : sums) sum = 0;
     for (std::uint32_t patch = threadIdx.x % kWarp; patch < gridDim.x; patch += kWarp) {
       for (std::size_t i = 0; i < Count; ++i) sums[i] += __ldcg(scratch + 4 * patch + i);
@@ -162,25 +175,26 @@ class Team {
     return {shuffle(both.maxima, mask), shuffle(both.sums, mask)};
   }
 
-  /// Over a warp; the result is in every lane, the same to the last bit, since each combination is commutative.
+  /// Reduces over a warp. The result is in every lane, the same to the last bit, because each combination is
+  /// commutative.
   template <class T, class Combine>
   __device__ static T reduce_warp(T value, Combine combine) {
     for (unsigned mask = kWarp / 2; mask > 0; mask /= 2) value = combine(value, shuffle(value, mask));
     return value;
   }
-  /// Over the block by warps; blockDim.x is a multiple of kWarp. The result is in every thread.
+  /// Reduces over the block, whose size must be a multiple of kWarp. The result is in every thread.
   template <class T, class Combine>
   __device__ T reduce(T value, Combine combine) const {
     const unsigned warps = blockDim.x / kWarp;
     value = reduce_warp(value, combine);
-    __syncthreads();  // the partial results of the reduction before this one have been read
+    __syncthreads();  // the partial results of the last reduction have been read
     if (threadIdx.x % kWarp == 0) partial<T>(threadIdx.x / kWarp) = value;
     __syncthreads();
     T total = partial<T>(0);
     for (unsigned other = 1; other < warps; ++other) total = combine(total, partial<T>(other));
     return total;
   }
-  /// What each warp has found, in shared memory: one array for all reductions of a type.
+  /// The results of the warps, in shared memory: one array for all reductions of a type.
   template <class T>
   __device__ static T& partial(unsigned warp) {
     __shared__ T partials[kMaxBlockThreads / kWarp];
