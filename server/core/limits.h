@@ -33,14 +33,14 @@ inline constexpr double kMaxRateHz = 20'000.0;
 /// Simulated time that one step advances [s].
 inline constexpr double kMinTimeStepS = 1e-6;
 inline constexpr double kMaxTimeStepS = 10.0;
-/// Conjugate-gradient iterations of one linear solve. A step makes one linear solve for each outer iteration.
+/// Conjugate-gradient iterations of one linear solve. A step makes one linear solve for each Newton iteration.
 inline constexpr std::uint32_t kMaxCgIterations = 100'000;
 /// Wall time that a scene may allow for one step [s].
 inline constexpr double kMinBudgetS = 1e-6;
 inline constexpr double kMaxBudgetS = 10.0;
 /// CPU threads of one scene.
 inline constexpr std::uint32_t kMaxCpuThreads = 256;
-/// Largest number of concurrent scenes on one GPU that a daemon can be configured to reserve memory for.
+/// Largest number of concurrent scenes among which a daemon can be configured to share one GPU.
 inline constexpr std::uint32_t kMaxGpuScenes = 4096;
 /// Largest coordinate [m] or velocity [m/s] accepted as input. Single precision resolves only 6 cm there.
 inline constexpr double kMaxLength = 1e6;

@@ -169,7 +169,7 @@ def section(backends: Sequence[str]) -> list[str]:
     trades = read(backends)
     if not trades:
         return []
-    heads = ["scene", "device", "commit", "reference known to", "unmodified", "fastest in tolerance", "most accurate"]
+    heads = ["scene", "device", "commit", "reference error", "unmodified", "fastest in tolerance", "most accurate"]
     lines = [
         "",
         "## Accuracy against time",
