@@ -87,7 +87,7 @@ class ReadyFile {
  private:
   ReadyFile(std::string path, std::uint64_t inode) : path_(std::move(path)), inode_(inode) {}
   std::string path_;     // empty: moved from
-  std::uint64_t inode_;  // of the file that we wrote, to recognize it
+  std::uint64_t inode_;  // identifies the file that we wrote
 };
 
 }  // namespace tensormass::daemon

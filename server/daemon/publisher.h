@@ -71,8 +71,8 @@ class Publisher {
 
     std::weak_ptr<world::Runner> runner;
     const world::Runner* id;                 // to compare only; may dangle
-    std::vector<v1::ToolFeedback> feedback;  // of each tool, the last that was published
-    std::vector<std::string> feedback_keys;  // of each tool, in the order of `feedback`
+    std::vector<v1::ToolFeedback> feedback;  // the last published feedback of each tool
+    std::vector<std::string> feedback_keys;  // one for each tool, in the order of `feedback`
     std::string frame_key, status_key, topology_key;
   };
 
@@ -89,7 +89,7 @@ class Publisher {
   bus::Bus& bus_;
   const std::string server_;
   WakeUp& wake_up_;
-  std::uint64_t generation_ = 0;  // of the registry, when `scenes_` last followed it
+  std::uint64_t generation_ = 0;  // generation of the registry that `scenes_` reflects
   std::map<std::string, Scene> scenes_;
   // Reused for every message, so that their buffers are allocated once.
   v1::Frame frame_;

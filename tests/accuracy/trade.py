@@ -45,7 +45,7 @@ TIMES = {"fast": 1.0, "balanced": 1.0, "accurate": 2.0}
 
 @dataclass(frozen=True)
 class Trade:
-    """One file of results. head: everything but the measurements, of which the first is the unmodified scene."""
+    """One file of results. head: everything but the measurements. The first measurement is the unmodified scene."""
 
     head: dict
     measurements: list[Measurement]
@@ -186,7 +186,7 @@ def _run(scene: str, backend: str, folder: Path, options: list[str]) -> dict:
     result = folder / "trade.json"
     result.unlink(missing_ok=True)
     tensormass(["trade", scene, "--backend", backend, "--out", str(folder), *options])
-    if not result.exists():  # the command said why; it is no error here that no setting qualifies
+    if not result.exists():  # the command said why: perhaps no setting qualifies, which is not an error here
         sys.exit(1)
     return json.loads(result.read_text())
 

@@ -212,7 +212,7 @@ def readme(backends: Sequence[str]) -> list[str]:
             f"Richardson extrapolation of order {reference['order']:.2f}: displacement "
             f"{report.percent(reference['displacement_error'])}{force}. It ended because: {reference['ended']}."
             + (f" So {unsure}." if unsure else ""),
-            f"* Settings: {len(of.measurements)}, of which {head['combinations']['measured']} combinations of "
+            f"* Settings: {len(of.measurements)}, including {head['combinations']['measured']} combinations of "
             f"{head['combinations']['possible']} possible; each timed over {min(timed)} to {max(timed)} steps.",
             *(f"* Not varied: {name}: {why}" for name, why in head["not_varied"].items()),
         ]

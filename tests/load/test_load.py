@@ -126,7 +126,7 @@ def test_a_stopped_viewer_is_compared_with_before_and_after(
     assert stopped["seconds"] == pytest.approx(1.05 * 1024 / 250)
     assert [phase["name"] for phase in stopped["phases"]] == ["before", "while stopped", "after"]
     assert all(phase["step_time_p99_s"] > 0.0 for phase in stopped["phases"])
-    # Its oldest frame, or the frames it missed, prove that it was stopped.
+    # The viewer's oldest frame, or the frames that it missed, prove that it was stopped.
     (viewer,) = report["viewers"]
     assert viewer["was_stopped"]
     assert viewer["frames_dropped"] > 100

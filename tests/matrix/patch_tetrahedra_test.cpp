@@ -29,7 +29,8 @@ Tetrahedron canonical(Tetrahedron nodes) {
   return nodes;
 }
 
-/// Of eight threads that read a node of a tetrahedron each: how many reads wait for each other. One row is one read.
+/// Counts how many reads wait for each other where eight threads each read a node of a tetrahedron. Equal rows are one
+/// read.
 double reads_at_once(const PatchTetrahedra& shared, std::uint32_t part) {
   std::size_t reads = 0, phases = 0;
   for (std::size_t first = shared.begin[part]; first + 8 <= shared.begin[part + 1]; first += 8) {
@@ -50,7 +51,7 @@ double reads_at_once(const PatchTetrahedra& shared, std::uint32_t part) {
 void check(const mesh::Mesh& mesh, std::uint32_t patches, Storage storage) {
   const Layout layout = make_layout(mesh, patches, storage);
   std::multiset<Tetrahedron> wanted, found;
-  std::array<std::vector<std::uint32_t>, 2> rows;  // of two groups
+  std::array<std::vector<std::uint32_t>, 2> rows;  // one list for each of two groups
   std::array<std::vector<Tetrahedron>, 2> groups;
   for (const auto& nodes : mesh::element_nodes(mesh)) {
     Tetrahedron one{};

@@ -70,7 +70,7 @@ TEST(PairWedges, ServesThoseFirstThatHaveNoChoice) {
   EXPECT_EQ(pair_wedges(body_of(row_of_wedges({0, 0.5, 1, 3, 2, 3.5}))), (std::vector<ElementPair>{{0, 1}, {2, 3}}));
 }
 
-/// Of six around an axis everyone has two candidates.
+/// Each of six wedges around an axis has two candidates.
 TEST(PairWedges, OtherwiseTakesTheLargestFace) {
   mesh::Mesh mesh;
   for (const double z : {0.0, 1.0}) {

@@ -349,7 +349,7 @@ def test_a_child_ends_with_its_parent_however_that_ends(tmp_path: Path, how: sig
             sys.executable,
             "-c",
             "import subprocess, threading; from tensormass._src.processes import ChildProcess\n"
-            "def start():\n"  # of a thread that is gone at once
+            "def start():\n"  # runs in a thread that ends at once
             "    child = ChildProcess(['sleep', '600'], output=subprocess.DEVNULL)\n"
             "    print(child.process.pid, flush=True)\n"
             "    children.append(child)\n"

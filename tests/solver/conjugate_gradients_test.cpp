@@ -189,7 +189,7 @@ TEST_P(Patches, AnswerZeroForNothingToDo) {
   EXPECT_EQ(staged.view.solve.report->relative_residual, 0);
 }
 
-/// Where a value stopped being a number, the report must not look like success, whoever owns the value.
+/// The report must not look like success if a value is not a number, whichever patch owns it.
 TEST_P(Patches, SayWhenAValueIsNoNumber) {
   for (const std::uint32_t node : {5u, 60u, 111u}) {
     StagedScene<double> staged = assembled<double>(GetParam());

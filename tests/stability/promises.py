@@ -22,7 +22,8 @@ PROMISES: dict[str, tuple[str, str, str]] = {
         "comes back; free quadratic tetrahedra may rest crumpled",
     ),
     "neo_hookean": (
-        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled and quadratic tetrahedra be caught",
+        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled and quadratic tetrahedra be "
+        "caught",
         _PRESSED,
         "caught",
     ),

@@ -60,7 +60,7 @@ TEST(CheckVolume, TellsFromPositionsWhatIsJustInsideOut) {
         {.cells_x = 500, .cells_y = 1, .cells_z = 1, .size_x_m = 1, .size_y_m = 2e-3, .size_z_m = 2e-3});
     source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
     StagedScene<float> staged(source, 2);
-    const StagedScene<double> exact(source, 2);  // of what the other has in single precision
+    const StagedScene<double> exact(source, 2);  // the same positions, evaluated in double precision
     for (std::size_t i = 0; i < staged.model.rest.size(); ++i) {
       const_cast<double*>(exact.view.state.rest)[i] = staged.view.state.rest[i];
     }

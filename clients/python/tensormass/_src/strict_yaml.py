@@ -37,7 +37,7 @@ def load(text: str, where: str) -> Any:  # noqa: ANN401
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Refuses equal keys, of which PyYAML keeps the last, and names the place of values such as `2001-99-99`, which
+    """Refuses equal keys (PyYAML silently keeps the last one) and names the place of values such as `2001-99-99`, which
     look like a type but cannot be one."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:  # noqa: ANN401
