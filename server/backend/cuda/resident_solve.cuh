@@ -22,8 +22,7 @@
 ///                          ^                                                  │
 ///                          └──────────────────────────────────────────────────┘
 ///
-/// 1. Nothing but q of the patch's rows and three sums leaves the chip in an iteration (exchange.cuh). That is why it
-///    is fast.
+/// 1. In an iteration only q of the patch's rows and three sums leave the chip (exchange.cuh).
 /// 2. The last warp waits for the sums, the others for the halo.
 /// 3. Reads run ahead of their use throughout, because one block a multiprocessor has few warps to hide latency.
 ///

@@ -19,9 +19,9 @@
 ///                    ^                                                                 │
 ///                    └─────────────────────────────────────────────────────────────────┘
 ///
-/// 1. The matrix sets the speed: an iteration takes about as long as reading it. Warps therefore read ahead across
-///    tiles and iterations (TileWalk).
-/// 2. Where vectors are in device memory, x is updated only in every other iteration, which saves its reads and writes.
+/// 1. An iteration waits for little but the matrix. Warps therefore read it ahead, across tiles and iterations
+///    (TileWalk).
+/// 2. If p is in device memory, x is updated only in every other iteration. That saves its reads and writes.
 ///
 /// resident_solve.cuh serves smaller patches.
 namespace tensormass::backend::cuda {
@@ -106,7 +106,7 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
-  // Vectors in device memory: x is updated in every other iteration. The first one omits α p and stores γ = α / β. The
+  // With p in device memory, x is updated in every other iteration. The first one omits α p and stores γ = α / β. The
   // next one has r' and p' = r' + β p and adds both terms, because x + α p + α' p' = x + (α' + γ) p' − γ r'. If β is
   // small, p' − r' has few digits of β p, so the update is not postponed.
   constexpr float kLeastBeta = 0.05f;
