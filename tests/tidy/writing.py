@@ -35,12 +35,14 @@ REWRITTEN: tuple[str, ...] = (
     "docs/decisions/set-up.md",
     "examples",
     "proto",
+    "server/world",
     "tests/CMakeLists.txt",
     "tests/docker",
     "tests/examples",
     "tests/proto",
     "tests/run.sh",
     "tests/setup",
+    "tests/world",
 )
 
 SLASHES = {".h", ".cc", ".cpp", ".cu", ".cuh", ".ts", ".js", ".mjs", ".rs", ".proto", ".css", ".in"}
