@@ -18,8 +18,8 @@
 ///     loop's thread: set_state, take_..., clear  -->  atomics, and a mutex for each text  -->  any thread: make
 ///     publisher's thread: take, at the scene's status rate and after each change of state
 ///
-/// The loop takes a mutex only when a scene stops or a step leaves its bounds. The values of one status may come from
-/// two steps next to each other, because no lock holds them together.
+/// The loop takes a mutex only when a scene stops or a step leaves its bounds. No lock holds the values of one
+/// status together, so they may come from two consecutive steps.
 namespace tensormass::world {
 
 class LoopStatus {

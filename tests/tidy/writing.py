@@ -42,6 +42,7 @@ REWRITTEN: tuple[str, ...] = (
     "server/solver",
     "server/step",
     "server/view",
+    "server/world",
     "tests/CMakeLists.txt",
     "tests/docker",
     "tests/examples",
@@ -49,6 +50,7 @@ REWRITTEN: tuple[str, ...] = (
     "tests/proto",
     "tests/run.sh",
     "tests/setup",
+    "tests/world",
 )
 
 SLASHES = {".h", ".cc", ".cpp", ".cu", ".cuh", ".ts", ".js", ".mjs", ".rs", ".proto", ".css", ".in"}

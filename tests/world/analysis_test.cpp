@@ -12,8 +12,8 @@
 #include "world/fields.h"
 #include "world/findings.h"
 
-/// Time schemes, equilibria, loads and fields against what mechanics says of them. The tables of docs/accuracy.md go
-/// further; these are the checks that every change must pass.
+/// Time schemes, equilibria, loads and fields against analytical mechanics. Every change must pass these
+/// checks; the tables of docs/accuracy.md go further.
 namespace tensormass::world {
 namespace {
 
@@ -58,8 +58,8 @@ class Analysis : public tests::OnBackend {
   static Eigen::MatrixXd one(World& world, v1::Field field) { return values(fields(world, {field}).fields(0)); }
 };
 
-/// The bar's first swing after a load is let go, against a run with steps a hundredth: the error falls with dt for
-/// implicit Euler and with dt² for BDF2.
+/// The bar's first swing after its load is removed, compared with a run whose steps are a hundred times shorter. The
+/// error falls with dt for implicit Euler and with dt² for BDF2.
 TEST_P(Analysis, TimeSchemesHaveTheirOrder) {
   const auto tip = [&](v1::Solver::Integrator integrator, int steps) {
     v1::Scene scene = bar();
@@ -192,8 +192,8 @@ TEST_P(Analysis, PatchTest) {
   check(mixed, "all linear shapes, distorted, selective");
 }
 
-/// A nearly incompressible bar bends about an axis across the triangles of its wedges as hexahedra do, which do not
-/// lock; wedges that keep their change of volume to themselves do not come near.
+/// A nearly incompressible bar of wedge pairs bends like one of hexahedra, which do not lock. Its axis of bending lies
+/// across the triangles. Wedges whose volume change is not shared with a partner are far too stiff.
 TEST_P(Analysis, SelectiveWedgesDoNotLock) {
   const auto tip = [&](v1::Shape shape) {
     v1::Scene scene = bar(shape, "hooke", 0.4999);
@@ -257,7 +257,7 @@ TEST_P(Analysis, ReactionsAreTheDerivativeOfTheEnergy) {
   }
 }
 
-/// u = schedule(t) · displacement, where and in which directions it is given; the others stay free.
+/// Prescribed nodes follow u = schedule(t) · displacement in the prescribed directions. Other directions stay free.
 TEST_P(Analysis, PrescribedNodesFollowTheirPrescribedDisplacement) {
   for (const bool dynamic : {true, false}) {
     v1::Scene scene = bar(v1::SHAPE_TETRAHEDRON, "st_venant_kirchhoff");
@@ -289,13 +289,13 @@ TEST_P(Analysis, PrescribedNodesFollowTheirPrescribedDisplacement) {
   }
 }
 
-/// A pressure on the whole surface of a free block squeezes it by p / K, follows it, and moves it nowhere.
+/// A pressure p on the whole surface of a free block compresses its volume by p / K and does not move it.
 TEST_P(Analysis, PressureAllAroundIsHydrostatic) {
   for (const v1::Shape shape : tests::shapes()) {
     v1::Scene scene = bar(shape, "hooke");
     v1::Body& body = *scene.mutable_bodies(0);
     body.clear_fixed();
-    for (int c = 0; c < 3; ++c) {  // three planes of symmetry hold it
+    for (int c = 0; c < 3; ++c) {  // fixed by three planes of symmetry
       v1::PrescribedDisplacement& plane = *body.add_prescribed();
       tests::set(*plane.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
       tests::set(*plane.mutable_region()->mutable_box()->mutable_max_m(), c == 0 ? 1e-6 : 1, c == 1 ? 1e-6 : 1,
@@ -373,7 +373,7 @@ TEST_P(Analysis, DiagnosticsMeasureStrainAndCompression) {
   EXPECT_EQ(world->diagnostics()[0].max_strain, 0);
 }
 
-/// Wedges and their pairs are two groups and one finding.
+/// Wedges and their pairs are two element groups but give one warning.
 TEST_P(Analysis, LeavingTheLinearRangeGivesOneWarning) {
   v1::Scene scene = bar(v1::SHAPE_WEDGE, "hooke");
   scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);

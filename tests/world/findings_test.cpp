@@ -13,7 +13,7 @@ namespace {
 
 class FindingsOf : public tests::OnBackend {
  protected:
-  /// A bar whose end is moved by `turn` in z and `press` in x, at equilibrium, with what is found of it.
+  /// A bar whose end is moved by `turn` in z and `press` in x, at equilibrium, and its findings.
   v1::SceneStatus after(const std::string& law, double turn, double press, std::uint32_t newton_max_iterations = 50) {
     v1::Scene scene = tests::beam_scene({.cells_x = 6,
                                          .cells_y = 2,

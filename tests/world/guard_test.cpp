@@ -20,7 +20,7 @@ namespace {
 
 using tests::Fault;
 
-/// Every kind of state that a step carries on: what a guard must put back.
+/// Scenes with every kind of state that a step changes and a checkpoint must restore.
 struct Kind {
   const char* name;
   std::function<void(v1::Scene&)> set;
@@ -59,7 +59,7 @@ const std::vector<Kind>& kinds() {
   return all;
 }
 
-/// A block that sinks under its weight against a probe that stands in its way.
+/// A block that sinks under its weight onto a probe at rest.
 v1::Scene pressed_block(const Kind& kind, double dt_s = 0.01) {
   v1::Scene scene = tests::block_with_probe(true, 4);
   scene.mutable_stepping()->set_dt_s(dt_s);
@@ -73,12 +73,12 @@ class Guarding : public tests::OnBackend {
   std::unique_ptr<World> start_faulty(const v1::Scene& scene, tests::FaultPlan plan) {
     backend_ = std::make_unique<tests::FaultyBackend>(std::move(backend_), std::move(plan));
     auto world = start(scene);
-    SetUp();  // the sound one again
+    SetUp();  // the working backend again
     return world;
   }
 };
 
-/// A step that is taken back and made as two of half its length is exactly that, whatever the scene carries on.
+/// A step that is rolled back and repeated as two halves equals two steps of half the length, for all kinds of state.
 TEST_P(Guarding, AStepThatIsRolledBackLeavesNoTrace) {
   for (const Kind& kind : kinds()) {
     const auto faulty = start_faulty(pressed_block(kind), [](std::uint64_t, std::uint64_t call) {
@@ -110,11 +110,11 @@ TEST_P(Guarding, AStepThatIsRolledBackLeavesNoTrace) {
   }
 }
 
-/// A world that nothing helped stands where it stood, and goes on from there as if nothing had been.
+/// If every retry fails, the world stays at its checkpoint and continues from there as if the step had not been tried.
 TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
   for (const Fault fault : {Fault::kNotANumber, Fault::kExplosion, Fault::kStall}) {
     for (const Kind& kind : kinds()) {
-      // What drives a body brings it any energy, so that none is too much.
+      // Prescribed displacements do work that is not counted, so no energy is too much.
       if (fault == Fault::kExplosion && std::string_view(kind.name) == "driven") continue;
       // The first part of each retry is good, so internal variables advance in it.
       const auto faulty = start_faulty(pressed_block(kind), [&](std::uint64_t step, std::uint64_t call) {
@@ -272,7 +272,7 @@ TEST_P(Guarding, ElasticEnergyEqualsThatOfTheFields) {
   }
 }
 
-/// A tool that presses does work, and what it did is in the tissue or was taken by the scheme: nothing from nowhere.
+/// The work of a tool that presses equals the energy in the tissue plus the energy that the time scheme dissipated.
 TEST_P(Guarding, WorkOfToolsIsCounted) {
   v1::Scene scene = tests::block_with_probe(true, 6);
   scene.clear_gravity_m_per_s2();

@@ -19,7 +19,7 @@ model::Model model_with(double floor_tolerance = 0) {
   return std::move(model::compile(scene, {1, 1}).value());
 }
 
-/// Steps of a machine that takes `fixed_s` and `iteration_s` for each of the iterations that are left to a solve.
+/// Steps of a machine that takes `fixed_s` plus `iteration_s` for each iteration within the limit.
 void run(IterationBudget& budget, int steps, double fixed_s, double iteration_s, double residual = 0,
          std::uint32_t needed = 1000) {
   for (int i = 0; i < steps; ++i) {
@@ -91,7 +91,7 @@ TEST(IterationBudget, RisesAtOnceIfAStepWasRepeatedForItsResidual) {
   IterationBudget budget(model);
   run(budget, 400, 1, 1, 1e-4);
   ASSERT_EQ(budget.limit(), 20u);
-  // Made again with all iterations it is solved well, and slow.
+  // The repeated step takes all iterations: a small residual, but slow.
   const solver::StepResult again{.cg_iterations = 100, .cg_relative_residual = 1e-5};
   GuardEvent event;
   event.first.breach = Breach::kLinearResidual;

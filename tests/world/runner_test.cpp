@@ -23,7 +23,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Waits for what another thread brings about; the deadline is for a broken build only.
+/// Waits until another thread makes a condition true. The deadline matters in a broken build only.
 bool eventually(const std::function<bool()>& condition) {
   const auto deadline = std::chrono::steady_clock::now() + 60s;
   while (!condition()) {
@@ -63,7 +63,7 @@ v1::Scene running_scene(double rate_hz, double frame_rate_hz = 60) {
   return scene;
 }
 
-/// Next to no mass and no stiffness: thrown so fast within some steps that it moves farther in one than it is large.
+/// A body of almost no mass and stiffness. After some steps it moves farther in one step than its own size.
 v1::Scene doomed(v1::Scene scene) {
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
@@ -85,7 +85,7 @@ class Running : public tests::OnBackend {
     if (!runner) throw std::runtime_error(runner.error().message);
     return std::move(*runner);
   }
-  /// On a backend that goes wrong by plan.
+  /// Loads a scene on a backend that fails at planned steps.
   std::unique_ptr<Runner> load(const v1::Scene& scene, tests::FaultPlan plan) const {
     const bool cpu = std::string(GetParam()) == "cpu";
     auto compiled = compile_scene(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
@@ -175,7 +175,7 @@ TEST_P(Running, StepsByTheClockUntilPausedAndAgainWhenResumed) {
   const auto paused = runner->pause();
   ASSERT_TRUE(paused);
   EXPECT_EQ(paused->state(), v1::SceneStatus::STATE_PAUSED);
-  // Commands are applied by the loop between two steps: had it gone on, some of these would have seen it.
+  // The loop runs commands between two steps. If it still stepped, some of these would see a new step.
   for (int i = 0; i < 20; ++i) EXPECT_EQ(runner->positions("beam")->step(), paused->step());
   const auto resumed = runner->resume();
   ASSERT_TRUE(resumed);
@@ -197,7 +197,7 @@ TEST_P(Running, PausePublishesZeroForces) {
   EXPECT_EQ(norm(runner->status().tools(0).force_n()), 0);
 }
 
-/// Frames are fewer than steps: whoever watches would be left with an older one, and with its forces.
+/// Frames are rarer than steps. Without this frame, a viewer would keep showing an older one and its forces.
 TEST_P(Running, PausePublishesAFrameOfTheLastStep) {
   v1::Scene scene = running_scene(200, 0.001);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
@@ -392,7 +392,8 @@ TEST_P(Running, AFaultStopsARunningSceneUntilItsReset) {
   EXPECT_TRUE(eventually([&] { return runner->status().step() > 0; }));
 }
 
-/// Whatever goes wrong: nothing of it goes out, hands are free, the scene says why, and a reset brings it back.
+/// After any failure the bad step is not published, forces are zero, the status says why, and a reset restarts the
+/// scene.
 TEST_P(Running, NothingOfABadStepIsPublished) {
   for (const tests::Fault fault : {tests::Fault::kNotANumber, tests::Fault::kExplosion, tests::Fault::kStall}) {
     v1::Scene scene = lockstep_scene();
@@ -448,7 +449,7 @@ TEST_P(Running, ASceneGoesOnAfterASuccessfulRetryAndCountsIt) {
   EXPECT_TRUE(all_finite(floats(frame.positions()))) << "gathered again after the retry";
 }
 
-/// What a device that failed holds is not shown, and one that works again is used again.
+/// State on a failed device is not shown. After a reset, a device that works again is used again.
 TEST_P(Running, ADeviceThatFailsStopsTheSceneUntilItsReset) {
   const auto runner = load(lockstep_scene(), [](std::uint64_t step, std::uint64_t) {
     return step == 3 ? std::optional(tests::Fault::kDeviceError) : std::nullopt;
@@ -470,7 +471,7 @@ TEST_P(Running, KeepsToABudgetDownToTheFloorAndWarns) {
   scene.mutable_solver()->set_cg_max_iterations(60);
   scene.mutable_solver()->set_cg_tolerance(0);
   scene.mutable_solver()->set_floor_cg_iterations(25);
-  scene.mutable_solver()->set_budget_s(limits::kMinBudgetS);  // no machine keeps to it
+  scene.mutable_solver()->set_budget_s(limits::kMinBudgetS);  // no machine is that fast
   const auto runner = load(scene);
   EXPECT_EQ(runner->status().step_budget_s(), limits::kMinBudgetS);
   EXPECT_EQ(runner->status().floor_cg_iterations(), 25u);
@@ -507,7 +508,7 @@ TEST_P(Running, CountsMissedDeadlines) {
   EXPECT_EQ(status.state(), v1::SceneStatus::STATE_RUNNING) << "it says so and goes on";
 }
 
-/// A scene is unloaded by letting go of it: it ends with the last call that is under way.
+/// Unloading releases the runner. The scene ends when the last call in progress returns.
 TEST_P(Running, EndsWithTheLastCallThatHoldsIt) {
   std::shared_ptr<Runner> runner = load(lockstep_scene());
   const std::weak_ptr<Runner> watched = runner;
@@ -524,7 +525,7 @@ TEST_P(Running, EndsWithTheLastCallThatHoldsIt) {
   EXPECT_TRUE(watched.expired());
 }
 
-/// Hours of steps do not keep a daemon from ending.
+/// A daemon can end although a `step` call would take hours.
 TEST_P(Running, CancelEndsAStepCallUnderWay) {
   const auto runner = load(lockstep_scene());
   std::thread canceller([&] {

@@ -9,7 +9,7 @@
 #include "support/backends.h"
 #include "support/dense_system.h"
 
-/// Whole steps against what mechanics says of them.
+/// Whole steps compared with analytical mechanics.
 namespace tensormass::world {
 namespace {
 
@@ -82,8 +82,8 @@ TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {
   }
 }
 
-/// A body that turns, or that flies into a tool, meets forces in a step whose solve had nothing to do: the inertia
-/// alone took it there. Newton's method must not take that for the end.
+/// A body that turns, or flies into a tool, meets forces that only appear after inertia has moved it. The first solve
+/// starts without a residual, and Newton's method must not stop there.
 TEST_P(Mechanics, NewtonsMethodFollowsABodyThatTurns) {
   for (const bool double_precision : {false, true}) {
     v1::Scene scene = tests::beam_scene(
@@ -277,7 +277,7 @@ TEST_P(Mechanics, ResetIsBackToRest) {
   EXPECT_EQ(world->readings()[0].force_n, first_force);
 }
 
-/// A body starts where its scene says, with the velocities that it says, and a reset brings it back there.
+/// A body starts with the displacements and velocities of its scene, and a reset restores them.
 TEST_P(Mechanics, StartsWithTheInitialStateOfTheScene) {
   v1::Scene scene = tests::beam_scene({.cells_x = 2,
                                        .cells_y = 1,
@@ -323,7 +323,8 @@ TEST_P(Mechanics, ToolsFollowTheirTargetsAtTheMaximumSpeed) {
   }
 }
 
-/// A long tool that turns sweeps its tip: what is limited is the sphere, and it still arrives.
+/// A long tool that turns moves its tip fast. The limit holds for the sphere at the tip, which still reaches its
+/// target.
 TEST_P(Mechanics, RotationMovesTheSphereNoFasterThanTheMaximumSpeed) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   tests::set(*scene.mutable_tools(0)->mutable_spherical_probe()->mutable_tip_offset_m(), 0, 0.2, 0);
@@ -346,7 +347,7 @@ TEST_P(Mechanics, RotationMovesTheSphereNoFasterThanTheMaximumSpeed) {
   EXPECT_LT((before - Vec3<double>(0, 1, 0.2)).norm(), 1e-12);
 }
 
-/// Next to no mass and no stiffness: thrown faster and faster, until it moves farther in a step than it is large.
+/// A body of almost no mass and stiffness accelerates until it moves farther in a step than its own size.
 TEST_P(Mechanics, TheGuardStopsAnUnstableState) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
