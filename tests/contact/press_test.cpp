@@ -12,8 +12,8 @@ namespace {
 
 class Press : public tests::OnBackend {};
 
-/// A deep block of linear tissue, 12 × 6 × 12 cm, its bottom clamped, with elements that grow from 0.6 mm at the point
-/// of contact to centimetres at the rim.
+/// A deep block of linear tissue, 12 × 6 × 12 cm, with its bottom clamped. Elements grow from 0.6 mm at the point of
+/// contact to centimetres at the rim.
 v1::Scene half_space(double young_modulus_pa, double poisson_ratio) {
   mesh::Mesh mesh = mesh::make_grid({-1, -1, -1}, {2, 1, 2}, 20, 10, 20).value();
   for (Eigen::Vector3d& x : mesh.nodes) {
@@ -26,7 +26,7 @@ v1::Scene half_space(double young_modulus_pa, double poisson_ratio) {
   v1::Box& bottom = *scene.mutable_bodies(0)->add_fixed()->mutable_box();
   tests::set(*bottom.mutable_min_m(), -1, -1, -1);
   tests::set(*bottom.mutable_max_m(), 1, -0.0599, 1);
-  scene.mutable_stepping()->set_dt_s(1);  // so long that nothing is left of inertia
+  scene.mutable_stepping()->set_dt_s(1);  // long enough that inertia does not matter
   scene.mutable_solver()->set_cg_max_iterations(2000);
   scene.mutable_solver()->set_cg_tolerance(1e-6);
   return scene;
@@ -34,9 +34,10 @@ v1::Scene half_space(double young_modulus_pa, double poisson_ratio) {
 
 /// Hertz: F = 4/3 E* √R d^1.5 on a half-space of linear tissue.
 ///
-/// 18 %: a triangle carries its whole area at the depth of its deepest point and linear tetrahedra are too stiff, which
-/// together give 9 to 13 % too much with 4 to 6 elements across the contact circle (28 cells a side instead of 20 leave
-/// 2 % at 0.5 mm); the clamp at 6 cm and the penalty's own compliance are a few percent, of opposite signs.
+/// The tolerance is 18 % for two reasons. A triangle carries its whole area at the depth of its deepest point, and
+/// linear tetrahedra are too stiff. Together they give 9 to 13 % too much with 4 to 6 elements across the contact
+/// circle; 28 cells a side instead of 20 leave 2 % at 0.5 mm. The clamp at 6 cm and the compliance of the penalty add a
+/// few percent of opposite signs.
 TEST_P(Press, FollowsHertz) {
   constexpr double kYoungPa = 5e3, kPoisson = 0.3, kRadiusM = 0.01;
   v1::Scene scene = half_space(kYoungPa, kPoisson);
@@ -79,8 +80,8 @@ TEST_P(Press, TorqueIsAboutTheToolsPosition) {
   EXPECT_LT((reading.torque_n_m - expected).norm(), 1e-9 * expected.norm());
 }
 
-/// A tool that was driven into the tissue faster than the tissue could move is let out again: the surface ends up
-/// outside the sphere.
+/// A tool that moved into the tissue faster than the tissue could follow is pushed out: the surface ends up outside of
+/// the sphere.
 TEST_P(Press, TissueClosesAroundAToolThatStartedInside) {
   v1::Scene scene = tests::block_with_probe(true, 8);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.047, 0.05);  // centre 3 mm below the surface

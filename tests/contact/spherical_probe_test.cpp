@@ -104,7 +104,7 @@ TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
   }
 }
 
-/// Momentum: what the tissue gains in a step is what the tool is said to have given.
+/// The tissue gains the momentum that the reported force of the tool gives.
 TEST_P(Probe, ActsOnTheTissueAsTheTissueOnIt) {
   StagedScene<double> staged(box_scene(mesh_), GetParam());
   const Vec3<double> center(0.4, 1.1, 0.6);
@@ -144,7 +144,7 @@ TEST_P(Probe, OutOfReachIsExactlyNothing) {
             alone.by_node(alone.view.state.displacement));
 }
 
-/// What a step left in its buffers must not push in the next.
+/// Contacts of one step must not push in the next.
 TEST_P(Probe, LetsGoWhenItLeaves) {
   StagedScene<double> staged(box_scene(mesh_), GetParam());
   place(staged, {0.5, 1.1, 0.5}, 0.3);
@@ -220,8 +220,8 @@ TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
   }
 }
 
-/// Inside or outside, at faces, edges and corners, sharp and blunt: by the pseudonormal as by looking for an element
-/// that holds the point.
+/// Compares the sign by pseudonormal with a search for an element that contains the point: at faces, edges and corners,
+/// sharp and blunt.
 /// Returns how many points were inside.
 int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t seed) {
   StagedScene<double> staged(box_scene(mesh), patches);

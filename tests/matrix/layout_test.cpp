@@ -12,7 +12,7 @@
 #include "mesh/random_mesh.h"
 #include "mesh/shapes.h"
 
-/// The invariants of view/scene.h, against the mesh itself.
+/// Checks the layout against the mesh by brute force.
 namespace tensormass::matrix {
 namespace {
 
@@ -95,7 +95,7 @@ void check_slots(const mesh::Mesh& mesh, const Layout& layout) {
   }
 }
 
-/// Storage::kEdges: between rows of one patch each edge once, across patches in both rows, each in its section.
+/// Storage::kEdges: expects an edge within a patch once, an edge between patches in both rows, each in its section.
 void check_edges(const mesh::Mesh& mesh, const Layout& layout) {
   const auto neighbours = neighbours_of(mesh);
   ASSERT_EQ(layout.slice_begin.size(), layout.row_count / kEdgeSliceRows + 1);
@@ -144,7 +144,7 @@ void check_edges(const mesh::Mesh& mesh, const Layout& layout) {
   EXPECT_EQ(boundary, expected) << "what one patch reads another publishes";
 }
 
-/// Storage::kTiles: what a solve reads gives it each block of the matrix once, and no two lanes add to one row at once.
+/// Storage::kTiles: expects that the read slots give each block once, and that no two lanes add to one row at once.
 void check_tiles(const mesh::Mesh& mesh, const Layout& layout) {
   const auto neighbours = neighbours_of(mesh);
   ASSERT_EQ(layout.slice_read.size(), layout.row_count / kSliceRows);
@@ -221,8 +221,8 @@ TEST(Layout, SharesEdgesOutSoThatSlicesHaveLittlePadding) {
   EXPECT_LT(static_cast<double>(padding), 0.05 * layout.slot_count());
 }
 
-/// A node that a hundred others surround: its slice keeps its order.
-TEST(Layout, RowsOfManyNeighboursAreReadWhole) {
+/// A node with a hundred neighbours: its slice is too wide for an order by bank or tile.
+TEST(Layout, VeryWideSlicesKeepTheirOrder) {
   constexpr std::uint32_t kRing = 100;
   mesh::Mesh mesh;
   mesh.nodes = {{0, 0, 0}, {0, 0, 1}};
@@ -238,8 +238,8 @@ TEST(Layout, RowsOfManyNeighboursAreReadWhole) {
   check(mesh, 2);
 }
 
-/// How often eight threads that read the vectors of a column together have to wait, on average: as many times as the
-/// fullest of eight banks is asked for different ones. One is the least; in no order at all it is one and a half.
+/// Returns how many reads queue on average when eight threads read the vectors of a column: the number of different
+/// vectors in the fullest of eight banks. The least is 1; a random order has 1.5.
 double reads_per_column(const Layout& layout) {
   constexpr std::uint32_t kBanks = 8;
   double reads = 0;
@@ -255,18 +255,18 @@ double reads_per_column(const Layout& layout) {
   return reads / (layout.slot_count() / kBanks);
 }
 
-TEST(Layout, EightRowsSeldomMeetAtABank) {
+TEST(Layout, HasFewBankConflicts) {
   EXPECT_LT(reads_per_column(make_layout(mesh::testing::unit_grid(24), 36)), 1.2);
   EXPECT_LT(reads_per_column(make_layout(mesh::testing::random_mesh(1, 16, 0.6), 8)), 1.2);
 }
 
-TEST(Layout, TilesReadTwoBlocksForThree) {
+TEST(Layout, TilesReadTwoOfThreeBlocks) {
   const Layout layout = make_layout(mesh::testing::unit_grid(24), 4, Storage::kTiles);
   EXPECT_EQ(layout.tile_rows, 256u);
   EXPECT_LT(layout.read_slot_count(), 0.67 * layout.slot_count());
 }
 
-/// Each patch computes what touches its rows, finds each of its edges once, and nobody else's.
+/// Each patch computes the elements that touch its rows, and finds each of its own edges once.
 TEST(PatchElements, EveryPatchAddsToItsOwnEdgesOnly) {
   const mesh::Mesh mesh = mesh::testing::random_mesh(2, 5, 0.6);
   const Layout layout = make_layout(mesh, 3, Storage::kEdges);
@@ -336,7 +336,7 @@ TEST(Layout, IsTheSameForTheSameMesh) {
   EXPECT_EQ(a.columns, b.columns);
 }
 
-/// Eight rows that a device reads at once, in each column: as few of them as can be share a bank.
+/// In each column, few of the eight rows that a device reads together share a bank.
 TEST(Layout, NeighboursAreSpreadOverBanks) {
   const Layout layout = make_layout(mesh::testing::unit_grid(8), 2);
   std::uint32_t reads = 0, together = 0;
@@ -355,8 +355,25 @@ TEST(Layout, NeighboursAreSpreadOverBanks) {
       }
     }
   }
-  // At random the fullest of eight banks has 2.6 of eight reads.
+  // In a random order the fullest of eight banks has 2.6 of eight reads.
   EXPECT_LT(together, 1.7 * reads);
+}
+
+TEST(LayoutDeathTest, AssertsWhatKernelsRelyOn) {
+  const Layout good = make_layout(mesh::testing::unit_grid(4), 2);
+  check_layout(good);
+  const auto broken = [&](const auto& spoil) {
+    Layout layout = good;
+    spoil(layout);
+    return layout;
+  };
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { --l.patch_rows[1]; })), "patches start at slices");
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { l.patch_halo.pop_back(); })), "each range has an offset");
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { l.slice_begin.back() += 1; })), "the ranges cover all items");
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { l.columns[0] = l.row_count; })), "local numbers of the patch");
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { std::swap(l.row_of_node[0], l.row_of_node[1]); })), "inverse");
+  EXPECT_DEATH(check_layout(broken([](Layout& l) { l.used_twice.push_back(0); })), "only tiles share blocks");
+  EXPECT_DEATH(static_cast<void>(good.slot(0, 0)), "couples the two nodes");
 }
 
 TEST(Records, BeginAtMultiplesOfFourAndHoldPointsAndParameters) {

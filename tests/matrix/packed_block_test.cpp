@@ -31,7 +31,7 @@ Block random_block(std::mt19937& random, float scale) {
   return block;
 }
 
-TEST(PackedBlock, IsOffByAMillionthOfTheLargestNumber) {
+TEST(PackedBlock, ErrorIsAMillionthOfTheLargestEntry) {
   std::mt19937 random(1);
   for (const float scale : {2.0f, 1.0f, 0.5f, 0.3f, 0.1f, 0.01f}) {
     double worst = 0;
@@ -39,7 +39,7 @@ TEST(PackedBlock, IsOffByAMillionthOfTheLargestNumber) {
       const Block block = random_block(random, scale), back = block.unpacked();
       const float unit = std::max(block.largest(), 0x1p-7f);
       for (int c = 0; c < 9; ++c) {
-        // The largest number that has a place is one step below R.
+        // The largest representable entry is one step below R.
         const double allowed = block.numbers[c] > 0.999f * block.largest() ? 0x1p-19 : 0x1p-20;
         EXPECT_LE(std::abs(back.numbers[c] - block.numbers[c]), allowed * unit);
         worst = std::max(worst, std::abs(double{back.numbers[c]} - double{block.numbers[c]}) / double{unit});
@@ -49,7 +49,7 @@ TEST(PackedBlock, IsOffByAMillionthOfTheLargestNumber) {
   }
 }
 
-TEST(PackedBlock, LeavesNumbersThatHaveAPlaceAsTheyAre) {
+TEST(PackedBlock, KeepsRepresentableEntriesExactly) {
   for (const float number : {0.0f, 1.0f, -1.0f, -2.0f, 0.5f, 0.75f, -0.0625f, 0x1p-25f, 3 * 0x1p-20f}) {
     const Block back = Block{{0, number, 0, -number / 2, 0, 0, 0, 0, number}}.unpacked();
     EXPECT_EQ(back.numbers[1], number);
@@ -70,7 +70,7 @@ TEST(PackedBlock, PacksTheTransposeAsTheTranspose) {
   }
 }
 
-TEST(PackedBlock, WhatIsTooLargeStaysLarge) {
+TEST(PackedBlock, ClampsLargeEntriesToTwo) {
   for (const float number : {2.0f, 17.0f, 1e30f, std::numeric_limits<float>::infinity()}) {
     const Block back = Block{{number, -number, 0.5f, 0, 0, 0, 0, 0, 0}}.unpacked();
     EXPECT_NEAR(back.numbers[0], 2, 1e-5);
@@ -87,7 +87,7 @@ TEST(PackedBlock, ZerosAreZeros) {
   for (const float number : block.numbers) EXPECT_EQ(number, 0);
 }
 
-TEST(PackedDiagonal, IsOffByAFiveHundredthOfTheLargestNumber) {
+TEST(PackedDiagonal, ErrorIsAFiveHundredthOfTheLargestEntry) {
   std::mt19937 random(3);
   for (const float scale : {0x1p-17f, 1e-6f, 3e-8f, 1e-9f}) {
     std::uniform_real_distribution<float> number(-scale, scale);
@@ -112,12 +112,12 @@ TEST(PackedDiagonal, StaysFiniteWhereBlocksAreOutOfRange) {
   EXPECT_EQ(back.yy, 0);
 }
 
-/// Neighbours that move as their row does find it as it was, though each block is rounded.
-TEST(PackedDiagonal, TakesBackWhatBlocksHaveLostTogether) {
+/// Neighbours that move together feel the exact row, although each block is rounded.
+TEST(PackedDiagonal, CancelsTheRoundingErrorsOfARow) {
   std::mt19937 random(4);
   double worst_with = 0, worst_without = 0;
   for (int i = 0; i < 1000; ++i) {
-    // A row of a structured mesh: neighbours on both sides are alike, and so is what they lose.
+    // A row of a structured mesh: the blocks of both sides are equal, and so are their errors.
     UpperTriangle sum;
     Vec3<double> exact(0, 0, 0), without(0, 0, 0);
     const Vec3<float> motion(1, -0.5f, 0.25f);

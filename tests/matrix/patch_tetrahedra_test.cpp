@@ -15,7 +15,7 @@ namespace {
 
 using Tetrahedron = std::array<std::uint32_t, 4>;
 
-/// The same for all orders of its nodes in which its volume has the same sign.
+/// Returns the same nodes for all of their orders that give the volume the same sign.
 Tetrahedron canonical(Tetrahedron nodes) {
   bool odd = false;
   for (std::size_t i = 0; i < 4; ++i) {
@@ -29,8 +29,7 @@ Tetrahedron canonical(Tetrahedron nodes) {
   return nodes;
 }
 
-/// Counts how many reads wait for each other where eight threads each read a node of a tetrahedron. Equal rows are one
-/// read.
+/// Returns how many reads queue on average when eight threads each read a node. Equal rows are one read.
 double reads_at_once(const PatchTetrahedra& shared, std::uint32_t part) {
   std::size_t reads = 0, phases = 0;
   for (std::size_t first = shared.begin[part]; first + 8 <= shared.begin[part + 1]; first += 8) {
@@ -47,11 +46,11 @@ double reads_at_once(const PatchTetrahedra& shared, std::uint32_t part) {
   return phases == 0 ? 0 : static_cast<double>(reads) / static_cast<double>(phases);
 }
 
-/// Each tetrahedron once, behind the numbers that its patch has for its nodes.
+/// Expects each tetrahedron once, with the local numbers of its nodes in its patch.
 void check(const mesh::Mesh& mesh, std::uint32_t patches, Storage storage) {
   const Layout layout = make_layout(mesh, patches, storage);
   std::multiset<Tetrahedron> wanted, found;
-  std::array<std::vector<std::uint32_t>, 2> rows;  // one list for each of two groups
+  std::array<std::vector<std::uint32_t>, 2> rows;  // [group]
   std::array<std::vector<Tetrahedron>, 2> groups;
   for (const auto& nodes : mesh::element_nodes(mesh)) {
     Tetrahedron one{};
@@ -103,8 +102,8 @@ TEST(PatchTetrahedra, AreSharedOutOnceAndAboutEvenly) {
   }
 }
 
-/// In the order in which the mesh gives them eight reads are 1.7 on average.
-TEST(PatchTetrahedra, SeldomMeetAtABank) {
+/// In the order of the mesh 1.7 reads queue on average.
+TEST(PatchTetrahedra, HaveFewBankConflicts) {
   const mesh::Mesh mesh = mesh::testing::unit_grid(20);
   const Layout layout = make_layout(mesh, 4, Storage::kTiles);
   std::vector<std::uint32_t> rows;

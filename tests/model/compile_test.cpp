@@ -7,7 +7,7 @@
 #include "model/scene_input.h"
 #include "support/scenes.h"
 
-/// What a compiled scene holds, against what the scene says.
+/// Compares a compiled scene with what its message says.
 namespace tensormass::model {
 namespace {
 
@@ -166,7 +166,7 @@ TEST(PatchPolicy, GivesEachPatchEnoughNodesAndAtLeastOnePatch) {
   EXPECT_EQ((PatchPolicy{8, 100}).count(799), 7u);
   EXPECT_EQ((PatchPolicy{8, 100}).count(5), 1u);
   EXPECT_EQ((PatchPolicy{0, 0}).count(5), 1u);
-  // A scene on a shared device takes a tenth of 132 multiprocessors, unless a patch gets too large for one.
+  // A device that many scenes share: a tenth of 132 multiprocessors, unless a patch gets too large for one.
   const PatchPolicy shared{132, 96, matrix::Storage::kRows, 13, 416};
   EXPECT_EQ(shared.count(700), 7u);
   EXPECT_EQ(shared.count(4000), 13u);

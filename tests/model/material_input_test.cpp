@@ -9,7 +9,7 @@
 
 #include "support/laws.h"
 
-/// What every law's message must satisfy. The laws are physics/lists.h's own: a new line there is tested here without a
+/// Tests that every law's message must pass. The laws come from physics/lists.h, so a new law is tested here without a
 /// change.
 namespace tensormass::model {
 namespace {
@@ -57,7 +57,7 @@ TEST_P(EveryLaw, HasTheModuliAtRestThatItsMessageStates) {
   }
 }
 
-TEST_P(EveryLaw, RefusesEachConstantThatIsNoNumber) {
+TEST_P(EveryLaw, RefusesEachConstantThatIsNotFiniteOrAbsurd) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   v1::Law law = tests::law(GetParam(), kYoungPa, kPoisson);
   int numbers = 0;

@@ -11,7 +11,7 @@
 #include "support/meshes.h"
 #include "support/scenes.h"
 
-/// Who shares a volumetric point with whom.
+/// Which wedges share a volumetric quadrature point.
 namespace tensormass::model {
 namespace {
 
@@ -50,7 +50,7 @@ mesh::Mesh row_of_wedges(const std::vector<double>& x) {
 }
 
 /// The two wedges of a cell, which follow each other in a grid.
-TEST(PairWedges, MakesTheCellsOfAGridAgain) {
+TEST(PairWedges, RestoresTheCellsOfAGrid) {
   const ReadBody body = body_of(grid(4, 3, 2));
   const std::vector<ElementPair> pairs = pair_wedges(body);
   ASSERT_EQ(pairs.size(), 4u * 3 * 2);
@@ -66,12 +66,12 @@ TEST(PairWedges, LeavesOneOfAnOddNumberAlone) {
 }
 
 /// The largest face would leave both ends alone.
-TEST(PairWedges, ServesThoseFirstThatHaveNoChoice) {
+TEST(PairWedges, PairsWedgesWithOneCandidateFirst) {
   EXPECT_EQ(pair_wedges(body_of(row_of_wedges({0, 0.5, 1, 3, 2, 3.5}))), (std::vector<ElementPair>{{0, 1}, {2, 3}}));
 }
 
-/// Each of six wedges around an axis has two candidates.
-TEST(PairWedges, OtherwiseTakesTheLargestFace) {
+/// Six wedges around an axis have two candidates each.
+TEST(PairWedges, ThenTakesTheLargestFace) {
   mesh::Mesh mesh;
   for (const double z : {0.0, 1.0}) {
     mesh.nodes.push_back({0, 0, z});
@@ -91,7 +91,7 @@ TEST(PairWedges, OtherwiseTakesTheLargestFace) {
       << "across the long spokes, which are 1, 3 and 5";
 }
 
-TEST(PairWedges, OnlyOfTheSameLawAndModuliAndMemory) {
+TEST(PairWedges, NeedsEqualLawsModuliAndPronyTerms) {
   ReadBody body = body_of(grid(1, 1, 1));
   body.element_materials = {0, 1};
   const auto pair_with = [&](Material second) {
@@ -116,7 +116,7 @@ TEST(PairWedges, OnlyOfTheSameLawAndModuliAndMemory) {
   EXPECT_FALSE(pair_with(other));
 }
 
-TEST(PairWedges, NoOtherShapeAndNoOtherQuadrature) {
+TEST(PairWedges, NeedsWedgesAndSelectiveQuadrature) {
   EXPECT_TRUE(pair_wedges(body_of(grid(2, 2, 2, mesh::Shape::kHexahedron))).empty());
   ReadBody body = body_of(grid(2, 2, 2));
   for (const auto quadrature : {physics::Quadrature::kFull, physics::Quadrature::kReduced}) {
@@ -125,7 +125,7 @@ TEST(PairWedges, NoOtherShapeAndNoOtherQuadrature) {
   }
 }
 
-TEST(PairWedges, InAMixedMeshFindsEveryWedgeOnce) {
+TEST(PairWedges, FindsEveryWedgeOfAMixedMeshOnce) {
   const mesh::Mesh mesh = tests::mixed_mesh();
   const std::vector<ElementPair> pairs = pair_wedges(body_of(mesh));
   const std::uint32_t first = mesh::element_count(mesh.blocks[0]) + mesh::element_count(mesh.blocks[1]);

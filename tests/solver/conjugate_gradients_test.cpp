@@ -21,7 +21,7 @@ constexpr tests::Beam kBeam{.cells_x = 6,
                             .cg_max_iterations = 2000,
                             .cg_tolerance = 1e-13};
 
-/// How the matrix is cut and stored.
+/// The number of patches, and the storage of the matrix.
 struct Cut {
   std::uint32_t patches;
   matrix::Storage storage = matrix::Storage::kEdges;
@@ -115,7 +115,7 @@ TEST_P(Patches, RepeatBitwise) {
   }
 }
 
-/// Alone the heavy one would be solved in a few iterations; the light one counts as much.
+/// The heavy body alone would be solved in a few iterations; the light one counts as much.
 TEST_P(Patches, SolveALightBodyBesideAHeavyOne) {
   tests::Beam beam = kBeam;
   beam.young_modulus_pa = 1e5;
@@ -167,7 +167,7 @@ TEST_P(Patches, StopAtTheToleranceAndNotLater) {
   }
 }
 
-TEST_P(Patches, SayWhenTheMatrixIsIndefinite) {
+TEST_P(Patches, ReportAnIndefiniteMatrix) {
   StagedScene<double> staged = assembled<double>(GetParam());
   staged.run(StageKind::kFactorize);
   staged.run(StageKind::kScaleEdges);
@@ -189,8 +189,8 @@ TEST_P(Patches, AnswerZeroForNothingToDo) {
   EXPECT_EQ(staged.view.solve.report->relative_residual, 0);
 }
 
-/// The report must not look like success if a value is not a number, whichever patch owns it.
-TEST_P(Patches, SayWhenAValueIsNoNumber) {
+/// A NaN in any patch must not look like success in the report.
+TEST_P(Patches, ReportNan) {
   for (const std::uint32_t node : {5u, 60u, 111u}) {
     StagedScene<double> staged = assembled<double>(GetParam());
     Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs);

@@ -9,8 +9,8 @@ namespace {
 
 using tests::StagedScene;
 
-/// For a linear law one implicit step is exact: M (v₁ − v₀)/dt + C v₁ + K u₁ = f_ext and u₁ = u₀ + dt v₁, checked by
-/// the definitions and not by the system that was solved.
+/// For a linear law one implicit step is exact: M (v₁ − v₀)/dt + C v₁ + K u₁ = f_ext and u₁ = u₀ + dt v₁. The test
+/// evaluates these definitions, not the system that was solved.
 TEST(ImplicitStep, SatisfiesTheEquationOfMotionAtItsEnd) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4,
                                        .cells_y = 2,
@@ -36,12 +36,12 @@ TEST(ImplicitStep, SatisfiesTheEquationOfMotionAtItsEnd) {
   const tests::DenseSystem system = tests::dense_system(scene, u1);  // force at the end of the step: −K u₁
   const Eigen::VectorXd inertia = (system.mass.array() * (v1 - v0).array() / dt).matrix();
   const Eigen::VectorXd damping = (0.8 * system.mass.array() * v1.array()).matrix() + 0.02 * system.k * v1;
-  const Eigen::VectorXd imbalance = inertia + damping - system.force - system.gravity;
-  EXPECT_LT(imbalance.norm(), 1e-9 * (inertia.norm() + damping.norm() + system.force.norm()));
+  const Eigen::VectorXd residual = inertia + damping - system.force - system.gravity;
+  EXPECT_LT(residual.norm(), 1e-9 * (inertia.norm() + damping.norm() + system.force.norm()));
 }
 
-/// What the check of volumes reads is where nodes are, after the whole of an increment and after a part of it.
-TEST(Advance, KeepsPositionsThatAreThoseOfTheDisplacement) {
+/// The inversion check reads the current positions of nodes, after a whole increment and after a part of it.
+TEST(Advance, StoresPositionsThatMatchTheDisplacement) {
   v1::Scene scene = tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2});
   scene.mutable_solver()->set_newton_max_iterations(5);
   StagedScene<float> staged(scene, 2);
@@ -80,8 +80,8 @@ TEST(Advance, ReportsTheFastestNodeOfEachPatch) {
   }
 }
 
-/// Infinity and speeds beyond all sense stop a scene just as NaN does.
-TEST(Advance, ReportsAPatchThatLeftTheNumbers) {
+/// Infinity and absurd speeds stop a scene as NaN does.
+TEST(Advance, ReportsThePatchOfNanInfinityAndAbsurdSpeeds) {
   for (const double value : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity(), 1e16}) {
     StagedScene<double> staged(tests::beam_scene({.cells_x = 4, .cells_y = 2, .cells_z = 2}), 3);
     Eigen::VectorXd v = Eigen::VectorXd::Zero(3 * staged.node_count());

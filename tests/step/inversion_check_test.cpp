@@ -12,7 +12,7 @@ namespace {
 using step::StageKind;
 using tests::StagedScene;
 
-/// From where nodes are, and from the shapes at rest that the law reads.
+/// Compares det F from positions with det F from the rest shapes that the law reads.
 TEST(LeastDetF, IsTheSameByEitherFormula) {
   for (const v1::Shape shape : tests::shapes()) {
     v1::Scene source = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .double_precision = true});
@@ -52,15 +52,15 @@ TEST(LeastDetF, IsTheSameByEitherFormula) {
   }
 }
 
-/// One node at a time goes so far that what is nearest to inversion has a ten-thousandth of its volume left, or has
-/// lost as much more than it had, at both ends of a scene in which positions are rounded to a third of that.
-TEST(CheckVolume, TellsFromPositionsWhatIsJustInsideOut) {
+/// Moves one node at a time until the worst element has a volume of plus or minus a ten-thousandth of its rest volume.
+/// Positions are rounded to a third of that, at both ends of the scene.
+TEST(CheckVolume, TellsBarelyInvertedElementsFromBarelyValidOnes) {
   for (const v1::Shape shape : tests::shapes()) {
     v1::Scene source = tests::beam_scene(
         {.cells_x = 500, .cells_y = 1, .cells_z = 1, .size_x_m = 1, .size_y_m = 2e-3, .size_z_m = 2e-3});
     source.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
     StagedScene<float> staged(source, 2);
-    const StagedScene<double> exact(source, 2);  // the same positions, evaluated in double precision
+    const StagedScene<double> exact(source, 2);  // the same rest positions as the scene in single precision
     for (std::size_t i = 0; i < staged.model.rest.size(); ++i) {
       const_cast<double*>(exact.view.state.rest)[i] = staged.view.state.rest[i];
     }

@@ -10,7 +10,7 @@
 #include "support/laws.h"
 #include "support/scenes.h"
 
-/// A scene pays for what it names and for nothing else: no stage, no buffer.
+/// A scene has only the stages and buffers that it needs.
 namespace tensormass::step {
 namespace {
 
@@ -98,7 +98,7 @@ TEST(Plan, OfALinearSceneRefreshesNoElement) {
   EXPECT_TRUE(has_buffer(report, "constant edge tensors"));
 }
 
-TEST(Plan, ChecksTheVolumeOnlyOfLawsThatDoNotComeBack) {
+TEST(Plan, ChecksTheVolumeOnlyOfLawsThatDoNotRecover) {
   for (const std::string& name : tests::law_names()) {
     v1::Scene scene = tests::beam_scene();
     *scene.mutable_bodies(0)->mutable_law() = tests::law(name, 1e4, 0.3);
@@ -125,7 +125,7 @@ TEST(Plan, OfANonLinearSceneStoresNoConstantTensors) {
   EXPECT_TRUE(has_buffer(report, "element lists"));
 }
 
-TEST(Plan, OfAMatrixOfEdgesBeginsItBeforeElementsAddToIt) {
+TEST(Plan, StartsAMatrixOfEdgesBeforeElementsAddToIt) {
   const v1::Scene scene = tests::beam_scene();
   const auto model = model::compile(scene, {2, 1, matrix::Storage::kEdges});
   ASSERT_TRUE(model);
