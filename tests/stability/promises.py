@@ -1,13 +1,12 @@
 """What each law promises beyond small strain: the table at the top of docs/stability.md. The cases check it."""
 
 _PRESSED = "resists without bound; caught at det F = 0"
-_OVERSHOOTS = f"{_PRESSED}; a free body from 1/10 may overshoot"
+_OVERSHOOTS = f"{_PRESSED}; free, from 1/10, may overshoot"
 
 # By law: stretched far, pressed flat or to a point, inverted. NOTES defines *crumpled* and *overshoot*.
 PROMISES: dict[str, tuple[str, str, str]] = {
     "hooke": (
-        "comes back; beyond strain 5 %, rotation 0.1 rad the status warns; a free body may rest rotated with wrong "
-        "volumes, and the status warns",
+        "comes back; beyond strain 5 %, rotation 0.1 rad the status warns; free, may rest rotated with wrong volumes",
         "same",
         "same",
     ),
@@ -22,8 +21,7 @@ PROMISES: dict[str, tuple[str, str, str]] = {
         "comes back; free quadratic tetrahedra may rest crumpled",
     ),
     "neo_hookean": (
-        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled and quadratic tetrahedra be "
-        "caught",
+        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled, quadratic tetrahedra be caught",
         _PRESSED,
         "caught",
     ),
@@ -43,10 +41,10 @@ PROMISES: dict[str, tuple[str, str, str]] = {
 }
 
 NOTES = (
-    "* *Comes back*: the body returns to its rest shape.\n"
-    "* *Caught*: a guard stops the scene. Laws that are caught when inverted have no energy at det F ≤ 0.\n"
-    "* *Crumpled*: the body rests in another equilibrium. No element is inverted, so the status cannot tell.\n"
-    "* *Overshoot*: one linearized solve in 1/60 s goes too far, and the guard stops the scene. Newton's method at "
-    "600 steps a second comes back.\n"
-    "* *Rotation*: all laws follow it exactly except hooke, which takes it for strain; the status warns."
+    "* *Comes back*: to the rest shape.\n"
+    "* *Caught*: a guard stops the scene. Most such laws have no energy at det F ≤ 0.\n"
+    "* *Crumpled*: at rest in another equilibrium, no element inverted. The status cannot tell.\n"
+    "* *Overshoot*: one linearized solve in 1/60 s goes too far, and the guard stops the scene. Newton's method at 600 "
+    "steps a second comes back.\n"
+    "* Rotations are exact, except with hooke: it takes them for strain, and the status warns."
 )

@@ -114,7 +114,7 @@ def page(runs: Sequence[Run]) -> str:
         "# Stability",
         "",
         "The daemon at the extremes: every law in every shape, in float and double. Checks cover energy, volume and "
-        "the distance to a reference, not only that values are finite.",
+        "distance to a reference.",
         "",
         "## What each law promises",
         "",
@@ -129,9 +129,9 @@ def page(runs: Sequence[Run]) -> str:
         "",
         "## Bounds and outcomes",
         "",
-        "A row is one case in one law, shape and precision. It *holds* if all checks are within their bounds. It is "
-        "*refused* if the load fails with a message that names the field. It is *caught* if a guard stops the scene or "
-        "the status names the cause. Otherwise it falls *short*.",
+        "A row is one case in one law, shape and precision. It *holds* within all bounds, is *refused* at load by a "
+        "message that names the field, or is *caught*: a guard stops the scene, or the status names the cause. "
+        "Otherwise it falls *short*.",
         "",
         *_bounds(cases, runs),
         "",
