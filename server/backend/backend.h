@@ -26,10 +26,7 @@
 /// 3. `read` and `write` copy the whole state, for requests of clients. They do not belong in the loop.
 namespace tensormass::backend {
 
-/// Centre of each tool's sphere for the coming step [m].
-using ToolCenters = std::span<const Vec3<double>>;
-
-/// Force and torque of the tissue on a tool at the end of a step, about the centre of its sphere.
+/// Force and torque of the tissue on a tool at the end of a step. The torque is about the origin of its shape's frame.
 struct ToolForce {
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();
@@ -37,7 +34,8 @@ struct ToolForce {
 
 /// Inputs of a step.
 struct StepInput {
-  ToolCenters centers{};  ///< [tool_count]
+  /// Pose of each tool's shape (model::ToolModel::placed) at the end of the step; [tool_count].
+  std::span<const physics::Pose> tools{};
   double end_time_s = 0;  ///< time of the scene, for prescribed displacements that change
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;

@@ -185,13 +185,4 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
   }
 }
 
-template <class Real>
-view::ToolState<Real> tool_state(const model::ToolModel& tool, const Vec3<double>& center) {
-  view::ToolState<Real> state;
-  for (int c = 0; c < 3; ++c) state.center_m[c] = static_cast<Real>(center[c]);
-  state.radius_m = static_cast<Real>(tool.radius_m);
-  state.penalty_pa_per_m = static_cast<Real>(tool.penalty_pa_per_m);
-  return state;
-}
-
 }  // namespace tensormass::backend

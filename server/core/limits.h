@@ -13,6 +13,12 @@ inline constexpr std::size_t kMaxScenes = 256;
 inline constexpr std::size_t kMaxBodies = 64;
 /// Tools of one scene; a scene with more is refused.
 inline constexpr std::size_t kMaxTools = 16;
+/// Joints of a tool, numbers that describe its shape, and points of its core; a kind with more does not compile.
+inline constexpr std::size_t kMaxToolJoints = 4;
+inline constexpr std::size_t kMaxToolParameters = 4;
+inline constexpr std::size_t kMaxCorePoints = 4;
+/// Largest joint value of a pose [rad or m]; a pose with a larger one is refused.
+inline constexpr double kMaxJointValue = 1e3;
 /// Nodes of one scene; a scene with more is refused. Node indices have 32 bits.
 inline constexpr std::uint32_t kMaxNodes = 1u << 26;
 /// Elements of one scene; a scene with more is refused.

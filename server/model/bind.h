@@ -34,7 +34,7 @@ namespace tensormass::model {
 template <class Real>
 struct StepExchange {
   const view::StepControl<Real>* control;
-  const view::ToolState<Real>* tools;
+  const physics::PlacedTool<Real>* tools;
   const Real* prescribed;
   view::SolveReport<Real>* solve_report;
   view::PatchReport<Real>* patch_reports;
@@ -49,7 +49,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   const std::size_t patches = m.layout.patch_count, tools = m.tools.size(), groups = m.groups.size();
   StepExchange<Real> e{};
   e.control = arena.template zeros<view::StepControl<Real>>("step control", 1);
-  e.tools = arena.template zeros<view::ToolState<Real>>("tools", tools);
+  e.tools = arena.template zeros<physics::PlacedTool<Real>>("tools", tools);
   e.prescribed = arena.template zeros<Real>("prescribed displacements", 4 * m.prescribed.size());
   e.solve_report = arena.template zeros<view::SolveReport<Real>>("solve report", 1);
   e.patch_reports = arena.template zeros<view::PatchReport<Real>>("patch reports", patches);
@@ -164,7 +164,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.patch_surface = arena.template constant<uint32_t>("contact rows of patches", m.contact.patch_surface);
   s.contact.incidence_begin = arena.template constant<uint32_t>("contact incidence offsets", m.contact.incidence_begin);
   s.contact.incidence = arena.template constant<uint32_t>("contact incidence", m.contact.incidence);
-  s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", tools * patches);
+  s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", m.core_points() * patches);
   s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", tools * triangles);
 
   s.surface.vertex_count = m.visible.count();

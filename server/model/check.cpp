@@ -4,6 +4,7 @@
 
 #include "core/assert.h"
 #include "core/offsets.h"
+#include "physics/lists.h"
 
 namespace tensormass::model {
 
@@ -85,6 +86,12 @@ void check_surfaces(const Model& m) {
   const ContactSurface& contact = m.contact;
   const std::size_t triangles = contact.triangle_count();
   TM_ASSERT(triangles == 0 || !m.tools.empty(), "only scenes with tools have a contact surface");
+  std::uint32_t core_points = 0;
+  for (const ToolModel& tool : m.tools) {
+    TM_ASSERT(tool.kind < std::uint32_t{physics::Tools::kCount}, "a tool has a kind of the list");
+    TM_ASSERT(tool.first_core_point == core_points, "core points of tools follow each other");
+    core_points += tool.core_points;
+  }
   if (triangles > 0) {
     assert_offsets(contact.patch_triangles, m.layout.patch_count, triangles);
     assert_offsets(contact.patch_surface, m.layout.patch_count, contact.surface_rows.size());

@@ -12,7 +12,10 @@
 #include "mesh/mesh.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
+#include "physics/tool/pose.h"
+#include "physics/tool/tool.h"
 #include "solver/time_scheme.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
 ///
@@ -138,14 +141,35 @@ struct BodyModel {
 
 struct ToolModel {
   std::string name;
+  std::uint32_t kind = 0;              ///< place in physics::Tools
+  std::uint32_t core_points = 0;       ///< kCorePoints of the kind
+  std::uint32_t first_core_point = 0;  ///< its core points among those of all tools
+  std::size_t joints = 0;              ///< kJoints of the kind
   double radius_m = 0;
-  Vec3<double> tip_offset_m = Vec3<double>::Zero();
+  std::array<double, limits::kMaxToolParameters> parameters{};  ///< kParameters of the kind; zero beyond them
+  Vec3<double> tip_offset_m = Vec3<double>::Zero();             ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;
   double max_speed_m_per_s = 0;
   /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
   double plane_strain_modulus_pa = 0;
-  Vec3<double> initial_position_m = Vec3<double>::Zero();
-  std::array<double, 4> initial_orientation{1, 0, 0, 0};  ///< w x y z
+  physics::Pose initial_pose;
+  v1::Tool description;  ///< the scene's message, for viewers
+
+  /// Returns the tool with its shape's frame at a pose. That frame is the tool's own, moved by tip_offset_m.
+  template <class Real>
+  physics::PlacedTool<Real> placed(const physics::Pose& shape) const {
+    physics::PlacedTool<Real> out{};
+    const Mat3<double> turned = physics::rotation(shape).toRotationMatrix();
+    for (int c = 0; c < 3; ++c) out.position_m[c] = static_cast<Real>(shape.position_m[c]);
+    for (int c = 0; c < 9; ++c) out.rotation[c] = static_cast<Real>(turned(c / 3, c % 3));
+    for (std::size_t i = 0; i < joints; ++i) out.joint_values[i] = static_cast<Real>(shape.joint_values[i]);
+    for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = static_cast<Real>(parameters[i]);
+    out.radius_m = static_cast<Real>(radius_m);
+    out.penalty_pa_per_m = static_cast<Real>(penalty_pa_per_m);
+    out.kind = kind;
+    out.first_core_point = first_core_point;
+    return out;
+  }
 };
 
 using solver::Integrator;
@@ -204,6 +228,10 @@ struct Model {
   }
   /// Returns whether some tensors change in each step, so that elements are evaluated.
   bool has_refreshed_tensors() const { return !groups.empty() && !groups.front().is_constant; }
+  /// Returns the number of core points of all tools (physics/tool/tool.h).
+  std::uint32_t core_points() const {
+    return tools.empty() ? 0 : tools.back().first_core_point + tools.back().core_points;
+  }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });
   }

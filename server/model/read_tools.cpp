@@ -1,15 +1,26 @@
+#include <optional>
 #include <set>
+#include <stdexcept>
 
 #include <fmt/format.h>
 
 #include "core/limits.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "physics/lists.h"
 
-/// Reads the tools of a scene.
+/// Reads the tools of a scene. The kinds are those of physics::Tools: a kind's name and the names of its parameters say
+/// which fields of the protocol hold it.
 namespace tensormass::model {
 
 namespace {
+
+using google::protobuf::FieldDescriptor;
+using google::protobuf::Message;
+
+/// Contact pressure per depth, unless the scene gives it: this factor times E / radius.
+constexpr double kDefaultPenalty = 20;
+constexpr double kDefaultMaxSpeedMPerS = 0.5;
 
 /// Returns the stiffest material of the scene: contact must not be softer than the tissue.
 const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
@@ -22,32 +33,73 @@ const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
   return *found;
 }
 
+/// The field of a kind's message. Throws if the protocol lacks it: every scene with that kind then fails.
+const FieldDescriptor& field_of(const Message& kind, std::string_view name) {
+  const FieldDescriptor* field = kind.GetDescriptor()->FindFieldByName(std::string(name));
+  if (field == nullptr) throw std::logic_error(fmt::format("{} has no {}", kind.GetDescriptor()->full_name(), name));
+  return *field;
+}
+
+Result<double> read_field(const Message& kind, std::string_view name, double least, double most,
+                          std::string_view where) {
+  return read_number(kind.GetReflection()->GetDouble(kind, &field_of(kind, name)), least, most,
+                     fmt::format("{}.{}", where, name));
+}
+
+/// Reads what the message of a kind says about the shape.
+/// kind: message of Kind.
+template <class Kind>
+Result<void> read_shape(const Message& kind, double young_modulus_pa, std::string_view where, ToolModel& out) {
+  out.core_points = Kind::kCorePoints;
+  out.joints = Kind::kJoints;
+  TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
+  out.radius_m = radius;
+  const Message& tip_message = kind.GetReflection()->GetMessage(kind, &field_of(kind, "tip_offset_m"));
+  TM_ASSIGN_OR_RETURN(
+      tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
+  out.tip_offset_m = tip;
+  constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
+  out.penalty_pa_per_m = kDefaultPenalty * young_modulus_pa / radius;
+  if (kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
+    out.penalty_pa_per_m = kind.GetReflection()->GetDouble(kind, &field_of(kind, kPenalty));
+  }
+  TM_RETURN_IF_ERROR(read_number(out.penalty_pa_per_m, 1e-3, 1e18, fmt::format("{}.{}", where, kPenalty)));
+  for (std::size_t i = 0; i < Kind::kParameters.size(); ++i) {
+    const physics::ToolParameter& parameter = Kind::kParameters[i];
+    TM_ASSIGN_OR_RETURN(value, read_field(kind, parameter.name, parameter.least, parameter.most, where));
+    out.parameters[i] = value;
+  }
+  return {};
+}
+
 /// stiffest: material that sets the default stiffness of contact.
 Result<ToolModel> read_tool(const v1::Tool& tool, const Material& stiffest) {
   const std::string where = fmt::format("tool '{}'", tool.name());
-  if (tool.kind_case() != v1::Tool::kSphericalProbe) {
-    return invalid(fmt::format("{}: no kind that this server knows; give spherical_probe", where));
-  }
-  const v1::SphericalProbe& probe = tool.spherical_probe();
+  const auto* field =
+      tool.GetReflection()->GetOneofFieldDescriptor(tool, tool.GetDescriptor()->FindOneofByName("kind"));
   ToolModel out;
   out.name = tool.name();
-  TM_ASSIGN_OR_RETURN(radius, read_number(probe.radius_m(), 1e-6, 1e3, where + ".spherical_probe.radius_m"));
-  out.radius_m = radius;
-  TM_ASSIGN_OR_RETURN(tip, read_vector(probe.tip_offset_m(), where + ".spherical_probe.tip_offset_m"));
-  out.tip_offset_m = tip;
-  const double default_penalty = 20 * stiffest.young_modulus_pa / radius;
-  TM_ASSIGN_OR_RETURN(penalty, read_number(probe.has_penalty_stiffness_pa_per_m() ? probe.penalty_stiffness_pa_per_m()
-                                                                                  : default_penalty,
-                                           1e-3, 1e18, where + ".spherical_probe.penalty_stiffness_pa_per_m"));
-  out.penalty_pa_per_m = penalty;
-  TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : 0.5, 1e-6, 1e3,
-                                         where + ".max_speed_m_per_s"));
+  out.description = tool;
+  std::string known;
+  std::optional<Result<void>> shape;
+  physics::for_each_type(physics::Tools{}, [&](auto tag, int index) {
+    using Kind = typename decltype(tag)::Type;
+    known += fmt::format("{}{}", known.empty() ? "" : ", ", Kind::kName);
+    if (field == nullptr || field->name() != Kind::kName) return;
+    out.kind = static_cast<std::uint32_t>(index);
+    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), stiffest.young_modulus_pa,
+                             fmt::format("{}.{}", where, Kind::kName), out);
+  });
+  if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
+  TM_RETURN_IF_ERROR(*shape);
+  TM_ASSIGN_OR_RETURN(
+      speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : kDefaultMaxSpeedMPerS, 1e-6, 1e3,
+                         where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
-  out.initial_position_m = position;
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
-  out.initial_orientation = orientation;
+  out.initial_pose = {position, orientation, {}};
   return out;
 }
 
@@ -67,6 +119,7 @@ Result<void> read_tools(Compilation& c) {
       return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
     }
     TM_ASSIGN_OR_RETURN(out, read_tool(tool, stiffest));
+    out.first_core_point = c.model.core_points();
     c.model.tools.push_back(std::move(out));
   }
   return {};

@@ -18,9 +18,13 @@
 #include "physics/material/st_venant_kirchhoff.h"
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
+#include "physics/tool/capsule.h"
+#include "physics/tool/spherical_probe.h"
+#include "physics/tool/tool.h"
 
-/// The lists of all shapes and all laws. One line here generates dispatch, instantiation on every backend and the tests
-/// that every shape and law must pass. A law's kName is its name in the protocol's `Law.kind`.
+/// The lists of all shapes, all laws and all kinds of tools. One line here generates dispatch, instantiation on every
+/// backend and the tests that every entry must pass. The kName of a law is its name in the protocol's `Law.kind`, that
+/// of a tool in `Tool.kind`.
 namespace tensormass::physics {
 
 /// A list of types.
@@ -34,6 +38,8 @@ using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, Quadratic
 /// All laws. Their indices are internal; the protocol uses names.
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;
+/// All kinds of tools. Their indices are internal; the protocol uses names.
+using Tools = TypeList<SphericalProbe, Capsule>;
 
 namespace detail {
 template <class... Types>
@@ -42,8 +48,15 @@ template <Law... Types>
 constexpr bool are_laws(TypeList<Types...>) {
   return true;
 }
+template <Tool... Types>
+constexpr bool are_tools(TypeList<Types...>) {
+  return ((Types::kJoints <= limits::kMaxToolJoints && Types::kParameters.size() <= limits::kMaxToolParameters &&
+           Types::kCorePoints <= limits::kMaxCorePoints) &&
+          ...);
+}
 }  // namespace detail
 static_assert(detail::are_laws(Laws{}));
+static_assert(detail::are_tools(Tools{}));
 
 /// The law at an index of the list.
 template <int Index>
@@ -89,6 +102,22 @@ void with_shape_and_law(int shape, int law, Visit&& visit) {
       if (shape_index == shape && law_index == law) visit(shape_tag, law_tag);
     });
   });
+}
+
+namespace detail {
+template <class... Types, class Visit>
+TM_HOST_DEVICE void with_type_at(TypeList<Types...>, std::uint32_t place, const Visit& visit) {
+  std::uint32_t index = 0;
+  ((index++ == place ? visit(TypeTag<Types>{}) : void()), ...);
+}
+}  // namespace detail
+
+/// Visits the kind of tool at a place in `Tools`. A place that is out of range visits nothing.
+///
+///   visit(TypeTag<Tool>{})   is called once
+template <class Visit>
+TM_HOST_DEVICE void with_tool(std::uint32_t kind, const Visit& visit) {
+  detail::with_type_at(Tools{}, kind, visit);
 }
 
 }  // namespace tensormass::physics

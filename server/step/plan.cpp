@@ -113,14 +113,12 @@ v1::SceneReport make_report(const model::Model& model, const MachineRates& machi
     const double once_s = std::max(one.bytes / machine.bytes_per_s, one.operations / machine.operations_per_s);
     // A tolerance ends most solves early. Half of the iterations is a guess, and the report says so.
     const double iterations = model.cg_tolerance > 0 ? 0.5 * model.cg_max_iterations : model.cg_max_iterations;
-    if (info.phase == Phase::kDiagnostics || info.phase == Phase::kBacktrack || info.phase == Phase::kFrame)
-      continue;  // now and then
-    const bool repeats_iterations = info.kind == StageKind::kSolve || info.scope == Scope::kFusedOnDevice;
+    if (!runs_every_step(info)) continue;
     const bool repeats = info.phase == Phase::kEvaluate || info.phase == Phase::kSolve;
     // Newton converges quadratically: a handful of iterations, whatever the limit.
     const double solves = repeats ? std::min(model.newton_max_iterations, 5u) : 1;
     step_s += solves * (machine.stage_latency_s +
-                        (repeats_iterations ? iterations * (once_s + machine.iteration_latency_s) : once_s));
+                        (costs_an_iteration(info) ? iterations * (once_s + machine.iteration_latency_s) : once_s));
   }
   report.set_expected_rate_hz(1 / step_s);
 

@@ -2,7 +2,7 @@
 
 #include <type_traits>
 
-#include "contact/spherical_probe.h"
+#include "contact/tools.h"
 #include "matrix/edge_assembly.h"
 #include "matrix/rows.h"
 #include "physics/lists.h"

@@ -86,7 +86,7 @@ struct Cost {
 struct StageSizes {
   const model::Model& m;
   const model::ElementGroup* group;  ///< the group of a stage of a group; else nullptr
-  double real, rows, slots, tools, triangles;
+  double real, rows, slots, tools, core_points, triangles;
   bool edges;  ///< the matrix stores edges
 
   StageSizes(const model::Model& model, const model::ElementGroup* of_group)
@@ -96,6 +96,7 @@ struct StageSizes {
         rows(model.layout.row_count),
         slots(model.layout.slot_count()),
         tools(static_cast<double>(model.tools.size())),
+        core_points(model.core_points()),
         triangles(model.contact.triangle_count()),
         edges(model.layout.storage == matrix::Storage::kEdges) {}
 
@@ -127,6 +128,15 @@ struct StageInfo {
   Cost (*cost)(const StageSizes&);  ///< cost of one run; for solves, of one iteration
 };
 
+/// Returns whether the cost of a stage is that of one iteration of conjugate gradients.
+constexpr bool costs_an_iteration(const StageInfo& info) {
+  return info.kind == StageKind::kSolve || info.scope == Scope::kFusedOnDevice;
+}
+/// Returns whether a stage is part of every step; the others run now and then.
+constexpr bool runs_every_step(const StageInfo& info) {
+  return info.phase != Phase::kBacktrack && info.phase != Phase::kDiagnostics && info.phase != Phase::kFrame;
+}
+
 // clang-format off
 inline constexpr StageInfo kStages[] = {
   {StageKind::kPredict, Phase::kBegin, Scope::kScene, Communication::kNone,
@@ -145,7 +155,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kDetectContact, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "detect contact", "displacement, tools", "closest triangle of each patch", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
-   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+   [](const StageSizes& s) { return Cost{s.core_points * s.triangles * (12 + 3 * 8 * s.real), s.core_points * s.triangles * 60}; }},
   {StageKind::kRespondContact, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "respond to contact", "displacement, tools, closest", "contacts", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
@@ -258,7 +268,7 @@ inline constexpr StageInfo kStages[] = {
    "detect contact", "displacement, tools", "closest triangle of each patch",
    "once more, if the scene has tools and its step began with predict",
    [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
-   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+   [](const StageSizes& s) { return Cost{s.core_points * s.triangles * (12 + 3 * 8 * s.real), s.core_points * s.triangles * 60}; }},
   {StageKind::kRespondContact, Phase::kEnd, Scope::kScene, Communication::kNone,
    "respond to contact", "displacement, tools, closest", "contacts",
    "once more, if the scene has tools and its step began with predict",

@@ -2,19 +2,13 @@
 
 #include <cstdint>
 
+#include "physics/tool/tool.h"
+
 /// The tissue's surface and the tools that touch it (contact/). In a scene without tools all pointers are nullptr and
 /// all counts zero.
 namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
-
-/// Inputs of a step for one spherical probe.
-template <class Real>
-struct ToolState {
-  Real center_m[3];
-  Real radius_m;
-  Real penalty_pa_per_m;
-};
 
 /// Contact of one tool with one triangle in this step.
 template <class Real>
@@ -25,18 +19,18 @@ struct TriangleContact {
   Real stiffness;  // [N/m]
 };
 
-/// Distance from a tool to a patch's closest triangle.
+/// Distance from a core point of a tool to a patch's closest triangle.
 template <class Real>
 struct ClosestTriangle {
   Real distance_squared;
-  Real side;  // +1: the tool's centre is outside the tissue, −1: inside
+  Real side;  // +1: the point is outside the tissue, −1: inside
 };
 
 /// Force and torque of a patch's tissue on a tool.
 template <class Real>
 struct ToolLoad {
   Real force_n[3];
-  Real torque_n_m[3];  // about the tool's reference point
+  Real torque_n_m[3];  // about PlacedTool::position_m
 };
 
 template <class Real>
@@ -54,10 +48,10 @@ struct ContactView {
   const std::uint32_t* incidence;         // [.., 4]: triangle, corner, slots of the two following corners, or kNoPlace
   const std::uint32_t* vertex_of_corner;  // [triangle_count, 3] surface vertex
 
-  const ToolState<Real>* tools;     // [tool_count]
-  ClosestTriangle<Real>* closest;   // [tool_count, patch_count]
-  TriangleContact<Real>* contacts;  // [tool_count, triangle_count]
-  ToolLoad<Real>* tool_loads;       // [tool_count, patch_count]
+  const physics::PlacedTool<Real>* tools;  // [tool_count]
+  ClosestTriangle<Real>* closest;          // [core points of all tools, patch_count]
+  TriangleContact<Real>* contacts;         // [tool_count, triangle_count]
+  ToolLoad<Real>* tool_loads;              // [tool_count, patch_count]
 };
 
 }  // namespace tensormass::view

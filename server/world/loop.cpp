@@ -34,7 +34,7 @@ Loop::~Loop() {
 
 Result<void> Loop::submit_pose(std::size_t tool, const v1::ToolPose& pose) {
   TM_ASSERT(tool < inboxes_.size(), "a pose is for a tool of the scene");
-  return inboxes_[tool].submit(model_.tools[tool].name, pose);
+  return inboxes_[tool].submit(model_.tools[tool], pose);
 }
 
 void Loop::enqueue(std::function<void()> command) {
@@ -99,8 +99,7 @@ bool Loop::frame_due() {
 bool Loop::step_once(bool with_frame, bool with_diagnostics) {
   for (std::size_t i = 0; i < inboxes_.size(); ++i) {
     if (const ReceivedPose* pose = inboxes_[i].take()) {
-      world_->set_tool_target(i, pose->pose);
-      outputs_.take_pose(i, *pose);
+      world_->set_tool_target(i, pose->pose, pose->stamp);
     }
   }
   bool good = false;
@@ -227,7 +226,7 @@ Result<v1::SceneStatus> Loop::do_reset() {
   world_->set_cg_limit(budget_.limit());
   next_diagnostics_ = 0;
   for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before the reset
-  outputs_.take_reset();
+  outputs_.take_step();
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);
   return status_.make();

@@ -18,30 +18,18 @@ LoopOutputs::LoopOutputs(World& world)
   take_step();
 }
 
-void LoopOutputs::take_pose(std::size_t tool, const ReceivedPose& pose) {
-  TM_ASSERT(tool < tools_.size(), "a pose is for a tool of the scene");
-  tools_[tool].pose_sequence = pose.sequence;
-  tools_[tool].client_time_ns = pose.client_time_ns;
-  tools_[tool].client_id = pose.client_id;
-}
-
 void LoopOutputs::take_step() {
   const std::span<const ToolReading> readings = world_.readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
   stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns()};
-  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].reading = readings[i];
-}
-
-void LoopOutputs::take_reset() {
-  std::fill(tools_.begin(), tools_.end(), ToolSnapshot{});
-  take_step();
+  std::copy(readings.begin(), readings.end(), tools_.begin());
 }
 
 void LoopOutputs::release_tools() {
-  for (ToolSnapshot& tool : tools_) {
-    tool.reading.force_n.setZero();
-    tool.reading.torque_n_m.setZero();
-    tool.reading.stiffness_n_per_m.setZero();
+  for (ToolReading& tool : tools_) {
+    tool.force_n.setZero();
+    tool.torque_n_m.setZero();
+    tool.stiffness_n_per_m.setZero();
   }
   stamp_.server_time_ns = unix_time_ns();
 }

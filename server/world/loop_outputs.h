@@ -9,7 +9,6 @@
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
 #include "world/messages.h"
-#include "world/pose_inbox.h"
 #include "world/world.h"
 
 /// The results of a scene's loop, and the mailboxes that carry them to other threads.
@@ -34,12 +33,8 @@ class LoopOutputs {
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
-  /// Notes whose pose a tool follows from now on; its feedback repeats this.
-  void take_pose(std::size_t tool, const ReceivedPose& pose);
   /// Copies step, time and tool readings from the world.
   void take_step();
-  /// Copies them from a world that was reset, and forgets all poses.
-  void take_reset();
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
   void release_tools();
 
@@ -77,7 +72,7 @@ class LoopOutputs {
   const model::Model& model_;
   // The loop's own copy of the newest results; readers get copies of it.
   StepStamp stamp_;
-  std::vector<ToolSnapshot> tools_;
+  std::vector<ToolReading> tools_;
   std::function<void()> signal_;
 
   Latest<FrameSlot> frames_;

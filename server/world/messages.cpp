@@ -45,36 +45,39 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_name(tool.name);
     out.set_radius_m(tool.radius_m);
     fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
+    *out.mutable_tool() = tool.description;
   }
   return topology;
 }
 
 double local_model_validity_s(const model::Model& model) { return std::max(3 / model.rate_hz, 0.02); }
 
-void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolSnapshot& snapshot,
+void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolReading& reading,
                    v1::ToolFeedback& out) {
   out.set_tool(model.tools[tool].name);
   out.set_step(stamp.step);
   out.set_server_time_ns(stamp.server_time_ns);
-  out.set_pose_sequence(snapshot.pose_sequence);
-  out.set_client_time_ns(snapshot.client_time_ns);
-  out.set_client_id(snapshot.client_id);
-  fill(snapshot.reading.pose.position_m, *out.mutable_position_m());
-  const auto& q = snapshot.reading.pose.orientation;
+  out.set_pose_sequence(reading.newest.sequence);
+  out.set_client_time_ns(reading.newest.client_time_ns);
+  out.set_client_id(reading.newest.client_id);
+  fill(reading.pose.position_m, *out.mutable_position_m());
+  const auto& q = reading.pose.orientation;
   out.mutable_orientation()->set_w(q[0]);
   out.mutable_orientation()->set_x(q[1]);
   out.mutable_orientation()->set_y(q[2]);
   out.mutable_orientation()->set_z(q[3]);
-  fill(snapshot.reading.force_n, *out.mutable_force_n());
-  fill(snapshot.reading.torque_n_m, *out.mutable_torque_n_m());
+  fill(reading.force_n, *out.mutable_force_n());
+  fill(reading.torque_n_m, *out.mutable_torque_n_m());
+  out.clear_joint_values();
+  for (std::size_t i = 0; i < model.tools[tool].joints; ++i) out.add_joint_values(reading.pose.joint_values[i]);
   v1::LocalModel& local = *out.mutable_local_model();
   local.clear_stiffness_n_per_m();
-  for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(snapshot.reading.stiffness_n_per_m(i / 3, i % 3));
+  for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(reading.stiffness_n_per_m(i / 3, i % 3));
   local.set_valid_for_s(local_model_validity_s(model));
 }
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
-                std::span<const ToolSnapshot> tools, v1::Frame& out) {
+                std::span<const ToolReading> tools, v1::Frame& out) {
   out.set_step(stamp.step);
   out.set_simulated_time_s(stamp.simulated_time_s);
   out.set_server_time_ns(stamp.server_time_ns);

@@ -6,19 +6,10 @@
 
 #include "model/model.h"
 #include "tensormass/v1/stream.pb.h"
-#include "world/pose_inbox.h"
-#include "world/world.h"
+#include "world/tool.h"
 
 /// Conversion of a scene's values to the messages of the protocol.
 namespace tensormass::world {
-
-/// A tool after a step: its reading, and the numbers of the newest pose, which feedback repeats.
-struct ToolSnapshot {
-  ToolReading reading;
-  std::uint64_t pose_sequence = 0;
-  std::uint64_t client_time_ns = 0;
-  std::uint64_t client_id = 0;
-};
 
 /// The end of a step: its number, in simulated time and on the server's clock.
 struct StepStamp {
@@ -31,13 +22,13 @@ struct StepStamp {
 struct FrameSlot {
   StepStamp stamp;
   std::vector<float> positions;
-  std::vector<ToolSnapshot> tools;
+  std::vector<ToolReading> tools;
 };
 
 /// Tools of a step, from the loop to the publisher.
 struct FeedbackSlot {
   StepStamp stamp;
-  std::vector<ToolSnapshot> tools;
+  std::vector<ToolReading> tools;
 };
 
 std::uint64_t unix_time_ns();
@@ -46,9 +37,9 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version);
 
 /// positions: [visible_count, 3] m
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
-                std::span<const ToolSnapshot> tools, v1::Frame& out);
+                std::span<const ToolReading> tools, v1::Frame& out);
 
-void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolSnapshot& snapshot,
+void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolReading& reading,
                    v1::ToolFeedback& out);
 
 /// Time for which a client may use a step's local model [s]: it covers a few missing steps or a short network delay.

@@ -5,9 +5,30 @@
 #include <fmt/format.h>
 
 #include "core/assert.h"
+#include "core/limits.h"
 #include "model/scene_input.h"
 
 namespace tensormass::world {
+
+namespace {
+
+Result<decltype(Pose::joint_values)> read_joints(const model::ToolModel& tool, const v1::ToolPose& message,
+                                                 std::string_view where) {
+  decltype(Pose::joint_values) values{};
+  if (static_cast<std::size_t>(message.joint_values_size()) != tool.joints) {
+    return invalid(fmt::format("{}.joint_values: {} values for a tool of {} joints", where, message.joint_values_size(),
+                               tool.joints));
+  }
+  for (std::size_t i = 0; i < tool.joints; ++i) {
+    TM_ASSIGN_OR_RETURN(value,
+                        model::read_number(message.joint_values(static_cast<int>(i)), -limits::kMaxJointValue,
+                                           limits::kMaxJointValue, fmt::format("{}.joint_values[{}]", where, i)));
+    values[i] = value;
+  }
+  return values;
+}
+
+}  // namespace
 
 bool PoseInbox::is_newer(const v1::ToolPose& message) {
   if (message.client_id() == 0 && message.sequence() == 0) return true;
@@ -24,17 +45,19 @@ bool PoseInbox::is_newer(const v1::ToolPose& message) {
   return true;
 }
 
-Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& message) {
+Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose& message) {
   const auto refuse = [&](Error error) {
     rejected_.fetch_add(1, std::memory_order_relaxed);
     return tl::make_unexpected(std::move(error));
   };
-  const std::string where = fmt::format("pose of tool '{}'", tool);
+  const std::string where = fmt::format("pose of tool '{}'", tool.name);
   if (!message.has_position_m()) return refuse({ErrorCode::kInvalidArgument, where + ": give position_m"});
   const auto position = model::read_vector(message.position_m(), where + ".position_m");
   if (!position) return refuse(position.error());
   const auto orientation = model::read_orientation(message.orientation(), where + ".orientation");
   if (!orientation) return refuse(orientation.error());
+  const auto joints = read_joints(tool, message, where);
+  if (!joints) return refuse(joints.error());
 
   const std::lock_guard lock(writers_);
   if (!is_newer(message)) {
@@ -43,7 +66,8 @@ Result<void> PoseInbox::submit(std::string_view tool, const v1::ToolPose& messag
                                message.sequence())});
   }
   TM_ASSERT(position->allFinite(), "the loop takes finite poses only");
-  newest_.writing() = {{*position, *orientation}, message.sequence(), message.client_time_ns(), message.client_id()};
+  newest_.writing() = {{*position, *orientation, *joints},
+                       {message.sequence(), message.client_time_ns(), message.client_id()}};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);
   return {};

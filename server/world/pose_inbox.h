@@ -9,17 +9,9 @@
 #include "core/result.h"
 #include "tensormass/v1/stream.pb.h"
 #include "world/latest.h"
-#include "world/world.h"
+#include "world/tool.h"
 
 namespace tensormass::world {
-
-/// A pose, and the numbers of its message that feedback repeats, so that a client can measure its delay.
-struct ReceivedPose {
-  Pose pose;
-  std::uint64_t sequence = 0;
-  std::uint64_t client_time_ns = 0;
-  std::uint64_t client_id = 0;
-};
 
 /// The mailbox for the poses of one tool.
 ///
@@ -32,10 +24,10 @@ struct ReceivedPose {
 /// inbox refuses a pose that is not newer than the client's last.
 class PoseInbox {
  public:
-  /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, or that is not
-  /// newer than the same client's last. A pose with neither client nor sequence comes from a script and is always
-  /// newer.
-  Result<void> submit(std::string_view tool, const v1::ToolPose& message);
+  /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, that has not one
+  /// value for each of the tool's joints, or that is not newer than the same client's last. A pose with neither client
+  /// nor sequence comes from a script and is always newer.
+  Result<void> submit(const model::ToolModel& tool, const v1::ToolPose& message);
   /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }
 

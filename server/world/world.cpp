@@ -2,22 +2,9 @@
 
 #include <algorithm>
 
-#include <Eigen/Geometry>
-
 #include "physics/contact/hertz.h"
 
 namespace tensormass::world {
-
-namespace {
-
-Eigen::Quaterniond rotation(const Pose& pose) {
-  return {pose.orientation[0], pose.orientation[1], pose.orientation[2], pose.orientation[3]};
-}
-
-/// Vector from the tool's position to the centre of its sphere [m].
-Vec3<double> lever(const model::ToolModel& tool, const Pose& pose) { return rotation(pose) * tool.tip_offset_m; }
-
-}  // namespace
 
 Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
@@ -28,10 +15,9 @@ Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model>
 World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend::SceneState> state)
     : model_(std::move(model)),
       state_(std::move(state)),
-      tools_(model_->tools.size()),
-      before_(model_->tools.size()),
-      targets_(model_->tools.size()),
-      centers_(model_->tools.size()),
+      tools_(model_->tools.begin(), model_->tools.end()),
+      published_(model_->tools.size()),
+      shapes_(model_->tools.size()),
       touches_(model_->tools.size()),
       forces_(model_->tools.size()),
       readings_(model_->tools.size()),
@@ -61,43 +47,21 @@ void World::write_start() {
 
 void World::place_tools() {
   for (std::size_t i = 0; i < tools_.size(); ++i) {
-    const model::ToolModel& tool = model_->tools[i];
-    tools_[i].target = tools_[i].current = {tool.initial_position_m, tool.initial_orientation};
+    tools_[i].place();
+    published_[i] = {};
     readings_[i] = {};
-    readings_[i].pose = tools_[i].current;
-  }
-}
-
-void World::move_tools() {
-  for (std::size_t i = 0; i < tools_.size(); ++i) {
-    const model::ToolModel& tool = model_->tools[i];
-    ToolMotion& motion = tools_[i];
-    // The sphere must not jump through tissue, so the speed of its centre is limited, for rotations too.
-    const Vec3<double> from = motion.current.position_m + lever(tool, motion.current);
-    const Vec3<double> to = motion.target.position_m + lever(tool, motion.target);
-    before_[i] = {motion.current, from, readings_[i].force_n};
-    const double distance = (to - from).norm();
-    const double reach = tool.max_speed_m_per_s * model_->dt_s;
-    const double share = distance > reach ? reach / distance : 1.0;
-    if (share < 1) {
-      const Eigen::Quaterniond turned = rotation(motion.current).slerp(share, rotation(motion.target));
-      motion.current.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
-      targets_[i] = from + share * (to - from);
-      motion.current.position_m = targets_[i] - lever(tool, motion.current);
-    } else {
-      motion.current = motion.target;
-      targets_[i] = to;
-    }
+    readings_[i].pose = tools_[i].pose();
   }
 }
 
 void World::read_tools() {
+  published_ = forces_;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     const model::ToolModel& tool = model_->tools[i];
     ToolReading& reading = readings_[i];
-    reading.pose = tools_[i].current;
+    reading.pose = tools_[i].pose();
     reading.force_n = forces_[i].force_n;
-    reading.torque_n_m = forces_[i].torque_n_m + lever(tool, reading.pose).cross(forces_[i].force_n);
+    reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
     const double force = reading.force_n.norm();
     reading.stiffness_n_per_m.setZero();
     if (force > 0) {
@@ -109,14 +73,14 @@ void World::read_tools() {
 }
 
 bool World::step(bool gather_visible) {
-  move_tools();
+  for (ToolMotion& tool : tools_) tool.move(model_->dt_s);
   has_event_ = false;
   BoundCheck check = make_step({1, 1, false, Breach::kNone}, cg_limit_, true, gather_visible);
   if (!check.good()) {
     check = retry(check);
     if (!check.good()) {
       state_->restore();
-      for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].current = before_[i].pose;
+      for (ToolMotion& tool : tools_) tool.take_back();
       return false;
     }
     if (gather_visible) state_->gather_visible();
@@ -154,14 +118,12 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
   TM_ASSERT(how.steps > 0, "a step has parts");
   solver::StepResult before;  // sums and maxima over the previous parts
   before.newton_iterations = 0;
-  for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {before_[i].center_m, before_[i].force_n};
+  for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {tools_[i].shape_at(0), published_[i]};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
-    for (std::size_t i = 0; i < tools_.size(); ++i) {
-      centers_[i] = targets_[i] + (1 - share) * (before_[i].center_m - targets_[i]);
-    }
+    for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share);
     last_ =
-        state_->step({.centers = centers_,
+        state_->step({.tools = shapes_,
                       // One product, so that halves of a step end at bitwise the same time as steps of half its length.
                       .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
                       .dt_s = model_->dt_s / how.steps,
@@ -172,10 +134,11 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
                      forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
     for (std::size_t i = 0; i < tools_.size(); ++i) {
-      const Vec3<double> force = forces_[i].force_n;
-      tools_work_j_ -= (touches_[i].force_n + force).dot(centers_[i] - touches_[i].center_m) / 2;
-      energy.contacts_j += std::max(touches_[i].force_n.norm(), force.norm()) * model_->tools[i].radius_m;
-      touches_[i] = {centers_[i], force};
+      const auto& [shape, load] = touches_[i];
+      tools_work_j_ -= (load.force_n + forces_[i].force_n).dot(shapes_[i].position_m - shape.position_m) / 2;
+      tools_work_j_ -= (load.torque_n_m + forces_[i].torque_n_m).dot(physics::rotation_vector(shape, shapes_[i])) / 2;
+      energy.contacts_j += std::max(load.force_n.norm(), forces_[i].force_n.norm()) * model_->tools[i].radius_m;
+      touches_[i] = {shapes_[i], forces_[i]};
     }
     energy.tools_work_j = tools_work_j_;
     const BoundCheck check = guard_.check(last_, energy);

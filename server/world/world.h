@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -10,28 +9,9 @@
 #include "core/assert.h"
 #include "model/model.h"
 #include "world/guard.h"
+#include "world/tool.h"
 
 namespace tensormass::world {
-
-/// Position and orientation of a tool in the scene.
-struct Pose {
-  Vec3<double> position_m = Vec3<double>::Zero();
-  std::array<double, 4> orientation{1, 0, 0, 0};  ///< unit quaternion, w x y z
-};
-
-/// A tool between two steps.
-struct ToolMotion {
-  Pose target;   ///< the newest pose that a client sent
-  Pose current;  ///< pose in the simulation: follows `target` at the tool's maximum speed
-};
-
-/// Pose, force and stiffness of a tool at the end of a step. A haptic client closes its own loop with them.
-struct ToolReading {
-  Pose pose;
-  Vec3<double> force_n = Vec3<double>::Zero();
-  Vec3<double> torque_n_m = Vec3<double>::Zero();  ///< about the tool's position
-  Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
-};
 
 /// One scene that steps: its state on a backend, its tools, its time and its guard. Used by one thread; Loop owns it
 /// and does everything about other threads. A step allocates nothing:
@@ -45,8 +25,7 @@ struct ToolReading {
 ///
 ///     dt        length of a step [s]
 ///     part      one of the equal parts of dt that a retry makes; a step as planned is one part
-///     target    pose that a client sent; the tool follows it at its maximum speed
-///     center    centre of a tool's sphere [m]; its lever is the vector from the tool's position to it
+///     shape     pose of a tool's shape (tool.h)
 class World {
  public:
   static Result<std::unique_ptr<World>> create(std::unique_ptr<const model::Model> model,
@@ -54,9 +33,11 @@ class World {
 
   const model::Model& model() const { return *model_; }
 
-  void set_tool_target(std::size_t tool, const Pose& pose) {
+  /// stamp: of the pose's message; the tool's next reading repeats it.
+  void set_tool_target(std::size_t tool, const Pose& pose, const PoseStamp& stamp = {}) {
     TM_ASSERT(tool < tools_.size(), "a pose is for a tool of the scene");
-    tools_[tool].target = pose;
+    tools_[tool].set_target(pose);
+    readings_[tool].newest = stamp;
   }
 
   /// Makes a step. Returns false if no retry stayed within the guard's bounds: the world is then as before the call.
@@ -94,29 +75,23 @@ class World {
   void write_start();
   double diagnose_elastic_energy();
   void place_tools();
-  void move_tools();
   void read_tools();
   BoundCheck retry(const BoundCheck& first);
   BoundCheck make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint, bool gather_visible);
 
-  /// A tool at the start of a step.
-  struct Before {
-    Pose pose;
-    Vec3<double> center_m = Vec3<double>::Zero(), force_n = Vec3<double>::Zero();
-  };
-  /// Centre of a tool's sphere [m] and the force on it [N]. Two of them give the work of the tool in a part.
+  /// A tool's shape and the load on it. Two of them give the work of the tool in between.
   struct Touch {
-    Vec3<double> center_m, force_n;
+    Pose shape;
+    backend::ToolForce load;
   };
 
   std::unique_ptr<const model::Model> model_;
   std::unique_ptr<backend::SceneState> state_;
   std::vector<ToolMotion> tools_;
+  std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   // The current step, [tool].
-  std::vector<Before> before_;
-  std::vector<Vec3<double>> targets_;  // centres at the end of the step
-  std::vector<Vec3<double>> centers_;  // centres at the end of the current part
-  std::vector<Touch> touches_;         // at the end of the previous part
+  std::vector<Pose> shapes_;    // at the end of the current part
+  std::vector<Touch> touches_;  // at the end of the previous part
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
   std::vector<backend::GroupDiagnostics> diagnostics_;

@@ -16,6 +16,7 @@
 #include "backend/backend.h"
 #include "model/compile.h"
 #include "step/plan.h"
+#include "step/stages.h"
 #include "support/laws.h"
 #include "support/scenes.h"
 #include "world/runner.h"
@@ -177,9 +178,9 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   row.patches = model.layout.patch_count;
   row.bytes_per_element = static_cast<double>(report.bytes_total()) / static_cast<double>(row.elements);
   double bytes = 0;
-  for (const v1::PlanStage& stage : report.stages()) {
-    if (stage.name().starts_with("watch")) continue;  // diagnostics, not part of a step
-    bytes += static_cast<double>(stage.bytes()) * (stage.name() == "conjugate gradients" ? model.cg_max_iterations : 1);
+  for (const step::Stage& stage : step::list_stages(model)) {
+    if (!step::runs_every_step(*stage.info)) continue;
+    bytes += step::cost(model, stage).bytes * (step::costs_an_iteration(*stage.info) ? model.cg_max_iterations : 1);
   }
   row.floor_s = bytes;
   TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));

@@ -82,7 +82,7 @@ int main(int argc, char** argv) {
   for (std::size_t i = 0; i < stages.size(); ++i) {
     if (!is_timed(i)) continue;
     const v1::PlanStage& planned = report.stages(static_cast<int>(i));
-    const bool solve = stages[i].info->kind == step::StageKind::kSolve;
+    const bool solve = step::costs_an_iteration(*stages[i].info);
     const double seconds = best[i] / (solve ? staged.model.cg_max_iterations : 1);
     const double rate = static_cast<double>(planned.bytes()) / seconds;
     std::printf("%-42s %10.3f %10.2f %10.1f %9.0f %%\n", (planned.name() + (solve ? ", an iteration" : "")).c_str(),

@@ -39,7 +39,7 @@ TEST(Compile, TakesTheDefaultsThatTheProtocolNames) {
   const ToolModel& tool = model.tools.at(0);
   EXPECT_EQ(tool.max_speed_m_per_s, 0.5);
   EXPECT_NEAR(tool.penalty_pa_per_m, 20 * 5e3 / 0.01, 1e-6);
-  EXPECT_EQ(tool.initial_orientation, (std::array<double, 4>{1, 0, 0, 0}));
+  EXPECT_EQ(tool.initial_pose.orientation, (std::array<double, 4>{1, 0, 0, 0}));
   EXPECT_NEAR(tool.plane_strain_modulus_pa, 5e3 / (1 - 0.4 * 0.4), 1e-9);
 }
 

@@ -42,20 +42,19 @@ TEST(Messages, TopologyNamesEachBodysShareOfTheFrame) {
   ASSERT_EQ(topology.tools_size(), 1);
   EXPECT_EQ(topology.tools(0).name(), "probe");
   EXPECT_EQ(topology.tools(0).radius_m(), 0.01);
+  EXPECT_EQ(topology.tools(0).tool().spherical_probe().radius_m(), 0.01) << "as the scene describes it";
 }
 
 TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
   const model::Model model = two_bodies_and_a_probe();
-  ToolSnapshot snapshot;
-  snapshot.pose_sequence = 3;
-  snapshot.client_time_ns = 4;
-  snapshot.client_id = 5;
-  snapshot.reading.pose = {{1, 2, 3}, {0.5, 0.5, 0.5, 0.5}};
-  snapshot.reading.force_n = {6, 7, 8};
-  snapshot.reading.torque_n_m = {9, 10, 11};
-  snapshot.reading.stiffness_n_per_m << 1, 2, 3, 4, 5, 6, 7, 8, 9;
+  ToolReading reading;
+  reading.newest = {.sequence = 3, .client_time_ns = 4, .client_id = 5};
+  reading.pose = {{1, 2, 3}, {0.5, 0.5, 0.5, 0.5}, {}};
+  reading.force_n = {6, 7, 8};
+  reading.torque_n_m = {9, 10, 11};
+  reading.stiffness_n_per_m << 1, 2, 3, 4, 5, 6, 7, 8, 9;
   v1::ToolFeedback feedback;
-  for (int i = 0; i < 2; ++i) fill_feedback(model, {12, 0.5, 13}, 0, snapshot, feedback);  // twice: nothing piles up
+  for (int i = 0; i < 2; ++i) fill_feedback(model, {12, 0.5, 13}, 0, reading, feedback);  // twice: nothing piles up
   EXPECT_EQ(feedback.tool(), "probe");
   EXPECT_EQ(feedback.step(), 12u);
   EXPECT_EQ(feedback.server_time_ns(), 13u);
@@ -82,7 +81,7 @@ TEST(Messages, LocalModelOutlivesAFewMissingSteps) {
 TEST(Messages, FrameHoldsThePositionsUnchanged) {
   const model::Model model = two_bodies_and_a_probe();
   const std::vector<float> positions{1, 2, 3, 4, 5, 6};
-  const std::vector<ToolSnapshot> tools(1);
+  const std::vector<ToolReading> tools(1);
   v1::Frame frame;
   for (int i = 0; i < 2; ++i) fill_frame(model, {7, 0.25, 9}, positions, tools, frame);
   EXPECT_EQ(frame.step(), 7u);

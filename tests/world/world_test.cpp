@@ -8,6 +8,7 @@
 #include "mesh/surface.h"
 #include "support/backends.h"
 #include "support/dense_system.h"
+#include "support/tools.h"
 
 /// Whole steps compared with analytical mechanics.
 namespace tensormass::world {
@@ -345,6 +346,55 @@ TEST_P(Mechanics, RotationMovesTheSphereNoFasterThanTheMaximumSpeed) {
     before = tip();
   }
   EXPECT_LT((before - Vec3<double>(0, 1, 0.2)).norm(), 1e-12);
+}
+
+/// The tip of a capsule stays where it is while the shaft turns: the limit then holds for the far end.
+TEST_P(Mechanics, RotationMovesTheEndOfACapsuleNoFasterThanTheMaximumSpeed) {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  scene.clear_tools();
+  tests::add_tool(scene, "capsule", 0.01, 0, 1, 0, 1e6);  // 40 mm long, upright
+  const auto world = start(scene);
+  world->set_tool_target(0, {{0, 1, 0}, {1, 0, 0, 0}, {}});  // a quarter turn: the far end goes from +y to +z
+  const double reach = 0.5 * 0.01;
+  Vec3<double> before(0, 1.04, 0);
+  int steps = 0;
+  for (; steps < 200; ++steps) {
+    ASSERT_TRUE(world->step(false));
+    const Pose& pose = world->readings()[0].pose;
+    const Vec3<double> end = pose.position_m + physics::rotation(pose) * Vec3<double>(0, 0, 0.04);
+    const double moved = (end - before).norm();
+    EXPECT_LE(moved, reach * (1 + 1e-9));
+    if (moved == 0) break;
+    before = end;
+  }
+  EXPECT_LT((before - Vec3<double>(0, 1, 0.04)).norm(), 1e-12);
+  EXPECT_GE(steps, static_cast<int>(0.04 * M_PI / 2 / reach));
+}
+
+/// A capsule presses by turning about its tip, which does not move. Its work is that of the torque.
+TEST_P(Mechanics, TheWorkOfAToolThatTurnsIsCounted) {
+  v1::Scene scene = tests::block_with_probe(true, 8);
+  scene.clear_tools();
+  v1::Tool& tool = tests::add_tool(scene, "capsule", 0.01, 0.05, 0.061, 0.04, 5e6);  // its other end 40 mm along z
+  tool.clear_orientation();
+  scene.mutable_bodies(0)->set_rayleigh_stiffness_s(0);
+  scene.mutable_bodies(0)->clear_law();
+  scene.mutable_bodies(0)->mutable_law()->mutable_hooke()->set_young_modulus_pa(5e3);
+  scene.mutable_bodies(0)->mutable_law()->mutable_hooke()->set_poisson_ratio(0.4);
+  scene.clear_gravity_m_per_s2();
+  const auto world = start(scene);
+  for (int i = 1; i <= 200; ++i) {
+    const double angle = 0.12 * i / 200;  // lowers the far end by 5 mm
+    world->set_tool_target(0, {{0.05, 0.061, 0.04}, {std::cos(angle / 2), std::sin(angle / 2), 0, 0}, {}});
+    ASSERT_TRUE(world->step(false));
+  }
+  world->diagnose();
+  double elastic_j = 0;
+  for (const auto& group : world->diagnostics()) elastic_j += group.elastic_energy_j;
+  ASSERT_GT(elastic_j, 1e-4);
+  // The contacts hold some of the work, and damping by implicit Euler takes some.
+  EXPECT_GT(world->energy().work_j(), elastic_j);
+  EXPECT_LT(world->energy().work_j(), 1.5 * elastic_j);
 }
 
 /// A body of almost no mass and stiffness accelerates until it moves farther in a step than its own size.

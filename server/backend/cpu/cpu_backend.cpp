@@ -30,7 +30,7 @@ class CpuState final : public SceneState {
       : model_(model),
         stages_(step::list_stages(model)),
         view_(model::bind<Real>(model, arena_)),
-        tools_(const_cast<view::ToolState<Real>*>(view_.contact.tools)),
+        tools_(const_cast<physics::PlacedTool<Real>*>(view_.contact.tools)),
         control_(const_cast<view::StepControl<Real>*>(view_.state.control)),
         newton_(const_cast<view::NewtonControl*>(view_.newton.control)),
         prescribed_(const_cast<Real*>(view_.prescribed.displacement)),
@@ -58,8 +58,8 @@ class CpuState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
-      tools_[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
+    for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
+      tools_[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_);
     *control_ = checkpoint_.begin(model_, input);
@@ -177,7 +177,7 @@ class CpuState final : public SceneState {
   const std::vector<step::Stage> stages_;
   cpu::Arena arena_;
   const view::SceneView<Real> view_;
-  view::ToolState<Real>* const tools_;
+  physics::PlacedTool<Real>* const tools_;
   view::StepControl<Real>* const control_;
   view::NewtonControl* const newton_;
   Real* const prescribed_;

@@ -44,11 +44,11 @@ class CudaState final : public SceneState {
         stages_(step::list_stages(model)),
         device_(device),
         shares_(shares),
-        inputs_(StepInputs::bytes_of<view::ToolState<Real>>(model.tools.size()) +
+        inputs_(StepInputs::bytes_of<physics::PlacedTool<Real>>(model.tools.size()) +
                     StepInputs::bytes_of<Real>(4 * model.prescribed.size()) +
                     StepInputs::bytes_of<view::StepControl<Real>>(1),
                 arena_),
-        tools_(inputs_.add<view::ToolState<Real>>(model.tools.size())),
+        tools_(inputs_.add<physics::PlacedTool<Real>>(model.tools.size())),
         prescribed_(inputs_.add<Real>(4 * model.prescribed.size())),
         control_(inputs_.add<view::StepControl<Real>>(1)),
         newton_(model.iterates() ? 1 : 0),
@@ -91,8 +91,8 @@ class CudaState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    for (std::size_t tool = 0; tool < input.centers.size(); ++tool) {
-      tools_.host[tool] = tool_state<Real>(model_.tools[tool], input.centers[tool]);
+    for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
+      tools_.host[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
     write_prescribed(model_, input.end_time_s, prescribed_.host);
     *control_.host = checkpoint_.begin(model_, input);
@@ -310,7 +310,7 @@ class CudaState final : public SceneState {
   const bool shares_;
   DeviceArena arena_;
   StepInputs inputs_;
-  const StepInputs::Item<view::ToolState<Real>> tools_;
+  const StepInputs::Item<physics::PlacedTool<Real>> tools_;
   const StepInputs::Item<Real> prescribed_;  // [.., 4]
   const StepInputs::Item<view::StepControl<Real>> control_;
   Pinned<view::NewtonControl> newton_;

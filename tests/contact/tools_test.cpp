@@ -1,4 +1,4 @@
-#include "contact/spherical_probe.h"
+#include "contact/tools.h"
 
 #include <gtest/gtest.h>
 
@@ -6,8 +6,9 @@
 #include "mesh/surface.h"
 #include "support/dense_system.h"
 #include "support/staged_scene.h"
+#include "support/tools.h"
 
-/// The contact stages of one step against brute force over the mesh's boundary.
+/// The contact stages of one step against brute force over the mesh's boundary, for every kind of tool.
 namespace tensormass::contact {
 namespace {
 
@@ -16,10 +17,12 @@ using tests::StagedScene;
 
 constexpr double kPenalty = 4e6;  // Pa/m
 
-void place(StagedScene<double>& staged, const Vec3<double>& center, double radius_m) {
+/// Puts the scene's tool, with the orientation that the scene gives it, at a position.
+void place(StagedScene<double>& staged, const Vec3<double>& position) {
+  physics::Pose pose = staged.model.tools[0].initial_pose;
+  pose.position_m = position;
   // The view hands tools to the stages as constants; between steps they are the backend's to write.
-  auto& tool = const_cast<view::ToolState<double>&>(staged.view.contact.tools[0]);
-  tool = {{center[0], center[1], center[2]}, radius_m, kPenalty};
+  const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) = staged.model.tools[0].placed<double>(pose);
 }
 
 backend::ToolForce measured(const StagedScene<double>& staged) {
@@ -28,14 +31,15 @@ backend::ToolForce measured(const StagedScene<double>& staged) {
   return force;
 }
 
-/// What contact with a sphere outside the tissue adds to the system, triangle by triangle from the boundary.
+/// What contact with a tool outside the tissue adds to the system, triangle by triangle from the boundary.
 struct DenseContact {
   Eigen::MatrixXd a;
   Eigen::VectorXd b;
   int touching = 0;
 
-  DenseContact(const mesh::Mesh& mesh, const Eigen::VectorXd& u, const Eigen::VectorXd& v, double dt,
-               const Vec3<double>& center, double radius_m)
+  template <class Kind>
+  DenseContact(Kind, const mesh::Mesh& mesh, const Eigen::VectorXd& u, const Eigen::VectorXd& v, double dt,
+               const physics::PlacedTool<double>& tool)
       : a(Eigen::MatrixXd::Zero(u.size(), u.size())), b(Eigen::VectorXd::Zero(u.size())) {
     const mesh::Surface surface = mesh::boundary(mesh);
     for (const mesh::Triangle& triangle : surface.triangles) {
@@ -46,22 +50,26 @@ struct DenseContact {
         rest[c] = mesh.nodes[node[c]];
         x[c] = rest[c] + u.segment<3>(3 * node[c]);
       }
-      const auto closest = physics::closest_point_on_triangle(center, x[0], x[1], x[2]);
-      Vec3<double> point = Vec3<double>::Zero(), velocity = Vec3<double>::Zero();
-      for (int c = 0; c < 3; ++c) {
-        point += closest.weights[c] * x[c];
-        velocity += closest.weights[c] * v.segment<3>(3 * node[c]);
-      }
-      const double distance = (point - center).norm(), depth = radius_m - distance;
+      const auto point_at = [&](const Vec3<double>& w) {
+        return Vec3<double>(x[0] * w[0] + x[1] * w[1] + x[2] * w[2]);
+      };
+      Vec3<double> weights = Vec3<double>::Zero();
+      double depth = 0;
+      Kind::for_each_candidate(tool, x[0], x[1], x[2], [&](const Vec3<double>& candidate, const auto&) {
+        const double here = -Kind::distance(tool, point_at(candidate));
+        if (here > depth) weights = candidate;
+        depth = std::max(depth, here);
+      });
       if (depth <= 0) continue;
       ++touching;
-      const Vec3<double> n = (point - center) / distance;
+      Vec3<double> velocity = Vec3<double>::Zero();
+      for (int c = 0; c < 3; ++c) velocity += weights[c] * v.segment<3>(3 * node[c]);
+      const Vec3<double> n = Kind::gradient(tool, point_at(weights));
       const double k = kPenalty * (rest[1] - rest[0]).cross(rest[2] - rest[0]).norm() / 2;
       for (int c = 0; c < 3; ++c) {
-        b.segment<3>(3 * node[c]) += dt * k * closest.weights[c] * (depth - dt * n.dot(velocity)) * n;
+        b.segment<3>(3 * node[c]) += dt * k * weights[c] * (depth - dt * n.dot(velocity)) * n;
         for (int d = 0; d < 3; ++d) {
-          a.block<3, 3>(3 * node[c], 3 * node[d]) +=
-              dt * dt * k * closest.weights[c] * closest.weights[d] * n * n.transpose();
+          a.block<3, 3>(3 * node[c], 3 * node[d]) += dt * dt * k * weights[c] * weights[d] * n * n.transpose();
         }
       }
     }
@@ -69,22 +77,26 @@ struct DenseContact {
 };
 
 /// The unit box with moved nodes, free, and one tool.
-v1::Scene box_scene(const mesh::Mesh& mesh, bool linear = true) {
-  v1::Scene scene = tests::packed_scene(mesh, linear);
-  tests::add_probe(scene, "probe", 0.3, 0, 5, 0);
+v1::Scene box_scene(const mesh::Mesh& mesh, const std::string& kind, double radius_m) {
+  v1::Scene scene = tests::packed_scene(mesh, true);
+  tests::add_tool(scene, kind, radius_m, 0, 5, 0, kPenalty);
   scene.mutable_solver()->set_cg_max_iterations(3000);
   scene.mutable_solver()->set_cg_tolerance(1e-13);
   return scene;
 }
 
-class Probe : public testing::TestWithParam<std::uint32_t> {
+/// A kind of tool, on one and on several patches.
+class EveryTool : public testing::TestWithParam<std::tuple<std::string, std::uint32_t>> {
  protected:
+  const std::string& kind() const { return std::get<0>(GetParam()); }
+  std::uint32_t patches() const { return std::get<1>(GetParam()); }
+
   const mesh::Mesh mesh_ = mesh::testing::random_mesh(8, 4, 1.0);
 };
 
-TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
-  const v1::Scene scene = box_scene(mesh_);
-  StagedScene<double> staged(scene, GetParam());
+TEST_P(EveryTool, AddsToTheSystemWhatBruteForceAdds) {
+  const v1::Scene scene = box_scene(mesh_, kind(), 0.3);
+  StagedScene<double> staged(scene, patches());
   const Eigen::Index size = 3 * staged.node_count();
   const Eigen::VectorXd u = tests::random_field(size, 0.01, 1), v = tests::random_field(size, 0.5, 2);
   staged.put(staged.view.state.displacement, u);
@@ -92,48 +104,56 @@ TEST_P(Probe, AddsToTheSystemWhatBruteForceAdds) {
   const double dt = staged.model.dt_s;
   const tests::DenseSystem tissue = tests::dense_system(scene, u);
   // Over a face, over an edge, at a corner.
-  for (const Vec3<double>& center : {Vec3<double>(0.5, 1.2, 0.5), {1.15, 1.1, 0.5}, {-0.1, -0.1, 1.1}}) {
-    place(staged, center, 0.3);
+  for (const Vec3<double>& position : {Vec3<double>(0.5, 1.2, 0.5), {1.15, 1.1, 0.5}, {-0.1, 1.1, 1.1}}) {
+    place(staged, position);
     staged.run_through(StageKind::kAssembleContact);
-    const DenseContact contact(mesh_, u, v, dt, center, 0.3);
-    ASSERT_GT(contact.touching, 3);
-    const Eigen::MatrixXd a = tissue.a(dt) + contact.a;
-    const Eigen::VectorXd b = tissue.b(dt, v) + contact.b;
-    EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * contact.a.norm());
-    EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - b).norm(), 1e-12 * b.norm());
+    physics::with_tool(staged.model.tools[0].kind, [&](auto tag) {
+      const DenseContact contact(typename decltype(tag)::Type{}, mesh_, u, v, dt, staged.view.contact.tools[0]);
+      ASSERT_GT(contact.touching, 3);
+      const Eigen::MatrixXd a = tissue.a(dt) + contact.a;
+      const Eigen::VectorXd b = tissue.b(dt, v) + contact.b;
+      EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * contact.a.norm());
+      EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - b).norm(), 1e-12 * b.norm());
+    });
   }
 }
 
-/// The tissue gains the momentum that the reported force of the tool gives.
-TEST_P(Probe, ActsOnTheTissueAsTheTissueOnIt) {
-  StagedScene<double> staged(box_scene(mesh_), GetParam());
-  const Vec3<double> center(0.4, 1.1, 0.6);
-  place(staged, center, 0.3);
+/// The tissue gains the momentum and the angular momentum that the reported load of the tool gives.
+TEST_P(EveryTool, ActsOnTheTissueAsTheTissueOnIt) {
+  StagedScene<double> staged(box_scene(mesh_, kind(), 0.3), patches());
+  const Vec3<double> origin(0.4, 1.1, 0.6);
+  place(staged, origin);
   staged.step();
-  const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity),
-                        u = staged.by_node(staged.view.state.displacement);
+  const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity);
   Vec3<double> momentum = Vec3<double>::Zero(), angular = Vec3<double>::Zero();
   for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
     const Vec3<double> mv = staged.model.inertia[4 * std::size_t{staged.row(node)}] * v.segment<3>(3 * node);
     momentum += mv;
-    angular += (mesh_.nodes[node] - center).cross(mv);
+    angular += (mesh_.nodes[node] - origin).cross(mv);
   }
   const backend::ToolForce tool = measured(staged);
   ASSERT_GT(tool.force_n[1], 100);
-  EXPECT_LT((momentum + staged.model.dt_s * tool.force_n).norm(), 1e-9 * momentum.norm());
-  // Without friction every force passes through the centre.
-  EXPECT_LT(angular.norm(), 1e-9 * momentum.norm());
-  EXPECT_LT(tool.torque_n_m.norm(), 1e-12 * tool.force_n.norm());
+  const double dt = staged.model.dt_s;
+  EXPECT_LT((momentum + dt * tool.force_n).norm(), 1e-9 * momentum.norm());
+  EXPECT_LT((angular + dt * tool.torque_n_m).norm(), 1e-9 * momentum.norm());
 }
 
-TEST_P(Probe, OutOfReachIsExactlyNothing) {
-  v1::Scene with = box_scene(mesh_), without = with;
+/// Without friction every force on a sphere passes through its centre.
+TEST(SphericalProbe, FeelsNoTorqueAboutItsCentre) {
+  StagedScene<double> staged(box_scene(mesh::testing::random_mesh(8, 4, 1.0), "spherical_probe", 0.3));
+  place(staged, {0.4, 1.1, 0.6});
+  staged.step();
+  EXPECT_LT(measured(staged).torque_n_m.norm(), 1e-12 * measured(staged).force_n.norm());
+}
+
+TEST_P(EveryTool, OutOfReachIsExactlyNothing) {
+  v1::Scene with = box_scene(mesh_, kind(), 0.3), without = with;
   without.clear_tools();
-  StagedScene<double> touching_nothing(with, GetParam()), alone(without, GetParam());
+  StagedScene<double> touching_nothing(with, patches()), alone(without, patches());
   const Eigen::VectorXd v = tests::random_field(3 * alone.node_count(), 0.5, 2);
   alone.put(alone.view.state.velocity, v);
   touching_nothing.put(touching_nothing.view.state.velocity, v);
-  place(touching_nothing, {0.5, 1.6, 0.5}, 0.3);
+  place(touching_nothing, {0.5, 1.6, 0.5});
   for (int i = 0; i < 3; ++i) {
     alone.step();
     touching_nothing.step();
@@ -145,20 +165,21 @@ TEST_P(Probe, OutOfReachIsExactlyNothing) {
 }
 
 /// Contacts of one step must not push in the next.
-TEST_P(Probe, LetsGoWhenItLeaves) {
-  StagedScene<double> staged(box_scene(mesh_), GetParam());
-  place(staged, {0.5, 1.1, 0.5}, 0.3);
+TEST_P(EveryTool, LetsGoWhenItLeaves) {
+  StagedScene<double> staged(box_scene(mesh_, kind(), 0.3), patches());
+  place(staged, {0.5, 1.1, 0.5});
   staged.step();
   ASSERT_GT(measured(staged).force_n.norm(), 100);
-  place(staged, {0.5, 9, 0.5}, 0.3);
+  place(staged, {0.5, 9, 0.5});
   staged.step();
   EXPECT_EQ(measured(staged).force_n.norm(), 0);
 }
 
-INSTANTIATE_TEST_SUITE_P(Patches, Probe, testing::Values(1u, 2u, 6u));
+INSTANTIATE_TEST_SUITE_P(Tools, EveryTool,
+                         testing::Combine(testing::ValuesIn(tests::tool_kinds()), testing::Values(1u, 2u, 6u)));
 
 /// A block that cannot move: every node fixed, its top two large triangles at y = 1.
-v1::Scene rigid_block() {
+v1::Scene rigid_block(const std::string& kind) {
   tests::Beam block{.cells_x = 1,
                     .cells_y = 1,
                     .cells_z = 1,
@@ -172,14 +193,17 @@ v1::Scene rigid_block() {
   v1::Box& all = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
   tests::set(*all.mutable_min_m(), -1, -1, -1);
   tests::set(*all.mutable_max_m(), 2, 2, 2);
-  tests::add_probe(scene, "probe", 0.05, 0, 5, 0);
+  tests::add_tool(scene, kind, 0.05, 0, 5, 0, kPenalty);
   return scene;
 }
 
-TEST(ProbeOnARigidBlock, FeelsStiffnessTimesDepth) {
-  StagedScene<double> staged(rigid_block());
+/// A tool that comes down on the block with its tip.
+class OnARigidBlock : public testing::TestWithParam<std::string> {};
+
+TEST_P(OnARigidBlock, FeelsStiffnessTimesDepth) {
+  StagedScene<double> staged(rigid_block(GetParam()));
   for (const double depth : {1e-4, 1e-3, 1e-2}) {
-    place(staged, {0.3, 1.05 - depth, 0.7}, 0.05);  // far from every edge: one triangle
+    place(staged, {0.3, 1.05 - depth, 0.7});  // far from every edge: one triangle
     staged.step();
     const backend::ToolForce tool = measured(staged);
     EXPECT_NEAR(tool.force_n[1], kPenalty * 0.5 * depth, 1e-9 * kPenalty * depth);
@@ -189,26 +213,46 @@ TEST(ProbeOnARigidBlock, FeelsStiffnessTimesDepth) {
   }
 }
 
-/// The force grows on when the centre passes the surface, and goes on pushing the tool out.
-TEST(ProbeOnARigidBlock, IsPushedOutWithItsCentreInside) {
-  StagedScene<double> staged(rigid_block());
+/// The force grows on when the tip's centre passes the surface, and goes on pushing the tool out.
+TEST_P(OnARigidBlock, IsPushedOutWithItsCentreInside) {
+  StagedScene<double> staged(rigid_block(GetParam()));
   for (const double depth : {0.049, 0.0499999, 0.05, 0.0500001, 0.051, 0.1}) {
-    place(staged, {0.3, 1.05 - depth, 0.7}, 0.05);
+    place(staged, {0.3, 1.05 - depth, 0.7});
     staged.step();
     EXPECT_NEAR(measured(staged).force_n[1], kPenalty * 0.5 * depth, 1e-6 * kPenalty * depth) << "at " << depth << " m";
   }
 }
 
+INSTANTIATE_TEST_SUITE_P(Tools, OnARigidBlock, testing::ValuesIn(tests::tool_kinds()));
+
+/// A capsule that lies on one triangle touches it with its deepest point, which is the lower end if it is tilted.
+TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {
+  StagedScene<double> staged(rigid_block("capsule"));
+  physics::Pose pose;
+  for (const double tilt : {0.02, -0.02}) {
+    pose.position_m = {0.3, 1.05 - 1e-3, 0.6};  // the axis runs along z; a positive tilt lowers the other end
+    const Eigen::Quaterniond turned(Eigen::AngleAxisd(tilt, Vec3<double>::UnitX()));
+    pose.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
+    const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) = staged.model.tools[0].placed<double>(pose);
+    staged.step();
+    const backend::ToolForce tool = measured(staged);
+    const double lower = tilt > 0 ? 0.2 * std::sin(tilt) : 0, depth = 1e-3 + lower;
+    EXPECT_NEAR(tool.force_n[1], kPenalty * 0.5 * depth, 1e-6 * kPenalty * depth);
+    const double lever = tilt > 0 ? 0.2 * std::cos(tilt) : 0;  // along z, from the tip to the end that touches
+    EXPECT_NEAR(tool.torque_n_m[0], -lever * tool.force_n[1], 1e-6 * tool.force_n[1]);
+  }
+}
+
 /// A centre inside of one body is not inside of its neighbour: that one is pushed away and not drawn in.
 TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
-  v1::Scene scene = box_scene(mesh::testing::unit_grid(2));
+  v1::Scene scene = box_scene(mesh::testing::unit_grid(2), "spherical_probe", 0.1);
   v1::Body& neighbour = *scene.add_bodies();
   neighbour = scene.bodies(0);
   neighbour.set_name("neighbour");
   neighbour.mutable_mesh()->mutable_translation_m()->set_x(1.02);
   for (const std::uint32_t patches : {1u, 3u}) {
     StagedScene<double> staged(scene, patches);
-    place(staged, {0.97, 0.4, 0.6}, 0.1);  // 3 cm inside of the first, 5 cm before the second
+    place(staged, {0.97, 0.4, 0.6});  // 3 cm inside of the first, 5 cm before the second
     staged.step();
     const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity);
     Vec3<double> momentum[2] = {Vec3<double>::Zero(), Vec3<double>::Zero()};
@@ -224,7 +268,7 @@ TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
 /// sharp and blunt.
 /// Returns how many points were inside.
 int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t seed) {
-  StagedScene<double> staged(box_scene(mesh), patches);
+  StagedScene<double> staged(box_scene(mesh, "spherical_probe", 0.05), patches);
   Eigen::AlignedBox3d box;
   for (const Eigen::Vector3d& x : mesh.nodes) box.extend(x);
   const auto contains = [&](const Eigen::Vector3d& p, std::span<const std::uint32_t> nodes) {
@@ -244,7 +288,7 @@ int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t see
     const bool inside =
         std::any_of(elements.begin(), elements.end(), [&](const auto& nodes) { return contains(p, nodes); });
     inside_count += inside ? 1 : 0;
-    place(staged, p, 0.05);
+    place(staged, p);
     staged.run(StageKind::kDetectContact);
     const auto* first = staged.view.contact.closest;
     const auto* nearest = std::min_element(

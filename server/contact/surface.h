@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cmath>
+
+#include "physics/contact/closest_point.h"
+#include "view/scene.h"
+
+/// The tissue's surface at the present displacement: corners and normals of the triangles that tools can touch.
+namespace tensormass::contact {
+
+/// Current positions of a triangle's corners.
+template <class Real>
+struct Corners {
+  Vec3<Real> x[3];
+  TM_HOST_DEVICE Vec3<Real> at(const Vec3<Real>& weights) const {
+    return x[0] * weights[0] + x[1] * weights[1] + x[2] * weights[2];
+  }
+  /// The outward normal, not normalized: its length is twice the area.
+  TM_HOST_DEVICE Vec3<Real> normal() const { return physics::cross<Real>(x[1] - x[0], x[2] - x[0]); }
+};
+
+template <class Real>
+TM_HOST_DEVICE Corners<Real> corners_of(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                        std::uint32_t triangle) {
+  const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
+  return {{view::position(state, rows[0]), view::position(state, rows[1]), view::position(state, rows[2])}};
+}
+
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> unit(const Vec3<Real>& v) {
+  using std::sqrt;
+  const Real squared = v.dot(v);
+  return squared > 0 ? Vec3<Real>(v / sqrt(squared)) : Vec3<Real>(Vec3<Real>::Zero());
+}
+
+/// Outward pseudonormal of the surface at a feature of a triangle, not normalized.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                       std::uint32_t triangle, physics::TriangleFeature feature) {
+  using physics::TriangleFeature;
+  using std::acos;
+  const Vec3<Real> own = unit<Real>(corners_of(state, contact, triangle).normal());
+  if (feature == TriangleFeature::kFace) return own;
+  if (feature < TriangleFeature::kVertex0) {
+    const int edge = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kEdge01);
+    const std::uint32_t neighbour = contact.triangle_neighbours[std::size_t{3} * triangle + edge];
+    if (neighbour == view::kNoTriangle) return own;
+    return own + unit<Real>(corners_of(state, contact, neighbour).normal());
+  }
+  const int corner = static_cast<int>(feature) - static_cast<int>(TriangleFeature::kVertex0);
+  const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
+  Vec3<Real> sum = Vec3<Real>::Zero();
+  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+    const Corners<Real> around = corners_of(state, contact, contact.incidence[4 * i]);
+    const std::uint32_t c = contact.incidence[4 * i + 1];
+    const Vec3<Real> to_next = unit<Real>(around.x[(c + 1) % 3] - around.x[c]);
+    const Vec3<Real> to_previous = unit<Real>(around.x[(c + 2) % 3] - around.x[c]);
+    const Real angle = acos(minimum(maximum(to_next.dot(to_previous), Real(-1)), Real(1)));
+    sum += unit<Real>(around.normal()) * angle;
+  }
+  return sum;
+}
+
+}  // namespace tensormass::contact

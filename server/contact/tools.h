@@ -1,0 +1,244 @@
+#pragma once
+
+#include <cmath>
+
+#include "contact/surface.h"
+#include "matrix/edges.h"
+#include "physics/lists.h"
+#include "view/scene.h"
+
+/// Rigid tools against the tissue's surface: penalty pressure, without friction, implicit in time.
+///
+///                   ___
+///                 /     \       c     point of the tool's core (physics/tool/tool.h)
+///                |   c   |      n     direction in which the tissue is pushed, from c to the contact point
+///                 \__│__/       w_a   weight of the contact point at corner a of the triangle
+///    tissue ─────── n↓ ──────   d_a   motion of corner a to the end of the step, û + h v − u (view/state.h) [m]
+///                               k     stiffness, penalty · area of the triangle [N/m]
+///                               depth   radius − distance from c to the contact point [m]
+///
+/// 1. Each surface triangle has one contact with a tool: of the tool's candidates, the one with the greatest depth. The
+///    triangle is in contact if that depth is positive.
+/// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n. It enters the same linear system as the
+///    tissue. Its derivative has three diagonal blocks and the edge tensors between the three corners. The mesh has
+///    those edges anyway.
+/// 3. Each step decides once for each core point whether it is inside the tissue: at the closest point of the whole
+///    surface, by the angle-weighted pseudonormal there (Bærentzen, Aanæs 2005). Between two core points, the distance
+///    to the surface is interpolated.
+/// 4. A c inside pushes the tissue back over itself: n is reversed, and the depth grows by twice the depth of c. This
+///    concerns only triangles that face away from c. Another body beside the one that contains c is pushed as usual.
+namespace tensormass::contact {
+
+/// Finds the triangle of this patch that is closest to a core point, and on which side of it the point lies.
+/// place: the core point's, among those of all tools.
+template <class Team, class Real>
+TM_HOST_DEVICE void detect_core_point(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                      const view::ContactView<Real>& contact, const Vec3<Real>& point,
+                                      std::uint32_t place) {
+  struct Offset {
+    Vec3<Real> vector;  // from the triangle's closest point to the core point
+    physics::TriangleFeature feature;
+  };
+  const auto offset_from = [&](std::uint32_t triangle) {
+    const Corners<Real> corners = corners_of(state, contact, triangle);
+    const auto closest = physics::closest_point_on_triangle(point, corners.x[0], corners.x[1], corners.x[2]);
+    return Offset{point - corners.at(closest.weights), closest.feature};
+  };
+  Real best = Real(1e30);
+  std::uint32_t best_triangle = view::kNoTriangle;
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+                [&](std::uint32_t triangle) {
+                  const Vec3<Real> offset = offset_from(triangle).vector;
+                  const Real squared = offset.dot(offset);
+                  if (squared < best) {
+                    best = squared;
+                    best_triangle = triangle;
+                  }
+                });
+  team.patch_argmin(best, best_triangle);
+  if (!team.leads_patch()) return;
+  Real side = 1;
+  if (best_triangle != view::kNoTriangle) {
+    const Offset offset = offset_from(best_triangle);
+    side = pseudonormal(state, contact, best_triangle, offset.feature).dot(offset.vector) < 0 ? Real(-1) : Real(1);
+  }
+  contact.closest[std::size_t{place} * patches.patch_count + team.patch()] = {best, side};
+}
+
+/// Stage 1, closest-point query: does this for the core points of all tools.
+/// Reads displacement, tools; writes closest.
+template <class Team, class Real>
+TM_HOST_DEVICE void detect(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                           const view::ContactView<Real>& contact) {
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const physics::PlacedTool<Real>& tool = contact.tools[t];
+    physics::with_tool(tool.kind, [&](auto kind) {
+      using Kind = typename decltype(kind)::Type;
+      for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
+        detect_core_point(team, patches, state, contact, Kind::core_point(tool, i), tool.first_core_point + i);
+      }
+    });
+  }
+}
+
+/// How deep the core points of one tool are inside the tissue [m]; negative outside. With it, the depth of contact
+/// continues radius − distance continuously to the inside.
+template <class Real, std::uint32_t kCount>
+struct CoreDepths {
+  Real values[kCount];
+
+  TM_HOST_DEVICE CoreDepths(const view::PatchesView& patches, const view::ContactView<Real>& contact,
+                            std::uint32_t first_core_point) {
+    using std::sqrt;
+    for (std::uint32_t i = 0; i < kCount; ++i) {
+      const auto* of_patches = contact.closest + std::size_t{first_core_point + i} * patches.patch_count;
+      view::ClosestTriangle<Real> nearest = of_patches[0];
+      for (std::uint32_t patch = 1; patch < patches.patch_count; ++patch) {
+        if (of_patches[patch].distance_squared < nearest.distance_squared) nearest = of_patches[patch];
+      }
+      values[i] = -nearest.side * sqrt(nearest.distance_squared);
+    }
+  }
+  /// Interpolates between the core points.
+  TM_HOST_DEVICE Real at(Real place) const {
+    Real depth = values[0];
+    for (std::uint32_t i = 1; i < kCount; ++i) {
+      const Real fraction = minimum(maximum(place - static_cast<Real>(i - 1), Real(0)), Real(1));
+      depth += (values[i] - values[i - 1]) * fraction;
+    }
+    return depth;
+  }
+};
+
+/// Computes each triangle's contact with one tool.
+/// contacts: the tool's, [triangle_count]
+template <class Kind, class Team, class Real>
+TM_HOST_DEVICE void respond_to(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                               const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                               view::TriangleContact<Real>* contacts) {
+  using std::sqrt;
+  const CoreDepths<Real, Kind::kCorePoints> core_depths(patches, contact, tool.first_core_point);
+  const auto respond = [&](std::uint32_t triangle) {
+    const Corners<Real> corners = corners_of(state, contact, triangle);
+    Real greatest = 0;
+    Vec3<Real> weights, normal;
+    const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
+      const Vec3<Real> away = corners.at(candidate) - core.position;
+      const Real distance = sqrt(away.dot(away)), inside = core_depths.at(core.place);
+      const bool behind = inside > 0 && corners.normal().dot(away) > 0;
+      const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
+      if (!(depth > greatest)) return;
+      greatest = depth;
+      weights = candidate;
+      normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
+                                                     : Vec3<Real>(-unit<Real>(corners.normal()));
+    };
+    Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
+    view::TriangleContact<Real>& touch = contacts[triangle];
+    touch.depth_m = greatest;
+    if (!(greatest > 0)) return;
+    for (int c = 0; c < 3; ++c) {
+      touch.weight[c] = weights[c];
+      touch.normal[c] = normal[c];
+    }
+    touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+  };
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], respond);
+}
+
+/// Stage 2, contact generation: does this for all tools.
+/// Reads displacement, tools, closest; writes contacts.
+template <class Team, class Real>
+TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::ContactView<Real>& contact) {
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const physics::PlacedTool<Real> tool = contact.tools[t];
+    physics::with_tool(tool.kind, [&](auto kind) {
+      respond_to<typename decltype(kind)::Type>(team, patches, state, contact, tool,
+                                                contact.contacts + std::size_t{t} * contact.triangle_count);
+    });
+  }
+}
+
+/// Stage 3: adds contacts to the linear system. Each surface node gathers from the triangles around it.
+/// Reads contacts, velocity; adds to edges, diagonal, rhs.
+template <class Team, class Real>
+TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                             const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  const Real h = view::step_size(state);
+  team.for_each(contact.patch_surface[patch.index], contact.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
+    const std::uint32_t row = contact.surface_rows[vertex];
+    for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+      for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+        const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
+        const std::uint32_t triangle = incidence[0], corner = incidence[1];
+        const view::TriangleContact<Real>& touch = contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+        if (!(touch.depth_m > 0)) continue;
+        const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
+        Real retreat = 0;  // n · Σ w d, how far the contact point moves away
+        for (int c = 0; c < 3; ++c) {
+          retreat +=
+              touch.weight[c] * n.dot(view::change_ahead(state, contact.triangle_rows[std::size_t{3} * triangle + c]));
+        }
+        const Real weight = touch.weight[corner];
+        const Vec3<Real> impulse = n * (h * weight * touch.stiffness * (touch.depth_m - retreat));
+        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + impulse);
+
+        const Mat3<Real> stiffness = n * n.transpose() * (h * h * touch.stiffness * weight);
+        Real* d = matrix.diagonal + std::size_t{8} * row;
+        d[0] += weight * stiffness(0, 0);
+        d[1] += weight * stiffness(0, 1);
+        d[2] += weight * stiffness(0, 2);
+        d[3] += weight * stiffness(1, 1);
+        d[4] += weight * stiffness(1, 2);
+        d[5] += weight * stiffness(2, 2);
+        for (std::uint32_t k = 1; k <= 2; ++k) {
+          const std::uint32_t slot = incidence[1 + k];
+          const Real other = touch.weight[(corner + k) % 3];
+          if (slot != view::kNoPlace) matrix::add_to_block<Real>(matrix, slot, stiffness * other);
+        }
+      }
+    }
+  });
+}
+
+/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step.
+/// Reads contacts, displacement, velocity; writes tool_loads.
+template <class Team, class Real>
+TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                            const view::ContactView<Real>& contact) {
+  for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+    const physics::PlacedTool<Real> tool = contact.tools[t];
+    Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero();
+    team.for_each(
+        contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
+          const view::TriangleContact<Real>& touch =
+              contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+          if (!(touch.depth_m > 0)) return;
+          const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
+          Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
+          for (int c = 0; c < 3; ++c) {
+            const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
+            // With base fields, contacts are generated again at the end of the step: nothing has moved since.
+            if (state.base_displacement == nullptr) {
+              change += view::load3<Real>(state.velocity, row) * (view::step_size(state) * touch.weight[c]);
+            }
+            point += view::position(state, row) * touch.weight[c];
+          }
+          point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
+          // Penalty contact only pushes: a point that left the tool within the step carries no force.
+          const Real pressure = touch.stiffness * maximum(touch.depth_m - n.dot(change), Real(0));
+          force -= n * pressure;
+          torque -= physics::cross<Real>(point - tool.position(), n) * pressure;
+        });
+    Real sums[6] = {force[0], force[1], force[2], torque[0], torque[1], torque[2]};
+    team.patch_sum(sums);
+    if (team.leads_patch()) {
+      contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()] = {{sums[0], sums[1], sums[2]},
+                                                                                 {sums[3], sums[4], sums[5]}};
+    }
+  }
+}
+
+}  // namespace tensormass::contact

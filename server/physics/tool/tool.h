@@ -1,0 +1,107 @@
+#pragma once
+
+#include <cmath>
+#include <concepts>
+#include <cstdint>
+#include <string_view>
+
+#include "core/limits.h"
+#include "core/scalar.h"
+
+/// The interface of a tool's kind: the shape that touches tissue.
+///
+/// A tool is a rigid core and a radius r: its surface is at the distance r from the core. A point makes a sphere, a
+/// segment a capsule.
+///
+///        r  ______________          c0, c1  core points
+///       ___/              \___      x       a point of the scene [m]
+///      /                      \     d       distance from the core to x [m]
+///     |   c0 ------------ c1   |    φ       signed distance d − r: negative inside the tool [m]
+///      \___                ___/     ∇φ      unit vector, from the core to x
+///          \______________/
+///
+/// 1. A kind is a struct of static functions of a placed tool. They are pure, for host and device. Contact
+///    (contact/tools.h), the compiler and the tests take all kinds from one list, `Tools` in physics/lists.h.
+/// 2. Contact needs the core, not only φ. Tissue that is deeper inside than the core must still be pushed outwards, and
+///    ∇φ points the other way there.
+///
+/// Constants of a kind:
+///
+///   kName         the protocol's name for it, in Tool.kind
+///   kParameters   numbers that its message has besides radius_m, tip_offset_m and penalty_stiffness_pa_per_m
+///   kJoints       joints that its pose has
+///   kCorePoints   number of its core points. Contact finds out for each whether it is inside the tissue
+///
+/// Functions of a kind; `tool` is placed in the scene, `x` is a point of the scene:
+///
+///   core_point(tool, i)           returns core point i
+///   closest_core_point(tool, x)   returns the point of the core that is closest to x
+///   distance(tool, x)             returns φ
+///   gradient(tool, x)             returns ∇φ; zero on the core, where it is undefined
+///   for_each_candidate(tool, a, b, c, visit)
+///                                 visits pairs of a point of the triangle abc and a point of the core. The contact is
+///                                 one of them
+///                                 visit(weights, core): called at least once; barycentric coordinates, CorePoint
+namespace tensormass::physics {
+
+/// A number in the message of a tool's kind.
+struct ToolParameter {
+  std::string_view name;  ///< the field's
+  double least, most;
+};
+
+/// A point of a tool's core.
+template <class Real>
+struct CorePoint {
+  Vec3<Real> position;
+  Real place;  ///< i at core point i; linear between two of them
+};
+
+/// A tool in the scene, as stages see it.
+template <class Real>
+struct PlacedTool {
+  Real position_m[3];  // origin of the shape's frame: the tool's own frame, moved by tip_offset_m
+  Real rotation[9];    // row-major; its columns are the axes of the shape's frame
+  Real joint_values[limits::kMaxToolJoints];
+  Real radius_m;
+  Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
+  Real penalty_pa_per_m;
+  std::uint32_t kind;              // place in Tools
+  std::uint32_t first_core_point;  // its core points among those of all tools
+
+  TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
+  TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
+};
+
+template <class T>
+concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
+  { T::kName } -> std::convertible_to<std::string_view>;
+  { T::kParameters.size() } -> std::convertible_to<std::size_t>;
+  { T::kJoints } -> std::convertible_to<std::size_t>;
+  { T::kCorePoints } -> std::convertible_to<std::uint32_t>;
+  { T::core_point(tool, 0) } -> std::same_as<Vec3<double>>;
+  { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
+  { T::distance(tool, x) } -> std::same_as<double>;
+  { T::gradient(tool, x) } -> std::same_as<Vec3<double>>;
+  T::for_each_candidate(tool, x, x, x, [](const Vec3<double>&, const CorePoint<double>&) {});
+};
+
+/// Signed distance and gradient of a kind whose core has no volume, from its closest_core_point.
+template <class Kind>
+struct ThinCore {
+  template <class Real>
+  TM_HOST_DEVICE static Real distance(const PlacedTool<Real>& tool, const Vec3<Real>& x) {
+    using std::sqrt;
+    const Vec3<Real> away = x - Kind::closest_core_point(tool, x).position;
+    return sqrt(away.dot(away)) - tool.radius_m;
+  }
+  template <class Real>
+  TM_HOST_DEVICE static Vec3<Real> gradient(const PlacedTool<Real>& tool, const Vec3<Real>& x) {
+    using std::sqrt;
+    const Vec3<Real> away = x - Kind::closest_core_point(tool, x).position;
+    const Real squared = away.dot(away);
+    return squared > 0 ? Vec3<Real>(away * (1 / sqrt(squared))) : Vec3<Real>(Vec3<Real>::Zero());
+  }
+};
+
+}  // namespace tensormass::physics

@@ -1,0 +1,38 @@
+#include "world/tool.h"
+
+#include <algorithm>
+
+#include "physics/lists.h"
+
+namespace tensormass::world {
+
+/// Returns a bound on the way of each core point from one pose of the shape to another [m]: the way of the shape's
+/// origin, which is straight, plus the arc about it.
+double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
+  const auto placed = tool_->placed<double>(from);
+  double arm = 0;
+  physics::with_tool(tool_->kind, [&](auto kind) {
+    using Kind = typename decltype(kind)::Type;
+    for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
+      arm = std::max(arm, (Kind::core_point(placed, i) - placed.position()).norm());
+    }
+  });
+  return (to.position_m - from.position_m).norm() + arm * physics::rotation_vector(from, to).norm();
+}
+
+void ToolMotion::move(double dt_s) {
+  before_ = current_;
+  from_ = shape_of(current_);
+  to_ = shape_of(target_);
+  // The shape must not jump through tissue, so the speed of its core points is limited, for rotations too.
+  const double way = longest_way(from_, to_), reach = tool_->max_speed_m_per_s * dt_s;
+  if (way > reach) {
+    to_ = physics::between(from_, to_, reach / way);
+    current_ = to_;
+    current_.position_m = to_.position_m - lever(to_);
+  } else {
+    current_ = target_;
+  }
+}
+
+}  // namespace tensormass::world
