@@ -277,6 +277,19 @@ def test_a_scene_from_arrays_carries_everything_given() -> None:
     assert cork.law.hooke.poisson_ratio == 0
 
 
+def test_tools_of_any_kind_are_added_by_name() -> None:
+    scene = tm.Scene()
+    tool = scene.add_tool(
+        "hook", "capsule", position_m=(0, 0, 1), radius_m=0.005, length_m=0.2, tip_offset_m=(0, 0, -0.1)
+    )
+    assert tool.capsule == scene_pb2.Capsule(radius_m=0.005, length_m=0.2, tip_offset_m=scene_pb2.Vector3(z=-0.1))
+    with pytest.raises(tm.InvalidArgumentError, match=r"hook: there is no kind 'capsul'.*capsule"):
+        scene.add_tool("hook", "capsul", position_m=(0, 0, 1))
+    with pytest.raises(tm.InvalidArgumentError, match=r"hook: capsule has no 'lenght_m'.*length_m"):
+        scene.add_tool("hook", "capsule", position_m=(0, 0, 1), lenght_m=0.2)
+    assert len(scene.message.tools) == 1, "a tool that is refused is not added"
+
+
 def test_a_budget_comes_with_its_floor() -> None:
     scene = tm.Scene("s")
     scene.keep_to_budget(0.004, floor_cg_iterations=12)

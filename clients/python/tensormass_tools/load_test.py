@@ -31,6 +31,7 @@ from tensormass._src.processes import ChildProcess, end_explained, find_program
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server, connect
+from tensormass._src.tools import shape_of
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_report
 from tensormass_tools.load_report import Json
@@ -352,5 +353,5 @@ def with_tools(scene: scene_pb2.Scene, count: int) -> scene_pb2.Scene:
         index = len(result.tools)
         tool.name = next(name for name in (f"tool-{index + k}" for k in range(_MAX_TOOLS + 1)) if name not in names)
         names.add(tool.name)
-        tool.position_m.x += 3.0 * tool.spherical_probe.radius_m * (index - 1)
+        tool.position_m.x += 3.0 * shape_of(tool).radius_m * (index - 1)
     return result

@@ -32,7 +32,7 @@ describe("decodeTopology", () => {
       ["vein", 4, 3],
     ]);
     expect(topology.bodies.map((body) => body.colorSrgb)).toEqual([null, [0.1, 0.2, 0.9]]);
-    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1] }]);
+    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1], lengthM: 0 }]);
   });
 
   it("uses z as up without gravity", () => {
@@ -56,6 +56,12 @@ describe("decodeTopology", () => {
     expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/11 bytes of triangles/);
     for (const radiusM of [0, -1, NaN, 1e6]) {
       expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM }] }))).toThrow(`radius_m is ${radiusM}`);
+    }
+    for (const lengthM of [-1, NaN, 1e6]) {
+      const tool = { kind: { case: "capsule" as const, value: { radiusM: 0.01, lengthM } } };
+      expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM: 0.01, tool }] }))).toThrow(
+        `length_m is ${lengthM}`,
+      );
     }
     const colored = [{ name: "a", vertexCount: 0, colorSrgb: { x: NaN, y: 0, z: 0 } }];
     expect(() => decodeTopology(topologyBytes({ bodies: colored }))).toThrow(/color_srgb/);

@@ -26,13 +26,13 @@ function probe(): THREE.Object3D {
 const TENTH = 0.2 * 5 * Math.tan(Math.PI / 8);
 const onMove = vi.fn();
 const controls = { enabled: true };
-let spheres: THREE.Object3D[];
+let shapes: THREE.Object3D[];
 let world: THREE.Group;
 let target: HTMLCanvasElement;
 
 beforeEach(() => {
   onMove.mockClear();
-  spheres = [probe()];
+  shapes = [probe()];
   target = canvas();
   const camera = new THREE.PerspectiveCamera(45, 1);
   camera.position.z = 5;
@@ -40,7 +40,7 @@ beforeEach(() => {
   world = new THREE.Group();
   controls.enabled = true;
   const studio = { camera, controls, world } as unknown as Studio;
-  enableDrag(target, studio, { spheres: () => spheres, onMove });
+  enableDrag(target, studio, { shapes: () => shapes, onMove });
   target.dispatchEvent(pointer("pointerdown", 50));
 });
 
@@ -80,7 +80,7 @@ it("drags a tool with the first button only, and only where its sphere is", () =
 });
 
 it("releases a tool when its topology ends, even if the next has a tool of that name", () => {
-  spheres = [probe()];
+  shapes = [probe()];
   target.dispatchEvent(pointer("pointermove", 60));
   expect(onMove).not.toHaveBeenCalled();
   expect(controls.enabled).toBe(true);

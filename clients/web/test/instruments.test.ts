@@ -27,9 +27,18 @@ const close = (...values: number[]): unknown[] => values.map((value) => expect.c
 it("places the sphere with the position and orientation of the tool", () => {
   // A quarter turn about x.
   const { instruments } = update({ x: 0, y: 0, z: 0 }, { w: 1, x: 1, y: 0, z: 0 });
-  const [sphere] = instruments.spheres();
+  const [sphere] = instruments.shapes();
   expect(sphere?.name).toBe("probe");
   expect(sphere?.getWorldPosition(new THREE.Vector3()).toArray()).toEqual(close(1, 2.1, 3));
+});
+
+it("draws a capsule from its tip along the tool's z axis", () => {
+  const capsule = { kind: { case: "capsule" as const, value: { radiusM: 0.005, lengthM: 0.2 } } };
+  const tool = { name: "probe", radiusM: 0.005, tipOffsetM: { x: 0, y: 0, z: -0.1 }, tool: capsule };
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
+  expect(box.min.toArray()).toEqual(close(-0.005, -0.005, -0.105));
+  expect(box.max.toArray()).toEqual(close(0.005, 0.005, 0.105));
 });
 
 it("draws the arrow from the sphere along the force, and the label at its tip", () => {

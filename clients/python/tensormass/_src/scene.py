@@ -16,6 +16,7 @@ from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass._src.tools import make_tool
 from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
 
@@ -76,7 +77,7 @@ class Scene:
         density_kg_per_m3: float = 1060.0,
         **options: Any,  # noqa: ANN401
     ) -> Scene:
-        """Makes a scene of one body, by default of liver tissue. Add tools with `add_spherical_probe`.
+        """Makes a scene of one body, by default of liver tissue. Add tools with `add_tool`.
 
         Args:
             options: the further arguments of `add_body`.
@@ -162,13 +163,31 @@ class Scene:
         self, name: str, *, radius_m: float, position_m: Vector, max_speed_m_per_s: float | None = None
     ) -> scene_pb2.Tool:
         """Adds a probe and returns its message. The probe stays at `position_m` until its first pose."""
-        tool = scene_pb2.Tool(
-            name=name,
-            spherical_probe=scene_pb2.SphericalProbe(radius_m=radius_m),
-            position_m=vector3(position_m, f"{name}.position_m"),
-            max_speed_m_per_s=max_speed_m_per_s,
+        return self.add_tool(
+            name, "spherical_probe", position_m=position_m, max_speed_m_per_s=max_speed_m_per_s, radius_m=radius_m
         )
-        self.message.tools.append(tool)
+
+    def add_tool(
+        self,
+        name: str,
+        kind: str,
+        *,
+        position_m: Vector,
+        max_speed_m_per_s: float | None = None,
+        **shape: float | Vector,
+    ) -> scene_pb2.Tool:
+        """Adds a tool of any kind and returns its message. It stays at `position_m` until its first pose.
+
+        Args:
+            kind: a kind of the protocol's `Tool`, such as "spherical_probe" or "capsule".
+            shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.
+
+        Raises:
+            InvalidArgumentError: no such kind, or no such field.
+        """
+        self.message.tools.append(
+            make_tool(name, kind, position_m=position_m, max_speed_m_per_s=max_speed_m_per_s, shape=shape)
+        )
         return self.message.tools[-1]
 
     def keep_to_budget(

@@ -19,6 +19,7 @@ from tensormass._src import defaults, mesh_geometry
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.meshes import FloatArray
 from tensormass._src.packing import volume_mesh
+from tensormass._src.tools import shape_of
 from tensormass.v1 import scene_pb2
 
 # Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
@@ -139,15 +140,15 @@ def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> 
     """Returns the start of a tool and its way, straight to the nearest point of the surface at rest and `press_radii`
     beyond it."""
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
-    probe, q = tool.spherical_probe, tool.orientation
-    centre = start + _rotated(q, np.array([probe.tip_offset_m.x, probe.tip_offset_m.y, probe.tip_offset_m.z]))
+    shape, q = shape_of(tool), tool.orientation
+    centre = start + _rotated(q, np.array([shape.tip_offset_m.x, shape.tip_offset_m.y, shape.tip_offset_m.z]))
     surface = np.concatenate(
         [rest_nodes(body, mesh_geometry.boundary(volume_mesh(body)).vertices) for body in scene.bodies]
     )
     way = surface[np.linalg.norm(surface - centre, axis=1).argmin()] - centre
     distance = float(np.linalg.norm(way))
     if distance > 0:
-        way = way * (distance + (press_radii - 1) * probe.radius_m) / distance
+        way = way * (distance + (press_radii - 1) * shape.radius_m) / distance
     return (start[0], start[1], start[2]), (way[0], way[1], way[2])
 
 

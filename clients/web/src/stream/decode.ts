@@ -37,8 +37,10 @@ export interface Surface {
 export interface ToolShape {
   readonly name: string;
   readonly radiusM: number;
-  /** Centre of the sphere in the tool's frame [m]. */
+  /** Centre of the sphere at the tip, in the tool's frame [m]. */
   readonly tipOffsetM: Vector;
+  /** Length of a capsule from that centre along the tool's z axis [m]; 0 for a sphere, and for kinds unknown here. */
+  readonly lengthM: number;
 }
 
 export interface Topology {
@@ -128,7 +130,17 @@ export function decodeTopology(payload: Uint8Array): Topology {
     if (!(tool.radiusM > 0 && tool.radiusM < MAX_LENGTH_M)) {
       throw new DecodeError(`${where}: radius_m is ${tool.radiusM}`);
     }
-    return { name: tool.name, radiusM: tool.radiusM, tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM) };
+    const kind = tool.tool?.kind;
+    const lengthM = kind?.case === "capsule" ? kind.value.lengthM : 0;
+    if (!(lengthM >= 0 && lengthM < MAX_LENGTH_M)) {
+      throw new DecodeError(`${where}: length_m is ${lengthM}`);
+    }
+    return {
+      name: tool.name,
+      radiusM: tool.radiusM,
+      tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM),
+      lengthM,
+    };
   });
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
 }

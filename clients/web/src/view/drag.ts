@@ -7,7 +7,7 @@ import type { Studio } from "./studio";
 
 export interface DragTarget {
   /** Spheres that can be dragged; `name` is the tool's name. A dragged sphere that is no longer listed is released. */
-  spheres(): THREE.Object3D[];
+  shapes(): THREE.Object3D[];
   /** Called for each move with the new centre of the sphere [m]. */
   onMove(tool: string, centerM: Vector): void;
 }
@@ -30,7 +30,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
     "pointerdown",
     (event) => {
       aim(event);
-      const taken = event.button === 0 ? caster.intersectObjects(target.spheres(), false)[0] : undefined;
+      const taken = event.button === 0 ? caster.intersectObjects(target.shapes(), false)[0] : undefined;
       if (taken !== undefined) {
         held = taken.object;
         plane.setFromNormalAndCoplanarPoint(
@@ -49,7 +49,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
     studio.controls.enabled = true;
   };
   canvas.addEventListener("pointermove", (event) => {
-    if (held !== null && !target.spheres().includes(held)) {
+    if (held !== null && !target.shapes().includes(held)) {
       release();
     }
     if (held !== null) {

@@ -37,9 +37,9 @@ export class Instruments {
     return frame.tools.flatMap((state) => this.#tools.get(state.name)?.update(state) ?? []);
   }
 
-  /** Spheres of the tools, for picking; `name` is the tool's name. */
-  spheres(): THREE.Object3D[] {
-    return [...this.#tools.values()].map((tool) => tool.sphere);
+  /** Shapes of the tools, for picking; `name` is the tool's name. */
+  shapes(): THREE.Object3D[] {
+    return [...this.#tools.values()].map((tool) => tool.mesh);
   }
 
   dispose(): void {
@@ -54,7 +54,7 @@ export class Instruments {
 
 class Instrument {
   readonly group = new THREE.Group();
-  readonly sphere: THREE.Mesh;
+  readonly mesh: THREE.Mesh;
   readonly #shape: ToolShape;
   readonly #tool = new THREE.Group();
   readonly #sceneRadiusM: number;
@@ -72,18 +72,18 @@ class Instrument {
       metalness: quality.level === "high" ? 1 : 0.2,
       roughness: 0.24,
     });
-    this.sphere = new THREE.Mesh(new THREE.SphereGeometry(shape.radiusM, 48, 32), steel);
-    this.sphere.name = shape.name;
-    this.sphere.position.set(...shape.tipOffsetM);
-    // The handle is not simulated. It lies along the tool's z axis and shows the tool's orientation.
-    const length = HANDLE_LENGTH * sceneRadiusM;
+    this.mesh = new THREE.Mesh(shapeOf(shape), steel);
+    this.mesh.name = shape.name;
+    this.mesh.position.set(...shape.tipOffsetM);
+    // The handle is not simulated. It lies along the tool's z axis and shows the tool's orientation. A capsule is its own.
+    const length = shape.lengthM > 0 ? shape.lengthM : HANDLE_LENGTH * sceneRadiusM;
     const thickness = 0.26 * shape.radiusM;
     const handle = new THREE.Mesh(
       new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
       steel.clone(),
     );
-    handle.position.copy(this.sphere.position);
-    for (const mesh of [this.sphere, handle]) {
+    handle.position.copy(this.mesh.position);
+    for (const mesh of [this.mesh, handle]) {
       mesh.castShadow = true;
       mesh.frustumCulled = false;
       this.#tool.add(mesh);
@@ -123,6 +123,14 @@ class Instrument {
     const tip = direction.multiplyScalar(length + 8 * ARROW_WIDTH * this.#sceneRadiusM).add(this.#arrow.position);
     return [{ tool: this.#shape.name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
   }
+}
+
+/** The shape that touches tissue, in the tool's frame moved by tipOffsetM. */
+function shapeOf({ radiusM, lengthM }: ToolShape): THREE.BufferGeometry {
+  if (lengthM === 0) {
+    return new THREE.SphereGeometry(radiusM, 48, 32);
+  }
+  return new THREE.CapsuleGeometry(radiusM, lengthM, 24, 48).rotateX(Math.PI / 2).translate(0, 0, lengthM / 2);
 }
 
 /** Length of the arrow [scene radii]: nearly proportional for small forces, bounded so that it stays on the screen. */

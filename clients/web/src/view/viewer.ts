@@ -93,16 +93,16 @@ export class Viewer {
     if (!this.#dragEnabled) {
       this.#dragEnabled = true;
       enableDrag(this.#canvas, this.#studio, {
-        spheres: () => this.#spheres(),
+        shapes: () => this.#shapes(),
         onMove: (tool, center) => this.#events.onToolMoved(tool, center),
       });
     }
   }
 
   /** Spheres to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
-  #spheres(): THREE.Object3D[] {
+  #shapes(): THREE.Object3D[] {
     const current = this.#revision === this.#store.topologyRevision;
-    return current && this.#instruments !== null ? this.#instruments.spheres() : [];
+    return current && this.#instruments !== null ? this.#instruments.shapes() : [];
   }
 
   #update(nowMs: number): void {

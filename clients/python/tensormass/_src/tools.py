@@ -1,0 +1,58 @@
+"""Tools of a scene, of any kind that the protocol knows."""
+
+from __future__ import annotations
+
+from typing import Protocol, cast
+
+from google.protobuf.descriptor import FieldDescriptor
+
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.names import suggestion
+from tensormass._src.vectors import Vector, vector3
+from tensormass.v1 import scene_pb2
+
+
+class ToolShape(Protocol):
+    """What the messages of all kinds of tools have."""
+
+    radius_m: float
+    tip_offset_m: scene_pb2.Vector3
+
+
+def shape_of(tool: scene_pb2.Tool) -> ToolShape:
+    """Returns the message of a tool's kind.
+
+    Raises:
+        InvalidArgumentError: the tool has no kind.
+    """
+    kind = tool.WhichOneof("kind")
+    if kind is None:
+        raise InvalidArgumentError(f"tool {tool.name!r} has no kind; give one of {', '.join(_kinds())}")
+    return cast("ToolShape", getattr(tool, kind))
+
+
+def make_tool(
+    name: str, kind: str, *, position_m: Vector, max_speed_m_per_s: float | None, shape: dict[str, float | Vector]
+) -> scene_pb2.Tool:
+    """Returns a tool of a kind. See Scene.add_tool."""
+    if kind not in _kinds():
+        raise InvalidArgumentError(f"{name}: there is no kind {kind!r}; {suggestion(kind, _kinds())}")
+    tool = scene_pb2.Tool(
+        name=name, position_m=vector3(position_m, f"{name}.position_m"), max_speed_m_per_s=max_speed_m_per_s
+    )
+    message = getattr(tool, kind)
+    message.SetInParent()
+    for field, value in shape.items():
+        described = message.DESCRIPTOR.fields_by_name.get(field)
+        if described is None:
+            fields = list(message.DESCRIPTOR.fields_by_name)
+            raise InvalidArgumentError(f"{name}: {kind} has no {field!r}; {suggestion(field, fields)}")
+        if described.type == FieldDescriptor.TYPE_MESSAGE:
+            getattr(message, field).CopyFrom(vector3(cast("Vector", value), f"{name}.{field}"))
+        else:
+            setattr(message, field, value)
+    return tool
+
+
+def _kinds() -> list[str]:
+    return [field.name for field in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields]
