@@ -200,7 +200,7 @@ class Gateway:
         match request:
             case {"type": "ack", "stream": str(stream)}:
                 if stream not in set(Stream):
-                    raise ProtocolError(f"acknowledged {stream!r}, which is no stream")
+                    raise ProtocolError(f"acknowledged {stream!r}, which is not a stream")
                 browser.outbox.acknowledge(Stream(stream))
             case {"type": "clock", "client_time_ms": client_time_ms}:
                 if finite_number(client_time_ms) is None:
