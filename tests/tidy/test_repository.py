@@ -54,6 +54,11 @@ def test_include_direction(texts: dict[PurePosixPath, str]) -> None:
     check(texts, partial(rules.include_direction, folders=folders))
 
 
+def test_tests_mirror_the_source(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:
+    folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
+    assert not (problems := rules.untested_folders(tracked, folders)), "\n".join(problems)
+
+
 def test_links_lead_somewhere(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:
     known = set(tracked) | {parent for path in tracked for parent in path.parents}
     check(texts, partial(rules.dead_links, exists=known.__contains__))
