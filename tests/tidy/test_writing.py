@@ -151,6 +151,14 @@ def test_a_comment_behind_code_goes_on_in_its_column() -> None:
     assert len(found("a.h", "int a;  // The mass\n// Where rows are.\n")) == 1
 
 
+def test_a_line_that_stands_twice_is_refused() -> None:
+    twice = "Ends the viewers and returns the report of each."
+    assert found("a.py", f'def f():\n    """{twice}\n    {twice}"""\n') == [
+        "a.py:3: 'Ends the viewers and returns the report ...' stands twice"
+    ]
+    assert found("a.h", "// ------\n// ------\n// x | y\n// x | y\n") == []
+
+
 def test_long_sentences_are_advice() -> None:
     long = "word " * (writing.MAX_WORDS + 1)
     assert writing.long_sentences(PurePosixPath("a.md"), f"Short one. {long.strip()}.\n") == [

@@ -15,6 +15,7 @@ import argparse
 import ast
 import contextlib
 import io
+import itertools
 import re
 import subprocess
 import sys
@@ -22,7 +23,6 @@ import tokenize
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
-from itertools import chain
 from pathlib import Path, PurePosixPath
 
 MAX_WORDS = 25
@@ -118,6 +118,12 @@ def writing(path: PurePosixPath, text: str) -> list[str]:
         found = [(match, phrase) for phrase in PHRASES for match in phrase.pattern.finditer(part.text)]
         openings = {Kind.COMMENT: OPENINGS + PRONOUNS, Kind.PARAGRAPH: OPENINGS}.get(part.kind, ())
         found += [(match, phrase) for phrase in openings if (match := phrase.pattern.match(part.text))]
+        rows = [row.strip() for row in part.text.split("\n")]
+        problems += [
+            f"{path}:{part.lines[at]}: '{after[:40]}...' stands twice"
+            for at, (row, after) in enumerate(itertools.pairwise(rows), start=1)
+            if row == after and len(row.split()) > 4
+        ]
         for match, phrase in sorted(found, key=lambda pair: pair[0].start()):
             words = " ".join(match.group().split())
             problems.append(f"{path}:{_line(part, match.start())}: '{words}'; {phrase.instead}")
@@ -146,15 +152,15 @@ def prose(path: PurePosixPath, text: str) -> Iterator[Prose]:
         return _paragraphs(text)
     if kind == ".html":
         comments = _blocks((at, 0, note) for at, note in _matches(r"<!--(.*?)-->", text))
-        return chain(comments, _texts(_matches(r">([^<]+)<", text)))
+        return itertools.chain(comments, _texts(_matches(r">([^<]+)<", text)))
     if kind == ".py":
         return _python(text)
     if kind in SLASHES:
         comments, strings = _slash_comments(text, kind)
-        return chain(_blocks(comments), _texts(strings), _test_names(text))
+        return itertools.chain(_blocks(comments), _texts(strings), _test_names(text))
     if kind in HASHES or path.name in HASHES:
         comments = list(_hash_comments(text))
-        return chain(_blocks(comments), _texts(_rows_without(comments, text)))
+        return itertools.chain(_blocks(comments), _texts(_rows_without(comments, text)))
     return iter(())
 
 

@@ -16,7 +16,7 @@ _LIMIT_S = 5.0
 
 @dataclass(frozen=True)
 class Count:
-    """Energy between two moves of the counter."""
+    """Energy that the GPU used between two changes of its counter."""
 
     energy_j: float
     runs: int
