@@ -38,6 +38,13 @@ def test_a_missed_target_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert all(line.endswith("| missed |") for line in lines)
 
 
+def test_no_floor_is_far_below_the_step() -> None:
+    for path in performance.RESULTS.glob("nvidia-h200-*.jsonl"):
+        for row in performance.newest(path.name).values():
+            if row.get("floor_ms") and row["elements"] > 2e6 and row["cg_iterations"] >= 30:  # streams its matrix
+                assert 1 <= row["step_ms_median"] / row["floor_ms"] < 2, f"{path.name}: {row['case']}"
+
+
 def test_only_a_run_without_misses_keeps_all_deadlines() -> None:
     assert performance._percent([0.9988, 0.999966]) == "99.88 to 99.997 %"
     assert performance._percent([1.0]) == "100.000 %"
