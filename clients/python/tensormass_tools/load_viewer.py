@@ -2,9 +2,9 @@
 
     python -m tensormass_tools.load_viewer --server ADDR --scene NAME --transport zeromq --ready FILE --report FILE
 
-Creates the ready file at the first frame from the bus, or when the scene turns out to be stopped, so that no frame
-will come. Runs until SIGTERM as long as the daemon answers, with or without frames. Then writes the report (NumPy:
-ages_s, dropped).
+Creates the ready file at the first frame from the bus. If the scene is stopped, no frame will come, and the file is
+created at once. Runs until SIGTERM as long as the daemon answers, with or without frames. Then writes the report
+(NumPy: ages_s, dropped).
 """
 
 from __future__ import annotations
