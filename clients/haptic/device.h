@@ -26,8 +26,8 @@ struct DeviceInfo {
   double max_damping_n_s_per_m = 0.0;
 };
 
-/// Pose of the tool in the scene's frame. A pose is invalid if a coordinate is not finite or exceeds
-/// limits::kMaxLength, or if the quaternion's length is off 1 by 1 % or more. For an invalid pose the loop renders no
+/// Pose of the tool in the scene's frame. A pose is invalid in two cases: a coordinate is not finite or exceeds
+/// limits::kMaxLength, or the quaternion's length is off 1 by 1 % or more. For an invalid pose the loop renders no
 /// force and sends nothing.
 struct DevicePose {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();

@@ -103,8 +103,8 @@ struct LoopReport {
 ///
 ///     read the device -> send the pose -> take the newest feedback -> local model -> passivity -> limits -> write
 ///
-/// An invalid pose (see DevicePose) sets the force to zero for its tick. It is neither sent nor given to the passivity
-/// controller, whose energy count it would spoil for good. The next valid pose continues from there.
+/// An invalid pose (see DevicePose) sets the force to zero for its tick. It is not sent. The passivity controller does
+/// not get it either, because it would spoil the energy count for good. The next valid pose continues from there.
 class Loop {
  public:
   /// All arguments except the options must outlive the loop, and the device must be open. DeviceInfo bounds the

@@ -32,9 +32,9 @@ namespace tensormass::contact {
 /// Finds the triangle of this patch that is closest to a core point, and on which side of it the point lies.
 /// place: the core point's, among those of all tools.
 template <class Team, class Real>
-TM_HOST_DEVICE void detect_core_point(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                      const view::ContactView<Real>& contact, const Vec3<Real>& point,
-                                      std::uint32_t place) {
+TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                     const view::ContactView<Real>& contact, const Vec3<Real>& point,
+                                     std::uint32_t place) {
   struct Offset {
     Vec3<Real> vector;  // from the triangle's closest point to the core point
     physics::TriangleFeature feature;
@@ -68,14 +68,14 @@ TM_HOST_DEVICE void detect_core_point(Team& team, const view::PatchesView& patch
 /// Stage 1, closest-point query: does this for the core points of all tools.
 /// Reads displacement, tools; writes closest.
 template <class Team, class Real>
-TM_HOST_DEVICE void detect(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                           const view::ContactView<Real>& contact) {
+TM_HOST_DEVICE void query_closest(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                  const view::ContactView<Real>& contact) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real>& tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
       using Kind = typename decltype(kind)::Type;
       for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
-        detect_core_point(team, patches, state, contact, Kind::core_point(tool, i), tool.first_core_point + i);
+        query_core_point(team, patches, state, contact, Kind::core_point(tool, i), tool.first_core_point + i);
       }
     });
   }
@@ -113,12 +113,13 @@ struct CoreDepths {
 /// Computes each triangle's contact with one tool.
 /// contacts: the tool's, [triangle_count]
 template <class Kind, class Team, class Real>
-TM_HOST_DEVICE void respond_to(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                               const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
-                               view::TriangleContact<Real>* contacts) {
+TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
+                                           const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                           const physics::PlacedTool<Real>& tool,
+                                           view::TriangleContact<Real>* contacts) {
   using std::sqrt;
   const CoreDepths<Real, Kind::kCorePoints> core_depths(patches, contact, tool.first_core_point);
-  const auto respond = [&](std::uint32_t triangle) {
+  const auto generate = [&](std::uint32_t triangle) {
     const Corners<Real> corners = corners_of(state, contact, triangle);
     Real greatest = 0;
     Vec3<Real> weights, normal;
@@ -143,19 +144,19 @@ TM_HOST_DEVICE void respond_to(const Team& team, const view::PatchesView& patche
     }
     touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
   };
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], respond);
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], generate);
 }
 
 /// Stage 2, contact generation: does this for all tools.
 /// Reads displacement, tools, closest; writes contacts.
 template <class Team, class Real>
-TM_HOST_DEVICE void respond(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                            const view::ContactView<Real>& contact) {
+TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView& patches,
+                                      const view::StateView<Real>& state, const view::ContactView<Real>& contact) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
-      respond_to<typename decltype(kind)::Type>(team, patches, state, contact, tool,
-                                                contact.contacts + std::size_t{t} * contact.triangle_count);
+      generate_contacts_with<typename decltype(kind)::Type>(team, patches, state, contact, tool,
+                                                            contact.contacts + std::size_t{t} * contact.triangle_count);
     });
   }
 }

@@ -17,7 +17,7 @@
 ///
 ///   Â_ii = I + Σ_j lost(Â_ij)        neighbours that move together then feel the exact row
 ///
-/// The error that remains is below that of float (tests/gpu/agreement_test.cpp).
+/// The error that remains is below that of float (tests/backend/agreement_test.cpp).
 ///
 ///   Â     the scaled matrix; its diagonal blocks are I, and no entry exceeds 1 if it is positive definite
 ///   lost  a block minus its packed value

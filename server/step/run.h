@@ -35,8 +35,8 @@ struct RunStage {
     constexpr bool kIsCpu = requires { Team::kOneThread; };
     if constexpr (kKind == K::kPredict) solver::predict(team, s.patches, s.state, s.guard);
     if constexpr (kKind == K::kPrescribe) solver::prescribe(team, s.state, s.prescribed);
-    if constexpr (kKind == K::kDetectContact) contact::detect(team, s.patches, s.state, s.contact);
-    if constexpr (kKind == K::kRespondContact) contact::respond(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kQueryClosest) contact::query_closest(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kGenerateContacts) contact::generate_contacts(team, s.patches, s.state, s.contact);
     if constexpr (kKind == K::kBeginEdges && kIsCpu) matrix::begin_edges(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kDecompose) matrix::decompose<Shape>(team, s.patches, s.state, e);
     if constexpr (kKind == K::kFinishRows) matrix::finish_rows(team, s.patches, s.state, s.matrix, s.newton);

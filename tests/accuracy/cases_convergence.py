@@ -14,7 +14,7 @@ from .case import Case, Group, Outcome, relative
 from .engine import Engine
 from .laws import LAWS, Law, hooke, lame, neo_hookean
 from .meshes import SHAPES, Floats, Mesh, box, sphere_octant
-from .problem import Pressure, Problem, Support, Traction
+from .problem import Prescribed, Pressure, Problem, Traction
 
 MANUFACTURED = Group(
     "manufactured",
@@ -102,7 +102,7 @@ def _manufactured_cases() -> Iterator[Case]:
             forces = numpy_fem.consistent_forces(mesh, body_force)
             boundary = mesh.boundary()
             forces[boundary] = 0
-            problem = Problem(mesh, hooke(young_pa, nu), [Support(boundary, np.zeros(3))], forces_n=forces)
+            problem = Problem(mesh, hooke(young_pa, nu), [Prescribed(boundary, np.zeros(3))], forces_n=forces)
             u = engine.equilibrium(problem).displacement_m
             errors.append(numpy_fem.l2_norm(mesh, exact, u) / numpy_fem.l2_norm(mesh, exact))
         orders = [float(np.log2(coarse / fine)) for coarse, fine in itertools.pairwise(errors)]
@@ -150,9 +150,9 @@ def _cook(engine: Engine, name: str, shape: str, quadrature: int, turned: bool) 
         flat = mesh.where(lambda x, y, z: z < 1e-9) if variant.plane_stress else np.arange(len(mesh.nodes))
         left = mesh.where(lambda x, y, z: x < 1e-9)
         right = mesh.where(lambda x, y, z: x > 48 - 1e-6)
-        supports = [Support(flat, np.array([np.nan, np.nan, 0])), Support(left, np.array([0, 0, np.nan]))]
+        prescribed = [Prescribed(flat, np.array([np.nan, np.nan, 0])), Prescribed(left, np.array([0, 0, np.nan]))]
         load = Traction(right, (0, variant.force / cook_reference.HEIGHT, 0))
-        u = engine.equilibrium(Problem(mesh, law, supports, [load], quadrature=quadrature)).displacement_m
+        u = engine.equilibrium(Problem(mesh, law, prescribed, [load], quadrature=quadrature)).displacement_m
         at = mesh.where(lambda x, y, z: (abs(x - variant.at[0]) < 1e-6) & (abs(y - variant.at[1]) < 1e-6))
         value = float(u[at, 1].mean())
         details.append((f"{count} × {count}", value, relative(value, exact)))
@@ -212,11 +212,13 @@ def _sphere_cases() -> Iterator[Case]:
             mesh = sphere_octant(shape, max(count // 2, 1), count // 2 or 1, inner, outer)
             radius = np.linalg.norm(mesh.nodes, axis=1)
             inside = np.flatnonzero(radius < inner * 1.001)
-            supports = [
-                Support(mesh.where(lambda x, y, z, i=i: (x, y, z)[i] < 1e-9), np.where(np.arange(3) == i, 0, np.nan))
+            prescribed = [
+                Prescribed(mesh.where(lambda x, y, z, i=i: (x, y, z)[i] < 1e-9), np.where(np.arange(3) == i, 0, np.nan))
                 for i in range(3)
             ]
-            u = engine.equilibrium(Problem(mesh, law, supports, pressures=[Pressure(inside, pressure)])).displacement_m
+            u = engine.equilibrium(
+                Problem(mesh, law, prescribed, pressures=[Pressure(inside, pressure)])
+            ).displacement_m
             value = float(np.einsum("ki,ki->k", u, mesh.nodes)[inside].mean() / inner)
             details.append((f"{len(mesh.nodes)} nodes", value, relative(value, exact)))
         _, value, error = details[-1]

@@ -15,7 +15,7 @@ from .case import Case, Group, Outcome
 from .engine import Engine
 from .laws import LAWS, Law
 from .meshes import MESHES, Floats, Mesh, box
-from .problem import Problem, Support, Traction
+from .problem import Prescribed, Problem, Traction
 
 GROUP = Group(
     "equilibrium",
@@ -41,7 +41,7 @@ def _ends(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def cantilever(mesh: Mesh, law: Law) -> Problem:
     clamped, loaded = _ends(mesh)
-    return Problem(mesh, law, [Support(clamped, np.zeros(3))], [Traction(loaded, (5, 0, -40))])
+    return Problem(mesh, law, [Prescribed(clamped, np.zeros(3))], [Traction(loaded, (5, 0, -40))])
 
 
 def twisted_bar(mesh: Mesh, law: Law) -> Problem:
@@ -51,7 +51,7 @@ def twisted_bar(mesh: Mesh, law: Law) -> Problem:
     arm = mesh.nodes[turned, 1:] - middle
     moved = np.full((len(turned), 3), PULL_M)
     moved[:, 1:] = arm @ np.array([[cos, sin], [-sin, cos]]) - arm
-    return Problem(mesh, law, [Support(clamped, np.zeros(3)), Support(turned, moved)], increments=6)
+    return Problem(mesh, law, [Prescribed(clamped, np.zeros(3)), Prescribed(turned, moved)], increments=6)
 
 
 def selective_cantilever(mesh: Mesh, law: Law) -> Problem:

@@ -12,7 +12,7 @@ from .case import Case, Group, Outcome, relative
 from .engine import Engine, state
 from .laws import IDENTITY, LAWS, Law, lame, transversely_isotropic
 from .meshes import MESHES, SHAPES, Floats, Mesh, box, shaken
-from .problem import Problem, Support
+from .problem import Prescribed, Problem
 
 PATCH = Group(
     "patch",
@@ -63,8 +63,8 @@ def _cells(mesh: str, across: int) -> tuple[int, int, int]:
 
 def _prescribed_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
     boundary = mesh.boundary()
-    support = Support(boundary, mesh.nodes[boundary] @ (f - IDENTITY).T)
-    return Problem(mesh, law, [support], quadrature=quadrature, increments=increments)
+    condition = Prescribed(boundary, mesh.nodes[boundary] @ (f - IDENTITY).T)
+    return Problem(mesh, law, [condition], quadrature=quadrature, increments=increments)
 
 
 def nominal_stress(mesh: Mesh, reaction_n: Floats, volume_m3: float) -> Floats:
@@ -138,10 +138,10 @@ def _work_cases() -> Iterator[Case]:
         boundary = mesh.boundary()
         x, y, z = mesh.nodes[boundary].T
         moved = 0.1 * np.stack([x * y, y * z - x**2 / 2, x * z + y**2 / 2], axis=1)
-        scene = engine.scene(Problem(mesh, LAWS[law], [Support(boundary, moved)]))
-        for support in scene.bodies[0].prescribed:
-            support.schedule.time_s.extend([1, 2, 3])
-            support.schedule.factor.extend([1 - step, 1, 1 + step])
+        scene = engine.scene(Problem(mesh, LAWS[law], [Prescribed(boundary, moved)]))
+        for condition in scene.bodies[0].prescribed:
+            condition.schedule.time_s.extend([1, 2, 3])
+            condition.schedule.factor.extend([1 - step, 1, 1 + step])
         found = []
         with engine.loaded(scene) as handle:
             for _ in range(3):
@@ -165,10 +165,10 @@ def pulled(mesh: Mesh, law: Law, stretch: float) -> Problem:
     """A cube on three planes of symmetry, with its end at x = CUBE_M moved."""
     far = CUBE_M * (1 - 1e-6)
     planes = [mesh.where(lambda x, y, z, axis=axis: (x, y, z)[axis] < 1e-9) for axis in range(3)]
-    supports = [Support(nodes, np.where(IDENTITY[axis] == 1, 0, np.nan)) for axis, nodes in enumerate(planes)]
+    prescribed = [Prescribed(nodes, np.where(IDENTITY[axis] == 1, 0, np.nan)) for axis, nodes in enumerate(planes)]
     end = mesh.where(lambda x, y, z: x > far)
-    supports.append(Support(end, np.array([CUBE_M * (stretch - 1), np.nan, np.nan])))
-    return Problem(mesh, law, supports, increments=STEPS)
+    prescribed.append(Prescribed(end, np.array([CUBE_M * (stretch - 1), np.nan, np.nan])))
+    return Problem(mesh, law, prescribed, increments=STEPS)
 
 
 def free_sides_stretch(law: Law, stretch: float) -> float:

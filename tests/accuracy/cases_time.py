@@ -16,7 +16,7 @@ from .cases_homogeneous import nominal_stress
 from .engine import Engine, state
 from .laws import IDENTITY, LAWS, Law
 from .meshes import MESHES, Floats, Mesh, box
-from .problem import DENSITY_KG_PER_M3, Problem, Support
+from .problem import DENSITY_KG_PER_M3, Prescribed, Problem
 
 RELAXATION = Group(
     "relaxation",
@@ -73,7 +73,7 @@ def _relaxed(engine: Engine, shape: str, law: Law, dt_s: float, steps: list[int]
     boundary = mesh.boundary()
     moved = mesh.nodes[boundary] * (STRETCH - 1) * IDENTITY[0]
     stresses = []
-    with engine.loaded(engine.scene(Problem(mesh, viscous(law), [Support(boundary, moved)]), dt_s)) as handle:
+    with engine.loaded(engine.scene(Problem(mesh, viscous(law), [Prescribed(boundary, moved)]), dt_s)) as handle:
         for count in np.diff([0, *steps]).tolist():
             handle.step(count)
             stresses.append(float(nominal_stress(mesh, state(handle).reaction_n, CUBE_M**3)[0, 0]))
@@ -127,7 +127,7 @@ def _swing_cases() -> Iterator[Case]:
     def run(engine: Engine, integrator: str, order: int) -> Outcome:
         mesh = box("hexahedron", (5, 2, 2), BAR_M)
         end = mesh.where(lambda x, y, z: x > BAR_M[0] * (1 - 1e-6))
-        clamped = Support(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
+        clamped = Prescribed(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
         found = []
         for count in counts:
             scene = engine.scene(Problem(mesh, LAWS["neo_hookean"], [clamped]), until_s / count)

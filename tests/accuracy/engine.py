@@ -77,7 +77,7 @@ class Engine:
         body = scene.bodies.add(name=BODY, mesh=problem.mesh.message(), law=problem.law.message)
         body.density_kg_per_m3 = problem.density_kg_per_m3
         body.quadrature = problem.quadrature
-        _add_supports(body, problem, dt_s)
+        _add_prescribed(body, problem, dt_s)
         for load in problem.tractions:
             x, y, z = load.traction_pa
             message = body.loads.add(traction_pa=scene_pb2.Vector3(x=x, y=y, z=z))
@@ -113,7 +113,7 @@ class Engine:
             handle.unload()
 
 
-def _add_supports(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None:
+def _add_prescribed(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None:
     """Adds boundary conditions: one message for all nodes with the same values; nodes that never move are `fixed`."""
     nodes_of: dict[tuple[float | None, ...], list[int]] = {}
     for node, row in enumerate(problem.prescribed().tolist()):

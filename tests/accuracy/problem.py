@@ -18,7 +18,7 @@ DENSITY_KG_PER_M3 = 1000.0
 
 
 @dataclass(frozen=True)
-class Support:
+class Prescribed:
     """Prescribed displacements of nodes. displacement_m: [node, 3] or [3]; NaN: free in that direction."""
 
     nodes: Integers
@@ -47,9 +47,9 @@ class Problem:
 
     mesh: Mesh
     law: Law
-    supports: Sequence[Support]
+    conditions: Sequence[Prescribed]
     tractions: Sequence[Traction] = ()
-    # The reference solvers do not support pressures.
+    # The reference solvers do not know pressures.
     pressures: Sequence[Pressure] = ()
     # Additional nodal forces, [node_count, 3] N.
     forces_n: Floats | None = None
@@ -60,9 +60,9 @@ class Problem:
     def prescribed(self) -> Floats:
         """Prescribed displacements, [node_count, 3] m; NaN where free."""
         out = np.full(self.mesh.nodes.shape, np.nan)
-        for support in self.supports:
-            given = np.broadcast_to(support.displacement_m, (len(support.nodes), 3))
-            out[support.nodes] = np.where(np.isnan(given), out[support.nodes], given)
+        for condition in self.conditions:
+            given = np.broadcast_to(condition.displacement_m, (len(condition.nodes), 3))
+            out[condition.nodes] = np.where(np.isnan(given), out[condition.nodes], given)
         return out
 
     def nodal_forces(self) -> Floats:

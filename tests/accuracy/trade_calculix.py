@@ -4,8 +4,9 @@ python -m accuracy.trade_calculix [--fresh]     after `python -m accuracy.trade 
 
 Beam, law, weight and time are the same. Displacements are compared in the same points and times with the same
 reference. The reference is ours; the error of CalculiX's finest setting shows that it converges to the same motion.
-Cost is the whole time of the program for what one step of the scene simulates; reading and writing are a small part. CalculiX runs with its own defaults (direct solver, damping of high frequencies with α = −0.05, its
-tolerances) on as many threads as the machine has.
+Cost is the whole time of the program for what one step of the scene simulates; reading and writing are a small part.
+CalculiX runs on as many threads as the machine has and with its own defaults: its tolerances, a direct solver, and
+damping of high frequencies with α = −0.05.
 """
 
 from __future__ import annotations

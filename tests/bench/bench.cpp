@@ -14,9 +14,9 @@
 #include <CLI/CLI.hpp>
 
 #include "backend/backend.h"
+#include "bench/floor.h"
 #include "model/compile.h"
 #include "step/plan.h"
-#include "step/stages.h"
 #include "support/laws.h"
 #include "support/scenes.h"
 #include "world/runner.h"
@@ -177,12 +177,7 @@ Result<Measured> time_steps(const Case& one, const backend::Backend& backend, st
   row.nodes = model.bodies[0].node_count;
   row.patches = model.layout.patch_count;
   row.bytes_per_element = static_cast<double>(report.bytes_total()) / static_cast<double>(row.elements);
-  double bytes = 0;
-  for (const step::Stage& stage : step::list_stages(model)) {
-    if (!step::runs_every_step(*stage.info)) continue;
-    bytes += step::cost(model, stage).bytes * (step::costs_an_iteration(*stage.info) ? model.cg_max_iterations : 1);
-  }
-  row.floor_s = bytes;
+  row.floor_s = bench::floor_bytes(model);  // divided by the bandwidth when the row is written
   TM_ASSIGN_OR_RETURN(world, world::World::create(std::make_unique<const model::Model>(std::move(model)), backend));
   row.compile_s = std::chrono::duration<double>(Clock::now() - begin).count();
   // A St-Venant-Kirchhoff beam that falls for long inverts, and its guard stops it. It then restarts from rest. Neither

@@ -30,6 +30,8 @@ COUNTED_FLOORS_MS = {
     "51200 hexahedra, corotational": 0.16,
     "51200 hexahedra, StVK": 0.15,
 }
+# Commits whose runs left most iterations of a fused solve out of `floor_ms`. The floor of the run before stands.
+WRONG_FLOORS = {"77eda44"}
 # Targets that no row of the results has.
 ITERATION_FLOOR_US, ITERATION_TARGET_US = 2.0, 2.8
 BYTES_TARGET = 250
@@ -62,8 +64,14 @@ def rows(name: str) -> list[Row]:
 
 
 def newest(name: str) -> dict[str, Row]:
-    """The last row of each case in a file to which runs are appended."""
-    return {row["case"]: row for row in rows(name)}
+    """The last row of each case in a file to which runs are appended, with the last floor that is right."""
+    found: dict[str, Row] = {}
+    for row in rows(name):
+        case = row["case"]
+        if row["commit"] in WRONG_FLOORS and case in found:
+            row["floor_ms"] = found[case]["floor_ms"]
+        found[case] = row
+    return found
 
 
 def _thousands(case: str) -> str:

@@ -289,7 +289,7 @@ int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t see
         std::any_of(elements.begin(), elements.end(), [&](const auto& nodes) { return contains(p, nodes); });
     inside_count += inside ? 1 : 0;
     place(staged, p);
-    staged.run(StageKind::kDetectContact);
+    staged.run(StageKind::kQueryClosest);
     const auto* first = staged.view.contact.closest;
     const auto* nearest = std::min_element(
         first, first + patches, [](const auto& a, const auto& b) { return a.distance_squared < b.distance_squared; });

@@ -170,7 +170,7 @@ TEST(WedgePairs, AreAGroupBesideTheirWedges) {
     volume += pairs.rest[std::size_t{physics::kRestReals<WedgePairShape> - 1} * pairs.stride + e];
   }
   EXPECT_NEAR(volume, 2 * 8 * 1 * 0.8, 1e-12);
-  EXPECT_EQ(model.bodies[1].element_count, 24u) << "a pair is no element of the scene";
+  EXPECT_EQ(model.bodies[1].element_count, 24u) << "a pair is not an element of the scene";
 }
 
 TEST(WedgePairs, WarnOfWedgesThatLock) {

@@ -244,7 +244,7 @@ def test_run_refuses_seconds_that_are_not_positive_and_finite(
 
 
 @pytest.mark.parametrize("rate", ["nan", "0", "-5"])
-def test_run_refuses_rates_that_are_none(
+def test_run_refuses_impossible_rates(
     rate: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")

@@ -68,5 +68,5 @@ def test_an_unknown_field_is_refused_before_the_call(recorder: tuple[Recorder, t
 def test_values_that_are_not_whole_rows_are_refused(recorder: tuple[Recorder, tm.Server], components: int) -> None:
     fake, server = recorder
     fake.replies["GetFields"] = reply((control_pb2.FIELD_DET_F, components, [1, 2, 3]))
-    with pytest.raises(tm.InternalError, match="field det_f: 24 bytes are no rows"):
+    with pytest.raises(tm.InternalError, match="field det_f: 24 bytes do not make rows"):
         tm.SceneHandle(server, "s", None).fields("b", ["det_f"])

@@ -373,7 +373,7 @@ def test_a_series_that_cannot_be_listed_is_refused_before_anything_starts(
     listing = tmp_path / "result.pvd"
     listing.mkdir()
     assert main(["solve", "cantilever", "--out", str(tmp_path / "result.vtu"), "--every", "1"]) == 1
-    assert capsys.readouterr().err == f"tensormass: --every {listing}: is no file that can be written\n"
+    assert capsys.readouterr().err == f"tensormass: --every {listing}: cannot be written\n"
 
 
 def test_a_full_disk_leaves_the_results_that_are_there(

@@ -407,7 +407,7 @@ def test_a_refused_scene_leaves_nothing_behind(
     formula = stand_in(tmp_path, monkeypatch)
 
     def refuse(_self: FakeServer, scene: scene_pb2.Scene) -> None:
-        raise tm.InvalidArgumentError(f"scene.name: {scene.name} is none")
+        raise tm.InvalidArgumentError(f"scene.name: {scene.name} is refused")
 
     monkeypatch.setattr(FakeServer, "inspect", refuse)
     (tmp_path / "block.yaml").write_text(BLOCK.replace("name: block\ngravity", "name: ../../x\ngravity"))
@@ -415,7 +415,7 @@ def test_a_refused_scene_leaves_nothing_behind(
     inner.mkdir(parents=True)
     monkeypatch.chdir(inner)
     assert main(["trade", str(tmp_path / "block.yaml")]) == 1
-    assert "scene.name: ../../x is none" in capsys.readouterr().err
+    assert "scene.name: ../../x is refused" in capsys.readouterr().err
     assert sorted(of.name for of in tmp_path.rglob("*")) == ["a", "b", "block.yaml"]
     assert formula.runs == 0
 

@@ -11,7 +11,7 @@ from accuracy.cases_homogeneous import free_sides_stretch, pulled
 from accuracy.engine import BODY, Engine, state
 from accuracy.laws import LAWS, Law
 from accuracy.meshes import SHAPES, Floats, Mesh, box
-from accuracy.problem import Problem, Support, node_areas
+from accuracy.problem import Prescribed, Problem, node_areas
 from tensormass.v1 import scene_pb2
 
 from .case import CURVATURE, FELT, REFUSED, Case, Check, Found, Group
@@ -116,7 +116,7 @@ def _jump_cases() -> Iterator[Case]:
         stress_pa = -0.1 * YOUNG_PA
         stretches = {True: _confined_stretch(stiff, stress_pa), False: _confined_stretch(soft, stress_pa)}
         exact = _column(mesh, [stretches[one] for one in is_stiff])
-        guides = [Support(np.arange(len(mesh.nodes)), np.array([np.nan, 0, 0])), clamped(mesh)]
+        guides = [Prescribed(np.arange(len(mesh.nodes)), np.array([np.nan, 0, 0])), clamped(mesh)]
         problem = Problem(mesh, soft, guides, forces_n=_end_load(mesh, stress_pa))
         scene = engine.scene(problem) if newton else real_time(engine, problem)
         if newton:

@@ -138,8 +138,8 @@ def _short(full_name: str, law: str, shape: str) -> dict[str, str]:
 def start_cases() -> Iterator[Case]:
     def run(engine: Engine, name: str, law: str, shape: str, free: bool, newton: bool) -> Found:
         mesh = cube(shape)
-        support = clamped(mesh)
-        scene = real_time(engine, Problem(mesh, tissue(law), [] if free else [support]))
+        condition = clamped(mesh)
+        scene = real_time(engine, Problem(mesh, tissue(law), [] if free else [condition]))
         scene.bodies[0].rayleigh_mass_per_s = DAMPING_PER_S
         steps = STEPS
         if newton:
@@ -147,7 +147,7 @@ def start_cases() -> Iterator[Case]:
             scene.solver.newton_max_iterations = 50
         moved = STARTS[name](mesh.nodes) - mesh.nodes
         if not free:
-            moved[support.nodes] = 0
+            moved[condition.nodes] = 0
         initial(scene, displacement_m=moved)
         with running(engine, scene) as scene_running:
             for _ in range(10):

@@ -10,7 +10,7 @@ import tensormass as tm
 from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, box
-from accuracy.problem import Problem, Support
+from accuracy.problem import Prescribed, Problem
 from tensormass.v1 import scene_pb2
 
 from .case import CAUGHT, FELT, HOLDS, REFUSED, Case, Check, Found, Group
@@ -262,12 +262,12 @@ def _hour_cases() -> Iterator[Case]:
 
     def part(engine: Engine, law: str, shape: str, duration_s: float) -> scene_pb2.Scene:
         mesh = box(shape, (1, 1, 1), (CUBE_M,) * 3)
-        moved = Support(mesh.where(lambda x, y, z: x < 1e-9), np.array([0, 0, amplitude_m]))
+        moved = Prescribed(mesh.where(lambda x, y, z: x < 1e-9), np.array([0, 0, amplitude_m]))
         scene = real_time(engine, Problem(mesh, tissue(law), [moved]))
         time_s = np.arange(0, duration_s + 1, 1 / (frequency_hz * points_a_period))
-        for support in scene.bodies[0].prescribed:
-            support.schedule.time_s.extend(time_s.tolist())
-            support.schedule.factor.extend(np.sin(2 * np.pi * frequency_hz * time_s).tolist())
+        for condition in scene.bodies[0].prescribed:
+            condition.schedule.time_s.extend(time_s.tolist())
+            condition.schedule.factor.extend(np.sin(2 * np.pi * frequency_hz * time_s).tolist())
         return scene
 
     def drive(engine: Engine, parts: Sequence[tuple[str, str]], duration_s: float) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import box
-from accuracy.problem import Problem, Support
+from accuracy.problem import Prescribed, Problem
 from tensormass.v1 import scene_pb2
 
 from .case import CAUGHT, FELT, HOLDS, Case, Check, Found, Group
@@ -40,7 +40,7 @@ AWAY_STEPS = 300
 def tool_cases() -> Iterator[Case]:
     def scene_of(engine: Engine, law: str, shape: str, speed_m_per_s: float) -> tuple[scene_pb2.Scene, Problem]:
         mesh = box(shape, (3, 3, 3), (CUBE_M,) * 3)
-        bottom = Support(mesh.where(lambda x, y, z: z < 1e-9), np.zeros(3))
+        bottom = Prescribed(mesh.where(lambda x, y, z: z < 1e-9), np.zeros(3))
         problem = Problem(mesh, tissue(law), [bottom])
         scene = real_time(engine, problem)
         scene.bodies[0].rayleigh_mass_per_s = DAMPING_PER_S
@@ -65,7 +65,7 @@ def tool_cases() -> Iterator[Case]:
 
     def press(engine: Engine, law: str, shape: str, depth_m: float) -> Found:
         scene, problem = scene_of(engine, law, shape, 0.5)
-        (bottom,) = problem.supports
+        (bottom,) = problem.conditions
         start = scene.tools[0].position_m
         start.x, start.y, start.z = 0.05, 0.05, CUBE_M + RADIUS_M + 0.005
         with running(engine, scene) as scene_running:

@@ -289,7 +289,7 @@ def test_a_device_failure_is_not_a_verdict_on_the_scene() -> None:
 
         return judge(Case(Group("g", "G", "", ""), "n", "law", "shape", run), Engine(None, "float")).outcome  # type: ignore[arg-type]
 
-    source = (Path(__file__).parents[2] / "server" / "world" / "runner.cpp").read_text()
+    source = (Path(__file__).parents[2] / "server" / "world" / "loop.cpp").read_text()
     assert DEVICE_FAILED in source
     assert outcome(tm.FailedPreconditionError("scene 'a' is stopped: step 3 left its bounds")) == CAUGHT
     assert outcome(tm.FailedPreconditionError(f"scene 'a' is stopped: {DEVICE_FAILED} in step 3: it is hot")) == BROKEN

@@ -13,7 +13,7 @@ from accuracy import laws
 from accuracy.engine import BODY, Engine, State, state
 from accuracy.laws import LAWS, Law
 from accuracy.meshes import Floats, Mesh, box
-from accuracy.problem import DENSITY_KG_PER_M3, Problem, Support
+from accuracy.problem import DENSITY_KG_PER_M3, Prescribed, Problem
 from tensormass.v1 import scene_pb2
 
 from .case import CURVATURE, FELT, INVERTED, NOT_CONVERGED, OUT_OF_RANGE, SOFTER, Check
@@ -69,9 +69,9 @@ def cube(shape: str, cells: int = 2) -> Mesh:
     return box(shape, (5 if shape == "mixed" else cells, cells, cells), (CUBE_M,) * 3)
 
 
-def clamped(mesh: Mesh) -> Support:
+def clamped(mesh: Mesh) -> Prescribed:
     """Fixes the side at x = 0."""
-    return Support(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
+    return Prescribed(mesh.where(lambda x, y, z: x < 1e-9), np.zeros(3))
 
 
 def nodal_weight(mesh: Mesh, times: float = 1.0) -> Floats:

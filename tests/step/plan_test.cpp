@@ -43,7 +43,7 @@ const std::vector<std::string> kContactBuffers{"contact", "tool"};
 TEST(Plan, OfAFullSceneIsTheWholeStepInOrder) {
   const v1::SceneReport report = plan(tests::block_with_probe());
   EXPECT_EQ(stages(report),
-            (std::vector<std::string>{"detect contact", "respond to contact",
+            (std::vector<std::string>{"closest-point query", "contact generation",
                                       "element tensors: tetrahedron, st_venant_kirchhoff", "assemble contact",
                                       "factorize diagonal", "scale matrix", "conjugate gradients", "advance",
                                       "measure contact", "check inversion: tetrahedron, st_venant_kirchhoff",

@@ -100,6 +100,16 @@ def top_level(paths: Iterable[PurePosixPath]) -> list[str]:
     return [f"{name}: not expected at the top level" for name in sorted({path.parts[0] for path in paths} - TOP_LEVEL)]
 
 
+def untested_folders(paths: Iterable[PurePosixPath], folders: list[str]) -> list[str]:
+    """Tests mirror the source: a folder under server/ that has sources, not only headers, has tests of its name."""
+    sources = {path.parts[:2] for path in paths if path.suffix in {".cpp", ".cu"}}
+    return [
+        f"server/{name}: tests/{name} has no tests of it"
+        for name in folders
+        if ("server", name) in sources and ("tests", name) not in sources
+    ]
+
+
 def orphans(sources: dict[PurePosixPath, str]) -> list[str]:
     """Finds dead files: C++ sources that no CMakeLists.txt above them names, and headers that nothing includes.
 

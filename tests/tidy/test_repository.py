@@ -40,28 +40,23 @@ def check(texts: dict[PurePosixPath, str], rule: Callable[[PurePosixPath, str], 
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("rule", [rules.bare_marks, rules.machine_paths, rules.source_length], ids=lambda r: r.__name__)
+@pytest.mark.parametrize(
+    "rule",
+    [rules.bare_marks, rules.machine_paths, rules.source_length, writing.writing],
+    ids=lambda rule: rule.__name__,
+)
 def test_every_file_keeps(rule: Callable[[PurePosixPath, str], list[str]], texts: dict[PurePosixPath, str]) -> None:
     check(texts, rule)
-
-
-def test_rewritten_files_are_plain(texts: dict[PurePosixPath, str]) -> None:
-    """The folders of writing.REWRITTEN keep the rules of writing; `python tests/tidy/writing.py` lists the others."""
-    unknown = [name for name in writing.REWRITTEN if not (ROOT / name).exists()]
-    assert not unknown, f"writing.REWRITTEN names what does not exist: {unknown}"
-    rewritten = [PurePosixPath(name) for name in writing.REWRITTEN]
-    problems = [
-        line
-        for path, text in texts.items()
-        if any(name == path or name in path.parents for name in rewritten)
-        for line in writing.writing(path, text)
-    ]
-    assert not problems, "\n".join(problems)
 
 
 def test_include_direction(texts: dict[PurePosixPath, str]) -> None:
     folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
     check(texts, partial(rules.include_direction, folders=folders))
+
+
+def test_tests_mirror_the_source(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:
+    folders = rules.server_folders(texts[PurePosixPath("server/CMakeLists.txt")])
+    assert not (problems := rules.untested_folders(tracked, folders)), "\n".join(problems)
 
 
 def test_links_lead_somewhere(texts: dict[PurePosixPath, str], tracked: list[PurePosixPath]) -> None:

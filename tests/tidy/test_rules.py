@@ -56,6 +56,16 @@ def test_top_level() -> None:
     assert rules.top_level([Path("notes.txt")]) == ["notes.txt: not expected at the top level"]
 
 
+def test_untested_folders() -> None:
+    paths = [
+        Path("server/core/a.h"),
+        Path("server/mesh/a.cpp"),
+        Path("server/bus/zenoh/a.cpp"),
+        Path("tests/bus/b.cpp"),
+    ]
+    assert rules.untested_folders(paths, ["core", "mesh", "bus"]) == ["server/mesh: tests/mesh has no tests of it"]
+
+
 def test_orphans() -> None:
     sources = {
         Path("server/CMakeLists.txt"): "",

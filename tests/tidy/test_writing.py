@@ -1,4 +1,4 @@
-"""The check of writing catches each phrase where people read it, and nothing in code or plain text."""
+"""The check of writing catches each phrase where people read it, and nothing in code or in plain English."""
 
 from __future__ import annotations
 
@@ -100,17 +100,39 @@ def test_plain_text_passes(text: str) -> None:
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        ("a.cpp", 'say("// Of what is none");\nR"(// it is none)";\nint begin = 1\'000;\n'),
-        ("a.ts", "say(`// is none`);\nconst page = 'http://is.none/ is none';\n"),
-        ("a.rs", "fn f<'a>(x: &'a str) { say(\"// is none\") }\n"),
-        ("a.py", 'say("# it is none")\n'),
-        ("a.sh", 'echo "a # is none"\n'),
+        ("a.cpp", 'say("// Of rows");\nR"(// Of rows)";\nint begin = 1\'000;\nint begin = of_which;\n'),
+        ("a.ts", "say(`// Of rows`);\nconst page = 'http://of.rows/ Of rows';\n"),
+        ("a.rs", "fn f<'a>(x: &'a str) { say(\"// Of rows\") }\n"),
+        ("a.py", 'say("# Of rows")\nload("--stations", "stations")\nmode = "careful"\n'),
+        ("a.sh", 'echo "a # Of rows"\n'),
         ("a.md", "```\nit is none\n```\n\n[a](is-none-inside-out.md)\n"),
         ("a.json", '"it is none"\n'),
     ],
 )
-def test_code_and_strings_are_not_read(path: str, text: str) -> None:
+def test_code_is_not_read(path: str, text: str) -> None:
     assert found(path, text) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("a.cpp", 'int a;\nsay("of {} rows, which is none of them", a);\n'),
+        ("a.cpp", 'int a;\nauto text = R"(the supports)";\n'),
+        ("a.cpp", "int a;\nTEST(Rows, FindTheCarefulSettings) {}\n"),
+        ("a.cpp", "int a;\nTYPED_TEST(Rows, AreTurnedInsideOut) {}\n"),
+        ("a.ts", "const a = 1;\nit('refuses what is none', check);\n"),
+        ("a.ts", "const a = 1;\nsay(`${a} is no stream`);\n"),
+        ("a.py", 'a = 1\nsay("stations", f"{a} is none")\n'),
+        ("a.py", "a = 1\ndef test_rates_that_are_none() -> None: ...\n"),
+        ("a.sh", 'a=1\necho "$a is none"\n'),
+        ("a.yaml", "a: 1\ndescription: a beam whose end is none # the beam\n"),
+        ("Makefile", "a = 1\nrun: ## Start what is none\n"),
+        ("a.html", "<p>\n<b>it is none</b>\n"),
+    ],
+)
+def test_messages_and_names_of_tests_are_read(path: str, text: str) -> None:
+    (problem,) = found(path, text)
+    assert problem.startswith(f"{path}:2: ")
 
 
 def test_places_are_named() -> None:
@@ -121,12 +143,20 @@ def test_places_are_named() -> None:
     assert found("a.md", "a\n\n```\nb\n```\n\nc\nnear memory\n") == [
         "a.md:8: 'near memory'; shared memory, L1 or registers"
     ]
-    assert found("a.html", "<p>is none</p>\n<!-- is none -->\n")[0].startswith("a.html:2:")
+    assert found("a.html", "<p>rows</p>\n<!-- is none -->\n")[0].startswith("a.html:2:")
 
 
 def test_a_comment_behind_code_goes_on_in_its_column() -> None:
     assert found("a.h", "int a;  // The mass\n        // where rows are.\n") == []
     assert len(found("a.h", "int a;  // The mass\n// Where rows are.\n")) == 1
+
+
+def test_a_line_that_stands_twice_is_refused() -> None:
+    twice = "Ends the viewers and returns the report of each."
+    assert found("a.py", f'def f():\n    """{twice}\n    {twice}"""\n') == [
+        "a.py:3: 'Ends the viewers and returns the report ...' stands twice"
+    ]
+    assert found("a.h", "// ------\n// ------\n// x | y\n// x | y\n") == []
 
 
 def test_long_sentences_are_advice() -> None:
@@ -135,6 +165,7 @@ def test_long_sentences_are_advice() -> None:
         f"a.md:1: a sentence of {writing.MAX_WORDS + 1} words"
     ]
     assert found("a.md", long) == []
+    assert writing.long_sentences(PurePosixPath("a.py"), f"say('{long}')\n") == []
 
 
 def test_the_command_lists_findings(tmp_path: Path) -> None:

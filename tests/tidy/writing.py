@@ -1,11 +1,12 @@
-"""Refuses phrases in comments and documents that readers had to read three times.
+"""Refuses phrases that readers had to read three times: in comments, documents, messages and names of tests.
 
     python tests/tidy/writing.py [--long] [PATH ...]
 
 Prints one line a finding (`file:line: 'phrase'; what to write instead`) and ends with 1 if there is any. A path is a
 file or a folder. Without a path, every file of the repository is read. `--long` also lists long sentences, as advice.
 
-Code and string literals are not read: `prose` finds the comments, docstrings and paragraphs of a file first.
+`prose` finds what people read in a file: comments, docstrings, paragraphs, strings of several words and names of tests.
+The rest is code, which is not checked.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import ast
 import contextlib
 import io
+import itertools
 import re
 import subprocess
 import sys
@@ -25,34 +27,6 @@ from pathlib import Path, PurePosixPath
 
 MAX_WORDS = 25
 
-# Folders and files that were rewritten in plain English; test_repository.py holds them to it.
-REWRITTEN: tuple[str, ...] = (
-    ".ci",
-    ".setup",
-    "CMakeLists.txt",
-    "Makefile",
-    "docker",
-    "docs/decisions/set-up.md",
-    "examples",
-    "proto",
-    "server/backend",
-    "server/contact",
-    "server/matrix",
-    "server/physics/contact",
-    "server/solver",
-    "server/step",
-    "server/view",
-    "server/world",
-    "tests/CMakeLists.txt",
-    "tests/docker",
-    "tests/examples",
-    "tests/gpu",
-    "tests/proto",
-    "tests/run.sh",
-    "tests/setup",
-    "tests/world",
-)
-
 SLASHES = {".h", ".cc", ".cpp", ".cu", ".cuh", ".ts", ".js", ".mjs", ".rs", ".proto", ".css", ".in"}
 HASHES = {".sh", ".cmake", ".yaml", ".yml", ".toml", "Makefile", "Dockerfile", "CMakeLists.txt", "run"}
 NOT_PROSE = "tests/tidy/"  # spells out what it refuses
@@ -62,11 +36,12 @@ class Kind(Enum):
     COMMENT = 1  # or a docstring
     PARAGRAPH = 2
     PIECE = 3  # a heading, list item or table row: the rules about first words do not hold there
+    TEXT = 4  # a message or the name of a test: neither do they here, and its sentences are not counted
 
 
 @dataclass(frozen=True)
 class Prose:
-    """A comment, docstring or paragraph: its text, and the line of the file on which each of its lines stands."""
+    """What people read: its text, and the line of the file on which each of its lines stands."""
 
     text: str
     lines: tuple[int, ...]
@@ -137,12 +112,18 @@ PHRASES = (
 
 
 def writing(path: PurePosixPath, text: str) -> list[str]:
-    """Every banned phrase in the comments or paragraphs of a file."""
+    """Every banned phrase in what people read in a file."""
     problems = []
     for part in prose(path, text):
         found = [(match, phrase) for phrase in PHRASES for match in phrase.pattern.finditer(part.text)]
-        openings = {Kind.COMMENT: OPENINGS + PRONOUNS, Kind.PARAGRAPH: OPENINGS, Kind.PIECE: ()}[part.kind]
+        openings = {Kind.COMMENT: OPENINGS + PRONOUNS, Kind.PARAGRAPH: OPENINGS}.get(part.kind, ())
         found += [(match, phrase) for phrase in openings if (match := phrase.pattern.match(part.text))]
+        rows = [row.strip() for row in part.text.split("\n")]
+        problems += [
+            f"{path}:{part.lines[at]}: '{after[:40]}...' stands twice"
+            for at, (row, after) in enumerate(itertools.pairwise(rows), start=1)
+            if row == after and len(row.split()) > 4
+        ]
         for match, phrase in sorted(found, key=lambda pair: pair[0].start()):
             words = " ".join(match.group().split())
             problems.append(f"{path}:{_line(part, match.start())}: '{words}'; {phrase.instead}")
@@ -153,6 +134,8 @@ def long_sentences(path: PurePosixPath, text: str) -> list[str]:
     """Sentences of more than MAX_WORDS words."""
     problems = []
     for part in prose(path, text):
+        if part.kind is Kind.TEXT:
+            continue
         for match in re.finditer(r".+?(?:[.;:?!](?=\s|$)|$)", part.text, re.DOTALL):
             if (count := len(match.group().split())) > MAX_WORDS:
                 start = match.start() + len(match.group()) - len(match.group().lstrip())
@@ -161,20 +144,23 @@ def long_sentences(path: PurePosixPath, text: str) -> list[str]:
 
 
 def prose(path: PurePosixPath, text: str) -> Iterator[Prose]:
-    """The comments, docstrings and paragraphs of a file; nothing for a kind of file that has none."""
+    """What people read in a file; nothing of a kind of file that is not listed here."""
     if str(path).startswith(NOT_PROSE):
         return iter(())
     kind = path.suffix or path.name
     if kind == ".md":
         return _paragraphs(text)
     if kind == ".html":
-        return _blocks((at, 0, note) for at, note in _matches(r"<!--(.*?)-->", text))
+        comments = _blocks((at, 0, note) for at, note in _matches(r"<!--(.*?)-->", text))
+        return itertools.chain(comments, _texts(_matches(r">([^<]+)<", text)))
     if kind == ".py":
         return _python(text)
     if kind in SLASHES:
-        return _blocks(_slash_comments(text, kind))
+        comments, strings = _slash_comments(text, kind)
+        return itertools.chain(_blocks(comments), _texts(strings), _test_names(text))
     if kind in HASHES or path.name in HASHES:
-        return _blocks(_hash_comments(text))
+        comments = list(_hash_comments(text))
+        return itertools.chain(_blocks(comments), _texts(_rows_without(comments, text)))
     return iter(())
 
 
@@ -188,13 +174,26 @@ def _matches(pattern: str, text: str) -> Iterator[tuple[int, str]]:
 
 
 def _without_code(text: str) -> str:
-    """Replaces `code` and the addresses of links, which are not prose."""
-    text = re.sub(r"``[^`]+``|`[^`]+`", "CODE", text)
+    """Replaces `code`, --options and the addresses of links, which are not prose."""
+    text = re.sub(r"``[^`]+``|`[^`]+`|(?<![\w-])--\w[\w-]*", "CODE", text)
     return re.sub(r"\]\([^)\s]*\)", "]", text)
 
 
 def _prose(text: str, lines: Iterable[int], kind: Kind = Kind.COMMENT) -> Prose:
     return Prose(_without_code(text), tuple(lines), kind)
+
+
+def _texts(found: Iterable[tuple[int, str]]) -> Iterator[Prose]:
+    """Texts of several words. A single word is a name, which programs read."""
+    for line, text in found:
+        if " " in text.strip():
+            yield _prose(text, range(line, line + text.count("\n") + 1), Kind.TEXT)
+
+
+def _test_names(text: str) -> Iterator[Prose]:
+    """The names of a GoogleTest, as words."""
+    for line, name in _matches(r"(?m:^)(?:TYPED_)?TEST(?:_F|_P)?\(\s*(\w+\s*,\s*\w+)\)", text):
+        yield _prose(re.sub(r"(?<=[a-z0-9])(?=[A-Z])|,\s*", " ", name), [line], Kind.TEXT)
 
 
 # A comment as the readers below find it: line, column (0 if a line of its own), text.
@@ -244,12 +243,18 @@ _SCRIPT = re.compile(
 )
 
 
-def _slash_comments(text: str, kind: str) -> Iterator[Comment]:
+def _slash_comments(text: str, kind: str) -> tuple[list[Comment], list[tuple[int, str]]]:
+    """The comments, and the strings with their lines."""
     pattern = _SCRIPT if kind in {".ts", ".js", ".mjs", ".css"} else _SLASH
+    comments = []
+    strings = []
     for match in pattern.finditer(text):
         content = match.group("line") if match.group("line") is not None else match.group("block")
         if content is not None:
-            yield _comment(text, match.start(), content)
+            comments.append(_comment(text, match.start(), content))
+        else:
+            strings.append((text.count("\n", 0, match.start()) + 1, match.group()[1:-1]))
+    return comments, strings
 
 
 def _hash_comments(text: str) -> Iterator[Comment]:
@@ -264,6 +269,13 @@ def _hash_comments(text: str) -> Iterator[Comment]:
         offset += len(row) + 1
 
 
+def _rows_without(comments: Iterable[Comment], text: str) -> Iterator[tuple[int, str]]:
+    """The rows of a file without their comments: keys, values and messages."""
+    notes = {line: note for line, _, note in comments}
+    for line, row in enumerate(text.split("\n"), start=1):
+        yield line, row.removesuffix(notes[line]) if line in notes else row
+
+
 def _python(text: str) -> Iterator[Prose]:
     comments = []
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -272,15 +284,18 @@ def _python(text: str) -> Iterator[Prose]:
             column = token.start[1] + 1
             comments.append((token.start[0], -column if alone else column, token.string))
     yield from _blocks(comments)
-    for node in ast.walk(ast.parse(text)):
-        body = getattr(node, "body", None)
-        if not isinstance(body, list):
-            continue
-        for statement in body:
-            match statement:  # a docstring, or the string that describes the attribute above it
-                case ast.Expr(value=ast.Constant(value=str(content), lineno=first)):
-                    rows = [row.strip() for row in content.split("\n")]
-                    yield _prose("\n".join(rows), range(first, first + len(rows)))
+    docstrings = set()
+    for node in ast.walk(ast.parse(text)):  # a body comes before what stands in it
+        match node:
+            # A docstring, or the string that describes the attribute above it.
+            case ast.Expr(value=ast.Constant(value=str(content), lineno=first) as constant):
+                docstrings.add(constant)
+                rows = [row.strip() for row in content.split("\n")]
+                yield _prose("\n".join(rows), range(first, first + len(rows)))
+            case ast.Constant(value=str(content), lineno=first) if node not in docstrings:
+                yield from _texts([(first, content)])
+            case ast.FunctionDef(name=name, lineno=first) if name.startswith("test_"):
+                yield from _texts([(first, name.replace("_", " "))])
 
 
 def _paragraphs(text: str) -> Iterator[Prose]:

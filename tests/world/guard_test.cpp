@@ -36,7 +36,7 @@ const std::vector<Kind>& kinds() {
          term.set_share(0.5);
          term.set_relaxation_time_s(0.03);
        }},
-      {"driven",
+      {"prescribed",
        [](v1::Scene& s) {
          v1::PrescribedDisplacement& sides = *s.mutable_bodies(0)->add_prescribed();
          tests::set(*sides.mutable_region()->mutable_box()->mutable_min_m(), -1, 0.02, -1);
@@ -115,7 +115,7 @@ TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
   for (const Fault fault : {Fault::kNotANumber, Fault::kExplosion, Fault::kStall}) {
     for (const Kind& kind : kinds()) {
       // Prescribed displacements do work that is not counted, so no energy is too much.
-      if (fault == Fault::kExplosion && std::string_view(kind.name) == "driven") continue;
+      if (fault == Fault::kExplosion && std::string_view(kind.name) == "prescribed") continue;
       // The first part of each retry is good, so internal variables advance in it.
       const auto faulty = start_faulty(pressed_block(kind), [&](std::uint64_t step, std::uint64_t call) {
         return step == 4 && call % 2 == 0 ? std::optional(fault) : std::nullopt;
@@ -363,11 +363,11 @@ TEST(GuardBounds, FreeBodiesAndPrescribedDisplacementsWidenThem) {
   tests::set(*pull.mutable_region()->mutable_box()->mutable_min_m(), -1, 0.049, -1);
   tests::set(*pull.mutable_region()->mutable_box()->mutable_max_m(), 1, 1, 1);
   pull.set_y_m(0.5);
-  const model::Model driven = model_of(scene);
-  EXPECT_TRUE(Guard(driven).check({.max_move_m = 0.5}, {}).good());
-  EXPECT_TRUE(Guard(driven).check({.kinetic_energy_j = 1e6}, {}).good())
+  const model::Model prescribed = model_of(scene);
+  EXPECT_TRUE(Guard(prescribed).check({.max_move_m = 0.5}, {}).good());
+  EXPECT_TRUE(Guard(prescribed).check({.kinetic_energy_j = 1e6}, {}).good())
       << "work of prescribed displacements is not counted";
-  EXPECT_FALSE(EnergyBalance(driven).dissipated_j().has_value());
+  EXPECT_FALSE(EnergyBalance(prescribed).dissipated_j().has_value());
 }
 
 }  // namespace

@@ -95,8 +95,7 @@ class Feed:
                     log.warning("scene %s: no topology for its frames: %s", self.scene, error.details())
 
     async def _fetch_first(self) -> None:
-        """Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends.
-        Asks for the topology, which the bus sends late, and for the frame of a paused scene, which it never sends."""
+        """Asks for the topology, which the bus sends late, and the frame of a paused scene, which it never sends."""
         try:
             await self._fetch_topology()
             if Stream.FRAME not in self._latest:

@@ -1,8 +1,8 @@
 """The gateway between a daemon and browsers: serves the viewer and forwards the messages of the bus.
 
 A browser speaks neither ZeroMQ nor gRPC. Nothing that a browser does may slow the daemon's step loop or fill memory
-here. Each browser therefore has one slot for the newest message of each stream, and the next message of a stream leaves
-only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
+here. Each browser therefore has one slot for each stream, which holds the newest message. The next message of a stream
+leaves only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
 
     daemon --ZeroMQ--> one SUB socket (CONFLATE) per stream --> a slot per browser and stream --WebSocket--> browser
            <--gRPC--   which scenes there are, their topology
@@ -200,7 +200,7 @@ class Gateway:
         match request:
             case {"type": "ack", "stream": str(stream)}:
                 if stream not in set(Stream):
-                    raise ProtocolError(f"acknowledged {stream!r}, which is no stream")
+                    raise ProtocolError(f"acknowledged {stream!r}, which is not a stream")
                 browser.outbox.acknowledge(Stream(stream))
             case {"type": "clock", "client_time_ms": client_time_ms}:
                 if finite_number(client_time_ms) is None:

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-missed",
         type=_percent,
         metavar="PERCENT",
-        help="fail if a scene misses more of its deadlines; default: however many it misses is no failure",
+        help="fail if a scene misses more of its deadlines; default: missed deadlines never fail it",
     )
     parser.add_argument("--json", metavar="FILE", help="write the report as JSON; - for standard output")
     parser.description = (

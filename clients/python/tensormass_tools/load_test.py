@@ -256,8 +256,7 @@ class _LoadTest:
     # --- while it runs ------------------------------------------------------------------------------------------------
 
     def _watch(self, viewers: Sequence[_Client], done: Callable[[], bool]) -> None:
-        """Waits for `done`. Marks a viewer that ends earlier, for the report. Raises at once if the daemon is gone too.
-        Waits for `done`. Marks a viewer that ends earlier, for the report. Raises at once if the daemon is gone too."""
+        """Waits for `done`. Marks a viewer that ends earlier, for the report. Raises if the daemon is gone as well."""
         while not done():
             for viewer in viewers:
                 if not viewer.ended_early and not viewer.process.running:
@@ -313,8 +312,7 @@ class _LoadTest:
     def _end_viewers(
         self, viewers: Sequence[_Client], first_was_stopped: bool
     ) -> tuple[list[Json], npt.NDArray[np.float64]]:
-        """Ends the viewers. Returns the report of each, and the frame ages of those that were not stopped on purpose.
-        Ends the viewers. Returns the report of each, and the frame ages of those that were not stopped on purpose."""
+        """Ends the viewers. Returns all reports, and the frame ages of the viewers that were not stopped on purpose."""
         reports: list[Json] = []
         ages: list[npt.NDArray[np.float64]] = [np.empty(0)]
         for index, viewer in enumerate(viewers):

@@ -2,9 +2,9 @@
 
     python -m tensormass_tools.load_viewer --server ADDR --scene NAME --transport zeromq --ready FILE --report FILE
 
-Creates the ready file at the first frame from the bus, or when the scene turns out to be stopped, so that no frame
-will come. Runs until SIGTERM as long as the daemon answers, with or without frames. Then writes the report (NumPy:
-ages_s, dropped).
+Creates the ready file at the first frame from the bus. If the scene is stopped, no frame will come, and the file is
+created at once. Runs until SIGTERM as long as the daemon answers, with or without frames. Then writes the report
+(NumPy: ages_s, dropped).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _stop(_signal: int, _frame: FrameType | None) -> None:
     raise _StopRequested
 
 
-def _look(scene: SceneHandle, ready: Path) -> None:
+def _check(scene: SceneHandle, ready: Path) -> None:
     """Marks the viewer ready if the scene is stopped, because no frame will come. Raises if the daemon is gone."""
     if scene.status().state == _FAULTED:
         ready.touch()
@@ -61,12 +61,12 @@ def main(argv: list[str] | None = None) -> int:
             stream = scene.frames(args.transport)
             try:
                 next(stream)  # the present state, by call; frames of the bus follow
-                _look(scene, args.ready)
+                _check(scene, args.ready)
                 while True:
                     try:
                         frame = next(stream)
                     except DeadlineExceededError:
-                        _look(scene, args.ready)  # the scene is stopped, or publishes seldom
+                        _check(scene, args.ready)  # the scene is stopped, or publishes seldom
                         continue
                     ages_s.append((time.time_ns() - frame.server_time_ns) * 1e-9)
                     if len(ages_s) == 1:

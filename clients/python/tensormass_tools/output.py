@@ -28,7 +28,7 @@ def check_writable(option: str, path: Path) -> None:
     """Refuses a file that cannot be written, before the work that produces its content."""
     if os.path.exists(path):
         if path.is_dir() or not os.access(path, os.W_OK):
-            raise InvalidArgumentError(f"{option} {path}: is no file that can be written")
+            raise InvalidArgumentError(f"{option} {path}: cannot be written")
     elif not os.access(path.resolve().parent, os.W_OK):
         raise InvalidArgumentError(f"{option} {path}: no folder that can be written to")
 

@@ -27,7 +27,14 @@ from tensormass.v1 import scene_pb2
 from tensormass_tools import presets
 from tensormass_tools.output import check_writable, load_line, load_silently, print_json
 from tensormass_tools.solve_files import Writer
-from tensormass_tools.solve_steps import PRESET_LIMITS, REST_LIMIT_S, REST_LOOK_STEPS, REST_LOOKS, REST_SHARE, Solution
+from tensormass_tools.solve_steps import (
+    PRESET_LIMITS,
+    REST_CHECK_STEPS,
+    REST_CHECKS,
+    REST_LIMIT_S,
+    REST_SHARE,
+    Solution,
+)
 from tensormass_tools.solve_text import text
 
 # Limit of conjugate-gradient iterations if the scene sets none.
@@ -67,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     parser.description = (
         "Computes a scene in lockstep and writes displacements, forces and stresses. A quasi-static scene makes one "
         "step, or as many as its schedules take; a dynamic one goes on until it is at rest (kinetic energy below "
-        f"{REST_SHARE:g} of its peak at {REST_LOOKS} looks {REST_LOOK_STEPS} steps apart), for {REST_LIMIT_S:g} s "
+        f"{REST_SHARE:g} of its peak at {REST_CHECKS} checks {REST_CHECK_STEPS} steps apart), for {REST_LIMIT_S:g} s "
         "at most. Exit status 1 if a step did not converge, and --out is not written then, only what --every wrote "
         "before; and if a scene is not at rest at that limit, whose last state is written. A --preset that sets "
         f"{' or '.join(PRESET_LIMITS)} asks for steps that end there: those above their tolerance are written, "

@@ -21,9 +21,10 @@ from tensormass_tools.output import Warnings
 from tensormass_tools.solve_files import Writer
 from tensormass_tools.solve_text import Progress
 
-# At rest: this many checks, this many steps apart, all below this share of the largest kinetic energy so far.
-REST_LOOKS = 5
-REST_LOOK_STEPS = 10
+# A scene is at rest if so many checks in a row, so many steps apart, find a kinetic energy below this share of the
+# largest so far.
+REST_CHECKS = 5
+REST_CHECK_STEPS = 10
 REST_SHARE = 1e-8
 # Simulated time after which a scene that does not come to rest is given up [s].
 REST_LIMIT_S = 60.0
@@ -134,16 +135,16 @@ class Solution:
             for _ in range(count):
                 yield self._handle.step()
             return
-        energies: deque[float] = deque(maxlen=REST_LOOKS)
+        energies: deque[float] = deque(maxlen=REST_CHECKS)
         peak = 0.0
         for step in range(1, self._steps_until(max(REST_LIMIT_S, 2 * self._scheduled_s)) + 1):
             status = self._handle.step()
             yield status
-            if step % REST_LOOK_STEPS == 0:
+            if step % REST_CHECK_STEPS == 0:
                 energies.append(sum(self._handle.fields(body).kinetic_energy_j for body in self._writer.bodies))
                 peak = max(peak, energies[-1])
                 self._kinetic_share = max(energies) / peak if peak > 0 else 0.0
-                rested = len(energies) == REST_LOOKS and self._kinetic_share <= REST_SHARE
+                rested = len(energies) == REST_CHECKS and self._kinetic_share <= REST_SHARE
                 if rested and status.simulated_time_s >= self._scheduled_s:
                     return
         self.at_rest = False

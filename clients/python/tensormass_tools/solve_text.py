@@ -28,7 +28,10 @@ class Progress(contextlib.AbstractContextManager["Progress"]):
         self._width = 0
 
     def show(self, status: stream_pb2.SceneStatus, kinetic_share: float | None) -> None:
-        """If it is time to. `kinetic_share`: of the peak, where a scene has to come to rest."""
+        """Prints the progress, unless the last line is too recent.
+
+        `kinetic_share`: kinetic energy as a share of its peak, for a scene that must come to rest.
+        """
         if time.monotonic() - self._shown < self._period_s:
             return
         self._shown = time.monotonic()
@@ -52,7 +55,7 @@ class Progress(contextlib.AbstractContextManager["Progress"]):
 
 
 def text(summary: dict[str, Any]) -> str:
-    """The summary for people."""
+    """Formats the summary for people."""
     solves = [f"{summary['cg_iterations']} CG iterations, the last to {summary['cg_relative_residual']:.1e}"]
     if summary["newton_iterations"] > 0:
         solves.insert(
@@ -84,6 +87,6 @@ def text(summary: dict[str, Any]) -> str:
 
 
 def _vector(values: Sequence[float]) -> str:
-    """Components that are rounding of the largest one are zero."""
+    """Formats a vector. Components that are only rounding of the largest one become zero."""
     largest = max(map(abs, values))
     return ", ".join(f"{value:.4g}" if abs(value) > 1e-6 * largest else "0" for value in values)

@@ -57,7 +57,7 @@ class Fields:
         for of in message.fields:
             name = control_pb2.Field.Name(of.field).removeprefix(_PREFIX).lower()
             if of.components == 0 or len(of.values) % (8 * of.components) != 0:
-                raise InternalError(f"field {name}: {len(of.values)} bytes are no rows of {of.components} numbers")
+                raise InternalError(f"field {name}: {len(of.values)} bytes do not make rows of {of.components} numbers")
             rows = np.frombuffer(of.values, "<f8").copy()
             values[name] = rows.reshape(-1, of.components) if of.components > 1 else rows  # type: ignore[index]
         return Fields(

@@ -35,8 +35,7 @@ class Organ:
 
 
 def liver(points: FloatArray) -> FloatArray:
-    """Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m].
-    Implicit function of the liver, [n, 3] m -> [n]: positive inside, near the surface about the distance to it [m]."""
+    """Implicit function of the liver, [n, 3] m -> [n]: positive inside; near the surface, its distance [m], roughly."""
     # The right lobe is a thick dome, the left one a thin wedge that tapers away; between them a shallow furrow.
     right = _ellipsoid(points, (-0.040, -0.004, 0.000), (0.068, 0.068, 0.050), tilt_deg=(0.0, 6.0, 10.0))
     right_tip = _ellipsoid(points, (-0.068, 0.022, -0.018), (0.036, 0.044, 0.032), tilt_deg=(0.0, 0.0, 25.0))
@@ -71,8 +70,7 @@ def _ellipsoid(
     radii_m: tuple[float, float, float],
     tilt_deg: tuple[float, float, float],
 ) -> FloatArray:
-    """Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole).
-    Returns nearly the distance to an ellipsoid, positive inside (Quilez's bound k0 (1 - k0) / k1, without its pole)."""
+    """Returns about the distance to an ellipsoid, positive inside: Quilez's k0 (1 - k0) / k1 without its pole."""
     local = (points - np.array(center_m)) @ _rotation(tilt_deg)
     radii = np.array(radii_m)
     k0 = np.linalg.norm(local / radii, axis=1)

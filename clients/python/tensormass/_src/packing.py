@@ -59,8 +59,7 @@ def pack_triangles(surface: meshes.TriangleSurface) -> scene_pb2.PackedTriangles
 
 
 def add_what_the_mesh_carries(body: scene_pb2.Body, mesh: meshes.VolumeMesh, where: str) -> None:
-    """Copies named sets and element fields of a mesh. Its sets come first, because the scene's own may refer to them.
-    Copies named sets and element fields of a mesh. Its sets come first, because the scene's own may refer to them."""
+    """Copies named sets and element fields of a mesh. Its sets come first, because the scene's may refer to them."""
     own = list(body.sets)
     for named in own:
         if named.name in mesh.sets:

@@ -104,7 +104,7 @@ def log_tail(file: Path) -> str:
 def end_explained(daemon: ChildProcess | None, log_file: Path | None) -> Iterator[None]:
     """Adds to a failure in the body how the command's own daemon ended, with the end of its log.
 
-    The failed call itself knows only that its connection broke. For a daemon that somebody else started, `daemon` must be None.
+    The failed call itself knows only that its connection broke. `daemon` must be None if somebody else started it.
     """
     try:
         yield

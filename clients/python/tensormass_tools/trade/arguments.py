@@ -26,7 +26,7 @@ AGAIN = 4
 
 def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     """Adds the options of `tensormass trade`."""
-    # Other commands take a bare mesh, but it does not say what happens to it.
+    # A bare mesh, which other commands take, has neither loads nor tools to compare settings by.
     parser.add_argument("scene", help=scene_help.replace(" a mesh file,", ""))
     parser.add_argument(
         "--budget",

@@ -9,14 +9,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-# Shortest time to count; longest time to wait until the counter has moved twice [s].
+# Shortest time over which energy is counted, and longest time to wait for two changes of the counter [s].
 _COUNT_S = 1.5
 _LIMIT_S = 5.0
 
 
 @dataclass(frozen=True)
 class Count:
-    """Energy between two moves of the counter."""
+    """Energy that the GPU used between two changes of its counter."""
 
     energy_j: float
     runs: int
@@ -48,7 +48,7 @@ class EnergyMeter:
         return float(self._nvml.nvmlDeviceGetTotalEnergyConsumption(self._device)) / 1e3 if self.readable else 0.0
 
     def count(self, work: Iterable[tuple[int, int]]) -> Count | None:
-        """Counts the energy of endless work, from the counter's first move to its last; None if it moved too seldom.
+        """Counts the energy of endless work, from the counter's first change to its last; None if it seldom changed.
 
         Args:
             work: yields (runs, steps) made so far, from time to time.

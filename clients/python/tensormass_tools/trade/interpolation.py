@@ -103,8 +103,8 @@ def _nearest(
     return pairs
 
 
-# How deep a point lies inside (negative: outside) and the weights of the nodes, from coordinates along three edges that
-# leave the first node.
+# Function of the coordinates of points along the three edges that leave the first node, [n, 3]. Returns how deep each
+# point lies inside (negative: outside), [n], and the weights of the element's nodes, [n, nodes].
 _Weigh = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
@@ -145,7 +145,7 @@ def _pyramid(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     return depth, np.concatenate([_square(x / width, y / width) * (1 - height)[:, None], height[:, None]], axis=1)
 
 
-# The ends of the edges, and the function.
+# By shape: the nodes at which those three edges end, and the function.
 _SHAPES: dict[str, tuple[tuple[int, int, int], _Weigh]] = {
     "tetrahedron": ((1, 2, 3), _tetrahedron),
     "pyramid": ((1, 3, 4), _pyramid),

@@ -35,7 +35,7 @@ class Errors:
     force: float | None = None
     #: Mean angle between the forces [rad] while there is contact, weighted by force.
     force_angle_rad: float | None = None
-    #: Work of pressing in.
+    #: Work of the tool while it presses in.
     work: float | None = None
     #: Natural frequency of the free motion, as a share; 1 if the motion no longer swings.
     frequency: float | None = None

@@ -1,7 +1,7 @@
 """The script: the test run of every setting.
 
-The scene starts at rest, and its loads act at once. The first tool, if there is one, then moves straight to the nearest
-point of the surface, presses in by half its radius, stays, and lifts off. Other tools do not move. At a depth of a
+The scene starts at rest, and its loads act at once. Then the first tool, if there is one, moves straight to the nearest
+point of the surface. It presses in by half its radius, stays, and lifts off. Other tools do not move. At a depth of a
 whole radius, elements of a thin or coarse tissue may become inverted, and there is no solution to converge to.
 
 All settings see the same path. They are compared at the same times and at the same points, the nodes of the scene's own

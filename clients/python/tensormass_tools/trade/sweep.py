@@ -58,8 +58,8 @@ def combinations(
 
     The effect of a knob alone predicts its effect with others. Factors of cost multiply. Increases of the error add up.
     A decrease takes its share of the error that the others left. The promising settings are the front of that
-    prediction, then the front of the rest, and so on. Another law takes part, for its speed, if it is the same tissue
-    (`is_same_tissue`), and in at most half of the settings while others are left.
+    prediction, then the front of the rest, and so on. Another law takes part, for its speed, if it is the same
+    tissue (`is_same_tissue`). It is in at most half of the settings while others are left.
     """
     by_setting = {_frozen(of.setting): of for of in measured if of.errors is not None}
     base = by_setting[_frozen({})]

@@ -1,6 +1,6 @@
 #include "daemon_process.h"
 
-namespace tensormass::service_tests {
+namespace tensormass::daemon_tests {
 namespace {
 
 struct Outcome {
@@ -84,4 +84,4 @@ TEST(Settings, TheEnvironmentIsCheckedToo) {
 }
 
 }  // namespace
-}  // namespace tensormass::service_tests
+}  // namespace tensormass::daemon_tests

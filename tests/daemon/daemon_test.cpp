@@ -13,7 +13,7 @@
 #include "daemon_process.h"
 #include "support/scenes.h"
 
-namespace tensormass::service_tests {
+namespace tensormass::daemon_tests {
 namespace {
 
 using Clock = std::chrono::steady_clock;
@@ -385,4 +385,4 @@ TEST(Daemon, LogsJson) {
 }
 
 }  // namespace
-}  // namespace tensormass::service_tests
+}  // namespace tensormass::daemon_tests

@@ -27,7 +27,7 @@
 #include "tensormass/v1/control.grpc.pb.h"
 
 /// Runs the real program as users start it: a process with flags, a log and a ready file.
-namespace tensormass::service_tests {
+namespace tensormass::daemon_tests {
 
 inline constexpr std::chrono::seconds kDeadline{30};
 
@@ -175,4 +175,4 @@ class DaemonProcess {
   google::protobuf::Struct ready_;
 };
 
-}  // namespace tensormass::service_tests
+}  // namespace tensormass::daemon_tests

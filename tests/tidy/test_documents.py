@@ -1,0 +1,46 @@
+"""The documents that users open first begin with what they look for. Tests beside the results bound the other pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SCREEN = 40  # lines
+
+
+def lines_of(name: str) -> list[str]:
+    return (ROOT / name).read_text("utf-8").splitlines()
+
+
+def table_after(lines: list[str], mark: str) -> list[str]:
+    """Returns the rows of the first table after a mark, without its heading."""
+    rows = [line for line in lines[lines.index(mark) : lines.index(mark) + SCREEN] if line.startswith("|")]
+    return rows[2:]
+
+
+def test_the_readme_opens_with_a_picture_and_five_rows_of_figures() -> None:
+    lines = lines_of("README.md")
+    picture = next(number for number, line in enumerate(lines) if line.startswith("!["))
+    assert picture < SCREEN
+    assert len(table_after(lines[:SCREEN], "<!-- summary: begin -->")) == 5
+
+
+def test_choosing_opens_with_a_decision_table_by_use() -> None:
+    lines = lines_of("docs/choosing.md")[:SCREEN]
+    table = table_after(lines, "<!-- made: uses -->")
+    assert lines.index(table[-1]) < SCREEN / 2
+    uses = {row.split("|")[1].split(",")[0].strip() for row in table}
+    assert uses == {"trainer", "free motion", "analysis"}
+    assert {"trainer, 1 kHz", "trainer, 60 Hz"} <= {row.split("|")[1].strip() for row in table}
+
+
+def test_architecture_opens_with_a_picture_of_threads_and_mailboxes() -> None:
+    lines = lines_of("docs/architecture.md")[:SCREEN]
+    assert any("mailboxes" in line and line.startswith("    ") for line in lines)
+
+
+def test_documents_are_pages_decisions_and_pictures() -> None:
+    """Logs and histories are data beside the tests that made them."""
+    folder = ROOT / "docs"
+    assert {path.name for path in folder.iterdir() if path.is_dir()} == {"decisions", "images"}
+    assert {path.suffix for path in folder.rglob("*") if path.is_file()} == {".md", ".svg", ".png"}
