@@ -512,13 +512,20 @@ def test_a_tool_that_touches_nothing_is_reported(
     assert said in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.parametrize(
+    ("shape", "over"),
+    [
+        ("hexahedron", "errors without that of the mesh, which the reference does not refine"),
+        ("tetrahedron", "errors against the same mesh in quadratic tetrahedra, which the reference does not refine"),
+    ],
+)
 def test_errors_that_leave_out_the_mesh_say_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], shape: str, over: str
 ) -> None:
     stand_in(tmp_path, monkeypatch)
     assert run_on(tmp_path) == 0
     assert "without that of the mesh" not in "".join(capsys.readouterr())
-    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05], shape=shape))
     at = BLOCK.index("grid:")
     (tmp_path / "block.yaml").write_text(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :])
     assert run_on(tmp_path) == 0
@@ -527,7 +534,6 @@ def test_errors_that_leave_out_the_mesh_say_so(
     assert f"warning: {said}" in error
     assert f"  {said}" in printed
     assert "its own error (without that of the mesh), by Richardson" in printed
-    over = "errors without that of the mesh, which the reference does not refine"
     assert f"{over}\n   setting" in printed
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.index(over) < page.index("<th>setting</th>")

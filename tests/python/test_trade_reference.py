@@ -29,6 +29,7 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
 
     found = find(0.02, 1e9)
     assert found.ended == "below a third of the tolerance"
+    assert not found.raises_order
     assert found.order == pytest.approx(2, abs=0.2)
     true_error = found.recording.displacement[0].max() - 1
     assert found.displacement_error == pytest.approx(true_error, rel=0.25)
@@ -50,6 +51,17 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
     limited = find(1e-9, 30.0)
     assert "--reference-seconds 30" in limited.ended
     assert limited.error > 1e-9
+
+
+def test_the_reference_of_a_tetrahedral_mesh_is_quadratic(tmp_path: Path) -> None:
+    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    at = BLOCK.index("grid:")
+    knobs = knobs_of(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :], tmp_path)
+    script, store = Script.of(knobs.message, None), Store(tmp_path)
+    formula = Formula(knobs.message, script)
+    found = reference.find(knobs, script, formula, store, MACHINE, tolerance=0.02, limit_s=1e9, say=lambda _: None)  # type: ignore[arg-type]
+    assert found.levels[-1].setting["element_order"] == "quadratic"
+    assert found.raises_order
 
 
 def test_a_level_that_fails_ends_the_refinement_only_where_there_are_two(tmp_path: Path) -> None:

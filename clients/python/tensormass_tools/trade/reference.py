@@ -1,8 +1,9 @@
 """The reference: the scene refined until its result no longer moves. All settings are compared with it.
 
 Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
-second-order scheme and, for grids, the shape that converges fastest, because the limit is the same. Richardson
-extrapolation estimates the remaining error from the differences between levels.
+second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids,
+quadratic tetrahedra for other tetrahedral meshes. Richardson extrapolation estimates the remaining error from the
+differences between levels.
 """
 
 from __future__ import annotations
@@ -75,6 +76,12 @@ class Reference:
         """Tells whether the mesh was refined. Otherwise every error, the reference's own too, leaves out that of the
         mesh."""
         return "resolution" in self.levels[-1].setting
+
+    @property
+    def raises_order(self) -> bool:
+        """Tells whether linear tetrahedra were made quadratic. Then errors contain those of linear ones, even if the
+        mesh was not refined."""
+        return self.levels[-1].setting.get("element_order") == "quadratic"
 
     @property
     def error(self) -> float:
@@ -181,6 +188,8 @@ def _setting(knobs: Knobs, script: Script, level: int) -> dict[str, Value]:
         setting["resolution"] = factor
     if "shape" in knobs.refinable:
         setting |= {"shape": "hexahedron", "quadrature": "selective"}
+    if "element_order" in knobs.refinable:
+        setting["element_order"] = "quadratic"
     if not script.one_step:
         setting["dt_s"] = script.sample_s / max(1, round(_STEPS_A_SAMPLE * factor))
     if not knobs.quasi_static:

@@ -148,10 +148,15 @@ def not_refined(knobs: Knobs, reference: Reference) -> list[str]:
     """Warns if the reference has the scene's own mesh."""
     if reference.refines_mesh:
         return []
+    why = f"the mesh is not refined ({knobs.without['resolution']}): the reference has the same one"
+    if reference.raises_order:
+        return [
+            f"{why} in quadratic tetrahedra; how far these are from the limit is not known, and the reference's own "
+            "error leaves it out; compare with a finer mesh of your own"
+        ]
     return [
-        f"the mesh is not refined ({knobs.without['resolution']}): the reference has the same one, and every error, "
-        "the reference's own too, leaves out that of the mesh, which may be larger than all of them; compare with a "
-        "finer mesh of your own"
+        f"{why}, and every error, the reference's own too, leaves out that of the mesh, which may be larger than all "
+        "of them; compare with a finer mesh of your own"
     ]
 
 
@@ -274,7 +279,11 @@ def picks(outcome: Outcome) -> list[tuple[str, str]]:
 
 def table_head(reference: Reference) -> list[str]:
     """Returns the text above the settings."""
-    return [] if reference.refines_mesh else ["errors without that of the mesh, which the reference does not refine"]
+    if reference.refines_mesh:
+        return []
+    if reference.raises_order:
+        return ["errors against the same mesh in quadratic tetrahedra, which the reference does not refine"]
+    return ["errors without that of the mesh, which the reference does not refine"]
 
 
 def text(outcome: Outcome, written: Sequence[Path]) -> str:
