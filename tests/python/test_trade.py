@@ -259,6 +259,34 @@ def test_errors_are_shares_of_the_reference() -> None:
     assert compare(recording(0.9), recording(), weights).volume == pytest.approx(0.001)
 
 
+def test_force_is_compared_while_the_tool_stays_and_while_it_moves() -> None:
+    reference = replace(recording(), force=np.array([[0, 0, 1.0], [0, 0, 2.0], [3.0, 0, 0], [0, 0, 0]]))
+    other = replace(reference, force=np.array([[0, 1.5, 0], [0, 0, 2.2], [3.6, 0, 0], [0, 0, 0]]))
+    weights = [np.ones(3)]
+    errors = compare(other, reference, weights, np.array([False, True, True, False]))
+    assert errors.force_held == pytest.approx(math.hypot(0.2, 0.6) / math.hypot(2, 3))
+    assert errors.force_moving == pytest.approx(0.5)
+    assert errors.force == pytest.approx(math.sqrt(0.5**2 + 0.2**2 + 0.6**2) / math.sqrt(1 + 4 + 9))
+    nothing = compare(other, reference, weights, np.array([False, False, False, True]))
+    assert (nothing.force_held, nothing.force_moving) == (None, errors.force)
+    unsaid = compare(other, reference, weights)
+    assert (unsaid.force_held, unsaid.force_moving) == (None, None)
+
+
+def test_the_script_says_when_the_tool_stays_and_how_deep(tmp_path: Path) -> None:
+    scene = knobs_of(BLOCK, tmp_path).message
+    script = Script.of(scene, press_radii=0.7)
+    assert script.text().splitlines()[0].startswith("'probe' presses 7 mm deep; 1.6 s from rest")
+    held = script.held()
+    assert held is not None
+    times = script.sample_s * np.arange(1, script.sample_count + 1)
+    poses = np.array([script.pose(time)[2] for time in times])
+    np.testing.assert_array_equal(held, np.isclose(poses, poses.min(), rtol=0, atol=1e-12))
+    assert 5 < held.sum() < len(held) / 2
+    del scene.tools[:]
+    assert Script.of(scene).held() is None
+
+
 def test_errors_of_tiny_values() -> None:
     weights = [np.ones(3)]
     reference = recording()

@@ -348,7 +348,7 @@ def test_each_value_of_a_knob_is_compared_with_the_scenes_own(tmp_path: Path) ->
 
 
 def test_a_row_has_its_units() -> None:
-    errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02)
+    errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02, 0.015)
     costs = replace(COSTS, latency_p50_s=0.0035, memory_bytes=12_300_000, step_energy_j=0.25)
     of = replace(measurement({"dt_s": 0.01}, 2e-3, 0.0), errors=errors, costs=costs, moved=0.004)
     row = dict(zip(report.HEADS, report.cells(of), strict=True))
@@ -359,6 +359,8 @@ def test_a_row_has_its_units() -> None:
         "displacement": "2 %",
         "worst node": "3 %",
         "force": "5 %",
+        "force held": "1.5 %",
+        "force moving": "–",
         "angle": "3°",
         "work": "4 %",
         "frequency": "10 %",
