@@ -174,6 +174,11 @@ def findings(outcome: Outcome) -> list[str]:
             f"the reference itself may be off by {percent(reference.error)}: errors of that size say little; give it "
             "--reference-seconds, or a machine that is faster"
         )
+    if not reference.is_approached:
+        lines.append(
+            "linear tetrahedra do not come closer to the reference when they are refined: the two do not have the same "
+            "limit, or are not fine enough to show it; give it --reference-seconds"
+        )
     if reference.levels[-1].min_det_f <= 0:
         lines.append(
             "the reference has inverted elements: the scene leaves the range of its law, and there "
