@@ -36,7 +36,7 @@ class BoundaryConditions {
     for (std::size_t b = 0; b < c_.bodies.size(); ++b) {
       const v1::Body& body = c_.scene.bodies(static_cast<int>(b));
       const std::string where = fmt::format("body '{}'", body.name());
-      TM_ASSIGN_OR_RETURN(sets, read_sets(body, c_.bodies[b].mesh.nodes, where));
+      TM_ASSIGN_OR_RETURN(sets, read_sets(body, c_.bodies[b].nodes(), where));
       TM_RETURN_IF_ERROR(fix(body, b, sets, where));
       TM_RETURN_IF_ERROR(prescribe(body, b, sets, where));
       TM_RETURN_IF_ERROR(load(body, b, sets, where));
@@ -65,7 +65,7 @@ class BoundaryConditions {
   Result<void> fix(const v1::Body& body, std::size_t b, const NodeSets& sets, std::string_view where) {
     for (int i = 0; i < body.fixed_size(); ++i) {
       TM_ASSIGN_OR_RETURN(
-          nodes, read_region(body.fixed(i), c_.bodies[b].mesh.nodes, sets, fmt::format("{}.fixed[{}]", where, i)));
+          nodes, read_region(body.fixed(i), c_.bodies[b].nodes(), sets, fmt::format("{}.fixed[{}]", where, i)));
       for (const std::uint32_t node : nodes) {
         fix_directions(row(b, node), kAllDirections);
         fixed_[row(b, node)] = true;
@@ -78,7 +78,7 @@ class BoundaryConditions {
     for (int i = 0; i < body.prescribed_size(); ++i) {
       const std::string at = fmt::format("{}.prescribed[{}]", where, i);
       const v1::PrescribedDisplacement& p = body.prescribed(i);
-      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(p.region(), c_.bodies[b].nodes(), sets, at + ".region"));
       v1::Vector3 vector;
       vector.set_x(p.x_m());
       vector.set_y(p.y_m());
@@ -154,7 +154,7 @@ class BoundaryConditions {
     for (int i = 0; i < body.loads_size(); ++i) {
       const std::string at = fmt::format("{}.loads[{}]", where, i);
       const v1::Load& load = body.loads(i);
-      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].mesh.nodes, sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].nodes(), sets, at + ".region"));
       if (load.kind_case() == v1::Load::kForceN) {
         TM_ASSIGN_OR_RETURN(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
         for (const std::uint32_t node : nodes) {
@@ -223,13 +223,19 @@ class BoundaryConditions {
     return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);
   }
 
-  /// out: [row_count, 4]
+  /// Reads three values a node; those of the mesh's own nodes are enough. out: [row_count, 4].
   Result<void> read_start(const std::string& bytes, std::size_t b, std::string_view where, std::vector<double>& out) {
     if (bytes.empty()) return {};
     TM_ASSIGN_OR_RETURN(values, read_reals(bytes, 3, where));
-    const std::size_t node_count = c_.model.bodies[b].node_count;
-    if (values.size() != 3 * node_count) {
-      return invalid(fmt::format("{}: {} values for {} nodes; give three a node", where, values.size(), node_count));
+    const std::vector<mesh::EdgeEnds>& middle_of = c_.bodies[b].middle_of;
+    const std::size_t node_count = c_.model.bodies[b].node_count, own_count = node_count - middle_of.size();
+    if (values.size() == 3 * own_count) {
+      interpolate(values, b);
+    } else if (values.size() != 3 * node_count) {
+      const std::string or_own =
+          middle_of.empty() ? "" : fmt::format(", or for the {} of the mesh before element_order", own_count);
+      return invalid(
+          fmt::format("{}: {} values for {} nodes{}; give three a node", where, values.size(), node_count, or_own));
     }
     out.resize(4 * std::size_t{c_.model.layout.row_count}, 0);
     for (std::uint32_t node = 0; node < node_count; ++node) {
@@ -244,6 +250,17 @@ class BoundaryConditions {
       }
     }
     return {};
+  }
+
+  /// Adds the values of nodes that element_order added: the mean of both ends of their edge, or zero where fixed.
+  /// values: [own node count, 3], grows to [node_count, 3].
+  void interpolate(std::vector<double>& values, std::size_t b) {
+    for (const auto& [low, high] : c_.bodies[b].middle_of) {
+      const bool held = fixed_[row(b, static_cast<std::uint32_t>(values.size() / 3))];
+      for (std::size_t c = 0; c < 3; ++c) {
+        values.push_back(held ? 0 : 0.5 * (values[3 * std::size_t{low} + c] + values[3 * std::size_t{high} + c]));
+      }
+    }
   }
 
   void add_gravity() {

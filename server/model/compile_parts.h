@@ -10,6 +10,7 @@
 #include "model/compile.h"
 #include "model/material_input.h"
 #include "model/model.h"
+#include "model/scene_input.h"
 #include "physics/lists.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -19,6 +20,7 @@ namespace tensormass::model {
 /// A body whose message is read and whose mesh is admitted.
 struct ReadBody {
   mesh::Mesh mesh;
+  std::vector<mesh::EdgeEnds> middle_of;  ///< edges in whose middles the last nodes are (BodyNodes)
   physics::Quadrature quadrature = physics::Quadrature::kFull;
   bool consistent_mass = false;
   double density_kg_per_m3 = 0;
@@ -28,6 +30,7 @@ struct ReadBody {
   const Material& material(std::uint32_t element) const {
     return materials[element_materials.empty() ? 0 : element_materials[element]];
   }
+  BodyNodes nodes() const { return {mesh.nodes, middle_of}; }
 };
 
 /// Two wedges that share a volumetric quadrature point (wedge_pairs.h).

@@ -47,10 +47,10 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
   std::vector<const v1::Law*> laws{&body.law()};
   std::vector<std::string> law_where{fmt::format("{}.law", where)};
   std::vector<std::uint32_t> law_of;
-  TM_ASSIGN_OR_RETURN(sets, read_sets(body, out.mesh.nodes, where));
+  TM_ASSIGN_OR_RETURN(sets, read_sets(body, out.nodes(), where));
   for (int i = 0; i < body.law_regions_size(); ++i) {
     const std::string at = fmt::format("{}.law_regions[{}]", where, i);
-    TM_ASSIGN_OR_RETURN(nodes, read_region(body.law_regions(i).region(), out.mesh.nodes, sets, at + ".region"));
+    TM_ASSIGN_OR_RETURN(nodes, read_region(body.law_regions(i).region(), out.nodes(), sets, at + ".region"));
     const std::vector<std::uint32_t> elements = elements_in(out.mesh, nodes);
     if (elements.empty()) {
       return invalid(fmt::format("{}.region: no element has all of its nodes in it; make it larger", at));

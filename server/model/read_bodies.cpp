@@ -4,6 +4,7 @@
 
 #include "core/limits.h"
 #include "mesh/admission.h"
+#include "mesh/elevate.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
@@ -66,6 +67,29 @@ Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<st
   }
 }
 
+Result<bool> read_makes_quadratic(const v1::Body& body, std::string_view where) {
+  switch (body.element_order()) {
+    case v1::ELEMENT_ORDER_UNSPECIFIED:
+    case v1::ELEMENT_ORDER_AS_GIVEN:
+      return false;
+    case v1::ELEMENT_ORDER_QUADRATIC:
+      return true;
+    default:
+      return invalid(fmt::format("{}.element_order: {} is unknown", where, static_cast<int>(body.element_order())));
+  }
+}
+
+/// Refuses a mesh with which the scene would exceed the limits.
+Result<void> check_scene_size(const Compilation& c, const mesh::Mesh& mesh, std::string_view where) {
+  const std::uint64_t nodes = c.merged.nodes.size() + mesh.nodes.size();
+  const std::uint64_t elements = std::uint64_t{mesh::element_count(c.merged)} + mesh::element_count(mesh);
+  if (nodes <= limits::kMaxNodes && elements <= limits::kMaxElements) return {};
+  return fail(ErrorCode::kResourceExhausted,
+              fmt::format("{}: the scene would have {} nodes and {} elements; limits::kMaxNodes = {}, "
+                          "limits::kMaxElements = {}",
+                          where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
+}
+
 /// Reads one body, checks its mesh, and appends it to the mesh of the scene.
 Result<void> read_body(Compilation& c, std::size_t index, const Progress& progress) {
   const v1::Body& body = c.scene.bodies(static_cast<int>(index));
@@ -73,17 +97,21 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kReadMesh, index, body_count));
   const std::string where = fmt::format("body '{}'", body.name());
   TM_RETURN_IF_ERROR(check_counts(body, where));
+  TM_ASSIGN_OR_RETURN(makes_quadratic, read_makes_quadratic(body, where));
   TM_ASSIGN_OR_RETURN(mesh, read_mesh(body, where));
-  const std::uint64_t nodes = c.merged.nodes.size() + mesh.nodes.size();
-  const std::uint64_t elements = std::uint64_t{mesh::element_count(c.merged)} + mesh::element_count(mesh);
-  if (nodes > limits::kMaxNodes || elements > limits::kMaxElements) {
-    return fail(ErrorCode::kResourceExhausted,
-                fmt::format("{}: the scene would have {} nodes and {} elements; limits::kMaxNodes = {}, "
-                            "limits::kMaxElements = {}",
-                            where, nodes, elements, limits::kMaxNodes, limits::kMaxElements));
-  }
+  TM_RETURN_IF_ERROR(check_scene_size(c, mesh, where));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kCheckMesh, index, body_count));
   TM_ASSIGN_OR_RETURN(report, mesh::admit(mesh, body.name()));
+  std::vector<mesh::EdgeEnds> middle_of;
+  if (makes_quadratic) {
+    // The mesh as given is admitted first, so that messages name its own elements and nodes.
+    TM_ASSIGN_OR_RETURN(elevated, mesh::elevate(std::move(mesh), where + ".element_order"));
+    mesh = std::move(elevated.mesh);
+    middle_of = std::move(elevated.middle_of);
+    TM_RETURN_IF_ERROR(check_scene_size(c, mesh, where));
+    TM_ASSIGN_OR_RETURN(report_of_quadratic, mesh::admit(mesh, body.name()));
+    report = std::move(report_of_quadratic);
+  }
   TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
 
   BodyModel out;
@@ -117,6 +145,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
 
   ReadBody read;
   read.mesh = std::move(mesh);
+  read.middle_of = std::move(middle_of);
   read.density_kg_per_m3 = density;
   TM_RETURN_IF_ERROR(read_quadrature(body, read, c.model.warnings, where));
   TM_RETURN_IF_ERROR(read_materials(body, read, where));

@@ -122,6 +122,21 @@ Result<mesh::Mesh> read_source(const v1::Mesh& source, std::string_view where) {
   return invalid(fmt::format("{}.mesh: no source; give packed or grid", where));
 }
 
+/// Adds the nodes in the middle of edges that have both ends among the selected nodes. `selected` stays ascending.
+void add_middles(std::vector<std::uint32_t>& selected, const BodyNodes& nodes) {
+  if (nodes.middle_of.empty() || selected.size() < 2) return;
+  std::vector<bool> is_in(nodes.positions.size(), false);
+  for (const std::uint32_t node : selected) is_in[node] = true;
+  auto middle = static_cast<std::uint32_t>(nodes.positions.size() - nodes.middle_of.size());
+  const std::size_t before = selected.size();
+  for (const auto& [low, high] : nodes.middle_of) {
+    if (is_in[low] && is_in[high] && !is_in[middle]) selected.push_back(middle);
+    ++middle;
+  }
+  const auto added = selected.begin() + static_cast<std::ptrdiff_t>(before);
+  std::inplace_merge(selected.begin(), added, selected.end());
+}
+
 }  // namespace
 
 Result<void> check_name(std::string_view name, std::string_view what) {
@@ -195,7 +210,7 @@ Result<std::vector<double>> read_reals(const std::string& bytes, std::size_t wid
   return read_packed<double>(bytes, width, where);
 }
 
-Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector3d>& nodes, std::string_view where) {
+Result<NodeSets> read_sets(const v1::Body& body, const BodyNodes& nodes, std::string_view where) {
   NodeSets sets;
   for (int i = 0; i < body.sets_size(); ++i) {
     const std::string at = fmt::format("{}.sets[{}]", where, i);
@@ -206,7 +221,7 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
       return fail(ErrorCode::kResourceExhausted, fmt::format("{}.regions: {} exceed limits::kMaxRegionsOfSet = {}", at,
                                                              regions, limits::kMaxRegionsOfSet));
     }
-    std::vector<bool> is_in(nodes.size(), false);
+    std::vector<bool> is_in(nodes.positions.size(), false);
     for (int r = 0; r < regions; ++r) {
       // A set may refer to earlier sets.
       TM_ASSIGN_OR_RETURN(some,
@@ -214,9 +229,10 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
       for (const std::uint32_t node : some) is_in[node] = true;
     }
     std::vector<std::uint32_t> all;
-    for (std::uint32_t node = 0; node < nodes.size(); ++node) {
+    for (std::uint32_t node = 0; node < nodes.positions.size(); ++node) {
       if (is_in[node]) all.push_back(node);
     }
+    add_middles(all, nodes);
     if (!sets.emplace(body.sets(i).name(), std::move(all)).second) {
       return invalid(fmt::format("{}: the name '{}' is taken by another set", at, body.sets(i).name()));
     }
@@ -224,12 +240,12 @@ Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector
   return sets;
 }
 
-Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const std::vector<Eigen::Vector3d>& nodes,
-                                               const NodeSets& sets, std::string_view where) {
+Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const BodyNodes& nodes, const NodeSets& sets,
+                                               std::string_view where) {
   std::vector<std::uint32_t> selected;
   const auto select = [&](const auto& contains) {
-    for (std::uint32_t i = 0; i < nodes.size(); ++i) {
-      if (contains(nodes[i])) selected.push_back(i);
+    for (std::uint32_t i = 0; i < nodes.positions.size(); ++i) {
+      if (contains(nodes.positions[i])) selected.push_back(i);
     }
   };
   switch (region.kind_case()) {
@@ -250,8 +266,9 @@ Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const s
     }
     case v1::Region::kNodes: {
       for (const std::uint32_t index : region.nodes().indices()) {
-        if (index >= nodes.size()) {
-          return invalid(fmt::format("{}.nodes: node {} does not exist; the body has {}", where, index, nodes.size()));
+        if (index >= nodes.positions.size()) {
+          return invalid(
+              fmt::format("{}.nodes: node {} does not exist; the body has {}", where, index, nodes.positions.size()));
         }
         selected.push_back(index);
       }
@@ -275,6 +292,7 @@ Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const s
                     "translation",
                     where));
   }
+  add_middles(selected, nodes);
   return selected;
 }
 

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "core/limits.h"
 #include "core/result.h"
 #include "core/scalar.h"
+#include "mesh/elevate.h"
 #include "mesh/mesh.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -45,12 +47,20 @@ Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where);
 /// Reads a packed array of float64 with `width` values a row.
 Result<std::vector<double>> read_reals(const std::string& bytes, std::size_t width, std::string_view where);
 
+/// The nodes of a body, from which regions choose.
+struct BodyNodes {
+  std::span<const Eigen::Vector3d> positions;  ///< [node_count] m, at rest
+  /// Edges in whose middles the last nodes are, if the mesh was made quadratic. A region that has both ends of such an
+  /// edge has its middle too, so it has the same elements and faces as in the linear mesh.
+  std::span<const mesh::EdgeEnds> middle_of;
+};
+
 /// The named sets of a body, each a list of nodes, ascending.
 using NodeSets = std::map<std::string, std::vector<std::uint32_t>, std::less<>>;
-Result<NodeSets> read_sets(const v1::Body& body, const std::vector<Eigen::Vector3d>& nodes, std::string_view where);
+Result<NodeSets> read_sets(const v1::Body& body, const BodyNodes& nodes, std::string_view where);
 
 /// Returns the nodes of a region, ascending. A region without nodes is an error, because nobody means that.
-Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const std::vector<Eigen::Vector3d>& nodes,
-                                               const NodeSets& sets, std::string_view where);
+Result<std::vector<std::uint32_t>> read_region(const v1::Region& region, const BodyNodes& nodes, const NodeSets& sets,
+                                               std::string_view where);
 
 }  // namespace tensormass::model

@@ -173,7 +173,12 @@ def _block(name: str, trades: Trades) -> str:
 def _own(of: Trade) -> dict[str, Any]:
     """Values of the unmodified scene. Scenes that are not varied in them are meshes of linear tetrahedra in full
     quadrature, or ask for equilibrium."""
-    fixed = {"shape": "tetrahedron", "quadrature": "full", "integrator": "quasi_static"}
+    fixed = {
+        "shape": "tetrahedron",
+        "element_order": "as_given",
+        "quadrature": "full",
+        "integrator": "quasi_static",
+    }
     return {**fixed, **{knob.name: knob.own for knob in of.knobs()}}
 
 
@@ -185,8 +190,9 @@ def _mesh(values: dict[str, Any], element_count: int) -> str:
     quadrature = "" if values["quadrature"] == "full" else f", {values['quadrature']} quadrature"
     resolution = values["resolution"]
     edge = "" if resolution == 1 else f", `resolution` {resolution:g}"
+    order = "quadratic " if values["element_order"] == "quadratic" else ""
     return (
-        _words(f"{element_count} {values['shape']}s{quadrature}{edge}")
+        _words(f"{element_count} {order}{values['shape']}s{quadrature}{edge}")
         .replace("hexahedrons", "hexahedra")
         .replace("tetrahedrons", "tetrahedra")
     )

@@ -28,6 +28,7 @@ _COLUMNS = (
     "| `displacement` | L2 norm over volume and time |",
     "| `worst_node` | largest difference of any point at any time, relative to the largest displacement |",
     "| `force`, `force_angle_deg` | force on the tool: RMS error of its size, mean error of its direction |",
+    "| `force_held`, `force_moving` | as `force`, while the tool stays in and while it moves; not in older results |",
     "| `work` | work of pressing the tool in |",
     "| `frequency`, `damping` | of the free motion under the loads: relative error, difference of damping ratios |",
     "| `volume` | largest difference of V / V₀ |",
@@ -67,6 +68,8 @@ def settings(of: Trade) -> list[Row]:
                 "displacement": errors.displacement if errors else None,
                 "worst_node": errors.worst_node if errors else None,
                 "force": errors.force if errors else None,
+                "force_held": errors.force_held if errors else None,
+                "force_moving": errors.force_moving if errors else None,
                 "force_angle_deg": None if angle is None else math.degrees(angle),
                 "work": errors.work if errors else None,
                 "frequency": errors.frequency if errors else None,
@@ -161,7 +164,14 @@ def files(backends: Sequence[str]) -> dict[str, list[Row]]:
     trades = read(backends)
     tables = {"trade": settings, "trade-knobs": knobs, "trade-confirmed": confirmations}
     found = {name: [row for of in trades for row in rows_of(of)] for name, rows_of in tables.items()}
+    found["trade"] = _without_empty(found["trade"], ("force_held", "force_moving"))  # older results have none
     return {name: rows for name, rows in (found | {"trade-calculix": trade_calculix.table()}).items() if rows}
+
+
+def _without_empty(rows: list[Row], columns: Sequence[str]) -> list[Row]:
+    """Rows without those of the columns in which no row has a value."""
+    empty = {name for name in columns if all(row[name] is None for row in rows)}
+    return [{name: value for name, value in row.items() if name not in empty} for row in rows]
 
 
 def section(backends: Sequence[str]) -> list[str]:

@@ -161,6 +161,163 @@ TEST(Compile, WarningsOfTheMeshReachTheModel) {
   EXPECT_NE(model.warnings[0].find("'beam'"), std::string::npos) << model.warnings[0];
 }
 
+/// Two cells of Kuhn's tetrahedra along x, made quadratic: 2 × 1 × 1 m, 12 nodes of the mesh and 33 in the middle of
+/// edges.
+class MadeQuadratic : public testing::Test {
+ protected:
+  void SetUp() override {
+    scene_ = tests::beam_scene({.cells_x = 2, .cells_y = 1, .cells_z = 1, .size_x_m = 2, .size_z_m = 1});
+    scene_.clear_gravity_m_per_s2();
+    body().clear_fixed();
+    body().set_element_order(v1::ELEMENT_ORDER_QUADRATIC);
+  }
+  v1::Body& body() { return *scene_.mutable_bodies(0); }
+  /// The nodes of the mesh at x = 0.
+  static void end(v1::NodeSet& nodes) {
+    for (const std::uint32_t node : {0u, 3u, 6u, 9u}) nodes.add_indices(node);
+  }
+  /// Nodes that are not free, by their rest positions.
+  static std::vector<Eigen::Vector3d> fixed(const Model& model) {
+    std::vector<Eigen::Vector3d> found;
+    for (std::uint32_t node = 0; node < model.bodies[0].node_count; ++node) {
+      if (at(model, model.rest, node, 3) == 7) continue;
+      found.emplace_back(at(model, model.rest, node, 0), at(model, model.rest, node, 1),
+                         at(model, model.rest, node, 2));
+    }
+    return found;
+  }
+  /// Returns three values a node: its number, 0 and 10.
+  static std::string numbers(std::size_t count) {
+    std::vector<double> values(3 * count, 10);
+    for (std::size_t node = 0; node < count; ++node) {
+      values[3 * node] = static_cast<double>(node);
+      values[3 * node + 1] = 0;
+    }
+    return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(double)};
+  }
+
+  v1::Scene scene_;
+};
+
+TEST_F(MadeQuadratic, NodesGrowAndElementsVolumeAndMassDoNot) {
+  const Model model = compiled(scene_);
+  EXPECT_EQ(model.bodies[0].node_count, 45u) << "a lattice of 5 x 3 x 3 points";
+  EXPECT_EQ(model.bodies[0].element_count, 12u);
+  EXPECT_NEAR(model.bodies[0].volume_m3, 2, 1e-12);
+  EXPECT_NEAR(std::accumulate(model.row_mass.begin(), model.row_mass.end(), 0.0), 2000, 1e-9);
+  body().set_element_order(v1::ELEMENT_ORDER_AS_GIVEN);
+  EXPECT_EQ(compiled(scene_).bodies[0].node_count, 12u);
+}
+
+TEST_F(MadeQuadratic, ARegionHasTheNodesBetweenItsOwn) {
+  const auto expect_end = [&](const char* what) {
+    const std::vector<Eigen::Vector3d> nodes = fixed(compiled(scene_));
+    EXPECT_EQ(nodes.size(), 9u) << what << ": four corners, and the middles of four sides and a diagonal";
+    for (const Eigen::Vector3d& node : nodes) EXPECT_EQ(node.x(), 0) << what;
+    body().clear_fixed();
+    body().clear_sets();
+  };
+  end(*body().add_fixed()->mutable_nodes());
+  expect_end("indices");
+
+  tests::set(*body().add_fixed()->mutable_box()->mutable_max_m(), 0, 1, 1);
+  expect_end("box");
+
+  v1::Sphere& sphere = *body().add_fixed()->mutable_sphere();
+  tests::set(*sphere.mutable_center_m(), -1, 0.5, 0.5);
+  sphere.set_radius_m(std::sqrt(1.5) + 1e-9);
+  expect_end("sphere");
+
+  v1::NamedSet& set = *body().add_sets();
+  set.set_name("end");
+  for (const std::uint32_t node : {0u, 3u, 6u, 9u}) set.add_regions()->mutable_nodes()->add_indices(node);
+  body().add_fixed()->set_set("end");
+  expect_end("a set, each of its regions one node");
+
+  tests::set(*body().add_fixed()->mutable_box()->mutable_min_m(), 0.4, -1, -1);
+  tests::set(*body().mutable_fixed(0)->mutable_box()->mutable_max_m(), 0.6, 2, 2);
+  for (const Eigen::Vector3d& node : fixed(compiled(scene_))) {
+    EXPECT_EQ(node.x(), 0.5) << "no node of the mesh lies in the box, nine in the middle of edges do";
+  }
+}
+
+TEST_F(MadeQuadratic, LoadsAndLawsOfRegionsFindTheSameFacesAndElements) {
+  v1::Load& load = *body().add_loads();
+  end(*load.mutable_region()->mutable_nodes());
+  tests::set(*load.mutable_traction_pa(), 3, 0, 0);
+  v1::LawRegion& part = *body().add_law_regions();
+  for (const std::uint32_t node : {0u, 1u, 3u, 4u, 6u, 7u, 9u, 10u}) {
+    part.mutable_region()->mutable_nodes()->add_indices(node);
+  }
+  part.mutable_law()->mutable_hooke()->set_young_modulus_pa(5);
+  const Model model = compiled(scene_);
+  double total = 0;
+  for (std::uint32_t node = 0; node < 45; ++node) total += at(model, model.external, node, 0);
+  EXPECT_NEAR(total, 3, 1e-12) << "3 Pa on 1 m²";
+  ASSERT_EQ(model.groups.size(), 2u);
+  EXPECT_EQ(model.groups[1].element_count, 6u) << "the first cell, under the linear law";
+}
+
+TEST_F(MadeQuadratic, AStartOfTheMeshsNodesIsInterpolated) {
+  body().set_initial_displacement_m(numbers(12));
+  body().set_initial_velocity_m_per_s(numbers(45));
+  end(*body().add_fixed()->mutable_nodes());
+  EXPECT_FALSE(compile(scene_, {})) << "fixed nodes must start at rest";
+  body().clear_fixed();
+  const Model model = compiled(scene_);
+  // The first three edges are 0-1, 0-3, 0-4.
+  for (const auto& [node, x] : {std::pair(11u, 11.0), std::pair(12u, 0.5), std::pair(13u, 1.5), std::pair(14u, 2.0)}) {
+    EXPECT_EQ(at(model, model.initial_displacement, node, 0), x) << node;
+    EXPECT_EQ(at(model, model.initial_displacement, node, 1), 0) << node;
+    EXPECT_EQ(at(model, model.initial_displacement, node, 2), 10) << node;
+  }
+  EXPECT_EQ(at(model, model.initial_velocity, 44, 0), 44) << "values of all nodes are taken as they are";
+}
+
+TEST_F(MadeQuadratic, AFixedNodeInTheMiddleOfAFreeEdgeStartsAtRest) {
+  body().set_initial_displacement_m(numbers(12));
+  body().add_fixed()->mutable_nodes()->add_indices(12);
+  const Model model = compiled(scene_);
+  EXPECT_EQ(at(model, model.initial_displacement, 12, 0), 0);
+  EXPECT_EQ(at(model, model.initial_displacement, 12, 2), 0);
+  EXPECT_EQ(at(model, model.initial_displacement, 13, 0), 1.5);
+}
+
+TEST_F(MadeQuadratic, ElementFieldsAreOfTheSameElements) {
+  std::vector<double> young(12, 1e6);
+  young[7] = 2e6;
+  body().mutable_element_fields()->set_young_modulus_pa(young.data(), young.size() * sizeof(double));
+  EXPECT_EQ(compiled(scene_).bodies[0].element_count, 12u);
+  body().mutable_element_fields()->set_young_modulus_pa(young.data(), 11 * sizeof(double));
+  const auto refused = compile(scene_, {});
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("11 values for 12 elements"), std::string::npos) << refused.error().message;
+}
+
+TEST_F(MadeQuadratic, ASkinFollowsTheQuadraticMesh) {
+  const std::vector<double> vertices{0.25, 1, 0.25, 0.5, 1, 0.25, 0.25, 1, 0.75};
+  const std::vector<std::uint32_t> triangle{0, 1, 2};
+  v1::PackedTriangles& skin = *body().mutable_skin()->mutable_packed();
+  skin.set_vertex_positions(vertices.data(), vertices.size() * sizeof(double));
+  skin.set_triangles(triangle.data(), triangle.size() * sizeof(std::uint32_t));
+  scene_.mutable_streams()->set_frame_rate_hz(60);
+  const Model model = compiled(scene_);
+  ASSERT_EQ(model.visible.count(), 3u);
+  bool uses_middle = false;
+  for (std::size_t vertex = 0; vertex < 3; ++vertex) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      double x = 0;
+      for (std::size_t i = 4 * vertex; i < 4 * vertex + 4; ++i) {
+        x += model.visible.weights[i] * model.rest[4 * model.visible.rows[i] + axis];
+        uses_middle =
+            uses_middle || (model.visible.weights[i] != 0 && model.layout.node_of_row[model.visible.rows[i]] >= 12);
+      }
+      EXPECT_NEAR(x, vertices[3 * vertex + axis], 1e-14);
+    }
+  }
+  EXPECT_TRUE(uses_middle);
+}
+
 TEST(PatchPolicy, GivesEachPatchEnoughNodesAndAtLeastOnePatch) {
   EXPECT_EQ((PatchPolicy{8, 100}).count(1000), 8u);
   EXPECT_EQ((PatchPolicy{8, 100}).count(799), 7u);

@@ -206,6 +206,19 @@ std::vector<Refusal> mesh_refusals() {
          pack(s, {0, 1, 2, 3}, {0, 0, 0, 1, 0, 0, 0, kNan, 0, 0, 0, 1});
        },
        {"node 2 of body 'beam'", "nan"}},
+      {"InvertedElementToMakeQuadratic",
+       [](auto& s) {
+         pack(s, {0, 2, 1, 3});
+         body(s).set_element_order(v1::ELEMENT_ORDER_QUADRATIC);
+       },
+       {"element 0 of body 'beam' (nodes 0, 2, 1, 3) is inverted"}},
+      {"QuadraticHexahedra",
+       [](auto& s) {
+         grid(s).set_shape(v1::SHAPE_HEXAHEDRON);
+         body(s).set_element_order(v1::ELEMENT_ORDER_QUADRATIC);
+       },
+       {"body 'beam'.element_order", "element 0 is of shape hexahedron", "32 of this kind",
+        "mesh the body with tetra"}},
       {"NodeWithoutElement",
        [](auto& s) {
          pack(s, {0, 1, 2, 3}, {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 5, 5, 5});
@@ -412,6 +425,9 @@ std::vector<Refusal> law_refusals() {
       {"UnknownQuadrature",
        [](auto& s) { body(s).set_quadrature(static_cast<v1::Quadrature>(9)); },
        {"body 'beam'.quadrature", "9"}},
+      {"UnknownElementOrder",
+       [](auto& s) { body(s).set_element_order(static_cast<v1::ElementOrder>(9)); },
+       {"body 'beam'.element_order", "9", "unknown"}},
       {"UnknownMass", [](auto& s) { body(s).set_mass(static_cast<v1::Mass>(9)); }, {"body 'beam'.mass", "9"}},
       {"UnknownShape",
        [](auto& s) { grid(s).set_shape(static_cast<v1::Shape>(9)); },
@@ -512,6 +528,12 @@ std::vector<Refusal> start_refusals() {
       {"FixedNodeThatStartsElsewhere",
        [=](auto& s) { body(s).set_initial_velocity_m_per_s(start(225, 1)); },
        {"body 'beam'.initial_velocity_m_per_s, node 0", "is fixed"}},
+      {"StartOfNeitherTheMeshNorItsQuadraticElements",
+       [=](auto& s) {
+         body(s).set_element_order(v1::ELEMENT_ORDER_QUADRATIC);
+         body(s).set_initial_displacement_m(start(228, 0));
+       },
+       {"body 'beam'.initial_displacement_m", "228 values for 405 nodes", "the 75 of the mesh before element_order"}},
       {"VelocityWithoutInertia",
        [=](auto& s) {
          s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tensormass._src import grids, mesh_geometry, mesh_repair, meshes, tetwild
+from tensormass._src.elevate import elevated
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.shapes import SHAPES
 
@@ -161,6 +162,39 @@ def test_middle_nodes_of_quadratic_tetrahedra_are_in_the_middle_of_their_edges()
     at = mesh.nodes[mesh.elements("quadratic_tetrahedron")]
     for middle, (a, b) in zip(range(4, 10), [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], strict=True):
         np.testing.assert_allclose(at[:, middle], (at[:, a] + at[:, b]) / 2)
+
+
+def test_a_mesh_made_quadratic_has_a_node_in_the_middle_of_each_edge() -> None:
+    grid = grids.grid([2, 1, 3], [2.0, 1.0, 3.0])
+    turned = grid.elements("tetrahedron")[::-1, [1, 2, 0, 3]]
+    linear = meshes.VolumeMesh.from_tetrahedra(grid.nodes, turned)
+    mesh = elevated(linear)
+    edges = sorted({(min(a, b), max(a, b)) for of in turned.tolist() for a in of for b in of if a != b})
+    np.testing.assert_array_equal(mesh.nodes[: len(grid.nodes)], grid.nodes)
+    np.testing.assert_array_equal(
+        mesh.nodes[len(grid.nodes) :], [(grid.nodes[a] + grid.nodes[b]) / 2 for a, b in edges]
+    )
+    elements = mesh.elements("quadratic_tetrahedron")
+    np.testing.assert_array_equal(elements[:, :4], turned)
+    for middle, (a, b) in zip(range(4, 10), [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], strict=True):
+        pairs = np.sort(turned[:, [a, b]], axis=1).tolist()
+        assert [len(grid.nodes) + edges.index((low, high)) for low, high in pairs] == elements[:, middle].tolist()
+
+
+def test_a_linear_tetrahedron_made_quadratic_takes_the_middles_of_quadratic_ones() -> None:
+    quadratic = elevated(
+        meshes.VolumeMesh.from_tetrahedra([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
+    )
+    nodes = np.concatenate([quadratic.nodes, [[0, -1, 0], [0, 0, -1]]])
+    own = quadratic.elements("quadratic_tetrahedron")
+    mixed = meshes.VolumeMesh.from_arrays(
+        nodes, [("quadratic_tetrahedron", own), ("tetrahedron", [[1, 0, 11, 10]]), ("hexahedron", [range(8)])]
+    )
+    mesh = elevated(mixed)
+    np.testing.assert_array_equal(mesh.blocks[0].nodes, own)
+    np.testing.assert_array_equal(mesh.blocks[1].nodes, [[1, 0, 11, 10, 4, 13, 15, 14, 12, 16]])
+    np.testing.assert_array_equal(mesh.blocks[2].nodes, [range(8)])
+    assert len(mesh.nodes) == 17
 
 
 def test_boundary_and_volume_of_a_mixed_mesh() -> None:

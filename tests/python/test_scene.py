@@ -323,6 +323,7 @@ def test_a_scene_from_meshio_is_that_of_its_arrays() -> None:
             {"law": "transversely_isotropic", "constants": {"fibre_modulus_pa": 1.0, "fibre_direction": 1.0}},
             "fibre_direction: expected three finite numbers",
         ),
+        ({"element_order": "cubic"}, "body.element_order: unknown value 'cubic'; known: as_given, quadratic"),
         ({"quadrature": "gauss"}, "body.quadrature: unknown value 'gauss'; known: full, reduced, selective"),
         ({"mass": "lump"}, "body.mass: unknown value 'lump'; did you mean 'lumped'"),
         ({"fixed": "wall"}, "body.fixed: the mesh has no set 'wall'; known: none"),
@@ -350,6 +351,7 @@ def test_wrong_options_are_refused(options: dict[str, object], message: str) -> 
         ("solver: {integrator: bdf2}", lambda scene: scene.solver.integrator),
         ("bodies: [{quadrature: reduced}]", lambda scene: scene.bodies[0].quadrature),
         ("bodies: [{mass: CONSISTENT}]", lambda scene: scene.bodies[0].mass),
+        ("bodies: [{element_order: quadratic}]", lambda scene: scene.bodies[0].element_order),
         ("bodies: [{mesh: {packed: {elements: [{}, {shape: pyramid}]}}}]", lambda scene: second_shape(scene)),
     ],
 )
@@ -403,6 +405,7 @@ def test_laws_have_their_constants_by_name() -> None:
         density_kg_per_m3=1,
         quadrature="selective",
         mass="consistent",
+        element_order="quadratic",
     )
     assert body.law == scene_pb2.Law(
         transversely_isotropic=scene_pb2.TransverselyIsotropic(
@@ -415,6 +418,7 @@ def test_laws_have_their_constants_by_name() -> None:
     )
     assert body.quadrature == scene_pb2.QUADRATURE_SELECTIVE
     assert body.mass == scene_pb2.MASS_CONSISTENT
+    assert body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC
     rubber = tm.law_message("mooney_rivlin", {"c10_pa": 3, "c01_pa": 0, "bulk_modulus_pa": 9})
     assert rubber == scene_pb2.Law(mooney_rivlin=scene_pb2.MooneyRivlin(c10_pa=3, bulk_modulus_pa=9))
 

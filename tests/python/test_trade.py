@@ -23,6 +23,11 @@ from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.measures import Errors, compare, oscillation, richardson
 from tensormass_tools.trade.script import Script
 
+FILE_OF_TETRAHEDRA = BLOCK.replace(
+    "grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 4, cells_y: 4, cells_z: 3, shape: hexahedron}", "file: a.msh"
+)
+ORDERS = ("as_given", "quadratic")
+
 # --- knobs ------------------------------------------------------------------------------------------------------------
 
 
@@ -76,11 +81,7 @@ def test_a_law_beyond_the_poisson_ratio_that_laws_accept_is_not_exchanged(
 def test_missing_knobs_have_a_reason(tmp_path: Path) -> None:
     meshes_of = grids.grid([1, 1, 1], [1, 1, 1])
     tm.write_mesh(tmp_path / "a.msh", meshes_of)
-    text = BLOCK.replace(
-        "grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 4, cells_y: 4, cells_z: 3, shape: hexahedron}",
-        "file: a.msh",
-    )
-    knobs = knobs_of(text, tmp_path)
+    knobs = knobs_of(FILE_OF_TETRAHEDRA, tmp_path)
     assert "comes from a file" in knobs.without["resolution"]
     assert "one point" in knobs.without["quadrature"]
     with pytest.raises(tm.InvalidArgumentError, match="comes from a file"):
@@ -93,6 +94,42 @@ def test_missing_knobs_have_a_reason(tmp_path: Path) -> None:
     assert "element fields" in knobs_of(uneven, tmp_path).without["resolution"]
     still = BLOCK.replace("solver: {", "solver: {integrator: quasi_static, ")
     assert "equilibrium" in knobs_of(still, tmp_path).without["integrator"]
+
+
+def test_tetrahedra_of_any_mesh_can_be_quadratic(tmp_path: Path) -> None:
+    tm.write_mesh(tmp_path / "a.msh", grids.grid([1, 1, 1], [1, 1, 1]))
+    knobs = knobs_of(FILE_OF_TETRAHEDRA, tmp_path)
+    assert (knobs.knobs["element_order"].own, knobs.knobs["element_order"].values) == ("as_given", ORDERS)
+    assert "element_order" in knobs.refinable
+    assert knobs.canonical({"element_order": "as_given"}) == {}
+    body = knobs.apply({"element_order": "quadratic"}).message().bodies[0]
+    assert body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC
+    assert body.quadrature == scene_pb2.QUADRATURE_SELECTIVE  # now it has several points
+
+    text = FILE_OF_TETRAHEDRA.replace("    quad", "    element_order: quadratic\n    quad")
+    own = knobs_of(text, tmp_path)
+    assert own.knobs["element_order"].own == "quadratic"
+    assert own.canonical({"quadrature": "full"}) == {"quadrature": "full"}
+    linear = {"element_order": "as_given"}
+    assert own.canonical({**linear, "quadrature": "full"}) == linear
+    body = own.apply(linear).message().bodies[0]
+    assert body.element_order == scene_pb2.ELEMENT_ORDER_AS_GIVEN
+    assert body.quadrature == scene_pb2.QUADRATURE_UNSPECIFIED
+
+
+def test_other_meshes_have_a_reason_why_their_order_is_not_varied(tmp_path: Path) -> None:
+    assert "shapes" in knobs_of(BLOCK, tmp_path).without["element_order"]
+    tm.write_mesh(tmp_path / "a.msh", grids.grid([1, 1, 1], [1, 1, 1], shape="hexahedron"))
+    assert "only linear tetrahedra" in knobs_of(FILE_OF_TETRAHEDRA, tmp_path).without["element_order"]
+
+
+def test_the_shape_of_a_grid_includes_its_order(tmp_path: Path) -> None:
+    text = BLOCK.replace(", shape: hexahedron", "").replace("    quad", "    element_order: quadratic\n    quad")
+    knobs = knobs_of(text, tmp_path)
+    assert knobs.knobs["shape"].own == "quadratic_tetrahedron"
+    assert knobs.canonical({"shape": "tetrahedron", "quadrature": "full"}) == {"shape": "tetrahedron"}
+    body = knobs.apply({"shape": "hexahedron"}).message().bodies[0]
+    assert (body.mesh.grid.shape, body.element_order) == (scene_pb2.SHAPE_HEXAHEDRON, 0)
 
 
 def test_only_fixed_bodies_have_an_equilibrium(tmp_path: Path) -> None:
@@ -220,6 +257,34 @@ def test_errors_are_shares_of_the_reference() -> None:
     assert errors.judged == errors.force
     assert errors.damping == pytest.approx(0.1 / math.hypot(10 * math.pi, 1), rel=0.1)  # it dies away sooner
     assert compare(recording(0.9), recording(), weights).volume == pytest.approx(0.001)
+
+
+def test_force_is_compared_while_the_tool_stays_and_while_it_moves() -> None:
+    reference = replace(recording(), force=np.array([[0, 0, 1.0], [0, 0, 2.0], [3.0, 0, 0], [0, 0, 0]]))
+    other = replace(reference, force=np.array([[0, 1.5, 0], [0, 0, 2.2], [3.6, 0, 0], [0, 0, 0]]))
+    weights = [np.ones(3)]
+    errors = compare(other, reference, weights, np.array([False, True, True, False]))
+    assert errors.force_held == pytest.approx(math.hypot(0.2, 0.6) / math.hypot(2, 3))
+    assert errors.force_moving == pytest.approx(0.5)
+    assert errors.force == pytest.approx(math.sqrt(0.5**2 + 0.2**2 + 0.6**2) / math.sqrt(1 + 4 + 9))
+    nothing = compare(other, reference, weights, np.array([False, False, False, True]))
+    assert (nothing.force_held, nothing.force_moving) == (None, errors.force)
+    unsaid = compare(other, reference, weights)
+    assert (unsaid.force_held, unsaid.force_moving) == (None, None)
+
+
+def test_the_script_says_when_the_tool_stays_and_how_deep(tmp_path: Path) -> None:
+    scene = knobs_of(BLOCK, tmp_path).message
+    script = Script.of(scene, press_radii=0.7)
+    assert script.text().splitlines()[0].startswith("'probe' presses 7 mm deep; 1.6 s from rest")
+    held = script.held()
+    assert held is not None
+    times = script.sample_s * np.arange(1, script.sample_count + 1)
+    poses = np.array([script.pose(time)[2] for time in times])
+    np.testing.assert_array_equal(held, np.isclose(poses, poses.min(), rtol=0, atol=1e-12))
+    assert 5 < held.sum() < len(held) / 2
+    del scene.tools[:]
+    assert Script.of(scene).held() is None
 
 
 def test_errors_of_tiny_values() -> None:

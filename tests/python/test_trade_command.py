@@ -348,7 +348,7 @@ def test_each_value_of_a_knob_is_compared_with_the_scenes_own(tmp_path: Path) ->
 
 
 def test_a_row_has_its_units() -> None:
-    errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02)
+    errors = Errors(0.02, 0.03, 0.001, 0.05, math.radians(3), 0.04, 0.1, -0.02, 0.015)
     costs = replace(COSTS, latency_p50_s=0.0035, memory_bytes=12_300_000, step_energy_j=0.25)
     of = replace(measurement({"dt_s": 0.01}, 2e-3, 0.0), errors=errors, costs=costs, moved=0.004)
     row = dict(zip(report.HEADS, report.cells(of), strict=True))
@@ -359,6 +359,8 @@ def test_a_row_has_its_units() -> None:
         "displacement": "2 %",
         "worst node": "3 %",
         "force": "5 %",
+        "force held": "1.5 %",
+        "force moving": "–",
         "angle": "3°",
         "work": "4 %",
         "frequency": "10 %",
@@ -512,13 +514,20 @@ def test_a_tool_that_touches_nothing_is_reported(
     assert said in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.parametrize(
+    ("shape", "over"),
+    [
+        ("hexahedron", "errors without that of the mesh, which the reference does not refine"),
+        ("tetrahedron", "errors against the same mesh in quadratic tetrahedra, which the reference does not refine"),
+    ],
+)
 def test_errors_that_leave_out_the_mesh_say_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], shape: str, over: str
 ) -> None:
     stand_in(tmp_path, monkeypatch)
     assert run_on(tmp_path) == 0
     assert "without that of the mesh" not in "".join(capsys.readouterr())
-    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05], shape=shape))
     at = BLOCK.index("grid:")
     (tmp_path / "block.yaml").write_text(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :])
     assert run_on(tmp_path) == 0
@@ -527,7 +536,6 @@ def test_errors_that_leave_out_the_mesh_say_so(
     assert f"warning: {said}" in error
     assert f"  {said}" in printed
     assert "its own error (without that of the mesh), by Richardson" in printed
-    over = "errors without that of the mesh, which the reference does not refine"
     assert f"{over}\n   setting" in printed
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.index(over) < page.index("<th>setting</th>")

@@ -29,6 +29,7 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
 
     found = find(0.02, 1e9)
     assert found.ended == "below a third of the tolerance"
+    assert not found.raises_order
     assert found.order == pytest.approx(2, abs=0.2)
     true_error = found.recording.displacement[0].max() - 1
     assert found.displacement_error == pytest.approx(true_error, rel=0.25)
@@ -50,6 +51,55 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
     limited = find(1e-9, 30.0)
     assert "--reference-seconds 30" in limited.ended
     assert limited.error > 1e-9
+
+
+def test_the_reference_of_a_tetrahedral_mesh_is_quadratic(tmp_path: Path) -> None:
+    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    at = BLOCK.index("grid:")
+    knobs = knobs_of(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :], tmp_path)
+    script, store = Script.of(knobs.message, None), Store(tmp_path)
+    formula = Formula(knobs.message, script)
+    found = reference.find(knobs, script, formula, store, MACHINE, tolerance=0.02, limit_s=1e9, say=lambda _: None)  # type: ignore[arg-type]
+    assert found.levels[-1].setting["element_order"] == "quadratic"
+    assert found.raises_order
+    assert found.linear == []  # the mesh is not refined, so linear tetrahedra have another limit
+
+
+@pytest.mark.parametrize(("wrongness", "is_approached"), [((10, 5, 2), True), ((10, 10, 20), False)])
+def test_refined_linear_tetrahedra_approach_a_quadratic_reference(
+    tmp_path: Path, wrongness: tuple[float, ...], is_approached: bool
+) -> None:
+    class Tetrahedra(Formula):
+        left = iter(wrongness)
+
+        def record(self, scene: scene_pb2.Scene) -> Recording:
+            is_linear = scene.bodies[0].element_order != scene_pb2.ELEMENT_ORDER_QUADRATIC
+            self.wrongness = [next(self.left)] if is_linear else []
+            return super().record(scene)
+
+    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    at = BLOCK.index("grid:")
+    knobs = knobs_of(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :], tmp_path)
+    # As if the mesh were that of a built-in organ.
+    knobs.refinable.add("resolution")
+    knobs._setters["resolution"] = lambda fields, value: None
+    script, said = Script.of(knobs.message, None), list[str]()
+
+    def find(limit_s: float) -> reference.Reference:
+        formula, store = Tetrahedra(knobs.message, script), Store(tmp_path / f"{limit_s}")
+        formula.left = iter(wrongness)
+        return reference.find(knobs, script, formula, store, MACHINE, tolerance=1e-9, limit_s=limit_s, say=said.append)  # type: ignore[arg-type]
+
+    found = find(1e9)
+    assert [of.setting["element_order"] for of in found.linear] == ["as_given"] * 3
+    assert [of.setting["resolution"] for of in found.linear] == [of.setting["resolution"] for of in found.levels[-3:]]
+    assert found.is_approached == is_approached
+    assert found.text()[-1].startswith("in linear tetrahedra: 64 elements")
+    assert f"reference, {found.text()[-1]}" == said[-1]
+    # Almost all that is left is the error of a mesh that stands still, 1 % in quadratic tetrahedra.
+    distances = [of.displacement for of in found.linear]
+    assert distances == pytest.approx([0.01 * (off - 1) / 1.01 for off in wrongness], rel=0.1)
+    assert len(find(10.0).linear) == 1  # no time for more
 
 
 def test_a_level_that_fails_ends_the_refinement_only_where_there_are_two(tmp_path: Path) -> None:

@@ -72,6 +72,8 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     moved = {of["setting"].get("dt_s"): of["moved"] for of in result["measurements"] if len(of["setting"]) < 2}
     assert 1.3 < moved[0.02] / moved[0.005] < 3
     assert 0 < own["force"] < 1  # it was felt
+    assert 0 < own["force_held"] < 1
+    assert 0 < own["force_moving"] < 1
     assert own["frequency"] < 0.5  # it swings
     (as_it_is,) = (of for of in result["measurements"] if not of["setting"])
     assert as_it_is["moved"] == 0  # the same run twice, bit by bit
@@ -86,6 +88,18 @@ def test_a_pressed_block(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     again, promised = result["confirmed"]["most_accurate"], result["most_accurate"]
     assert again["errors"] == promised["errors"]
     assert "most_accurate.yaml, read and run again" in said.out
+
+
+def test_a_mesh_of_tetrahedra_is_compared_with_quadratic_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tm.write_mesh(tmp_path / "bar.msh", tm.grid([10, 2, 2], [0.1, 0.02, 0.02]))
+    text = BAR[: BAR.index("grid:")] + "file: bar.msh}" + BAR[BAR.index("\n    law") :]
+    options = ("--knobs", "element_order,newton_max_iterations", "--combinations", "0", "--timing-seconds", "0.1")
+    result = trade(text, tmp_path, *options)
+    assert "errors against the same mesh in quadratic tetrahedra" in capsys.readouterr().out
+    assert errors_of(result)["displacement"] > 0.2  # linear tetrahedra lock
+    assert errors_of(result, element_order="quadratic")["displacement"] < 1e-5
 
 
 def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

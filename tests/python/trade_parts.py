@@ -78,6 +78,7 @@ class Formula:
         self.min_det_f = 0.9
         self._cells = _cells_of(scene)
         self._own_dt_s = script.sample_s / 2
+        self._samples = script.sample_count
         self._broken_law = broken_law
 
     def record(self, scene: scene_pb2.Scene) -> Recording:
@@ -97,11 +98,21 @@ class Formula:
         costs = replace(
             COSTS, step_p50_s=1e-3 * slowness * (cells / self._cells) ** 3, wall_s=(cells / self._cells) ** 3 / dt
         )
-        u = (1 + error) * np.ones((2, 2, 3))
-        force = self.felt * (1 + error / 2) * np.array([[0, 0, 1.0], [0, 0, 2]])
+        u = (1 + error) * np.ones((self._samples, 2, 3))
+        force = self.felt * (1 + error / 2) * np.full((self._samples, 3), [0, 0, 2.0])
         empty = np.empty(0)
         return Recording(
-            [u], np.ones((1, 2)), force, 1.0, empty, empty, cells**3, 0.0, self.unconverged_steps, self.min_det_f, costs
+            [u],
+            np.ones((1, self._samples)),
+            force,
+            1.0,
+            empty,
+            empty,
+            cells**3,
+            0.0,
+            self.unconverged_steps,
+            self.min_det_f,
+            costs,
         )
 
     def measure(

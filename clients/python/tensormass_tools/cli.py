@@ -22,6 +22,7 @@ from tensormass._src.errors import TensormassError
 from tensormass._src.launching import launch
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
+from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
@@ -212,12 +213,13 @@ def _parser() -> argparse.ArgumentParser:
 def _load(args: argparse.Namespace) -> int:
     with connect(find_server(args.server)) as server:
         progress = load_line(quiet=args.json)
-        report = server.load(args.scene, name=args.name, lockstep=args.lockstep, progress=progress).report
+        scene = Scene.from_file(args.scene)
+        report = server.load(scene, name=args.name, lockstep=args.lockstep, progress=progress).report
         assert report is not None
         if args.json:
             print_json({"server": server.address, **to_plain(report)})
         else:
-            print(f"server {server.address}\n{report_text(report)}")
+            print(f"server {server.address}\n{report_text(report, scene.message)}")
     return 0
 
 
@@ -278,12 +280,13 @@ def _report(args: argparse.Namespace) -> int:
 
 
 def _inspect(args: argparse.Namespace) -> int:
+    scene = Scene.from_file(args.scene)
     with (
         connect(args.server) if args.server else launch(backend=args.backend, zenoh=False) as server,
         end_explained(server.process, server.log_file),
     ):
-        report = server.inspect(args.scene)
-    print_json(to_plain(report)) if args.json else print(report_text(report))
+        report = server.inspect(scene)
+    print_json(to_plain(report)) if args.json else print(report_text(report, scene.message))
     return 0
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import MeshQuality
-from tensormass.v1 import control_pb2, stream_pb2
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
 
@@ -115,7 +115,7 @@ def force_n(feedback: stream_pb2.ToolFeedback) -> float:
     return float(np.linalg.norm([force.x, force.y, force.z]))
 
 
-def report_text(report: control_pb2.SceneReport) -> str:
+def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     """Returns the plan of a scene: its bodies, what is not modelled, warnings, then what a step does and costs."""
     bodies = [["body", "nodes", "elements", "fixed", "volume", "mass", "min dihedral", "skin or boundary"]]
     for body in report.bodies:
@@ -138,6 +138,9 @@ def report_text(report: control_pb2.SceneReport) -> str:
     ]
     buffers = [["buffer", "bytes"], *([buffer.name, _bytes(buffer.bytes)] for buffer in report.buffers)]
     sections = [f"scene {report.scene}", table(bodies)]
+    elevated = [repr(body.name) for body in scene.bodies if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC]
+    if elevated:
+        sections.append(f"made quadratic, with a node in the middle of each edge: {', '.join(elevated)}")
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
     if report.warnings:

@@ -113,7 +113,7 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         version = server.version()
         _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
         if args.verbose and handle.report is not None:
-            _say(args, report_text(handle.report))
+            _say(args, report_text(handle.report, scene.message))
         viewer = None if args.no_viewer else await parts.enter_async_context(_viewer(args, server))
         if args.json:
             print_json({"control": server.address, **({"viewer": viewer.url} if viewer is not None else {})})

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.meshes import ElementBlock, VolumeMesh
 from tensormass._src.names import suggestion
-from tensormass._src.shapes import SHAPES
+from tensormass._src.shapes import QUADRATIC_MIDDLES, SHAPES
 
 # How a cell is cut, its corners counted as x + 2 y + 4 z and its centre as 8; the daemon cuts `Mesh.grid` in this way.
 _CELL_CUTS = {
@@ -20,7 +20,7 @@ _CELL_CUTS = {
     "hexahedron": [[0, 1, 3, 2, 4, 5, 7, 6]],
 }
 _CELL_CUTS["quadratic_tetrahedron"] = _CELL_CUTS["tetrahedron"]
-_MIDDLES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+_MIDDLES = np.array(QUADRATIC_MIDDLES)
 
 
 def grid(

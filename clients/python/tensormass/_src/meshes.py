@@ -19,6 +19,7 @@ from tensormass._src.shapes import SHAPES, Shape
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.uint32]
+BoolArray = npt.NDArray[np.bool_]
 #: Parameters of single elements that a mesh can carry: number of components, by name.
 ELEMENT_FIELDS = {"young_modulus_pa": 1, "poisson_ratio": 1, "fibre_directions": 3}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tensormass._src import grids, meshes
+from tensormass._src.elevate import elevated
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2
@@ -41,7 +42,13 @@ def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.Vol
 
 
 def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
-    """Returns the mesh of a body's message, before scale and translation. A grid is cut into its elements."""
+    """Returns the mesh that the daemon makes of a body's message, before scale and translation: a grid is cut into
+    elements, and `element_order` adds nodes."""
+    mesh = _given_mesh(body)
+    return elevated(mesh) if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC else mesh
+
+
+def _given_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
     if body.mesh.WhichOneof("source") != "grid":
         return unpack_mesh(body.mesh.packed, f"body {body.name!r}")
     of = body.mesh.grid

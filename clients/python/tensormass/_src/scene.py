@@ -104,6 +104,7 @@ class Scene:
         density_kg_per_m3: float,
         quadrature: str | None = None,
         mass: str | None = None,
+        element_order: str | None = None,
         fixed: str | Sequence[str] = (),
         fixed_nodes: npt.ArrayLike | None = None,
         skin: meshes.TriangleSurface | None = None,
@@ -119,6 +120,8 @@ class Scene:
             prony: (share, relaxation time [s]) of each term.
             quadrature: "full" (default), "reduced" or "selective".
             mass: "lumped" (default) or "consistent".
+            element_order: "as_given" (default), or "quadratic" to make linear tetrahedra quadratic: the daemon adds
+                a node in the middle of each edge, after the mesh's own nodes.
             fixed: names of sets whose nodes do not move.
             fixed_nodes: further nodes that do not move, indices [k] or mask [node_count].
             skin: a finer surface that moves with the body; clients see it instead of the boundary.
@@ -144,6 +147,11 @@ class Scene:
             )
         if mass is not None:
             body.mass = cast(scene_pb2.Mass, enum_number(scene_pb2.Mass.DESCRIPTOR, mass, f"{name}.mass"))
+        if element_order is not None:
+            body.element_order = cast(
+                scene_pb2.ElementOrder,
+                enum_number(scene_pb2.ElementOrder.DESCRIPTOR, element_order, f"{name}.element_order"),
+            )
         add_what_the_mesh_carries(body, mesh, name)
         for set_name in [fixed] if isinstance(fixed, str) else fixed:
             if set_name not in mesh.sets:

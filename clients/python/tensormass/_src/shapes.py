@@ -79,9 +79,10 @@ _ALL = (
         ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
         (0, 3, 2, 1, 4, 7, 6, 5),
     ),
-    # Middles of the edges 01 12 02 03 13 23.
     Shape("quadratic_tetrahedron", 10, 4, "tetra10", _TETRAHEDRON_FACES, (0, 2, 1, 3, 6, 5, 4, 7, 9, 8)),
 )
+#: Ends of the edges whose middles are the nodes 4 to 9 of a quadratic tetrahedron.
+QUADRATIC_MIDDLES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 SHAPES = {shape.name: shape for shape in _ALL}
 BY_MESHIO_TYPE = {shape.meshio_type: shape for shape in _ALL}
 BY_NUMBER = {shape.number: shape for shape in _ALL}

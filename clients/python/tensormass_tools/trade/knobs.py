@@ -85,6 +85,7 @@ class Knobs:
             "resolution": self._set_resolution,
             "shape": self._set_shape,
             "law": self._set_law,
+            "element_order": self._set_element_order,
             "quadrature": lambda fields, value: each_body(fields, lambda body: body.update(quadrature=value)),
             "mass": lambda fields, value: each_body(fields, lambda body: body.update(mass=value)),
             "dt_s": set_dt,
@@ -95,18 +96,25 @@ class Knobs:
         self._find_time_knobs()
         self._find_solver_knobs()
         #: Knobs of the mesh that a reference may refine, even if `choose` drops them.
-        self.refinable = {"resolution", "shape"} & set(self.knobs)
+        self.refinable = {"resolution", "shape", "element_order"} & set(self.knobs)
 
     # --- settings -----------------------------------------------------------------------------------------------------
 
     def canonical(self, setting: Setting) -> dict[str, Value]:
         """Drops values that equal the scene's own or have no effect, and sorts by the order of the knobs."""
         kept = {name: setting[name] for name in self.knobs if name in setting and setting[name] != self.knobs[name].own}
-        if kept.get("shape", self._own_shape) == "tetrahedron":
-            kept.pop("quadrature", None)  # a linear tetrahedron always has one point
+        if self._has_one_point(kept):
+            kept.pop("quadrature", None)
         if self.value(kept, "integrator") == "quasi_static" and not self.quasi_static:
             kept.pop("mass", None)
         return kept
+
+    def _has_one_point(self, setting: Setting) -> bool:
+        """Tells whether all elements are linear tetrahedra in a setting."""
+        if "shape" in setting:
+            return setting["shape"] == "tetrahedron"
+        is_linear = setting.get("element_order", self._own_order) == "as_given"
+        return self._own_shape == "tetrahedron" and is_linear
 
     def value(self, setting: Setting, name: str) -> Value | None:
         """Returns the value of a knob in a setting; None if there is no such knob."""
@@ -205,15 +213,25 @@ class Knobs:
         else:
             self._add("resolution", "elements along an edge, against the scene's own", 1.0, _RESOLUTIONS, True)
         shapes = {_shape_of_grid(body) for body in bodies if body.mesh.WhichOneof("source") == "grid"}
+        orders = {body.element_order or scene_pb2.ELEMENT_ORDER_AS_GIVEN for body in bodies}
         self._own_shape = "tetrahedron" if all(map(_is_tetrahedral, bodies)) else "any"
+        self._own_order = "as_given" if orders == {scene_pb2.ELEMENT_ORDER_AS_GIVEN} else "quadratic"
         if reasons or not all(grids):
             self.without["shape"] = "; ".join(reasons) or "only grids are cut into any shape"
         elif len(shapes) > 1:
             self.without["shape"] = "the grids differ"
         else:
             self._add("shape", "shape of the elements", shapes.pop(), tuple(SHAPES))
+        if "shape" in self.knobs:
+            self.without["element_order"] = "one of the shapes is quadratic"
+        elif self._own_shape != "tetrahedron":
+            self.without["element_order"] = "only linear tetrahedra can be made quadratic"
+        elif len(orders) > 1:
+            self.without["element_order"] = "the bodies differ"
+        else:
+            self._add("element_order", "order of the tetrahedra", self._own_order, _ORDERS)
         quadratures = {body.quadrature or scene_pb2.QUADRATURE_FULL for body in bodies}
-        if "shape" not in self.knobs and self._own_shape == "tetrahedron":
+        if "shape" not in self.knobs and self._has_one_point({}):
             self.without["quadrature"] = "linear tetrahedra have one point"
         elif len(quadratures) > 1:
             self.without["quadrature"] = "the bodies differ"
@@ -307,7 +325,16 @@ class Knobs:
     def _set_shape(self, fields: dict[str, Any], value: Value) -> None:
         def set_of(body: dict[str, Any]) -> None:
             body["mesh"]["grid"]["shape"] = value
+            body.pop("element_order", None)  # the shape says it
             if value == "tetrahedron":
+                body.pop("quadrature", None)
+
+        each_body(fields, set_of)
+
+    def _set_element_order(self, fields: dict[str, Any], value: Value) -> None:
+        def set_of(body: dict[str, Any]) -> None:
+            body["element_order"] = value
+            if value == "as_given":
                 body.pop("quadrature", None)
 
         each_body(fields, set_of)
@@ -323,6 +350,7 @@ class Knobs:
 
 
 _MASSES = ("lumped", "consistent")
+_ORDERS = ("as_given", "quadratic")
 _SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
 
 
@@ -335,11 +363,14 @@ def _names_single_nodes(body: scene_pb2.Body) -> bool:
 
 
 def _shape_of_grid(body: scene_pb2.Body) -> str:
+    if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC:
+        return "quadratic_tetrahedron"
     return BY_NUMBER[body.mesh.grid.shape or scene_pb2.SHAPE_TETRAHEDRON].name
 
 
 def _is_tetrahedral(body: scene_pb2.Body) -> bool:
+    """Tells whether the body's mesh, before its element order, has only linear tetrahedra."""
     if body.mesh.WhichOneof("source") == "grid":
-        return _shape_of_grid(body) == "tetrahedron"
+        return (body.mesh.grid.shape or scene_pb2.SHAPE_TETRAHEDRON) == scene_pb2.SHAPE_TETRAHEDRON
     shapes = {block.shape or scene_pb2.SHAPE_TETRAHEDRON for block in body.mesh.packed.elements}
     return shapes == {scene_pb2.SHAPE_TETRAHEDRON}

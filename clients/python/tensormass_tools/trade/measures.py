@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tensormass._src.meshes import FloatArray
+from tensormass._src.meshes import BoolArray, FloatArray
 from tensormass_tools.trade.recording import Recording
 
 # The direction of a force counts while the force is above this share of its largest.
@@ -41,6 +41,9 @@ class Errors:
     frequency: float | None = None
     #: Difference of damping ratios.
     damping: float | None = None
+    #: As `force`, over the time for which the tool stays in, and over the rest; None also in older results.
+    force_held: float | None = None
+    force_moving: float | None = None
 
     @property
     def judged(self) -> float:
@@ -53,8 +56,15 @@ class Errors:
         return (self.displacement,) if self.force is None else (self.displacement, self.force)
 
 
-def compare(recording: Recording, reference: Recording, weights: Sequence[FloatArray]) -> Errors:
-    """Computes the errors. `weights`: volume of each point, [body][point] m³."""
+def compare(
+    recording: Recording, reference: Recording, weights: Sequence[FloatArray], held: BoolArray | None = None
+) -> Errors:
+    """Computes the errors.
+
+    Args:
+        weights: volume of each point, [body][point] m³.
+        held: [sample] whether the tool stays where it is deepest (`Script.held`); None: not told.
+    """
     off = above = 0.0
     worst = largest = 0.0
     for body, weight in enumerate(weights):
@@ -64,6 +74,9 @@ def compare(recording: Recording, reference: Recording, weights: Sequence[FloatA
         worst = max(worst, float(np.linalg.norm(difference, axis=2).max()))
         largest = max(largest, float(np.linalg.norm(reference.displacement[body], axis=2).max()))
     force, angle, work = _force_errors(recording, reference)
+    force_held, force_moving = (
+        (None, None) if held is None else (_force_size(recording, reference, part) for part in (held, ~held))
+    )
     own, true = (oscillation(of.free_times_s, of.free_m) for of in (recording, reference))
     return Errors(
         displacement=_share(math.sqrt(off), math.sqrt(above)),
@@ -74,6 +87,8 @@ def compare(recording: Recording, reference: Recording, weights: Sequence[FloatA
         work=work,
         frequency=None if true is None else 1.0 if own is None else abs(own[0] - true[0]) / true[0],
         damping=None if true is None or own is None else own[1] - true[1],
+        force_held=force_held,
+        force_moving=force_moving,
     )
 
 
@@ -84,15 +99,21 @@ def _share(part: float, whole: float) -> float:
 
 
 def _force_errors(recording: Recording, reference: Recording) -> tuple[float | None, float | None, float | None]:
-    own, true = (np.linalg.norm(of.force, axis=1) for of in (recording, reference))
-    if not true.any():
+    size = _force_size(recording, reference, np.ones(len(reference.force), bool))
+    if size is None:
         return None, None, None
+    own, true = (np.linalg.norm(of.force, axis=1) for of in (recording, reference))
     felt = true > _FELT_SHARE * true.max()
     product = np.einsum("ti,ti->t", recording.force[felt], reference.force[felt])
     cosine = product / np.maximum(own[felt] * true[felt], np.finfo(float).tiny)
     angle = float(np.average(np.arccos(np.clip(cosine, -1, 1)), weights=true[felt]))
-    size = _share(float(np.linalg.norm(own - true)), float(np.linalg.norm(true)))
     return size, angle, _share(abs(recording.work_j - reference.work_j), abs(reference.work_j))
+
+
+def _force_size(recording: Recording, reference: Recording, part: BoolArray) -> float | None:
+    """Returns the error of the force's magnitude over a part of the samples; None if the reference feels nothing."""
+    own, true = (np.linalg.norm(of.force[part], axis=1) for of in (recording, reference))
+    return _share(float(np.linalg.norm(own - true)), float(np.linalg.norm(true))) if true.any() else None
 
 
 def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] | None:

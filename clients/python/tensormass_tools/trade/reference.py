@@ -1,18 +1,22 @@
 """The reference: the scene refined until its result no longer moves. All settings are compared with it.
 
 Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
-second-order scheme and, for grids, the shape that converges fastest, because the limit is the same. Richardson
-extrapolation estimates the remaining error from the differences between levels.
+second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids,
+quadratic tetrahedra for other tetrahedral meshes. Richardson extrapolation estimates the remaining error from the
+differences between levels.
+
+A sequence that converges may still converge to something else. Where the reference has quadratic tetrahedra, its last
+levels are therefore also run in linear ones: their distance from the reference must shrink.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 
 from tensormass._src.errors import InvalidArgumentError, TensormassError
 from tensormass_tools.trade.knobs import Knobs
-from tensormass_tools.trade.measures import compare, richardson
+from tensormass_tools.trade.measures import Errors, compare, richardson
 from tensormass_tools.trade.recorder import Recorder
 from tensormass_tools.trade.recording import Recording
 from tensormass_tools.trade.scene_edits import Value
@@ -31,9 +35,15 @@ _NEWTON = {"newton_max_iterations": 50, "newton_tolerance": 1e-6, "cg_max_iterat
 SHARE_OF_TOLERANCE = 1 / 3
 
 
+# Number of levels that are also run in linear tetrahedra, and the share of the reference's time that they may take.
+_LINEAR_LEVELS = 3
+_LINEAR_TIME = 0.5
+
+
 @dataclass(frozen=True)
 class Level:
-    """One level of the sequence. Differences are against the level before."""
+    """One level of a sequence. Differences are against the level before; in linear tetrahedra, against the
+    reference."""
 
     setting: dict[str, Value]
     element_count: int
@@ -44,11 +54,11 @@ class Level:
     displacement: float | None = None
     force: float | None = None
 
-    def text(self) -> str:
+    def text(self, against: str = "the level before") -> str:
         """Describes it for people."""
         text = f"{self.element_count} elements, {self.step_count} steps, {self.wall_s:.0f} s"
         if self.displacement is not None:
-            text += f", displacement {self.displacement:.2%} from the level before"
+            text += f", displacement {self.displacement:.2%} from {against}"
         if self.force is not None:
             text += f", force {self.force:.2%}"
         if self.min_det_f <= 0:
@@ -69,12 +79,26 @@ class Reference:
     order: float
     #: Reason why it is not refined further.
     ended: str
+    #: The last levels in linear tetrahedra, coarse to fine; empty if the reference is not made of quadratic ones.
+    linear: list[Level] = field(default_factory=list)
 
     @property
     def refines_mesh(self) -> bool:
         """Tells whether the mesh was refined. Otherwise every error, the reference's own too, leaves out that of the
         mesh."""
         return "resolution" in self.levels[-1].setting
+
+    @property
+    def raises_order(self) -> bool:
+        """Tells whether linear tetrahedra were made quadratic. Then errors contain those of linear ones, even if the
+        mesh was not refined."""
+        return self.levels[-1].setting.get("element_order") == "quadratic"
+
+    @property
+    def is_approached(self) -> bool:
+        """Tells whether refined linear tetrahedra come closer to the reference, in displacement and in force."""
+        pairs = [(of.displacement or 0.0, of.force or 0.0) for of in self.linear]
+        return len(pairs) < 2 or all(last <= first for last, first in zip(pairs[-1], pairs[0], strict=True))
 
     @property
     def error(self) -> float:
@@ -89,11 +113,12 @@ class Reference:
             f"its own error{mesh}, by Richardson extrapolation of order {self.order:.2f}: displacement "
             f"{self.displacement_error:.2%}{force}; {self.ended}"
         )
-        return lines
+        return lines + [f"in linear tetrahedra: {level.text('the reference')}" for level in self.linear]
 
     def to_plain(self) -> dict[str, object]:
         plain = {name: getattr(self, name) for name in ("key", "displacement_error", "force_error", "order", "ended")}
-        return plain | {"refines_mesh": self.refines_mesh, "levels": [asdict(level) for level in self.levels]}
+        levels = {"levels": [asdict(of) for of in self.levels], "linear": [asdict(of) for of in self.linear]}
+        return plain | {"refines_mesh": self.refines_mesh, **levels}
 
 
 def find(
@@ -126,12 +151,7 @@ def find(
                 ended = f"another level would take about {expected_s:.0f} s (--reference-seconds {limit_s:g})"
                 break
         try:
-            scene = knobs.apply(setting).message()
-            own_key = key_of(scene, script, machine, "reference")
-            recording = store.recording(own_key)
-            if recording is None:
-                recording = recorder.record(scene)
-                store.keep(own_key, recording)
+            own_key, recording = _recording(setting, knobs, script, recorder, store, machine)
         except TensormassError as error:
             if len(levels) < 2:
                 raise
@@ -140,18 +160,7 @@ def find(
         if not any(values.any() for values in recording.displacement):
             raise InvalidArgumentError("nothing in the scene moves in this run; a load or a tool has to reach a body")
         errors = compare(best, recording, recorder.weights) if best is not None else None
-        levels.append(
-            Level(
-                setting,
-                recording.element_count,
-                recording.costs.step_count,
-                recording.costs.wall_s,
-                recording.unconverged_steps,
-                recording.min_det_f,
-                errors.displacement if errors else None,
-                errors.force if errors else None,
-            )
-        )
+        levels.append(_level(setting, recording, errors))
         key, best = own_key, recording
         said = f"reference, level {number}: {levels[-1].text()}"
         if len(levels) > 1:
@@ -164,7 +173,48 @@ def find(
             ended = "below a third of the tolerance"
             break
     assert best is not None
-    return Reference(key, best, levels, *estimates, ended)
+    found = Reference(key, best, levels, *estimates, ended)
+    if not (found.refines_mesh and found.raises_order):
+        return found
+    linear: list[Level] = []
+    for level in levels[-_LINEAR_LEVELS:]:
+        if linear and sum(of.wall_s for of in linear) + growth * linear[-1].wall_s > _LINEAR_TIME * limit_s:
+            break
+        setting = level.setting | {"element_order": "as_given"}
+        try:
+            recording = _recording(setting, knobs, script, recorder, store, machine)[1]
+        except TensormassError as error:
+            say(f"reference, in linear tetrahedra: {error}")
+            break
+        linear.append(_level(setting, recording, compare(recording, best, recorder.weights)))
+        say(f"reference, in linear tetrahedra: {linear[-1].text('the reference')}")
+    return replace(found, linear=linear)
+
+
+def _recording(
+    setting: dict[str, Value], knobs: Knobs, script: Script, recorder: Recorder, store: Store, machine: Machine
+) -> tuple[str, Recording]:
+    """Returns the recording of a setting and its key. Takes it from the store if it is there."""
+    scene = knobs.apply(setting).message()
+    key = key_of(scene, script, machine, "reference")
+    recording = store.recording(key)
+    if recording is None:
+        recording = recorder.record(scene)
+        store.keep(key, recording)
+    return key, recording
+
+
+def _level(setting: dict[str, Value], recording: Recording, errors: Errors | None) -> Level:
+    return Level(
+        setting,
+        recording.element_count,
+        recording.costs.step_count,
+        recording.costs.wall_s,
+        recording.unconverged_steps,
+        recording.min_det_f,
+        errors.displacement if errors else None,
+        errors.force if errors else None,
+    )
 
 
 def _estimates(levels: list[Level]) -> tuple[float, float | None, float]:
@@ -181,6 +231,8 @@ def _setting(knobs: Knobs, script: Script, level: int) -> dict[str, Value]:
         setting["resolution"] = factor
     if "shape" in knobs.refinable:
         setting |= {"shape": "hexahedron", "quadrature": "selective"}
+    if "element_order" in knobs.refinable:
+        setting["element_order"] = "quadratic"
     if not script.one_step:
         setting["dt_s"] = script.sample_s / max(1, round(_STEPS_A_SAMPLE * factor))
     if not knobs.quasi_static:

@@ -24,6 +24,8 @@ HEADS = [
     "displacement",
     "worst node",
     "force",
+    "force held",
+    "force moving",
     "angle",
     "work",
     "frequency",
@@ -72,6 +74,8 @@ def cells(of: Measurement) -> list[str]:
         percent(errors.displacement),
         percent(errors.worst_node),
         percent(errors.force),
+        percent(errors.force_held),
+        percent(errors.force_moving),
         "–" if errors.force_angle_rad is None else f"{math.degrees(errors.force_angle_rad):.2g}°",
         percent(errors.work),
         percent(errors.frequency),
@@ -119,6 +123,7 @@ def words() -> list[str]:
     """Explains the columns."""
     return [
         "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
+        "force held: over the time for which the tool stays in; force moving: over the rest",
         "worst node: the largest difference of any point, against the largest displacement",
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
         f"step p50 and p99: over at least {TIMED_STEPS} steps of the repeated script, or as many as there was time "
@@ -148,10 +153,15 @@ def not_refined(knobs: Knobs, reference: Reference) -> list[str]:
     """Warns if the reference has the scene's own mesh."""
     if reference.refines_mesh:
         return []
+    why = f"the mesh is not refined ({knobs.without['resolution']}): the reference has the same one"
+    if reference.raises_order:
+        return [
+            f"{why} in quadratic tetrahedra; how far these are from the limit is not known, and the reference's own "
+            "error leaves it out; compare with a finer mesh of your own"
+        ]
     return [
-        f"the mesh is not refined ({knobs.without['resolution']}): the reference has the same one, and every error, "
-        "the reference's own too, leaves out that of the mesh, which may be larger than all of them; compare with a "
-        "finer mesh of your own"
+        f"{why}, and every error, the reference's own too, leaves out that of the mesh, which may be larger than all "
+        "of them; compare with a finer mesh of your own"
     ]
 
 
@@ -163,6 +173,11 @@ def findings(outcome: Outcome) -> list[str]:
         lines.append(
             f"the reference itself may be off by {percent(reference.error)}: errors of that size say little; give it "
             "--reference-seconds, or a machine that is faster"
+        )
+    if not reference.is_approached:
+        lines.append(
+            "linear tetrahedra do not come closer to the reference when they are refined: the two do not have the same "
+            "limit, or are not fine enough to show it; give it --reference-seconds"
         )
     if reference.levels[-1].min_det_f <= 0:
         lines.append(
@@ -274,7 +289,11 @@ def picks(outcome: Outcome) -> list[tuple[str, str]]:
 
 def table_head(reference: Reference) -> list[str]:
     """Returns the text above the settings."""
-    return [] if reference.refines_mesh else ["errors without that of the mesh, which the reference does not refine"]
+    if reference.refines_mesh:
+        return []
+    if reference.raises_order:
+        return ["errors against the same mesh in quadratic tetrahedra, which the reference does not refine"]
+    return ["errors without that of the mesh, which the reference does not refine"]
 
 
 def text(outcome: Outcome, written: Sequence[Path]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from tensormass._src import defaults, mesh_geometry
 from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.meshes import FloatArray
+from tensormass._src.meshes import BoolArray, FloatArray
 from tensormass._src.packing import volume_mesh
 from tensormass._src.tools import shape_of
 from tensormass.v1 import scene_pb2
@@ -49,6 +49,8 @@ class Script:
     tool: str | None = None
     start_m: _Point = (0.0, 0.0, 0.0)
     travel_m: _Point = (0.0, 0.0, 0.0)
+    #: Depth to which the tool presses beyond the nearest point of the surface.
+    depth_m: float = 0.0
 
     @staticmethod
     def of(scene: scene_pb2.Scene, seconds: float | None = None, press_radii: float = PRESS_RADII) -> Script:
@@ -78,7 +80,8 @@ class Script:
         free_s = (0.0, PATH_SHARES[0] * duration_s) if loaded else (PATH_SHARES[3] * duration_s, duration_s)
         tool = scene.tools[0]
         start, travel = _press(scene, tool, press_radii)
-        return Script(duration_s, sample_s, False, free_s, tool.name, start, travel)
+        depth_m = press_radii * tool.spherical_probe.radius_m
+        return Script(duration_s, sample_s, False, free_s, tool.name, start, travel, depth_m)
 
     def pose(self, time_s: float) -> FloatArray:
         """Returns the position of the tool, [3] m."""
@@ -94,12 +97,23 @@ class Script:
     def sample_count(self) -> int:
         return max(1, round(self.duration_s / self.sample_s))
 
+    def held(self) -> BoolArray | None:
+        """Tells for each sample whether the tool stays where it is deepest, [sample_count]; None without a tool."""
+        if self.tool is None:
+            return None
+        times = self.sample_s * np.arange(1, self.sample_count + 1)
+        _, inside, leave, _ = (share * self.duration_s for share in PATH_SHARES)
+        slack = 1e-6 * self.sample_s
+        held: BoolArray = (times > inside - slack) & (times < leave + slack)
+        return held
+
     def text(self) -> str:
         """Describes the script for the report."""
         if self.one_step:
             return "one step from rest to equilibrium"
         what = f"{self.duration_s:g} s from rest under its loads, compared every {self.sample_s:.4g} s"
         if self.tool is not None:
+            what = f"{self.tool!r} presses {1e3 * self.depth_m:.3g} mm deep; {what}"
             begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
             travel_mm = 1e3 * float(np.linalg.norm(self.travel_m))
             what += (

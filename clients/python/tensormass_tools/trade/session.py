@@ -204,7 +204,7 @@ class Trade:
             {},
             self._machine,
             element_count=recording.element_count,
-            errors=compare(recording, found.recording, weights),
+            errors=compare(recording, found.recording, weights, self._script.held()),
             costs=recording.costs,
             moved=compare(recording, own, weights).displacement,
             cost_s=recording.costs.step_p50_s * steps_of_own,
