@@ -83,7 +83,7 @@ Curved curve(ElevatedMesh& elevated, std::span<const Vector3d> vertices, std::sp
   };
 
   const std::vector<BoundaryMiddle> on_boundary = added_on_boundary(mesh, first_added);
-  std::vector<Vector3d> ways(first_added);  // of ends
+  std::vector<Vector3d> ways(first_added);  // to the surface, from each end
   std::vector<bool> known(first_added, false);
   std::vector<bool> moved(mesh.nodes.size(), false);
   const auto middle = [&](std::uint32_t node) -> Vector3d {
