@@ -192,9 +192,8 @@ def test_all_settings_are_looked_at_in_the_same_points_and_times(edit: tuple[str
     assert got.force.shape == (20, 3)
     pressed = [0.7 - script.pose(t)[2] for t in times]  # position of the tool at the end of the step
     np.testing.assert_allclose(got.force[:, 2], STIFFNESS_N_PER_M * np.array(pressed), atol=1e-12)
-    assert got.work_j == pytest.approx(
-        STIFFNESS_N_PER_M * 0.075**2 / 2, rel=1e-6
-    )  # energy of the spring at the deepest point
+    spring_j = STIFFNESS_N_PER_M * 0.075**2 / 2  # energy of the spring at the deepest point
+    assert got.work_j == pytest.approx(spring_j, rel=1e-6)
     assert got.free_times_s[-1] == pytest.approx(0.35 * script.duration_s)
     assert got.outside_share == 0
     assert got.min_det_f == pytest.approx(0.7)

@@ -1,9 +1,9 @@
 """The script: the test run of every setting.
 
-The scene starts at rest, and its loads act at once. The first tool, if there is one, then moves straight to the nearest
-point of the surface, presses in by half its radius, stays, and lifts off. With two depths it stays at the first one,
-presses on to the second, and stays there. Other tools do not move. At a depth of a
-whole radius, elements of a thin or coarse tissue may become inverted, and there is no solution to converge to.
+The scene starts at rest, and its loads act at once. Then the first tool, if there is one, moves straight to the nearest
+point of the surface. It presses in by half its radius, stays, and lifts off. With two depths it stays at the first one,
+presses on to the second, and stays there. Other tools do not move. At a depth of a whole radius, elements of a thin or
+coarse tissue may become inverted, and there is no solution to converge to.
 
 All settings see the same path. They are compared at the same times and at the same points, the nodes of the scene's own
 mesh.
@@ -87,8 +87,7 @@ class Script:
         if not scene.tools:
             return Script(duration_s, sample_s, False, (0.0, duration_s))
         tool = scene.tools[0]
-        start, travel, stays = _press(scene, tool, depths)
-        depths_m = tuple(depth * tool.spherical_probe.radius_m for depth in depths)
+        start, travel, depths_m, stays = _press(scene, tool, depths)
         script = Script(duration_s, sample_s, False, (0.0, 0.0), tool.name, start, travel, depths_m, stays)
         moves_s = script._moves_s
         return replace(script, free_s=(0.0, moves_s[0]) if loaded else (moves_s[-1], duration_s))
@@ -180,9 +179,9 @@ def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Scrip
 
 def _press(
     scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: Sequence[float]
-) -> tuple[_Point, _Point, tuple[float, ...]]:
-    """Returns the start of a tool, its way straight to the nearest point of the surface at rest and the last of
-    `press_radii` beyond it, and the share of that way at each of `press_radii`."""
+) -> tuple[_Point, _Point, tuple[float, ...], tuple[float, ...]]:
+    """Returns the start of a tool; its way straight to the nearest point of the surface at rest and the last of
+    `press_radii` beyond it; for each of these its depth [m] and the share of the way at which it is reached."""
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
     probe, q = tool.spherical_probe, tool.orientation
     centre = start + _rotated(q, np.array([probe.tip_offset_m.x, probe.tip_offset_m.y, probe.tip_offset_m.z]))
@@ -195,7 +194,8 @@ def _press(
     if distance > 0:
         way = way * lengths[-1] / distance
     stays = tuple(length / lengths[-1] if lengths[-1] != 0 else 1.0 for length in lengths)
-    return (start[0], start[1], start[2]), (way[0], way[1], way[2]), stays
+    depths_m = tuple(depth * probe.radius_m for depth in press_radii)
+    return (start[0], start[1], start[2]), (way[0], way[1], way[2]), depths_m, stays
 
 
 def _rotated(q: scene_pb2.Quaternion, v: FloatArray) -> FloatArray:
