@@ -5,10 +5,9 @@
 #include <limits>
 
 #include <fmt/format.h>
-#include <Eigen/Geometry>
 
 #include "mesh/admission.h"
-#include "mesh/partition.h"
+#include "mesh/box_tree.h"
 #include "mesh/shapes.h"
 
 /// Point location for embedding.
@@ -77,27 +76,6 @@ std::vector<Cell> cells_of(const Mesh& mesh) {
   return cells;
 }
 
-/// Returns the point of triangle abc nearest to p. It tells by the signs of six products to which vertex, edge or
-/// interior region p projects (Ericson, Real-Time Collision Detection, 5.1.5).
-Vector3d nearest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c) {
-  const Vector3d ab = b - a, ac = c - a, ap = p - a;
-  const double d1 = ab.dot(ap), d2 = ac.dot(ap);
-  if (d1 <= 0.0 && d2 <= 0.0) return a;
-  const Vector3d bp = p - b;
-  const double d3 = ab.dot(bp), d4 = ac.dot(bp);
-  if (d3 >= 0.0 && d4 <= d3) return b;
-  const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) return a + d1 / (d1 - d3) * ab;
-  const Vector3d cp = p - c;
-  const double d5 = ab.dot(cp), d6 = ac.dot(cp);
-  if (d6 >= 0.0 && d5 <= d6) return c;
-  const double vb = d5 * d2 - d1 * d6;
-  if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) return a + d2 / (d2 - d6) * ac;
-  const double va = d3 * d6 - d5 * d4;
-  if (va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0) return b + (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b);
-  return a + (vb * ab + vc * ac) / (va + vb + vc);
-}
-
 /// The nearest cell found so far.
 ///
 /// A point outside the mesh is often equally near to several cells that touch. Among those the cell with the greatest
@@ -132,101 +110,16 @@ struct Nearest {
   }
 };
 
-/// A bounding box tree over cells, for nearest-cell queries.
-///
-/// Cells are sorted in bisection order (partition.h), and each box is cut where bisection_cut cut the order. A box
-/// therefore covers a contiguous range of cells, and boxes are stored in depth-first order:
-///
-///   parts_:  [ root | left subtree ... | right subtree ... ]
-///                     ^ root + 1         ^ root.right
-class Tree {
- public:
-  explicit Tree(std::vector<Cell> cells) {
-    std::vector<Vector3d> centers(cells.size());
-    std::transform(cells.begin(), cells.end(), centers.begin(), [](const Cell& cell) -> Vector3d {
-      return 0.25 * (cell.corners[0] + cell.corners[1] + cell.corners[2] + cell.corners[3]);
-    });
-    cells_.reserve(cells.size());
-    for (const std::uint32_t i : bisection_order(centers, kLeafSize)) cells_.push_back(cells[i]);
-    build(0, static_cast<std::uint32_t>(cells_.size()));
-  }
-
-  /// Returns the cell that contains the point, or else the nearest.
-  Nearest nearest(const Vector3d& point) const {
-    Nearest best;
-    visit(0, point, best);
-    return best;
-  }
-
- private:
-  static constexpr std::uint32_t kLeafSize = 4;
-
-  struct Part {
-    Eigen::AlignedBox3d box;
-    std::uint32_t first = 0;
-    std::uint32_t count = 0;  // number of cells in a leaf; 0 for an inner box
-    std::uint32_t right = 0;  // index of the right child; the left child follows its parent
-  };
-
-  /// Appends the box over cells [first, first + count) and those below it; returns its index.
-  std::uint32_t build(std::uint32_t first, std::uint32_t count) {
-    const auto index = static_cast<std::uint32_t>(parts_.size());
-    parts_.emplace_back();
-    const std::uint32_t cut = bisection_cut(count, kLeafSize);
-    if (cut == count) {
-      Part& leaf = parts_[index];
-      leaf.first = first;
-      leaf.count = count;
-      for (std::uint32_t i = first; i < first + count; ++i) {
-        for (const Vector3d& corner : cells_[i].corners) leaf.box.extend(corner);
-      }
-      return index;
-    }
-    const std::uint32_t left = build(first, cut);
-    const std::uint32_t right = build(first + cut, count - cut);
-    parts_[index].right = right;
-    parts_[index].box = parts_[left].box.merged(parts_[right].box);
-    return index;
-  }
-
-  /// Offers all cells below a box that could be better than `best`; visits the nearer child first.
-  void visit(std::uint32_t index, const Vector3d& point, Nearest& best) const {
-    const Part& part = parts_[index];
-    if (part.count > 0) {
-      for (std::uint32_t i = part.first; i < part.first + part.count; ++i) best.offer(cells_[i], point);
-      return;
-    }
-    std::uint32_t near = index + 1, far = part.right;
-    double near_distance = parts_[near].box.squaredExteriorDistance(point);
-    double far_distance = parts_[far].box.squaredExteriorDistance(point);
-    if (far_distance < near_distance) {
-      std::swap(near, far);
-      std::swap(near_distance, far_distance);
-    }
-    if (worth(near_distance, best)) visit(near, point, best);
-    if (worth(far_distance, best)) visit(far, point, best);
-  }
-
-  /// Returns whether a box at this distance may hold a better cell. Once a cell contains the point, no other is better.
-  /// The slack of 1e-12 is that of Nearest::offer.
-  static bool worth(double squared_distance, const Nearest& best) {
-    return best.squared_distance > 0.0 && squared_distance <= best.squared_distance * (1.0 + 1e-12);
-  }
-
-  std::vector<Cell> cells_;
-  std::vector<Part> parts_;
-};
-
 }  // namespace
 
 Result<Embedding> embed(const Mesh& mesh, std::span<const Vector3d> points, std::string_view what) {
-  const Tree tree(cells_of(mesh));
+  const BoxTree<Cell> tree(cells_of(mesh));
   Embedding embedding;
   embedding.nodes.reserve(points.size());
   embedding.weights.reserve(points.size());
   embedding.elements.reserve(points.size());
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const Nearest nearest = tree.nearest(points[i]);
+    const auto nearest = tree.nearest<Nearest>(points[i]);
     const double distance_m = std::sqrt(nearest.squared_distance);
     const double limit_m = kMaxEmbeddingEdges * nearest.cell->longest_edge_m();
     if (!(distance_m <= limit_m)) {

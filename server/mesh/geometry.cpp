@@ -50,12 +50,9 @@ void linear_geometry(const Positions& x, const Topology& shape, ElementGeometry&
   }
 }
 
-/// Geometry of a quadratic tetrahedron.
-///
-/// Its Jacobian is linear in space, so the Jacobians J_a at the corners a determine it everywhere. The derivative at
-/// corner a towards corner b is 4 x_mid − 3 x_a − x_b. The determinant is cubic; a rule over the corners and the face
-/// centres integrates it exactly (Keast 1986, weights 1/240 and 9/240).
-void quadratic_geometry(const Positions& x, const Topology& shape, ElementGeometry& geometry) {
+/// Returns the Jacobians J_a of a quadratic tetrahedron at its corners a. The Jacobian is linear in space, so they
+/// determine it everywhere. The derivative at corner a towards corner b is 4 x_mid − 3 x_a − x_b.
+std::array<Eigen::Matrix3d, 4> corner_jacobians(const Positions& x, const Topology& shape) {
   std::array<std::array<Vector3d, 4>, 4> tangents;  // [from, to], zero from a corner to itself
   for (std::uint32_t corner = 0; corner < 4; ++corner) tangents[corner][corner].setZero();
   for (std::uint32_t i = 0; i < shape.edges.size(); ++i) {
@@ -68,6 +65,15 @@ void quadratic_geometry(const Positions& x, const Topology& shape, ElementGeomet
   for (std::uint32_t corner = 0; corner < 4; ++corner) {
     const auto& to = tangents[corner];
     jacobians[corner] << to[1] - to[0], to[2] - to[0], to[3] - to[0];
+  }
+  return jacobians;
+}
+
+/// Geometry of a quadratic tetrahedron. The Jacobian's determinant is cubic; a rule over the corners and the face
+/// centres integrates it exactly (Keast 1986, weights 1/240 and 9/240).
+void quadratic_geometry(const Positions& x, const Topology& shape, ElementGeometry& geometry) {
+  const std::array<Eigen::Matrix3d, 4> jacobians = corner_jacobians(x, shape);
+  for (std::uint32_t corner = 0; corner < 4; ++corner) {
     const double determinant = jacobians[corner].determinant();
     meet(geometry, corner, determinant);
     geometry.volume_m3 += determinant / 240.0;
@@ -98,6 +104,17 @@ ElementGeometry element_geometry(const Mesh& mesh, const Topology& shape, Nodes 
   }
   geometry.max_edge_m = std::sqrt(max_squared);
   return geometry;
+}
+
+double min_jacobian_of_points_m3(const Mesh& mesh, Nodes nodes) {
+  const auto jacobians = corner_jacobians(Positions(mesh, nodes), topology(Shape::kQuadraticTetrahedron));
+  const double far = (5.0 - std::sqrt(5.0)) / 20.0, near = 1.0 - 3.0 * far;
+  const Eigen::Matrix3d sum = jacobians[0] + jacobians[1] + jacobians[2] + jacobians[3];
+  double least = std::numeric_limits<double>::infinity();
+  for (const Eigen::Matrix3d& jacobian : jacobians) {
+    least = std::min(least, Eigen::Matrix3d(far * sum + (near - far) * jacobian).determinant() / 6.0);
+  }
+  return least;
 }
 
 double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, Nodes nodes) {

@@ -25,6 +25,10 @@ struct ElementGeometry {
 /// lies between the quarter points of its edge.
 ElementGeometry element_geometry(const Mesh& mesh, const Topology& shape, std::span<const std::uint32_t> nodes);
 
+/// Returns the smallest Jacobian determinant at the four points of full quadrature of a quadratic tetrahedron, divided
+/// by 6.
+double min_jacobian_of_points_m3(const Mesh& mesh, std::span<const std::uint32_t> nodes);
+
 /// Returns the cosine of the smallest dihedral angle, from −1 (180°) to 1 (0°). Each face counts as plane through its
 /// corners.
 double max_dihedral_cosine(const Mesh& mesh, const Topology& shape, std::span<const std::uint32_t> nodes);

@@ -4,6 +4,7 @@
 
 #include "core/limits.h"
 #include "mesh/admission.h"
+#include "mesh/curve.h"
 #include "mesh/elevate.h"
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
@@ -106,6 +107,12 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
   if (makes_quadratic) {
     // The mesh as given is admitted first, so that messages name its own elements and nodes.
     TM_ASSIGN_OR_RETURN(elevated, mesh::elevate(std::move(mesh), where + ".element_order"));
+    if (body.has_skin()) {
+      TM_ASSIGN_OR_RETURN(skin, read_skin(body, where));
+      TM_ASSIGN_OR_RETURN(skin_report, mesh::admit_skin(skin.vertices, skin.triangles, body.name()));
+      (void)skin_report;  // make_visible_surface adds its warnings
+      mesh::curve(elevated, skin.vertices, skin.triangles);
+    }
     mesh = std::move(elevated.mesh);
     middle_of = std::move(elevated.middle_of);
     TM_RETURN_IF_ERROR(check_scene_size(c, mesh, where));

@@ -29,6 +29,7 @@ _COLUMNS = (
     "| `worst_node` | largest difference of any point at any time, relative to the largest displacement |",
     "| `force`, `force_angle_deg` | force on the tool: RMS error of its size, mean error of its direction |",
     "| `force_held`, `force_moving` | as `force`, while the tool stays in and while it moves; not in older results |",
+    "| `force_held_shallow` | as `force_held`, at the first of two depths |",
     "| `work` | work of pressing the tool in |",
     "| `frequency`, `damping` | of the free motion under the loads: relative error, difference of damping ratios |",
     "| `volume` | largest difference of V / V₀ |",
@@ -69,6 +70,7 @@ def settings(of: Trade) -> list[Row]:
                 "worst_node": errors.worst_node if errors else None,
                 "force": errors.force if errors else None,
                 "force_held": errors.force_held if errors else None,
+                "force_held_shallow": errors.force_held_shallow if errors else None,
                 "force_moving": errors.force_moving if errors else None,
                 "force_angle_deg": None if angle is None else math.degrees(angle),
                 "work": errors.work if errors else None,
@@ -164,7 +166,8 @@ def files(backends: Sequence[str]) -> dict[str, list[Row]]:
     trades = read(backends)
     tables = {"trade": settings, "trade-knobs": knobs, "trade-confirmed": confirmations}
     found = {name: [row for of in trades for row in rows_of(of)] for name, rows_of in tables.items()}
-    found["trade"] = _without_empty(found["trade"], ("force_held", "force_moving"))  # older results have none
+    # Older results have none, and a shallow press is an option.
+    found["trade"] = _without_empty(found["trade"], ("force_held", "force_held_shallow", "force_moving"))
     return {name: rows for name, rows in (found | {"trade-calculix": trade_calculix.table()}).items() if rows}
 
 

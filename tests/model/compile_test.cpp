@@ -318,6 +318,36 @@ TEST_F(MadeQuadratic, ASkinFollowsTheQuadraticMesh) {
   EXPECT_TRUE(uses_middle);
 }
 
+/// The skin is a roof over each of the two cells, with its ridges at x = 0.5 and 1.5 m and a slope of 0.2.
+TEST_F(MadeQuadratic, EdgesOfTheBoundaryCurveToTheSkin) {
+  std::vector<double> vertices;
+  for (int i = 0; i < 5; ++i) {
+    for (const double z : {-1.0, 2.0}) vertices.insert(vertices.end(), {0.5 * i, i % 2 == 0 ? 1 : 1.1, z});
+  }
+  std::vector<std::uint32_t> triangles;
+  for (std::uint32_t i = 0; i < 8; i += 2) triangles.insert(triangles.end(), {i, i + 1, i + 2, i + 2, i + 1, i + 3});
+  v1::PackedTriangles& skin = *body().mutable_skin()->mutable_packed();
+  skin.set_vertex_positions(vertices.data(), vertices.size() * sizeof(double));
+  skin.set_triangles(triangles.data(), triangles.size() * sizeof(std::uint32_t));
+  end(*body().add_fixed()->mutable_nodes());
+  const Model model = compiled(scene_);
+  int raised = 0;
+  for (std::uint32_t node = 12; node < 45; ++node) {
+    const double y = at(model, model.rest, node, 1), z = at(model, model.rest, node, 2);
+    if (z != 0.5 || y <= 1) continue;
+    EXPECT_NEAR(y, 1 + 0.1 / (1 + 0.2 * 0.2), 1e-12) << "the nearest point of a slope, along the normal of the top";
+    ++raised;
+  }
+  EXPECT_EQ(raised, 2) << "the diagonal of each cell's top";
+  EXPECT_EQ(fixed(model).size(), 9u) << "a region keeps the nodes between its own wherever they are";
+
+  triangles[0] = 99;
+  skin.set_triangles(triangles.data(), triangles.size() * sizeof(std::uint32_t));
+  const auto refused = compile(scene_, {});
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("vertex 99"), std::string::npos) << refused.error().message;
+}
+
 TEST(PatchPolicy, GivesEachPatchEnoughNodesAndAtLeastOnePatch) {
   EXPECT_EQ((PatchPolicy{8, 100}).count(1000), 8u);
   EXPECT_EQ((PatchPolicy{8, 100}).count(799), 7u);

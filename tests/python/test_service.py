@@ -25,11 +25,11 @@ from test_mesh_files import shared_mesh
 import tensormass as tm
 from tensormass._src import mesh_files, mesh_geometry, meshes, processes, tetwild
 from tensormass._src.fields import FIELD_NAMES
-from tensormass._src.packing import pack_mesh, volume_mesh
+from tensormass._src.packing import pack_mesh
 from tensormass._src.shapes import SHAPES
 from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import scene_pb2, stream_pb2
-from tensormass_tools.output import report_text, state_name
+from tensormass_tools.output import state_name
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -293,22 +293,6 @@ def test_a_bad_mesh_is_refused_by_name_and_the_daemon_lives(
     for words in says:
         assert any(word in str(error.value) for word in words.split("|")), str(error.value)
     server.version()
-
-
-def test_the_daemon_numbers_the_nodes_of_a_mesh_made_quadratic_as_the_sdk_does(server: tm.Server) -> None:
-    grid = tm.grid([3, 2, 2], [0.3, 0.2, 0.2])
-    turned = grid.elements("tetrahedron")[::-1, [1, 2, 0, 3]]
-    scene = tm.Scene.from_arrays(grid.nodes, turned, element_order="quadratic", fixed_nodes=[0, 1, 2, 3])
-    scene.message.bodies[0].mesh.scale = 0.5
-    handle = server.load(scene, lockstep=True)
-    np.testing.assert_array_equal(handle.positions("body"), 0.5 * volume_mesh(scene.message.bodies[0]).nodes)
-    assert len(handle.positions("body")) == 7 * 5 * 5
-    assert len(handle.fields("body", ["von_mises_stress"])["von_mises_stress"]) == len(turned)
-    assert handle.report is not None
-    text = report_text(handle.report, scene.message)
-    assert "made quadratic, with a node in the middle of each edge: 'body'" in text
-    assert "made quadratic" not in report_text(handle.report, block().message)
-    handle.unload()
 
 
 def test_a_scene_pays_only_for_the_parts_it_uses(server: tm.Server) -> None:

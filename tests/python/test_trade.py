@@ -263,11 +263,17 @@ def test_force_is_compared_while_the_tool_stays_and_while_it_moves() -> None:
     reference = replace(recording(), force=np.array([[0, 0, 1.0], [0, 0, 2.0], [3.0, 0, 0], [0, 0, 0]]))
     other = replace(reference, force=np.array([[0, 1.5, 0], [0, 0, 2.2], [3.6, 0, 0], [0, 0, 0]]))
     weights = [np.ones(3)]
-    errors = compare(other, reference, weights, np.array([False, True, True, False]))
+    first, last = np.array([False, True, False, False]), np.array([False, False, True, False])
+    errors = compare(other, reference, weights, [first | last])
     assert errors.force_held == pytest.approx(math.hypot(0.2, 0.6) / math.hypot(2, 3))
     assert errors.force_moving == pytest.approx(0.5)
+    assert errors.force_held_shallow is None
     assert errors.force == pytest.approx(math.sqrt(0.5**2 + 0.2**2 + 0.6**2) / math.sqrt(1 + 4 + 9))
-    nothing = compare(other, reference, weights, np.array([False, False, False, True]))
+    two = compare(other, reference, weights, [first, last])
+    assert two.force_held_shallow == pytest.approx(0.1)
+    assert two.force_held == pytest.approx(0.2)
+    assert two.force_moving == pytest.approx(0.5)
+    nothing = compare(other, reference, weights, [np.array([False, False, False, True])])
     assert (nothing.force_held, nothing.force_moving) == (None, errors.force)
     unsaid = compare(other, reference, weights)
     assert (unsaid.force_held, unsaid.force_moving) == (None, None)
@@ -275,16 +281,31 @@ def test_force_is_compared_while_the_tool_stays_and_while_it_moves() -> None:
 
 def test_the_script_says_when_the_tool_stays_and_how_deep(tmp_path: Path) -> None:
     scene = knobs_of(BLOCK, tmp_path).message
-    script = Script.of(scene, press_radii=0.7)
-    assert script.text().splitlines()[0].startswith("'probe' presses 7 mm deep; 1.6 s from rest")
-    held = script.held()
-    assert held is not None
-    times = script.sample_s * np.arange(1, script.sample_count + 1)
-    poses = np.array([script.pose(time)[2] for time in times])
-    np.testing.assert_array_equal(held, np.isclose(poses, poses.min(), rtol=0, atol=1e-12))
+    script = Script.of(scene, None, 0.7)
+    assert script.text().startswith("'probe' presses 7 mm deep; 1.6 s from rest")
+    (held,) = script.held()
+    height = np.array([script.pose(script.sample_s * (k + 1))[2] for k in range(script.sample_count)])
+    np.testing.assert_array_equal(held, np.isclose(height, 0.06 - 0.007, rtol=0, atol=1e-12))
     assert 5 < held.sum() < len(held) / 2
     del scene.tools[:]
-    assert Script.of(scene).held() is None
+    assert Script.of(scene).held() == []
+
+
+def test_the_script_stays_at_two_depths(tmp_path: Path) -> None:
+    scene = knobs_of(BLOCK, tmp_path).message
+    one, two = Script.of(scene, None, 1), Script.of(scene, None, 0.5, 1)
+    assert two.text().startswith("'probe' presses 5 and 10 mm deep; 2.2")
+    height = np.array([two.pose(two.sample_s * (k + 1))[2] for k in range(two.sample_count)])
+    shallow, deep = two.held()
+    np.testing.assert_array_equal(shallow, np.isclose(height, 0.06 - 0.005, rtol=0, atol=1e-12))
+    np.testing.assert_array_equal(deep, np.isclose(height, 0.06 - 0.01, rtol=0, atol=1e-12))
+    assert abs(int(shallow.sum()) - int(one.held()[0].sum())) <= 1
+    assert abs(int(deep.sum()) - int(one.held()[0].sum())) <= 1
+    np.testing.assert_allclose(two.pose(two.deepest_s), one.pose(one.deepest_s))
+    np.testing.assert_allclose(two.pose(0), two.pose(two.duration_s))
+    assert (
+        np.abs(np.diff(height)).max() < 1.2 * np.abs(np.diff([one.pose(t)[2] for t in np.arange(0, 1.6, 1 / 30)])).max()
+    )
 
 
 def test_errors_of_tiny_values() -> None:

@@ -20,7 +20,7 @@ from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 from tensormass_tools.cli import main
 from tensormass_tools.trade import command, reference, report, session
-from tensormass_tools.trade.arguments import parse_share, parse_time_s
+from tensormass_tools.trade.arguments import parse_depths, parse_share, parse_time_s
 from tensormass_tools.trade.measures import Errors
 from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Machine
@@ -36,6 +36,10 @@ def test_times_and_shares() -> None:
             parse_time_s(text)
     with pytest.raises(argparse.ArgumentTypeError, match="not a share"):
         parse_share("two")
+    assert (parse_depths("0.5"), parse_depths("0.5,1")) == ((0.5,), (0.5, 1.0))
+    for text in ("1,0.5", "1,1", "0.25,0.5,1"):
+        with pytest.raises(argparse.ArgumentTypeError, match="one depth, or a shallow and a deep one"):
+            parse_depths(text)
 
 
 @pytest.mark.parametrize(
@@ -374,6 +378,12 @@ def test_a_row_has_its_units() -> None:
         "energy": "250 mJ",
         "moved": "0.4 %",
     }
+
+
+def test_two_depths_share_a_column() -> None:
+    errors = Errors(0.02, 0.03, 0.001, 0.05, force_held=0.29, force_moving=0.4, force_held_shallow=0.54)
+    row = dict(zip(report.HEADS, report.cells(replace(measurement({}, 2e-3, 0.0), errors=errors)), strict=True))
+    assert (row["force held"], row["force moving"]) == ("54 % / 29 %", "40 %")
 
 
 def test_a_setting_that_breaks_is_a_result_too(

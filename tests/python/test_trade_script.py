@@ -139,12 +139,12 @@ def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
     script = Script.of(scene_of(), None)
     # The tip starts at z = 0.68, the surface is at 0.6.
     assert script.travel_m == pytest.approx((0, 0, -0.075))
-    assert Script.of(scene_of(), press_radii=1).travel_m == pytest.approx((0, 0, -0.08))
+    assert Script.of(scene_of(), None, 1).travel_m == pytest.approx((0, 0, -0.08))
     assert script.start_m == (0.05, 0.05, 0.7)
     for half in (0.5**0.5, 3.0):  # a quaternion of any length
         turned = scene_of(SCENE + f"    orientation: {{w: {half}, x: 0, y: {half}, z: 0}}\n")
         # Turned by a quarter about y, the tip is at (−0.02, 0, 0) from the tool.
-        assert Script.of(turned, press_radii=1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
+        assert Script.of(turned, None, 1).travel_m == pytest.approx((0.025 - 0.03, 0, -0.1))
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,8 @@ def unpack_mesh(packed: scene_pb2.PackedMesh, where: str = "mesh") -> meshes.Vol
 
 def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
     """Returns the mesh that the daemon makes of a body's message, before scale and translation: a grid is cut into
-    elements, and `element_order` adds nodes."""
+    elements, and `element_order` adds nodes. The daemon also moves some of these to the skin; `SceneHandle.positions`
+    has them there."""
     mesh = _given_mesh(body)
     return elevated(mesh) if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC else mesh
 

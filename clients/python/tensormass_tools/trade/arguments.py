@@ -42,10 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
     parser.add_argument("--seconds", type=parse_number, metavar="T", help="simulated time of the test run")
     parser.add_argument(
         "--press",
-        type=parse_number,
-        default=PRESS_RADII,
+        type=parse_depths,
+        default=(PRESS_RADII,),
         metavar="RADII",
-        help="how deep the tool presses, against its radius; default: %(default)s",
+        help="how deep the tool presses, against its radius; two depths, as in 0.5,1, are judged one by one; default: "
+        f"{PRESS_RADII:g}",
     )
     parser.add_argument("--knobs", metavar="A,B", help="only these; default: all that the scene has")
     parser.add_argument(
@@ -107,6 +108,14 @@ def parse_share(text: str) -> float:
 def parse_number(text: str) -> float:
     """Parses a positive number: `0.5` -> 0.5."""
     return _positive(text, 1.0, text, f"a number above 0 and below {_MOST:g}")
+
+
+def parse_depths(text: str) -> tuple[float, ...]:
+    """Parses one or two ascending numbers: `0.5` or `0.5,1`."""
+    depths = tuple(parse_number(part) for part in text.split(","))
+    if len(depths) > 2 or list(depths) != sorted(set(depths)):
+        raise argparse.ArgumentTypeError(f"{text!r}: give one depth, or a shallow and a deep one")
+    return depths
 
 
 def _positive(number: str, unit: float, text: str, what: str) -> float:

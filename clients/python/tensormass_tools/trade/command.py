@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         knobs = Knobs(file, folder / "meshes")
         if args.knobs is not None:
             knobs.choose(name.strip() for name in args.knobs.split(","))
-        script = Script.of(message, args.seconds, args.press)
+        script = Script.of(message, args.seconds, *args.press)
         for path, other in others.items():
             with naming(f"--confirm {path}"):
                 server.inspect(other)

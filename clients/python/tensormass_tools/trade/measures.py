@@ -44,6 +44,8 @@ class Errors:
     #: As `force`, over the time for which the tool stays in, and over the rest; None also in older results.
     force_held: float | None = None
     force_moving: float | None = None
+    #: As `force_held`, at the first of two depths; `force_held` is then at the deepest.
+    force_held_shallow: float | None = None
 
     @property
     def judged(self) -> float:
@@ -57,13 +59,13 @@ class Errors:
 
 
 def compare(
-    recording: Recording, reference: Recording, weights: Sequence[FloatArray], held: BoolArray | None = None
+    recording: Recording, reference: Recording, weights: Sequence[FloatArray], held: Sequence[BoolArray] = ()
 ) -> Errors:
     """Computes the errors.
 
     Args:
         weights: volume of each point, [body][point] m³.
-        held: [sample] whether the tool stays where it is deepest (`Script.held`); None: not told.
+        held: whether the tool stays in, at one or two depths (`Script.held`), [depth][sample]; empty: not told.
     """
     off = above = 0.0
     worst = largest = 0.0
@@ -74,9 +76,7 @@ def compare(
         worst = max(worst, float(np.linalg.norm(difference, axis=2).max()))
         largest = max(largest, float(np.linalg.norm(reference.displacement[body], axis=2).max()))
     force, angle, work = _force_errors(recording, reference)
-    force_held, force_moving = (
-        (None, None) if held is None else (_force_size(recording, reference, part) for part in (held, ~held))
-    )
+    at_depth = [_force_size(recording, reference, of_depth) for of_depth in held]
     own, true = (oscillation(of.free_times_s, of.free_m) for of in (recording, reference))
     return Errors(
         displacement=_share(math.sqrt(off), math.sqrt(above)),
@@ -87,8 +87,9 @@ def compare(
         work=work,
         frequency=None if true is None else 1.0 if own is None else abs(own[0] - true[0]) / true[0],
         damping=None if true is None or own is None else own[1] - true[1],
-        force_held=force_held,
-        force_moving=force_moving,
+        force_held=at_depth[-1] if held else None,
+        force_moving=_force_size(recording, reference, ~np.logical_or.reduce(held)) if held else None,
+        force_held_shallow=at_depth[0] if len(held) > 1 else None,
     )
 
 

@@ -22,7 +22,7 @@ from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools.trade.energy import EnergyMeter
 from tensormass_tools.trade.interpolation import Interpolation
 from tensormass_tools.trade.recording import Costs, Recording
-from tensormass_tools.trade.script import PATH_SHARES, Script, rest_nodes
+from tensormass_tools.trade.script import Script, rest_nodes
 
 #: Number of steps to time; the script is repeated until then. A 99th percentile of a hundred steps is their second
 #: slowest and scatters by a quarter.
@@ -247,8 +247,7 @@ class _Run:
         for runs in itertools.count(1):
             self._handle.reset()
             if self._script.tool is not None:
-                deepest_s = PATH_SHARES[1] * self._script.duration_s
-                self._handle.move_tool(self._script.tool, self._script.pose(deepest_s))
+                self._handle.move_tool(self._script.tool, self._script.pose(self._script.deepest_s))
             if steps == 0:
                 yield runs, made
             for first in range(0, steps, at_once):

@@ -25,8 +25,9 @@ from tensormass_tools.trade.store import Machine, Store, key_of
 
 # Refinement of each level against the one before.
 _RATIO = 1.5
-# The first level is coarser than the scene, so that the order is known early.
-_FIRST_LEVEL = -1
+# The first level is coarser than the scene, so that the order is known early. In quadratic tetrahedra a level costs as
+# much as a finer one in linear ones, so the first is coarser still.
+_FIRST_LEVEL, _FIRST_QUADRATIC_LEVEL = -1, -2
 _LEVELS = 8
 # Steps in a sample at level 0: four times as fine as the longest step that is tried.
 _STEPS_A_SAMPLE = 4
@@ -143,8 +144,9 @@ def find(
     estimates: tuple[float, float | None, float] = (float("inf"), None, 1.0)
     growth = _RATIO ** ((3 if "resolution" in knobs.refinable else 0) + (0 if script.one_step else 1))
     ended = "the last level"
+    first = _FIRST_QUADRATIC_LEVEL if "element_order" in knobs.refinable else _FIRST_LEVEL
     for number in range(_LEVELS):
-        setting = _setting(knobs, script, number + _FIRST_LEVEL)
+        setting = _setting(knobs, script, number + first)
         if len(levels) > 1:
             expected_s = levels[-1].wall_s * growth
             if sum(level.wall_s for level in levels) + expected_s > limit_s:

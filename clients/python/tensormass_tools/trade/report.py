@@ -74,7 +74,7 @@ def cells(of: Measurement) -> list[str]:
         percent(errors.displacement),
         percent(errors.worst_node),
         percent(errors.force),
-        percent(errors.force_held),
+        " / ".join(percent(of) for of in (errors.force_held_shallow, errors.force_held) if of is not None) or "–",
         percent(errors.force_moving),
         "–" if errors.force_angle_rad is None else f"{math.degrees(errors.force_angle_rad):.2g}°",
         percent(errors.work),
@@ -123,7 +123,8 @@ def words() -> list[str]:
     """Explains the columns."""
     return [
         "error: of displacement (L2 over volume and time) or of the force on the tool, whichever is larger",
-        "force held: over the time for which the tool stays in; force moving: over the rest",
+        "force held: over the time for which the tool stays in (with two depths: shallow / deep); force moving: over "
+        "the rest",
         "worst node: the largest difference of any point, against the largest displacement",
         "work: of pressing in; frequency and damping: of the free motion under the loads; volume: change of V / V0",
         f"step p50 and p99: over at least {TIMED_STEPS} steps of the repeated script, or as many as there was time "

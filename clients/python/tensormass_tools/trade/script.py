@@ -1,8 +1,9 @@
 """The script: the test run of every setting.
 
 The scene starts at rest, and its loads act at once. Then the first tool, if there is one, moves straight to the nearest
-point of the surface. It presses in by half its radius, stays, and lifts off. Other tools do not move. At a depth of a
-whole radius, elements of a thin or coarse tissue may become inverted, and there is no solution to converge to.
+point of the surface. It presses in by half its radius, stays, and lifts off. With two depths it stays at the first one,
+presses on to the second, and stays there. Other tools do not move. At a depth of a whole radius, elements of a thin or
+coarse tissue may become inverted, and there is no solution to converge to.
 
 All settings see the same path. They are compared at the same times and at the same points, the nodes of the scene's own
 mesh.
@@ -11,7 +12,8 @@ mesh.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -23,7 +25,11 @@ from tensormass._src.tools import shape_of
 from tensormass.v1 import scene_pb2
 
 # Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
-PATH_SHARES = (0.35, 0.6, 0.75, 0.9)
+_PATH_SHARES = (0.35, 0.6, 0.75, 0.9)
+# With two depths: starts to move, is at the first depth, presses on, is at its deepest, starts back, and is back. Times
+# in seconds are as with one depth, because the duration is longer by `_LONGER`.
+_TWO_DEPTHS_SHARES = (0.25, 0.43, 0.535, 0.715, 0.82, 0.93)
+_LONGER = 1.4
 #: Depth to which the tool presses, in radii.
 PRESS_RADII = 0.5
 _TOOL_DURATION_S = 1.6
@@ -49,16 +55,18 @@ class Script:
     tool: str | None = None
     start_m: _Point = (0.0, 0.0, 0.0)
     travel_m: _Point = (0.0, 0.0, 0.0)
-    #: Depth to which the tool presses beyond the nearest point of the surface.
-    depth_m: float = 0.0
+    #: Depths at which the tool stays, beyond the nearest point of the surface: one, or a shallow one and the deepest.
+    depths_m: tuple[float, ...] = ()
+    #: Shares of `travel_m` at these depths.
+    stays: tuple[float, ...] = ()
 
     @staticmethod
-    def of(scene: scene_pb2.Scene, seconds: float | None = None, press_radii: float = PRESS_RADII) -> Script:
+    def of(scene: scene_pb2.Scene, seconds: float | None = None, *press_radii: float) -> Script:
         """Makes the script of the unmodified scene.
 
         Args:
             seconds: replaces the usual duration.
-            press_radii: depth to which the tool presses.
+            press_radii: one or two depths to which the tool presses, in radii, ascending; default `PRESS_RADII`.
 
         Raises:
             InvalidArgumentError: nothing in the scene would move.
@@ -72,40 +80,55 @@ class Script:
         if quasi_static and not scene.tools and scheduled_s == 0:
             return Script(dt_s, dt_s, True, (0.0, 0.0))
         sample_s = SAMPLE_STEPS * dt_s
-        usual_s = _TOOL_DURATION_S if scene.tools else 0 if quasi_static else _FREE_DURATION_S
+        depths = press_radii or (PRESS_RADII,)
+        of_tool_s = _TOOL_DURATION_S * (1 if len(depths) == 1 else _LONGER)
+        usual_s = of_tool_s if scene.tools else 0 if quasi_static else _FREE_DURATION_S
         wanted_s = seconds or max(scheduled_s, usual_s)
         duration_s = sample_s * max(1, math.ceil(wanted_s / sample_s - 1e-3))
         if not scene.tools:
             return Script(duration_s, sample_s, False, (0.0, duration_s))
-        free_s = (0.0, PATH_SHARES[0] * duration_s) if loaded else (PATH_SHARES[3] * duration_s, duration_s)
         tool = scene.tools[0]
-        start, travel = _press(scene, tool, press_radii)
-        depth_m = press_radii * tool.spherical_probe.radius_m
-        return Script(duration_s, sample_s, False, free_s, tool.name, start, travel, depth_m)
+        start, travel, depths_m, stays = _press(scene, tool, depths)
+        script = Script(duration_s, sample_s, False, (0.0, 0.0), tool.name, start, travel, depths_m, stays)
+        moves_s = script._moves_s
+        return replace(script, free_s=(0.0, moves_s[0]) if loaded else (moves_s[-1], duration_s))
+
+    @property
+    def _moves_s(self) -> list[float]:
+        """Returns the times at which the tool starts to move, arrives, starts, .., and is back."""
+        shares = _PATH_SHARES if len(self.depths_m) == 1 else _TWO_DEPTHS_SHARES
+        return [share * self.duration_s for share in shares]
+
+    @property
+    def deepest_s(self) -> float:
+        """Returns a time at which the tool is at its deepest."""
+        return self._moves_s[-3]
 
     def pose(self, time_s: float) -> FloatArray:
         """Returns the position of the tool, [3] m."""
-        begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
-        if time_s < leave:
-            share = min(max((time_s - begin) / (inside - begin), 0.0), 1.0)
-        else:
-            share = 1.0 - min(max((time_s - leave) / (back - leave), 0.0), 1.0)
-        smooth = (1 - math.cos(math.pi * share)) / 2
-        return np.array(self.start_m) + smooth * np.array(self.travel_m)
+        moves_s = self._moves_s
+        last = at = 0.0
+        for start_s, end_s, to in zip(moves_s[::2], moves_s[1::2], [*self.stays, 0.0], strict=True):
+            share = min(max((time_s - start_s) / (end_s - start_s), 0.0), 1.0)
+            at += (to - last) * (1 - math.cos(math.pi * share)) / 2
+            last = to
+        return np.array(self.start_m) + at * np.array(self.travel_m)
 
     @property
     def sample_count(self) -> int:
         return max(1, round(self.duration_s / self.sample_s))
 
-    def held(self) -> BoolArray | None:
-        """Tells for each sample whether the tool stays where it is deepest, [sample_count]; None without a tool."""
+    def held(self) -> list[BoolArray]:
+        """Tells for each depth and sample whether the tool stays there, [sample_count] each; empty without a tool."""
         if self.tool is None:
-            return None
+            return []
         times = self.sample_s * np.arange(1, self.sample_count + 1)
-        _, inside, leave, _ = (share * self.duration_s for share in PATH_SHARES)
         slack = 1e-6 * self.sample_s
-        held: BoolArray = (times > inside - slack) & (times < leave + slack)
-        return held
+        stays_s = self._moves_s[1:-1]
+        return [
+            (times > start_s - slack) & (times < end_s + slack)
+            for start_s, end_s in zip(stays_s[::2], stays_s[1::2], strict=True)
+        ]
 
     def text(self) -> str:
         """Describes the script for the report."""
@@ -113,12 +136,17 @@ class Script:
             return "one step from rest to equilibrium"
         what = f"{self.duration_s:g} s from rest under its loads, compared every {self.sample_s:.4g} s"
         if self.tool is not None:
-            what = f"{self.tool!r} presses {1e3 * self.depth_m:.3g} mm deep; {what}"
-            begin, inside, leave, back = (share * self.duration_s for share in PATH_SHARES)
+            depths = " and ".join(f"{1e3 * depth_m:.3g}" for depth_m in self.depths_m)
+            what = f"{self.tool!r} presses {depths} mm deep; {what}"
+            begin, *stays_s, back = self._moves_s
             travel_mm = 1e3 * float(np.linalg.norm(self.travel_m))
+            stays = " and ".join(
+                f"from {start_s:.2g} to {end_s:.2g} s"
+                for start_s, end_s in zip(stays_s[::2], stays_s[1::2], strict=True)
+            )
             what += (
-                f"; {self.tool!r} moves by {travel_mm:.1f} mm from {begin:.2g} to {inside:.2g} s, stays to "
-                f"{leave:.2g} s, and is back at {back:.2g} s"
+                f"; {self.tool!r} moves by {travel_mm:.1f} mm from {begin:.2g} s, stays {stays}, and is back at "
+                f"{back:.2g} s"
             )
         return what
 
@@ -150,9 +178,11 @@ def check_same_scene(scene: scene_pb2.Scene, own: scene_pb2.Scene, script: Scrip
         )
 
 
-def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> tuple[_Point, _Point]:
-    """Returns the start of a tool and its way, straight to the nearest point of the surface at rest and `press_radii`
-    beyond it."""
+def _press(
+    scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: Sequence[float]
+) -> tuple[_Point, _Point, tuple[float, ...], tuple[float, ...]]:
+    """Returns the start of a tool; its way straight to the nearest point of the surface at rest and the last of
+    `press_radii` beyond it; for each of these its depth [m] and the share of the way at which it is reached."""
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
     shape, q = shape_of(tool), tool.orientation
     centre = start + _rotated(q, np.array([shape.tip_offset_m.x, shape.tip_offset_m.y, shape.tip_offset_m.z]))
@@ -161,9 +191,12 @@ def _press(scene: scene_pb2.Scene, tool: scene_pb2.Tool, press_radii: float) -> 
     )
     way = surface[np.linalg.norm(surface - centre, axis=1).argmin()] - centre
     distance = float(np.linalg.norm(way))
+    lengths = [distance + (depth - 1) * shape.radius_m for depth in press_radii]
     if distance > 0:
-        way = way * (distance + (press_radii - 1) * shape.radius_m) / distance
-    return (start[0], start[1], start[2]), (way[0], way[1], way[2])
+        way = way * lengths[-1] / distance
+    stays = tuple(length / lengths[-1] if lengths[-1] != 0 else 1.0 for length in lengths)
+    depths_m = tuple(depth * shape.radius_m for depth in press_radii)
+    return (start[0], start[1], start[2]), (way[0], way[1], way[2]), depths_m, stays
 
 
 def _rotated(q: scene_pb2.Quaternion, v: FloatArray) -> FloatArray:
