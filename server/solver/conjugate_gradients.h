@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "matrix/edges.h"
+#include "solver/vector_updates.h"
 #include "view/scene.h"
 
 /// Conjugate gradients on Â x = b̂, written for one patch. Each iteration communicates once.
@@ -153,19 +154,20 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
       const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
       const T direction = Lanes::load(p + c);
-      const T residual = Lanes::load(r + c) - Lanes::load(own_product + c) * T(alpha);
-      Lanes::store(solve.solution + of_scene, Lanes::load(solve.solution + of_scene) + direction * T(alpha));
+      const T residual = next_residual(Lanes::load(r + c), Lanes::load(own_product + c), T(alpha));
+      const T solution = next_solution(Lanes::load(solve.solution + of_scene), direction, T(alpha));
+      Lanes::store(solve.solution + of_scene, solution);
       Lanes::store(r + c, residual);
-      Lanes::store(p + c, residual + direction * T(beta));
+      Lanes::store(p + c, next_direction(residual, direction, T(beta)));
       sum_rr += residual * residual;
       if (matrix::stores_edges(matrix)) Lanes::store(own_product + c, T(0));  // multiply_edges adds to it
     });
     team.for_each(0, patch.halo_count, [&](std::uint32_t h) {
       const std::uint32_t local = patch.own() + h;
       const Vec3<Real> q = view::load3<Real>(product, patches.halo[patch.halo_begin + h]);
-      const Vec3<Real> residual = view::load3<Real>(r, local) - q * alpha;
+      const Vec3<Real> residual = next_residual(view::load3<Real>(r, local), q, alpha);
       view::store3<Real>(r, local, residual);
-      view::store3<Real>(p, local, residual + view::load3<Real>(p, local) * beta);
+      view::store3<Real>(p, local, next_direction(residual, view::load3<Real>(p, local), beta));
     });
     team.sync();
   } while (recurrence.goes_on());

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "backend/cuda/exchange_cells.h"
 #include "backend/cuda/team.cuh"
 #include "view/scene.h"
 
@@ -22,6 +23,11 @@
 /// 3. Tags continue from solve to solve (SolveView::exchange_tags). Otherwise an old cell would pass for a new one.
 /// 4. All patches of a scene must run at the same time, or a patch would wait for ever.
 namespace tensormass::backend::cuda {
+
+/// A vector in a cell of four floats, and back. All four are written: memory that is only partly written must be read
+/// first.
+__device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
+__device__ inline float4 cell_of(const Vec3<float>& v) { return {v[0], v[1], v[2], 0}; }
 
 /// One patch's end of the exchange. All threads of its block have a copy.
 class Exchange {
@@ -47,14 +53,14 @@ class Exchange {
 
   /// Publishes three floats for a row of the patch.
   __device__ void publish_row(std::uint32_t row, float x, float y, float z) const {
-    store(cells_ + std::size_t{tag_ & 1} * rows_ + row, {x, y, z, tag_});
+    store(row_cell(cells_, rows_, tag_, row), {x, y, z, tag_});
   }
 
   /// Cells of the rows from `first` on in this exchange, four floats each.
-  __device__ float* rows(std::uint32_t first) const { return &(cells_ + std::size_t{tag_ & 1} * rows_ + first)->x; }
+  __device__ float* rows(std::uint32_t first) const { return &row_cell(cells_, rows_, tag_, first)->x; }
 
   /// The cell of a row in this exchange. The thread must know that it has been published.
-  __device__ Cell row(std::uint32_t row) const { return load(cells_ + std::size_t{tag_ & 1} * rows_ + row); }
+  __device__ Cell row(std::uint32_t row) const { return load(row_cell(cells_, rows_, tag_, row)); }
 
   /// Publishes the three sums of the patch.
   __device__ void publish_sums(float x, float y, float z) const { store(sums_of(patch_), {x, y, z, tag_}); }
@@ -72,7 +78,7 @@ class Exchange {
   template <int Count, class Index>
   __device__ void wait_for_rows(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const Index& index,
                                 Cell (&cells)[Count]) const {
-    const Cell* from = cells_ + std::size_t{tag_ & 1} * rows_;
+    const Cell* from = row_cell(cells_, rows_, tag_, 0);
     wait_for(
         first, stride, count, [&](int i) { return from + index(i); }, cells);
   }
@@ -110,18 +116,12 @@ class Exchange {
         : "memory");
     return {__uint_as_float(x), __uint_as_float(y), __uint_as_float(z), tag};
   }
-  __device__ Cell* sums_of(std::uint32_t patch) const {
-    return sums_ + (std::size_t{tag_ & 1} * patches_ + patch) * (view::kPatchSums / 4);
-  }
+  __device__ Cell* sums_of(std::uint32_t patch) const { return sum_cell(sums_, patches_, tag_, patch); }
   template <int Count, class PlaceOf>
   __device__ void wait_for(std::uint32_t first, std::uint32_t stride, std::uint32_t count, const PlaceOf& place_of,
                            Cell (&cells)[Count]) const {
     const Cell* place[Count];
-#pragma unroll
-    for (int i = 0; i < Count; ++i) {
-      // Beyond the end it reads the first cell again.
-      place[i] = first + i * stride < count ? place_of(i) : place_of(0);
-    }
+    cells_to_wait_for(first, stride, count, place_of, place);
     bool arrived;
     do {
       arrived = true;

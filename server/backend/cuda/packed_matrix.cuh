@@ -2,6 +2,7 @@
 
 #include <cuda_fp16.h>
 
+#include "backend/cuda/packed_column.h"
 #include "backend/cuda/team.cuh"
 #include "matrix/packed_block.h"
 #include "matrix/tiles.h"
@@ -16,9 +17,7 @@
 ///   serves both  the block also serves the row that it names: transposed, as A_jiᵀ = A_ij
 ///   loss         rounding error of a packed block, exact minus packed (matrix/packed_block.h)
 ///
-///   one column, in the memory of its 32 unpacked blocks:
-///     │ pair 0, lanes 0..31 │ pair 1 │ pair 2 │ Neighbour, lanes 0..31 │ PackedDiagonal, lanes 0..31 │
-///     │ 256 bytes           │        │        │ 64 or 128 bytes        │ first column of a slice only│
+/// packed_column.h says where a column and its parts are, and in which order a warp walks its slices.
 ///
 /// 1. Each iteration waits mostly for these reads. Packing them makes an iteration faster, and so does reading a block
 ///    once for two rows.
@@ -28,44 +27,6 @@ namespace tensormass::backend::cuda {
 
 using view::kSliceRows;
 using view::SceneView;
-
-__device__ inline Vec3<float> three_of(const float4& cell) { return {cell.x, cell.y, cell.z}; }
-
-/// The columns of a slice that a solve reads.
-struct ReadColumns {
-  std::uint32_t begin, end;
-  __device__ ReadColumns(const SceneView<float>& s, std::uint32_t slice)
-      : begin(s.matrix.slice_begin[slice]),
-        end(s.matrix.slice_read != nullptr ? s.matrix.slice_read[slice] : s.matrix.slice_begin[slice + 1]) {}
-};
-
-/// The patch-local row behind a slot; the top bit says whether the block serves that row too. 16 bits suffice for small
-/// patches.
-template <class Word>
-struct Neighbour {
-  static constexpr std::uint32_t kServesBoth = 1u << (8 * sizeof(Word) - 1), kMostLocals = kServesBoth;
-  __device__ static Word of(std::uint32_t local, bool serves_both) {
-    return static_cast<Word>(local | (serves_both ? kServesBoth : 0));
-  }
-  __device__ static std::uint32_t local(Word word) { return word & (kServesBoth - 1); }
-  __device__ static bool serves_both(Word word) { return (word & kServesBoth) != 0; }
-};
-
-/// Addresses of one packed column, as drawn above.
-template <class Word>
-struct PackedColumn {
-  uint2* pairs;      // [pair][lane]
-  Word* neighbours;  // [lane]
-  uint2* diagonals;  // [lane]
-
-  __device__ PackedColumn(const SceneView<float>& s, std::uint32_t column) {
-    constexpr std::uint32_t kPairs = 3;
-    pairs = reinterpret_cast<uint2*>(s.matrix.edges + view::block_begin(std::size_t{column} * kSliceRows));
-    neighbours = reinterpret_cast<Word*>(pairs + kPairs * kSliceRows);
-    diagonals = reinterpret_cast<uint2*>(neighbours + kSliceRows);
-    static_assert(kPairs * sizeof(uint2) + sizeof(Word) + sizeof(uint2) <= 9 * sizeof(float));
-  }
-};
 
 /// Sum of the losses of a row's blocks, in half precision: as many digits as PackedDiagonal keeps. kUnit scales it to
 /// the middle of the range of halves.
@@ -99,7 +60,7 @@ __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, 
 #pragma unroll 1
   for (std::uint32_t local = first + lane; local < last; local += kWarp) {
     const std::uint32_t row = patch.row_begin + local;
-    const ReadColumns columns(s, row / kSliceRows);
+    const ReadColumns columns(s.matrix, row / kSliceRows);
     const Mat3<float> own = solver::load_lower<float>(s.matrix.diagonal, row);
     matrix::UpperTriangle lost_here;
     // Some at once, because each waits for memory twice.
@@ -128,11 +89,11 @@ __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, 
         float numbers[9], unpacked[9];
         for (int c = 0; c < 9; ++c) numbers[c] = scaled(c / 3, c % 3);
         const auto packed = matrix::PackedBlock::of(numbers);
-        const PackedColumn<Word> to(s, begin + i);
+        const PackedColumn<Word, uint2> to(s.matrix.edges, begin + i);
         for (int pair = 0; pair < 3; ++pair) {
-          to.pairs[pair * kSliceRows + lane] = {packed.words[2 * pair], packed.words[2 * pair + 1]};
+          *to.pair(pair, lane) = {packed.words[2 * pair], packed.words[2 * pair + 1]};
         }
-        to.neighbours[lane] = Neighbour<Word>::of(other[i], twice[i] != 0);
+        *to.neighbour(lane) = Neighbour<Word>::of(other[i], twice[i] != 0);
         packed.unpack(unpacked);
         const matrix::UpperTriangle lost = matrix::lost(numbers, unpacked);
         lost_here += lost;
@@ -147,7 +108,8 @@ __device__ void scale_tile(const SceneView<float>& s, const view::Patch& patch, 
     const std::uint32_t slice = (patch.row_begin + local) / kSliceRows;
     if (s.matrix.slice_begin[slice] == s.matrix.slice_begin[slice + 1]) continue;  // rows without neighbours
     const auto packed = matrix::PackedDiagonal::of(losses[local - first].sum());
-    PackedColumn<Word>(s, s.matrix.slice_begin[slice]).diagonals[lane] = {packed.words[0], packed.words[1]};
+    *PackedColumn<Word, uint2>(s.matrix.edges, s.matrix.slice_begin[slice]).diagonal(lane) = {packed.words[0],
+                                                                                              packed.words[1]};
   }
   __syncwarp();
 }
@@ -159,9 +121,9 @@ class TileWalk {
  public:
   /// A warp without a tile must not call multiply().
   __device__ TileWalk(const SceneView<float>& s, const view::Patch& patch, std::uint32_t tile_rows)
-      : s_(s), patch_(patch), tile_rows_(tile_rows), own_(patch.own()), begin_(threadIdx.x / kWarp * tile_rows) {
-    if (begin_ >= own_) return;
-    begin_tile(begin_);
+      : s_(s), patch_(patch), steps_(tile_rows, patch.own(), threadIdx.x / kWarp) {
+    if (!steps_.has_tile()) return;
+    begin_tile(steps_.begin);
     load();
   }
 
@@ -170,7 +132,7 @@ class TileWalk {
   /// p: of the patch, four floats a row.
   /// q: of the tile, in shared memory, four floats a row; overwritten.
   __device__ void multiply(const float4* p, float4* q) {
-    const std::uint32_t first = first_, last = minimum(first + tile_rows_, own_);
+    const std::uint32_t first = steps_.first, last = steps_.last();
     for (std::uint32_t local = first + lane(); local < last; local += kWarp)
       q[local - first] = p[local];  // unit diagonal
     __syncwarp();
@@ -217,31 +179,24 @@ class TileWalk {
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
   /// Starts a tile. Each lane reads the columns of one of its slices.
   __device__ void begin_tile(std::uint32_t first) {
-    first_ = first;
-    slice_ = 0;
-    const std::uint32_t last = minimum(first + tile_rows_, own_);
-    slices_ = (last - first) / kSliceRows;
-    const std::uint32_t slice = (patch_.row_begin + first) / kSliceRows + minimum(lane(), slices_ - 1);
-    const ReadColumns columns(s_, slice);
+    steps_.begin_tile(first);
+    const std::uint32_t slice = (patch_.row_begin + first) / kSliceRows + minimum(lane(), steps_.slices - 1);
+    const ReadColumns columns(s_.matrix, slice);
     begin_of_ = columns.begin;
     end_of_ = columns.end;
     begin_slice();
   }
   __device__ void begin_slice() {
-    next_ = __shfl_sync(0xFFFFFFFFu, begin_of_, slice_);
-    end_ = __shfl_sync(0xFFFFFFFFu, end_of_, slice_);
+    next_ = __shfl_sync(0xFFFFFFFFu, begin_of_, steps_.slice);
+    end_ = __shfl_sync(0xFFFFFFFFu, end_of_, steps_.slice);
     // Slices without columns have no PackedDiagonals.
-    const uint2 words = next_ < end_ ? __ldcs(PackedColumn<Word>(s_, next_).diagonals + lane()) : uint2{0, 0};
+    const uint2 words =
+        next_ < end_ ? __ldcs(PackedColumn<Word, uint2>(s_.matrix.edges, next_).diagonal(lane())) : uint2{0, 0};
     diagonal_.words[0] = words.x;
     diagonal_.words[1] = words.y;
   }
   __device__ void next_slice() {
-    if (++slice_ < slices_) return begin_slice();
-    std::uint32_t next = first_ + Warps * tile_rows_;
-    if (next >= own_) next = begin_;
-    if (next != first_) return begin_tile(next);
-    slice_ = 0;
-    begin_slice();
+    steps_.next([this] { begin_slice(); }, [this](std::uint32_t first) { begin_tile(first); });
   }
   /// Starts the next reads, all together.
   __device__ void load() {
@@ -249,11 +204,11 @@ class TileWalk {
     for (std::uint32_t i = 0; i < kAtOnce; ++i) {
       // The matrix is read once an iteration, so __ldcs marks it as the first to evict: the cache is for other data.
       const bool more = next_ + i < end_;
-      const PackedColumn<Word> from(s_, next_ + i);
-      neighbour_[i] = more ? __ldcs(from.neighbours + lane()) : Word(0);
+      const PackedColumn<Word, uint2> from(s_.matrix.edges, next_ + i);
+      neighbour_[i] = more ? __ldcs(from.neighbour(lane())) : Word(0);
       for (int pair = 0; pair < 3; ++pair) {
         constexpr uint2 kZero{matrix::PackedBlock::kZeroWords[0], matrix::PackedBlock::kZeroWords[1]};
-        const uint2 words = more ? __ldcs(from.pairs + pair * kSliceRows + lane()) : kZero;
+        const uint2 words = more ? __ldcs(from.pair(pair, lane())) : kZero;
         block_[i].words[2 * pair] = words.x;
         block_[i].words[2 * pair + 1] = words.y;
       }
@@ -262,12 +217,10 @@ class TileWalk {
 
   const SceneView<float>& s_;
   const view::Patch& patch_;
-  const std::uint32_t tile_rows_, own_, begin_;  // begin_: first row of the warp's first tile
-  std::uint32_t first_;                          // first row of the current tile
-  std::uint32_t slice_, slices_;                 // current slice in the tile; slices of the tile
-  std::uint32_t next_, end_;                     // next column to read, and end of the slice's columns
-  std::uint32_t begin_of_, end_of_;              // columns of the slice that this lane has read
-  matrix::PackedDiagonal diagonal_;              // the diagonal of the lane's row in the slice
+  TileSteps<Warps> steps_;
+  std::uint32_t next_, end_;         // next column to read, and end of the slice's columns
+  std::uint32_t begin_of_, end_of_;  // columns of the slice that this lane has read
+  matrix::PackedDiagonal diagonal_;  // the diagonal of the lane's row in the slice
   matrix::PackedBlock block_[kAtOnce];
   Word neighbour_[kAtOnce];
 };

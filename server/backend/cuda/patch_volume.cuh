@@ -4,6 +4,7 @@
 
 #include <cuda_pipeline.h>
 
+#include "backend/cuda/checked_tetrahedra.h"
 #include "backend/cuda/exchange.cuh"
 #include "solver/time_scheme.h"
 #include "step/inversion_check.h"
@@ -40,7 +41,7 @@ class PatchVolume {
 
   /// Prefetches what the check reads. A solve takes long enough for caches to lose it.
   __device__ static void expect(const view::SceneView<float>& s, const Parts& parts) {
-    constexpr std::uint32_t kLine = 16;  // tetrahedra in 128 bytes
+    constexpr std::uint32_t kLine = kTetrahedraInLine;
     for (std::uint32_t t = parts.begin + kLine * threadIdx.x; t < parts.end; t += kLine * Threads) {
       tensormass::expect(s.guard.tetrahedron_rows + std::size_t{4} * t);
     }
@@ -138,11 +139,11 @@ class PatchVolume {
     }
   };
 
-  /// Reads the thread's next tetrahedra. Beyond the end it reads the last one again, which is harmless.
+  /// Reads the thread's next tetrahedra.
   __device__ void read_ahead(std::uint32_t t, std::uint32_t end) {
 #pragma unroll
     for (std::uint32_t i = 0; i < kAtOnce; ++i) {
-      if (t < end) ahead_[i] = tetrahedra_[minimum(t + i * Threads, end - 1)];
+      if (t < end) ahead_[i] = tetrahedra_[tetrahedron_ahead(t, i, Threads, end)];
     }
   }
   __device__ void place_halo() {
@@ -158,9 +159,7 @@ class PatchVolume {
     const Vec3<float> x = (rest - origin_) + u;
     return {x[0], x[1], x[2], 0};
   }
-  __device__ static std::uint32_t local_of(uint2 nodes, std::uint32_t k) {
-    return (k < 2 ? nodes.x : nodes.y) >> (16 * (k % 2)) & 0xFFFF;
-  }
+  __device__ static std::uint32_t local_of(uint2 nodes, std::uint32_t k) { return local_of_node(nodes.x, nodes.y, k); }
   /// Whether the volume is positive, within rounding: a tetrahedron whose height is a millionth of its patch may count
   /// as flat.
   __device__ bool has_volume(uint2 nodes) const {

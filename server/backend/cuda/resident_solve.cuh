@@ -4,10 +4,12 @@
 
 #include "backend/cuda/patch_sums.cuh"
 #include "backend/cuda/patch_volume.cuh"
+#include "backend/cuda/resident_memory.h"
 #include "core/strided.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
 #include "solver/time_scheme.h"
+#include "solver/vector_updates.h"
 
 /// The solve of solver/conjugate_gradients.h in single precision, for patches that fit on the chip. A thread block runs
 /// one patch for the whole solve, with one or two rows a thread. Symbols (Â, b̂, x, r, p, q, α, β, L⁻¹):
@@ -31,14 +33,6 @@ namespace tensormass::backend::cuda {
 
 using view::kSliceRows;
 using view::SceneView;
-
-/// Largest number of rows of a patch in resident_solve.
-inline constexpr std::uint32_t kMostResidentRows = 512;
-
-/// Shared memory of resident_solve [bytes].
-inline constexpr std::size_t kResidentBytesPerRow = 16 + 6 * 4;  // own and halo: direction, L⁻¹
-inline constexpr std::size_t kResidentBytesPerHaloRow = 2 * 16;  // residual, product
-inline constexpr std::size_t kResidentBytesPerColumn = kSliceRows * (9 * 4 + 2);
 
 /// Hides from the compiler how a value was computed. To save a register, it would otherwise compute the value again in
 /// each iteration.
@@ -89,7 +83,7 @@ __global__ void __launch_bounds__(Threads, 1)
       const std::uint32_t before = __shfl_up_sync(0xFFFFFFFFu, up_to, distance);
       if (lane >= distance) up_to += before;
     }
-    const std::uint32_t place = minimum(up_to - further, column_capacity);
+    const std::uint32_t place = shared_begin_of(up_to - further, column_capacity);
     for (int k = 0; k < Rows; ++k) {
       const std::uint32_t of = warp + k * kWarps;
       has_row[k] = of < slices;
@@ -98,17 +92,16 @@ __global__ void __launch_bounds__(Threads, 1)
       width[k] = __shfl_sync(0xFFFFFFFFu, lane < slices ? columns : 0, of);
       shared_begin[k] = computed_once(__shfl_sync(0xFFFFFFFFu, place, of));
       shared_width[k] =
-          computed_once(minimum(width[k] > Held ? width[k] - Held : 0, column_capacity - shared_begin[k]));
+          computed_once(shared_width_of(width[k] > Held ? width[k] - Held : 0, shared_begin[k], column_capacity));
     }
   }
 
-  // In shared memory, each row of a column has two float4 and a float.
-  constexpr std::uint32_t kColumnReals = 9 * kSliceRows;
+  // In shared memory, each row of a column has two float4 and a float (shared_component).
   const auto slot_of = [&first, lane](int k, std::uint32_t j) {
     return (std::size_t{first[k]} + j) * kSliceRows + lane;
   };
   const auto read_shared = [blocks, lane](std::uint32_t place, float(&block)[9]) {
-    const float* const from = blocks + place * kColumnReals;
+    const float* const from = blocks + place * kSharedColumnReals;
     const float4 a = reinterpret_cast<const float4*>(from)[lane],
                  b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
     block[0] = a.x, block[1] = a.y, block[2] = a.z, block[3] = a.w;
@@ -147,10 +140,9 @@ __global__ void __launch_bounds__(Threads, 1)
   for (int k = 0; k < Rows; ++k) {
     for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
       const float* from = s.matrix.edges + view::block_begin(slot_of(k, Held + j));
-      float* const to = blocks + (shared_begin[k] + j) * kColumnReals;
+      float* const to = blocks + (shared_begin[k] + j) * kSharedColumnReals;
       for (std::uint32_t c = 0; c < 9; ++c) {
-        const std::uint32_t place = c / 4 * (4 * kSliceRows) + (c < 8 ? 4 * lane + c % 4 : lane);
-        __pipeline_memcpy_async(to + place, from + c * kSliceRows, sizeof(float));
+        __pipeline_memcpy_async(to + shared_component(c, lane), from + c * kSliceRows, sizeof(float));
       }
     }
   }
@@ -159,7 +151,7 @@ __global__ void __launch_bounds__(Threads, 1)
     for_each_strided(
         0, shared_width[k], 1, [&](std::uint32_t j) { return s.matrix.columns[slot_of(k, Held + j)]; },
         [&](std::uint32_t j, std::uint32_t column) {
-          columns[(shared_begin[k] + j) * kSliceRows + lane] = static_cast<std::uint16_t>(column * 16);
+          columns[(shared_begin[k] + j) * kSliceRows + lane] = static_cast<std::uint16_t>(column * kCellBytes);
         });
   }
 #pragma unroll
@@ -206,7 +198,7 @@ __global__ void __launch_bounds__(Threads, 1)
         if (i >= kBlocks) break;
         const int k = i / Held, j = i % Held;
         scale(k, held[k][j], column[i]);
-        held_columns[k][j / 2] = (j % 2 == 0 ? 0 : held_columns[k][j / 2]) | (column[i] * 16) << (16 * (j % 2));
+        held_columns[k][j / 2] = with_offset(held_columns[k][j / 2], j, column[i]);
       }
     }
   }
@@ -219,8 +211,8 @@ __global__ void __launch_bounds__(Threads, 1)
       const std::uint32_t place = shared_begin[k] + j;
       float block[9];
       read_shared(place, block);
-      scale(k, block, columns[place * kSliceRows + lane] / 16);
-      float* const to = blocks + place * kColumnReals;
+      scale(k, block, columns[place * kSliceRows + lane] / kCellBytes);
+      float* const to = blocks + place * kSharedColumnReals;
       reinterpret_cast<float4*>(to)[lane] = {block[0], block[1], block[2], block[3]};
       reinterpret_cast<float4*>(to)[kSliceRows + lane] = {block[4], block[5], block[6], block[7]};
       to[8 * kSliceRows + lane] = block[8];
@@ -274,14 +266,14 @@ __global__ void __launch_bounds__(Threads, 1)
         if (j >= width[k]) break;
 #pragma unroll
         for (int i = j; i < j + 4 && i < Held; ++i) {
-          add(held[k][i], 1, held_columns[k][i / 2] >> (16 * (i % 2)) & 0xFFFF);
+          add(held[k][i], 1, offset_of(held_columns[k][i / 2], i));
         }
       }
 #pragma unroll 2
       for (std::uint32_t j = 0; j < shared_width[k]; ++j) {
         const std::uint32_t place = shared_begin[k] + j;
         // As read_shared does it. Calling read_shared here made the loop 34 instructions longer.
-        const float* from = blocks + place * kColumnReals;
+        const float* from = blocks + place * kSharedColumnReals;
         const float4 a = reinterpret_cast<const float4*>(from)[lane],
                      b = reinterpret_cast<const float4*>(from)[kSliceRows + lane];
         const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
@@ -289,7 +281,7 @@ __global__ void __launch_bounds__(Threads, 1)
       }
       for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
         const std::size_t slot = slot_of(k, j);
-        add(s.matrix.edges + view::block_begin(slot), kSliceRows, s.matrix.columns[slot] * 16);
+        add(s.matrix.edges + view::block_begin(slot), kSliceRows, s.matrix.columns[slot] * kCellBytes);
       }
       if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
       own_sums.x += p[k].dot(q[k]);
@@ -316,9 +308,9 @@ __global__ void __launch_bounds__(Threads, 1)
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
 #pragma unroll
     for (int k = 0; k < Rows; ++k) {
-      x[k] += p[k] * alpha;
-      r[k] -= q[k] * alpha;
-      p[k] = r[k] + p[k] * beta;
+      x[k] = solver::next_solution(x[k], p[k], alpha);
+      r[k] = solver::next_residual(r[k], q[k], alpha);
+      p[k] = solver::next_direction(r[k], p[k], beta);
       if (has_row[k]) direction[thread + k * Threads] = {p[k][0], p[k][1], p[k][2], 0};
     }
     // Two at a time, so that their reads overlap.
@@ -336,11 +328,13 @@ __global__ void __launch_bounds__(Threads, 1)
       for (std::uint32_t i = 0; i < kUpdatesAtOnce; ++i) {
         const std::uint32_t place = h + i * Threads;
         if (place >= patch.halo_count) break;
-        hr[i].x -= alpha * hq[i].x;
-        hr[i].y -= alpha * hq[i].y;
-        hr[i].z -= alpha * hq[i].z;
+        hr[i].x = solver::next_residual(hr[i].x, hq[i].x, alpha);
+        hr[i].y = solver::next_residual(hr[i].y, hq[i].y, alpha);
+        hr[i].z = solver::next_residual(hr[i].z, hq[i].z, alpha);
         halo_residual[place] = hr[i];
-        direction[own + place] = {hr[i].x + beta * hp[i].x, hr[i].y + beta * hp[i].y, hr[i].z + beta * hp[i].z, 0};
+        direction[own + place] = {solver::next_direction(hr[i].x, hp[i].x, beta),
+                                  solver::next_direction(hr[i].y, hp[i].y, beta),
+                                  solver::next_direction(hr[i].z, hp[i].z, beta), 0};
       }
     }
     __syncthreads();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "backend/cuda/rows_memory.h"
 #include "backend/cuda/team.cuh"
 #include "matrix/rows.h"
 
@@ -11,9 +12,7 @@
 ///   place     column of a slot within the slice;  capacity: columns that fit at once
 ///   Quad      four reals, read and written at once
 ///
-///   shared memory:  Quads of the blocks  [sum][column][2][32 rows]
-///                   ninth components     [sum][column][32 rows]
-///                   neighbours           [column][6][32 rows], only with KeepsNeighbours
+/// rows_memory.h says where they are in shared memory.
 ///
 /// 1. A lane reads four reals at once, and no two lanes of a warp meet in a bank.
 /// 2. Two parts a slice hide each other's reads. A small scene has few slices and takes more parts for each.
@@ -22,14 +21,6 @@ namespace tensormass::backend::cuda {
 using view::ElementView;
 using view::kSliceRows;
 using view::SceneView;
-
-/// Reals of the RowSums of a row, which parts exchange.
-inline constexpr std::uint32_t kSumsReals = 15;
-
-/// Reals of a column in shared memory: one block for each sum, and the neighbour if it is kept.
-__host__ __device__ constexpr std::uint32_t column_reals(bool keeps_neighbours, std::uint32_t sums) {
-  return 9 * sums + (keeps_neighbours ? 6 : 0);
-}
 
 /// A row's blocks of a turn, and its neighbours with KeepsNeighbours: the `Blocks` of matrix::assemble_row. Parts have
 /// neighbours in common.
@@ -41,8 +32,8 @@ class SharedBlocks {
         part_(threadIdx.x / kWarp),
         parts_(blockDim.x / kWarp),
         quads_(static_cast<Quad*>(shared) + lane()),
-        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + sums() * capacity * (2 * kSliceRows)) + lane()),
-        neighbours_(singles_ + sums() * capacity * kSliceRows) {}
+        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + quad_place(sums(), capacity, 0, 0)) + lane()),
+        neighbours_(singles_ + single_place(sums(), capacity, 0, 0)) {}
 
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
@@ -63,7 +54,7 @@ class SharedBlocks {
       single_at(place, sum) = 0;
     }
     if constexpr (!KeepsNeighbours) return;
-    Real* const to = neighbours_ + (place - first_) * (kNeighbourReals * kSliceRows);
+    Real* const to = neighbours_ + (place - first_) * kNeighbourColumnReals;
     for (int c = 0; c < 3; ++c) {
       to[c * kSliceRows] = neighbour.displacement[c];
       to[(3 + c) * kSliceRows] = neighbour.ahead[c];
@@ -98,7 +89,7 @@ class SharedBlocks {
     if (parts_ == 1) return true;
     meet();  // the blocks have been read
     const auto place = [&](std::uint32_t part) {
-      return reinterpret_cast<Real*>(quads_ - lane()) + part * (kSumsReals * kSliceRows) + lane();
+      return reinterpret_cast<Real*>(quads_ - lane()) + row_sums_place(part) + lane();
     };
     Real* const mine = place(part_);
     each(sums, [&](unsigned c, const Real& value) { mine[c * kSliceRows] = value; });
@@ -116,19 +107,18 @@ class SharedBlocks {
   struct alignas(16) Quad {
     Real x, y, z, w;
   };
-  static constexpr std::uint32_t kNeighbourReals = column_reals(KeepsNeighbours, 0);
   __device__ static unsigned lane() { return threadIdx.x % kWarp; }
   __device__ std::uint32_t sums() const { return AddsInTurns ? 1 : parts_; }
   __device__ std::uint32_t own_sum() const { return AddsInTurns ? 0 : part_; }
   __device__ Vec3<Real> of_neighbour(std::uint32_t column, std::uint32_t first) const {
-    const Real* const from = neighbours_ + (column * kNeighbourReals + first) * kSliceRows;
+    const Real* const from = neighbours_ + neighbour_place(column, first);
     return {from[0], from[kSliceRows], from[2 * kSliceRows]};
   }
   __device__ Quad* quads_at(std::uint32_t place, std::uint32_t sum) const {
-    return quads_ + (sum * capacity_ + place - first_) * (2 * kSliceRows);
+    return quads_ + quad_place(sum, capacity_, place, first_);
   }
   __device__ Real& single_at(std::uint32_t place, std::uint32_t sum) const {
-    return singles_[(sum * capacity_ + place - first_) * kSliceRows];
+    return singles_[single_place(sum, capacity_, place, first_)];
   }
   template <int Count>
   __device__ void add_now(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {
@@ -187,49 +177,22 @@ class SharedBlocks {
   }
 
   const std::uint32_t capacity_, part_, parts_;
-  Quad* const quads_;       // [sum][column][2][kSliceRows]
-  Real* const singles_;     // [sum][column][kSliceRows]
-  Real* const neighbours_;  // [column][kNeighbourReals][kSliceRows]
+  Quad* const quads_;  // quad_place, single_place and neighbour_place index these
+  Real* const singles_;
+  Real* const neighbours_;
   std::uint32_t first_ = 0, held_ = 0;
   bool holds_all_ = false;
 };
 
-/// Parts of a slice. Usually two, so that one's reads are hidden by the other's arithmetic. More if a small scene has
-/// too few slices for all multiprocessors.
-inline constexpr std::uint32_t kUsualParts = 2, kMostParts = 4;
-/// Smallest capacity. After the last turn kMostParts parts leave their RowSums where the blocks were
-/// (SharedBlocks::leads).
-inline constexpr std::uint32_t kLeastColumns = (kMostParts * kSumsReals + 8) / 9;
-
-struct RowsLaunch {
-  std::uint32_t capacity;  ///< columns that fit into shared memory at once
-  unsigned threads;
-  std::size_t shared_bytes;
-};
-
-/// Returns the launch of assemble_rows.
-/// slices: number of slices of the group.
-/// widest: largest width of a slice, in columns.
-/// keeps_neighbours, adds_in_turns: of the group's shape (matrix/rows.h).
+/// rows_launch of rows_memory.h, of a device.
 template <class Real>
 RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_neighbours, bool adds_in_turns,
                        const cudaDeviceProp& device) {
-  constexpr std::uint32_t kWarpsPerProcessor = 16;
-  const auto processors = static_cast<std::uint32_t>(device.multiProcessorCount);
   // Two blocks fit on a multiprocessor.
   const std::size_t most_bytes =
       minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
-  const auto bytes_per_column = [=](std::uint32_t parts) {
-    return column_reals(keeps_neighbours, adds_in_turns ? 1 : parts) * kSliceRows * sizeof(Real);
-  };
-  const auto room = [=](std::uint32_t parts) {
-    return static_cast<std::uint32_t>(most_bytes / bytes_per_column(parts));
-  };
-  const std::uint32_t capacity = maximum(kLeastColumns, minimum(widest, room(1)));
-  const std::uint32_t wanted = maximum(kUsualParts, kWarpsPerProcessor * processors / maximum(slices, 1u));
-  std::uint32_t parts = minimum(wanted, kMostParts);
-  while (parts > 1 && room(parts) < capacity) --parts;
-  return {capacity, parts * kWarp, capacity * bytes_per_column(parts)};
+  return rows_launch<Real>(slices, widest, keeps_neighbours, adds_in_turns,
+                           static_cast<std::uint32_t>(device.multiProcessorCount), most_bytes);
 }
 
 /// Assembles the rows of a group, one block a slice.

@@ -3,8 +3,10 @@
 #include "backend/cuda/packed_matrix.cuh"
 #include "backend/cuda/patch_sums.cuh"
 #include "backend/cuda/patch_volume.cuh"
+#include "backend/cuda/streamed_memory.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/time_scheme.h"
+#include "solver/vector_updates.h"
 
 /// The solve of solver/conjugate_gradients.h in single precision, for patches with more rows than a block has threads.
 /// A thread block runs one patch for the whole solve and reads the packed matrix from memory in each iteration. Symbols
@@ -40,16 +42,8 @@ struct Vectors {
     v[2] = value[2];
   }
 };
-/// A cell with all four floats: memory that is only partly written must be read first.
-__device__ inline float4 cell_of(const Vec3<float>& v) { return {v[0], v[1], v[2], 0}; }
-
-/// Shared memory of streamed_solve [bytes]; its threads: one warp for each tile that is worked on at once.
-inline constexpr std::size_t kStreamedBytesPerCell = 16, kStreamedBytesPerVector = 12;
+/// Threads of streamed_solve: one warp for each tile that is worked on at once.
 inline constexpr unsigned kStreamedThreads = matrix::kTilesAtOnce * kWarp;
-
-/// Vectors that streamed_solve keeps in shared memory, one bit each, in this order. Besides them shared memory has the
-/// q of the current tiles (kStreamedBytesPerCell a row). That is all of q if each warp has one tile.
-enum StreamedVectors : std::uint32_t { kNearDirection = 1, kNearResidual = 2, kNearSolution = 4 };
 
 /// Solves the system of a patch and moves its rows. solver::factorize must have run: `diagonal` holds L⁻¹, `rhs` holds
 /// b̂.
@@ -68,25 +62,17 @@ __global__ void __launch_bounds__(Threads, 1)
 
   constexpr std::uint32_t kWarps = Threads / kWarp;
   static_assert(kWarps == matrix::kTilesAtOnce);
-  const std::uint32_t held_rows = minimum(own, kWarps * tile_rows);
+  const std::uint32_t held_rows = streamed_tile_rows(own, tile_rows);
   float4* const tile = shared + std::size_t{warp} * tile_rows;
-  float* next = &shared[held_rows].x;
-  const auto place = [&](StreamedVectors which, std::size_t bytes_per_row, std::uint32_t rows, float* otherwise) {
-    if ((near_vectors & which) == 0) return otherwise;
-    float* const begin = next;
-    next += (bytes_per_row * rows + 15) / 16 * 4;
-    return begin;
-  };
+  StreamedMemory<float4> memory(shared, held_rows, near_vectors);
   float4* p;  // a template parameter, so that the compiler knows its memory
   if constexpr (NearDirection) {
-    p = shared + held_rows;
-    next += kStreamedBytesPerCell / sizeof(float) * locals;
+    p = memory.place_direction(locals);
   } else {
     p = reinterpret_cast<float4*>(s.solve.direction + 4 * patch.local_begin);
   }
-  const Vectors r{place(kNearResidual, kStreamedBytesPerVector, locals, s.solve.residual + 4 * patch.local_begin)};
-  const Vectors x{
-      place(kNearSolution, kStreamedBytesPerVector, own, s.solve.solution + std::size_t{4} * patch.row_begin)};
+  const Vectors r{memory.place(kNearResidual, locals, s.solve.residual + 4 * patch.local_begin)};
+  const Vectors x{memory.place(kNearSolution, own, s.solve.solution + std::size_t{4} * patch.row_begin)};
 
   float residual_squared = 0;
   for (std::uint32_t i = thread; i < locals; i += Threads) {
@@ -106,11 +92,7 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
-  // With p in device memory, x is updated in every other iteration. The first one omits α p and stores γ = α / β. The
-  // next one has r' and p' = r' + β p and adds both terms, because x + α p + α' p' = x + (α' + γ) p' − γ r'. If β is
-  // small, p' − r' has few digits of β p, so the update is not postponed.
-  constexpr float kLeastBeta = 0.05f;
-  float gamma = 0;
+  float gamma = 0;  // γ of a postponed update of x (solver/vector_updates.h)
   do {
     exchange.begin();
     // If q does not fit into shared memory, it is read back from the cells that this patch has just published.
@@ -132,10 +114,11 @@ __global__ void __launch_bounds__(Threads, 1)
     const Exchange::Cell all = sums.total();
     if (!recurrence.take(all.x, all.y, all.z)) break;
     const float alpha = recurrence.alpha(), beta = recurrence.beta();
-    const bool postpones = !NearDirection && gamma == 0 && beta > kLeastBeta;
-    const auto moved = [&](const Vec3<float>& x, const Vec3<float>& direction, const Vec3<float>& residual) {
-      if constexpr (NearDirection) return Vec3<float>(x + direction * alpha);
-      return Vec3<float>(x + direction * (alpha + gamma) - residual * gamma);
+    const bool postpones = !NearDirection && solver::may_postpone(gamma, beta);
+    const auto moved = [&](const Vec3<float>& x, const Vec3<float>& direction,
+                           const Vec3<float>& residual) -> Vec3<float> {
+      if constexpr (NearDirection) return solver::next_solution(x, direction, alpha);
+      return solver::solution_with_postponed(x, direction, residual, alpha, gamma);
     };
     residual_squared = 0;
     constexpr std::uint32_t kRowsAtOnce = 2;
@@ -155,9 +138,9 @@ __global__ void __launch_bounds__(Threads, 1)
         const std::uint32_t local = begin + i * Threads;
         if (local >= own) break;
         if (!postpones) x.set(local, moved(solution[i], direction[i], residual[i]));
-        residual[i] -= product[i] * alpha;
+        residual[i] = solver::next_residual(residual[i], product[i], alpha);
         r.set(local, residual[i]);
-        p[local] = cell_of(residual[i] + direction[i] * beta);
+        p[local] = cell_of(solver::next_direction(residual[i], direction[i], beta));
         residual_squared += residual[i].dot(residual[i]);
       }
     }
@@ -169,9 +152,10 @@ __global__ void __launch_bounds__(Threads, 1)
           cells);
       for (int i = 0; i < kAtOnce && h + i * Threads < patch.halo_count; ++i) {
         const std::uint32_t local = own + h + i * Threads;
-        const Vec3<float> residual = r[local] - Vec3<float>(cells[i].x, cells[i].y, cells[i].z) * alpha;
+        const Vec3<float> product(cells[i].x, cells[i].y, cells[i].z);
+        const Vec3<float> residual = solver::next_residual(r[local], product, alpha);
         r.set(local, residual);
-        p[local] = cell_of(residual + three_of(p[local]) * beta);
+        p[local] = cell_of(solver::next_direction(residual, three_of(p[local]), beta));
       }
     }
     gamma = postpones ? alpha / beta : 0;
@@ -183,7 +167,7 @@ __global__ void __launch_bounds__(Threads, 1)
   // postponed.
   if (gamma != 0) {
     for (std::uint32_t local = thread; local < own; local += Threads) {
-      x.set(local, x[local] + (three_of(p[local]) - r[local]) * gamma);
+      x.set(local, solver::postponed_solution(x[local], three_of(p[local]), r[local], gamma));
     }
   }
   if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
