@@ -287,6 +287,11 @@ def test_tools_of_any_kind_are_added_by_name() -> None:
         scene.add_tool("hook", "capsul", position_m=(0, 0, 1))
     with pytest.raises(tm.InvalidArgumentError, match=r"hook: capsule has no 'lenght_m'.*length_m"):
         scene.add_tool("hook", "capsule", position_m=(0, 0, 1), lenght_m=0.2)
+    for wrong in ("0.2", None, (0, 0, 1)):
+        with pytest.raises(tm.InvalidArgumentError, match=r"hook.length_m: expected a number, got"):
+            scene.add_tool("hook", "capsule", position_m=(0, 0, 1), length_m=wrong)  # type: ignore[arg-type]
+    with pytest.raises(tm.InvalidArgumentError, match=r"hook.tip_offset_m: expected three finite numbers, got 0.1"):
+        scene.add_tool("hook", "capsule", position_m=(0, 0, 1), tip_offset_m=0.1)
     assert len(scene.message.tools) == 1, "a tool that is refused is not added"
 
 

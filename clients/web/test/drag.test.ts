@@ -85,3 +85,14 @@ it("releases a tool when its topology ends, even if the next has a tool of that 
   expect(onMove).not.toHaveBeenCalled();
   expect(controls.enabled).toBe(true);
 });
+
+it("keeps the place at which a long tool was taken under the pointer", () => {
+  target.dispatchEvent(pointer("pointerup", 50));
+  const shaft = new THREE.Mesh(new THREE.CapsuleGeometry(0.1, 2).rotateZ(Math.PI / 2).translate(1, 0, 0), new THREE.MeshBasicMaterial());
+  shaft.name = "hook";
+  shaft.updateMatrixWorld(true);
+  shapes = [shaft];
+  target.dispatchEvent(pointer("pointerdown", 70)); // two tenths from its tip, which is in the middle of the picture
+  target.dispatchEvent(pointer("pointermove", 80));
+  expect(onMove).toHaveBeenCalledWith("hook", [expect.closeTo(TENTH), expect.closeTo(0), expect.closeTo(0)]);
+});

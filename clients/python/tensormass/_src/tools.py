@@ -50,7 +50,10 @@ def make_tool(
         if described.type == FieldDescriptor.TYPE_MESSAGE:
             getattr(message, field).CopyFrom(vector3(cast("Vector", value), f"{name}.{field}"))
         else:
-            setattr(message, field, value)
+            try:
+                setattr(message, field, value)
+            except (TypeError, ValueError):
+                raise InvalidArgumentError(f"{name}.{field}: expected a number, got {value!r}") from None
     return tool
 
 

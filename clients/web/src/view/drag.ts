@@ -1,14 +1,14 @@
-// Moves tools with the pointer, if the gateway allows it. The sphere of a tool follows the pointer in the plane through
-// its centre that faces the camera.
+// Moves tools with the pointer, if the gateway allows it. A tool follows the pointer in the plane through its tip that
+// faces the camera.
 import * as THREE from "three";
 
 import type { Vector } from "../stream/decode";
 import type { Studio } from "./studio";
 
 export interface DragTarget {
-  /** Spheres that can be dragged; `name` is the tool's name. A dragged sphere that is no longer listed is released. */
+  /** Shapes that can be dragged; `name` is the tool's name. A dragged shape that is no longer listed is released. */
   shapes(): THREE.Object3D[];
-  /** Called for each move with the new centre of the sphere [m]. */
+  /** Called for each move with the new centre of the sphere at the tip [m]. */
   onMove(tool: string, centerM: Vector): void;
 }
 
@@ -17,6 +17,8 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
   const caster = new THREE.Raycaster();
   const plane = new THREE.Plane();
   const hit = new THREE.Vector3();
+  /** From the pointer to the tip, in the plane. A capsule that is taken at its far end must not jump to the pointer. */
+  const grip = new THREE.Vector3();
   let held: THREE.Object3D | null = null;
 
   const aim = (event: PointerEvent) => {
@@ -33,10 +35,9 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
       const taken = event.button === 0 ? caster.intersectObjects(target.shapes(), false)[0] : undefined;
       if (taken !== undefined) {
         held = taken.object;
-        plane.setFromNormalAndCoplanarPoint(
-          studio.camera.getWorldDirection(new THREE.Vector3()),
-          taken.object.getWorldPosition(hit),
-        );
+        taken.object.getWorldPosition(grip);
+        plane.setFromNormalAndCoplanarPoint(studio.camera.getWorldDirection(new THREE.Vector3()), grip);
+        grip.sub(caster.ray.intersectPlane(plane, hit) ?? grip);
         studio.controls.enabled = false;
         canvas.setPointerCapture(event.pointerId);
       }
@@ -55,7 +56,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
     if (held !== null) {
       aim(event);
       if (caster.ray.intersectPlane(plane, hit) !== null) {
-        const { x, y, z } = studio.world.worldToLocal(hit.clone());
+        const { x, y, z } = studio.world.worldToLocal(hit.clone().add(grip));
         target.onMove(held.name, [x, y, z]);
       }
     }

@@ -99,7 +99,7 @@ export class Viewer {
     }
   }
 
-  /** Spheres to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
+  /** Shapes to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
   #shapes(): THREE.Object3D[] {
     const current = this.#revision === this.#store.topologyRevision;
     return current && this.#instruments !== null ? this.#instruments.shapes() : [];
