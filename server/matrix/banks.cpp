@@ -12,6 +12,7 @@ namespace tensormass::matrix {
 namespace {
 
 constexpr std::uint32_t kBanks = 8;
+static_assert(kSliceRows % kBanks == 0);  // a slice consists of whole groups
 
 /// How often the eight rows of a group read each bank.
 using Load = std::array<std::int32_t, kBanks>;
@@ -35,6 +36,7 @@ std::vector<std::uint32_t> places_by_bank(const mesh::Rows& rows, std::uint32_t 
   std::vector<Load> loads(rows.size() / kBanks + 1, Load{});
   for (std::uint32_t row = 0; row < rows.size(); ++row) {
     for (const std::uint32_t column : rows[row]) {
+      TM_ASSERT(column < column_count, "rows read columns of their patch");
       if (reads[column].empty() || reads[column].back().group != row / kBanks)
         reads[column].push_back({row / kBanks, 0});
       ++reads[column].back().count;
@@ -76,6 +78,7 @@ void order_by_bank(std::span<std::uint32_t> columns, std::span<std::uint32_t> ne
   TM_ASSERT(columns.size() % kSliceRows == 0 && columns.size() == neighbour_rows.size() && ends.size() == kSliceRows,
             "a column has a slot for each row of a slice");
   const auto width = static_cast<std::uint32_t>(columns.size()) / kSliceRows;
+  TM_ASSERT(*std::max_element(ends.begin(), ends.end()) <= width, "a row has no more neighbours than columns");
   for (std::uint32_t first = 0; first < kSliceRows; first += kBanks) {
     for (std::uint32_t j = 0; j < width; ++j) {
       // load: neighbours that are not placed yet, by bank. The fullest bank is served first, or its reads would all

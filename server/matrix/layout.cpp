@@ -18,6 +18,7 @@ std::uint32_t Layout::largest_patch() const {
 }
 
 std::uint32_t Layout::patch_of_row(std::uint32_t row) const {
+  TM_ASSERT(row < row_count, "the row belongs to a patch");
   return static_cast<std::uint32_t>(std::upper_bound(patch_rows.begin(), patch_rows.end(), row) - patch_rows.begin()) -
          1;
 }
@@ -97,13 +98,50 @@ void check_rows(const Layout& layout) {
     TM_ASSERT(layout.row_of_node[node] < layout.row_count, "nodes have rows of the layout");
     TM_ASSERT(layout.node_of_row[layout.row_of_node[node]] == node, "node_of_row is the inverse of row_of_node");
   }
+  std::size_t gaps = 0;
+  for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+    const auto begin = layout.node_of_row.begin() + layout.patch_rows[patch];
+    const auto end = layout.node_of_row.begin() + layout.patch_rows[patch + 1];
+    const auto gap = std::find(begin, end, mesh::kNone);
+    TM_ASSERT(std::count(gap, end, mesh::kNone) == end - gap, "gap rows are the last ones of their patch");
+    gaps += static_cast<std::size_t>(end - gap);
+  }
+  TM_ASSERT(gaps + layout.row_of_node.size() == layout.row_count, "each node has one row");
   assert_offsets(layout.patch_halo, layout.patch_count, layout.halo.size());
   for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
     for (std::uint32_t i = layout.patch_halo[patch]; i < layout.patch_halo[patch + 1]; ++i) {
       TM_ASSERT(layout.halo[i] < layout.row_count, "halos name rows");
       TM_ASSERT(layout.halo[i] < layout.patch_rows[patch] || layout.halo[i] >= layout.patch_rows[patch + 1],
                 "the halo of a patch has no row of the patch itself");
+      TM_ASSERT(
+          layout.storage == Storage::kRows || i == layout.patch_halo[patch] || layout.halo[i - 1] < layout.halo[i],
+          "halos ascend within a patch");
     }
+  }
+}
+
+/// Asserts that the neighbours of each row ascend in the columns [begin, end), and that padding follows them.
+/// Layout::slot searches them.
+void check_order(const Layout& layout, std::uint32_t begin, std::uint32_t end) {
+  const std::uint32_t height = layout.slice_rows();
+  for (std::uint32_t slot = (begin + 1) * height; slot < end * height; ++slot) {
+    const std::uint32_t before = layout.neighbour_rows[slot - height], row = layout.neighbour_rows[slot];
+    TM_ASSERT(before < row || row == mesh::kNone, "neighbours ascend, and padding follows");
+  }
+}
+
+/// kTiles: asserts that a column's bits mark neighbours within the tile of `slice`, and only in columns that are read.
+/// own: rows of the patch. slice: within the patch.
+void check_bits(const Layout& layout, std::uint32_t column, bool is_read, std::uint32_t slice, std::uint32_t own) {
+  TM_ASSERT(is_read || layout.used_twice[column] == 0, "only blocks that are read serve another row");
+  const std::uint32_t first = slice * kSliceRows / layout.tile_rows * layout.tile_rows;
+  const std::uint32_t last = std::min(first + layout.tile_rows, own);
+  for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
+    if ((layout.used_twice[column] >> lane & 1) == 0) continue;
+    const std::uint32_t slot = column * kSliceRows + lane;
+    TM_ASSERT(
+        layout.neighbour_rows[slot] != mesh::kNone && layout.columns[slot] >= first && layout.columns[slot] < last,
+        "a block serves only a row of its own tile");
   }
 }
 
@@ -117,12 +155,25 @@ void check_slots(const Layout& layout, std::uint32_t patch) {
     for (std::uint32_t slot = layout.slice_begin[slice] * height; slot < end; ++slot) {
       const std::uint32_t local = layout.columns[slot], row = layout.neighbour_rows[slot];
       TM_ASSERT(local < local_count, "columns are local numbers of the patch");
+      const bool in_halo_section = layout.storage == Storage::kEdges && slot / height >= layout.slice_halo[slice];
       if (row == mesh::kNone) {
         TM_ASSERT(local == slice * height + slot % height - first, "padding names its own row");
       } else {
         TM_ASSERT(row == (local < own ? first + local : layout.halo[halo + local - own]),
                   "columns name the neighbours");
+        TM_ASSERT(layout.storage != Storage::kEdges || in_halo_section == (local >= own),
+                  "edges within the patch come before those to the halo");
       }
+    }
+    const std::uint32_t begin_column = layout.slice_begin[slice], end_column = layout.slice_begin[slice + 1];
+    if (layout.storage == Storage::kEdges) {
+      check_order(layout, begin_column, layout.slice_halo[slice]);
+      check_order(layout, layout.slice_halo[slice], end_column);
+    } else if (end_column - begin_column > kMostSpreadColumns) {
+      check_order(layout, begin_column, end_column);
+    }
+    for (std::uint32_t j = begin_column; layout.storage == Storage::kTiles && j < end_column; ++j) {
+      check_bits(layout, j, j < layout.slice_read[slice], slice - first / height, own);
     }
   }
 }
@@ -137,22 +188,30 @@ void check_layout(const Layout& layout) {
   TM_ASSERT(layout.columns.size() % layout.slice_rows() == 0, "a column has a slot for each row of a slice");
   assert_offsets(layout.slice_begin, slices, layout.columns.size() / layout.slice_rows());
   TM_ASSERT(layout.neighbour_rows.size() == layout.columns.size(), "each slot has a neighbour or is padding");
-  parallel_for(layout.patch_count, [&](std::size_t patch) { check_slots(layout, static_cast<std::uint32_t>(patch)); });
-
   if (edges) {
     check_cuts(layout, layout.slice_halo);
     assert_offsets(layout.patch_boundary, layout.patch_count, layout.boundary.size());
+    for (std::uint32_t patch = 0; patch < layout.patch_count; ++patch) {
+      const std::uint32_t own = layout.patch_rows[patch + 1] - layout.patch_rows[patch];
+      for (std::uint32_t i = layout.patch_boundary[patch]; i < layout.patch_boundary[patch + 1]; ++i) {
+        TM_ASSERT(layout.boundary[i] < own, "boundaries name own rows");
+        TM_ASSERT(i == layout.patch_boundary[patch] || layout.boundary[i - 1] < layout.boundary[i],
+                  "boundaries ascend within a patch");
+      }
+    }
   } else {
     TM_ASSERT(layout.slice_halo.empty() && layout.patch_boundary.empty() && layout.boundary.empty(),
               "only edges have boundaries");
   }
   if (tiles) {
     TM_ASSERT(layout.tile_rows > 0 && layout.tile_rows % kSliceRows == 0, "tiles consist of slices");
+    TM_ASSERT(layout.tile_rows <= kMostTileRows, "a warp has room for the sums of a tile");
     check_cuts(layout, layout.slice_read);
     TM_ASSERT(layout.used_twice.size() == layout.columns.size() / kSliceRows, "each column has a word of bits");
   } else {
     TM_ASSERT(layout.slice_read.empty() && layout.used_twice.empty(), "only tiles share blocks of two rows");
   }
+  parallel_for(layout.patch_count, [&](std::size_t patch) { check_slots(layout, static_cast<std::uint32_t>(patch)); });
 }
 
 }  // namespace tensormass::matrix

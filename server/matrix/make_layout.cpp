@@ -3,6 +3,7 @@
 #include <numeric>
 
 #include "core/assert.h"
+#include "core/offsets.h"
 #include "core/parallel.h"
 #include "matrix/banks.h"
 #include "matrix/layout.h"
@@ -108,6 +109,7 @@ void order_tiles(const Layout& layout, PatchSlots& patch) {
     }
     column += columns;
   }
+  TM_ASSERT(column * kSliceRows == patch.columns.size(), "tiles cover all columns of the patch");
 }
 
 /// Returns the nodes of other patches to which a patch's rows are coupled, ascending by row.
@@ -139,6 +141,7 @@ void arrange_by_bank(Layout& layout, const mesh::Rows& neighbours, std::uint32_t
     if (row_of(node) >= begin && row_of(node) < begin + own) return row_of(node) - begin;
     const auto place = std::lower_bound(halo.begin(), halo.end(), node,
                                         [&](std::uint32_t a, std::uint32_t b) { return row_of(a) < row_of(b); });
+    TM_ASSERT(place != halo.end() && *place == node, "the halo has every neighbour of other patches");
     return own + static_cast<std::uint32_t>(place - halo.begin());
   };
   mesh::Rows rows;
@@ -187,7 +190,9 @@ PatchSlots patch_slots(const Layout& layout, const mesh::Rows& neighbours, const
   std::sort(outer.begin(), outer.end());
   const auto column_of = [&](std::uint32_t row) {
     if (row >= begin && row < end) return row - begin;
-    return std::lower_bound(outer.begin(), outer.end(), std::pair{row, 0u})->second;
+    const auto found = std::lower_bound(outer.begin(), outer.end(), std::pair{row, 0u});
+    TM_ASSERT(found != outer.end() && found->first == row, "the halo has every neighbour of other patches");
+    return found->second;
   };
 
   const std::uint32_t height = layout.slice_rows();
@@ -273,6 +278,7 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
     layout.tile_rows = rows_of_tiles(static_cast<std::uint32_t>(mesh.nodes.size()) / patch_count + 1);
   }
   const mesh::Partition partition = mesh::partition(mesh, patch_count, std::max(layout.tile_rows, kSliceRows));
+  assert_offsets(partition.offsets, patch_count, mesh.nodes.size());
   const StoredEdges stored = storage == Storage::kEdges ? share_edges(partition, neighbours) : whole_rows(neighbours);
   number_rows(layout, partition, stored,
               storage == Storage::kTiles ? neighbours_beyond_tile(partition, neighbours, layout.tile_rows)

@@ -8,6 +8,7 @@
 namespace tensormass::matrix {
 
 PatchElements order_by_patch(const Layout& layout, std::span<const std::uint32_t> rows, std::size_t node_count) {
+  TM_ASSERT(node_count > 0, "elements have nodes");
   TM_ASSERT(rows.size() % node_count == 0, "every element lists all of its nodes");
   const std::size_t element_count = rows.size() / node_count;
   PatchElements out;
@@ -16,6 +17,7 @@ PatchElements order_by_patch(const Layout& layout, std::span<const std::uint32_t
   for (std::size_t e = 0; e < element_count; ++e) {
     const auto nodes = rows.subspan(e * node_count, node_count);
     for (std::size_t k = 0; k < node_count; ++k) {
+      TM_ASSERT(nodes[k] < layout.row_count, "elements name rows of the layout");
       auto& list = of_patch[patch_of_slice[nodes[k] / kSliceRows]];
       if (list.empty() || list.back() != e) list.push_back(static_cast<std::uint32_t>(e));
     }
@@ -30,6 +32,7 @@ PatchElements order_by_patch(const Layout& layout, std::span<const std::uint32_t
       for (const std::uint32_t row : rows.subspan(list[i] * node_count, node_count)) {
         if (row >= begin && row < key[i]) key[i] = row;
       }
+      TM_ASSERT(key[i] < end, "an element is listed by the patches of its rows");
       ++next[key[i] - begin + 1];
     }
     std::partial_sum(next.begin(), next.end(), next.begin());
@@ -49,6 +52,8 @@ std::vector<std::uint32_t> pair_places(const Layout& layout, const PatchElements
                                        std::span<const std::uint32_t> rows, std::size_t node_count) {
   const std::size_t stride = elements.order.size();
   TM_ASSERT(rows.size() == node_count * stride, "there is a row for each node of each place");
+  TM_ASSERT(elements.ranges.size() == 2 * std::size_t{layout.patch_count}, "each patch has a range of places");
+  TM_ASSERT(layout.slot_count() < kNoPlace / 2, "a place has a slot and a bit");
   std::vector<std::uint32_t> places(node_count * (node_count - 1) / 2 * stride, kNoPlace);
   const auto fill = [&](std::uint32_t patch, std::size_t first, std::size_t last) {
     const std::uint32_t begin = layout.patch_rows[patch], end = layout.patch_rows[patch + 1];
@@ -65,6 +70,7 @@ std::vector<std::uint32_t> pair_places(const Layout& layout, const PatchElements
           if (place == kNoPlace && is_own(row_l)) {
             if (const std::uint32_t slot = layout.slot(row_l, row_k); slot != kNoPlace) place = 2 * slot + 1;
           }
+          TM_ASSERT(place != kNoPlace || (!is_own(row_k) && !is_own(row_l)), "a patch stores the blocks of its rows");
         }
       }
     }

@@ -42,7 +42,9 @@ class Reads {
   }
   void add(std::uint16_t row) {
     Bank& bank = banks_[row % kBanks];
-    if (bank.count == 0 || meetings(row) > 0) bank.rows[bank.count++] = row;
+    if (bank.count > 0 && meetings(row) == 0) return;  // it is read already
+    TM_ASSERT(bank.count < kBanks, "no more threads read together than there are banks");
+    bank.rows[bank.count++] = row;
   }
 
  private:
@@ -99,12 +101,15 @@ PatchTetrahedra share_out_tetrahedra(const Layout& layout, std::span<const Eleme
   std::vector<std::uint32_t> of_patch(layout.patch_count, 0), of_part(2 * layout.patch_count, 0);
   for (const ElementRows& group : groups) {
     TM_ASSERT(group.node_count == 4, "the elements are linear tetrahedra");
+    TM_ASSERT(group.element_count <= group.stride && group.rows.size() == 4 * std::size_t{group.stride},
+              "rows: [node][stride], padding follows the elements");
     for (std::uint32_t e = 0; e < group.element_count; ++e) {
       auto& rows = tetrahedra.emplace_back();
       std::uint32_t fewest = patch_of_slice[group.rows[e] / kSliceRows];
       bool has_halo = false;
       for (std::uint32_t k = 0; k < 4; ++k) {
         rows[k] = group.rows[std::size_t{k} * group.stride + e];
+        TM_ASSERT(rows[k] < layout.row_count, "elements name rows of the layout");
         const std::uint32_t patch = patch_of_slice[rows[k] / kSliceRows];
         has_halo = has_halo || patch != fewest;
         if (of_patch[patch] < of_patch[fewest]) fewest = patch;
@@ -131,8 +136,12 @@ PatchTetrahedra share_out_tetrahedra(const Layout& layout, std::span<const Eleme
       locals.clear();
       for (std::uint32_t i = out.begin[part]; i < out.begin[part + 1]; ++i) {
         Local& nodes = locals.emplace_back();
-        std::transform(tetrahedra[order[i]].begin(), tetrahedra[order[i]].end(), nodes.begin(),
-                       [&](std::uint32_t row) { return static_cast<std::uint16_t>(local[row]); });
+        std::transform(tetrahedra[order[i]].begin(), tetrahedra[order[i]].end(), nodes.begin(), [&](std::uint32_t row) {
+          const std::uint32_t at = local[row];
+          TM_ASSERT(at < own ? first + at == row : halo + at - own < halo_end && layout.halo[halo + at - own] == row,
+                    "a patch has all nodes of its tetrahedra among its rows and its halo");
+          return static_cast<std::uint16_t>(at);
+        });
       }
       spread_over_banks(locals);
       for (const Local& nodes : locals) out.rows.insert(out.rows.end(), nodes.begin(), nodes.end());

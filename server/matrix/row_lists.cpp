@@ -25,7 +25,10 @@ Incidence incidence_of(const ElementRows& group, std::uint32_t row_count) {
   out.begin.assign(row_count + std::size_t{1}, 0);
   const auto row = [&](std::uint32_t k, std::uint32_t e) { return group.rows[std::size_t{k} * group.stride + e]; };
   for (std::uint32_t k = 0; k < group.node_count; ++k) {
-    for (std::uint32_t e = 0; e < group.element_count; ++e) ++out.begin[row(k, e) + 1];
+    for (std::uint32_t e = 0; e < group.element_count; ++e) {
+      TM_ASSERT(row(k, e) < row_count, "elements name rows of the layout");
+      ++out.begin[row(k, e) + 1];
+    }
   }
   std::partial_sum(out.begin.begin(), out.begin.end(), out.begin.begin());
   out.items.resize(out.begin.back());
@@ -71,7 +74,9 @@ void fill_slice(const Layout& layout, const ElementRows& group, const Incidence&
 }  // namespace
 
 GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> groups, bool finishes) {
+  TM_ASSERT(layout.storage != Storage::kEdges, "rows store all of their blocks");
   const std::uint32_t slice_count = layout.row_count / kSliceRows;
+  TM_ASSERT(slice_count < 1u << 30, "ListedSlice has two bits beside the slice");
   constexpr std::uint32_t kNone = 0xFFFFFFFFu;
   GroupRowLists out;
   std::vector<std::uint32_t> last_group(slice_count, kNone);
@@ -79,6 +84,7 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
   TM_ASSERT(layout.widest_slice() < own_place(16), "16 bits tell all columns of a slice from the row itself");
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
     TM_ASSERT(groups[g].node_count <= 16, "an item of Incidence has 4 bits for the node");
+    TM_ASSERT(groups[g].element_count <= groups[g].stride, "padding follows the elements");
     TM_ASSERT(groups[g].rows.size() == std::size_t{groups[g].node_count} * groups[g].stride, "rows: [node][stride]");
     incidences.push_back(incidence_of(groups[g], layout.row_count));
     for (std::uint32_t slice = 0; slice < slice_count; ++slice) {

@@ -1,9 +1,17 @@
 #include "matrix/stored_edges.h"
 
+#include <numeric>
+
+#include "core/assert.h"
+#include "core/offsets.h"
+
 namespace tensormass::matrix {
 
 StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neighbours) {
   const std::size_t node_count = partition.order.size();
+  TM_ASSERT(neighbours.size() == node_count, "each node has a list of neighbours");
+  TM_ASSERT(!partition.offsets.empty(), "the last patch has an end");
+  assert_offsets(partition.offsets, partition.offsets.size() - 1, node_count);
   std::vector<std::uint32_t> place(node_count), patch(node_count);
   for (std::uint32_t p = 0; p + 1 < partition.offsets.size(); ++p) {
     for (std::uint32_t i = partition.offsets[p]; i < partition.offsets[p + 1]; ++i) {
@@ -14,6 +22,7 @@ StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neig
   StoredEdges stored{
       std::vector<std::uint32_t>(node_count, 0), {}, std::vector<std::uint32_t>(neighbours.items.size())};
   const auto store = [&](std::uint32_t node, std::uint32_t other) {
+    TM_ASSERT(stored.inner[node] < neighbours[node].size(), "a node stores edges to its neighbours only");
     stored.items[neighbours.offsets[node] + stored.inner[node]++] = other;
   };
   std::vector<std::uint32_t> degree(node_count, 0);  // neighbours within the patch
@@ -40,6 +49,9 @@ StoredEdges share_edges(const mesh::Partition& partition, const mesh::Rows& neig
       }
     }
   }
+  TM_ASSERT(2 * std::accumulate(stored.inner.begin(), stored.inner.end(), std::size_t{0}) ==
+                std::accumulate(degree.begin(), degree.end(), std::size_t{0}),
+            "each edge within a patch is stored once");
   stored.all = stored.inner;
   for (std::uint32_t node = 0; node < node_count; ++node) {
     for (const std::uint32_t other : neighbours[node]) {

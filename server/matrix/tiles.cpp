@@ -135,11 +135,13 @@ class TileOrder {
   }
   /// Returns the neighbour of a slot as a row of the tile; rows_ or more (it wraps) if it is outside of the tile.
   std::uint32_t other(std::uint32_t slot) const { return tile_.columns[slot] - tile_.first_row; }
+  /// Returns the slot of a row that names another row of the tile.
   std::uint32_t slot_of(std::uint32_t row, std::uint32_t other_row) const {
     for (std::uint32_t j = 0; j < width(row); ++j) {
       const std::uint32_t at = slot(row, j);
       if (tile_.neighbour_rows[at] != mesh::kNone && other(at) == other_row) return at;
     }
+    TM_ASSERT(false, "two neighbours of a tile name each other");
     return kNoPlace;
   }
 
@@ -274,7 +276,8 @@ class TileOrder {
       if (kinds_[at] == Kind::kMirrored) mirrored.push_back(item);
       if (kinds_[at] != Kind::kRead) continue;
       std::uint32_t colour = 0;
-      while (colours.right_of(lane, colour) != other(at)) ++colour;
+      while (colour < columns && colours.right_of(lane, colour) != other(at)) ++colour;
+      TM_ASSERT(colour < columns, "each pair that a row reads has a colour");
       put(colour, item, Kind::kRead);
       used_twice[colour] |= 1u << lane;
     }
@@ -325,6 +328,9 @@ void order_tile(const TileSlots& tile, std::span<std::uint32_t> read_widths, std
             "a column has a slot for each row of a slice");
   TM_ASSERT(read_widths.size() == tile.widths.size() && kSliceRows * used_twice.size() == tile.columns.size(),
             "each slice has a width to read, each column a word of bits");
+  TM_ASSERT(std::accumulate(tile.widths.begin(), tile.widths.end(), std::size_t{0}) == used_twice.size(),
+            "the widths of the slices add up to the columns of the tile");
+  TM_ASSERT(tile.first_row % kSliceRows == 0, "tiles start at slices");
   TileOrder(tile).write(read_widths, used_twice);
 }
 

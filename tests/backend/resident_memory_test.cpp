@@ -10,7 +10,7 @@
 #include "mesh/random_mesh.h"
 #include "view/elements.h"
 
-/// Where a resident solve keeps the data of a patch.
+/// The places of a patch's data in a resident solve.
 namespace tensormass::backend::cuda {
 namespace {
 
@@ -116,11 +116,25 @@ TEST(ResidentRoom, HoldsWhatTheLargestPatchNeedsAndNoMore) {
   EXPECT_EQ(all->column_capacity, needed);
   EXPECT_EQ(all->bytes, vectors + needed * kResidentBytesPerColumn);
 
+  const auto barely = resident_room(layout, most, kHeld, all->bytes);
+  ASSERT_TRUE(barely);
+  EXPECT_TRUE(barely->whole);
   const auto part = resident_room(layout, most, kHeld, all->bytes - 1);
   ASSERT_TRUE(part);
   EXPECT_FALSE(part->whole);
   EXPECT_EQ(part->column_capacity, needed - 1);
   EXPECT_LE(part->bytes, all->bytes - 1);
+}
+
+TEST(ResidentRoom, IsForThePatchThatNeedsMost) {
+  for (const std::vector<std::uint32_t>& widths : {std::vector<std::uint32_t>{9, 5}, {5, 9}}) {
+    matrix::Layout layout;  // two patches of one slice
+    layout.patch_count = 2;
+    layout.patch_rows = {0, kSliceRows, 2 * kSliceRows};
+    layout.patch_halo = {0, 0, 0};
+    layout.slice_begin = {0, widths[0], widths[0] + widths[1]};
+    EXPECT_EQ(resident_room(layout, largest_sizes(layout), 4, std::size_t{1} << 30)->column_capacity, 9u - 4);
+  }
 }
 
 TEST(ResidentRoom, RefusesPatchesWhoseOffsetsExceed16Bits) {

@@ -22,20 +22,24 @@ TYPED_TEST_SUITE(RowsMemory, Reals);
 
 TYPED_TEST(RowsMemory, HasAPlaceOfItsOwnForEachComponentOfEachBlock) {
   using Real = TypeParam;
+  constexpr std::uint32_t kFirst = 7;  // column of the slice with which the turn begins
   for (const bool keeps_neighbours : {false, true}) {
     for (const std::uint32_t sums : {1u, 2u, kMostParts}) {
       for (const std::uint32_t capacity : {kLeastColumns, 15u}) {
         MemoryMap map(capacity * column_reals(keeps_neighbours, sums) * kSliceRows * sizeof(Real));
         auto* const quads = reinterpret_cast<Quad<Real>*>(map.begin());
-        auto* const singles = reinterpret_cast<Real*>(quads + quad_place(sums, capacity, 0));
-        Real* const neighbours = singles + single_place(sums, capacity, 0);
+        auto* const singles = reinterpret_cast<Real*>(quads + quad_place(sums, capacity, 0, 0));
+        Real* const neighbours = singles + single_place(sums, capacity, 0, 0);
         for (std::uint32_t column = 0; column < capacity; ++column) {
           for (std::uint32_t sum = 0; sum < sums; ++sum) {
-            map.take(quads + quad_place(sum, capacity, column), kSliceRows, "the first four components");
-            map.take(quads + quad_place(sum, capacity, column) + kSliceRows, kSliceRows, "the next four");
-            map.take(singles + single_place(sum, capacity, column), kSliceRows, "the ninth");
+            map.take(quads + quad_place(sum, capacity, kFirst + column, kFirst), kSliceRows,
+                     "the first four components");
+            map.take(quads + quad_place(sum, capacity, kFirst + column, kFirst) + kSliceRows, kSliceRows,
+                     "the next four");
+            map.take(singles + single_place(sum, capacity, kFirst + column, kFirst), kSliceRows, "the ninth");
           }
           for (std::uint32_t c = 0; keeps_neighbours && c < 6; ++c) {
+            EXPECT_EQ(neighbour_place(column, c), column * kNeighbourColumnReals + c * kSliceRows);
             map.take(neighbours + neighbour_place(column, c), kSliceRows, "a neighbour");
           }
         }

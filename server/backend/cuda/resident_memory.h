@@ -4,7 +4,7 @@
 
 #include "view/patches.h"
 
-/// Where resident_solve.cuh keeps the data of a patch.
+/// resident_solve.cuh keeps the data of a patch here.
 ///
 ///   blocks of a row:   0 .. Held - 1 │ Held .. Held + shared_width - 1 │ the rest
 ///                      registers     │ shared memory                   │ device memory

@@ -32,8 +32,8 @@ class SharedBlocks {
         part_(threadIdx.x / kWarp),
         parts_(blockDim.x / kWarp),
         quads_(static_cast<Quad*>(shared) + lane()),
-        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + quad_place(sums(), capacity, 0)) + lane()),
-        neighbours_(singles_ + single_place(sums(), capacity, 0)) {}
+        singles_(reinterpret_cast<Real*>(static_cast<Quad*>(shared) + quad_place(sums(), capacity, 0, 0)) + lane()),
+        neighbours_(singles_ + single_place(sums(), capacity, 0, 0)) {}
 
   __device__ std::uint32_t parts() const { return parts_; }
   __device__ std::uint32_t part() const { return part_; }
@@ -54,7 +54,7 @@ class SharedBlocks {
       single_at(place, sum) = 0;
     }
     if constexpr (!KeepsNeighbours) return;
-    Real* const to = neighbours_ + neighbour_place(place - first_, 0);
+    Real* const to = neighbours_ + (place - first_) * kNeighbourColumnReals;
     for (int c = 0; c < 3; ++c) {
       to[c * kSliceRows] = neighbour.displacement[c];
       to[(3 + c) * kSliceRows] = neighbour.ahead[c];
@@ -115,10 +115,10 @@ class SharedBlocks {
     return {from[0], from[kSliceRows], from[2 * kSliceRows]};
   }
   __device__ Quad* quads_at(std::uint32_t place, std::uint32_t sum) const {
-    return quads_ + quad_place(sum, capacity_, place - first_);
+    return quads_ + quad_place(sum, capacity_, place, first_);
   }
   __device__ Real& single_at(std::uint32_t place, std::uint32_t sum) const {
-    return singles_[single_place(sum, capacity_, place - first_)];
+    return singles_[single_place(sum, capacity_, place, first_)];
   }
   template <int Count>
   __device__ void add_now(const std::uint32_t (&places)[Count], const Mat3<Real> (&blocks)[Count]) {

@@ -27,13 +27,18 @@ TM_HOST_DEVICE constexpr std::uint32_t column_reals(bool keeps_neighbours, std::
 }
 
 /// Returns the Quad of a row with the first four components of a block. Those with the next four are kSliceRows later.
-TM_HOST_DEVICE constexpr std::uint32_t quad_place(std::uint32_t sum, std::uint32_t capacity, std::uint32_t column) {
-  return (sum * capacity + column) * (2 * kSliceRows);
+/// place, first: columns of the slice, of the block and the first of the turn.
+TM_HOST_DEVICE constexpr std::uint32_t quad_place(std::uint32_t sum, std::uint32_t capacity, std::uint32_t place,
+                                                  std::uint32_t first) {
+  return (sum * capacity + place - first) * (2 * kSliceRows);
 }
 /// Returns the place of the ninth component, behind the Quads.
-TM_HOST_DEVICE constexpr std::uint32_t single_place(std::uint32_t sum, std::uint32_t capacity, std::uint32_t column) {
-  return (sum * capacity + column) * kSliceRows;
+TM_HOST_DEVICE constexpr std::uint32_t single_place(std::uint32_t sum, std::uint32_t capacity, std::uint32_t place,
+                                                    std::uint32_t first) {
+  return (sum * capacity + place - first) * kSliceRows;
 }
+/// Reals of a column of neighbours.
+inline constexpr std::uint32_t kNeighbourColumnReals = column_reals(true, 0) * kSliceRows;
 /// Returns the place of component c of a neighbour, behind the ninth components.
 TM_HOST_DEVICE constexpr std::uint32_t neighbour_place(std::uint32_t column, std::uint32_t c) {
   return (column * column_reals(true, 0) + c) * kSliceRows;

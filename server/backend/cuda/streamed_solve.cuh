@@ -92,7 +92,7 @@ __global__ void __launch_bounds__(Threads, 1)
     scale_tile<Word>(s, patch, first, minimum(first + tile_rows, own), reinterpret_cast<RowLoss*>(tile));
   }
   TileWalk<kWarps, Word> walk(s, patch, tile_rows);
-  float gamma = 0;  // of a postponed update of x (solver/vector_updates.h)
+  float gamma = 0;  // γ of a postponed update of x (solver/vector_updates.h)
   do {
     exchange.begin();
     // If q does not fit into shared memory, it is read back from the cells that this patch has just published.
