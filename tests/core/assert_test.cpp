@@ -1,10 +1,6 @@
 #include "core/assert.h"
 
-#include <vector>
-
 #include <gtest/gtest.h>
-
-#include "core/offsets.h"
 
 namespace tensormass {
 namespace {
@@ -24,17 +20,6 @@ TEST(Assert, EvaluatesItsConditionOnceAndGoesOnWhenItHolds) {
 TEST(Assert, IsAnExpression) {
   const auto checked = [](int value) { return TM_ASSERT(value > 0, "positive"), value; };
   EXPECT_EQ(checked(3), 3);
-}
-
-TEST(AssertOffsetsDeathTest, RefusesGapsAndDescents) {
-  using Offsets = std::vector<std::uint32_t>;
-  assert_offsets(Offsets{0, 3, 3, 7}, 3, 7);
-  assert_offsets(Offsets{0}, 0, 0);
-  EXPECT_DEATH(assert_offsets(Offsets{}, 0, 0), "each range has an offset");
-  EXPECT_DEATH(assert_offsets(Offsets{0, 3, 7}, 3, 7), "each range has an offset");
-  EXPECT_DEATH(assert_offsets(Offsets{1, 3, 3, 7}, 3, 7), "cover all items");
-  EXPECT_DEATH(assert_offsets(Offsets{0, 3, 3, 6}, 3, 7), "cover all items");
-  EXPECT_DEATH(assert_offsets(Offsets{0, 4, 3, 7}, 3, 7), "do not descend");
 }
 
 }  // namespace

@@ -64,6 +64,15 @@ TYPED_TEST(EveryWidth, SumsItsLanes) {
   EXPECT_EQ(TypeParam::sum(TypeParam::load(values.data())), std::accumulate(values.begin(), values.end(), Real(0)));
 }
 
+TYPED_TEST(EveryWidth, FindsTheLargestOfItsLanes) {
+  using Real = typename TypeParam::Real;
+  for (std::uint32_t lane = 0; lane < TypeParam::kWidth; ++lane) {
+    typename TypeParam::Scalar values(-2);
+    values.v[lane] = Real(-1);
+    EXPECT_EQ(TypeParam::largest(values), Real(-1)) << "lane " << lane;
+  }
+}
+
 TYPED_TEST(EveryWidth, ComparesAsNumbersDo) {
   using Real = typename TypeParam::Real;
   const Real nan = std::numeric_limits<Real>::quiet_NaN();

@@ -376,6 +376,55 @@ TEST(LayoutDeathTest, AssertsWhatKernelsRelyOn) {
   EXPECT_DEATH(static_cast<void>(good.slot(0, 0)), "couples the two nodes");
 }
 
+TEST(LayoutDeathTest, AssertsTheOrderOfRowsAndNeighbours) {
+  const mesh::Mesh mesh = mesh::testing::unit_grid(4);
+  const auto broken = [&](Storage storage, const auto& spoil) {
+    Layout layout = make_layout(mesh, 2, storage);
+    spoil(layout);
+    return layout;
+  };
+  const auto fails = [&](Storage storage, const char* words, const auto& spoil) {
+    EXPECT_DEATH(check_layout(broken(storage, spoil)), words);
+  };
+  fails(Storage::kRows, "gap rows are the last ones", [](Layout& l) {
+    // The first node of patch 0 moves to its last row, which was a gap.
+    const std::uint32_t last = l.patch_rows[1] - 1, node = l.node_of_row[0];
+    ASSERT_EQ(l.node_of_row[last], mesh::kNone);
+    l.node_of_row[0] = mesh::kNone;
+    l.node_of_row[last] = node;
+    l.row_of_node[node] = last;
+  });
+  fails(Storage::kRows, "each node has one row", [](Layout& l) { l.node_of_row[l.patch_rows[1] - 1] = 0; });
+  for (const Storage storage : {Storage::kTiles, Storage::kEdges}) {
+    fails(storage, "halos ascend", [](Layout& l) { std::swap(l.halo[0], l.halo[1]); });
+  }
+  fails(Storage::kEdges, "boundaries ascend", [](Layout& l) { std::swap(l.boundary[0], l.boundary[1]); });
+  fails(Storage::kEdges, "boundaries name own rows", [](Layout& l) { l.boundary[0] = l.patch_rows[1]; });
+  fails(Storage::kEdges, "edges within the patch come before", [](Layout& l) {
+    for (std::size_t slice = 0; slice < l.slice_halo.size(); ++slice) l.slice_halo[slice] = l.slice_begin[slice];
+  });
+  fails(Storage::kEdges, "neighbours ascend", [](Layout& l) {
+    std::swap(l.columns[0], l.columns[kEdgeSliceRows]);
+    std::swap(l.neighbour_rows[0], l.neighbour_rows[kEdgeSliceRows]);
+  });
+  static_cast<void>(make_layout(mesh, 2, Storage::kEdges).patch_of_row(0));
+  EXPECT_DEATH(static_cast<void>(make_layout(mesh, 2).patch_of_row(1u << 20)), "belongs to a patch");
+}
+
+TEST(LayoutDeathTest, AssertsTheBitsOfTiles) {
+  Layout layout = make_layout(mesh::testing::unit_grid(6), 2, Storage::kTiles);
+  const std::uint32_t mirrored = layout.slice_read[0];
+  ASSERT_LT(mirrored, layout.slice_begin[1]) << "the first slice has blocks that are not read";
+  layout.used_twice[mirrored] = 1;
+  EXPECT_DEATH(check_layout(layout), "only blocks that are read");
+  layout.used_twice[mirrored] = 0;
+  check_layout(layout);
+  for (std::uint32_t j = layout.slice_begin[0]; j < mirrored; ++j) layout.used_twice[j] = 0xFFFFFFFFu;
+  EXPECT_DEATH(check_layout(layout), "only a row of its own tile");
+  layout.tile_rows = 2 * kMostTileRows;
+  EXPECT_DEATH(check_layout(layout), "room for the sums of a tile");
+}
+
 TEST(Records, BeginAtMultiplesOfFourAndHoldPointsAndParameters) {
   EXPECT_EQ(record_reals(10, 1, 2), 12u);
   EXPECT_EQ(record_reals(10, 1, 3), 16u);

@@ -135,5 +135,17 @@ TEST(RowLists, PlacesOfVeryWideRowsHaveMoreBits) {
   check(wheel(300), 2, true, 16);
 }
 
+TEST(RowListsDeathTest, AssertThatElementsNameRowsOfALayoutThatStoresThem) {
+  const mesh::Mesh mesh = mesh::testing::unit_grid(2);
+  const Layout layout = make_layout(mesh, 1);
+  Groups groups(mesh, layout);
+  EXPECT_DEATH(make_row_lists(make_layout(mesh, 1, Storage::kEdges), groups.views, false), "store all of their blocks");
+  ++groups.views[0].element_count;
+  EXPECT_DEATH(make_row_lists(layout, groups.views, false), "padding follows the elements");
+  --groups.views[0].element_count;
+  groups.rows[0][0] = layout.row_count;
+  EXPECT_DEATH(make_row_lists(layout, groups.views, false), "name rows of the layout");
+}
+
 }  // namespace
 }  // namespace tensormass::matrix
