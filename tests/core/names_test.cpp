@@ -11,7 +11,8 @@ TEST(Names, HaveLettersDigitsUnderscoresAndHyphens) {
   for (int c = 0; c < 256; ++c) {
     const bool letter = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
     const bool expected = letter || (c >= '0' && c <= '9') || c == '_' || c == '-';
-    EXPECT_EQ(is_valid_name("a" + std::string(1, static_cast<char>(c)) + "b"), expected) << "character " << c;
+    const char name[] = {'a', static_cast<char>(c), 'b'};
+    EXPECT_EQ(is_valid_name({name, sizeof name}), expected) << "character " << c;
   }
 }
 
