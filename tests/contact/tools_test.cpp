@@ -243,6 +243,31 @@ TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {
   }
 }
 
+/// A shaft that lies across the block pushes the tool out, also when it has sunk in by more than its radius. Its ends
+/// beside the block say nothing about its middle.
+TEST(CapsuleAcrossARigidBlock, IsPushedOutWithItsEndsOutside) {
+  struct Shaft {
+    double start_m, length_m;  // along z; the block is from 0 to 1
+    double pushed_m2;          // area of the triangles of the top that push at full depth
+  };
+  for (const Shaft& shaft : {Shaft{-0.25, 1.5, 1.0}, Shaft{0.6, 0.9, 0.5}, Shaft{-0.5, 0.9, 0.5}}) {
+    v1::Scene scene = rigid_block("capsule");
+    scene.mutable_tools(0)->mutable_capsule()->set_length_m(shaft.length_m);
+    for (const std::uint32_t patches : {1u, 3u}) {
+      StagedScene<double> staged(scene, patches);
+      for (const double depth : {0.04, 0.0499, 0.0501, 0.07, 0.1}) {
+        physics::Pose pose;
+        pose.position_m = {0.3, 1.05 - depth, shaft.start_m};
+        const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
+            staged.model.tools[0].placed<double>(pose);
+        staged.step();
+        EXPECT_GT(measured(staged).force_n[1], 0.999 * kPenalty * shaft.pushed_m2 * depth)
+            << depth << " m deep, from " << shaft.start_m << ", " << patches << " patches";
+      }
+    }
+  }
+}
+
 /// A centre inside of one body is not inside of its neighbour: that one is pushed away and not drawn in.
 TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
   v1::Scene scene = box_scene(mesh::testing::unit_grid(2), "spherical_probe", 0.1);
