@@ -73,6 +73,12 @@ struct PlacedTool {
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
 };
 
+/// A visit of for_each_candidate that does nothing. nvcc does not take a lambda within a concept.
+struct IgnoreCandidate {
+  template <class Real>
+  TM_HOST_DEVICE void operator()(const Vec3<Real>&, const CorePoint<Real>&) const {}
+};
+
 template <class T>
 concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
   { T::kName } -> std::convertible_to<std::string_view>;
@@ -83,7 +89,7 @@ concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
   { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
   { T::distance(tool, x) } -> std::same_as<double>;
   { T::gradient(tool, x) } -> std::same_as<Vec3<double>>;
-  T::for_each_candidate(tool, x, x, x, [](const Vec3<double>&, const CorePoint<double>&) {});
+  T::for_each_candidate(tool, x, x, x, IgnoreCandidate{});
 };
 
 /// Signed distance and gradient of a kind whose core has no volume, from its closest_core_point.
