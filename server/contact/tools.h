@@ -23,10 +23,14 @@
 ///    tissue. Its derivative has three diagonal blocks and the edge tensors between the three corners. The mesh has
 ///    those edges anyway.
 /// 3. Each step decides once for each core point whether it is inside the tissue: at the closest point of the whole
-///    surface, by the angle-weighted pseudonormal there (Bærentzen, Aanæs 2005). Between two core points, the distance
-///    to the surface is interpolated.
+///    surface, by the angle-weighted pseudonormal there (Bærentzen, Aanæs 2005). Between two core points, c is inside
+///    up to where the core crosses the surface (CoreDepths).
 /// 4. A c inside pushes the tissue back over itself: n is reversed, and the depth grows by twice the depth of c. This
 ///    concerns only triangles that face away from c. Another body beside the one that contains c is pushed as usual.
+///
+/// Interpolating the distance between core points is not enough. A shaft may lie across a body with both ends beside
+/// it. If it sinks in by more than its radius, its middle is inside although both ends are outside. Taken for outside,
+/// it would pull the tissue over itself.
 namespace tensormass::contact {
 
 /// Finds the triangle of this patch that is closest to a core point, and on which side of it the point lies.
@@ -62,7 +66,34 @@ TM_HOST_DEVICE void query_core_point(Team& team, const view::PatchesView& patche
     const Offset offset = offset_from(best_triangle);
     side = pseudonormal(state, contact, best_triangle, offset.feature).dot(offset.vector) < 0 ? Real(-1) : Real(1);
   }
-  contact.closest[std::size_t{place} * patches.patch_count + team.patch()] = {best, side};
+  auto& closest = contact.closest[std::size_t{place} * patches.patch_count + team.patch()];
+  closest.distance_squared = best;
+  closest.side = side;
+}
+
+/// Finds where the triangles of this patch cross the core between a core point and the next.
+/// place: the first core point's, among those of all tools.
+template <class Team, class Real>
+TM_HOST_DEVICE void query_crossings(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                    const view::ContactView<Real>& contact, const Vec3<Real>& from,
+                                    const Vec3<Real>& to, std::uint32_t place) {
+  constexpr Real kSlack = Real(1e-4);
+  Real first = 2, last = -1;
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+                [&](std::uint32_t triangle) {
+                  const Corners<Real> corners = corners_of(state, contact, triangle);
+                  const auto crossing =
+                      physics::segment_crosses_triangle(from, to, corners.x[0], corners.x[1], corners.x[2], kSlack);
+                  if (!crossing.crosses) return;
+                  first = minimum(first, crossing.fraction);
+                  last = maximum(last, crossing.fraction);
+                });
+  first = -team.patch_max(-first);
+  last = team.patch_max(last);
+  if (!team.leads_patch()) return;
+  auto& closest = contact.closest[std::size_t{place} * patches.patch_count + team.patch()];
+  closest.first_crossing = first;
+  closest.last_crossing = last;
 }
 
 /// Stage 1, closest-point query: does this for the core points of all tools.
@@ -75,38 +106,68 @@ TM_HOST_DEVICE void query_closest(Team& team, const view::PatchesView& patches, 
     physics::with_tool(tool.kind, [&](auto kind) {
       using Kind = typename decltype(kind)::Type;
       for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
-        query_core_point(team, patches, state, contact, Kind::core_point(tool, i), tool.first_core_point + i);
+        const Vec3<Real> point = Kind::core_point(tool, i);
+        query_core_point(team, patches, state, contact, point, tool.first_core_point + i);
+        if (i + 1 == Kind::kCorePoints) break;
+        query_crossings(team, patches, state, contact, point, Kind::core_point(tool, i + 1), tool.first_core_point + i);
       }
     });
   }
 }
 
-/// How deep the core points of one tool are inside the tissue [m]; negative outside. With it, the depth of contact
+/// How deep the core of one tool is inside the tissue [m]; zero or negative outside. With it, the depth of contact
 /// continues radius − distance continuously to the inside.
-template <class Real, std::uint32_t kCount>
+///
+///             ___________________            a, b   depths of two core points, here both negative
+///            |  tissue           |           f, l   first and last crossing of the surface in between
+///     a -----f-------------------l---- b     inside: between f and l if both ends are outside, else up to f or from l
+template <class Kind, class Real>
 struct CoreDepths {
+  static constexpr std::uint32_t kCount = Kind::kCorePoints;
   Real values[kCount];
+  Real first[kCount], last[kCount];  // crossings between core point i and the next
+  Real length[kCount];               // between them [m]
+  Real radius;
 
   TM_HOST_DEVICE CoreDepths(const view::PatchesView& patches, const view::ContactView<Real>& contact,
-                            std::uint32_t first_core_point) {
+                            const physics::PlacedTool<Real>& tool)
+      : radius(tool.radius_m) {
     using std::sqrt;
     for (std::uint32_t i = 0; i < kCount; ++i) {
-      const auto* of_patches = contact.closest + std::size_t{first_core_point + i} * patches.patch_count;
+      const auto* of_patches = contact.closest + std::size_t{tool.first_core_point + i} * patches.patch_count;
       view::ClosestTriangle<Real> nearest = of_patches[0];
+      first[i] = nearest.first_crossing;
+      last[i] = nearest.last_crossing;
       for (std::uint32_t patch = 1; patch < patches.patch_count; ++patch) {
-        if (of_patches[patch].distance_squared < nearest.distance_squared) nearest = of_patches[patch];
+        const view::ClosestTriangle<Real> other = of_patches[patch];
+        if (other.distance_squared < nearest.distance_squared) nearest = other;
+        first[i] = minimum(first[i], other.first_crossing);
+        last[i] = maximum(last[i], other.last_crossing);
       }
       values[i] = -nearest.side * sqrt(nearest.distance_squared);
+      length[i] = 0;
+      if (i + 1 == kCount) continue;
+      const Vec3<Real> way = Kind::core_point(tool, i + 1) - Kind::core_point(tool, i);
+      length[i] = sqrt(way.dot(way));
     }
   }
-  /// Interpolates between the core points.
+
+  /// Returns the depth of a point of the core.
   TM_HOST_DEVICE Real at(Real place) const {
-    Real depth = values[0];
-    for (std::uint32_t i = 1; i < kCount; ++i) {
-      const Real fraction = minimum(maximum(place - static_cast<Real>(i - 1), Real(0)), Real(1));
-      depth += (values[i] - values[i - 1]) * fraction;
-    }
-    return depth;
+    std::uint32_t i = 0;
+    while (i + 2 < kCount && place > static_cast<Real>(i + 1)) ++i;
+    if (i + 1 >= kCount) return values[0];
+    const Real x = place - static_cast<Real>(i), a = values[i], b = values[i + 1];
+    if (x <= 0) return a;
+    if (x >= 1) return b;
+    const Real f = first[i], l = last[i];
+    if (!(f <= l)) return a + (b - a) * x;  // no crossing
+    if (a > 0 && x < f) return b > 0 ? minimum(a + (b - a) * x, (f - x) * length[i]) : a * (1 - x / f);
+    if (b > 0 && x > l) return a > 0 ? minimum(a + (b - a) * x, (x - l) * length[i]) : b * (x - l) / (1 - l);
+    // The depth between two crossings is unknown. It is at most the way to the nearer one; the radius pushes the shaft
+    // out as long as it is not far inside.
+    if (a <= 0 && b <= 0) return minimum(radius, minimum(x - f, l - x) * length[i]);
+    return 0;
   }
 };
 
@@ -118,14 +179,16 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
                                            const physics::PlacedTool<Real>& tool,
                                            view::TriangleContact<Real>* contacts) {
   using std::sqrt;
-  const CoreDepths<Real, Kind::kCorePoints> core_depths(patches, contact, tool.first_core_point);
+  const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
   const auto generate = [&](std::uint32_t triangle) {
     const Corners<Real> corners = corners_of(state, contact, triangle);
     Real greatest = 0;
     Vec3<Real> weights, normal;
     const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
       const Vec3<Real> away = corners.at(candidate) - core.position;
-      const Real distance = sqrt(away.dot(away)), inside = core_depths.at(core.place);
+      const Real distance = sqrt(away.dot(away));
+      // No point of the core is deeper than its distance to any triangle.
+      const Real inside = minimum(core_depths.at(core.place), distance);
       const bool behind = inside > 0 && corners.normal().dot(away) > 0;
       const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
       if (!(depth > greatest)) return;

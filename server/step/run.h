@@ -19,8 +19,14 @@
 /// Runs the stages of the table (stages.h). Each line of RunStage passes a stage exactly the parts of the scene that it
 /// may touch.
 ///
-/// Every backend runs these functions. The CPU runs them with the team of one thread (backend/cpu/team.h). CUDA has a
-/// kernel for each stage type, with the team of a thread block (backend/cuda/team.cuh).
+///   Stage (a row of the table, its group) ──with_stage──> RunStage<kind, shape> ──run(team, scene, group)──> function
+///   chosen when the scene is compiled                     a type: one instance      once for each patch, by its team
+///                                                         or kernel each
+///
+///   team   the thread (CPU, backend/cpu/team.h) or the thread block (CUDA, backend/cuda/team.cuh) that runs one patch
+///
+/// Two scopes are not here, because the backends have code of their own for them: kShapeAndLaw (element passes, which
+/// are compiled in a file each) and kFusedOnDevice (kernels of a GPU). run() then does nothing.
 namespace tensormass::step {
 
 /// A stage as a type. Shape: the group's shape, for stages of Scope::kShape.

@@ -109,6 +109,11 @@ struct StageSizes {
   bool decomposes() const { return !edges && !group->is_constant && physics::decomposes(group->law); }
   double decomposition_bytes() const { return decomposes() ? points() * view::kDecompositionReals * real : 0; }
 
+  /// A pass over the triangles for each core point, and one for each segment between two of them.
+  Cost query_tools() const {
+    const double passes = (2 * core_points - tools) * triangles;
+    return {passes * (12 + 3 * 8 * real), passes * 60};
+  }
   Cost solve() const {  // one iteration
     const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
     if (m.double_precision || m.layout.storage != matrix::Storage::kTiles) return whole;
@@ -155,7 +160,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kQueryClosest, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "closest-point query", "displacement, tools", "closest triangle of each patch", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
-   [](const StageSizes& s) { return Cost{s.core_points * s.triangles * (12 + 3 * 8 * s.real), s.core_points * s.triangles * 60}; }},
+   [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "contact generation", "displacement, tools, closest", "contacts", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
@@ -268,7 +273,7 @@ inline constexpr StageInfo kStages[] = {
    "closest-point query", "displacement, tools", "closest triangle of each patch",
    "once more, if the scene has tools and its step began with predict",
    [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
-   [](const StageSizes& s) { return Cost{s.core_points * s.triangles * (12 + 3 * 8 * s.real), s.core_points * s.triangles * 60}; }},
+   [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEnd, Scope::kScene, Communication::kNone,
    "contact generation", "displacement, tools, closest", "contacts",
    "once more, if the scene has tools and its step began with predict",

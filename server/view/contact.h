@@ -19,11 +19,13 @@ struct TriangleContact {
   Real stiffness;  // [N/m]
 };
 
-/// Distance from a core point of a tool to a patch's closest triangle.
+/// Distance from a core point of a tool to a patch's closest triangle, and where the patch's triangles cross the core
+/// between this point and the next.
 template <class Real>
 struct ClosestTriangle {
   Real distance_squared;
-  Real side;  // +1: the point is outside the tissue, −1: inside
+  Real side;                           // +1: the point is outside the tissue, −1: inside
+  Real first_crossing, last_crossing;  // 0 at this core point, 1 at the next; first > last: the patch has no crossing
 };
 
 /// Force and torque of a patch's tissue on a tool.

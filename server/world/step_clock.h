@@ -21,9 +21,7 @@ using Clock = std::chrono::steady_clock;
 /// simulated time slows down.
 ///
 ///     begin()      the time at which the coming step should start
-///     deadline     begin() + period: a step is in time if it ends then or earlier, because the next one can still
-///     start
-///                  on time
+///     deadline     begin() + period: a step that ends by then is in time, because the next one can still start on time
 class StepClock {
  public:
   explicit StepClock(double rate_hz)

@@ -243,6 +243,64 @@ TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {
   }
 }
 
+/// A shaft that lies across the block pushes the tool out, also when it has sunk in by more than its radius. Its ends
+/// beside the block say nothing about its middle.
+TEST(CapsuleAcrossARigidBlock, IsPushedOutWithItsEndsOutside) {
+  struct Shaft {
+    double start_m, length_m;  // along z; the block is from 0 to 1
+    double pushed_m2;          // area of the triangles of the top that push at full depth
+  };
+  for (const Shaft& shaft : {Shaft{-0.25, 1.5, 1.0}, Shaft{0.6, 0.9, 0.5}, Shaft{-0.5, 0.9, 0.5}}) {
+    v1::Scene scene = rigid_block("capsule");
+    scene.mutable_tools(0)->mutable_capsule()->set_length_m(shaft.length_m);
+    for (const std::uint32_t patches : {1u, 3u}) {
+      StagedScene<double> staged(scene, patches);
+      for (const double depth : {0.04, 0.0499, 0.0501, 0.07, 0.1}) {
+        physics::Pose pose;
+        pose.position_m = {0.3, 1.05 - depth, shaft.start_m};
+        const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
+            staged.model.tools[0].placed<double>(pose);
+        staged.step();
+        EXPECT_GT(measured(staged).force_n[1], 0.999 * kPenalty * shaft.pushed_m2 * depth)
+            << depth << " m deep, from " << shaft.start_m << ", " << patches << " patches";
+      }
+    }
+  }
+}
+
+/// The depth of a core between its ends, from the crossings that each patch has found.
+TEST(CoreDepths, ChangesItsSignAtTheCrossings) {
+  physics::PlacedTool<double> tool{};
+  for (int c = 0; c < 3; ++c) tool.rotation[4 * c] = 1;
+  tool.radius_m = 0.05;
+  tool.parameters[0] = 1;  // length
+  view::PatchesView patches{};
+  patches.patch_count = 2;
+  const auto depths = [&](double start_side, double end_side) {
+    // [core point, patch]; one patch has the crossing at 0.8, the other the one at 0.2.
+    view::ClosestTriangle<double> closest[] = {
+        {0.04, start_side, 0.8, 0.8}, {0.09, 1, 0.2, 0.2}, {0.01, end_side, 2, -1}, {0.09, 1, 2, -1}};
+    view::ContactView<double> contact{};
+    contact.closest = closest;
+    return CoreDepths<physics::Capsule, double>(patches, contact, tool);
+  };
+  const auto across = depths(1, 1);  // both ends outside
+  EXPECT_EQ(across.at(0), -0.2);
+  EXPECT_LE(across.at(0.1), 0);
+  EXPECT_NEAR(across.at(0.21), 0.01, 1e-12) << "the way to the crossing";
+  EXPECT_EQ(across.at(0.5), 0.05) << "the radius";
+  EXPECT_LE(across.at(0.9), 0);
+  EXPECT_EQ(across.at(1), -0.1);
+  const auto tip_inside = depths(-1, 1);
+  EXPECT_EQ(tip_inside.at(0), 0.2);
+  EXPECT_NEAR(tip_inside.at(0.1), 0.1, 1e-12);
+  for (const double place : {0.3, 0.5, 0.9, 1.0}) EXPECT_LE(tip_inside.at(place), 0) << place;
+  const auto hollow = depths(-1, -1);  // both ends inside, a gap between them
+  EXPECT_GT(hollow.at(0.1), 0);
+  EXPECT_LE(hollow.at(0.5), 0);
+  EXPECT_GT(hollow.at(0.9), 0);
+}
+
 /// A centre inside of one body is not inside of its neighbour: that one is pushed away and not drawn in.
 TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
   v1::Scene scene = box_scene(mesh::testing::unit_grid(2), "spherical_probe", 0.1);

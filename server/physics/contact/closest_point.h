@@ -83,15 +83,17 @@ struct SegmentCrossing {
 
 /// Finds where the segment pq crosses the triangle abc (Möller, Trumbore 1997). A segment in the triangle's plane does
 /// not cross it.
+/// slack: the triangle is larger by this fraction, so that a segment through an edge does not slip between two
+/// triangles.
 template <class Real>
 TM_HOST_DEVICE SegmentCrossing<Real> segment_crosses_triangle(const Vec3<Real>& p, const Vec3<Real>& q,
                                                               const Vec3<Real>& a, const Vec3<Real>& b,
-                                                              const Vec3<Real>& c) {
+                                                              const Vec3<Real>& c, Real slack = 0) {
   const Vec3<Real> pq = q - p, ab = b - a, ac = c - a, ap = p - a;
   const Vec3<Real> pq_ac = cross<Real>(pq, ac), ap_ab = cross<Real>(ap, ab);
   const Real determinant = ab.dot(pq_ac);
   const Real u = ap.dot(pq_ac) / determinant, v = pq.dot(ap_ab) / determinant, t = ac.dot(ap_ab) / determinant;
-  const bool crosses = determinant != 0 && u >= 0 && v >= 0 && u + v <= 1 && t >= 0 && t <= 1;
+  const bool crosses = determinant != 0 && u >= -slack && v >= -slack && u + v <= 1 + slack && t >= 0 && t <= 1;
   return {crosses, {1 - u - v, u, v}, t};
 }
 

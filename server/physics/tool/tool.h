@@ -73,13 +73,14 @@ struct PlacedTool {
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
 };
 
-/// What for_each_candidate calls, for the concept below.
-struct VisitCandidate {
-  TM_HOST_DEVICE void operator()(const Vec3<double>&, const CorePoint<double>&) const {}
+/// A visit of for_each_candidate that does nothing. nvcc does not take a lambda within a concept.
+struct IgnoreCandidate {
+  template <class Real>
+  TM_HOST_DEVICE void operator()(const Vec3<Real>&, const CorePoint<Real>&) const {}
 };
 
 template <class T>
-concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x, const VisitCandidate& visit) {
+concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
   { T::kName } -> std::convertible_to<std::string_view>;
   { T::kParameters.size() } -> std::convertible_to<std::size_t>;
   { T::kJoints } -> std::convertible_to<std::size_t>;
@@ -88,7 +89,7 @@ concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x, c
   { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
   { T::distance(tool, x) } -> std::same_as<double>;
   { T::gradient(tool, x) } -> std::same_as<Vec3<double>>;
-  T::for_each_candidate(tool, x, x, x, visit);
+  T::for_each_candidate(tool, x, x, x, IgnoreCandidate{});
 };
 
 /// Signed distance and gradient of a kind whose core has no volume, from its closest_core_point.
