@@ -109,11 +109,15 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
             body.element_fields.poisson_ratio = packed([[0.3]])
         if law == "transversely_isotropic":
             body.element_fields.fibre_directions = packed([[1, 0, 0]])
-    probe = scene.tools.add(name="probe", max_speed_m_per_s=0.5)
-    probe.spherical_probe.radius_m, probe.spherical_probe.penalty_stiffness_pa_per_m = 0.01, 1e6
-    probe.spherical_probe.tip_offset_m.z = 0.001
-    probe.position_m.z = 1
-    probe.orientation.w = 1
+    for kind in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields:
+        tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
+        shape = getattr(tool, kind.name)
+        for field in kind.message_type.fields:
+            if field.type == FieldDescriptor.TYPE_DOUBLE:
+                setattr(shape, field.name, 1e6 if field.name.endswith("pa_per_m") else 0.01)
+        shape.tip_offset_m.z = 0.001
+        tool.position_m.z = 1
+        tool.orientation.w = 1
     return scene
 
 
@@ -265,14 +269,16 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
             pose.sequence = sequence
             place.set(pose, value)
             try:
-                engine.server.call("MoveTool", control_pb2.MoveToolRequest(scene=scene.name, tool="probe", pose=pose))
+                engine.server.call(
+                    "MoveTool", control_pb2.MoveToolRequest(scene=scene.name, tool=scene.tools[0].name, pose=pose)
+                )
             except tm.InvalidArgumentError as refusal:
                 refused += 1
                 if place.name not in str(refusal):
                     bad.append(f"{value:g}: the refusal does not name it: {refusal}")
                 continue
             handle.step()
-            position = handle.feedback("probe").position_m
+            position = handle.feedback(scene.tools[0].name).position_m
             harmless += bool(np.isfinite(position).all())
             if not np.isfinite(position).all():
                 bad.append(f"{value:g}: the position of the tool is not finite")
