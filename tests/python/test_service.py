@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,10 +16,11 @@ import grpc
 import numpy as np
 import pytest
 import zmq
+from service_parts import DEADLINE_S, block
 from test_mesh_files import shared_mesh
 
 import tensormass as tm
-from tensormass._src import mesh_files, mesh_geometry, meshes, processes, tetwild
+from tensormass._src import mesh_files, mesh_geometry, meshes, tetwild
 from tensormass._src.fields import FIELD_NAMES
 from tensormass._src.packing import pack_mesh
 from tensormass._src.shapes import SHAPES
@@ -31,33 +28,8 @@ from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools.output import state_name
 
-try:
-    processes.find_program("tensormassd", "TENSORMASSD")
-except tm.NotFoundError as not_built:
-    pytest.skip(str(not_built), allow_module_level=True)
-
-DEADLINE_S = 20.0
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
 
-# A block on a table with a probe above its middle; light enough for a busy machine.
-BLOCK = """
-name: block
-gravity_m_per_s2: {z: -9.81}
-stepping: {dt_s: 0.005}
-bodies:
-  - name: tissue
-    mesh: {grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 5, cells_y: 5, cells_z: 3}}
-    law: {st_venant_kirchhoff: {young_modulus_pa: 8000, poisson_ratio: 0.4}}
-    density_kg_per_m3: 1000
-    rayleigh_mass_per_s: 2.0
-    rayleigh_stiffness_s: 0.01
-    fixed:
-      - box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}
-tools:
-  - name: probe
-    spherical_probe: {radius_m: 0.015}
-    position_m: {x: 0.05, y: 0.05, z: 0.08}
-"""
 PRESS_M = (0.05, 0.05, 0.055)  # the sphere's lowest point is 10 mm below the top
 
 
@@ -83,10 +55,6 @@ def load(server: tm.Server) -> Iterator[Callable[..., tm.SceneHandle]]:
 
 
 _NUMBER = itertools.count()
-
-
-def block() -> tm.Scene:
-    return tm.Scene.from_yaml(BLOCK)
 
 
 def tetrahedron_scene(**options: object) -> tm.Scene:
@@ -497,101 +465,3 @@ def test_bytes_that_are_not_a_request_are_refused(server: tm.Server) -> None:
             with pytest.raises(grpc.RpcError):
                 call(payload, timeout=DEADLINE_S)
     server.version()
-
-
-# --- the process ------------------------------------------------------------------------------------------------------
-
-
-def test_launch_ends_its_daemon_cleanly() -> None:
-    with tm.launch(backend="cpu", cpu_threads=1) as server:
-        server.load(block(), name="block")
-        assert server.process is not None
-        process = server.process.process
-        log_file = server.log_file
-        assert process.poll() is None
-    assert process.returncode == 0
-    assert log_file is not None
-    assert not log_file.exists()
-    with pytest.raises(tm.UnavailableError):
-        server.version()
-
-
-def test_a_wrong_flag_is_reported() -> None:
-    with pytest.raises(tm.UnavailableError, match="no-such-flag"):
-        tm.launch(backend="cpu", options=["--no-such-flag"])
-
-
-def command(*args: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "tensormass", *args], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-
-
-def test_inspect_works_without_a_daemon() -> None:
-    with command("inspect", "beam", "--backend", "cpu", "--json") as process:
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    report = json.loads(out)
-    assert report["bodies"][0]["element_count"] == 20160
-    assert any("conjugate gradients" in stage["name"] for stage in report["stages"])
-
-
-def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path, runtime_folder: Path) -> None:
-    scene_file = tmp_path / "block.yaml"
-    scene_file.write_text(BLOCK)
-    options = ["--backend", "cpu", "--no-viewer", "--json"]
-    try:
-        processes.find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
-    except tm.NotFoundError:
-        options.append("--no-haptic")
-    with command("run", str(scene_file), *options) as process:
-        try:
-            assert process.stdout is not None
-            lines = map(json.loads, process.stdout)
-            with tm.connect(next(lines)["control"]) as client:
-                assert [status.scene for status in client.scenes()] == ["block"]
-            said = next(said for said in lines if said["status"]["step"] > 20)
-            assert said["status"]["scene"] == "block"
-            assert said["status"]["state"] == "STATE_RUNNING"
-            with command("list") as listing:  # finds that daemon, which listens on a free port
-                assert "\nblock  running  step " in listing.communicate(timeout=60)[0]
-            children = children_of(process.pid)
-            assert any("tensormassd" in name for name in children.values())
-            process.send_signal(signal.SIGINT)
-            _, err = process.communicate(timeout=DEADLINE_S)
-        finally:
-            process.kill()
-    assert (process.returncode, err) == (0, "")
-    assert list(runtime_folder.iterdir()) == []
-    for pid in children:
-        assert not Path(f"/proc/{pid}").exists(), f"{children[pid]} is left running"
-
-
-def test_run_says_a_warning_once(tmp_path: Path) -> None:
-    scene_file = tmp_path / "scene.yaml"
-    # A linear law under a load that it is not made for, and its status looked at several times.
-    scene_file.write_text(BLOCK.replace("st_venant_kirchhoff", "hooke").replace("z: -9.81", "z: -2000"))
-    options = ["--backend", "cpu", "--no-viewer", "--no-haptic", "--seconds", "3"]
-    run_module = "import sys; from tensormass_tools import cli, run; run._LOG_PERIOD_S = 0.5; sys.exit(cli.main())"
-    with subprocess.Popen(
-        [sys.executable, "-c", run_module, "run", str(scene_file), *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    lines = out.splitlines()
-    assert sum("Hz" in line for line in lines) >= 3
-    assert sum(line.startswith("warning: body 'tissue': hooke has left its range") for line in lines) == 1
-
-
-def children_of(parent: int) -> dict[int, str]:
-    """Names by process id."""
-    children = {}
-    for entry in Path("/proc").iterdir():
-        with contextlib.suppress(OSError, ValueError):
-            name, _, rest = (entry / "stat").read_text().partition(" (")[2].rpartition(") ")
-            if int(rest.split()[1]) == parent:
-                children[int(entry.name)] = name
-    return children
