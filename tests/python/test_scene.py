@@ -280,8 +280,15 @@ def test_a_scene_from_arrays_carries_everything_given() -> None:
 def test_tools_of_any_kind_are_added_by_name() -> None:
     scene = tm.Scene()
     tool = scene.add_tool(
-        "hook", "capsule", position_m=(0, 0, 1), radius_m=0.005, length_m=0.2, tip_offset_m=(0, 0, -0.1)
+        "hook",
+        "capsule",
+        position_m=(0, 0, 1),
+        orientation=(0, 1, 0, 0),
+        radius_m=0.005,
+        length_m=0.2,
+        tip_offset_m=(0, 0, -0.1),
     )
+    assert tool.orientation == scene_pb2.Quaternion(x=1)
     assert tool.capsule == scene_pb2.Capsule(radius_m=0.005, length_m=0.2, tip_offset_m=scene_pb2.Vector3(z=-0.1))
     with pytest.raises(tm.InvalidArgumentError, match=r"hook: there is no kind 'capsul'.*capsule"):
         scene.add_tool("hook", "capsul", position_m=(0, 0, 1))

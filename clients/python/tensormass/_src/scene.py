@@ -181,20 +181,29 @@ class Scene:
         kind: str,
         *,
         position_m: Vector,
+        orientation: Vector | None = None,
         max_speed_m_per_s: float | None = None,
         **shape: float | Vector,
     ) -> scene_pb2.Tool:
-        """Adds a tool of any kind and returns its message. It stays at `position_m` until its first pose.
+        """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
 
         Args:
             kind: a kind of the protocol's `Tool`, such as "spherical_probe" or "capsule".
+            orientation: quaternion w, x, y, z; None is the identity.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.
 
         Raises:
             InvalidArgumentError: no such kind, or no such field.
         """
         self.message.tools.append(
-            make_tool(name, kind, position_m=position_m, max_speed_m_per_s=max_speed_m_per_s, shape=shape)
+            make_tool(
+                name,
+                kind,
+                position_m=position_m,
+                orientation=orientation,
+                max_speed_m_per_s=max_speed_m_per_s,
+                shape=shape,
+            )
         )
         return self.message.tools[-1]
 

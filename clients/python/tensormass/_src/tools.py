@@ -8,7 +8,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.names import suggestion
-from tensormass._src.vectors import Vector, vector3
+from tensormass._src.vectors import Vector, quaternion, vector3
 from tensormass.v1 import scene_pb2
 
 
@@ -32,13 +32,22 @@ def shape_of(tool: scene_pb2.Tool) -> ToolShape:
 
 
 def make_tool(
-    name: str, kind: str, *, position_m: Vector, max_speed_m_per_s: float | None, shape: dict[str, float | Vector]
+    name: str,
+    kind: str,
+    *,
+    position_m: Vector,
+    orientation: Vector | None,
+    max_speed_m_per_s: float | None,
+    shape: dict[str, float | Vector],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
     if kind not in _kinds():
         raise InvalidArgumentError(f"{name}: there is no kind {kind!r}; {suggestion(kind, _kinds())}")
     tool = scene_pb2.Tool(
-        name=name, position_m=vector3(position_m, f"{name}.position_m"), max_speed_m_per_s=max_speed_m_per_s
+        name=name,
+        position_m=vector3(position_m, f"{name}.position_m"),
+        orientation=quaternion(orientation, f"{name}.orientation"),
+        max_speed_m_per_s=max_speed_m_per_s,
     )
     message = getattr(tool, kind)
     message.SetInParent()
