@@ -153,7 +153,14 @@ def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pyte
         assert part in text
     assert text.startswith(f"server {server.address}\n")
     # Users ask first what is simulated, and last how the memory is divided.
-    order = ["6.4e+06 cm³", "the scene has no tools", "2 components", "assemble", "777 B"]
+    order = [
+        "6.4e+06 cm³",
+        "the scene has no tools",
+        "2 components",
+        "assemble",
+        "for the solve, per iteration",
+        "777 B",
+    ]
     assert sorted(order, key=text.index) == order
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"server": server.address, **to_plain(report)}

@@ -146,7 +146,7 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     if report.warnings:
         sections.append("warnings:\n" + "\n".join(f"  {item}" for item in report.warnings))
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
-    sections += [table(stages), table(buffers)]
+    sections += [f"{table(stages)}\nper step; for the solve, per iteration", table(buffers)]
     return "\n\n".join(sections)
 
 
