@@ -8,7 +8,6 @@
 #include <stdexcept>
 #include <string>
 #include <string_view>
-#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -17,6 +16,7 @@
 #include "bus/bus.h"
 #include "bus/keys.h"
 #include "bus/zenoh/session.h"
+#include "support/eventually.h"
 
 /// Helpers for the tests of the bus: servers on free ports, and clients that use no code of the server.
 namespace tensormass::bus::test {
@@ -84,15 +84,9 @@ class BusOnFreePorts {
   std::unique_ptr<Bus> bus;
 };
 
-/// Polls until `condition()` is true; returns false at the deadline. For conditions without an event to wait for.
 template <class Condition>
-bool eventually(Condition condition) {
-  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::yield();
-  }
-  return true;
+bool eventually(const Condition& condition) {
+  return tests::eventually(condition, kDeadline);
 }
 
 inline v1::ToolPose make_pose(std::uint64_t sequence) {

@@ -10,19 +10,16 @@
 
 #include <gtest/gtest.h>
 
+#include "support/eventually.h"
+
 namespace tensormass::control {
 namespace {
 
 constexpr std::string_view kPreface = "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 
 template <class Condition>
-bool eventually(Condition condition) {
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::yield();
-  }
-  return true;
+bool eventually(const Condition& condition) {
+  return tests::eventually(condition, std::chrono::seconds(20));
 }
 
 class DoorkeeperTest : public testing::Test {

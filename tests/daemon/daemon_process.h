@@ -12,7 +12,6 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
-#include <thread>
 #include <vector>
 
 // For the thread sanitizer this header gives maps a member that those of the installed library do not have.
@@ -24,6 +23,7 @@
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
 
+#include "support/eventually.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 /// Runs the real program as users start it: a process with flags, a log and a ready file.
@@ -31,15 +31,9 @@ namespace tensormass::daemon_tests {
 
 inline constexpr std::chrono::seconds kDeadline{30};
 
-/// Polls until `condition()` is true; returns false at the deadline. For conditions without an event to wait for.
 template <class Condition>
-bool eventually(Condition condition) {
-  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::yield();
-  }
-  return true;
+bool eventually(const Condition& condition) {
+  return tests::eventually(condition, kDeadline);
 }
 
 /// A new folder, removed with its contents by the destructor.

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
-#include <functional>
 #include <limits>
 #include <mutex>
 #include <thread>
@@ -13,6 +12,7 @@
 
 #include "core/limits.h"
 #include "support/backends.h"
+#include "support/eventually.h"
 #include "support/faulty_backend.h"
 #include "support/scenes.h"
 #include "world/compiled_scene.h"
@@ -23,14 +23,9 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Waits until another thread makes a condition true. The deadline matters in a broken build only.
-bool eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + 60s;
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::yield();
-  }
-  return true;
+template <class Condition>
+bool eventually(const Condition& condition) {
+  return tests::eventually(condition, 60s);
 }
 
 v1::ToolPose pose(double x, double y, double z, std::uint64_t sequence = 0) {
