@@ -35,6 +35,7 @@ from tensormass._src.poses import PoseSender
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import FrameStream, SceneHandle
 from tensormass._src.server import DEFAULT_ADDRESS, Server, connect
+from tensormass._src.step_record import StepRecord
 from tensormass._src.subscriptions import Subscription
 from tensormass._src.tetwild import tetrahedralize
 
@@ -57,6 +58,7 @@ __all__ = [
     "Scene",
     "SceneHandle",
     "Server",
+    "StepRecord",
     "Subscription",
     "TensormassError",
     "TriangleSurface",

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
+from tensormass._src.errors import InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
 from tensormass._src.poses import PoseSender, PoseSequence
 from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_report
+from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
 from tensormass._src.vectors import Vector
@@ -20,7 +25,11 @@ from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
-    """A loaded scene. The scene outlives the handle; `unload` ends it."""
+    """A loaded scene. It outlives the handle: `unload` ends it, and so does the end of a `with` block.
+
+    with server.load("demo", lockstep=True) as scene:
+        scene.step(60)
+    """
 
     def __init__(
         self,
@@ -41,6 +50,16 @@ class SceneHandle:
     def __repr__(self) -> str:
         return f"SceneHandle({self.name!r} on {self._connection.address})"
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Unloads the scene. A scene that is gone is not an error, and no failure replaces an error of the block."""
+        with contextlib.suppress(NotFoundError if error is None else TensormassError):
+            self.unload()
+
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def step(self, count: int = 1) -> stream_pb2.SceneStatus:
@@ -51,6 +70,28 @@ class SceneHandle:
         """
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
         return self._connection.call("StepScene", request, timeout_s=None).status
+
+    def steps(self, count: int) -> Iterator[StepRecord]:
+        """Makes `count` steps, one call each, and yields what each of them did.
+
+        A step is made when its record is asked for, so the loop may read fields or move tools in between.
+
+            iterations = [record.cg_iterations for record in scene.steps(100)]
+
+        Raises:
+            InvalidArgumentError: `count` is negative.
+            FailedPreconditionError: the scene is not in lockstep, or a guard stopped it. The error comes from the loop,
+                after the records of the steps before.
+        """
+        if count < 0:
+            raise InvalidArgumentError(f"count: expected 0 or more steps, got {count}")
+        return self._records(count)
+
+    def _records(self, count: int) -> Iterator[StepRecord]:
+        solver = self.message.solver if self.message is not None else None
+        for _ in range(count):
+            before = self.status()
+            yield StepRecord.between(before, self.step(), solver)
 
     def pause(self) -> stream_pb2.SceneStatus:
         """Pauses the scene between two steps."""
