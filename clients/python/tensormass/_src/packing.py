@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from tensormass._src import grids, meshes
-from tensormass._src.elevate import elevated
+from tensormass._src.elevate import elevated, new_edges
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.shapes import BY_NUMBER
 from tensormass.v1 import scene_pb2
@@ -47,6 +48,19 @@ def volume_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:
     has them there."""
     mesh = _given_mesh(body)
     return elevated(mesh) if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC else mesh
+
+
+def own_node_count(body: scene_pb2.Body) -> int:
+    """Returns the number of nodes of a body's mesh, without those that `element_order` adds."""
+    if body.mesh.WhichOneof("source") == "grid":
+        return len(_given_mesh(body).nodes)
+    return len(body.mesh.packed.node_positions) // 24
+
+
+def middle_ends(body: scene_pb2.Body) -> npt.NDArray[np.int64]:
+    """Returns the ends of the edges whose middles `element_order: quadratic` adds, [n, 2], in the order of the new
+    nodes."""
+    return new_edges(_given_mesh(body))
 
 
 def _given_mesh(body: scene_pb2.Body) -> meshes.VolumeMesh:

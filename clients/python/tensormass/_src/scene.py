@@ -9,13 +9,14 @@ from typing import Any, cast
 import meshio
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes
+from tensormass._src import mesh_files, meshes, node_conditions
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile, is_mesh_file
+from tensormass._src.solver_settings import Integrator, Precision, set_fields
 from tensormass._src.tools import make_tool
 from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
@@ -109,7 +110,9 @@ class Scene:
         fixed_nodes: npt.ArrayLike | None = None,
         skin: meshes.TriangleSurface | None = None,
     ) -> scene_pb2.Body:
-        """Adds a body and returns its message. Loads, prescribed displacements and laws of regions are set there.
+        """Adds a body and returns its message. Loads of regions and laws of regions are set there.
+
+        `fix`, `prescribe`, `add_nodal_forces` and `set_initial_state` take arrays of single nodes.
 
         Args:
             mesh: elements in m; its named sets and element fields become those of the body.
@@ -166,6 +169,128 @@ class Scene:
             body.skin.packed.CopyFrom(pack_triangles(skin))
         self.message.bodies.append(body)
         return self.message.bodies[-1]
+
+    def body(self, name: str) -> scene_pb2.Body:
+        """Returns the message of a body.
+
+        Raises:
+            InvalidArgumentError: no body of this name.
+        """
+        for body in self.message.bodies:
+            if body.name == name:
+                return body
+        known = suggestion(name, [body.name for body in self.message.bodies])
+        raise InvalidArgumentError(f"scene {self.name!r} has no body {name!r}; {known}")
+
+    def fix(self, body: str, nodes: npt.ArrayLike | str, *, axes: str = "xyz") -> None:
+        """Fixes nodes, in all directions or along some axes only.
+
+        Args:
+            nodes: indices [k], a mask [node_count], or the name of a set of the body.
+            axes: the directions in which the nodes do not move: "z" makes a plane of symmetry.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it.
+        """
+        node_conditions.fix(self.body(body), nodes, axes)
+
+    def prescribe(
+        self,
+        body: str,
+        displacement_m: npt.ArrayLike,
+        nodes: npt.ArrayLike | str | None = None,
+        *,
+        axes: str = "xyz",
+        schedule: npt.ArrayLike | None = None,
+    ) -> None:
+        """Prescribes displacements of nodes from their rest positions.
+
+        Nodes of equal displacement share an entry of the protocol; the daemon takes 65,536 entries.
+
+        Args:
+            displacement_m: [k, axes] m, a column for each of `axes`; or [axes] m, the same for all nodes.
+            nodes: indices [k], a mask [node_count], the name of a set of the body (takes [axes] only), or None for all
+                nodes.
+            axes: the prescribed directions. The others stay free.
+            schedule: pairs (time [s], factor), [points, 2]; the factor is linear in between and constant outside. None:
+                1 from the first step.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it.
+        """
+        node_conditions.prescribe(self.body(body), displacement_m, nodes, axes, schedule)
+
+    def add_nodal_forces(self, body: str, forces_n: npt.ArrayLike, nodes: npt.ArrayLike | None = None) -> None:
+        """Adds constant forces on single nodes. They add to the loads that the body has.
+
+        Nodes of equal force share an entry of the protocol; the daemon takes 65,536 entries.
+
+        Args:
+            forces_n: [k, 3] N, a row for each node.
+            nodes: indices [k], a mask [node_count], or None for all nodes. Forces on the same node add up.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it.
+        """
+        node_conditions.add_nodal_forces(self.body(body), forces_n, nodes)
+
+    def set_initial_state(
+        self,
+        body: str,
+        *,
+        displacement_m: npt.ArrayLike | None = None,
+        velocity_m_per_s: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets how a body starts, also after a reset. None leaves a part as it is.
+
+        Args:
+            displacement_m: [node_count, 3] m from the rest positions; zero at fixed nodes.
+            velocity_m_per_s: [node_count, 3] m/s; zero at fixed nodes. A quasi-static scene has none.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it.
+        """
+        node_conditions.set_initial_state(self.body(body), displacement_m, velocity_m_per_s)
+
+    def set_solver(
+        self,
+        *,
+        integrator: Integrator | None = None,
+        precision: Precision | None = None,
+        cg_max_iterations: int | None = None,
+        cg_tolerance: float | None = None,
+        newton_max_iterations: int | None = None,
+        newton_tolerance: float | None = None,
+        cpu_threads: int | None = None,
+    ) -> None:
+        """Changes settings of the solver. None leaves a setting as it is; `Solver` in scene.proto has the defaults.
+
+        Args:
+            integrator: "implicit_euler", "bdf2" or "quasi_static".
+            precision: "float" or "double".
+            cg_max_iterations: limit of conjugate-gradient iterations of a linear solve.
+            cg_tolerance: residual at which a linear solve ends, relative to its right-hand side.
+            newton_max_iterations: limit of linear solves in a step; 1 linearizes once.
+            newton_tolerance: residual at which Newton's method ends, relative to the forces at work.
+            cpu_threads: threads of the scene on the CPU backend.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.
+        """
+        settings = {name: value for name, value in locals().items() if name != "self"}
+        set_fields(self.message.solver, "set_solver", settings)
+
+    def set_stepping(self, *, dt_s: float | None = None, rate_hz: float | None = None) -> None:
+        """Changes the time step. None leaves a setting as it is.
+
+        Args:
+            dt_s: simulated time of a step [s].
+            rate_hz: steps in a second of real time; a scene in lockstep ignores it.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.
+        """
+        set_fields(self.message.stepping, "set_stepping", {"dt_s": dt_s, "rate_hz": rate_hz})
 
     def add_spherical_probe(
         self, name: str, *, radius_m: float, position_m: Vector, max_speed_m_per_s: float | None = None
