@@ -12,6 +12,7 @@ The protocol's messages are in `tensormass.v1`. SI units throughout.
 """
 
 from tensormass._src.demo import builtin_scenes
+from tensormass._src.elastic_constants import lame, young_poisson
 from tensormass._src.errors import (
     AlreadyExistsError,
     DeadlineExceededError,
@@ -67,10 +68,12 @@ __all__ = [
     "builtin_scenes",
     "connect",
     "grid",
+    "lame",
     "launch",
     "law_message",
     "read_mesh",
     "read_surface",
     "tetrahedralize",
     "write_mesh",
+    "young_poisson",
 ]

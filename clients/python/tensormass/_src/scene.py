@@ -10,8 +10,9 @@ import meshio
 import numpy.typing as npt
 
 from tensormass._src import mesh_files, meshes, node_conditions
+from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.errors import InvalidArgumentError, naming
 from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
@@ -101,6 +102,7 @@ class Scene:
         constants: Mapping[str, float | Vector] | None = None,
         young_modulus_pa: float | None = None,
         poisson_ratio: float | None = None,
+        lame_pa: tuple[float, float] | None = None,
         prony: Sequence[tuple[float, float]] = (),
         density_kg_per_m3: float,
         quadrature: str | None = None,
@@ -120,6 +122,7 @@ class Scene:
             constants: of the law, by name: `{"c10_pa": 2000, "c01_pa": 500, "bulk_modulus_pa": 1e6}`.
             young_modulus_pa: a constant of many laws; default 4 kPa if `constants` is not given.
             poisson_ratio: likewise; default 0.45 if `constants` is not given.
+            lame_pa: Lamé's λ and μ [Pa], instead of these two.
             prony: (share, relaxation time [s]) of each term.
             quadrature: "full" (default), "reduced" or "selective".
             mass: "lumped" (default) or "consistent".
@@ -136,6 +139,11 @@ class Scene:
         if constants is None and law in LAWS:
             fields = getattr(scene_pb2.Law(), law).DESCRIPTOR.fields_by_name
             given = {name: value for name, value in LIVER.items() if name in fields}
+        if lame_pa is not None:
+            if young_modulus_pa is not None or poisson_ratio is not None:
+                raise InvalidArgumentError(f"{name}.lame_pa: given with young_modulus_pa or poisson_ratio; choose one")
+            with naming(f"{name}.lame_pa"):
+                young_modulus_pa, poisson_ratio = young_poisson(*lame_pa)
         if young_modulus_pa is not None:
             given["young_modulus_pa"] = young_modulus_pa
         if poisson_ratio is not None:
