@@ -26,7 +26,7 @@ from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import export, load_test, run, solve
+from tensormass_tools import export, load_test, modes, run, solve
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
@@ -140,6 +140,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     solve.add_arguments(sub, _SCENE_HELP)
     sub.set_defaults(command=solve.run)
+
+    sub = commands.add_parser(
+        "modes", parents=[json_option], help="natural frequencies and mode shapes of the bodies of a scene"
+    )
+    modes.add_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=modes.run)
 
     sub = commands.add_parser(
         "trade", parents=[json_option], help="measure what each choice of a scene costs in time and buys in accuracy"
