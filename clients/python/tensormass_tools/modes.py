@@ -64,7 +64,9 @@ def run(args: argparse.Namespace) -> int:
     summary = {
         "scene": scene.name,
         "bodies": [_summary(body, modes) for body, modes in zip(scene.bodies, found, strict=True)],
-        "warnings": [text for body in scene.bodies for text in _warnings(body)],
+        "warnings": [
+            text for body, modes in zip(scene.bodies, found, strict=True) for text in _warnings(body, modes, args.count)
+        ],
         "files": [str(args.export)] if args.export is not None else [],
     }
     print_json(summary) if args.json else print(modes_files.text(summary))
@@ -96,9 +98,11 @@ def _damping_ratio(body: scene_pb2.Body, frequency_hz: float) -> float | None:
     return (body.rayleigh_mass_per_s / angular + body.rayleigh_stiffness_s * angular) / 2
 
 
-def _warnings(body: scene_pb2.Body) -> list[str]:
+def _warnings(body: scene_pb2.Body, modes: Modes, count: int) -> list[str]:
     where = f"body {body.name!r}"
     out = []
+    if len(modes.shapes) < count:
+        out.append(f"{where}: has no more than {len(modes.shapes)} modes, one for each free direction of a node")
     if any(law.prony for law in [body.law, *(part.law for part in body.law_regions)]):
         out.append(f"{where}: the instantaneous moduli are taken; motion slower than its Prony terms is softer")
     if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC and body.skin.WhichOneof("source"):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from tensormass._src.errors import InvalidArgumentError, NotConvergedError
+from tensormass._src.errors import NotConvergedError
 from tensormass._src.meshes import FloatArray
 from tensormass_tools.modes_matrices import Matrices
 
@@ -48,17 +48,18 @@ class Modes:
 
 
 def lowest_modes(of: Matrices, count: int) -> Modes:
-    """Computes the `count` lowest modes.
+    """Computes the `count` lowest modes, or all if the body has fewer: as many as free directions.
 
     Raises:
-        InvalidArgumentError: the body has fewer modes.
         NotConvergedError: the eigenvalue solver did not get there.
     """
     free = np.flatnonzero(of.free)
-    if count > len(free):
-        raise InvalidArgumentError(f"{count} modes, but only {len(free)} directions are free")
+    count = min(count, len(free))
     stiffness, mass = of.stiffness[free][:, free], of.mass[free][:, free]
     mass_kg = float(of.mass[0::3, 0::3].sum())
+    if count == 0:
+        none = np.empty((0, len(of.mesh.nodes), 3))
+        return Modes(np.empty(0), none, np.empty((0, 3)), mass_kg, 0)
     size_m = float(np.linalg.norm(np.ptp(of.mesh.nodes, axis=0)))
     # ρ L³ is about the mass, so E / (ρ L²) is about E L / mass.
     sigma = -_SHIFT * of.young_modulus_pa * size_m / mass_kg
