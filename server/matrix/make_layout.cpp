@@ -13,7 +13,8 @@
 /// Makes a layout in four steps:
 ///
 ///   1. partition    nodes into patches (mesh/partition.h)
-///   2. number_rows  patch by patch; rows of equal length side by side, so that slices have little padding
+///   2. number_rows  patch by patch; rows of equal length side by side, so that slices have little padding. With
+///                   kRows, rows that are far longer than the others come first
 ///   3. halo_of      for each patch; kRows then exchanges rows so that reads meet different banks (banks.h)
 ///   4. patch_slots  for each patch: the columns of its slices; kTiles then orders them (tiles.h)
 ///
@@ -28,6 +29,19 @@ constexpr std::uint32_t kSortWindowRows = 8 * kSliceRows;
 
 std::uint32_t round_up(std::uint32_t value, std::uint32_t multiple) {
   return (value + multiple - 1) / multiple * multiple;
+}
+
+/// Moves nodes with many neighbours to the front of their patch. The corners of quadratic elements have far more than
+/// the other nodes: spread over all slices, they would widen each.
+void bring_long_rows_forward(mesh::Partition& partition, const StoredEdges& stored) {
+  std::vector<std::uint32_t> lengths(stored.all);
+  const auto usual = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() * 3 / 4);
+  std::nth_element(lengths.begin(), usual, lengths.end());
+  for (std::size_t patch = 0; patch + 1 < partition.offsets.size(); ++patch) {
+    std::stable_partition(partition.order.begin() + partition.offsets[patch],
+                          partition.order.begin() + partition.offsets[patch + 1],
+                          [&](std::uint32_t node) { return stored.all[node] >= 2 * *usual; });
+  }
 }
 
 /// kTiles: returns for each node how many of its neighbours are outside of its tile.
@@ -277,9 +291,10 @@ Layout make_layout(const mesh::Mesh& mesh, std::uint32_t patch_count, Storage st
   if (storage == Storage::kTiles) {
     layout.tile_rows = rows_of_tiles(static_cast<std::uint32_t>(mesh.nodes.size()) / patch_count + 1);
   }
-  const mesh::Partition partition = mesh::partition(mesh, patch_count, std::max(layout.tile_rows, kSliceRows));
+  mesh::Partition partition = mesh::partition(mesh, patch_count, std::max(layout.tile_rows, kSliceRows));
   assert_offsets(partition.offsets, patch_count, mesh.nodes.size());
   const StoredEdges stored = storage == Storage::kEdges ? share_edges(partition, neighbours) : whole_rows(neighbours);
+  if (storage == Storage::kRows) bring_long_rows_forward(partition, stored);
   number_rows(layout, partition, stored,
               storage == Storage::kTiles ? neighbours_beyond_tile(partition, neighbours, layout.tile_rows)
                                          : std::vector<std::uint32_t>{});

@@ -221,6 +221,13 @@ TEST(Layout, SharesEdgesOutSoThatSlicesHaveLittlePadding) {
   EXPECT_LT(static_cast<double>(padding), 0.05 * layout.slot_count());
 }
 
+/// The corners of quadratic tetrahedra have more than twice as many neighbours as the nodes on edges.
+TEST(Layout, RowsOfQuadraticElementsLeaveLittlePadding) {
+  const Layout layout = make_layout(mesh::testing::unit_grid(10, mesh::Shape::kQuadraticTetrahedron), 12);
+  const auto padding = std::count(layout.neighbour_rows.begin(), layout.neighbour_rows.end(), mesh::kNone);
+  EXPECT_LT(static_cast<double>(padding), 0.25 * layout.slot_count());
+}
+
 /// A node with a hundred neighbours: its slice is too wide for an order by bank or tile.
 TEST(Layout, VeryWideSlicesKeepTheirOrder) {
   constexpr std::uint32_t kRing = 100;

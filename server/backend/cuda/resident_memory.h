@@ -9,8 +9,12 @@
 ///   blocks of a row:   0 .. Held - 1 │ Held .. Held + shared_width - 1 │ the rest
 ///                      registers     │ shared memory                   │ device memory
 ///
-///   further columns    those of a slice beyond Held; slices take shared memory for them in order, until it is full
+///   further columns    those of a slice beyond Held
 ///   column_capacity    columns that shared memory has room for
+///   left               columns that each slice leaves in device memory, as far as it has so many further columns
+///
+/// Each slice leaves the same number in device memory. The slowest slice ends the iteration, so it counts how many one
+/// slice has to read and not how many there are in all.
 namespace tensormass::backend::cuda {
 
 using view::kSliceRows;
@@ -41,14 +45,25 @@ TM_HOST_DEVICE constexpr std::uint32_t shared_component(std::uint32_t c, std::ui
 TM_HOST_DEVICE constexpr std::uint32_t further_columns(std::uint32_t width, std::uint32_t held) {
   return width > held ? width - held : 0;
 }
-/// Returns where the further columns of a slice start in shared memory. before: further columns of earlier slices.
-TM_HOST_DEVICE constexpr std::uint32_t shared_begin_of(std::uint32_t before, std::uint32_t column_capacity) {
-  return minimum(before, column_capacity);
-}
 /// Returns how many of the further columns of a slice shared memory holds.
-TM_HOST_DEVICE constexpr std::uint32_t shared_width_of(std::uint32_t further, std::uint32_t shared_begin,
-                                                       std::uint32_t column_capacity) {
-  return minimum(further, column_capacity - shared_begin);
+TM_HOST_DEVICE constexpr std::uint32_t shared_width_of(std::uint32_t further, std::uint32_t left) {
+  return further - minimum(further, left);
+}
+/// Returns the smallest `left` with which the columns in shared memory are at most column_capacity.
+///
+///   sum_shared(left) -> std::uint32_t   returns the sum of shared_width_of over the slices of the patch
+template <class SumShared>
+TM_HOST_DEVICE std::uint32_t least_left(std::uint32_t column_capacity, const SumShared& sum_shared) {
+  std::uint32_t least = 0, enough = 0xFFFF;  // a slice has fewer columns
+  while (least < enough) {
+    const std::uint32_t middle = (least + enough) / 2;
+    if (sum_shared(middle) <= column_capacity) {
+      enough = middle;
+    } else {
+      least = middle + 1;
+    }
+  }
+  return least;
 }
 
 /// Columns of the blocks in registers: two in a word, as offsets into `direction` [bytes].

@@ -78,12 +78,18 @@ __global__ void __launch_bounds__(Threads, 1)
     const std::uint32_t slices = own / kSliceRows, slice = patch.row_begin / kSliceRows + minimum(lane, slices - 1);
     const std::uint32_t begin = s.matrix.slice_begin[slice], columns = s.matrix.slice_begin[slice + 1] - begin;
     const std::uint32_t further = lane < slices && columns > Held ? columns - Held : 0;
-    std::uint32_t up_to = further;
+    std::uint32_t in_shared = further;
+    if constexpr (!Whole) {
+      in_shared = shared_width_of(further, least_left(column_capacity, [further](std::uint32_t left) {
+                                    return __reduce_add_sync(0xFFFFFFFFu, shared_width_of(further, left));
+                                  }));
+    }
+    std::uint32_t up_to = in_shared;
     for (unsigned distance = 1; distance < kWarp; distance *= 2) {
       const std::uint32_t before = __shfl_up_sync(0xFFFFFFFFu, up_to, distance);
       if (lane >= distance) up_to += before;
     }
-    const std::uint32_t place = shared_begin_of(up_to - further, column_capacity);
+    const std::uint32_t place = up_to - in_shared;
     for (int k = 0; k < Rows; ++k) {
       const std::uint32_t of = warp + k * kWarps;
       has_row[k] = of < slices;
@@ -91,8 +97,7 @@ __global__ void __launch_bounds__(Threads, 1)
       first[k] = __shfl_sync(0xFFFFFFFFu, begin, of);
       width[k] = __shfl_sync(0xFFFFFFFFu, lane < slices ? columns : 0, of);
       shared_begin[k] = computed_once(__shfl_sync(0xFFFFFFFFu, place, of));
-      shared_width[k] =
-          computed_once(shared_width_of(width[k] > Held ? width[k] - Held : 0, shared_begin[k], column_capacity));
+      shared_width[k] = computed_once(__shfl_sync(0xFFFFFFFFu, in_shared, of));
     }
   }
 
@@ -279,9 +284,22 @@ __global__ void __launch_bounds__(Threads, 1)
         const float block[9] = {a.x, a.y, a.z, a.w, b.x, b.y, b.z, b.w, from[8 * kSliceRows + lane]};
         add(block, 1, columns[place * kSliceRows + lane]);
       }
-      for (std::uint32_t j = Held + shared_width[k]; !Whole && j < width[k]; ++j) {
-        const std::size_t slot = slot_of(k, j);
-        add(s.matrix.edges + view::block_begin(slot), kSliceRows, s.matrix.columns[slot] * kCellBytes);
+      if constexpr (!Whole) {
+        struct Far {
+          std::uint32_t column;
+          float block[9];
+        };
+        for_each_strided<2>(
+            Held + shared_width[k], width[k], 1,
+            [&](std::uint32_t j) {
+              const std::size_t slot = slot_of(k, j);
+              const float* from = s.matrix.edges + view::block_begin(slot);
+              Far far;
+              far.column = s.matrix.columns[slot];
+              for (int c = 0; c < 9; ++c) far.block[c] = from[c * kSliceRows];
+              return far;
+            },
+            [&](std::uint32_t, const Far& far) { add(far.block, 1, far.column * kCellBytes); });
       }
       if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
       own_sums.x += p[k].dot(q[k]);

@@ -15,7 +15,7 @@
 /// rows_memory.h says where they are in shared memory.
 ///
 /// 1. A lane reads four reals at once, and no two lanes of a warp meet in a bank.
-/// 2. Two parts a slice hide each other's reads. A small scene has few slices and takes more parts for each.
+/// 2. The parts of a slice hide each other's reads. A small scene has few slices and takes more parts for each.
 namespace tensormass::backend::cuda {
 
 using view::ElementView;
@@ -184,20 +184,19 @@ class SharedBlocks {
   bool holds_all_ = false;
 };
 
-/// rows_launch of rows_memory.h, of a device.
-template <class Real>
-RowsLaunch rows_launch(std::uint32_t slices, std::uint32_t widest, bool keeps_neighbours, bool adds_in_turns,
-                       const cudaDeviceProp& device) {
-  // Two blocks fit on a multiprocessor.
-  const std::size_t most_bytes =
-      minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock, device.sharedMemPerBlockOptin);
-  return rows_launch<Real>(slices, widest, keeps_neighbours, adds_in_turns,
-                           static_cast<std::uint32_t>(device.multiProcessorCount), most_bytes);
+/// Shared memory of a block if two fit on a multiprocessor [bytes].
+inline std::size_t most_rows_bytes(const cudaDeviceProp& device) {
+  return minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock,
+                 device.sharedMemPerBlockOptin);
 }
+
+/// Most parts of a slice of a shape.
+template <class Shape>
+inline constexpr std::uint32_t kMostPartsOf = matrix::kAddsInTurns<Shape> ? kMostParts : kMostPartsWithSums;
 
 /// Assembles the rows of a group, one block a slice.
 template <class Shape, class Law, class Real>
-__global__ void __launch_bounds__(kMostParts* kWarp)
+__global__ void __launch_bounds__(kMostPartsOf<Shape>* kWarp)
     assemble_rows(const __grid_constant__ SceneView<Real> s, const __grid_constant__ ElementView<Real> e,
                   std::uint32_t capacity) {
   extern __shared__ float4 shared[];

@@ -244,14 +244,40 @@ class CudaState final : public SceneState {
 
   void launch_elements(const model::ElementGroup& group, const view::ElementView<Real>& elements) {
     const ElementKernels kernels = element_kernels<Real>(group.shape, group.law);
-    RowsLaunch rows = rows_launch<Real>(elements.slice_count, model_.layout.widest_slice(), kernels.keeps_neighbours,
-                                        kernels.adds_in_turns, device_);
     allow_all_shared_bytes(kernels.assemble);
-    void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), const_cast<view::ElementView<Real>*>(&elements),
-                         &rows.capacity};
-    check(
-        cudaLaunchKernel(kernels.assemble, elements.slice_count, rows.threads, arguments, rows.shared_bytes, stream()),
-        "element tensors");
+    const auto processors = static_cast<std::uint32_t>(device_.multiProcessorCount);
+    const std::size_t most_bytes = most_rows_bytes(device_);
+    if (!kernels.adds_in_turns) {
+      return launch_rows(kernels.assemble, elements, 0, elements.slice_count,
+                         launch_with_sums<Real>(elements.slice_count, model_.layout.widest_slice(),
+                                                kernels.keeps_neighbours, processors, most_bytes));
+    }
+    const std::span<const view::ListedSlice> slices = group.row_lists.slices;
+    const std::uint32_t wide = wide_slices(slices), count = elements.slice_count;
+    for (const auto& [begin, end] : {std::pair{0u, wide}, std::pair{wide, count}}) {
+      if (begin == end) continue;
+      std::uint32_t widest = 0;
+      for (const view::ListedSlice& slice : slices.subspan(begin, end - begin)) {
+        widest = std::max(widest, slice.columns_end - slice.columns_begin);
+      }
+      launch_rows(
+          kernels.assemble, elements, begin, end,
+          launch_in_turns<Real>(end - begin, widest, processors, most_bytes, [&](unsigned threads, std::size_t bytes) {
+            int blocks = 0;
+            check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kernels.assemble, static_cast<int>(threads),
+                                                                bytes),
+                  "element tensors");
+            return static_cast<std::uint32_t>(blocks);
+          }));
+    }
+  }
+  /// Launches assemble_rows for the slices [begin, end) of a group.
+  void launch_rows(const void* kernel, view::ElementView<Real> elements, std::uint32_t begin, std::uint32_t end,
+                   RowsLaunch rows) {
+    elements.slices += begin;
+    void* arguments[] = {const_cast<view::SceneView<Real>*>(&view_), &elements, &rows.capacity};
+    check(cudaLaunchKernel(kernel, end - begin, rows.threads, arguments, rows.shared_bytes, stream()),
+          "element tensors");
   }
 
   void launch_stage(const step::Stage& stage) {
