@@ -40,8 +40,11 @@ struct StepInput {
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;
   bool saves_checkpoint = true;  ///< `restore` goes back to the state before this step
-  /// Implicit Euler instead of BDF2, and stiffness projected to positive definite instead of the consistent one.
-  bool fallback_settings = false;
+  bool first_order = false;      ///< implicit Euler instead of BDF2
+  /// Stiffness projected to positive definite instead of the consistent one.
+  bool projects_stiffness = false;
+  /// Share of gravity, loads, pressure and prescribed displacements without a schedule.
+  double load_factor = 1;
   bool gather_visible = false;
 };
 

@@ -66,10 +66,32 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
 
 /// prescribed: [Model::prescribed, 4]
 template <class Real>
-void write_prescribed(const model::Model& m, double time_s, Real* prescribed) {
+void write_prescribed(const model::Model& m, const StepInput& input, Real* prescribed) {
   for (std::size_t i = 0; i < m.prescribed.size(); ++i) {
-    const Vec3<double> now = m.prescribed[i].at(time_s);
+    const model::Prescribed& one = m.prescribed[i];
+    const Vec3<double> now = one.at(input.end_time_s) * (one.factor.empty() ? input.load_factor : 1);
     for (std::size_t c = 0; c < 3; ++c) prescribed[4 * i + c] = static_cast<Real>(now[static_cast<Eigen::Index>(c)]);
+  }
+}
+
+/// Writes gravity, loads and pressure times a factor to where the stages read them.
+///
+///   upload(to, const std::vector<T>& from)   copies items to the device
+template <class Real, class Upload>
+void write_loads(const model::Model& m, const view::SceneView<Real>& view, double factor, const Upload& upload) {
+  if (!m.external.empty()) {
+    std::vector<Real> external(m.external.size());
+    std::transform(m.external.begin(), m.external.end(), external.begin(),
+                   [&](double force_n) { return static_cast<Real>(force_n * factor); });
+    upload(const_cast<Real*>(view.state.external), external);
+  }
+  if (!m.pressure.faces.empty()) {
+    std::vector<view::PressureFace<Real>> faces;
+    for (view::PressureFace<double> face : m.pressure.faces) {
+      face.pressure_pa *= factor;
+      faces.push_back(static_cast<view::PressureFace<Real>>(face));
+    }
+    upload(const_cast<view::PressureFace<Real>*>(view.pressure.faces), faces);
   }
 }
 
@@ -83,10 +105,11 @@ struct StepRecord {
 /// Returns the inputs of a step for the device. BDF2 starts anew where the last two steps differ in length.
 template <class Real>
 view::StepControl<Real> control_of(const model::Model& m, const StepInput& input, const StepRecord& past) {
-  const bool starts = input.fallback_settings || past.dt_s != input.dt_s;
+  const bool starts = input.first_order || past.dt_s != input.dt_s;
   const view::StepScheme<double> scheme = solver::step_scheme(m.integrator, input.dt_s, starts);
   view::StepControl<Real> out;
   out.scheme.step_s = static_cast<Real>(scheme.step_s);
+  out.scheme.reach = static_cast<Real>(scheme.reach);
   for (int i = 0; i < 2; ++i) {
     out.scheme.displacement_weights[i] = static_cast<Real>(scheme.displacement_weights[i]);
     out.scheme.velocity_weights[i] = static_cast<Real>(scheme.velocity_weights[i]);
@@ -95,6 +118,7 @@ view::StepControl<Real> control_of(const model::Model& m, const StepInput& input
   out.internal_dt_s = static_cast<Real>(past.internal_dt_s);
   out.cg_max_iterations = input.cg_max_iterations;
   out.saves_checkpoint = input.saves_checkpoint ? 1 : 0;
+  out.projects_stiffness = input.projects_stiffness ? 1 : 0;
   return out;
 }
 

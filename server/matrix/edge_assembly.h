@@ -89,7 +89,7 @@ TM_FLATTEN void element_pass(const Team& team, const view::PatchesView& patches,
   const ElementRange range = element_range(patches, e, team.patch());
   const Patch patch = patch_of(patches, team.patch());
   const Real internal_dt_s = internal_step(state, newton);
-  const physics::Stiffness kind = stiffness_kind(newton);
+  const physics::Stiffness kind = stiffness_kind(state, newton);
   team.template for_lanes<Lanes::kWidth>(range.begin, range.end, [&](std::uint32_t first) {
     prefetch_elements<Lanes, Shape>(matrix, e, first);
     Vec3<T> u[Shape::kNodes];

@@ -207,11 +207,13 @@ TM_HOST_DEVICE void for_each_point(const ElementView<Real>& e, std::uint32_t fir
   }
 }
 
-/// The stiffness of a step: projected to positive definite, unless Newton's method asks for the consistent one.
+/// The stiffness that the host asks for: the consistent one, or the one projected to positive definite.
 template <class Real>
-TM_HOST_DEVICE physics::Stiffness stiffness_kind(const view::NewtonView<Real>& newton) {
-  return newton.control == nullptr || newton.control->positive_stiffness != 0 ? physics::Stiffness::kPositive
-                                                                              : physics::Stiffness::kConsistent;
+TM_HOST_DEVICE physics::Stiffness stiffness_kind(const view::StateView<Real>& state,
+                                                 const view::NewtonView<Real>& newton) {
+  const std::uint32_t projects =
+      newton.control == nullptr ? state.control->projects_stiffness : newton.control->positive_stiffness;
+  return projects != 0 ? physics::Stiffness::kPositive : physics::Stiffness::kConsistent;
 }
 
 /// Computes a point's viscous stress, if its group has Prony terms.

@@ -148,7 +148,7 @@ TM_HOST_DEVICE void assemble_row(const view::PatchesView& patches, const view::S
   const PatchColumns& patch = slice.patch;
   const Vec3<Real> own_displacement = load3<Real>(state.displacement, own);
   const RowTerms<Real> terms(state, own);
-  const physics::Stiffness kind = stiffness_kind(newton);
+  const physics::Stiffness kind = stiffness_kind(state, newton);
   // The list's columns of this part, round by round. Beyond the end of a list, element 0 is evaluated and discarded.
   const auto column_of = [list_begin, parts = blocks.parts()](std::uint32_t round, std::uint32_t k) {
     return list_begin + (round * kAtOnce + k) * parts;

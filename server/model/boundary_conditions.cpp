@@ -217,7 +217,7 @@ class BoundaryConditions {
     TM_RETURN_IF_ERROR(read_start(body.initial_displacement_m(), b, fmt::format("{}.initial_displacement_m", where),
                                   c_.model.initial_displacement));
     const std::string at = fmt::format("{}.initial_velocity_m_per_s", where);
-    if (!body.initial_velocity_m_per_s().empty() && c_.model.integrator == Integrator::kQuasiStatic) {
+    if (!body.initial_velocity_m_per_s().empty() && c_.model.quasi_static()) {
       return invalid(fmt::format("{}: a quasi-static step has no velocity; leave it out", at));
     }
     return read_start(body.initial_velocity_m_per_s(), b, at, c_.model.initial_velocity);

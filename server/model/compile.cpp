@@ -33,7 +33,7 @@ void make_layout(Compilation& c, const PatchPolicy& policy) {
 
 /// Warns of free bodies in a quasi-static scene: without fixed nodes and inertia their position is not determined.
 void warn_of_loose_bodies(Model& model) {
-  if (model.integrator != Integrator::kQuasiStatic) return;
+  if (!model.quasi_static()) return;
   for (const BodyModel& body : model.bodies) {
     if (body.fixed_node_count > 0) continue;
     model.warnings.push_back(
@@ -42,6 +42,18 @@ void warn_of_loose_bodies(Model& model) {
                     "is not determined; give fixed or prescribed nodes",
                     body.name));
   }
+}
+
+/// Refuses what the integrator cannot compute.
+Result<void> check_integrator(const Model& model) {
+  if (!model.extrapolates()) return {};
+  for (const ElementGroup& group : model.groups) {
+    if (group.prony.empty()) continue;
+    return invalid(
+        "scene.solver.integrator: the implicit midpoint rule does not advance viscoelastic stress; take bdf2, or laws "
+        "without prony terms");
+  }
+  return {};
 }
 
 }  // namespace
@@ -59,6 +71,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(fill_boundary_conditions(c));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kElements));
   TM_RETURN_IF_ERROR(group_elements(c));
+  TM_RETURN_IF_ERROR(check_integrator(c.model));
   TM_RETURN_IF_ERROR(list_elements_of_rows(c));
   equip_solve(c, policy);
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -185,11 +186,14 @@ struct Model {
   Integrator integrator = Integrator::kImplicitEuler;
   std::uint32_t newton_max_iterations = 1;
   double newton_tolerance = 0;
+  bool allow_unconverged = false;  ///< keep a quasi-static step above newton_tolerance
   double cg_tolerance = 0;
   double budget_s = 0;                    ///< time that a step may take; 0: no limit
   std::uint32_t floor_cg_iterations = 0;  ///< the budget may lower cg_max_iterations to this
   double floor_tolerance = 0;             ///< steps with a larger residual are not published; 0: no limit
   std::uint32_t cg_max_iterations = 0;
+  /// Bounds that the scene sets for the guard; absent: world/guard.h has defaults.
+  std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
 
@@ -220,6 +224,10 @@ struct Model {
 
   /// Returns whether a step runs Newton's method: more than one linear solve.
   bool iterates() const { return newton_max_iterations > 1; }
+  /// Returns whether each step is an equilibrium, without inertia.
+  bool quasi_static() const { return integrator == Integrator::kQuasiStatic; }
+  /// Returns whether a step solves for its middle and continues to its end.
+  bool extrapolates() const { return integrator == Integrator::kImplicitMidpoint; }
   /// Returns whether a step needs neither û nor v̂ (view/state.h): implicit Euler, linearized once, without prescribed
   /// displacements. A prescribed node needs v̂ because its neighbours feel that, not its velocity, through a consistent
   /// mass. Its velocity is also written before a plain step would save its checkpoint.

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <limits>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -24,10 +26,13 @@ Result<void> read_integrator(const v1::Solver& solver, Model& model) {
     case v1::Solver::INTEGRATOR_QUASI_STATIC:
       model.integrator = Integrator::kQuasiStatic;
       break;
+    case v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT:
+      model.integrator = Integrator::kImplicitMidpoint;
+      break;
     default:
       return invalid(fmt::format("scene.solver.integrator: {} is unknown", static_cast<int>(solver.integrator())));
   }
-  const std::uint32_t otherwise = model.integrator == Integrator::kQuasiStatic ? 50 : 1;
+  const std::uint32_t otherwise = model.quasi_static() ? 50 : 1;
   TM_ASSIGN_OR_RETURN(iterations,
                       read_number(solver.has_newton_max_iterations() ? solver.newton_max_iterations() : otherwise, 1,
                                   limits::kMaxNewtonIterations, "scene.solver.newton_max_iterations"));
@@ -37,6 +42,10 @@ Result<void> read_integrator(const v1::Solver& solver, Model& model) {
                                                                            : 1e-3,
                                              0, 0.5, "scene.solver.newton_tolerance"));
   model.newton_tolerance = tolerance;
+  model.allow_unconverged = solver.allow_unconverged();
+  if (model.allow_unconverged && !model.quasi_static()) {
+    return invalid("scene.solver.allow_unconverged: only a quasi-static step must converge; leave it out");
+  }
   return {};
 }
 
@@ -71,6 +80,21 @@ Result<void> read_budget(const v1::Solver& solver, Model& model) {
   return {};
 }
 
+/// Reads the bounds that the scene sets for the guard (world/guard.h).
+Result<void> read_guard(const v1::Guard& guard, Model& model) {
+  const auto read = [](bool has, double value, std::optional<double>& to, const char* name) -> Result<void> {
+    if (!has) return {};
+    TM_ASSIGN_OR_RETURN(bound, read_number(value, 0, std::numeric_limits<double>::max(), name));
+    to = bound;
+    return {};
+  };
+  TM_RETURN_IF_ERROR(read(guard.has_max_move_m(), guard.max_move_m(), model.max_move_m, "scene.guard.max_move_m"));
+  TM_RETURN_IF_ERROR(
+      read(guard.has_max_distance_m(), guard.max_distance_m(), model.max_distance_m, "scene.guard.max_distance_m"));
+  return read(guard.has_max_energy_ratio(), guard.max_energy_ratio(), model.max_energy_ratio,
+              "scene.guard.max_energy_ratio");
+}
+
 Result<void> read_solver(const v1::Solver& solver, Model& model) {
   switch (solver.precision()) {
     case v1::Solver::PRECISION_UNSPECIFIED:
@@ -83,15 +107,18 @@ Result<void> read_solver(const v1::Solver& solver, Model& model) {
       return invalid(fmt::format("scene.solver.precision: {} is unknown", static_cast<int>(solver.precision())));
   }
   TM_RETURN_IF_ERROR(read_integrator(solver, model));
-  // Without inertia the matrix is far worse conditioned, and such scenes do not run in real time.
-  const bool quasi_static = model.integrator == Integrator::kQuasiStatic;
+  // Without inertia the matrix is far worse conditioned: more iterations are needed, and a residual leaves a larger
+  // error. Such scenes do not run in real time.
+  const bool quasi_static = model.quasi_static();
   TM_ASSIGN_OR_RETURN(iterations, read_number(solver.has_cg_max_iterations() ? solver.cg_max_iterations()
                                               : quasi_static                 ? 10'000
                                                                              : 100,
                                               1, limits::kMaxCgIterations, "scene.solver.cg_max_iterations"));
   model.cg_max_iterations = static_cast<std::uint32_t>(iterations);
-  TM_ASSIGN_OR_RETURN(tolerance, read_number(solver.has_cg_tolerance() ? solver.cg_tolerance() : 1e-3, 0, 0.5,
-                                             "scene.solver.cg_tolerance"));
+  TM_ASSIGN_OR_RETURN(tolerance, read_number(solver.has_cg_tolerance() ? solver.cg_tolerance()
+                                             : quasi_static            ? 1e-5
+                                                                       : 1e-3,
+                                             0, 0.5, "scene.solver.cg_tolerance"));
   model.cg_tolerance = tolerance;
   TM_RETURN_IF_ERROR(read_budget(solver, model));
   if (solver.has_cpu_threads()) {
@@ -117,6 +144,7 @@ Result<void> read_header(Compilation& c) {
   model.lockstep = stepping.lockstep();
 
   TM_RETURN_IF_ERROR(read_solver(c.scene.solver(), model));
+  TM_RETURN_IF_ERROR(read_guard(c.scene.guard(), model));
 
   const v1::Streams& streams = c.scene.streams();
   TM_ASSIGN_OR_RETURN(

@@ -20,7 +20,7 @@ namespace tensormass::model {
 Result<void> fill_row_fields(Compilation& c) {
   const matrix::Layout& layout = c.model.layout;
   const std::size_t rows = layout.row_count;
-  const bool inertia = c.model.integrator != Integrator::kQuasiStatic;
+  const bool inertia = !c.model.quasi_static();
   c.model.rest.assign(4 * rows, 0);
   c.model.inertia.assign(4 * rows, 0);
   c.model.row_mass.assign(rows, 0);

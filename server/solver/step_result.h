@@ -31,6 +31,16 @@ struct StepResult {
   double newton_residual = 0;  ///< relative to the acting forces; 0 in a step that is linearized once
   /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;
+
+  /// Replaces what was measured of the nodes' motion by that of a later report.
+  void take_motion(const StepResult& later) {
+    finite = finite && later.finite;
+    max_speed_m_per_s = later.max_speed_m_per_s;
+    max_move_m = later.max_move_m;
+    max_distance_m = later.max_distance_m;
+    kinetic_energy_j = later.kinetic_energy_j;
+    work_j = later.work_j;
+  }
 };
 
 /// view::PatchResidual, summed over the patches.

@@ -12,6 +12,7 @@
 ///   prescribe ─> v of rows whose displacement the scene prescribes
 ///     solve for Δv (conjugate_gradients.h), once or in Newton's iterations (newton.h)
 ///   advance ───> v += Δv,  u = û + h v,  and the values that guards check
+///   extrapolate  from the middle of the step to its end; only for the implicit midpoint rule
 ///
 ///   u, v    displacement and velocity        û, v̂, h   base values and effective step (all: view/state.h)
 ///   Δv      L⁻ᵀ x / s, where x solves the scaled system (jacobi_scaling.h)
@@ -21,20 +22,22 @@
 /// checkpoint.
 namespace tensormass::solver {
 
-enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic };
+enum class Integrator : std::uint8_t { kImplicitEuler, kBdf2, kQuasiStatic, kImplicitMidpoint };
 
 /// Returns the coefficients of a step of dt_s. first: the step before it had another length, or there was none.
 inline view::StepScheme<double> step_scheme(Integrator integrator, double dt_s, bool first) {
   switch (integrator) {
     case Integrator::kBdf2:  // (3 y' − 4 y + y₋₁) / (2 dt) = ẏ', solved for y'
       if (first) break;      // implicit Euler once: a single step of order one does not lower the order of the run
-      return {2 * dt_s / 3, {4.0 / 3, -1.0 / 3}, {4.0 / 3, -1.0 / 3}};
+      return {2 * dt_s / 3, 1, {4.0 / 3, -1.0 / 3}, {4.0 / 3, -1.0 / 3}};
     case Integrator::kQuasiStatic:  // "velocity" is the change of the displacement in a step
-      return {1, {1, 0}, {0, 0}};
+      return {1, 1, {1, 0}, {0, 0}};
+    case Integrator::kImplicitMidpoint:  // half a step of implicit Euler, continued to the end of the step
+      return {dt_s / 2, 2, {1, 0}, {1, 0}};
     case Integrator::kImplicitEuler:
       break;
   }
-  return {dt_s, {1, 0}, {1, 0}};
+  return {dt_s, 1, {1, 0}, {1, 0}};
 }
 
 /// Saves the state (u, v) of a row as the checkpoint, if the inputs of the step ask for it.
@@ -72,7 +75,8 @@ TM_HOST_DEVICE void predict(const Team& team, const view::PatchesView& patches, 
   });
 }
 
-/// Sets the velocities that move prescribed rows to their displacement at the end of the step.
+/// Sets the velocities that move prescribed rows to their displacement at the end of the step. With the midpoint rule
+/// they are half-way there in the middle.
 /// Reads prescribed displacement, û; writes velocity.
 template <class Team, class Real>
 TM_HOST_DEVICE void prescribe(const Team& team, const view::StateView<Real>& state,
@@ -84,7 +88,7 @@ TM_HOST_DEVICE void prescribe(const Team& team, const view::StateView<Real>& sta
       if ((entry[2] >> c & 1) == 0) continue;
       const Real target = prescribed.displacement[std::size_t{4} * entry[1] + c];
       state.velocity[std::size_t{4} * entry[0] + c] =
-          (target - base[std::size_t{4} * entry[0] + c]) / view::step_size(state);
+          (target - base[std::size_t{4} * entry[0] + c]) / (view::step_size(state) * state.control->scheme.reach);
     }
   });
 }
@@ -106,6 +110,17 @@ template <class Real>
 struct Motion {
   Real maxima[3] = {0, 0, 0};  // squares of speed, move from the checkpoint, distance from rest
   Real sums[3] = {0, 0, 0};    // rows with a value that is not a number, twice the kinetic energy, work
+
+  /// Adds a row. v, u: its new velocity and displacement. move: from the checkpoint. external: constant force on it.
+  TM_HOST_DEVICE void add(const Vec3<Real>& v, const Vec3<Real>& u, const Vec3<Real>& move, Real mass,
+                          const Vec3<Real>& external) {
+    maxima[0] = maximum(maxima[0], v.dot(v));
+    maxima[1] = maximum(maxima[1], move.dot(move));
+    maxima[2] = maximum(maxima[2], u.dot(u));
+    if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
+    sums[1] += mass * v.dot(v);
+    sums[2] += external.dot(move);
+  }
 };
 
 /// Reduces the motion of all threads of a patch to its report.
@@ -152,7 +167,6 @@ TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView&
   const Real* base = state.base_displacement != nullptr ? state.base_displacement : state.displacement;
   const Real h = view::step_size(state);
   Motion<Real> motion;
-  auto& [maxima, sums] = motion;
   struct Before {
     Vec3<Real> of_velocity, base, checkpoint, external;
     Real mass;
@@ -177,12 +191,7 @@ TM_HOST_DEVICE Motion<Real> move_rows(const Team& team, const view::PatchesView&
         view::store3<Real>(state.velocity, row, v);
         view::store3<Real>(state.displacement, row, u);
         moved(row, u, before.of_moved);
-        maxima[0] = maximum(maxima[0], v.dot(v));
-        maxima[1] = maximum(maxima[1], move.dot(move));
-        maxima[2] = maximum(maxima[2], u.dot(u));
-        if (!(v.dot(v) < Real(1e30) && u.dot(u) < Real(1e30))) sums[0] += 1;
-        sums[1] += before.mass * v.dot(v);
-        sums[2] += before.external.dot(move);
+        motion.add(v, u, move, before.mass, before.external);
       });
   return motion;
 }
@@ -256,6 +265,37 @@ TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, 
   };
   move_and_report(team, state, guard,
                   [&](const auto& moved) { return advance_by(team, patches, state, newton, guard, change_of, moved); });
+}
+
+/// Continues from the middle of the step to its end, for the implicit midpoint rule, and replaces the patch's report.
+/// Reads û, v̂, checkpoint; reads and writes displacement, velocity; writes patch_reports.
+template <class Team, class Real>
+TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                const view::GuardView<Real>& guard) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  const Real reach = state.control->scheme.reach;
+  Motion<Real> motion;
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    const Vec3<Real> base_u = view::load3<Real>(state.base_displacement, row);
+    const Vec3<Real> base_v = view::load3<Real>(state.base_velocity, row);
+    const Vec3<Real> u = base_u + (view::load3<Real>(state.displacement, row) - base_u) * reach;
+    Vec3<Real> v = base_v + (view::load3<Real>(state.velocity, row) - base_v) * reach;
+    const std::uint32_t bits = view::free_bits(state, row);
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      // A prescribed row has the velocity of its prescribed motion; extrapolated, it would swing about that.
+      if ((bits >> c & 1) == 0) v[c] = state.velocity[std::size_t{4} * row + c];
+    }
+    view::store3<Real>(state.displacement, row, u);
+    view::store3<Real>(state.velocity, row, v);
+    if (guard.relative_position != nullptr) {
+      view::store3<Real>(guard.relative_position, row, view::relative_rest(state, row) + u);
+    }
+    const Vec3<Real> external =
+        state.external != nullptr ? view::load3<Real>(state.external, row) : Vec3<Real>(Vec3<Real>::Zero());
+    motion.add(v, u, u - view::load3<Real>(guard.checkpoint_displacement, row), state.inertia[std::size_t{4} * row],
+               external);
+  });
+  report(team, guard, motion);
 }
 
 }  // namespace tensormass::solver

@@ -45,6 +45,17 @@ void bind_all(const model::Model& model, CountingArena& arena) {
   for (std::size_t group = 0; group < model.groups.size(); ++group) model::bind<Real>(model, group, arena);
 }
 
+std::string_view own_damping(model::Integrator integrator) {
+  switch (integrator) {
+    case model::Integrator::kBdf2:
+      return "BDF2 hardly damps by itself";
+    case model::Integrator::kImplicitMidpoint:
+      return "the implicit midpoint rule does not damp by itself";
+    default:
+      return "implicit Euler damps by itself";
+  }
+}
+
 void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   if (m.tools.empty())
     report.add_not_modelled("contact with tools: the scene has none; no contact stage, no contact buffer");
@@ -57,11 +68,10 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   for (std::size_t row = 0; row < m.layout.row_count; ++row) {
     damped = damped || m.inertia[4 * row + 1] != 0 || m.inertia[4 * row + 2] != 0;
   }
-  if (m.integrator == model::Integrator::kQuasiStatic) {
+  if (m.quasi_static()) {
     report.add_not_modelled("inertia and damping: each step is an equilibrium");
   } else if (!damped) {
-    report.add_not_modelled(fmt::format("Rayleigh damping: the scene names none; {} damps by itself",
-                                        m.integrator == model::Integrator::kBdf2 ? "BDF2 hardly" : "implicit Euler"));
+    report.add_not_modelled(fmt::format("Rayleigh damping: the scene names none; {}", own_damping(m.integrator)));
   }
   if (std::all_of(m.groups.begin(), m.groups.end(), [](const model::ElementGroup& g) { return g.prony.empty(); })) {
     report.add_not_modelled("viscosity: no law has prony terms");

@@ -56,6 +56,7 @@ struct RunStage {
     if constexpr (kKind == K::kAdvance) solver::advance(team, s.patches, s.state, s.matrix, s.solve, s.newton, s.guard);
     if constexpr (kKind == K::kBacktrack) solver::backtrack(team, s.patches, s.state, s.newton, s.guard);
     if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kExtrapolate) solver::extrapolate(team, s.patches, s.state, s.guard);
     if constexpr (kKind == K::kCheckInversion) step::check_inversion<Shape>(team, s.patches, s.state, s.guard, e);
     if constexpr (kKind == K::kGatherSurface) step::gather_surface(team, s.patches, s.state, s.surface);
   }

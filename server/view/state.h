@@ -14,11 +14,16 @@
 ///   M       mass
 ///
 /// Implicit Euler has û = u and v̂ = v. Linearized once, and without prescribed displacements, it needs no base fields.
+///
+/// The implicit midpoint rule solves for the middle of the step, with h = dt / 2, and continues along the line from the
+/// start through the middle to the end: u' = û + 2 (u_mid − û), v' = v̂ + 2 (v_mid − v̂). Its `reach` is 2, that of the
+/// others is 1.
 namespace tensormass::view {
 
 template <class Real>
 struct StepScheme {
   Real step_s;                   // h
+  Real reach;                    // length of the step over the length that the system solves for
   Real displacement_weights[2];  // û = Σ weight · u of the last two steps' ends, the newer one first
   Real velocity_weights[2];      // v̂ likewise
 };
@@ -30,7 +35,8 @@ struct StepControl {
   Real dt_s;           // length of the step
   Real internal_dt_s;  // time by which viscoelastic internal variables lag behind; 0: they are up to date
   std::uint32_t cg_max_iterations;
-  std::uint32_t saves_checkpoint;  // 1: save the state before the step, for a guard that takes the step back
+  std::uint32_t saves_checkpoint;    // 1: save the state before the step, for a guard that takes the step back
+  std::uint32_t projects_stiffness;  // 1: a step that is linearized once projects the stiffness to positive definite
 };
 
 /// Fields of rows, [row_count, 4] each.

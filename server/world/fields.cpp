@@ -175,7 +175,7 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
   }
   const Measured measured = measure(m, state, body);
   // A quasi-static scene stores the displacement of the last step in place of a velocity.
-  const std::vector<double> still(m.integrator == model::Integrator::kQuasiStatic ? state.velocity.size() : 0, 0.0);
+  const std::vector<double> still(m.quasi_static() ? state.velocity.size() : 0, 0.0);
   const std::vector<double>& velocity = still.empty() ? state.velocity : still;
 
   v1::GetFieldsResponse response;

@@ -172,7 +172,7 @@ void Findings::add_guard(v1::SceneStatus& status) const {
   status.set_guard_recoveries(guard_recoveries_.load(kRelaxed));
   if (status.guard_events() == 0) return;
   const std::lock_guard lock(event_mutex_);
-  status.set_guard_text(to_text(last_event_));
+  status.set_guard_text(to_text(last_event_, model_));
   const std::uint32_t again = repeated_.load(kRelaxed);
   if (again <= kWindow / 2) return;
   status.add_warnings(

@@ -26,10 +26,24 @@ constexpr double kEnergySlack = 4;
 /// Energy of this shear strain in the whole scene is always allowed: near rest the bound would be rounding.
 constexpr double kLeastStrain = 1e-3;
 
-constexpr std::array<Retry, 4> kRetries{{
+/// Parts of the finest retry of a quasi-static step.
+constexpr std::uint32_t kMostParts = 64;
+constexpr const char* kLawsThatRecover =
+    "corotational and stable_neo_hookean recover from collapse and inversion, the others do not";
+
+constexpr std::array<Retry, 4> kDynamicRetries{{
     {1, 1, false, Breach::kLinearResidual},
     {2, 1, false, Breach::kNone},
     {8, 1, false, Breach::kNone},
+    {8, 4, true, Breach::kNone},
+}};
+constexpr std::array<Retry, 7> kQuasiStaticRetries{{
+    {2, 1, false, Breach::kNone},
+    {4, 1, false, Breach::kNone},
+    {8, 1, false, Breach::kNone},
+    {16, 1, false, Breach::kNone},
+    {32, 1, false, Breach::kNone},
+    {kMostParts, 1, false, Breach::kNone},
     {8, 4, true, Breach::kNone},
 }};
 
@@ -78,7 +92,7 @@ double least_energy(const model::Model& m) {
 bool counts_all_work(const model::Model& m) { return m.prescribed_rows.rows.empty() && m.pressure.faces.empty(); }
 
 bool counts_all_energy(const model::Model& m) {
-  return m.integrator != model::Integrator::kQuasiStatic && m.mass_edges.empty() &&
+  return !m.quasi_static() && m.mass_edges.empty() &&
          std::all_of(m.groups.begin(), m.groups.end(), [](const auto& group) { return group.prony.empty(); });
 }
 
@@ -99,6 +113,10 @@ std::string to_text(const BoundCheck& check) {
       return fmt::format("the linear solve ended at a residual of {:.3g}, above {:.3g}", value, bound);
     case Breach::kNewtonResidual:
       return fmt::format("Newton's method ended with a residual of {:.3g} of the forces, above {:.3g}", value, bound);
+    case Breach::kNoEquilibrium:
+      return fmt::format(
+          "Newton's method ended with a residual of {:.2g} of the forces, above newton_tolerance = {:.2g}", value,
+          bound);
     case Breach::kVolume:
       return fmt::format("an element is inverted (det F {:.3g}), and its law does not recover from that", value);
   }
@@ -128,11 +146,14 @@ void EnergyBalance::start(double kinetic_j, double elastic_j) {
 }
 
 Guard::Guard(const model::Model& m)
-    : max_move_m_(kMaxMove * (size_of(m) + largest_start(m))),
-      max_distance_m_(kMaxDistance * (size_of(m) + largest_start(m))),
+    : max_move_m_(m.max_move_m.value_or(kMaxMove * (size_of(m) + largest_start(m)))),
+      max_distance_m_(m.max_distance_m.value_or(kMaxDistance * (size_of(m) + largest_start(m)))),
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
+      max_energy_ratio_(m.max_energy_ratio.value_or(kEnergySlack)),
       least_energy_j_(least_energy(m)),
-      checks_energy_(counts_all_work(m)) {
+      newton_tolerance_(m.newton_tolerance),
+      checks_energy_(counts_all_work(m)),
+      must_converge_(m.quasi_static() && m.iterates() && !m.allow_unconverged) {
   // A body without fixed nodes may fall without end.
   if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
     max_distance_m_ = std::numeric_limits<double>::infinity();
@@ -141,6 +162,11 @@ Guard::Guard(const model::Model& m)
 
 BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& energy) const {
   if (!result.finite) return {Breach::kNotFinite};
+  if (must_converge_) {
+    if (!result.converged) return {Breach::kNoEquilibrium, result.newton_residual, newton_tolerance_};
+    if (!(result.min_det_f > 0)) return {Breach::kVolume, result.min_det_f, 0};
+    return {};
+  }
   if (!(result.max_move_m <= max_move_m_)) return {Breach::kMove, result.max_move_m, max_move_m_};
   if (!(result.max_distance_m <= max_distance_m_)) return {Breach::kDistance, result.max_distance_m, max_distance_m_};
   if (!(result.min_det_f > 0)) return {Breach::kVolume, result.min_det_f, 0};
@@ -152,26 +178,36 @@ BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& ener
   }
   const double there =
       energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
-  const double bound = kEnergySlack * there + least_energy_j_;
+  const double bound = max_energy_ratio_ * there + least_energy_j_;
   if (checks_energy_ && !(result.kinetic_energy_j <= bound)) return {Breach::kEnergy, result.kinetic_energy_j, bound};
   return {};
 }
 
-std::span<const Retry> retries() { return kRetries; }
+std::span<const Retry> retries(const model::Model& m) {
+  if (m.quasi_static()) return kQuasiStaticRetries;
+  return kDynamicRetries;
+}
 
-std::string to_text(const GuardEvent& event) {
+std::string to_text(const GuardEvent& event, const model::Model& m) {
   const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
   if (event.recovered) {
     return fmt::format("{}; repeated as {} step{}, it stayed within them", what, event.steps,
                        event.steps == 1 ? "" : "s");
   }
+  const std::string stopped =
+      fmt::format("Nothing of this step was published; the scene stopped at the end of step {}", event.step - 1);
+  if (m.quasi_static()) {
+    return fmt::format(
+        "{}. In up to {} parts it came to {:.2g} of the {}. {}. Reset the scene. Then {}fix enough nodes, lower the "
+        "load, or take a law that stands it: {}",
+        what, kMostParts, event.reached, event.step == 1 ? "load" : "step", stopped,
+        m.double_precision ? "" : "take precision double, in which rounding hides no equilibrium, ", kLawsThatRecover);
+  }
   return fmt::format(
-      "{}. {} retries with smaller steps and fallback settings did not help; the last of them: {}. Nothing of this "
-      "step "
-      "was published; the scene stopped at the end of step {}. Reset the scene. Then make dt_s smaller or the loads "
-      "gentler, fix enough nodes of a quasi-static scene, or take a law that stands the load: corotational and "
-      "stable_neo_hookean recover from collapse and inversion, the others do not",
-      what, event.retries, to_text(event.last), event.step - 1);
+      "{}. {} retries with smaller steps and fallback settings did not help; the last of them: {}. {}. Reset the "
+      "scene. "
+      "Then make dt_s smaller or the loads gentler, or take a law that stands the load: {}",
+      what, event.retries, to_text(event.last), stopped, kLawsThatRecover);
 }
 
 }  // namespace tensormass::world

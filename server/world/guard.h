@@ -33,6 +33,7 @@ enum class Breach : std::uint8_t {
   kEnergy,          ///< more kinetic energy than is available
   kLinearResidual,  ///< relative residual of the linear solve
   kNewtonResidual,  ///< residual of Newton's method, relative to the forces
+  kNoEquilibrium,   ///< the same in a quasi-static scene, above newton_tolerance
   kVolume,          ///< det F of an element whose law does not recover
 };
 
@@ -89,7 +90,9 @@ struct StepEnergy {
   double contacts_j = 0;    ///< upper bound of the energy in the contacts with tools
 };
 
-/// The bounds of one scene. They follow from its size, its start and its tolerances.
+/// The bounds of one scene. They follow from its size, its start and its tolerances, unless the scene states them.
+///
+/// A quasi-static step must converge instead of staying near: an equilibrium may be far from the last one.
 class Guard {
  public:
   explicit Guard(const model::Model& model);
@@ -97,19 +100,20 @@ class Guard {
   BoundCheck check(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:
-  double max_move_m_, max_distance_m_, max_residual_, least_energy_j_;
-  bool checks_energy_;
+  double max_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_, newton_tolerance_;
+  bool checks_energy_, must_converge_;
 };
 
 /// A way to repeat a step that left its bounds, from the checkpoint at its start.
 struct Retry {
   std::uint32_t steps;             ///< equal parts of dt
   std::uint32_t iteration_factor;  ///< times cg_max_iterations
-  bool fallback_settings;          ///< StepInput::fallback_settings
+  bool fallback_settings;          ///< implicit Euler instead of BDF2, and projected stiffness
   Breach only_for;                 ///< tried after this breach only; kNone: after any
 };
-/// All retries in the order of their trial. The first is for steps whose iterations a time budget had lowered.
-std::span<const Retry> retries();
+/// All retries in the order of their trial. The first of a dynamic scene is for steps whose iterations a time budget
+/// had lowered. A quasi-static scene is tried in more and more parts; in its first step they are parts of the load.
+std::span<const Retry> retries(const model::Model& model);
 
 /// A step that left its bounds.
 struct GuardEvent {
@@ -118,9 +122,11 @@ struct GuardEvent {
   BoundCheck last;            ///< the last retry
   std::uint32_t retries = 0;  ///< number of retries made
   std::uint32_t steps = 0;    ///< parts of dt in the last retry
+  double reached = 0;         ///< largest share of the step that a retry came to
   bool recovered = false;
 };
-/// Says what happened. If no retry helped, also says where the scene stopped and what a user can do.
-std::string to_text(const GuardEvent& event);
+/// Says what happened in a scene of this model. If no retry helped, also says where the scene stopped and what a user
+/// can do.
+std::string to_text(const GuardEvent& event, const model::Model& model);
 
 }  // namespace tensormass::world

@@ -114,7 +114,7 @@ bool Loop::step_once(bool with_frame, bool with_diagnostics) {
   status_.take_step(*world_);
   if (!good) {
     TM_ASSERT(world_->guard_event() != nullptr, "a step that failed left a guard event");
-    stop_with_fault(to_text(*world_->guard_event()));
+    stop_with_fault(to_text(*world_->guard_event(), world_->model()));
     return false;
   }
   outputs_.take_step();

@@ -75,11 +75,13 @@ void World::read_tools() {
 bool World::step(bool gather_visible) {
   for (ToolMotion& tool : tools_) tool.move(model_->dt_s);
   has_event_ = false;
-  BoundCheck check = make_step({1, 1, false, Breach::kNone}, cg_limit_, true, gather_visible);
+  const Projection before = projection_;
+  BoundCheck check = plan_step(gather_visible);
   if (!check.good()) {
     check = retry(check);
     if (!check.good()) {
       state_->restore();
+      projection_ = before;
       for (ToolMotion& tool : tools_) tool.take_back();
       return false;
     }
@@ -91,16 +93,35 @@ bool World::step(bool gather_visible) {
   return true;
 }
 
+/// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately.
+BoundCheck World::plan_step(bool gather_visible) {
+  constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
+  if (model_->iterates()) return make_step(kAsPlanned, false, cg_limit_, true, gather_visible);  // newton.h projects
+  const bool projects = projection_.active();
+  BoundCheck check = make_step(kAsPlanned, projects, cg_limit_, true, gather_visible);
+  bool consistent = !projects;
+  const bool failed = last_.negative_curvature || (!check.good() && check.breach != Breach::kLinearResidual);
+  if (consistent && model_->has_refreshed_tensors() && failed) {
+    projection_.begin();
+    consistent = false;
+    state_->restore();
+    check = make_step(kAsPlanned, true, cg_limit_, false, gather_visible);
+  }
+  projection_.end_step(consistent);
+  return check;
+}
+
 /// Restores the checkpoint and repeats the step as `retries` say, until one of them stays within the bounds.
 BoundCheck World::retry(const BoundCheck& first) {
   event_ = {.step = step_count_ + 1, .first = first, .last = first};
   has_event_ = true;
-  for (const Retry& how : retries()) {
+  for (const Retry& how : retries(*model_)) {
     if (how.only_for != Breach::kNone && (first.breach != how.only_for || cg_limit_ == model_->cg_max_iterations)) {
       continue;
     }
     state_->restore();
-    event_.last = make_step(how, how.iteration_factor * model_->cg_max_iterations, false, false);
+    const bool projects = how.fallback_settings || projection_.active();
+    event_.last = make_step(how, projects, how.iteration_factor * model_->cg_max_iterations, false, false);
     event_.steps = how.steps;
     ++event_.retries;
     if (event_.last.good()) break;
@@ -112,8 +133,11 @@ BoundCheck World::retry(const BoundCheck& first) {
 /// Makes a step in equal parts. Each part must stay within the bounds; the first that does not ends the step.
 /// saves_checkpoint: the state before the step becomes the checkpoint. A retry starts from the checkpoint that is
 /// there.
-BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint,
-                            bool gather_visible) {
+BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
+                            bool saves_checkpoint, bool gather_visible) {
+  // The midpoint rule balances forces in the middle of each part, so its tools are there.
+  const double tools_at = model_->extrapolates() ? 0.5 : 1;
+  const bool loads_grow = model_->quasi_static() && step_count_ == 0;
   tools_work_j_ = 0;
   TM_ASSERT(how.steps > 0, "a step has parts");
   solver::StepResult before;  // sums and maxima over the previous parts
@@ -121,7 +145,8 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {tools_[i].shape_at(0), published_[i]};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
-    for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share);
+    const double share_of_tools = (part - 1 + tools_at) / how.steps;
+    for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share_of_tools);
     last_ =
         state_->step({.tools = shapes_,
                       // One product, so that halves of a step end at bitwise the same time as steps of half its length.
@@ -129,7 +154,9 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
                       .dt_s = model_->dt_s / how.steps,
                       .cg_max_iterations = cg_max_iterations,
                       .saves_checkpoint = saves_checkpoint,
-                      .fallback_settings = how.fallback_settings,
+                      .first_order = how.fallback_settings,
+                      .projects_stiffness = projects_stiffness,
+                      .load_factor = loads_grow ? share : 1,
                       .gather_visible = gather_visible},
                      forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
@@ -149,6 +176,7 @@ BoundCheck World::make_step(const Retry& how, std::uint32_t cg_max_iterations, b
     last_.cg_relative_residual = std::max(last_.cg_relative_residual, before.cg_relative_residual);
     before = last_;
     if (!check.good()) return check;
+    event_.reached = std::max(event_.reached, share);
   }
   return {};
 }
@@ -168,6 +196,7 @@ void World::reset() {
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = 0;
   last_ = {};
+  projection_ = {};
   has_event_ = false;
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -22,6 +23,10 @@ namespace tensormass::world {
 ///
 /// Retries take smaller steps, then fallback settings. If none helps, the world stays at the checkpoint: the end of the
 /// last good step.
+///
+/// A step that is linearized once uses the consistent stiffness. It may be indefinite, in strong compression. If
+/// conjugate gradients find that, or the step leaves a bound, the step is repeated with the stiffness projected to
+/// positive definite. The following steps then project it too, for as long as Projection says.
 ///
 ///     dt        length of a step [s]
 ///     part      one of the equal parts of dt that a retry makes; a step as planned is one part
@@ -76,13 +81,39 @@ class World {
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
+  BoundCheck plan_step(bool gather_visible);
   BoundCheck retry(const BoundCheck& first);
-  BoundCheck make_step(const Retry& how, std::uint32_t cg_max_iterations, bool saves_checkpoint, bool gather_visible);
+  BoundCheck make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
+                       bool saves_checkpoint, bool gather_visible);
 
   /// A tool's shape and the load on it. Two of them give the work of the tool in between.
   struct Touch {
     Pose shape;
     backend::ToolForce load;
+  };
+
+  /// Counts the steps that project the stiffness after the consistent one failed. Each failure doubles them, so that
+  /// few steps are made twice in a scene that stays indefinite. As many steps without a failure halve them again.
+  class Projection {
+   public:
+    bool active() const { return left_ > 0; }
+    /// Call if the consistent stiffness failed.
+    void begin() {
+      length_ = std::min(2 * length_, kMost);
+      left_ = length_;
+      good_ = 0;
+    }
+    /// Call after a step. consistent: it was made with the consistent stiffness.
+    void end_step(bool consistent) {
+      if (left_ > 0) --left_;
+      if (!consistent || ++good_ < length_) return;
+      length_ = std::max(length_ / 2, kLeast / 2);
+      good_ = 0;
+    }
+
+   private:
+    static constexpr std::uint32_t kLeast = 32, kMost = 1024;  // steps
+    std::uint32_t left_ = 0, length_ = kLeast / 2, good_ = 0;
   };
 
   std::unique_ptr<const model::Model> model_;
@@ -98,6 +129,7 @@ class World {
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
+  Projection projection_;
   GuardEvent event_;
   bool has_event_ = false;
   std::uint32_t cg_limit_;

@@ -18,6 +18,7 @@ enum class Fault {
   kNotANumber,   ///< the state is no longer finite
   kExplosion,    ///< velocities a thousand times too large
   kStall,        ///< the linear solve did not converge
+  kIndefinite,   ///< conjugate gradients met negative curvature
   kDeviceError,  ///< the device throws
 };
 
@@ -53,6 +54,9 @@ class FaultyState final : public backend::SceneState {
         break;
       case Fault::kStall:
         result.cg_relative_residual = 1e3;
+        break;
+      case Fault::kIndefinite:
+        result.negative_curvature = true;
         break;
       case Fault::kDeviceError:
         throw std::runtime_error("injected");

@@ -88,4 +88,7 @@ inline v1::Scene block_with_probe(bool double_precision = false, std::uint32_t c
   return scene;
 }
 
+/// Whether a step of the scene runs Newton's method.
+inline bool iterates(const v1::Scene& scene) { return scene.solver().newton_max_iterations() > 1; }
+
 }  // namespace tensormass::tests

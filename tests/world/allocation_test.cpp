@@ -79,7 +79,8 @@ TEST_P(StepLoop, AllocatesNothing) {
     for (int i = 0; i < 20; ++i) {
       world->set_tool_target(0, {{0.05, 0.058 - 0.0003 * i, 0.05}, {1, 0, 0, 0}});
       world->set_cg_limit(i < 15 ? 200 : 3);
-      ASSERT_TRUE(world->step(i % 2 == 0)) << mixed << ", step " << i + 1 << ": " << to_text(*world->guard_event());
+      ASSERT_TRUE(world->step(i % 2 == 0))
+          << mixed << ", step " << i + 1 << ": " << to_text(*world->guard_event(), world->model());
     }
     EXPECT_NE(world->guard_event(), nullptr) << "a step that was done again was among them";
     EXPECT_EQ(allocations.load() - before, 0u);

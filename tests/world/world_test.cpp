@@ -23,7 +23,8 @@ class Mechanics : public tests::OnBackend {
   }
   void run(World& world, int steps) {
     for (int i = 0; i < steps; ++i)
-      ASSERT_TRUE(world.step(false)) << (world.guard_event() != nullptr ? to_text(*world.guard_event()) : "")
+      ASSERT_TRUE(world.step(false)) << (world.guard_event() != nullptr ? to_text(*world.guard_event(), world.model())
+                                                                        : "")
                                      << ", step " << i;
   }
 };
@@ -74,7 +75,7 @@ TEST_P(Mechanics, NewtonsMethodLetsAFreeBodyFly) {
       constexpr int kSteps = 300;
       for (int i = 0; i < kSteps; ++i) {
         ASSERT_TRUE(world->step(false)) << i;
-        ASSERT_EQ(world->guard_event(), nullptr) << to_text(*world->guard_event());
+        ASSERT_EQ(world->guard_event(), nullptr) << to_text(*world->guard_event(), world->model());
         ASSERT_TRUE(world->last().converged) << i << " " << world->last().newton_residual;
       }
       const Eigen::RowVector3d moved = kSteps * 1e-3 * velocity;

@@ -102,6 +102,8 @@ def run(args: argparse.Namespace) -> int:
     if args.precision is not None or solver.precision == scene_pb2.Solver.PRECISION_UNSPECIFIED:
         single = args.precision == "float"
         solver.precision = scene_pb2.Solver.PRECISION_FLOAT if single else scene_pb2.Solver.PRECISION_DOUBLE
+    if solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC and (args.allow_unconverged or args.preset):
+        solver.allow_unconverged = True  # the daemon would stop at such a step; Solution judges it
     if not solver.HasField("cg_max_iterations"):
         solver.cg_max_iterations = _CG_LIMIT
     with _server(args) as server, end_explained(server.process, server.log_file):

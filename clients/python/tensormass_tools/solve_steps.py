@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tensormass._src import defaults
-from tensormass._src.errors import NotConvergedError
+from tensormass._src.errors import FailedPreconditionError, NotConvergedError
 from tensormass._src.fields import Fields
 from tensormass._src.scene_handle import SceneHandle
 from tensormass.v1 import scene_pb2, stream_pb2
@@ -36,6 +36,7 @@ _INTEGRATORS = {
     scene_pb2.Solver.INTEGRATOR_IMPLICIT_EULER: "implicit Euler",
     scene_pb2.Solver.INTEGRATOR_BDF2: "BDF2",
     _QUASI_STATIC: "quasi-static",
+    scene_pb2.Solver.INTEGRATOR_IMPLICIT_MIDPOINT: "implicit midpoint",
 }
 
 
@@ -132,13 +133,13 @@ class Solution:
 
     def _steps(self, count: int | None) -> Iterator[stream_pb2.SceneStatus]:
         if count is not None:
-            for _ in range(count):
-                yield self._handle.step()
+            for step in range(1, count + 1):
+                yield self._step(f"step {step} of {count}")
             return
         energies: deque[float] = deque(maxlen=REST_CHECKS)
         peak = 0.0
         for step in range(1, self._steps_until(max(REST_LIMIT_S, 2 * self._scheduled_s)) + 1):
-            status = self._handle.step()
+            status = self._step(f"step {step}")
             yield status
             if step % REST_CHECK_STEPS == 0:
                 energies.append(sum(self._handle.fields(body).kinetic_energy_j for body in self._writer.bodies))
@@ -149,10 +150,14 @@ class Solution:
                     return
         self.at_rest = False
 
+    def _step(self, where: str) -> stream_pb2.SceneStatus:
+        try:
+            return self._handle.step()
+        except FailedPreconditionError as error:  # a guard stopped the scene
+            raise NotConvergedError(f"{where}: {error}") from error
+
     def _check(self, status: stream_pb2.SceneStatus, count: int | None) -> None:
         where = f"step {status.step}" + (f" of {count}" if count is not None else "")
-        if status.fault:
-            raise NotConvergedError(f"{where}: {status.fault}")
         solver = self._solver
         if defaults.newton_max_iterations(solver) > 1:
             tolerance = defaults.newton_tolerance(solver)

@@ -61,12 +61,17 @@ class CpuState final : public SceneState {
     for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
       tools_[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
-    write_prescribed(model_, input.end_time_s, prescribed_);
+    write_prescribed(model_, input, prescribed_);
+    if (input.load_factor != load_factor_) {
+      write_loads(model_, view_, load_factor_ = input.load_factor,
+                  [](auto* to, const auto& from) { std::copy(from.begin(), from.end(), to); });
+    }
     *control_ = checkpoint_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
-                                         input.fallback_settings, checkpoint_.largest_force_squared());
+                                         input.projects_stiffness, checkpoint_.largest_force_squared());
+      if (model_.extrapolates()) result.take_motion(this->result());
       if (input.gather_visible) gather_visible();
     } else {
       run_team(kWholeStep | (input.gather_visible ? command(step::Phase::kFrame) : 0));
@@ -186,6 +191,7 @@ class CpuState final : public SceneState {
   cpu::Barrier barrier_;
   Command command_ = 0;
   Checkpoint<Real> checkpoint_;
+  double load_factor_ = 1;
   std::atomic<Gate> gate_{Gate::kClosed};
   std::vector<std::thread> workers_;
 };

@@ -94,12 +94,19 @@ class CudaState final : public SceneState {
     for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
       tools_.host[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
-    write_prescribed(model_, input.end_time_s, prescribed_.host);
+    write_prescribed(model_, input, prescribed_.host);
+    if (input.load_factor != load_factor_) {
+      write_loads(model_, view_, load_factor_ = input.load_factor, [](auto* to, const auto& from) {
+        check(cudaMemcpy(to, from.data(), from.size() * sizeof(from[0]), cudaMemcpyHostToDevice), "loads");
+      });
+      finish_copies("loads");
+    }
     *control_.host = checkpoint_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
       result = solver::newton_step<Real>(*this, model_.newton_max_iterations, model_.newton_tolerance,
-                                         input.fallback_settings, checkpoint_.largest_force_squared());
+                                         input.projects_stiffness, checkpoint_.largest_force_squared());
+      if (model_.extrapolates()) result.take_motion(this->result());
     } else {
       launch_graph(step_, "step");
     }
@@ -353,6 +360,7 @@ class CudaState final : public SceneState {
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
   Checkpoint<Real> checkpoint_;
+  double load_factor_ = 1;
   Graph step_;
   std::array<Graph, step::kPhases> phases_{};
   const Stream stream_ = make_stream();  // last, so that its work has ended before anything that it uses goes

@@ -21,7 +21,9 @@ def cg_max_iterations(solver: scene_pb2.Solver) -> int:
 
 def cg_tolerance(solver: scene_pb2.Solver) -> float:
     """Returns the residual, relative to the right-hand side, at which a solve ends."""
-    return solver.cg_tolerance if solver.HasField("cg_tolerance") else 1e-3
+    if solver.HasField("cg_tolerance"):
+        return solver.cg_tolerance
+    return 1e-5 if solver.integrator == _QUASI_STATIC else 1e-3
 
 
 def newton_max_iterations(solver: scene_pb2.Solver) -> int:

@@ -24,7 +24,7 @@ from tensormass._src.organ import ORGANS
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.shapes import BY_NUMBER, SHAPES
 from tensormass.v1 import scene_pb2
-from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, solver_setter, with_numbers
+from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, set_integrator, solver_setter, with_numbers
 from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
 
 #: Values by the names of knobs. Knobs that are missing keep the value of the scene.
@@ -89,7 +89,8 @@ class Knobs:
             "quadrature": lambda fields, value: each_body(fields, lambda body: body.update(quadrature=value)),
             "mass": lambda fields, value: each_body(fields, lambda body: body.update(mass=value)),
             "dt_s": set_dt,
-            **{name: solver_setter(name) for name in _SOLVER_FIELDS},
+            **{name: solver_setter(name) for name in SOLVE_KNOBS},
+            "integrator": set_integrator,
         }
         self._find_mesh_knobs()
         self._find_law_knob()

@@ -41,6 +41,16 @@ def solver_setter(name: str) -> Callable[[dict[str, Any], Value], None]:
     return lambda fields, value: fields.setdefault("solver", {}).update({name: value})
 
 
+def set_integrator(fields: dict[str, Any], value: Value) -> None:
+    """Sets the time scheme. Equilibrium in place of a dynamic step may end above its tolerance, like that."""
+    solver = fields.setdefault("solver", {})
+    solver["integrator"] = value
+    if value == "quasi_static":
+        solver["allow_unconverged"] = True
+    else:
+        solver.pop("allow_unconverged", None)
+
+
 def set_dt(fields: dict[str, Any], value: Value) -> None:
     stepping = fields.setdefault("stepping", {})
     if "rate_hz" in stepping:  # keeps the speed against the clock
