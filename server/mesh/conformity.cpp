@@ -84,12 +84,13 @@ class Check {
         std::sort(part.key.begin(), part.key.end());
       };
       add(0, 1, 2);
-      if (n.count == 4) {
+      if (local(face).corner_count() == 4) {
         add(0, 1, 3);
         add(0, 2, 3);
         add(1, 2, 3);
-      } else if (n.count == 6) {
-        for (const auto& [i, j, k] : kQuadraticFaceTriangles) add(i, j, k);
+      }
+      if (local(face).is_quadratic()) {
+        for (const auto& [i, j, k] : quadratic_face_triangles(n.count)) add(i, j, k);
       }
     }
     std::sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {

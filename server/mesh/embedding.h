@@ -11,8 +11,8 @@
 
 namespace tensormass::mesh {
 
-/// Largest distance of a point from the mesh, in longest edges of the nearest element. A point farther away is refused:
-/// it would swing on a long lever instead of following the tissue.
+/// Largest distance of a point from the mesh, in longest edges of the nearest tetrahedron that elements are cut into. A
+/// point farther away is refused: it would swing on a long lever instead of following the tissue.
 inline constexpr double kMaxEmbeddingEdges = 2.0;
 
 /// Points attached to a mesh: point p is at Σ_k weights[p][k] · x(nodes[p][k]). At rest this gives back the point's own

@@ -39,8 +39,18 @@ constexpr std::uint8_t kWedges[] = {0, 1, 3, 4, 5, 7, 0, 3, 2, 4, 7, 6};
 constexpr std::uint8_t kHexahedron[] = {0, 1, 3, 2, 4, 5, 7, 6};
 
 /// How each shape cuts a cell, in the order of `Shape`.
-constexpr Cut kCuts[] = {kTetrahedra, kPyramids, kWedges, kHexahedron, kTetrahedra};
+constexpr Cut kCuts[] = {kTetrahedra, kPyramids, kWedges, kHexahedron, kTetrahedra, kHexahedron};
 static_assert(std::size(kCuts) == kShapes.size());
+
+/// Returns which points of the lattice with half the spacing are the middles of edges. A point's parity p has the bits
+/// of its odd coordinates: x + 2 y + 4 z. Bit p of the result is set if points of that parity are.
+std::uint32_t parities_of_middles(Cut cut, const Topology& shape) {
+  std::uint32_t parities = 0;
+  for (; shape.has_mid_edge_nodes() && !cut.empty(); cut = cut.subspan(shape.corner_count)) {
+    for (const Edge& edge : shape.edges) parities |= 1u << (cut[edge.nodes[0]] ^ cut[edge.nodes[1]]);
+  }
+  return parities;
+}
 
 /// A lattice of counts[0] × counts[1] × counts[2] points, numbered with x fastest.
 class Lattice {
@@ -73,10 +83,10 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
   const Topology& cell_shape = topology(shape);
   const Cut cut = kCuts[static_cast<std::size_t>(shape)];
   const bool centres = std::find(cut.begin(), cut.end(), kCentre) != cut.end();
-  const bool middles = cell_shape.has_mid_edge_nodes();
+  const std::uint32_t middles = parities_of_middles(cut, cell_shape);
   const std::array<std::uint32_t, 3> cells{cells_x, cells_y, cells_z};
   // Counts are double, because a product of three 32-bit numbers overflows an integer.
-  double node_count = 1.0, cell_count = 1.0;
+  double cell_count = 1.0;
   for (std::size_t axis = 0; axis < 3; ++axis) {
     const char name = "xyz"[axis];
     if (cells[axis] == 0) return invalid(fmt::format("grid: cells_{} is 0; give at least 1", name));
@@ -89,10 +99,15 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
       return invalid(
           fmt::format("grid: origin_m.{} is {}; give one within ±{} m", name, origin_m[i], limits::kMaxLength));
     }
-    node_count *= (middles ? 2.0 : 1.0) * cells[axis] + 1.0;
     cell_count *= cells[axis];
   }
-  if (centres) node_count += cell_count;
+  double node_count = centres ? cell_count : 0.0;
+  for (std::uint32_t parity = 0; parity < 8; ++parity) {
+    if (parity != 0 && (middles >> parity & 1) == 0) continue;
+    double count = 1.0;  // points with these odd coordinates
+    for (std::size_t axis = 0; axis < 3; ++axis) count *= cells[axis] + ((parity >> axis & 1) != 0 ? 0.0 : 1.0);
+    node_count += count;
+  }
   const double element_count = cell_count * static_cast<double>(cut.size() / cell_shape.corner_count);
   if (node_count > limits::kMaxNodes || element_count > limits::kMaxElements) {
     return fail(
@@ -116,16 +131,17 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
     all_cells.for_each(
         [&](std::uint32_t i, std::uint32_t j, std::uint32_t k) { add(2 * i + 1, 2 * j + 1, 2 * k + 1); });
   }
-  // Each point of the lattice with half the spacing is a corner or the middle of exactly one of Kuhn's edges.
+  // Each point of the lattice with half the spacing is a corner, the middle of exactly one edge, or no node.
   const Lattice halves({2 * cells_x + 1, 2 * cells_y + 1, 2 * cells_z + 1});
   std::vector<std::uint32_t> node_of_half;
-  if (middles) {
+  if (middles != 0) {
     node_of_half.reserve(halves.size());
     halves.for_each([&](std::uint32_t i, std::uint32_t j, std::uint32_t k) {
-      const bool corner = (i | j | k) % 2 == 0;
-      node_of_half.push_back(corner ? corners.index(i / 2, j / 2, k / 2)
-                                    : static_cast<std::uint32_t>(mesh.nodes.size()));
-      if (!corner) add(i, j, k);
+      const std::uint32_t parity = (i & 1) | (j & 1) << 1 | (k & 1) << 2;
+      const bool middle = (middles >> parity & 1) != 0;
+      const auto next = static_cast<std::uint32_t>(mesh.nodes.size());
+      node_of_half.push_back(parity == 0 ? corners.index(i / 2, j / 2, k / 2) : middle ? next : kNone);
+      if (middle) add(i, j, k);
     });
   }
 
@@ -139,7 +155,7 @@ Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& s
     };
     for (Cut rest = cut; !rest.empty(); rest = rest.subspan(cell_shape.corner_count)) {
       for (const std::uint8_t corner : rest.first(cell_shape.corner_count)) block.nodes.push_back(node(corner));
-      if (!middles) continue;
+      if (middles == 0) continue;
       for (const Edge& edge : cell_shape.edges) {
         const std::uint32_t a = rest[edge.nodes[0]], b = rest[edge.nodes[1]];
         block.nodes.push_back(node_of_half[halves.index(2 * i + (a & 1) + (b & 1), 2 * j + (a >> 1 & 1) + (b >> 1 & 1),

@@ -15,11 +15,12 @@ namespace tensormass::mesh {
 ///   wedge                  2 along z, from the triangles on either side of a diagonal
 ///   hexahedron             the cell itself
 ///   quadratic tetrahedron  the 6 of the tetrahedron
+///   quadratic hexahedron   the cell itself
 ///
 /// Nodes are numbered with x fastest: corner (i, j, k) has the index i + (cells_x + 1) (j + (cells_y + 1) k). After the
-/// corners come the cell centres (pyramid), or the edge middles (quadratic tetrahedron), also with x fastest. The edge
-/// middles are all remaining points of the lattice with half the spacing. Elements follow the order of cells: cell 0
-/// holds tetrahedra 0 to 5.
+/// corners come the cell centres (pyramid), or the edge middles (quadratic shapes), also with x fastest. The edge
+/// middles of tetrahedra are all remaining points of the lattice with half the spacing; those of hexahedra have one odd
+/// coordinate in it. Elements follow the order of cells: cell 0 holds tetrahedra 0 to 5.
 ///
 /// Errors: no cells in a direction, a size that is not positive, coordinates or counts beyond core/limits.h.
 Result<Mesh> make_grid(const Eigen::Vector3d& origin_m, const Eigen::Vector3d& size_m, std::uint32_t cells_x,

@@ -13,7 +13,14 @@
 namespace tensormass::mesh {
 
 /// Element shapes, in the order in which physics/lists.h lists them. A shape's topology is one entry in shapes.h.
-enum class Shape : std::uint8_t { kTetrahedron, kPyramid, kWedge, kHexahedron, kQuadraticTetrahedron };
+enum class Shape : std::uint8_t {
+  kTetrahedron,
+  kPyramid,
+  kWedge,
+  kHexahedron,
+  kQuadraticTetrahedron,
+  kQuadraticHexahedron
+};
 
 /// Elements of one shape.
 struct ElementBlock {

@@ -13,11 +13,12 @@
 /// and names no shape.
 namespace tensormass::mesh {
 
-inline constexpr std::size_t kMaxFaceNodes = 6;
+inline constexpr std::size_t kMaxFaceNodes = 8;
 inline constexpr std::size_t kMaxFaceCorners = 4;
 inline constexpr std::size_t kMaxFaces = 6;
 
-/// A face of an element: a triangle (3 nodes), a quadrilateral (4) or a quadratic triangle (6).
+/// A face of an element: a triangle (3 nodes), a quadrilateral (4), a quadratic triangle (6) or a quadratic
+/// quadrilateral (8).
 ///
 /// Local nodes list the corners first, counter-clockwise seen from outside. Then come the middles of the sides; side i
 /// runs from corner i to corner i + 1.
@@ -25,12 +26,27 @@ struct Face {
   std::uint8_t node_count = 0;
   std::array<std::uint8_t, kMaxFaceNodes> nodes{};
 
-  constexpr std::uint8_t corner_count() const { return node_count == 6 ? 3 : node_count; }
+  constexpr bool is_quadratic() const { return node_count > kMaxFaceCorners; }
+  constexpr std::uint8_t corner_count() const {
+    return is_quadratic() ? static_cast<std::uint8_t>(node_count / 2) : node_count;
+  }
 };
 
-/// The four plane triangles that approximate a quadratic triangle, as indices into its nodes.
-inline constexpr std::array<std::array<std::uint8_t, 3>, 4> kQuadraticFaceTriangles{
-    {{0, 3, 5}, {3, 1, 4}, {5, 4, 2}, {3, 4, 5}}};
+/// Three nodes of a face, as indices into its nodes.
+using FaceTriangle = std::array<std::uint8_t, 3>;
+
+namespace detail {
+inline constexpr std::array<FaceTriangle, 4> kTrianglesOfTriangle{{{0, 3, 5}, {3, 1, 4}, {5, 4, 2}, {3, 4, 5}}};
+inline constexpr std::array<FaceTriangle, 6> kTrianglesOfQuadrilateral{
+    {{0, 4, 7}, {4, 1, 5}, {5, 2, 6}, {7, 6, 3}, {4, 5, 6}, {4, 6, 7}}};
+}  // namespace detail
+
+/// Returns the plane triangles that approximate a quadratic face of 6 or 8 nodes: one at each corner, then those
+/// between the middles of the sides.
+constexpr std::span<const FaceTriangle> quadratic_face_triangles(std::size_t node_count) {
+  if (node_count == 6) return detail::kTrianglesOfTriangle;
+  return detail::kTrianglesOfQuadrilateral;
+}
 
 /// An edge of an element: its two corners, and the two faces that meet at it (indices into `Topology::faces`).
 struct Edge {
@@ -170,10 +186,27 @@ inline constexpr std::array<Face, 4> kQuadraticTetrahedronFaces{{
 inline constexpr std::array<Simplex, 8> kQuadraticTetrahedronSimplices{
     {{0, 4, 6, 7}, {4, 1, 5, 8}, {6, 5, 2, 9}, {7, 8, 9, 3}, {4, 5, 6, 9}, {4, 8, 5, 9}, {4, 7, 8, 9}, {4, 6, 7, 9}}};
 
+/// VTK_QUADRATIC_HEXAHEDRON: corners and edges as in the hexahedron.
+inline constexpr std::array<Face, 6> kQuadraticHexahedronFaces{{
+    {8, {0, 3, 2, 1, 11, 10, 9, 8}},
+    {8, {4, 5, 6, 7, 12, 13, 14, 15}},
+    {8, {0, 1, 5, 4, 8, 17, 12, 16}},
+    {8, {1, 2, 6, 5, 9, 18, 13, 17}},
+    {8, {2, 3, 7, 6, 10, 19, 14, 18}},
+    {8, {3, 0, 4, 7, 11, 16, 15, 19}},
+}};
+/// Eight tetrahedra at the corners, and the cuboctahedron between them, cut into the tetrahedra from its corner 8 to
+/// the triangles of its other faces.
+inline constexpr std::array<Simplex, 22> kQuadraticHexahedronSimplices{
+    {{0, 8, 11, 16},  {1, 9, 8, 17},   {2, 10, 9, 18},  {3, 11, 10, 19}, {4, 15, 12, 16}, {5, 12, 13, 17},
+     {6, 13, 14, 18}, {7, 14, 15, 19}, {8, 9, 10, 18},  {8, 10, 11, 19}, {8, 12, 15, 16}, {8, 13, 12, 17},
+     {8, 14, 13, 18}, {8, 15, 14, 19}, {8, 12, 13, 14}, {8, 12, 14, 15}, {8, 9, 18, 13},  {8, 9, 13, 17},
+     {8, 10, 19, 14}, {8, 10, 14, 18}, {8, 11, 16, 15}, {8, 11, 15, 19}}};
+
 }  // namespace detail
 
 /// All shapes, in the order of `Shape`.
-inline constexpr std::array<Topology, 5> kShapes{{
+inline constexpr std::array<Topology, 6> kShapes{{
     {"tetrahedron", 4, 4, detail::kTetrahedronFaces, detail::kTetrahedronEdges, detail::kTetrahedronSimplices,
      detail::kTetrahedronSimplices},
     {"pyramid", 5, 5, detail::kPyramidFaces, detail::kPyramidEdges, detail::kPyramidSimplices, detail::kPyramidCorners},
@@ -182,6 +215,8 @@ inline constexpr std::array<Topology, 5> kShapes{{
      detail::kHexahedronCorners},
     {"quadratic tetrahedron", 10, 4, detail::kQuadraticTetrahedronFaces, detail::kTetrahedronEdges,
      detail::kQuadraticTetrahedronSimplices, detail::kTetrahedronSimplices},
+    {"quadratic hexahedron", 20, 8, detail::kQuadraticHexahedronFaces, detail::kHexahedronEdges,
+     detail::kQuadraticHexahedronSimplices, detail::kHexahedronCorners},
 }};
 
 constexpr const Topology& topology(Shape shape) { return kShapes[static_cast<std::size_t>(shape)]; }

@@ -19,8 +19,8 @@ void for_each_triangle(const BoundaryFace& face, Visitor&& visit) {
     visit(first, (first + 1) % 4, (first + 2) % 4);
     visit(first, (first + 2) % 4, (first + 3) % 4);
   }
-  if (nodes.size() == 6) {
-    for (const auto& [i, j, k] : kQuadraticFaceTriangles) visit(i, j, k);
+  if (nodes.size() > kMaxFaceCorners) {
+    for (const auto& [i, j, k] : quadratic_face_triangles(nodes.size())) visit(i, j, k);
   }
 }
 

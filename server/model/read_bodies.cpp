@@ -45,10 +45,10 @@ Result<void> read_quadrature(const v1::Body& body, ReadBody& out, std::vector<st
       break;
     case v1::QUADRATURE_REDUCED:
       out.quadrature = physics::Quadrature::kReduced;
-      warnings.push_back(
-          fmt::format("{}: reduced quadrature does not see the bending modes of an element; the mesh may fold in "
-                      "zigzag without resistance",
-                      where));
+      warnings.push_back(fmt::format(
+          "{}: reduced quadrature does not see the bending modes of an element; the mesh may fold in "
+          "zigzag without resistance (one of quadratic hexahedra only where elements stand in a single row)",
+          where));
       break;
     case v1::QUADRATURE_SELECTIVE:
       out.quadrature = physics::Quadrature::kSelective;

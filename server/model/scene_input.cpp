@@ -77,6 +77,8 @@ Result<mesh::Shape> read_shape(v1::Shape shape, std::string_view where) {
       return mesh::Shape::kHexahedron;
     case v1::SHAPE_QUADRATIC_TETRAHEDRON:
       return mesh::Shape::kQuadraticTetrahedron;
+    case v1::SHAPE_QUADRATIC_HEXAHEDRON:
+      return mesh::Shape::kQuadraticHexahedron;
     default:
       return invalid(fmt::format("{}.shape: {} is unknown", where, static_cast<int>(shape)));
   }

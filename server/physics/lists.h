@@ -6,6 +6,7 @@
 #include "physics/element/hexahedron.h"
 #include "physics/element/linear_tetrahedron.h"
 #include "physics/element/pyramid.h"
+#include "physics/element/quadratic_hexahedron.h"
 #include "physics/element/quadratic_tetrahedron.h"
 #include "physics/element/wedge.h"
 #include "physics/material/corotational.h"
@@ -34,7 +35,7 @@ struct TypeList {
 };
 
 /// All shapes, in the order of mesh::Shape.
-using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, QuadraticTetrahedron>;
+using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, QuadraticTetrahedron, QuadraticHexahedron>;
 /// All laws. Their indices are internal; the protocol uses names.
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;

@@ -53,6 +53,7 @@ COOK_BOUNDS = {
     "wedge": 0.06,
     "hexahedron": 0.02,
     "quadratic_tetrahedron": 0.01,
+    "quadratic_hexahedron": 0.01,
 }
 NEARLY_INCOMPRESSIBLE_BOUNDS = {
     ("pyramid", "selective"): 0.05,
@@ -61,6 +62,8 @@ NEARLY_INCOMPRESSIBLE_BOUNDS = {
     ("hexahedron", "selective"): 0.02,
     ("quadratic_tetrahedron", "full"): 0.05,
     ("quadratic_tetrahedron", "selective"): 0.02,
+    ("quadratic_hexahedron", "full"): 0.05,
+    ("quadratic_hexahedron", "selective"): 0.02,
 }
 SPHERE_BOUNDS = {1: 0.03, 2: 0.003}
 

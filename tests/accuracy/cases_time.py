@@ -185,7 +185,7 @@ def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
 def watch_flight(handle: tm.SceneHandle, mesh: Mesh, steps: int) -> Flight:
     """Samples a body that nothing acts on, every SAMPLE_EVERY steps.
 
-    Nodal masses are row sums of the mass matrix. The server lumps them so for all shapes but the quadratic tetrahedron.
+    Nodal masses are row sums of the mass matrix. The server lumps them so for all linear shapes.
     """
     masses = numpy_fem.consistent_forces(mesh, lambda x: np.full((*x.shape[:-1], 1), DENSITY_KG_PER_M3))[:, 0]
     momenta, angular, energies = [], [], []

@@ -94,15 +94,32 @@ def _cut_tetrahedra(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
     return nodes, np.array(out)
 
 
-_TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+# Ends of the edges whose middles are the nodes after the corners.
+_MIDDLES = {
+    "quadratic_tetrahedron": ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)),
+    "quadratic_hexahedron": (
+        *((0, 1), (1, 2), (2, 3), (3, 0)),
+        *((4, 5), (5, 6), (6, 7), (7, 4)),
+        *((0, 4), (1, 5), (2, 6), (3, 7)),
+    ),
+}
+
+
+def _with_middles(shape: str, nodes: Floats, linear: Integers) -> tuple[Floats, Integers]:
+    """Adds a node in the middle of each edge of linear elements."""
+    local = np.array(_MIDDLES[shape])
+    ends = np.sort(linear[:, local].reshape(-1, 2), axis=1)
+    edges, edge_of = np.unique(ends, axis=0, return_inverse=True)
+    middles = len(nodes) + edge_of.reshape(-1, len(local))
+    return np.vstack([nodes, nodes[edges].mean(axis=1)]), np.hstack([linear, middles])
 
 
 def _cut_quadratic_tetrahedra(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
-    nodes, tetrahedra = _cut_tetrahedra(nodes, cells)
-    ends = np.sort(tetrahedra[:, _TETRAHEDRON_EDGES].reshape(-1, 2), axis=1)
-    edges, edge_of = np.unique(ends, axis=0, return_inverse=True)
-    middles = len(nodes) + edge_of.reshape(-1, 6)
-    return np.vstack([nodes, nodes[edges].mean(axis=1)]), np.hstack([tetrahedra, middles])
+    return _with_middles("quadratic_tetrahedron", *_cut_tetrahedra(nodes, cells))
+
+
+def _cut_quadratic_hexahedra(nodes: Floats, cells: Integers) -> tuple[Floats, Integers]:
+    return _with_middles("quadratic_hexahedron", nodes, cells)
 
 
 SHAPES = {
@@ -116,6 +133,19 @@ SHAPES = {
         scene_pb2.SHAPE_QUADRATIC_TETRAHEDRON,
         ((0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (0, 3, 2, 7, 9, 6)),
         _cut_quadratic_tetrahedra,
+        order=2,
+    ),
+    "quadratic_hexahedron": Shape(
+        scene_pb2.SHAPE_QUADRATIC_HEXAHEDRON,
+        (
+            (0, 3, 2, 1, 11, 10, 9, 8),
+            (4, 5, 6, 7, 12, 13, 14, 15),
+            (0, 1, 5, 4, 8, 17, 12, 16),
+            (1, 2, 6, 5, 9, 18, 13, 17),
+            (2, 3, 7, 6, 10, 19, 14, 18),
+            (3, 0, 4, 7, 11, 16, 15, 19),
+        ),
+        _cut_quadratic_hexahedra,
         order=2,
     ),
 }
@@ -231,13 +261,14 @@ def sphere_octant(shape: str, across: int, through: int, inner_m: float, outer_m
     all_nodes = np.vstack(nodes)
     _, first, merged = np.unique(np.round(all_nodes / outer_m, 9), axis=0, return_index=True, return_inverse=True)
     mesh = from_cells(shape, all_nodes[first], merged.reshape(-1)[np.vstack(cells)])
-    return _middles_on_sphere(mesh) if shape == "quadratic_tetrahedron" else mesh
+    return _middles_on_sphere(mesh) if shape in _MIDDLES else mesh
 
 
 def _middles_on_sphere(mesh: Mesh) -> Mesh:
     ((shape, elements),) = mesh.blocks
     nodes = mesh.nodes.copy()
-    for edge, (i, j) in enumerate(_TETRAHEDRON_EDGES, start=4):
+    edges = _MIDDLES[shape]
+    for edge, (i, j) in enumerate(edges, start=elements.shape[1] - len(edges)):
         middle, ends = elements[:, edge], nodes[elements[:, [i, j]]]
         radius = np.linalg.norm(ends, axis=2).mean(axis=1)
         straight = ends.mean(axis=1)

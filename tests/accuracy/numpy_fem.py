@@ -57,6 +57,24 @@ def _hexahedron(r: npt.NDArray) -> list:
     return [(1 + x * r[0]) * (1 + y * r[1]) * (1 + z * r[2]) / 8 for z in (-1, 1) for x, y in signs]
 
 
+def _quadratic_hexahedron(r: npt.NDArray) -> list:
+    """Middles first; a corner is its trilinear function minus half of the middles of its three edges."""
+    base = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    places = [(x, y, z) for z in (-1, 1) for x, y in base]
+    for z in (-1, 1):
+        places += [(0, -1, z), (1, 0, z), (0, 1, z), (-1, 0, z)]
+    places += [(x, y, 0) for x, y in base]
+    middles = {}
+    for place in places[8:]:
+        factors = [1 - r[c] * r[c] if at == 0 else (1 + at * r[c]) / 2 for c, at in enumerate(place)]
+        middles[place] = factors[0] * factors[1] * factors[2]
+    out = []
+    for linear, place in zip(_hexahedron(r), places, strict=False):
+        near = [middles[tuple(0 if c == axis else at for c, at in enumerate(place))] for axis in range(3)]
+        out.append(linear - (near[0] + near[1] + near[2]) / 2)
+    return out + list(middles.values())
+
+
 def _pyramid(r: npt.NDArray) -> list:
     """Bedrosian 1992: N = ¼ ((1 + xξ)(1 + yη) − ζ + xyξηζ/(1 − ζ)) for the corner (x, y) of the base."""
     signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
@@ -70,6 +88,7 @@ FUNCTIONS: dict[str, Callable[[npt.NDArray], list]] = {
     "wedge": _wedge,
     "hexahedron": _hexahedron,
     "quadratic_tetrahedron": _quadratic_tetrahedron,
+    "quadratic_hexahedron": _quadratic_hexahedron,
 }
 
 
@@ -109,8 +128,11 @@ def _conical(across: Rule, heights: Rule) -> Rule:
 def rule(shape: str, fine: bool = False) -> Rule:
     """The full quadrature rule of a shape (see scene.proto), or a fine one to integrate given fields."""
     n = 4 if fine else 2
-    if shape == "hexahedron":
+    if shape == "hexahedron" or (shape == "quadratic_hexahedron" and fine):
         return _tensor(_gauss(n), _gauss(n), _gauss(n))
+    if shape == "quadratic_hexahedron":
+        points = np.vstack([_tensor(_gauss(2), _gauss(2), _gauss(2))[0], np.eye(3), -np.eye(3)])
+        return points, np.full(14, 8 / 14)
     if shape == "wedge":
         three = np.array([[1, 1], [4, 1], [1, 4]]) / 6, np.full(3, 1 / 6)
         return _tensor(_triangle(5) if fine else three, _unit_gauss(n))
@@ -210,6 +232,11 @@ def _sums(
     a, w = gradients(problem.mesh, shape, elements)
     if problem.quadrature == scene_pb2.QUADRATURE_FULL:
         return [(elements, a, w, law.stress)]
+    if shape == "quadratic_hexahedron":  # selective: the volumetric stress is integrated at the 2×2×2 points
+        return [
+            (elements, a, w, lambda f: law.stress(f) - law.volumetric(f)),
+            (elements, a[:, :8], w[:, :8] * 14 / 8, law.volumetric),
+        ]
     # Selective: the volumetric stress is integrated once, with mean gradients; for wedges over a pair of them.
     volume = w.sum(axis=1, keepdims=True)
     total = np.einsum("eq,eqki->eki", w, a)

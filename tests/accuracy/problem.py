@@ -98,14 +98,21 @@ def node_areas(mesh: Mesh, nodes: npt.ArrayLike) -> Floats:
 
 
 def _face_areas(x: Floats) -> Floats:
-    if len(x) == 4:  # bilinear: 2×2 Gauss points are exact for a plane face
-        out = np.zeros(4)
-        for r in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
-            for s in (-1 / np.sqrt(3), 1 / np.sqrt(3)):
+    if len(x) % 4 == 0:  # a quadrilateral with straight sides: 3×3 Gauss points are exact for a plane face
+        out = np.zeros(len(x))
+        points, weights = np.polynomial.legendre.leggauss(3)
+        for r, weight_r in zip(points, weights, strict=True):
+            for s, weight_s in zip(points, weights, strict=True):
                 n = np.array([(1 - r) * (1 - s), (1 + r) * (1 - s), (1 + r) * (1 + s), (1 - r) * (1 + s)]) / 4
-                by_r = np.array([s - 1, 1 - s, 1 + s, -1 - s]) @ x / 4
-                by_s = np.array([r - 1, -1 - r, 1 + r, 1 - r]) @ x / 4
-                out += n * np.linalg.norm(np.cross(by_r, by_s))
+                by_r = np.array([s - 1, 1 - s, 1 + s, -1 - s]) @ x[:4] / 4
+                by_s = np.array([r - 1, -1 - r, 1 + r, 1 - r]) @ x[:4] / 4
+                if len(x) == 8:  # a corner is its bilinear function less half of the middles of its two sides
+                    across = (1 - r**2) / 2, (1 - s**2) / 2
+                    middles = np.array(
+                        [across[0] * (1 - s), across[1] * (1 + r), across[0] * (1 + s), across[1] * (1 - r)]
+                    )
+                    n = np.concatenate([n - (middles + np.roll(middles, 1)) / 2, middles])
+                out += weight_r * weight_s * n * np.linalg.norm(np.cross(by_r, by_s))
         return out
     area = np.linalg.norm(np.cross(x[1] - x[0], x[2] - x[0])) / 2
     # Quadratic triangle: a corner gets zero, an edge midpoint a third of the area.

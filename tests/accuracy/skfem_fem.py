@@ -21,6 +21,7 @@ _KINDS = {
     "wedge": ("MeshWedge1", "ElementWedge1"),
     "hexahedron": ("MeshHex1", "ElementHex1"),
     "quadratic_tetrahedron": ("MeshTet1", "ElementTetP2"),
+    "quadratic_hexahedron": ("MeshHex1", "ElementHexS2"),
 }
 SHAPES = tuple(_KINDS)
 
@@ -41,7 +42,7 @@ def _basis(mesh: Mesh) -> tuple[skfem.CellBasis, np.ndarray]:
     mesh_type, element_type = (getattr(skfem, name) for name in _KINDS[shape])
     reference = mesh_type.elem.refdom.p.T
     points, weights = numpy_fem.rule(shape)
-    if shape == "hexahedron":  # scikit-fem uses [0, 1]³
+    if shape in ("hexahedron", "quadratic_hexahedron"):  # scikit-fem uses [0, 1]³
         points, weights = (points + 1) / 2, weights / 8
         corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
         order = [int(np.flatnonzero((corners == corner).all(axis=1))[0]) for corner in reference]

@@ -150,6 +150,11 @@ TEST(Admission, RefusesMidEdgeNodesBeyondTheQuarterPoints) {
   EXPECT_TRUE(admit(mesh, "liver"));
   mesh.nodes[4] = {0.24, 0.0, 0.0};
   expect_refused(mesh, {"element 0", "'liver'", "quadratic tetrahedron is folded over at node 0", "quarter points"});
+  mesh = tests::reference_element(Shape::kQuadraticHexahedron);
+  mesh.nodes[8] = {0.26, 0.0, 0.0};
+  EXPECT_TRUE(admit(mesh, "liver"));
+  mesh.nodes[8] = {0.24, 0.0, 0.0};
+  expect_refused(mesh, {"element 0", "'liver'", "quadratic hexahedron is folded over at node 0", "quarter points"});
 }
 
 TEST(Admission, RefusesAWedgeInTheOrderOfVtksDocumentation) {

@@ -83,6 +83,19 @@ TEST(Conformity, RefusesLinearFacesOnPartsOfAQuadraticOne) {
   expect_nonconforming(mesh, {"tetrahedron, face 6 4 5"});
 }
 
+/// A linear face on all of an eight-node face, on a half of it, and on a quarter.
+TEST(Conformity, RefusesLinearFacesOnAQuadraticQuadrilateral) {
+  Mesh mesh = tests::reference_element(Shape::kQuadraticHexahedron);
+  mesh.nodes.push_back({0.5, 0.5, -1.0});
+  mesh.blocks.push_back({Shape::kPyramid, {3, 2, 1, 0, 20}});
+  expect_nonconforming(mesh, {"quadratic hexahedron, face 0 3 2 1 11 10 9 8", "pyramid, face 3 0 1 2"});
+  mesh.blocks.back() = {Shape::kTetrahedron, {1, 3, 2, 20}};
+  expect_nonconforming(mesh, {"quadratic hexahedron, face 0 3 2 1 11 10 9 8", "tetrahedron, face 1 2 3"});
+  mesh.nodes.push_back({0.5, 0.5, 0.0});
+  mesh.blocks.back() = {Shape::kPyramid, {11, 21, 8, 0, 20}};
+  expect_nonconforming(mesh, {"quadratic hexahedron, face 0 3 2 1 11 10 9 8", "pyramid, face 11 0 8 21"});
+}
+
 TEST(Conformity, RefusesQuadraticNeighboursWithMidEdgeNodesOfTheirOwn) {
   Mesh mesh = make_grid({0, 0, 0}, {1, 1, 1}, 1, 1, 1, Shape::kQuadraticTetrahedron).value();
   ASSERT_EQ(refusal(mesh), "");

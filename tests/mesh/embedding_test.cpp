@@ -63,10 +63,19 @@ class Embed : public testing::EveryMesh {
     }
     return best;
   }
+  double distance_from_mesh(const Vector3d& point) const {
+    double distance = std::numeric_limits<double>::infinity();
+    for (std::uint32_t element = 0; element < nodes_of_.size(); ++element) {
+      distance = std::min(distance, distance_from(point, element));
+    }
+    return distance;
+  }
 };
 
 TEST_P(Embed, FindsTheContainingOrNearestElement) {
-  const std::vector<Vector3d> points = random_points(seed_, 300, -0.2, 1.2);
+  std::vector<Vector3d> points = random_points(seed_, 300, -0.2, 1.2);
+  // The tetrahedra of a quadratic hexahedron have edges of half its size, so points far from the mesh are refused.
+  std::erase_if(points, [&](const Vector3d& point) { return distance_from_mesh(point) > 0.3; });
   const Embedding embedding = embed(mesh_, points, "test points").value();
   double farthest = 0.0;
   int inside = 0;
@@ -74,17 +83,14 @@ TEST_P(Embed, FindsTheContainingOrNearestElement) {
     EXPECT_LT((carried(embedding, i, mesh_.nodes) - points[i]).norm(), 1e-12);
     const auto& nodes = nodes_of_[embedding.elements[i]];
     for (const std::uint32_t node : embedding.nodes[i]) EXPECT_EQ(std::count(nodes.begin(), nodes.end(), node), 1);
-    double distance = std::numeric_limits<double>::infinity();
-    for (std::uint32_t element = 0; element < nodes_of_.size(); ++element) {
-      distance = std::min(distance, distance_from(points[i], element));
-    }
+    const double distance = distance_from_mesh(points[i]);
     EXPECT_NEAR(distance_from(points[i], embedding.elements[i]), distance, 1e-12);
     EXPECT_EQ(least_weight(embedding, i) >= 0.0, distance < 1e-12);
     inside += distance < 1e-12;
     farthest = std::max(farthest, distance);
   }
   EXPECT_GT(inside, 20);
-  EXPECT_LT(inside, 280);
+  EXPECT_LT(static_cast<std::size_t>(inside) + 20, points.size());
   EXPECT_NEAR(embedding.max_distance_m, farthest, 1e-12);
 }
 

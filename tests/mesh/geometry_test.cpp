@@ -68,6 +68,17 @@ Vector3d map(const Mesh& mesh, const Vector3d& r) {
       for (std::size_t k = 0; k < 6; ++k) sum += 4.0 * l[kMiddles[k][0]] * l[kMiddles[k][1]] * x[k + 4];
       return sum;
     }
+    case Shape::kQuadraticHexahedron: {
+      Vector3d sum = Vector3d::Zero();
+      const Mesh reference = tests::reference_element(Shape::kQuadraticHexahedron);
+      const Eigen::Array3d to = 2.0 * r.array() - 1.0;
+      for (std::size_t k = 0; k < 20; ++k) {
+        const Eigen::Array3d at = 2.0 * reference.nodes[k].array() - 1.0;
+        const double product = (at == 0.0).select(1.0 - to * to, 1.0 + at * to).prod();
+        sum += product * (k < 8 ? ((at * to).sum() - 2.0) / 8.0 : 0.25) * x[k];
+      }
+      return sum;
+    }
   }
   return Vector3d::Zero();
 }
@@ -125,7 +136,7 @@ TEST_P(Geometry, VolumeIsTheIntegralOfTheJacobian) {
       } else if (shape_ == Shape::kWedge) {
         r = {u, v * (1.0 - u), w};
         scale = 1.0 - u;
-      } else if (shape_ != Shape::kHexahedron) {
+      } else if (topology(shape_).corner_count == 4) {
         r = {u, v * (1.0 - u), w * (1.0 - u) * (1.0 - v)};
         scale = (1.0 - u) * (1.0 - u) * (1.0 - v);
       }
@@ -154,6 +165,9 @@ TEST(QuadraticGeometry, MidEdgeNodesMayLieBetweenTheQuarterPoints) {
   for (const auto& [at, good] : {std::pair(0.24, false), {0.26, true}, {0.74, true}, {0.76, false}}) {
     Mesh mesh = tests::reference_element(Shape::kQuadraticTetrahedron);
     mesh.nodes[4] = {at, 0.0, 0.0};
+    EXPECT_EQ(geometry(mesh).min_jacobian_m3 > 0.0, good) << at;
+    mesh = tests::reference_element(Shape::kQuadraticHexahedron);
+    mesh.nodes[8] = {at, 0.0, 0.0};
     EXPECT_EQ(geometry(mesh).min_jacobian_m3 > 0.0, good) << at;
   }
 }

@@ -32,7 +32,8 @@ TEST_P(GridOf, ElementsFillTheBoxAndArePositivelyWound) {
                                                                {Shape::kPyramid, 6},
                                                                {Shape::kWedge, 2},
                                                                {Shape::kHexahedron, 1},
-                                                               {Shape::kQuadraticTetrahedron, 6}};
+                                                               {Shape::kQuadraticTetrahedron, 6},
+                                                               {Shape::kQuadraticHexahedron, 1}};
   ASSERT_EQ(mesh_.blocks.size(), 1u);
   EXPECT_EQ(mesh_.blocks[0].shape, GetParam());
   EXPECT_EQ(element_count(mesh_), kElementsOfACell.at(GetParam()) * 2u * 3u * 4u);
@@ -82,7 +83,8 @@ TEST_P(GridOf, FacesConformAcrossCells) {
                                                                   {Shape::kPyramid, {1, 1}},
                                                                   {Shape::kWedge, {2, 1}},
                                                                   {Shape::kHexahedron, {1, 1}},
-                                                                  {Shape::kQuadraticTetrahedron, {2, 2}}};
+                                                                  {Shape::kQuadraticTetrahedron, {2, 2}},
+                                                                  {Shape::kQuadraticHexahedron, {1, 1}}};
   const auto [across_z, along_z] = kFacesOfASide.at(GetParam());
   EXPECT_EQ(outside, across_z * sides_xy + along_z * sides_z);
 }
@@ -113,6 +115,9 @@ TEST(Grid, RefusesInvalidBoxes) {
   // This grid is within the limits as linear tetrahedra, but not with mid-edge nodes.
   const Result<Mesh> fine = make_grid(zero, one, 204, 204, 204, Shape::kQuadraticTetrahedron);
   EXPECT_NE(message(fine).find("68417929 nodes"), std::string::npos) << message(fine);
+  // Hexahedra have no nodes in the centres of faces and cells.
+  const Result<Mesh> hexahedra = make_grid(zero, one, 260, 260, 260, Shape::kQuadraticHexahedron);
+  EXPECT_NE(message(hexahedra).find("70913961 nodes"), std::string::npos) << message(hexahedra);
 }
 
 }  // namespace

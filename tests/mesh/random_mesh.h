@@ -87,6 +87,8 @@ inline std::vector<std::uint32_t> turned(Shape shape) {
       return {1, 2, 3, 0, 5, 6, 7, 4};
     case Shape::kQuadraticTetrahedron:
       return {1, 2, 0, 3, 5, 6, 4, 8, 9, 7};
+    case Shape::kQuadraticHexahedron:
+      return {1, 2, 3, 0, 5, 6, 7, 4, 9, 10, 11, 8, 13, 14, 15, 12, 17, 18, 19, 16};
   }
   return {};
 }

@@ -16,7 +16,8 @@ const std::map<Shape, double> kReferenceVolume{{Shape::kTetrahedron, 1.0 / 6.0},
                                                {Shape::kPyramid, 4.0 / 3.0},
                                                {Shape::kWedge, 0.5},
                                                {Shape::kHexahedron, 1.0},
-                                               {Shape::kQuadraticTetrahedron, 1.0 / 6.0}};
+                                               {Shape::kQuadraticTetrahedron, 1.0 / 6.0},
+                                               {Shape::kQuadraticHexahedron, 1.0}};
 
 class EveryShape : public ::testing::TestWithParam<Shape> {
  protected:
@@ -117,6 +118,13 @@ TEST_P(EveryShape, MidEdgeNodesFollowTheEdges) {
 
 INSTANTIATE_TEST_SUITE_P(Shapes, EveryShape, ::testing::ValuesIn(testing::every_shape()),
                          [](const auto& shape) { return testing::test_name(shape.param); });
+
+TEST(QuadraticHexahedron, HasItsMidEdgeNodesInVtkOrder) {
+  const std::vector<std::array<std::uint8_t, 2>> vtk{{0, 1}, {1, 2}, {2, 3}, {3, 0}, {4, 5}, {5, 6},
+                                                     {6, 7}, {7, 4}, {0, 4}, {1, 5}, {2, 6}, {3, 7}};
+  const auto edges = topology(Shape::kQuadraticHexahedron).edges;
+  for (std::size_t i = 0; i < vtk.size(); ++i) EXPECT_EQ(edges[i].nodes, vtk[i]);
+}
 
 TEST(QuadraticTetrahedron, HasItsMidEdgeNodesInVtkOrder) {
   const std::vector<std::array<std::uint8_t, 2>> vtk{{0, 1}, {1, 2}, {0, 2}, {0, 3}, {1, 3}, {2, 3}};

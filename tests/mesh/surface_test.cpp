@@ -28,14 +28,40 @@ class Boundary : public testing::EveryMesh {
   Vector3d area(const Triangle& t) const {
     return 0.5 * (mesh_.nodes[t[1]] - mesh_.nodes[t[0]]).cross(mesh_.nodes[t[2]] - mesh_.nodes[t[0]]);
   }
+  static constexpr double kRoot = 0.77459666924148338;
+  static constexpr double kGauss[3][2] = {
+      {0.5 - 0.5 * kRoot, 5.0 / 18.0}, {0.5, 8.0 / 18.0}, {0.5 + 0.5 * kRoot, 5.0 / 18.0}};
+  /// Returns ∫ x·dA / 3 over a quadratic quadrilateral. The integrand has degree 5 in r and in s. The face is quadratic
+  /// along each line r = const., so three points of the line give it: on two sides, and between their middles.
+  double quadratic_quadrilateral_m3(const FaceNodes& n) const {
+    const auto along = [](double t, const Vector3d& a, const Vector3d& m, const Vector3d& b) -> Vector3d {
+      return (1.0 - t) * (1.0 - 2.0 * t) * a + 4.0 * t * (1.0 - t) * m + t * (2.0 * t - 1.0) * b;
+    };
+    const auto slope = [](double t, const Vector3d& a, const Vector3d& m, const Vector3d& b) -> Vector3d {
+      return (4.0 * t - 3.0) * a + (4.0 - 8.0 * t) * m + (4.0 * t - 1.0) * b;
+    };
+    const auto x = [&](std::size_t i) -> const Vector3d& { return mesh_.nodes[n[i]]; };
+    const Vector3d centre = 0.5 * (x(4) + x(5) + x(6) + x(7)) - 0.25 * (x(0) + x(1) + x(2) + x(3));
+    double sum = 0.0;
+    for (const auto& [r, weight_r] : kGauss) {
+      for (const auto& [s, weight_s] : kGauss) {
+        const Vector3d at =
+            along(s, along(r, x(0), x(4), x(1)), along(r, x(7), centre, x(5)), along(r, x(3), x(6), x(2)));
+        const Vector3d along_r =
+            along(s, slope(r, x(0), x(4), x(1)), slope(r, x(7), centre, x(5)), slope(r, x(3), x(6), x(2)));
+        const Vector3d along_s =
+            slope(s, along(r, x(0), x(4), x(1)), along(r, x(7), centre, x(5)), along(r, x(3), x(6), x(2)));
+        sum += weight_r * weight_s * at.dot(along_r.cross(along_s)) / 3.0;
+      }
+    }
+    return sum;
+  }
   /// Returns ∫ x·dA / 3 over a quadratic triangle. The integrand has degree 4 in (r, s); a product of Gauss rules is
   /// exact.
-  double quadratic_cone_m3(const FaceNodes& n) const {
-    const double root = std::sqrt(0.6);
-    const double points[3][2] = {{0.5 - 0.5 * root, 5.0 / 18.0}, {0.5, 8.0 / 18.0}, {0.5 + 0.5 * root, 5.0 / 18.0}};
+  double quadratic_triangle_m3(const FaceNodes& n) const {
     double sum = 0.0;
-    for (const auto& [u, weight_u] : points) {
-      for (const auto& [v, weight_v] : points) {
+    for (const auto& [u, weight_u] : kGauss) {
+      for (const auto& [v, weight_v] : kGauss) {
         const double l[3] = {1.0 - u - v * (1.0 - u), u, v * (1.0 - u)};
         Vector3d x = Vector3d::Zero(), along_r = Vector3d::Zero(), along_s = Vector3d::Zero();
         for (std::size_t i = 0; i < 3; ++i) {
@@ -89,7 +115,8 @@ TEST_P(Boundary, FacesEncloseTheVolumeFromOutside) {
       enclosed_m3 += 0.5 * (cone_m3({n[0], n[1], n[2]}) + cone_m3({n[0], n[2], n[3]}) + cone_m3({n[1], n[2], n[3]}) +
                             cone_m3({n[1], n[3], n[0]}));
     }
-    if (n.count == 6) enclosed_m3 += quadratic_cone_m3(n);
+    if (n.count == 6) enclosed_m3 += quadratic_triangle_m3(n);
+    if (n.count == 8) enclosed_m3 += quadratic_quadrilateral_m3(n);
   }
   EXPECT_NEAR(enclosed_m3, admit(mesh_, "random")->volume_m3, 1e-12);
 }
@@ -98,7 +125,7 @@ TEST_P(Boundary, TrianglesFollowTheFaces) {
   std::uint32_t triangle = 0;
   for (const BoundaryFace& face : faces_) {
     const auto& n = face.nodes;
-    const std::uint32_t count = n.count == 6 ? 4 : n.count - 2;
+    const std::uint32_t count = n.count - 2;
     ASSERT_LE(triangle + count, surface_.triangles.size());
     Vector3d sum = Vector3d::Zero();
     std::set<std::uint32_t> used;
@@ -114,8 +141,8 @@ TEST_P(Boundary, TrianglesFollowTheFaces) {
     EXPECT_EQ(used, std::set<std::uint32_t>(n.begin(), n.end()));
     // The vector area depends only on the outline.
     Vector3d outline = Vector3d::Zero();
-    const std::vector<std::uint32_t> loop =
-        n.count == 6 ? std::vector{n[0], n[3], n[1], n[4], n[2], n[5]} : std::vector(n.begin(), n.end());
+    std::vector<std::uint32_t> loop(n.begin(), n.end());
+    for (std::size_t i = 0; n.count > 4 && i < n.count; ++i) loop[i] = n[i / 2 + i % 2 * n.count / 2];
     for (std::size_t i = 0; i < loop.size(); ++i) {
       outline += 0.5 * mesh_.nodes[loop[i]].cross(mesh_.nodes[loop[(i + 1) % loop.size()]]);
     }
@@ -157,9 +184,10 @@ class BoundaryOfGrid : public ::testing::TestWithParam<Shape> {};
 TEST_P(BoundaryOfGrid, IsAClosedBox) {
   const Surface surface = boundary(testing::unit_grid(4, GetParam()));
   const std::uint32_t refined = topology(GetParam()).has_mid_edge_nodes() ? 2 : 1;
-  const std::uint32_t cells = 4 * refined;
-  EXPECT_EQ(surface.triangles.size(), 6 * cells * cells * 2);
-  EXPECT_EQ(surface.nodes.size(), std::pow(cells + 1, 3) - std::pow(cells - 1, 3));
+  const std::uint32_t cells = 4 * refined, squares = 6 * 4 * 4;
+  const bool eight = GetParam() == Shape::kQuadraticHexahedron;  // its faces have six triangles and no central node
+  EXPECT_EQ(surface.triangles.size(), eight ? 6 * squares : 6 * cells * cells * 2);
+  EXPECT_EQ(surface.nodes.size(), std::pow(cells + 1, 3) - std::pow(cells - 1, 3) - (eight ? squares : 0));
   for (const auto& sides : surface.neighbours) {
     for (const std::uint32_t neighbour : sides) EXPECT_NE(neighbour, kNone);
   }

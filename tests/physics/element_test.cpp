@@ -25,7 +25,8 @@ struct Element {
     const mesh::Mesh mesh = tests::reference_element(static_cast<mesh::Shape>(index_of<Shape>(Shapes{})));
     std::uniform_real_distribution<double> uniform(-shift, shift);
     for (int k = 0; k < Shape::kNodes; ++k) {
-      const double share = Shape::kNodes == 10 && k >= 4 ? 0.3 : 1;  // a mid-edge node stays near the middle
+      const std::uint32_t corners = mesh::topology(mesh.blocks[0].shape).corner_count;
+      const double share = k >= static_cast<int>(corners) ? 0.3 : 1;  // a mid-edge node stays near the middle
       x[k] = 0.02 * (mesh.nodes[static_cast<std::size_t>(k)] +
                      share * Vec3<double>(uniform(random), uniform(random), uniform(random)));
     }
@@ -128,9 +129,10 @@ TYPED_TEST(EveryShape, GradientsReproduceAffineFieldsAndTheVolume) {
       volumetric += rest.shares[q].volumetric * point.weight;
     }
     // Rules for elements with curved or rational maps are not exact for their volume.
-    const double tolerance = Shape::kNodes == 10 || Shape::kNodes == 5 ? 1e-2 : 1e-12;
+    const double tolerance = Shape::kOrder == 2 || Shape::kNodes == 5 ? 1e-2 : 1e-12;
     EXPECT_NEAR(deviatoric, exact, tolerance * exact);
-    EXPECT_NEAR(volumetric, deviatoric, 1e-12 * exact);
+    // A reduced rule of the shape has an error of its own.
+    EXPECT_NEAR(volumetric, deviatoric, (kHasReducedRule<Shape> ? tolerance : 1e-12) * exact);
   }
 }
 
@@ -163,7 +165,7 @@ TYPED_TEST(EveryShape, MassIsPositiveAndAddsUpToTheVolume) {
 }
 
 /// With full quadrature only the six rigid motions cost no energy. Reduced quadrature of shapes that bend has more such
-/// modes: that is its price.
+/// modes: that is its price. A point sees six.
 TYPED_TEST(EveryShape, OnlyRigidModesCostNoEnergyUnlessReduced) {
   using Shape = TypeParam;
   const Element<Shape> element(this->random_);
@@ -171,12 +173,12 @@ TYPED_TEST(EveryShape, OnlyRigidModesCostNoEnergyUnlessReduced) {
   for (const Quadrature quadrature : kQuadratures) {
     Nodes<Shape> u;
     for (Vec3<double>& one : u) one.setZero();
-    const auto tensors = element_tensors<Hooke>(ElementAtRest<Shape>(element.x, quadrature), u, parameters.data(),
-                                                Stiffness::kConsistent);
+    const ElementAtRest<Shape> rest(element.x, quadrature);
+    const auto tensors = element_tensors<Hooke>(rest, u, parameters.data(), Stiffness::kConsistent);
     const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(stiffness(tensors)).eigenvalues();
     const auto zeros = (values.array().abs() < 1e-9 * values.maxCoeff()).count();
     if (quadrature == Quadrature::kReduced && Shape::kNodes > 4) {
-      EXPECT_EQ(zeros, 3 * Shape::kNodes - 6);
+      EXPECT_EQ(zeros, 3 * Shape::kNodes - 6 * static_cast<int>(rest.points.size()));
     } else if (quadrature == Quadrature::kSelective && Shape::kNodes == 10) {
       // Conformal maps, 2 (c·x) x − |x|² c, change neither shape nor mean volume. Neighbouring elements cannot share
       // such a mode.
@@ -188,7 +190,7 @@ TYPED_TEST(EveryShape, OnlyRigidModesCostNoEnergyUnlessReduced) {
 }
 
 TEST(PairIndex, NumbersTheUpperTriangleRowByRow) {
-  for (const int nodes : {2, 4, 8, 10}) {
+  for (const int nodes : {2, 4, 8, 10, 20}) {
     int expected = 0;
     for (int k = 0; k < nodes; ++k) {
       for (int l = k + 1; l < nodes; ++l) EXPECT_EQ(pair_index(nodes, k, l), expected++);

@@ -10,11 +10,15 @@ namespace {
 std::vector<Vec3<double>> face(int nodes, double bend = 0) {
   if (nodes == 4) return {{0, 0, 0}, {1, 0, bend}, {1, 1, 0}, {0, 1, bend}};
   std::vector<Vec3<double>> x{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
-  if (nodes == 6) {
-    for (int k = 0; k < 3; ++k) x.push_back((x[k] + x[(k + 1) % 3]) / 2 + Vec3<double>(0, 0, bend));
+  if (nodes == 8) x = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
+  const auto corners = static_cast<int>(x.size());
+  for (int k = 0; corners + k < nodes; ++k) {
+    x.push_back((x[k] + x[(k + 1) % corners]) / 2 + Vec3<double>(0, 0, k % 2 == 0 ? bend : bend / 2));
   }
   return x;
 }
+
+bool is_quadrilateral(int nodes) { return nodes % 4 == 0; }
 
 class EveryFace : public testing::TestWithParam<int> {};
 
@@ -26,13 +30,13 @@ TEST_P(EveryFace, PlaneFacesGiveTheirArea) {
     area += face_area(x.data(), GetParam(), k);
     vector += face_area_vector(x.data(), GetParam(), k);
   }
-  const double exact = GetParam() == 4 ? 1 : 0.5;
+  const double exact = is_quadrilateral(GetParam()) ? 1 : 0.5;
   EXPECT_NEAR(area, exact, 1e-14);
   EXPECT_LT((vector - Vec3<double>(0, 0, exact)).norm(), 1e-14);
   // The moment of a linear pressure field about the origin is exact, because shape functions reproduce it.
   double first = 0;
   for (int k = 0; k < GetParam(); ++k) first += face_area(x.data(), GetParam(), k) * x[static_cast<std::size_t>(k)][0];
-  EXPECT_NEAR(first, GetParam() == 4 ? 0.5 : 1.0 / 6, 1e-14);
+  EXPECT_NEAR(first, is_quadrilateral(GetParam()) ? 0.5 : 1.0 / 6, 1e-14);
 }
 
 /// The vector area of a surface depends only on its rim.
@@ -41,11 +45,11 @@ TEST_P(EveryFace, BentFacesHaveTheVectorAreaOfTheirRim) {
   Vec3<double> vector = Vec3<double>::Zero();
   for (int k = 0; k < GetParam(); ++k) vector += face_area_vector(x.data(), GetParam(), k);
   Vec3<double> rim = Vec3<double>::Zero();
-  if (GetParam() == 6) {
-    // The rim gives ½ ∮ x × dx: three parabolas, each integrated at Gauss points.
-    for (int e = 0; e < 3; ++e) {
-      const Vec3<double>&a = x[static_cast<std::size_t>(e)], &b = x[static_cast<std::size_t>((e + 1) % 3)],
-            &m = x[static_cast<std::size_t>(e + 3)];
+  if (GetParam() > 4) {
+    // The rim gives ½ ∮ x × dx: a parabola for each side, integrated at Gauss points.
+    const std::size_t corners = x.size() / 2;
+    for (std::size_t e = 0; e < corners; ++e) {
+      const Vec3<double>&a = x[e], &b = x[(e + 1) % corners], &m = x[corners + e];
       for (const double t : {0.21132486540518713, 0.78867513459481287}) {
         const Vec3<double> at = (1 - t) * (1 - 2 * t) * a + 4 * t * (1 - t) * m + t * (2 * t - 1) * b;
         const Vec3<double> slope = (4 * t - 3) * a + (4 - 8 * t) * m + (4 * t - 1) * b;
@@ -58,7 +62,7 @@ TEST_P(EveryFace, BentFacesHaveTheVectorAreaOfTheirRim) {
   EXPECT_LT((vector - rim).norm(), 1e-13);
 }
 
-INSTANTIATE_TEST_SUITE_P(Nodes, EveryFace, testing::Values(3, 4, 6));
+INSTANTIATE_TEST_SUITE_P(Nodes, EveryFace, testing::Values(3, 4, 6, 8));
 
 }  // namespace
 }  // namespace tensormass::physics

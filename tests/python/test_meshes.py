@@ -157,11 +157,22 @@ def test_a_grid_fills_its_box_and_its_boundary_is_closed(shape: str) -> None:
     assert len(surface.triangles) == 2 * 2 * (2 * 3 + 3 * 1 + 2 * 1)
 
 
-def test_middle_nodes_of_quadratic_tetrahedra_are_in_the_middle_of_their_edges() -> None:
-    mesh = grids.grid([1, 2, 1], [1.0, 1.0, 1.0], shape="quadratic_tetrahedron")
-    at = mesh.nodes[mesh.elements("quadratic_tetrahedron")]
-    for middle, (a, b) in zip(range(4, 10), [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)], strict=True):
-        np.testing.assert_allclose(at[:, middle], (at[:, a] + at[:, b]) / 2)
+#: Ends of the edges whose middles follow the corners, as VTK lists them.
+MIDDLES = {
+    "quadratic_tetrahedron": ["01", "12", "02", "03", "13", "23"],
+    "quadratic_hexahedron": ["01", "12", "23", "30", "45", "56", "67", "74", "04", "15", "26", "37"],
+}
+
+
+def assert_middles_are_in_the_middle(mesh: meshes.VolumeMesh, shape: str) -> None:
+    at = mesh.nodes[mesh.elements(shape)]
+    for middle, ends in enumerate(MIDDLES[shape], start=SHAPES[shape].corner_count):
+        np.testing.assert_allclose(at[:, middle], (at[:, int(ends[0])] + at[:, int(ends[1])]) / 2)
+
+
+@pytest.mark.parametrize("shape", MIDDLES)
+def test_middle_nodes_of_quadratic_shapes_are_in_the_middle_of_their_edges(shape: str) -> None:
+    assert_middles_are_in_the_middle(grids.grid([1, 2, 1], [1.0, 1.0, 1.0], shape=shape), shape)
 
 
 def test_a_mesh_made_quadratic_has_a_node_in_the_middle_of_each_edge() -> None:
@@ -223,10 +234,8 @@ def test_repair_rewinds_every_shape(shape: str) -> None:
     assert mesh_geometry.quality(repaired).inverted_count == 0
     assert mesh_geometry.quality(repaired).volume == pytest.approx(2.0)
     np.testing.assert_array_equal(repaired.nodes, inverted.nodes)
-    if shape == "quadratic_tetrahedron":
-        at = repaired.nodes[repaired.blocks[0].nodes]
-        np.testing.assert_allclose(at[:, 6], (at[:, 0] + at[:, 2]) / 2)
-        np.testing.assert_allclose(at[:, 8], (at[:, 1] + at[:, 3]) / 2)
+    if shape in MIDDLES:
+        assert_middles_are_in_the_middle(repaired, shape)
 
 
 def test_repair_takes_sets_and_fields_along() -> None:

@@ -171,7 +171,7 @@ def test_the_results_readme_says_what_is_left_out() -> None:
     assert all(line in report.explanation() for line in lines)
     assert "* Rest: hexahedron only" in lines
     assert "* Tools: tetrahedron, hexahedron only" in lines
-    assert "* Free flight and spin: without quadratic tetrahedron" in lines
+    assert "* Free flight and spin: without quadratic tetrahedron, quadratic hexahedron" in lines
     assert "* Every input field: float only" in lines
     assert not any("Where it starts" in line for line in lines)
     assert any(line.startswith("* Meshes, flat elements: tetrahedron only") for line in lines)

@@ -17,8 +17,12 @@ inline std::vector<std::string> law_names() {
 }
 
 inline std::vector<v1::Shape> shapes() {
-  return {v1::SHAPE_TETRAHEDRON, v1::SHAPE_PYRAMID, v1::SHAPE_WEDGE, v1::SHAPE_HEXAHEDRON,
-          v1::SHAPE_QUADRATIC_TETRAHEDRON};
+  return {v1::SHAPE_TETRAHEDRON,
+          v1::SHAPE_PYRAMID,
+          v1::SHAPE_WEDGE,
+          v1::SHAPE_HEXAHEDRON,
+          v1::SHAPE_QUADRATIC_TETRAHEDRON,
+          v1::SHAPE_QUADRATIC_HEXAHEDRON};
 }
 
 /// Returns the law of this name with these moduli at rest, plus fibres if it has them. A law with parameters of its own

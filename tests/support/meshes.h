@@ -25,6 +25,7 @@ inline mesh::Mesh reference_element(mesh::Shape shape) {
       mesh.nodes = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {1, 0, 1}, {0, 1, 1}};
       break;
     case mesh::Shape::kHexahedron:
+    case mesh::Shape::kQuadraticHexahedron:
       mesh.nodes = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}, {0, 0, 1}, {1, 0, 1}, {1, 1, 1}, {0, 1, 1}};
       break;
   }

@@ -2,8 +2,8 @@
 
 #include "core/scalar.h"
 
-/// Integrals over an element's face, for tractions and pressures. The face has three nodes (linear), four (bilinear) or
-/// six (quadratic: corners, then the middles of the edges 01 12 20), counter-clockwise seen from outside.
+/// Integrals over an element's face, for tractions and pressures. The face has three nodes (linear), four (bilinear),
+/// six or eight (quadratic: corners, then the middles of the sides 01 12 ..), counter-clockwise seen from outside.
 ///
 ///   (r, s)      coordinates of the reference face: [0, 1]², or the triangle r, s ≥ 0, r + s ≤ 1
 ///   N_k         shape function of node k
@@ -11,7 +11,7 @@
 ///   n, da       outward unit normal and area element
 namespace tensormass::physics {
 
-inline constexpr int kMaxFaceNodes = 6;
+inline constexpr int kMaxFaceNodes = 8;
 
 /// A quadrature point of a face, with the values that an integral over the face needs.
 template <class T>
@@ -29,8 +29,38 @@ TM_HOST_DEVICE FacePoint<T> quadrilateral_point(int q) {
   const T near = T(0.21132486540518713), far = T(0.78867513459481287);
   const T r = q % 2 == 0 ? near : far, s = q / 2 == 0 ? near : far;
   return {T(0.25),
-          {(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s, 0, 0},
-          {{s - 1, r - 1}, {1 - s, -r}, {s, r}, {-s, 1 - r}, {0, 0}, {0, 0}}};
+          {(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s},
+          {{s - 1, r - 1}, {1 - s, -r}, {s, r}, {-s, 1 - r}}};
+}
+
+template <class T>
+TM_HOST_DEVICE FacePoint<T> quadratic_quadrilateral_point(int q) {
+  // 3×3 Gauss on [−1, 1]². Exact for N_k (x_r × x_s), whose degree is five in each direction.
+  const T far = T(0.77459666924148338);
+  const T x[2] = {far * static_cast<T>(q % 3 - 1), far * static_cast<T>(q / 3 - 1)};
+  const auto weight = [](int i) { return i == 1 ? T(8) / 18 : T(5) / 18; };  // they add up to one
+  FacePoint<T> p{};
+  p.weight = weight(q % 3) * weight(q / 3);
+  // Places of the nodes. Derivatives by r and s are twice those by x.
+  constexpr int kPlaces[8][2] = {{-1, -1}, {1, -1}, {1, 1}, {-1, 1}, {0, -1}, {1, 0}, {0, 1}, {-1, 0}};
+  for (int k = 0; k < 8; ++k) {
+    T factor[2], slope[2];
+    for (int c = 0; c < 2; ++c) {
+      const T at = static_cast<T>(kPlaces[k][c]);
+      factor[c] = kPlaces[k][c] == 0 ? 1 - x[c] * x[c] : 1 + at * x[c];
+      slope[c] = kPlaces[k][c] == 0 ? -2 * x[c] : at;
+    }
+    // Corner: ¼ (1 + σ₀ x₀)(1 + σ₁ x₁)(σ · x − 1). Middle: half the product.
+    const bool corner = k < 4;
+    const T last =
+        corner ? (static_cast<T>(kPlaces[k][0]) * x[0] + static_cast<T>(kPlaces[k][1]) * x[1] - 1) / 4 : T(0.5);
+    p.n[k] = factor[0] * factor[1] * last;
+    for (int c = 0; c < 2; ++c) {
+      const T of_last = corner ? static_cast<T>(kPlaces[k][c]) / 4 : T(0);
+      p.dn[k][c] = 2 * factor[1 - c] * (slope[c] * last + factor[c] * of_last);
+    }
+  }
+  return p;
 }
 
 template <class T>
@@ -61,13 +91,15 @@ TM_HOST_DEVICE FacePoint<T> triangle_point(int nodes, int q) {
 
 }  // namespace detail
 
-/// Returns the number of quadrature points of a face with 3, 4 or 6 nodes.
-TM_HOST_DEVICE constexpr int face_points(int nodes) { return nodes == 3 ? 1 : nodes == 4 ? 4 : 6; }
+/// Returns the number of quadrature points of a face with 3, 4, 6 or 8 nodes.
+TM_HOST_DEVICE constexpr int face_points(int nodes) { return nodes == 3 ? 1 : nodes == 4 ? 4 : nodes == 6 ? 6 : 9; }
 
-/// Returns quadrature point q of a face with 3, 4 or 6 nodes; 0 ≤ q < face_points(nodes).
+/// Returns quadrature point q of a face with 3, 4, 6 or 8 nodes; 0 ≤ q < face_points(nodes).
 template <class T>
 TM_HOST_DEVICE FacePoint<T> face_point(int nodes, int q) {
-  return nodes == 4 ? detail::quadrilateral_point<T>(q) : detail::triangle_point<T>(nodes, q);
+  if (nodes == 4) return detail::quadrilateral_point<T>(q);
+  if (nodes == 8) return detail::quadratic_quadrilateral_point<T>(q);
+  return detail::triangle_point<T>(nodes, q);
 }
 
 /// Returns x_r × x_s at a point of the face: the normal times the area element per unit of reference area [m²].

@@ -14,6 +14,9 @@ namespace tensormass::physics {
 ///   values(r, n)               writes the shape functions N_k at a point r of the reference shape
 ///   gradients(r, dn)           writes ∂N_k/∂r there
 ///   full_rule(), mass_rule()   quadrature rules for energies, and for products of two shape functions
+///   reduced_rule()             optional: the rule of reduced quadrature, if one point is too few (rest.h). Its points
+///   are
+///                              the first ones of the full rule
 struct LinearTetrahedron {
   static constexpr const char* kName = "tetrahedron";
   static constexpr int kOrder = 1;

@@ -13,8 +13,9 @@ namespace tensormass::physics {
 /// How an element's energy is integrated (v1::Quadrature).
 enum class Quadrature : std::uint8_t {
   kFull,       ///< enough points that every deformation costs energy
-  kReduced,    ///< one point with the mean gradients: cheapest, but bending modes cost no energy ("hourglasses")
-  kSelective,  ///< full for the deviatoric energy, one point for the volumetric (Malkus, Hughes 1978): does not lock
+  kReduced,    ///< one point with the mean gradients: cheapest, but bending modes cost no energy ("hourglasses"). Of
+               ///< quadratic hexahedra 2×2×2 points: only modes of a row of single elements cost none
+  kSelective,  ///< full for the deviatoric energy, reduced for the volumetric (Malkus, Hughes 1978): does not lock
                ///< near ν = 0.5. Mean gradients (Flanagan, Belytschko 1981) keep the patch test
 };
 

@@ -5,6 +5,7 @@
 
 #include <Eigen/LU>
 
+#include "core/assert.h"
 #include "physics/element/quadrature.h"
 
 /// The rest shape of one element as the element pass needs it: shape gradients and weights of its quadrature points,
@@ -24,6 +25,12 @@
 ///   kFull          n points of the full rule                  {1, 1} each
 ///   kReduced       1 point with the mean gradients            {1, 1}
 ///   kSelective     n points, then 1 with mean gradients       {1, 0} each, then {0, 1}
+///
+/// One point sees too little of a shape that has many nodes. Such a shape states a reduced rule, whose m points are the
+/// first ones of its full rule. Then
+///
+///   kReduced       m points of the reduced rule               {1, 1} each
+///   kSelective     n points of the full rule                  {1, reduced weight / full weight} at m, {1, 0} at others
 namespace tensormass::physics {
 
 /// Number of reals of a quadrature point: the gradients of nodes 1 to Nodes − 1 [1/m], then the weight [m³]. The
@@ -37,9 +44,34 @@ struct ModuliWeights {
   double deviatoric = 1, volumetric = 1;
 };
 
-/// Returns the weights of each quadrature point, in the order of the table above.
+/// Whether a shape has a reduced rule of its own.
+template <class Shape>
+inline constexpr bool kHasReducedRule = requires {
+  Shape::reduced_rule();
+};
+
+namespace detail {
+
+/// Returns the weights of the points of a shape that has a reduced rule.
+inline std::vector<ModuliWeights> moduli_weights(Quadrature quadrature, const QuadratureRule& full,
+                                                 const QuadratureRule& reduced) {
+  if (quadrature == Quadrature::kReduced) return std::vector<ModuliWeights>(reduced.size());
+  std::vector<ModuliWeights> shares(full.size());
+  for (std::size_t q = 0; quadrature == Quadrature::kSelective && q < full.size(); ++q) {
+    TM_ASSERT(q >= reduced.size() || full[q].at == reduced[q].at, "the full rule begins with the reduced one");
+    shares[q].volumetric = q < reduced.size() ? reduced[q].weight / full[q].weight : 0;
+  }
+  return shares;
+}
+
+}  // namespace detail
+
+/// Returns the weights of each quadrature point, in the order of the tables above.
 template <class Shape>
 std::vector<ModuliWeights> moduli_weights(Quadrature quadrature) {
+  if constexpr (kHasReducedRule<Shape>) {
+    return detail::moduli_weights(quadrature, Shape::full_rule(), Shape::reduced_rule());
+  }
   const std::size_t full = Shape::full_rule().size();
   if (full == 1 || quadrature == Quadrature::kReduced) return {{1, 1}};
   if (quadrature == Quadrature::kFull) return std::vector<ModuliWeights>(full, {1, 1});
@@ -82,10 +114,16 @@ std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double
     }
     rest.back() = weight;
   };
-  static const QuadratureRule rule = Shape::full_rule();
+  constexpr bool kMean = !kHasReducedRule<Shape>;  // reduced quadrature means one point with the mean gradients
+  static const QuadratureRule full = Shape::full_rule();
+  const QuadratureRule* rule = &full;
+  if constexpr (!kMean) {
+    static const QuadratureRule reduced = Shape::reduced_rule();
+    if (quadrature == Quadrature::kReduced) rule = &reduced;
+  }
   Gradients mean = Gradients::Zero();
   double volume = 0;
-  for (const QuadraturePoint& point : rule) {
+  for (const QuadraturePoint& point : *rule) {
     Vec3<double> dn[Shape::kNodes];
     Shape::gradients(point.at, dn);
     const Mat3<double> j = jacobian<Shape>(x, dn);
@@ -95,9 +133,9 @@ std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double
     for (int k = 0; k < Shape::kNodes; ++k) a.col(k) = inverse * dn[k];
     mean += weight * a;
     volume += weight;
-    if (rule.size() == 1 || quadrature != Quadrature::kReduced) add(a, weight);
+    if (!kMean || full.size() == 1 || quadrature != Quadrature::kReduced) add(a, weight);
   }
-  if (rule.size() > 1 && quadrature != Quadrature::kFull) add(mean / volume, volume);
+  if (kMean && full.size() > 1 && quadrature != Quadrature::kFull) add(mean / volume, volume);
   return out;
 }
 

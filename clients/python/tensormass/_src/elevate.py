@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.meshes import ElementBlock, IndexArray, VolumeMesh
-from tensormass._src.shapes import QUADRATIC_MIDDLES, SHAPES
+from tensormass._src.shapes import SHAPES
 
 _EMPTY = np.empty((0, 6), np.int64)
 Numbers = npt.NDArray[np.int64]
@@ -57,5 +57,5 @@ def _edges(mesh: VolumeMesh) -> tuple[Numbers, npt.NDArray[np.intp], Numbers]:
 
 def _edge_numbers(elements: IndexArray, node_count: int) -> Numbers:
     """Returns a number for each edge, [element_count, 6], that sorts edges by their lower end first."""
-    ends = np.sort(elements[:, QUADRATIC_MIDDLES].astype(np.int64), axis=2)
+    ends = np.sort(elements[:, SHAPES["quadratic_tetrahedron"].middles].astype(np.int64), axis=2)
     return ends[:, :, 0] * node_count + ends[:, :, 1]

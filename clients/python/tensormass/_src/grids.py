@@ -10,7 +10,7 @@ import numpy.typing as npt
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.meshes import ElementBlock, VolumeMesh
 from tensormass._src.names import suggestion
-from tensormass._src.shapes import QUADRATIC_MIDDLES, SHAPES
+from tensormass._src.shapes import SHAPES
 
 # How a cell is cut, its corners counted as x + 2 y + 4 z and its centre as 8; the daemon cuts `Mesh.grid` in this way.
 _CELL_CUTS = {
@@ -20,7 +20,7 @@ _CELL_CUTS = {
     "hexahedron": [[0, 1, 3, 2, 4, 5, 7, 6]],
 }
 _CELL_CUTS["quadratic_tetrahedron"] = _CELL_CUTS["tetrahedron"]
-_MIDDLES = np.array(QUADRATIC_MIDDLES)
+_CELL_CUTS["quadratic_hexahedron"] = _CELL_CUTS["hexahedron"]
 
 
 def grid(
@@ -41,19 +41,18 @@ def grid(
     # Points are named by their place in half cells, so that corners, centres and middles are all whole.
     corner_of_cell = np.array([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)]) * 2
     local = np.concatenate([corner_of_cell, [[1, 1, 1]]])[cuts]  # [element, node, 3]
-    if shape == "quadratic_tetrahedron":
-        local = np.concatenate([local, (local[:, _MIDDLES[:, 0]] + local[:, _MIDDLES[:, 1]]) // 2], axis=1)
+    if SHAPES[shape].middles:
+        first, second = np.array(SHAPES[shape].middles).T
+        local = np.concatenate([local, (local[:, first] + local[:, second]) // 2], axis=1)
     places = (2 * _lattice(counts)[:, None, None, :] + local).reshape(-1, local.shape[1], 3)
 
-    points = [2 * _lattice(counts + 1)]
-    if shape == "pyramid":
-        points.append(2 * _lattice(counts) + 1)
-    if shape == "quadratic_tetrahedron":
-        halves = _lattice(2 * counts + 1)
-        points.append(halves[(halves % 2).any(axis=1)])
-    nodes = np.concatenate(points)
+    # Behind the corners come the other points that elements have, centres or middles.
+    halves = _lattice(2 * counts + 1)
     stride = np.array([1, 2 * counts[0] + 1, (2 * counts[0] + 1) * (2 * counts[1] + 1)])
-    node_of = np.empty(int(np.prod(2 * counts + 1)), np.uint32)
+    used = np.zeros(len(halves), bool)
+    used[places @ stride] = True
+    nodes = np.concatenate([2 * _lattice(counts + 1), halves[used & (halves % 2).any(axis=1)]])
+    node_of = np.empty(len(halves), np.uint32)
     node_of[nodes @ stride] = np.arange(len(nodes))
     block = ElementBlock(SHAPES[shape], node_of[places @ stride])
     return VolumeMesh(origin + size * (nodes / (2.0 * counts)), (block,))

@@ -28,6 +28,8 @@ class Shape:
     faces: tuple[tuple[int, ...], ...]
     #: Node order of the mirror image, which rewinds an inverted element.
     mirrored: tuple[int, ...]
+    #: Ends of the edges whose middles are the nodes after the corners.
+    middles: tuple[tuple[int, int], ...] = ()
     #: [edge](corner, corner), each once.
     edges: tuple[tuple[int, int], ...] = field(init=False)
     #: [edge](face, face): the two faces that meet in it.
@@ -60,6 +62,7 @@ class Shape:
 
 
 _TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+_HEXAHEDRON_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 _ALL = (
     Shape("tetrahedron", 4, 4, "tetra", _TETRAHEDRON_FACES, (0, 2, 1, 3)),
     Shape("pyramid", 5, 5, "pyramid", ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)), (0, 3, 2, 1, 4)),
@@ -76,13 +79,28 @@ _ALL = (
         8,
         8,
         "hexahedron",
-        ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+        _HEXAHEDRON_FACES,
         (0, 3, 2, 1, 4, 7, 6, 5),
     ),
-    Shape("quadratic_tetrahedron", 10, 4, "tetra10", _TETRAHEDRON_FACES, (0, 2, 1, 3, 6, 5, 4, 7, 9, 8)),
+    Shape(
+        "quadratic_tetrahedron",
+        10,
+        4,
+        "tetra10",
+        _TETRAHEDRON_FACES,
+        (0, 2, 1, 3, 6, 5, 4, 7, 9, 8),
+        ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)),
+    ),
+    Shape(
+        "quadratic_hexahedron",
+        20,
+        8,
+        "hexahedron20",
+        _HEXAHEDRON_FACES,
+        (0, 3, 2, 1, 4, 7, 6, 5, 11, 10, 9, 8, 15, 14, 13, 12, 16, 19, 18, 17),
+        ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
+    ),
 )
-#: Ends of the edges whose middles are the nodes 4 to 9 of a quadratic tetrahedron.
-QUADRATIC_MIDDLES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 SHAPES = {shape.name: shape for shape in _ALL}
 BY_MESHIO_TYPE = {shape.meshio_type: shape for shape in _ALL}
 BY_NUMBER = {shape.number: shape for shape in _ALL}

@@ -14,12 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.meshes import FloatArray, VolumeMesh
+from tensormass._src.shapes import SHAPES
 
 _Indices = npt.NDArray[np.int64]
 # Tolerance for a point inside an element, for rounding.
 _INSIDE = -1e-9
 # Number of points that are compared with every element at once.
 _CHUNK = 64
+# Corners of a hexahedron along the three edges that leave its first node.
+_CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 
 class Interpolation:
@@ -119,7 +122,7 @@ def _tetrahedron(local: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _quadratic_tetrahedron(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     linear = _barycentric(local)
-    middles = [4 * linear[:, a] * linear[:, b] for a, b in ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))]
+    middles = [4 * linear[:, a] * linear[:, b] for a, b in SHAPES["quadratic_tetrahedron"].middles]
     return linear.min(axis=1), np.concatenate([linear * (2 * linear - 1), np.stack(middles, axis=1)], axis=1)
 
 
@@ -138,6 +141,21 @@ def _hexahedron(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.minimum(local, 1 - local).min(axis=1), np.concatenate([base * (1 - height), base * height], axis=1)
 
 
+def _quadratic_hexahedron(local: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Serendipity functions: an edge's middle takes half of its own weight from each of its ends."""
+    depth, corners = _hexahedron(local)
+    middles = []
+    for a, b in SHAPES["quadratic_hexahedron"].middles:
+        # The weights of the two ends are c (1 - x) and c x along their edge; the middle's is 4 c x (1 - x).
+        sum_of_ends = corners[:, a] + corners[:, b]
+        (axis,) = np.flatnonzero(_CUBE[a] != _CUBE[b])
+        middles.append(4 * sum_of_ends * local[:, axis] * (1 - local[:, axis]))
+    for (a, b), middle in zip(SHAPES["quadratic_hexahedron"].middles, middles, strict=True):
+        corners[:, a] -= middle / 2
+        corners[:, b] -= middle / 2
+    return depth, np.concatenate([corners, np.stack(middles, axis=1)], axis=1)
+
+
 def _pyramid(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y, height = local.T
     depth = np.stack([x, y, height, 1 - height - x, 1 - height - y]).min(axis=0)
@@ -152,4 +170,5 @@ _SHAPES: dict[str, tuple[tuple[int, int, int], _Weigh]] = {
     "wedge": ((1, 2, 3), _wedge),
     "hexahedron": ((1, 3, 4), _hexahedron),
     "quadratic_tetrahedron": ((1, 2, 3), _quadratic_tetrahedron),
+    "quadratic_hexahedron": ((1, 3, 4), _quadratic_hexahedron),
 }
