@@ -176,7 +176,17 @@ def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False)
     determinant = np.linalg.det(jacobian)
     if determinant.min() <= 0:
         raise ValueError(f"a {shape} is inverted")
-    return np.einsum("qkj,eqji->eqki", slope, np.linalg.inv(jacobian)), determinant * weights
+    a, w = np.einsum("qkj,eqji->eqki", slope, np.linalg.inv(jacobian)), determinant * weights
+    if shape == "quadratic_hexahedron" and not fine:
+        # The six points in the faces take on the volume and the mean gradients of the 2×2×2 points.
+        volumes = [w[:, part].sum(axis=1) for part in (slice(8), slice(8, None))]
+        means = [
+            np.einsum("eq,eqki->eki", w[:, part], a[:, part]) / volume[:, None, None]
+            for part, volume in zip((slice(8), slice(8, None)), volumes, strict=True)
+        ]
+        a[:, 8:] += (means[0] - means[1])[:, None]
+        w[:, 8:] *= (6 / 8 * volumes[0] / volumes[1])[:, None]
+    return a, w
 
 
 def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:

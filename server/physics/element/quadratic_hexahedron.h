@@ -14,10 +14,11 @@ namespace tensormass::physics {
 ///   corner               N = ⅛ (1 + σ₀ ξ₀)(1 + σ₁ ξ₁)(1 + σ₂ ξ₂)(σ · ξ − 2)
 ///   middle, with σ_a = 0 N = ¼ (1 − ξ_a²) Π_{c ≠ a} (1 + σ_c ξ_c)
 ///
-/// The 2×2×2 Gauss points alone are exact enough, but see no energy in six modes of an element. Four of these pass
-/// through a row of single elements, so a thin beam would have them: they cost nothing with one end clamped, too. The
-/// full rule therefore has six more points, the centres of the faces. With b = 1, points of any weight at (±b, 0, 0),
-/// .. keep the rule exact to degree three, as the Gauss points are. All 14 have the same weight.
+/// The 2×2×2 Gauss points alone are exact enough, but see no energy in six modes of an element. Some of these pass
+/// through a row of single elements, also if one end is clamped. The full rule therefore has six more points, the
+/// centres of the faces, which keep it exact to degree three with any weight. All 14 have the same weight. Constant
+/// stress in a distorted element needs a higher degree than three, which products of Gauss points have but the six do
+/// not; rest.h moves their gradients so that they agree with the others (`balance`).
 ///
 /// Selective quadrature integrates the volumetric energy at the Gauss points alone, which avoids locking near ν = 0.5
 /// and needs no further points. One point with mean gradients would be too few: a plate of one layer would then bend

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <span>
 #include <vector>
 
 #include <Eigen/LU>
@@ -26,8 +27,8 @@
 ///   kReduced       1 point with the mean gradients            {1, 1}
 ///   kSelective     n points, then 1 with mean gradients       {1, 0} each, then {0, 1}
 ///
-/// One point sees too little of a shape that has many nodes. Such a shape states a reduced rule, whose m points are the
-/// first ones of its full rule. Then
+/// One point sees too little of a shape that has many nodes. Such a shape states a reduced rule. Its m points, all with
+/// the same share of their weights, are the first ones of the full rule. Then
 ///
 ///   kReduced       m points of the reduced rule               {1, 1} each
 ///   kSelective     n points of the full rule                  {1, reduced weight / full weight} at m, {1, 0} at others
@@ -101,41 +102,93 @@ std::vector<double> reference_gradients() {
   return out;
 }
 
+namespace detail {
+
+/// Gradients a_k [1/m] and weight [m³] of a quadrature point.
+template <class Shape>
+struct RestPoint {
+  using Gradients = Eigen::Matrix<double, 3, Shape::kNodes>;
+  Gradients a;
+  double weight;
+
+  RestPoint(const Vec3<double> (&x)[Shape::kNodes], const QuadraturePoint& point) {
+    Vec3<double> dn[Shape::kNodes];
+    Shape::gradients(point.at, dn);
+    const Mat3<double> j = jacobian<Shape>(x, dn);
+    weight = point.weight * j.determinant();
+    const Mat3<double> inverse = j.inverse().transpose();
+    for (int k = 0; k < Shape::kNodes; ++k) a.col(k) = inverse * dn[k];
+  }
+  RestPoint(const Gradients& gradients, double volume) : a(gradients), weight(volume) {}
+};
+template <class Shape>
+using RestPoints = std::vector<RestPoint<Shape>>;
+
+/// Returns one point that has the volume of some points and their mean gradients.
+template <class Shape>
+RestPoint<Shape> mean_point(std::span<const RestPoint<Shape>> points) {
+  RestPoint<Shape> mean{RestPoint<Shape>::Gradients::Zero(), 0};
+  for (const RestPoint<Shape>& point : points) {
+    mean.a += point.weight * point.a;
+    mean.weight += point.weight;
+  }
+  mean.a /= mean.weight;
+  return mean;
+}
+
+template <class Shape>
+RestPoints<Shape> points_of_rule(const Vec3<double> (&x)[Shape::kNodes], const QuadratureRule& rule) {
+  RestPoints<Shape> points;
+  for (const QuadraturePoint& point : rule) points.emplace_back(x, point);
+  return points;
+}
+
+/// Replaces the points that the full rule has beyond the reduced one. They get the volume and the mean gradients of the
+/// reduced rule, each in their share. The patch test then holds for the full rule where it holds for the reduced one,
+/// whatever degree the full one has.
+/// share: of the reduced rule in the full one.
+template <class Shape>
+void balance(const RestPoint<Shape>& mean_of_reduced, double share, std::span<RestPoint<Shape>> others) {
+  const RestPoint<Shape> mean = mean_point<Shape>(others);
+  for (RestPoint<Shape>& point : others) {
+    point.a += mean_of_reduced.a - mean.a;
+    point.weight *= (1 - share) * mean_of_reduced.weight / mean.weight;
+  }
+}
+
+}  // namespace detail
+
 /// Returns [point][kRestReals] gradients and weight of each point, in the order of moduli_weights.
 template <class Shape>
 std::vector<std::array<double, kRestReals<Shape>>> rest_points(const Vec3<double> (&x)[Shape::kNodes],
                                                                Quadrature quadrature) {
-  using Gradients = Eigen::Matrix<double, 3, Shape::kNodes>;
+  static const QuadratureRule full = Shape::full_rule();
+  detail::RestPoints<Shape> points;
+  if constexpr (kHasReducedRule<Shape>) {
+    static const QuadratureRule reduced = Shape::reduced_rule();
+    points = detail::points_of_rule<Shape>(x, reduced);
+    if (quadrature != Quadrature::kReduced) {
+      const double share = full.front().weight / reduced.front().weight;
+      const detail::RestPoint<Shape> mean = detail::mean_point<Shape>(points);
+      for (detail::RestPoint<Shape>& point : points) point.weight *= share;
+      for (std::size_t q = reduced.size(); q < full.size(); ++q) points.emplace_back(x, full[q]);
+      detail::balance<Shape>(mean, share, std::span(points).subspan(reduced.size()));
+    }
+  } else {
+    points = detail::points_of_rule<Shape>(x, full);
+    const detail::RestPoint<Shape> mean = detail::mean_point<Shape>(points);
+    if (full.size() > 1 && quadrature == Quadrature::kReduced) points.clear();
+    if (full.size() > 1 && quadrature != Quadrature::kFull) points.push_back(mean);
+  }
   std::vector<std::array<double, kRestReals<Shape>>> out;
-  const auto add = [&](const Gradients& a, double weight) {
+  out.reserve(points.size());
+  for (const detail::RestPoint<Shape>& point : points) {
     auto& rest = out.emplace_back();
     for (int k = 1; k < Shape::kNodes; ++k) {
-      for (int c = 0; c < 3; ++c) rest[static_cast<std::size_t>(3 * (k - 1) + c)] = a(c, k);
+      for (int c = 0; c < 3; ++c) rest[static_cast<std::size_t>(3 * (k - 1) + c)] = point.a(c, k);
     }
-    rest.back() = weight;
-  };
-  constexpr bool kMean = !kHasReducedRule<Shape>;  // reduced quadrature means one point with the mean gradients
-  static const QuadratureRule full = Shape::full_rule();
-  const QuadratureRule* rule = &full;
-  if constexpr (!kMean) {
-    static const QuadratureRule reduced = Shape::reduced_rule();
-    if (quadrature == Quadrature::kReduced) rule = &reduced;
+    rest.back() = point.weight;
   }
-  Gradients mean = Gradients::Zero();
-  double volume = 0;
-  for (const QuadraturePoint& point : *rule) {
-    Vec3<double> dn[Shape::kNodes];
-    Shape::gradients(point.at, dn);
-    const Mat3<double> j = jacobian<Shape>(x, dn);
-    const double weight = point.weight * j.determinant();
-    const Mat3<double> inverse = j.inverse().transpose();
-    Gradients a;
-    for (int k = 0; k < Shape::kNodes; ++k) a.col(k) = inverse * dn[k];
-    mean += weight * a;
-    volume += weight;
-    if (!kMean || full.size() == 1 || quadrature != Quadrature::kReduced) add(a, weight);
-  }
-  if (kMean && full.size() > 1 && quadrature != Quadrature::kFull) add(mean / volume, volume);
   return out;
 }
 
