@@ -5,6 +5,7 @@
 #include <Eigen/Dense>
 #include <Eigen/Geometry>
 
+#include "mesh/grid.h"
 #include "physics/element/element.h"
 #include "physics/laws.h"
 #include "support/meshes.h"
@@ -132,6 +133,70 @@ TYPED_TEST(EveryShape, GradientsReproduceAffineFieldsAndTheVolume) {
     const double tolerance = Shape::kOrder == 2 || Shape::kNodes == 5 ? 1e-2 : 1e-12;
     EXPECT_NEAR(deviatoric, exact, tolerance * exact);
     EXPECT_NEAR(volumetric, deviatoric, 1e-12 * exact);
+  }
+}
+
+/// The force of a constant stress is σ ∫∇N_k. A full rule of low degree must still integrate it exactly in an element
+/// with straight edges, or a patch of distorted elements does not keep a constant strain.
+TYPED_TEST(EveryShape, FullRuleIntegratesAConstantStressInStraightElements) {
+  using Shape = TypeParam;
+  if constexpr (kHasReducedRule<Shape>) {
+    Element<Shape> element(this->random_, 0.2);
+    const mesh::Topology& shape = mesh::topology(static_cast<mesh::Shape>(index_of<Shape>(Shapes{})));
+    for (std::uint32_t i = shape.corner_count; i < shape.node_count; ++i) {
+      const auto [a, b] = shape.edges[i - shape.corner_count].nodes;
+      element.x[i] = (element.x[a] + element.x[b]) / 2;
+    }
+    Eigen::Matrix<double, 3, Shape::kNodes> exact = Eigen::Matrix<double, 3, Shape::kNodes>::Zero();
+    for (const QuadraturePoint& point : Shape::mass_rule()) {
+      const detail::RestPoint<Shape> at(element.x, point);
+      exact += at.weight * at.a;
+    }
+    for (const Quadrature quadrature : kQuadratures) {
+      const ElementAtRest<Shape> rest(element.x, quadrature);
+      Eigen::Matrix<double, 3, Shape::kNodes> deviatoric = -exact, volumetric = -exact;
+      for (std::size_t q = 0; q < rest.points.size(); ++q) {
+        const auto point =
+            PointGradients<Shape, double>::read([&](int c) { return rest.points[q][static_cast<std::size_t>(c)]; });
+        for (int k = 0; k < Shape::kNodes; ++k) {
+          deviatoric.col(k) += rest.shares[q].deviatoric * point.weight * point.a[k];
+          volumetric.col(k) += rest.shares[q].volumetric * point.weight * point.a[k];
+        }
+      }
+      EXPECT_LT(deviatoric.norm(), 1e-13 * exact.norm());
+      EXPECT_LT(volumetric.norm(), 1e-13 * exact.norm());
+    }
+  }
+}
+
+/// A row of quadratic hexahedra: modes without energy may pass through it, though two elements side by side have none.
+TEST(QuadraticHexahedra, OnlyReducedQuadratureHasModesWithoutEnergyInARow) {
+  using Shape = QuadraticHexahedron;
+  constexpr int kElements = 3;
+  const mesh::Mesh row =
+      mesh::make_grid(Eigen::Vector3d::Zero(), {kElements, 1, 1}, kElements, 1, 1, mesh::Shape::kQuadraticHexahedron)
+          .value();
+  const auto parameters = testing::parameters<Hooke>();
+  for (const Quadrature quadrature : kQuadratures) {
+    Eigen::MatrixXd sum = Eigen::MatrixXd::Zero(3 * static_cast<Eigen::Index>(row.nodes.size()),
+                                                3 * static_cast<Eigen::Index>(row.nodes.size()));
+    for (const auto& nodes : mesh::element_nodes(row)) {
+      Nodes<Shape> x, u;
+      for (std::size_t k = 0; k < Shape::kNodes; ++k) x[k] = row.nodes[nodes[k]];
+      for (Vec3<double>& one : u) one.setZero();
+      const Eigen::MatrixXd k_element = stiffness(
+          element_tensors<Hooke>(ElementAtRest<Shape>(x, quadrature), u, parameters.data(), Stiffness::kConsistent));
+      for (int k = 0; k < Shape::kNodes; ++k) {
+        for (int l = 0; l < Shape::kNodes; ++l) {
+          sum.block<3, 3>(3 * static_cast<Eigen::Index>(nodes[static_cast<std::size_t>(k)]),
+                          3 * static_cast<Eigen::Index>(nodes[static_cast<std::size_t>(l)])) +=
+              k_element.block<3, 3>(3 * k, 3 * l);
+        }
+      }
+    }
+    const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(sum).eigenvalues();
+    const auto zeros = (values.array().abs() < 1e-9 * values.maxCoeff()).count();
+    EXPECT_EQ(zeros, quadrature == Quadrature::kReduced ? 10 : 6) << static_cast<int>(quadrature);
   }
 }
 

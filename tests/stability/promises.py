@@ -17,18 +17,18 @@ PROMISES: dict[str, tuple[str, str, str]] = {
     ),
     "corotational": (
         "comes back; from 10× may rest crumpled, rarely if fixed",
-        "comes back; free quadratic tetrahedra may rest crumpled from a point",
-        "comes back; free quadratic tetrahedra may rest crumpled",
+        "comes back; quadratic shapes may rest crumpled from a point",
+        "comes back; quadratic shapes may rest crumpled",
     ),
     "neo_hookean": (
-        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled, quadratic tetrahedra be caught",
+        "comes back; from 10× (softens beyond det F = e) hexahedra may rest crumpled, quadratic shapes be caught",
         _PRESSED,
         "caught",
     ),
     "stable_neo_hookean": (
-        "comes back; quadratic tetrahedra may overshoot from 10× and from random places",
+        "comes back; quadratic shapes may overshoot from 10× and from random places",
         "comes back, except a free point: zero force and stiffness there",
-        "comes back",
+        "comes back; quadratic hexahedra may rest crumpled",
     ),
     "mooney_rivlin": ("comes back; from 10× may overshoot", _OVERSHOOTS, "caught"),
     "ogden": (
