@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -338,15 +339,35 @@ def test_frequency_and_damping_of_a_swing() -> None:
     assert oscillation(times, 1 + 1e-3 * np.cos(omega * times)) is None  # equilibrium, and what a solver leaves
 
 
-def test_richardson_finds_order_and_error() -> None:
-    # u(h) = 1 + h²: the error of the finest is h².
-    sizes = [1.5**-level for level in range(3)]
-    differences = [abs(b**2 - a**2) for a, b in itertools.pairwise(sizes)]
-    error, order = richardson(differences, 1.5)
-    assert (error, order) == (pytest.approx(sizes[-1] ** 2), pytest.approx(2))
+SIZES = [1.5**-level for level in range(3)]
+
+
+def bar_of(errors: Sequence[float]) -> tuple[float, float]:
+    """Error bar and order of a sequence of results with these errors."""
+    return richardson([abs(fine - coarse) for coarse, fine in itertools.pairwise(errors)], 1.5)
+
+
+@pytest.mark.parametrize("order", [0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
+def test_richardson_bounds_the_error_of_a_sequence_with_a_known_limit(order: float) -> None:
+    errors = [size**order for size in SIZES]
+    bar, used = bar_of(errors)
+    assert used == pytest.approx(min(order, 1.0))
+    assert errors[-1] <= bar * (1 + 1e-9)
+    assert bar == pytest.approx(errors[-1] * (1.5**order - 1) / (1.5**used - 1))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 1.0])
+def test_richardson_bounds_an_error_whose_order_falls(share: float) -> None:
+    # Coarse levels converge fast; a part of low order is left, such as that of a clamped edge.
+    errors = [size**4 + share * size**0.8 for size in SIZES]
+    bar, _ = bar_of(errors)
+    assert errors[-1] <= bar <= 10 * errors[-1]
+
+
+def test_richardson_does_not_trust_an_erratic_sequence() -> None:
     assert richardson([0.1], 1.5) == (pytest.approx(0.2), 1.0)  # first order is assumed
-    assert richardson([0.1, 0.2], 1.5)[1] == 0.5  # a sequence that does not converge is not trusted
-    assert richardson([1.0, 1e-9], 1.5)[1] == 2.0  # nor is one that converges by chance
+    assert richardson([0.1, 0.2], 1.5)[1] == 0.5  # a sequence that does not converge
+    assert richardson([1.0, 1e-9], 1.5)[1] == 1.0  # one that converges by chance
 
 
 def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -> None:

@@ -142,8 +142,8 @@ def test_a_machine_that_is_slower_for_a_while_makes_no_setting_dearer(
 ) -> None:
     formula = stand_in(tmp_path, monkeypatch)
     formula.room_for_both = room_for_both
-    # The own recording, two levels of the reference, the unmodified scene, and its dt doubled.
-    formula.slowness = [1.0, 1.0, 1.0, 1.0, 5.0]
+    # The own recording, two levels of the reference, one in quadratic tetrahedra, the unmodified scene, its dt doubled.
+    formula.slowness = [1.0, 1.0, 1.0, 1.0, 1.0, 5.0]
     run_on(tmp_path, "--reference-seconds", "1")
     own, doubled, *others = json.loads((tmp_path / "out" / "trade.json").read_text())["measurements"]
     assert [of["cost_s"] for of in others] == pytest.approx([2e-3, 4e-3])

@@ -16,8 +16,9 @@ from tensormass_tools.trade.recording import Recording
 _FELT_SHARE = 0.1
 # Swings below this share of the first one are noise, as is a first swing below this share of the whole motion.
 _SWING_SHARE = 0.02
-# Bounds of Richardson's order: an erratic sequence is not trusted, and no scheme has a higher order.
-_ORDERS = (0.5, 2.0)
+# Bounds of Richardson's order. An erratic sequence is not trusted. Coarse levels approach each other at second order,
+# finer ones do not: clamped edges and contacts limit the order.
+_ORDERS = (0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -145,17 +146,19 @@ def oscillation(times_s: FloatArray, values: FloatArray) -> tuple[float, float] 
 
 
 def richardson(differences: Sequence[float], ratio: float) -> tuple[float, float]:
-    """Estimates the error of the finest level of a sequence, and returns it with the order used.
+    """Returns an error bar for the finest level of a sequence, and the order used.
+
+        bar = |u_n - u_(n-1)| / (ratio^order - 1)
 
     Args:
         differences: between each level and the next, the finest pair last.
         ratio: refinement of each level against the one before.
 
-    An order needs two differences; with one, first order is assumed. If differences do not shrink as they should, the
-    order is clamped, which makes the estimate larger.
+    An order needs two differences; with one, first order is assumed. An order above one is not used. In a sequence of
+    second order the bar is therefore 2.5 times the error, which is its factor of safety.
     """
     last = differences[-1]
-    order = 1.0
+    order = _ORDERS[1]
     if len(differences) > 1 and last > 0 and differences[-2] > 0:
         order = min(max(math.log(differences[-2] / last) / math.log(ratio), _ORDERS[0]), _ORDERS[1])
     return last / (ratio**order - 1), order

@@ -2,16 +2,21 @@
 
 Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
 second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids,
-quadratic tetrahedra for other tetrahedral meshes. Richardson extrapolation estimates the remaining error from the
+quadratic tetrahedra for other tetrahedral meshes. Richardson extrapolation bounds the remaining error by the
 differences between levels.
 
-A sequence that converges may still converge to something else. Where the reference has quadratic tetrahedra, its last
-levels are therefore also run in linear ones: their distance from the reference must shrink.
+A sequence that converges may still converge to something else. The last levels are therefore also run in another
+discretization: quadratic tetrahedra if the reference has hexahedra, linear ones if it has quadratic ones. Their
+distance from the reference must shrink. If it exceeds the error bar of the other discretization, the rest of it is an
+error of the reference, whose own error bar must not be smaller.
+
+    |reference - limit| >= |reference - other| - |other - limit|
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from tensormass._src.errors import InvalidArgumentError, TensormassError
@@ -36,14 +41,15 @@ _NEWTON = {"newton_max_iterations": 50, "newton_tolerance": 1e-6, "cg_max_iterat
 SHARE_OF_TOLERANCE = 1 / 3
 
 
-# Number of levels that are also run in linear tetrahedra, and the share of the reference's time that they may take.
-_LINEAR_LEVELS = 3
-_LINEAR_TIME = 0.5
+# Number of levels that are also run in the other discretization, and the share of the reference's time that they may
+# take.
+_OTHER_LEVELS = 3
+_OTHER_TIME = 0.5
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level of a sequence. Differences are against the level before; in linear tetrahedra, against the
+    """One level of a sequence. Differences are against the level before; in the other discretization, against the
     reference."""
 
     setting: dict[str, Value]
@@ -74,14 +80,16 @@ class Reference:
     key: str
     recording: Recording
     levels: list[Level]
-    #: Relative errors, estimated by Richardson extrapolation.
+    #: Error bars, relative: the limit should not be farther away. tests/accuracy/calibration.py checks that.
     displacement_error: float
     force_error: float | None
     order: float
     #: Reason why it is not refined further.
     ended: str
-    #: The last levels in linear tetrahedra, coarse to fine; empty if the reference is not made of quadratic ones.
-    linear: list[Level] = field(default_factory=list)
+    #: The last levels in the other discretization, coarse to fine; empty if there is none.
+    other: list[Level] = field(default_factory=list)
+    #: True if the distance of the other discretization made an error bar larger.
+    raised: bool = False
 
     @property
     def refines_mesh(self) -> bool:
@@ -96,9 +104,14 @@ class Reference:
         return self.levels[-1].setting.get("element_order") == "quadratic"
 
     @property
+    def other_name(self) -> str:
+        return "linear tetrahedra" if self.raises_order else "quadratic tetrahedra"
+
+    @property
     def is_approached(self) -> bool:
-        """Tells whether refined linear tetrahedra come closer to the reference, in displacement and in force."""
-        pairs = [(of.displacement or 0.0, of.force or 0.0) for of in self.linear]
+        """Tells whether the other discretization, refined, comes closer to the reference, in displacement and in
+        force."""
+        pairs = [(of.displacement or 0.0, of.force or 0.0) for of in self.other]
         return len(pairs) < 2 or all(last <= first for last, first in zip(pairs[-1], pairs[0], strict=True))
 
     @property
@@ -114,12 +127,14 @@ class Reference:
             f"its own error{mesh}, by Richardson extrapolation of order {self.order:.2f}: displacement "
             f"{self.displacement_error:.2%}{force}; {self.ended}"
         )
-        return lines + [f"in linear tetrahedra: {level.text('the reference')}" for level in self.linear]
+        if self.raised:
+            lines[-1] += f"; raised, because the error of the {self.other_name} does not explain their distance"
+        return lines + [f"in {self.other_name}: {level.text('the reference')}" for level in self.other]
 
     def to_plain(self) -> dict[str, object]:
         plain = {name: getattr(self, name) for name in ("key", "displacement_error", "force_error", "order", "ended")}
-        levels = {"levels": [asdict(of) for of in self.levels], "linear": [asdict(of) for of in self.linear]}
-        return plain | {"refines_mesh": self.refines_mesh, **levels}
+        levels = {"levels": [asdict(of) for of in self.levels], "other": [asdict(of) for of in self.other]}
+        return plain | {"raised": self.raised, "refines_mesh": self.refines_mesh, **levels}
 
 
 def find(
@@ -132,8 +147,9 @@ def find(
     tolerance: float,
     limit_s: float,
     say: Callable[[str], None],
+    most_levels: int = _LEVELS,
 ) -> Reference:
-    """Refines until the estimate is below a third of `tolerance`, or another level would take longer than `limit_s`.
+    """Refines until the error bar is below a third of `tolerance`, or another level would take longer than `limit_s`.
 
     Raises:
         TensormassError: the scene cannot be run, or nothing in it moves.
@@ -145,7 +161,7 @@ def find(
     growth = _RATIO ** ((3 if "resolution" in knobs.refinable else 0) + (0 if script.one_step else 1))
     ended = "the last level"
     first = _FIRST_QUADRATIC_LEVEL if "element_order" in knobs.refinable else _FIRST_LEVEL
-    for number in range(_LEVELS):
+    for number in range(most_levels):
         setting = _setting(knobs, script, number + first)
         if len(levels) > 1:
             expected_s = levels[-1].wall_s * growth
@@ -176,21 +192,62 @@ def find(
             break
     assert best is not None
     found = Reference(key, best, levels, *estimates, ended)
-    if not (found.refines_mesh and found.raises_order):
-        return found
-    linear: list[Level] = []
-    for level in levels[-_LINEAR_LEVELS:]:
-        if linear and sum(of.wall_s for of in linear) + growth * linear[-1].wall_s > _LINEAR_TIME * limit_s:
+    other: list[Level] = []
+    differences: list[Errors] = []
+    before: Recording | None = None
+    for setting in _other_settings(levels):
+        if other and sum(of.wall_s for of in other) + growth * other[-1].wall_s > _OTHER_TIME * limit_s:
             break
-        setting = level.setting | {"element_order": "as_given"}
         try:
             recording = _recording(setting, knobs, script, recorder, store, machine)[1]
         except TensormassError as error:
-            say(f"reference, in linear tetrahedra: {error}")
+            say(f"reference, in {found.other_name}: {error}")
             break
-        linear.append(_level(setting, recording, compare(recording, best, recorder.weights)))
-        say(f"reference, in linear tetrahedra: {linear[-1].text('the reference')}")
-    return replace(found, linear=linear)
+        if recording.min_det_f <= 0:
+            say(f"reference, in {found.other_name}: inverted elements, det F down to {recording.min_det_f:.2g}")
+            break
+        if before is not None:
+            differences.append(compare(before, recording, recorder.weights))
+        before = recording
+        other.append(_level(setting, recording, compare(recording, best, recorder.weights)))
+        say(f"reference, in {found.other_name}: {other[-1].text('the reference')}")
+    return _not_below_the_gap(replace(found, other=other), differences)
+
+
+def _other_settings(levels: list[Level]) -> list[dict[str, Value]]:
+    """Returns the settings of the other discretization, coarse to fine; none if the mesh is not refined."""
+    finest = levels[-1].setting
+    if "resolution" not in finest:
+        return []
+    if finest.get("element_order") == "quadratic":
+        return [level.setting | {"element_order": "as_given"} for level in levels[-_OTHER_LEVELS:]]
+    if "shape" in finest:
+        # Without the finest level, because quadratic tetrahedra have twice as many nodes along an edge.
+        return [level.setting | {"shape": "quadratic_tetrahedron"} for level in levels[-1 - _OTHER_LEVELS : -1]]
+    return []
+
+
+def _not_below_the_gap(found: Reference, differences: Sequence[Errors]) -> Reference:
+    """Raises error bars to the distance that the other discretization's own error does not explain.
+
+    Args:
+        differences: between each level of the other discretization and the next.
+    """
+    if not differences:  # its own error is not known
+        return found
+
+    def gap(distance: float | None, steps: Sequence[float | None]) -> float:
+        known = [step for step in steps if step is not None]
+        return distance - richardson(known, _RATIO)[0] if distance is not None and known else 0.0
+
+    displacement = gap(found.other[-1].displacement, [of.displacement for of in differences])
+    force = gap(found.other[-1].force, [of.force for of in differences])
+    return replace(
+        found,
+        displacement_error=max(found.displacement_error, displacement),
+        force_error=None if found.force_error is None else max(found.force_error, force),
+        raised=displacement > found.displacement_error or force > (found.force_error or math.inf),
+    )
 
 
 def _recording(
@@ -220,7 +277,7 @@ def _level(setting: dict[str, Value], recording: Recording, errors: Errors | Non
 
 
 def _estimates(levels: list[Level]) -> tuple[float, float | None, float]:
-    """Estimates the errors of displacement and force, and the order of the displacement."""
+    """Returns the error bars of displacement and force, and the order of the displacement."""
     displacement, order = richardson([level.displacement for level in levels if level.displacement is not None], _RATIO)
     forces = [level.force for level in levels if level.force is not None]
     return displacement, richardson(forces, _RATIO)[0] if forces else None, order

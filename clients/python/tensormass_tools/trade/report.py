@@ -177,8 +177,8 @@ def findings(outcome: Outcome) -> list[str]:
         )
     if not reference.is_approached:
         lines.append(
-            "linear tetrahedra do not come closer to the reference when they are refined: the two do not have the same "
-            "limit, or are not fine enough to show it; give it --reference-seconds"
+            f"{reference.other_name} do not come closer to the reference when they are refined: the two do not have "
+            "the same limit, or are not fine enough to show it; give it --reference-seconds"
         )
     if reference.levels[-1].min_det_f <= 0:
         lines.append(
