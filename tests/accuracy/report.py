@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import advice, record, trade_plot, trade_tables
+from . import advice, calibration, record, trade_plot, trade_tables
 from .case import Case, Outcome
 from .cases import all_cases
 from .tables import Cell, csv_text, markdown
@@ -154,7 +154,7 @@ def readme(runs: Sequence[Run], cases: Sequence[Case]) -> str:
     ]
     for group in dict.fromkeys(case.group for case in cases):
         lines += ["", f"### {group.title} (`{group.name}`)", "", group.text]
-    return "\n".join([*lines, "", *trade_tables.readme(BACKENDS)]) + "\n"
+    return "\n".join([*lines, "", *calibration.readme(), "", *trade_tables.readme(BACKENDS)]) + "\n"
 
 
 def case_rows(run: Run, cases: Sequence[Case]) -> list[dict[str, Cell]]:
@@ -209,6 +209,7 @@ def outputs(runs: Sequence[Run], cases: Sequence[Case]) -> dict[Path, str]:
         FOLDER / "README.md": readme(runs, cases),
         **{FOLDER / f"{name}.csv": csv_text(of) for name, of in rows.items()},
         **advice.outputs(BACKENDS),
+        **calibration.outputs(),
     }
 
 
@@ -375,7 +376,7 @@ def _links(runs: Sequence[Run]) -> list[str]:
 
     lines = [f"* All rows: {', '.join(map(link, _measured(runs)))}; each mesh and Δt: {link('refinement')}."]
     if names := list(trade_tables.files(BACKENDS)):
-        lines.append(f"* Fronts: {', '.join(map(link, names))}.")
+        lines.append(f"* Fronts: {', '.join(map(link, names))}; error bars of references: {link('calibration')}.")
     lines.append(f"* What each section solves, and what each column means: [README]({folder}/README.md).")
     lines.append(
         "* Why it is measured so: [decisions/trade.md](decisions/trade.md). Which setting: [choosing.md](choosing.md)."
