@@ -11,11 +11,14 @@ namespace tensormass::matrix {
 
 namespace {
 
-/// The elements of a group at each row, ascending. An item is 16 · element + index of the node that the row is.
+/// The elements of a group at each row, ascending, each with the index of its node that the row is.
 struct Incidence {
+  struct Item {
+    std::uint32_t element, node;
+  };
   std::vector<std::uint32_t> begin;
-  std::vector<std::uint64_t> items;
-  std::span<const std::uint64_t> at(std::uint32_t row) const {
+  std::vector<Item> items;
+  std::span<const Item> at(std::uint32_t row) const {
     return std::span(items).subspan(begin[row], begin[row + 1] - begin[row]);
   }
 };
@@ -34,7 +37,7 @@ Incidence incidence_of(const ElementRows& group, std::uint32_t row_count) {
   out.items.resize(out.begin.back());
   std::vector<std::uint32_t> next(out.begin.begin(), out.begin.end() - 1);
   for (std::uint32_t e = 0; e < group.element_count; ++e) {
-    for (std::uint32_t k = 0; k < group.node_count; ++k) out.items[next[row(k, e)]++] = std::uint64_t{16} * e + k;
+    for (std::uint32_t k = 0; k < group.node_count; ++k) out.items[next[row(k, e)]++] = {e, k};
   }
   return out;
 }
@@ -56,8 +59,7 @@ void fill_slice(const Layout& layout, const ElementRows& group, const Incidence&
   for (std::uint32_t lane = 0; lane < kSliceRows; ++lane) {
     const std::uint32_t own = slice * kSliceRows + lane;
     std::size_t at = column;
-    for (const std::uint64_t item : incidence.at(own)) {
-      const auto element = static_cast<std::uint32_t>(item / 16), own_node = static_cast<std::uint32_t>(item % 16);
+    for (const auto& [element, own_node] : incidence.at(own)) {
       out.listed[at * kSliceRows + lane] = element;
       for (std::uint32_t l = 0; l < group.node_count; ++l) {
         std::uint32_t place = own_place(out.place_bits);
@@ -83,7 +85,6 @@ GroupRowLists make_row_lists(const Layout& layout, std::span<const ElementRows> 
   std::vector<Incidence> incidences;
   TM_ASSERT(layout.widest_slice() < own_place(16), "16 bits tell all columns of a slice from the row itself");
   for (std::uint32_t g = 0; g < groups.size(); ++g) {
-    TM_ASSERT(groups[g].node_count <= 16, "an item of Incidence has 4 bits for the node");
     TM_ASSERT(groups[g].element_count <= groups[g].stride, "padding follows the elements");
     TM_ASSERT(groups[g].rows.size() == std::size_t{groups[g].node_count} * groups[g].stride, "rows: [node][stride]");
     incidences.push_back(incidence_of(groups[g], layout.row_count));
