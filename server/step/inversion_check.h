@@ -104,9 +104,11 @@ TM_HOST_DEVICE typename Lanes::Scalar bound_det_j(const view::StateView<Real>& s
     if (k > 0) x[k] -= x[0];
   }
   // The error of an edge is at most four roundings of the scene's size and of the element's distance. det J multiplies
-  // it by the other two columns and by the sum of a shape's gradients, which is less than five.
+  // it by the other two columns and by the sum of a shape's gradients at its points. That sum is less than seven, with
+  // more than ten nodes at most twelve.
+  constexpr int kRoundings = kNodes > 10 ? 80 : 32;
   const T away = absolute(x[0][0]) + absolute(x[0][1]) + absolute(x[0][2]);
-  const T rounding = T(32 * std::numeric_limits<Real>::epsilon() / 2) * (T(state.size_m) + away);
+  const T rounding = T(kRoundings * std::numeric_limits<Real>::epsilon() / 2) * (T(state.size_m) + away);
   T least = T(std::numeric_limits<Real>::infinity());
   const auto look = [&](const Vec3<T>& a, const Vec3<T>& b, const Vec3<T>& c) {
     const T volume = a.dot(b.cross(c));

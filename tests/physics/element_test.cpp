@@ -105,6 +105,18 @@ TYPED_TEST(EveryShape, FunctionsAreOneAtTheirNodeAndAddUpToOne) {
   }
 }
 
+/// The bound of rounding in step/inversion_check.h assumes these sums.
+TYPED_TEST(EveryShape, GradientsAtThePointsHaveABoundedSum) {
+  using Shape = TypeParam;
+  for (const QuadraturePoint& point : Shape::full_rule()) {
+    Nodes<Shape> dn;
+    Shape::gradients(point.at, dn);
+    Vec3<double> sum = Vec3<double>::Zero();
+    for (int k = 1; k < Shape::kNodes; ++k) sum += dn[k].cwiseAbs();  // positions are relative to node 0
+    EXPECT_LE(sum.maxCoeff(), Shape::kNodes > 10 ? 12 + 1e-12 : 7);
+  }
+}
+
 /// Checks ∫∇(F x) dV = F V for every rule. The patch test needs it, for distorted elements too.
 TYPED_TEST(EveryShape, GradientsReproduceAffineFieldsAndTheVolume) {
   using Shape = TypeParam;
