@@ -31,8 +31,8 @@ SWING = Group(
     "swing",
     "Order in time",
     "A clamped bar of 100 × 40 × 40 mm swings under gravity of 1 m/s² from rest, until 0.2 s. Value: the order at "
-    "which the displacement of its end changes with the last halving of Δt, from 200 to 400 to 800 steps, with Newton's "
-    "method and with one linearized solve a step. Error: its distance from the scheme's.",
+    "which the displacement of its end changes with the last halving of Δt, from 200 to 400 to 800 steps, with "
+    "Newton's method and with one linearized solve a step. Error: its distance from the scheme's.",
 )
 FLIGHT = Group(
     "flight",

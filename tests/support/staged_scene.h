@@ -34,8 +34,8 @@ class StagedScene {
         view(model::bind<Real>(model, arena_)),
         stages_(step::list_stages(model)) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
-    *const_cast<view::StepControl<Real>*>(view.state.control) =
-        backend::control_of<Real>(model, {.dt_s = model.dt_s, .cg_max_iterations = model.cg_max_iterations}, {});
+    *const_cast<view::StepControl<Real>*>(view.state.control) = backend::control_of<Real>(
+        model, {.dt_s = model.dt_s, .cg_max_iterations = model.cg_max_iterations, .projects_stiffness = true}, {});
   }
 
   /// Runs the model's stages up to and with `last`, each by all patches.

@@ -43,7 +43,6 @@ TEST_P(Equilibrium, ALoadThatFailsAtOnceIsReachedInParts) {
   const auto at_once = start(bent_bar(60));
   ASSERT_TRUE(at_once->step(false)) << to_text(*at_once->guard_event(), at_once->model());
   ASSERT_NE(at_once->guard_event(), nullptr) << "the load is too much for one part; make it larger";
-  EXPECT_EQ(at_once->guard_event()->first.breach, Breach::kNoEquilibrium);
   EXPECT_GT(at_once->guard_event()->steps, 1u);
   EXPECT_TRUE(at_once->last().converged);
   const double reached = lowest(*at_once);
@@ -81,7 +80,7 @@ TEST_P(Equilibrium, ALoadWithoutEquilibriumStopsTheScene) {
 }
 
 TEST_P(Equilibrium, AStepThatMayStayUnconvergedIsKept) {
-  v1::Scene scene = bent_bar(20);
+  v1::Scene scene = bent_bar(2, "stable_neo_hookean");
   scene.mutable_solver()->set_newton_max_iterations(2);
   EXPECT_FALSE(start(scene)->step(false));
   scene.mutable_solver()->set_allow_unconverged(true);
@@ -104,7 +103,8 @@ TEST_P(Equilibrium, AnEquilibriumMayBeFarAway) {
   EXPECT_GT(world->last().max_move_m, 1.5);
 }
 
-/// Pressure acts on a linear body: the default tolerances leave less than a thousandth of the load.
+/// The default tolerances leave less than a thousandth of a linear body's deflection. In float, rounding of a slender
+/// bar's forces leaves more.
 TEST_P(Equilibrium, DefaultTolerancesAreAsAccurateAsTightOnes) {
   for (const bool double_precision : {false, true}) {
     double stretch[2];
@@ -120,7 +120,7 @@ TEST_P(Equilibrium, DefaultTolerancesAreAsAccurateAsTightOnes) {
       ASSERT_TRUE(world->step(false));
       stretch[tight ? 1 : 0] = lowest(*world);
     }
-    EXPECT_NEAR(stretch[0] / stretch[1], 1, 1e-3);
+    EXPECT_NEAR(stretch[0] / stretch[1], 1, double_precision ? 1e-5 : 5e-3);
   }
 }
 

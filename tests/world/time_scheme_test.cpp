@@ -21,9 +21,9 @@ class TimeScheme : public tests::OnBackend {
                                          .size_x_m = 0.8,
                                          .size_y_m = 0.1,
                                          .size_z_m = 0.1,
+                                         .double_precision = true,
                                          .young_modulus_pa = 1e5,
                                          .dt_s = dt_s,
-                                         .double_precision = true,
                                          .cg_max_iterations = 2000,
                                          .cg_tolerance = 1e-10});
     scene.mutable_solver()->set_integrator(integrator);
