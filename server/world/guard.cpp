@@ -176,11 +176,20 @@ BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& ener
   if (!(result.cg_relative_residual <= max_residual_)) {
     return {Breach::kLinearResidual, result.cg_relative_residual, max_residual_};
   }
-  const double there =
-      energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
-  const double bound = max_energy_ratio_ * there + least_energy_j_;
+  const double bound = kinetic_bound_j(result, energy, max_energy_ratio_);
   if (checks_energy_ && !(result.kinetic_energy_j <= bound)) return {Breach::kEnergy, result.kinetic_energy_j, bound};
   return {};
+}
+
+bool Guard::trusts(const solver::StepResult& result, const StepEnergy& energy) const {
+  return !checks_energy_ || result.kinetic_energy_j <= kinetic_bound_j(result, energy, 1);
+}
+
+/// Returns `ratio` times the energy that can be kinetic after the step, plus what is always allowed.
+double Guard::kinetic_bound_j(const solver::StepResult& result, const StepEnergy& energy, double ratio) const {
+  const double there =
+      energy.available_j + energy.contacts_j + std::max(result.work_j, 0.0) + std::max(energy.tools_work_j, 0.0);
+  return ratio * there + least_energy_j_;
 }
 
 std::span<const Retry> retries(const model::Model& m) {

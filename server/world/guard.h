@@ -98,8 +98,13 @@ class Guard {
   explicit Guard(const model::Model& model);
   /// Returns the first bound that the step left, if any. NaN leaves every bound.
   BoundCheck check(const solver::StepResult& result, const StepEnergy& energy) const;
+  /// Returns whether a step within the bounds has no more kinetic energy than there can be. Far from rest, a linearized
+  /// step with a nearly singular stiffness has: it stays within the bounds at first and leaves them steps later.
+  bool trusts(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:
+  double kinetic_bound_j(const solver::StepResult& result, const StepEnergy& energy, double ratio) const;
+
   double max_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_, newton_tolerance_;
   bool checks_energy_, must_converge_;
 };

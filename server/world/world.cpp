@@ -100,7 +100,8 @@ BoundCheck World::plan_step(bool gather_visible) {
   const bool projects = projection_.active();
   BoundCheck check = make_step(kAsPlanned, projects, cg_limit_, true, gather_visible);
   bool consistent = !projects;
-  const bool failed = last_.negative_curvature || (!check.good() && check.breach != Breach::kLinearResidual);
+  const bool failed =
+      last_.negative_curvature || !trusted_ || (!check.good() && check.breach != Breach::kLinearResidual);
   if (consistent && model_->has_refreshed_tensors() && failed) {
     projection_.begin();
     consistent = false;
@@ -169,6 +170,7 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
     }
     energy.tools_work_j = tools_work_j_;
     const BoundCheck check = guard_.check(last_, energy);
+    trusted_ = guard_.trusts(last_, energy);
     last_.cg_iterations += before.cg_iterations;
     last_.newton_iterations += before.newton_iterations;
     last_.converged = last_.converged && before.converged;

@@ -25,7 +25,7 @@ namespace tensormass::world {
 /// last good step.
 ///
 /// A step that is linearized once uses the consistent stiffness. It may be indefinite, in strong compression. If
-/// conjugate gradients find that, or the step leaves a bound, the step is repeated with the stiffness projected to
+/// conjugate gradients find that, or the guard does not trust the step, it is repeated with the stiffness projected to
 /// positive definite. The following steps then project it too, for as long as Projection says.
 ///
 ///     dt        length of a step [s]
@@ -130,6 +130,7 @@ class World {
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
   Projection projection_;
+  bool trusted_ = true;  // Guard::trusts of the last part
   GuardEvent event_;
   bool has_event_ = false;
   std::uint32_t cg_limit_;

@@ -87,3 +87,23 @@ def test_skins_are_closed_fine_and_on_the_surface(name: str) -> None:
     assert uses == {2}
     assert np.abs(shape.inside(skin.vertices)).max() < 1e-5
     assert len(skin.vertices) > 3 * len(mesh_geometry.boundary(shape.volume()).vertices)
+
+
+def test_a_focus_makes_cells_smaller_where_it_is() -> None:
+    shape = organ.ORGANS["liver"]
+    assert shape.focus is not None
+    volume = shape.volume(graded=True)
+    quality = mesh_geometry.quality(volume)
+    assert quality.element_counts["tetrahedron"] == pytest.approx(2400, rel=0.1)
+    assert quality.inverted_count == 0
+    assert quality.min_dihedral_angle_deg > 11  # drawn together, cells lose some of their angles
+    corners = volume.nodes[volume.elements("tetrahedron")]
+    edges = np.linalg.norm(corners[:, 1:] - corners[:, :1], axis=2).max(axis=1)
+    distance = np.linalg.norm(corners.mean(axis=1) - shape.focus.center_m, axis=1)
+    near, far = np.median(edges[distance < 0.015]), np.median(edges[distance > 0.1])
+    assert near < 0.5 * far
+    # Lattice points come to where `before` says that they do.
+    for wanted in (0.01, 0.1):
+        at = shape.focus.center_m + np.array([shape.focus.before(wanted), 0, 0])
+        placed = shape.focus.placed(at[None])[0]
+        assert np.linalg.norm(placed - shape.focus.center_m) == pytest.approx(wanted)

@@ -118,9 +118,9 @@ def test_equilibrium_in_one_step(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert errors_of(result)["force"] is None
     assert errors_of(result)["frequency"] is None
     assert errors_of(result, newton_max_iterations=1)["displacement"] > errors_of(result)["displacement"]
-    # A setting without equilibrium is not a result; written files are solved unchanged.
+    # Two iterations reach the load in parts; written files are solved unchanged.
     (capped,) = (of for of in result["measurements"] if of["setting"] == {"newton_max_iterations": 2})
-    assert "newton_tolerance" in capped["failure"]
+    assert not capped["failure"]
     fastest, out = tmp_path / "out" / "fastest.yaml", tmp_path / "fastest.vtu"
     assert main(["solve", str(fastest), "--out", str(out), "--backend", "cpu", "--cpu-threads", "1"]) == 0
 

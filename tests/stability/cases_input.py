@@ -69,6 +69,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     scene.solver.floor_tolerance, scene.solver.budget_s = 1e-2, 1.0
     scene.solver.newton_max_iterations = 2
     scene.streams.frame_rate_hz, scene.streams.status_rate_hz = 60, 4
+    scene.guard.max_move_m, scene.guard.max_distance_m, scene.guard.max_energy_ratio = 1, 10, 4
     scene.gravity_m_per_s2.z = -1
     first = scene.bodies[0]
     first.rayleigh_mass_per_s, first.rayleigh_stiffness_s = 1, 1e-3

@@ -383,6 +383,10 @@ TEST(GuardBounds, KineticEnergyMayReachTheAvailableEnergy) {
   EXPECT_TRUE(guard.check(loaded, {}).good());
   EXPECT_EQ(guard.check(moving, {.available_j = 0.2, .tools_work_j = -10}).breach, Breach::kEnergy);
 
+  EXPECT_TRUE(guard.trusts(moving, {.available_j = 1}));
+  EXPECT_FALSE(guard.trusts(moving, {.available_j = 0.9})) << "within the bound, and still from nowhere";
+  EXPECT_TRUE(guard.check(moving, {.available_j = 0.9}).good());
+
   EnergyBalance balance(model);
   balance.add_step(1, 2, 3);
   balance.add_step(2, 1, -4);

@@ -24,6 +24,14 @@ PROMISES = {
     "accurate": "the most accurate that takes at most twice the time",
 }
 
+_AT_THE_TOOL: Setting = {"grading": "graded", "element_order": "quadratic"}
+#: What `tensormass run` makes of a built-in scene on a backend without --preset: the best force on the tool for which
+#: two cores take less than 1/60 s a step, an H200 less than 0.9 ms (docs/choosing.md).
+FOR_BACKEND: dict[str, dict[str, Setting]] = {
+    "cpu": {"demo": _AT_THE_TOOL},
+    "cuda": {"demo": {**_AT_THE_TOOL, "resolution": 2.0, "dt_s": 1 / 960, "cg_tolerance": 0.1}},
+}
+
 
 def all_presets() -> dict[str, dict[str, Setting]]:
     """Returns all presets, [scene][preset]."""
@@ -50,3 +58,16 @@ def read_scene(path: str | Path, preset: str | None) -> Scene:
     if preset not in of_scene:
         raise InvalidArgumentError(f"--preset {preset}: {file.builtin} has {', '.join(of_scene)}")
     return Scene(message=Knobs(file, cache_folder() / "presets").apply(of_scene[preset]).message())
+
+
+def read_for_backend(path: str | Path, backend: str) -> Scene | None:
+    """Reads a built-in scene as it fits a backend, "cpu" or "cuda"; None if nothing was found for it.
+
+    Raises:
+        InvalidArgumentError: there is no such scene.
+    """
+    file = SceneFile.read(path)
+    setting = FOR_BACKEND.get(backend, {}).get(file.builtin or "")
+    if setting is None:
+        return None
+    return Scene(message=Knobs(file, cache_folder() / "presets").apply(setting).message())

@@ -106,11 +106,14 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         server = await asyncio.to_thread(launch, backend=args.backend, cpu_threads=args.cpu_threads)
         parts.callback(server.close)
         parts.enter_context(end_explained(server.process, server.log_file))
+        version = server.version()
+        if args.preset is None and args.rate is None:
+            fitting = await asyncio.to_thread(presets.read_for_backend, args.scene, version.backend)
+            scene = scene if fitting is None else fitting
         handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
         parts.enter_context(announced(server.address, handle.name))
         if args.seconds is not None:
             asyncio.get_running_loop().call_later(args.seconds, stop.set)
-        version = server.version()
         _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
         if args.verbose and handle.report is not None:
             _say(args, report_text(handle.report, scene.message))

@@ -269,17 +269,19 @@ class Scene:
         cg_tolerance: float | None = None,
         newton_max_iterations: int | None = None,
         newton_tolerance: float | None = None,
+        allow_unconverged: bool | None = None,
         cpu_threads: int | None = None,
     ) -> None:
         """Changes settings of the solver. None leaves a setting as it is; `Solver` in scene.proto has the defaults.
 
         Args:
-            integrator: "implicit_euler", "bdf2" or "quasi_static".
+            integrator: "implicit_euler", "bdf2", "implicit_midpoint" or "quasi_static".
             precision: "float" or "double".
             cg_max_iterations: limit of conjugate-gradient iterations of a linear solve.
             cg_tolerance: residual at which a linear solve ends, relative to its right-hand side.
             newton_max_iterations: limit of linear solves in a step; 1 linearizes once.
             newton_tolerance: residual at which Newton's method ends, relative to the forces at work.
+            allow_unconverged: keep a quasi-static step that ends above it, instead of stopping the scene.
             cpu_threads: threads of the scene on the CPU backend.
 
         Raises:

@@ -11,7 +11,7 @@ from google.protobuf.message import Message
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.scene_fields import checked_fields
 
-Integrator = Literal["implicit_euler", "bdf2", "quasi_static"]
+Integrator = Literal["implicit_euler", "bdf2", "implicit_midpoint", "quasi_static"]
 Precision = Literal["float", "double"]
 
 

@@ -83,6 +83,7 @@ class Knobs:
         self.without: dict[str, str] = {name: f"one choice, not measured: {what}" for name, what in ONE_CHOICE.items()}
         self._setters: dict[str, Callable[[dict[str, Any], Value], None]] = {
             "resolution": self._set_resolution,
+            "grading": self._set_grading,
             "shape": self._set_shape,
             "law": self._set_law,
             "element_order": self._set_element_order,
@@ -97,7 +98,7 @@ class Knobs:
         self._find_time_knobs()
         self._find_solver_knobs()
         #: Knobs of the mesh that a reference may refine, even if `choose` drops them.
-        self.refinable = {"resolution", "shape", "element_order"} & set(self.knobs)
+        self.refinable = {"resolution", "grading", "shape", "element_order"} & set(self.knobs)
 
     # --- settings -----------------------------------------------------------------------------------------------------
 
@@ -213,6 +214,11 @@ class Knobs:
             self.without["resolution"] = "; ".join(reasons)
         else:
             self._add("resolution", "elements along an edge, against the scene's own", 1.0, _RESOLUTIONS, True)
+        organs = [self._organ(self.file.fields["bodies"][index]["mesh"]) for index in range(len(bodies))]
+        if reasons or any(organ is None or ORGANS[organ[0]].focus is None for organ in organs):
+            self.without["grading"] = "; ".join(reasons) or "only the built-in liver has a place where tools act"
+        else:
+            self._add("grading", "cells of one size, or smaller where tools act", "uniform", ("uniform", "graded"))
         shapes = {_shape_of_grid(body) for body in bodies if body.mesh.WhichOneof("source") == "grid"}
         orders = {body.element_order or scene_pb2.ELEMENT_ORDER_AS_GIVEN for body in bodies}
         self._own_shape = "tetrahedron" if all(map(_is_tetrahedral, bodies)) else "any"
@@ -308,20 +314,35 @@ class Knobs:
                 return
             organ = self._organ(mesh)
             assert organ is not None
-            path = (self._mesh_folder / f"{organ}-{factor:g}.msh").resolve()
-            if path not in self._made:
-                self._mesh_folder.mkdir(parents=True, exist_ok=True)
-                finer = replace(ORGANS[organ], cell_m=ORGANS[organ].cell_m / factor)
-                mesh_files.write_mesh(path, finer.volume())
-                self._made.add(path)
-            mesh["file"] = str(path)
+            mesh["file"] = self._mesh_again(organ[0], factor, organ[2])
 
         each_body(fields, set_of)
 
-    def _organ(self, mesh: Mapping[str, Any]) -> str | None:
-        """Returns the built-in organ of a mesh, which can be meshed more finely; None for other meshes."""
-        stem = Path(mesh.get("file", "")).stem
-        return stem if self.file.builtin is not None and stem in ORGANS else None
+    def _set_grading(self, fields: dict[str, Any], value: Value) -> None:
+        def set_of(body: dict[str, Any]) -> None:
+            organ = self._organ(body["mesh"])
+            assert organ is not None
+            body["mesh"]["file"] = self._mesh_again(organ[0], organ[1], value == "graded")
+
+        each_body(fields, set_of)
+
+    def _mesh_again(self, name: str, factor: float, graded: bool) -> str:
+        """Meshes an organ with `factor` times the cells along an edge. Returns the file, which `_organ` knows again."""
+        path = (self._mesh_folder / f"{name}-{'graded' if graded else 'uniform'}-{factor:g}.msh").resolve()
+        if path not in self._made:
+            self._mesh_folder.mkdir(parents=True, exist_ok=True)
+            organ = replace(ORGANS[name], cell_m=ORGANS[name].cell_m / factor)
+            mesh_files.write_mesh(path, organ.volume(graded=graded))
+            self._made.add(path)
+        return str(path)
+
+    def _organ(self, mesh: Mapping[str, Any]) -> tuple[str, float, bool] | None:
+        """Returns the built-in organ of a mesh, its resolution, and whether it is graded; None for other meshes, which
+        cannot be meshed again."""
+        name, *made = Path(mesh.get("file", "")).stem.split("-")
+        if self.file.builtin is None or name not in ORGANS:
+            return None
+        return (name, float(made[1]), made[0] == "graded") if made else (name, 1.0, False)
 
     def _set_shape(self, fields: dict[str, Any], value: Value) -> None:
         def set_of(body: dict[str, Any]) -> None:

@@ -1,0 +1,162 @@
+"""The force in the hand on the demo organ, by mesh and rate: results/press-<backend>.json.
+
+python -m accuracy.press [--backend cpu|cuda] [--only NAME,..]
+
+The probe presses to half its radius and to its whole radius, and stays at each. On a GPU errors are measured against
+the finest mesh of the list, at 960 Hz. It is graded; the finest uniform mesh is another discretization, and its
+distance says how well the limit is known. Two cores cannot compute the reference, so there only times are measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tensormass._src import mesh_files
+from tensormass._src.errors import TensormassError
+from tensormass._src.launching import launch
+from tensormass._src.organ import ORGANS
+from tensormass._src.scene_file import SceneFile
+from tensormass.v1 import scene_pb2
+from tensormass_tools.trade.knobs import Knobs
+from tensormass_tools.trade.measures import Errors, compare
+from tensormass_tools.trade.recorder import Recorder
+from tensormass_tools.trade.recording import Recording
+from tensormass_tools.trade.script import Script
+
+from . import record
+
+FOLDER = Path(__file__).parent / "results"
+#: Depths in radii of the probe: 6 and 12 mm.
+DEPTHS = (0.5, 1.0)
+#: Time for the steps of a setting that are timed [s].
+TIMED_S = 3.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A mesh of the organ and how it is stepped. resolution: cells along an edge relative to the mesh of its kind."""
+
+    graded: bool
+    quadratic: bool
+    resolution: float
+    rate_hz: float
+    cg_tolerance: float = 0.01
+
+    @property
+    def name(self) -> str:
+        kind = f"{'graded' if self.graded else 'uniform'} {'quadratic' if self.quadratic else 'linear'}"
+        return f"{kind} {self.resolution:g}, {self.rate_hz:g} Hz, CG {self.cg_tolerance:g}"
+
+
+def _settings() -> list[Setting]:
+    uniform = [Setting(False, False, r, rate) for r in (1, 2, 2.8) for rate in (60, 960)]
+    uniform += [Setting(False, True, r, 60) for r in (0.5, 0.7, 1)]
+    uniform += [Setting(False, True, r, 960, 0.1) for r in (0.5, 0.7, 1, 1.2, 1.3, 1.4, 2)]
+    graded = [Setting(True, False, 2, 960, 0.1)]
+    graded += [Setting(True, True, r, 60) for r in (1, 1.15, 1.3)]
+    graded += [Setting(True, True, r, 960, 0.1) for r in (1, 1.5, 2, 2.3, 2.5)]
+    return [*uniform, *graded, Setting(True, True, 4, 960)]
+
+
+SETTINGS = {setting.name: setting for setting in _settings()}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="accuracy.press", description=__doc__)
+    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--only", metavar="PART", help="settings whose names contain this, and the reference")
+    args = parser.parse_args()
+    *names, last = SETTINGS
+    names = [name for name in names if args.only is None or args.only in name]
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder, launch(backend=args.backend, zenoh=False) as server:
+        knobs = Knobs(SceneFile.read("demo"), Path(folder))
+        script = Script.of(knobs.message, None, *DEPTHS)
+        version = server.version()
+        recorder = Recorder(server, knobs.message, script)
+        reference = None
+        if args.backend == "cuda":
+            reference = recorder.record(_scene(knobs, SETTINGS[last], Path(folder)))
+        rows = []
+        for name in names:
+            (found,) = recorder.measure([_scene(knobs, SETTINGS[name], Path(folder))], TIMED_S)
+            if isinstance(found, TensormassError):
+                raise found
+            errors = None
+            if reference is not None:
+                errors = compare(found, reference, recorder.weights, script.held())
+            rows.append(_row(name, found, errors))
+            print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
+            head = record.Head(
+                version.backend,
+                version.device,
+                record.machine(),
+                record.commit(),
+                " ".join(["python -m accuracy.press", *sys.argv[1:]]),
+                time.strftime("%Y-%m-%d"),
+                round(time.monotonic() - began),
+            )
+            record.write(FOLDER / f"press-{args.backend}.json", head.head(), rows)  # a time limit may end the run
+    print(table(rows))
+    return 0
+
+
+def _scene(knobs: Knobs, setting: Setting, folder: Path) -> scene_pb2.Scene:
+    file = knobs.apply({"dt_s": 1 / setting.rate_hz, "cg_tolerance": setting.cg_tolerance})
+    organ = ORGANS["liver"]
+    mesh = folder / "organ.msh"
+    finer = replace(organ, cell_m=organ.cell_m / setting.resolution)
+    mesh_files.write_mesh(mesh, finer.volume(graded=setting.graded))
+    body = file.fields["bodies"][0]
+    body["mesh"] = {"file": str(mesh)}
+    body["element_order"] = "quadratic" if setting.quadratic else "as_given"
+    return file.message()
+
+
+def _row(name: str, of: Recording, errors: Errors | None) -> dict[str, float | str]:
+    row: dict[str, float | str] = {
+        "setting": name,
+        "elements": of.element_count,
+        "step_p50_ms": of.costs.step_p50_s * 1e3,
+        "step_p99_ms": of.costs.step_p99_s * 1e3,
+    }
+    if errors is not None:
+        assert errors.force is not None
+        assert errors.force_held is not None
+        assert errors.force_held_shallow is not None
+        row |= {
+            "held_shallow": errors.force_held_shallow,
+            "held_deep": errors.force_held,
+            "force": errors.force,
+            "displacement": errors.displacement,
+        }
+    return row
+
+
+def table(rows: list[Mapping]) -> str:
+    """Returns the rows as a table in Markdown."""
+    lines = [
+        "| mesh, rate | tetrahedra | force held, 6 / 12 mm | force, whole script | displacement | step p50 / p99 |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        percent = {
+            key: f"{100 * row[key]:.1f} %" if key in row else "–"
+            for key in ("held_shallow", "held_deep", "force", "displacement")
+        }
+        lines.append(
+            f"| {row['setting']} | {row['elements']:,} | {percent['held_shallow']} / {percent['held_deep']} | "
+            f"{percent['force']} | {percent['displacement']} | "
+            f"{row['step_p50_ms']:.3g} / {row['step_p99_ms']:.3g} ms |"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
