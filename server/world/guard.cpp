@@ -14,6 +14,9 @@ namespace {
 
 /// Sizes of the scene. A node that crosses the scene in one step has passed through everything it should touch.
 constexpr double kMaxMove = 1;
+/// Share of the largest move. A step linearized once that moves a node farther is not trusted with an indefinite
+/// stiffness.
+constexpr double kTrustedMove = 0.1;
 /// Sizes of the scene. A fixed body that is stretched to ten times the scene is not tissue any more.
 constexpr double kMaxDistance = 10;
 /// Relative residual of the linear solve. Conjugate gradients may raise it on their way, by less than this.
@@ -182,6 +185,7 @@ BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& ener
 }
 
 bool Guard::trusts(const solver::StepResult& result, const StepEnergy& energy) const {
+  if (!(result.max_move_m <= kTrustedMove * max_move_m_)) return false;
   return !checks_energy_ || result.kinetic_energy_j <= kinetic_bound_j(result, energy, 1);
 }
 

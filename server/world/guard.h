@@ -98,8 +98,9 @@ class Guard {
   explicit Guard(const model::Model& model);
   /// Returns the first bound that the step left, if any. NaN leaves every bound.
   BoundCheck check(const solver::StepResult& result, const StepEnergy& energy) const;
-  /// Returns whether a step within the bounds has no more kinetic energy than there can be. Far from rest, a linearized
-  /// step with a nearly singular stiffness has: it stays within the bounds at first and leaves them steps later.
+  /// Returns whether a step within the bounds moved no node by more than a tenth of the bound, and has no more kinetic
+  /// energy than there can be. Far from rest, a linearized step with a nearly singular stiffness does: it stays within
+  /// the bounds at first and leaves them steps later.
   bool trusts(const solver::StepResult& result, const StepEnergy& energy) const;
 
  private:

@@ -135,14 +135,11 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
     # shapes. Of 410 free cubes 22 ended crumpled, of every shape except the tetrahedron; of 410 clamped ones, one.
     # Before the closed form of the law's stiffness it was 25 and one, for other starts.
     ("stretched to 10×" + _NEWTON, "corotational", SHORT): (
-        (
-            "quadratic_tetrahedron",
-            "quadratic_hexahedron",
-        ),
+        ("quadratic_hexahedron",),
         _ELSEWHERE,
     ),
     ("stretched to 10×, free" + _NEWTON, "corotational", SHORT): (
-        ("hexahedron", "quadratic_tetrahedron", "quadratic_hexahedron"),
+        ("hexahedron", "quadratic_hexahedron"),
         _ELSEWHERE,
     ),
     ("pressed to 1/10, free", "mooney_rivlin", CAUGHT): (
@@ -160,11 +157,13 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
     ("collapsed to a point, free", "stable_neo_hookean", CAUGHT): (_ANY, _STATIONARY),
     ("inverted, free", "corotational", SHORT): (
         (
+            "pyramid",
             "quadratic_tetrahedron",
             "quadratic_hexahedron",
         ),
         _ELSEWHERE,
     ),
+    ("inverted, free", "stable_neo_hookean", SHORT): (("pyramid",), _ELSEWHERE),
     ("at random", "stable_neo_hookean", CAUGHT): (
         ("quadratic_tetrahedron",),
         _IN_SMALL_STEPS,

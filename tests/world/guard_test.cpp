@@ -386,6 +386,8 @@ TEST(GuardBounds, KineticEnergyMayReachTheAvailableEnergy) {
   EXPECT_TRUE(guard.trusts(moving, {.available_j = 1}));
   EXPECT_FALSE(guard.trusts(moving, {.available_j = 0.9})) << "within the bound, and still from nowhere";
   EXPECT_TRUE(guard.check(moving, {.available_j = 0.9}).good());
+  EXPECT_TRUE(guard.trusts({.max_move_m = 0.014}, {}));
+  EXPECT_FALSE(guard.trusts({.max_move_m = 0.016}, {})) << "a tenth of 0.15 m";
 
   EnergyBalance balance(model);
   balance.add_step(1, 2, 3);
