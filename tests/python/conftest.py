@@ -13,6 +13,7 @@ import grpc
 import pytest
 
 import tensormass as tm
+from tensormass._src import processes
 from tensormass.v1 import control_pb2, control_pb2_grpc
 
 
@@ -78,3 +79,14 @@ def viewer(tmp_path: Path) -> Path:
     (folder / "index.html").write_text("<title>viewer</title>")
     (folder / "assets" / "main.js").write_text("1;")
     return folder
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[tm.Server]:
+    """A daemon on one thread, for the tests of a file; they are skipped without a build."""
+    try:
+        processes.find_program("tensormassd", "TENSORMASSD")
+    except tm.NotFoundError as not_built:
+        pytest.skip(str(not_built))
+    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
+        yield server

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass.v1 import scene_pb2
 from tensormass_tools import modes_solver
 from tensormass_tools.cli import main
@@ -182,16 +181,6 @@ def test_scale_and_translation_are_applied() -> None:
 
 
 # --- the server -------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[tm.Server]:
-    try:
-        processes.find_program("tensormassd", "TENSORMASSD")
-    except tm.NotFoundError as not_built:
-        pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
-        yield server
 
 
 def two_tissues(scene: tm.Scene) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass._src.packing import middle_ends, volume_mesh
 from tensormass.v1 import scene_pb2
 
@@ -184,16 +183,6 @@ def test_every_solver_setting_has_an_argument() -> None:
 
 
 # --- with a daemon ----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[tm.Server]:
-    try:
-        processes.find_program("tensormassd", "TENSORMASSD")
-    except tm.NotFoundError as not_built:
-        pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
-        yield server
 
 
 def equilibrium(**options: Any) -> tm.Scene:  # noqa: ANN401

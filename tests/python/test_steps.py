@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import grpc
 import pytest
 from conftest import Recorder
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 Fake = tuple[Recorder, tm.Server]
@@ -146,16 +143,6 @@ def test_a_negative_number_of_steps_is_refused_at_once(recorder: Fake) -> None:
 
 
 # --- with a daemon ----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[tm.Server]:
-    try:
-        processes.find_program("tensormassd", "TENSORMASSD")
-    except tm.NotFoundError as not_built:
-        pytest.skip(str(not_built))
-    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:
-        yield server
 
 
 def swinging(newton_max_iterations: int = 1) -> tm.Scene:
