@@ -93,17 +93,23 @@ bool World::step(bool gather_visible) {
   return true;
 }
 
-/// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately.
+/// Whether a tool feels tissue.
+bool World::touches(std::span<const backend::ToolForce> forces) {
+  return std::any_of(forces.begin(), forces.end(),
+                     [](const backend::ToolForce& force) { return !force.force_n.isZero(0); });
+}
+
+/// Makes the step as planned: in one part, with the consistent stiffness unless that failed lately or a tool touches.
 BoundCheck World::plan_step(bool gather_visible) {
   constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
   if (model_->iterates()) return make_step(kAsPlanned, false, cg_limit_, true, gather_visible);  // newton.h projects
-  const bool projects = projection_.active();
+  const bool projects = projection_.active() || touches(published_);
   BoundCheck check = make_step(kAsPlanned, projects, cg_limit_, true, gather_visible);
   bool consistent = !projects;
   const bool failed =
       last_.negative_curvature || !trusted_ || (!check.good() && check.breach != Breach::kLinearResidual);
-  if (consistent && model_->has_refreshed_tensors() && failed) {
-    projection_.begin();
+  if (consistent && model_->has_refreshed_tensors() && (failed || touches(forces_))) {
+    if (failed) projection_.begin();
     consistent = false;
     state_->restore();
     check = make_step(kAsPlanned, true, cg_limit_, false, gather_visible);
@@ -121,7 +127,9 @@ BoundCheck World::retry(const BoundCheck& first) {
       continue;
     }
     state_->restore();
-    const bool projects = how.fallback_settings || projection_.active();
+    // A step whose iterations were too few is repeated as it was; any other, linearized once, in the safer way.
+    const bool as_planned = first.breach == Breach::kLinearResidual && !projection_.active() && !touches(published_);
+    const bool projects = how.fallback_settings || (!model_->iterates() && !as_planned);
     event_.last = make_step(how, projects, how.iteration_factor * model_->cg_max_iterations, false, false);
     event_.steps = how.steps;
     ++event_.retries;

@@ -26,7 +26,9 @@ namespace tensormass::world {
 ///
 /// A step that is linearized once uses the consistent stiffness. It may be indefinite, in strong compression. If
 /// conjugate gradients find that, or the guard does not trust the step, it is repeated with the stiffness projected to
-/// positive definite. The following steps then project it too, for as long as Projection says.
+/// positive definite. The following steps then project it too, for as long as Projection says. So do steps in which a
+/// tool touches: a tool that moves far within a step compresses elements so much that the consistent stiffness throws
+/// them, and conjugate gradients need not notice.
 ///
 ///     dt        length of a step [s]
 ///     part      one of the equal parts of dt that a retry makes; a step as planned is one part
@@ -81,6 +83,7 @@ class World {
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
+  static bool touches(std::span<const backend::ToolForce> forces);
   BoundCheck plan_step(bool gather_visible);
   BoundCheck retry(const BoundCheck& first);
   BoundCheck make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
