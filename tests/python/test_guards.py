@@ -132,3 +132,18 @@ def test_status_says_where_energy_went(server: tm.Server) -> None:
     assert taken > 0
     assert 0 < status.law_range_used < 1
     assert status.guard_events == 0
+
+
+def test_a_probe_may_dip_fast_and_deep_into_the_demo_organ(server: tm.Server) -> None:
+    """With the consistent stiffness under the probe, the organ's coarse elements were thrown within four steps."""
+    handle = server.load(tm.Scene.from_file("demo"), lockstep=True, name="pressed")
+    handle.step(120)
+    handle.move_tool("probe", (-0.03, 0.02, 0.0426))  # 15 mm deep, as fast as the probe may move
+    forces_n = []
+    for _ in range(60):
+        handle.step()
+        forces_n.append(float(np.linalg.norm(handle.feedback("probe").force_n)))
+    assert handle.status().guard_events == 0
+    assert forces_n[-1] > 1
+    assert max(forces_n) < 1.5 * forces_n[-1], "no blow on the way"
+    handle.unload()

@@ -296,25 +296,6 @@ TEST_P(Guarding, WorkOfToolsIsCounted) {
   EXPECT_GT(world->energy().dissipated_j().value(), 0);
 }
 
-/// A probe that dips into coarse tissue by more than its radius within a few steps. With the consistent stiffness the
-/// tissue was thrown, and the guard stopped the scene.
-TEST_P(Guarding, AFastDeepPressIsWithstood) {
-  v1::Scene scene = tests::block_with_probe(false, 4);
-  *scene.mutable_bodies(0)->mutable_law() = tests::law("stable_neo_hookean", 5e3, 0.45);
-  scene.mutable_stepping()->set_dt_s(1.0 / 60);
-  scene.mutable_tools(0)->set_max_speed_m_per_s(0.5);
-  const auto world = start(scene);
-  world->set_tool_target(0, {{0.05, 0.04, 0.05}, {1, 0, 0, 0}});
-  double most_n = 0;
-  for (int i = 0; i < 120; ++i) {
-    ASSERT_TRUE(world->step(false)) << to_text(*world->guard_event(), world->model());
-    most_n = std::max(most_n, world->readings()[0].force_n.norm());
-  }
-  const double held_n = world->readings()[0].force_n.norm();
-  EXPECT_GT(held_n, 0);
-  EXPECT_LT(most_n, 3 * held_n) << "no blow on the way";
-}
-
 TM_ON_EACH_BACKEND(Guarding);
 
 model::Model model_of(const v1::Scene& scene) { return std::move(model::compile(scene, {1, 1}).value()); }
