@@ -14,8 +14,8 @@ namespace {
 
 /// Sizes of the scene. A node that crosses the scene in one step has passed through everything it should touch.
 constexpr double kMaxMove = 1;
-/// Share of the largest move. A step linearized once that moves a node farther is not trusted with an indefinite
-/// stiffness.
+/// Share of the largest move. If a step that is linearized once moves a node farther, it is not trusted with the
+/// consistent stiffness.
 constexpr double kTrustedMove = 0.1;
 /// Sizes of the scene. A fixed body that is stretched to ten times the scene is not tissue any more.
 constexpr double kMaxDistance = 10;

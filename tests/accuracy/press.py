@@ -14,16 +14,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from tensormass._src import mesh_files
 from tensormass._src.errors import TensormassError
 from tensormass._src.launching import launch
-from tensormass._src.organ import ORGANS
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade.knobs import Knobs
+from tensormass_tools.trade.knobs import Setting as Values
 from tensormass_tools.trade.measures import Errors, compare
 from tensormass_tools.trade.recorder import Recorder
 from tensormass_tools.trade.recording import Recording
@@ -82,10 +81,10 @@ def main() -> int:
         recorder = Recorder(server, knobs.message, script)
         reference = None
         if args.backend == "cuda":
-            reference = recorder.record(_scene(knobs, SETTINGS[last], Path(folder)))
+            reference = recorder.record(_scene(knobs, SETTINGS[last]))
         rows = []
         for name in names:
-            (found,) = recorder.measure([_scene(knobs, SETTINGS[name], Path(folder))], TIMED_S)
+            (found,) = recorder.measure([_scene(knobs, SETTINGS[name])], TIMED_S)
             if isinstance(found, TensormassError):
                 raise found
             errors = None
@@ -107,16 +106,15 @@ def main() -> int:
     return 0
 
 
-def _scene(knobs: Knobs, setting: Setting, folder: Path) -> scene_pb2.Scene:
-    file = knobs.apply({"dt_s": 1 / setting.rate_hz, "cg_tolerance": setting.cg_tolerance})
-    organ = ORGANS["liver"]
-    mesh = folder / "organ.msh"
-    finer = replace(organ, cell_m=organ.cell_m / setting.resolution)
-    mesh_files.write_mesh(mesh, finer.volume(graded=setting.graded))
-    body = file.fields["bodies"][0]
-    body["mesh"] = {"file": str(mesh)}
-    body["element_order"] = "quadratic" if setting.quadratic else "as_given"
-    return file.message()
+def _scene(knobs: Knobs, setting: Setting) -> scene_pb2.Scene:
+    values: Values = {
+        "grading": "graded" if setting.graded else "uniform",
+        "element_order": "quadratic" if setting.quadratic else "as_given",
+        "resolution": setting.resolution,
+        "dt_s": 1 / setting.rate_hz,
+        "cg_tolerance": setting.cg_tolerance,
+    }
+    return knobs.apply(values).message()
 
 
 def _row(name: str, of: Recording, errors: Errors | None) -> dict[str, float | str]:

@@ -57,17 +57,20 @@ def read_scene(path: str | Path, preset: str | None) -> Scene:
     of_scene = presets[file.builtin]
     if preset not in of_scene:
         raise InvalidArgumentError(f"--preset {preset}: {file.builtin} has {', '.join(of_scene)}")
-    return Scene(message=Knobs(file, cache_folder() / "presets").apply(of_scene[preset]).message())
+    return _with_setting(file, of_scene[preset])
 
 
 def read_for_backend(path: str | Path, backend: str) -> Scene | None:
     """Reads a built-in scene as it fits a backend, "cpu" or "cuda"; None if nothing was found for it.
 
     Raises:
-        InvalidArgumentError: there is no such scene.
+        NotFoundError: the path names neither a file nor a built-in scene.
     """
     file = SceneFile.read(path)
     setting = FOR_BACKEND.get(backend, {}).get(file.builtin or "")
-    if setting is None:
-        return None
+    return None if setting is None else _with_setting(file, setting)
+
+
+def _with_setting(file: SceneFile, setting: Setting) -> Scene:
+    """Applies a setting. Organs that it meshes again go into the cache."""
     return Scene(message=Knobs(file, cache_folder() / "presets").apply(setting).message())

@@ -86,7 +86,7 @@ class Reference:
     order: float
     #: Reason why it is not refined further.
     ended: str
-    #: The last levels in the other discretization, coarse to fine; empty if there is none.
+    #: The last levels in the other discretization, the coarsest first. Empty if the scene has only one discretization.
     other: list[Level] = field(default_factory=list)
     #: True if the distance of the other discretization made an error bar larger.
     raised: bool = False
