@@ -218,8 +218,7 @@ std::string to_text(const GuardEvent& event, const model::Model& m) {
   }
   return fmt::format(
       "{}. {} retries with smaller steps and fallback settings did not help; the last of them: {}. {}. Reset the "
-      "scene. "
-      "Then make dt_s smaller or the loads gentler, or take a law that stands the load: {}",
+      "scene. Then make dt_s smaller or the loads gentler, or take a law that stands the load: {}",
       what, event.retries, to_text(event.last), stopped, kLawsThatRecover);
 }
 
