@@ -119,6 +119,8 @@ view::StepControl<Real> control_of(const model::Model& m, const StepInput& input
   out.cg_max_iterations = input.cg_max_iterations;
   out.saves_checkpoint = input.saves_checkpoint ? 1 : 0;
   out.projects_stiffness = input.projects_stiffness ? 1 : 0;
+  // A retry does not start from the solution of the step that failed.
+  out.starts_from_last = input.saves_checkpoint && !starts && !m.iterates() ? 1 : 0;
   return out;
 }
 

@@ -14,7 +14,7 @@
 ///   α         r·r / p·q, the step along p:     x += α p,  r' = r − α q
 ///   β         r'·r' / r·r, next direction:     p' = r' + β p
 ///
-///   start: x = 0, r = p = b̂
+///   start: x = 0, r = b̂, p = x of the last step
 ///
 ///   own rows: q = Â p ──> exchange q, p·q, q·q, r·r ──> α, β ──┬──> own rows: update x, r, p ──> next iteration
 ///                                                              └──> halo:     update r, p
@@ -26,6 +26,10 @@
 /// 4. r·r itself is summed afresh in every iteration, which keeps the recurrence from drifting (Saad 1985; Meurant
 ///    1987).
 /// 5. Sums run in a fixed order: results repeat bitwise for the same number of patches.
+/// 6. The first iteration searches along the last step's solution, with α = p·r / p·q and β = 0. Successive steps
+///    resemble each other, so it brings the solve as far as many iterations do. Then conjugate gradients start at
+///    p = r. docs/decisions/preconditioner.md has the gain, and says why x does not start at that solution itself.
+///    The first step of a scene and retries have no solution to start from: they begin with p = b̂.
 namespace tensormass::solver {
 
 /// The scalars of the iteration: α, β and when it ends. They are the same in every patch.
@@ -34,13 +38,33 @@ class Recurrence {
  public:
   TM_HOST_DEVICE Recurrence(const view::StateView<Real>& state, const view::SolveView<Real>& solve)
       : tolerance_squared_(solve.cg_tolerance * solve.cg_tolerance),
-        max_iterations_(state.control->cg_max_iterations) {}
+        max_iterations_(state.control->cg_max_iterations),
+        starts_from_last_(may_start_from_last(state)) {}
+
+  /// Whether a solve starts from the last step's solution. If it has one iteration only, that must be a search along
+  /// the residual.
+  TM_HOST_DEVICE static bool may_start_from_last(const view::StateView<Real>& state) {
+    return state.control->starts_from_last != 0 && state.control->cg_max_iterations > 1;
+  }
+  /// Whether the coming iteration searches along the last step's solution.
+  TM_HOST_DEVICE bool is_along_last() const { return starts_from_last_ && iterations_ == 0; }
 
   /// Takes the sums of an iteration and computes α and β. Returns false if the solve must end without an update: the
   /// residual is zero or not a number, or the curvature p·q is not positive.
+  /// qq: p·r instead, if the iteration is along the last step's solution.
   TM_HOST_DEVICE bool take(Real pq, Real qq, Real rr) {
     if (iterations_ == 0) first_rr_ = rr_next_ = rr;
     if (!(rr > 0)) return false;  // solved exactly, or not a number
+    if (is_along_last()) {
+      alpha_ = pq > 0 ? quotient(qq, pq) : Real(0);
+      beta_ = 0;
+      ++iterations_;
+      return true;
+    }
+    if (starts_from_last_ && iterations_ == 1) {
+      rr_next_ = rr;
+      if (!goes_on()) return false;  // the last step's solution was good enough
+    }
     if (!(pq > 0)) {
       negative_curvature_ = pq != 0;  // zero: the residual is so small that products underflow
       return false;
@@ -70,13 +94,14 @@ class Recurrence {
  private:
   Real tolerance_squared_;
   std::uint32_t max_iterations_;
+  bool starts_from_last_;
   Real alpha_ = 0, beta_ = 0, first_rr_ = 0, rr_next_ = 0;
   std::uint32_t iterations_ = 0;
   bool negative_curvature_ = false;
 };
 
-/// Solves Â x = b̂, starting at x = 0. The system must be scaled: `edges` holds Â, `rhs` holds b̂.
-/// Reads edges, rhs; writes solution, residual, direction, product, own_product, reduction, solve_report.
+/// Solves Â x = b̂. The system must be scaled: `edges` holds Â, `rhs` holds b̂, and `solution` is also `last`.
+/// Reads edges, rhs, solution; writes solution, residual, direction, product, own_product, reduction, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
                                                    const view::StateView<Real>& state,
@@ -88,18 +113,22 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
   Real* r = solve.residual + 4 * patch.local_begin;
   Real* p = solve.direction + 4 * patch.local_begin;
 
+  const bool starts_from_last = Recurrence<Real>::may_start_from_last(state);
   const auto start_from = [&](std::uint32_t local, std::uint32_t row) {
     const Real* b = matrix.rhs + std::size_t{4} * row;
+    const Real* start = starts_from_last ? solve.last + std::size_t{4} * row : b;
     for (int c = 0; c < 4; ++c) {
       // The fourth component is padding. It must be zero even if an earlier solve has left NaN there.
-      r[std::size_t{4} * local + c] = p[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
+      r[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
+      p[std::size_t{4} * local + c] = c < 3 ? start[c] : Real(0);
     }
   };
   team.for_each(0, patch.own(), [&](std::uint32_t local) {
     const std::size_t row = std::size_t{patch.row_begin} + local;
     start_from(local, patch.row_begin + local);
     for (int c = 0; c < 4; ++c) {
-      solve.solution[4 * row + c] = 0;
+      // Other patches read the last solution until the first exchange.
+      if (!starts_from_last) solve.solution[4 * row + c] = 0;
       if (matrix::stores_edges(matrix)) solve.own_product[4 * row + c] = 0;
     }
   });
@@ -108,10 +137,11 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
   team.sync();
 
   // r·r of the own rows is summed where r is computed: here, and in each update.
-  T sum_rr = T(0);
+  T sum_rr = T(0), sum_pr = T(0);
   team.template for_lanes<Lanes::kWidth>(0, 4 * patch.own(), [&](std::uint32_t c) {
     const T residual = Lanes::load(r + c);
     sum_rr += residual * residual;
+    sum_pr += residual * Lanes::load(p + c);
   });
   Recurrence<Real> recurrence(state, solve);
   do {
@@ -145,9 +175,15 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
         sum_qq += q[0] * q[0] + q[1] * q[1] + q[2] * q[2];
       });
     }
-    Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(sum_qq), Lanes::sum(sum_rr)};
+    const bool along_last = recurrence.is_along_last();
+    Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(along_last ? sum_pr : sum_qq), Lanes::sum(sum_rr)};
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
-    if (!recurrence.take(sums[0], sums[1], sums[2])) break;
+    if (!recurrence.take(sums[0], sums[1], sums[2])) {
+      if (along_last) {  // nothing to solve: `solution` still holds the last one
+        team.for_each(4 * patch.row_begin, 4 * patch.row_end, [&](std::uint32_t c) { solve.solution[c] = 0; });
+      }
+      break;
+    }
     const Real alpha = recurrence.alpha(), beta = recurrence.beta();
     // Component by component: a row has four, and the fourth stays zero.
     sum_rr = T(0);
@@ -155,7 +191,9 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
       const T direction = Lanes::load(p + c);
       const T residual = next_residual(Lanes::load(r + c), Lanes::load(own_product + c), T(alpha));
-      const T solution = next_solution(Lanes::load(solve.solution + of_scene), direction, T(alpha));
+      // Before an iteration along the last solution, x is zero, and `solution` still holds the last one.
+      const T before = along_last ? T(0) : Lanes::load(solve.solution + of_scene);
+      const T solution = next_solution(before, direction, T(alpha));
       Lanes::store(solve.solution + of_scene, solution);
       Lanes::store(r + c, residual);
       Lanes::store(p + c, next_direction(residual, direction, T(beta)));

@@ -37,6 +37,7 @@ struct StepControl {
   std::uint32_t cg_max_iterations;
   std::uint32_t saves_checkpoint;    // 1: save the state before the step, for a guard that takes the step back
   std::uint32_t projects_stiffness;  // 1: a step that is linearized once projects the stiffness to positive definite
+  std::uint32_t starts_from_last;    // 1: the solve searches along the last step's solution first
 };
 
 /// Fields of rows, [row_count, 4] each.

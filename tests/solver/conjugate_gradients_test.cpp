@@ -203,6 +203,67 @@ TEST_P(Patches, ReportNan) {
   }
 }
 
+/// Lets the next solve start from what `last` holds, a field of Δv before it is scaled.
+template <class Real>
+void start_from(StagedScene<Real>& staged, const Eigen::VectorXd& last) {
+  staged.put(staged.view.solve.last, last);
+  const_cast<view::StepControl<Real>*>(staged.view.state.control)->starts_from_last = 1;
+}
+
+TEST_P(Patches, NeedNoIterationMoreIfTheLastSolutionIsRight) {
+  StagedScene<double> first = assembled<double>(GetParam());
+  const Eigen::VectorXd expected = solve(first);
+  for (const double length : {1.0, -0.3}) {  // the search along it finds the length
+    StagedScene<double> staged = assembled<double>(GetParam());
+    start_from(staged, length * first.by_node(first.view.solve.solution));
+    EXPECT_LT((solve(staged) - expected).norm(), 1e-12 * expected.norm());
+    EXPECT_LE(staged.view.solve.report->iterations, 3u);
+  }
+}
+
+TEST_P(Patches, SolveTheSameSystemWhereverTheyStart) {
+  StagedScene<double> cold = assembled<double>(GetParam());
+  const Eigen::VectorXd expected = solve(cold);
+  const Eigen::Index size = expected.size();
+  for (const Eigen::VectorXd& last :
+       {Eigen::VectorXd(tests::random_field(size, 1e3, 7)), Eigen::VectorXd(Eigen::VectorXd::Zero(size))}) {
+    StagedScene<double> staged = assembled<double>(GetParam());
+    start_from(staged, last);
+    EXPECT_LT((solve(staged) - expected).norm(), 1e-10 * expected.norm());
+    EXPECT_LE(staged.view.solve.report->relative_residual, kBeam.cg_tolerance);
+  }
+}
+
+/// Each iterate has less energy ½ x·Â x − b̂·x than x = 0 has, however bad the start and however few the iterations. So a
+/// solve that ends early adds no energy to a scene.
+TEST_P(Patches, NeverAddEnergyByTheirStart) {
+  for (const std::uint32_t iterations : {2u, 3u, 8u}) {
+    tests::Beam beam = kBeam;
+    beam.cg_max_iterations = iterations;
+    beam.cg_tolerance = 0;
+    StagedScene<double> staged = assembled<double>(GetParam(), beam);
+    start_from(staged, tests::random_field(3 * staged.node_count(), 10, 7));
+    staged.run(StageKind::kFactorize);
+    staged.run(StageKind::kScaleEdges);
+    staged.run(StageKind::kSolve);
+    EXPECT_EQ(staged.view.solve.report->iterations, iterations);
+    Eigen::MatrixXd scaled = staged.matrix(false);
+    for (std::uint32_t node = 0; node < staged.node_count(); ++node) {
+      if (!staged.is_fixed(node)) scaled.block<3, 3>(3 * node, 3 * node).setIdentity();
+    }
+    const Eigen::VectorXd b = staged.by_node(staged.view.matrix.rhs), x = staged.by_node(staged.view.solve.solution);
+    EXPECT_LT(0.5 * x.dot(scaled * x) - b.dot(x), 0) << iterations << " iterations";
+  }
+}
+
+TEST_P(Patches, AnswerZeroForNothingToDoWhereverTheyStart) {
+  StagedScene<double> staged = assembled<double>(GetParam());
+  start_from(staged, tests::random_field(3 * staged.node_count(), 1, 7));
+  staged.put(staged.view.matrix.rhs, Eigen::VectorXd::Zero(3 * staged.node_count()));
+  EXPECT_EQ(solve(staged).norm(), 0);
+  EXPECT_EQ(staged.view.solve.report->iterations, 0u);
+}
+
 using matrix::Storage;
 INSTANTIATE_TEST_SUITE_P(
     Counts, Patches, testing::Values(Cut{1}, Cut{2}, Cut{3}, Cut{8}, Cut{1, Storage::kRows}, Cut{3, Storage::kRows}),

@@ -238,6 +238,16 @@ __global__ void __launch_bounds__(Threads, 1)
     x[k].setZero();
     solver::prefetch_move(s.state, s.guard, row[k]);
   }
+  if (solver::Recurrence<float>::may_start_from_last(s.state)) {
+    const auto last_of = [&](std::uint32_t row) { return cell_of(view::load3<float>(s.solve.last, row)); };
+    for (int k = 0; k < Rows; ++k) {
+      if (has_row[k]) p[k] = three_of(direction[thread + k * Threads] = last_of(row[k]));
+    }
+    for (std::uint32_t h = thread; h < patch.halo_count; h += Threads) {
+      direction[own + h] = last_of(s.patches.halo[patch.halo_begin + h]);
+    }
+    __syncthreads();
+  }
   if (s.guard.patch_tetrahedra != nullptr) {
     const auto parts = PatchVolume<Threads>::parts_of(s, patch);
     PatchVolume<Threads>::expect(s, parts);
@@ -254,6 +264,7 @@ __global__ void __launch_bounds__(Threads, 1)
   solver::Recurrence<float> recurrence(s.state, s.solve);
   do {
     exchange.begin();
+    const bool along_last = recurrence.is_along_last();
     Exchange::Cell own_sums{0, 0, 0, 0};
 #pragma unroll
     for (int k = 0; k < Rows; ++k) {
@@ -303,7 +314,7 @@ __global__ void __launch_bounds__(Threads, 1)
       }
       if (has_row[k]) exchange.publish_row(row[k], q[k][0], q[k][1], q[k][2]);
       own_sums.x += p[k].dot(q[k]);
-      own_sums.y += q[k].dot(q[k]);
+      own_sums.y += along_last ? p[k].dot(r[k]) : q[k].dot(q[k]);
       own_sums.z += r[k].dot(r[k]);
     }
     sums.exchange(exchange, s.patches.patch_count, own_sums);
@@ -364,6 +375,7 @@ __global__ void __launch_bounds__(Threads, 1)
     float factor[6];
     read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
     change[k] = solver::unscaled(s.state, row[k], solver::lower(factor), x[k]);
+    if (has_row[k]) view::store3<float>(s.solve.last, row[k], x[k]);
   }
   __syncthreads();  // all factors have been read
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {

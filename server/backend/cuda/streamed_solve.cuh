@@ -74,14 +74,18 @@ __global__ void __launch_bounds__(Threads, 1)
   const Vectors r{memory.place(kNearResidual, locals, s.solve.residual + 4 * patch.local_begin)};
   const Vectors x{memory.place(kNearSolution, own, s.solve.solution + std::size_t{4} * patch.row_begin)};
 
-  float residual_squared = 0;
+  const bool starts_from_last = solver::Recurrence<float>::may_start_from_last(s.state);
+  float residual_squared = 0, along_residual = 0;  // r·r and, before the first iteration, p·r
   for (std::uint32_t i = thread; i < locals; i += Threads) {
-    const Vec3<float> b = view::load3<float>(s.matrix.rhs, view::global_row(s.patches, patch, i));
-    p[i] = cell_of(b);
+    const std::uint32_t row = view::global_row(s.patches, patch, i);
+    const Vec3<float> b = view::load3<float>(s.matrix.rhs, row);
+    const Vec3<float> start = starts_from_last ? view::load3<float>(s.solve.last, row) : b;
+    p[i] = cell_of(start);
     r.set(i, b);
     if (i >= own) continue;
     x.set(i, Vec3<float>::Zero());
     residual_squared += b.dot(b);
+    along_residual += start.dot(b);
   }
   __syncthreads();
 
@@ -97,6 +101,7 @@ __global__ void __launch_bounds__(Threads, 1)
     exchange.begin();
     // If q does not fit into shared memory, it is read back from the cells that this patch has just published.
     const auto* const q = held_rows == own ? shared : reinterpret_cast<const float4*>(exchange.rows(patch.row_begin));
+    const bool along_last = recurrence.is_along_last();
     Exchange::Cell own_sums{0, 0, residual_squared, 0};
     for (std::uint32_t first = warp * tile_rows; first < own; first += kWarps * tile_rows) {
       const std::uint32_t last = minimum(first + tile_rows, own);
@@ -109,6 +114,7 @@ __global__ void __launch_bounds__(Threads, 1)
       }
       __syncwarp();  // the next tile uses the same memory
     }
+    if (along_last) own_sums.y = along_residual;
     sums.exchange(exchange, s.patches.patch_count, own_sums);
     __syncthreads();
     const Exchange::Cell all = sums.total();
@@ -169,6 +175,9 @@ __global__ void __launch_bounds__(Threads, 1)
     for (std::uint32_t local = thread; local < own; local += Threads) {
       x.set(local, solver::postponed_solution(x[local], three_of(p[local]), r[local], gamma));
     }
+  }
+  for (std::uint32_t local = thread; local < own; local += Threads) {
+    view::store3<float>(s.solve.last, patch.row_begin + local, x[local]);
   }
   if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
   // end_solve does not overwrite x, which lies after the memory that it uses.
