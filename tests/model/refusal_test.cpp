@@ -476,6 +476,37 @@ std::vector<Refusal> support_refusals() {
          }
        },
        {"body 'beam'.prescribed[0].schedule.time_s[1]", "does not come after"}},
+      {"LoadScheduleOfUnequalLengths",
+       [](auto& s) {
+         v1::Load& load = *body(s).add_loads();
+         top(*load.mutable_region());
+         tests::set(*load.mutable_force_n(), 0, 1, 0);
+         load.mutable_schedule()->add_factor(1);
+       },
+       {"body 'beam'.loads[0].schedule", "0 times and 1 factors"}},
+      {"PressureScheduleThatGoesBack",
+       [](auto& s) {
+         v1::Load& load = *body(s).add_loads();
+         top(*load.mutable_region());
+         load.set_pressure_pa(1);
+         for (const double time : {2.0, 1.0}) {
+           load.mutable_schedule()->add_time_s(time);
+           load.mutable_schedule()->add_factor(1);
+         }
+       },
+       {"body 'beam'.loads[0].schedule.time_s[1]", "1 does not come after 2"}},
+      {"NanGravityFactor",
+       [](auto& s) {
+         s.mutable_gravity_schedule()->add_time_s(0);
+         s.mutable_gravity_schedule()->add_factor(kNan);
+       },
+       {"scene.gravity_schedule.factor[0]", "nan"}},
+      {"ScheduleWithoutGravity",
+       [](auto& s) {
+         s.clear_gravity_m_per_s2();
+         s.mutable_gravity_schedule();
+       },
+       {"scene.gravity_schedule", "no gravity", "gravity_m_per_s2"}},
       {"TractionOnNoFace",
        [](auto& s) {
          v1::Load& load = *body(s).add_loads();
