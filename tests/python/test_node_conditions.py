@@ -140,7 +140,10 @@ def test_a_body_of_a_scene_file_takes_arrays_too() -> None:
         (lambda s: s.add_nodal_forces("bar", [[1, NAN, 3]], [0]), r"bar.forces_n: row 0 is not finite: \[1.0, nan, 3"),
         (lambda s: s.add_nodal_forces("bar", [["1 N", 0, 0]], [0]), "bar.forces_n: not an array of numbers"),
         (lambda s: s.add_nodal_forces("bar", [[1, 2, 3]], "wall"), "bar.nodes: expected .*, got the text 'wall'"),
-        (lambda s: s.add_nodal_forces("bar", [[1, 2, 3]], [0], schedule=[0, 1]), "bar.schedule: expected pairs of time"),
+        (
+            lambda s: s.add_nodal_forces("bar", [[1, 2, 3]], [0], schedule=[0, 1]),
+            "bar.schedule: expected pairs of time",
+        ),
         (lambda s: s.prescribe("bar", [[1, 2, 3]], [0], axes="xy"), r"displacement_m: expected shape \[1, 2\]"),
         (lambda s: s.prescribe("bar", [[1, 2, 3]] * 2, [4, 4]), "bar.nodes: node 4 stands there twice"),
         (

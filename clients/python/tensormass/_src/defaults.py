@@ -44,5 +44,6 @@ def scheduled_s(scene: scene_pb2.Scene) -> float:
     """Returns when the last schedule ends [s], of prescribed displacements, loads and gravity; 0 without one."""
     schedules = [scene.gravity_schedule]
     for body in scene.bodies:
-        schedules += (of.schedule for of in (*body.prescribed, *body.loads))
+        schedules += [prescribed.schedule for prescribed in body.prescribed]
+        schedules += [load.schedule for load in body.loads]
     return max(max(schedule.time_s, default=0.0) for schedule in schedules)
