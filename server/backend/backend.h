@@ -43,6 +43,7 @@ struct StepInput {
   bool first_order = false;      ///< implicit Euler instead of BDF2
   /// Stiffness projected to positive definite instead of the consistent one.
   bool projects_stiffness = false;
+  double loads_time_s = 0;  ///< time of the scene at which scheduled gravity, loads and pressure have their factors
   /// Share of gravity, loads, pressure and prescribed displacements without a schedule.
   double load_factor = 1;
   bool gather_visible = false;

@@ -7,6 +7,8 @@
 #include <vector>
 
 #include "backend/backend.h"
+#include "core/assert.h"
+#include "model/loads.h"
 #include "view/scene.h"
 
 /// Results and state of a scene, for buffers on any device: reduces the reports of patches to results, and saves,
@@ -69,31 +71,44 @@ template <class Real>
 void write_prescribed(const model::Model& m, const StepInput& input, Real* prescribed) {
   for (std::size_t i = 0; i < m.prescribed.size(); ++i) {
     const model::Prescribed& one = m.prescribed[i];
-    const Vec3<double> now = one.at(input.end_time_s) * (one.factor.empty() ? input.load_factor : 1);
+    const Vec3<double> now = one.at(input.end_time_s) * (one.schedule.empty() ? input.load_factor : 1);
     for (std::size_t c = 0; c < 3; ++c) prescribed[4 * i + c] = static_cast<Real>(now[static_cast<Eigen::Index>(c)]);
   }
 }
 
-/// Writes gravity, loads and pressure times a factor to where the stages read them.
-///
-///   upload(to, const std::vector<T>& from)   copies items to the device
-template <class Real, class Upload>
-void write_loads(const model::Model& m, const view::SceneView<Real>& view, double factor, const Upload& upload) {
-  if (!m.external.empty()) {
-    std::vector<Real> external(m.external.size());
-    std::transform(m.external.begin(), m.external.end(), external.begin(),
-                   [&](double force_n) { return static_cast<Real>(force_n * factor); });
-    upload(const_cast<Real*>(view.state.external), external);
-  }
-  if (!m.pressure.faces.empty()) {
-    std::vector<view::PressureFace<Real>> faces;
-    for (view::PressureFace<double> face : m.pressure.faces) {
-      face.pressure_pa *= factor;
-      faces.push_back(static_cast<view::PressureFace<Real>>(face));
+/// Says whether gravity, loads or pressure of a scene ever change: they have schedules, or grow in the first step.
+inline bool loads_change(const model::Model& m) { return m.quasi_static() || !m.scheduled.schedules.empty(); }
+
+/// Follows the factors of gravity, loads and pressure from step to step.
+class LoadFactors {
+ public:
+  /// No step has taken the factors of schedules yet, so the first step writes them.
+  explicit LoadFactors(const model::Model& m)
+      : factors_(m.scheduled.schedules.size(), std::numeric_limits<double>::quiet_NaN()) {}
+
+  /// Takes the factors of a step. If one has changed, writes gravity, loads and pressure, and returns true.
+  ///
+  ///   external, faces   host memory of [row_count, 4] and [PressureSurface::faces]
+  template <class Real>
+  bool write(const model::Model& m, const StepInput& input, Real* external, view::PressureFace<Real>* faces) {
+    bool changed = input.load_factor != load_factor_;
+    load_factor_ = input.load_factor;
+    for (std::size_t i = 0; i < factors_.size(); ++i) {
+      const double now = m.scheduled.schedules[i].at(input.loads_time_s);
+      changed = changed || now != factors_[i];
+      factors_[i] = now;
     }
-    upload(const_cast<view::PressureFace<Real>*>(view.pressure.faces), faces);
+    if (!changed) return false;
+    TM_ASSERT(loads_change(m), "only loads of such a scene change, and only it has memory to write them");
+    model::write_external(m, load_factor_, factors_, external);
+    model::write_pressure(m, load_factor_, factors_, faces);
+    return true;
   }
-}
+
+ private:
+  double load_factor_ = 1;
+  std::vector<double> factors_;  // [schedule] of the last step
+};
 
 /// State of the step sequence, besides the fields of the rows.
 struct StepRecord {

@@ -2,6 +2,7 @@
 #include <map>
 #include <numeric>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -27,6 +28,13 @@ struct PrescribedDirections {
   std::uint32_t bits;        // the directions x, y, z
 };
 
+/// A force on a row that follows a schedule.
+struct ScheduledForce {
+  std::uint32_t row;
+  std::uint32_t schedule;  // index into ScheduledLoads::schedules
+  Vec3<double> force_n;    // at a factor of 1
+};
+
 class BoundaryConditions {
  public:
   explicit BoundaryConditions(Compilation& c)
@@ -47,7 +55,12 @@ class BoundaryConditions {
       }
     }
     add_gravity();
-    if (any_external_) c_.model.external = std::move(external_);
+    if (any_external_) {
+      c_.model.external = std::move(external_);
+    } else {
+      scheduled_.clear();
+    }
+    list_scheduled();
     group_prescribed_rows();
     group_pressure();
     return {};
@@ -86,35 +99,13 @@ class BoundaryConditions {
       TM_ASSIGN_OR_RETURN(displacement, read_vector(vector, at));
       const std::uint32_t bits = (p.has_x_m() ? 1u : 0) | (p.has_y_m() ? 2u : 0) | (p.has_z_m() ? 4u : 0);
       if (bits == 0) return invalid(fmt::format("{}: no direction; give x_m, y_m or z_m", at));
-      Prescribed out{displacement, {}, {}};
-      TM_RETURN_IF_ERROR(read_schedule(p.schedule(), out, at + ".schedule"));
-      c_.model.prescribed.push_back(std::move(out));
+      TM_ASSIGN_OR_RETURN(schedule, read_schedule(p.schedule(), at + ".schedule"));
+      c_.model.prescribed.push_back({displacement, std::move(schedule)});
       const auto index = static_cast<std::uint32_t>(c_.model.prescribed.size() - 1);
       for (const std::uint32_t node : nodes) {
         TM_RETURN_IF_ERROR(
             prescribe_directions(row(b, node), index, bits, [&] { return fmt::format("{}: node {}", at, node); }));
       }
-    }
-    return {};
-  }
-
-  static Result<void> read_schedule(const v1::Schedule& schedule, Prescribed& out, std::string_view where) {
-    if (schedule.time_s_size() > limits::kMaxSchedulePoints) {
-      return invalid(fmt::format("{}: {} points exceed limits::kMaxSchedulePoints = {}", where, schedule.time_s_size(),
-                                 limits::kMaxSchedulePoints));
-    }
-    if (schedule.time_s_size() != schedule.factor_size()) {
-      return invalid(fmt::format("{}: {} times and {} factors; give one factor a time", where, schedule.time_s_size(),
-                                 schedule.factor_size()));
-    }
-    for (int i = 0; i < schedule.time_s_size(); ++i) {
-      TM_ASSIGN_OR_RETURN(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
-      TM_ASSIGN_OR_RETURN(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
-      if (!out.time_s.empty() && !(time > out.time_s.back())) {
-        return invalid(fmt::format("{}.time_s[{}]: {} does not come after {}", where, i, time, out.time_s.back()));
-      }
-      out.time_s.push_back(time);
-      out.factor.push_back(factor);
     }
     return {};
   }
@@ -132,9 +123,8 @@ class BoundaryConditions {
         if ((other.bits & bits & 1u << c) == 0) continue;
         open &= ~(1u << c);
         const Prescribed& theirs = c_.model.prescribed[other.prescribed];
-        const bool same =
-            mine.displacement_m[axis] == theirs.displacement_m[axis] &&
-            (mine.displacement_m[axis] == 0 || (mine.time_s == theirs.time_s && mine.factor == theirs.factor));
+        const bool same = mine.displacement_m[axis] == theirs.displacement_m[axis] &&
+                          (mine.displacement_m[axis] == 0 || mine.schedule == theirs.schedule);
         if (!same)
           return invalid(fmt::format("{} has two prescribed displacements in {}; choose one", where(), "xyz"[c]));
       }
@@ -155,10 +145,12 @@ class BoundaryConditions {
       const std::string at = fmt::format("{}.loads[{}]", where, i);
       const v1::Load& load = body.loads(i);
       TM_ASSIGN_OR_RETURN(nodes, read_region(load.region(), c_.bodies[b].nodes(), sets, at + ".region"));
+      TM_ASSIGN_OR_RETURN(read, read_schedule(load.schedule(), at + ".schedule"));
+      const std::uint32_t schedule = index_of(std::move(read));
       if (load.kind_case() == v1::Load::kForceN) {
         TM_ASSIGN_OR_RETURN(force, read_vector(load.force_n(), at + ".force_n", limits::kMaxForceN));
         for (const std::uint32_t node : nodes) {
-          add_external(row(b, node), force / static_cast<double>(nodes.size()));
+          add_external(row(b, node), force / static_cast<double>(nodes.size()), schedule);
         }
         continue;
       }
@@ -179,31 +171,46 @@ class BoundaryConditions {
       }
       if (load.kind_case() == v1::Load::kTractionPa) {
         TM_ASSIGN_OR_RETURN(traction, read_vector(load.traction_pa(), at + ".traction_pa", limits::kMaxPressurePa));
-        for (const mesh::FaceNodes& face : loaded) add_traction(b, face, traction);
+        for (const mesh::FaceNodes& face : loaded) add_traction(b, face, traction, schedule);
       } else {
         TM_ASSIGN_OR_RETURN(pressure, read_number(load.pressure_pa(), -limits::kMaxPressurePa, limits::kMaxPressurePa,
                                                   at + ".pressure_pa"));
-        for (const mesh::FaceNodes& face : loaded) add_pressure(b, face, pressure);
+        for (const mesh::FaceNodes& face : loaded) add_pressure(b, face, pressure, schedule);
       }
     }
     return {};
   }
 
-  void add_external(std::size_t row, const Vec3<double>& force) {
+  /// Returns the index of a schedule among ScheduledLoads::schedules, and adds it if it is new. mesh::kNone: it is
+  /// empty.
+  std::uint32_t index_of(Schedule schedule) {
+    if (schedule.empty()) return mesh::kNone;
+    std::vector<Schedule>& all = c_.model.scheduled.schedules;
+    const auto [known, is_new] = schedules_.try_emplace(schedule, static_cast<std::uint32_t>(all.size()));
+    if (is_new) all.push_back(std::move(schedule));
+    return known->second;
+  }
+
+  /// schedule: index into ScheduledLoads::schedules, or mesh::kNone
+  void add_external(std::size_t row, const Vec3<double>& force, std::uint32_t schedule) {
     any_external_ = any_external_ || force.squaredNorm() > 0;
+    if (schedule != mesh::kNone) {
+      scheduled_.push_back({static_cast<std::uint32_t>(row), schedule, force});
+      return;
+    }
     for (std::size_t c = 0; c < 3; ++c) external_[4 * row + c] += force[static_cast<Eigen::Index>(c)];
   }
 
-  void add_traction(std::size_t b, const mesh::FaceNodes& face, const Vec3<double>& traction) {
+  void add_traction(std::size_t b, const mesh::FaceNodes& face, const Vec3<double>& traction, std::uint32_t schedule) {
     Vec3<double> x[physics::kMaxFaceNodes];
     for (std::uint32_t k = 0; k < face.count; ++k) x[k] = c_.bodies[b].mesh.nodes[face[k]];
     for (std::uint32_t k = 0; k < face.count; ++k) {
-      add_external(row(b, face[k]),
-                   traction * physics::face_area(x, static_cast<int>(face.count), static_cast<int>(k)));
+      add_external(row(b, face[k]), traction * physics::face_area(x, static_cast<int>(face.count), static_cast<int>(k)),
+                   schedule);
     }
   }
 
-  void add_pressure(std::size_t b, const mesh::FaceNodes& face, double pressure) {
+  void add_pressure(std::size_t b, const mesh::FaceNodes& face, double pressure, std::uint32_t schedule) {
     view::PressureFace<double> out;
     out.node_count = face.count;
     out.pressure_pa = pressure;
@@ -211,6 +218,7 @@ class BoundaryConditions {
       out.rows[k] = k < face.count ? static_cast<std::uint32_t>(row(b, face[k])) : 0;
     }
     c_.model.pressure.faces.push_back(out);
+    schedules_of_faces_.push_back(schedule);
   }
 
   Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
@@ -265,8 +273,30 @@ class BoundaryConditions {
 
   void add_gravity() {
     if (!c_.model.has_gravity) return;
+    const std::uint32_t schedule = index_of(c_.model.gravity_schedule);
     for (std::size_t i = 0; i < c_.model.layout.row_count; ++i) {
-      add_external(i, c_.model.row_mass[i] * c_.model.gravity_m_per_s2);
+      add_external(i, c_.model.row_mass[i] * c_.model.gravity_m_per_s2, schedule);
+    }
+  }
+
+  /// Lists the scheduled forces by row, and the schedules of the faces if one has any.
+  void list_scheduled() {
+    ScheduledLoads& out = c_.model.scheduled;
+    const auto place = [](const ScheduledForce& force) { return std::pair(force.row, force.schedule); };
+    std::stable_sort(scheduled_.begin(), scheduled_.end(),
+                     [&](const ScheduledForce& a, const ScheduledForce& b) { return place(a) < place(b); });
+    for (std::size_t i = 0; i < scheduled_.size(); ++i) {
+      const ScheduledForce& one = scheduled_[i];
+      if (i == 0 || place(one) != place(scheduled_[i - 1])) {
+        out.rows.push_back(one.row);
+        out.of_entry.push_back(one.schedule);
+        out.forces.resize(out.forces.size() + 3, 0);
+      }
+      Eigen::Map<Vec3<double>>(&out.forces[out.forces.size() - 3]) += one.force_n;
+    }
+    const auto is_scheduled = [](std::uint32_t schedule) { return schedule != mesh::kNone; };
+    if (std::any_of(schedules_of_faces_.begin(), schedules_of_faces_.end(), is_scheduled)) {
+      out.of_face = std::move(schedules_of_faces_);
     }
   }
 
@@ -310,6 +340,9 @@ class BoundaryConditions {
   std::vector<double> external_;
   std::vector<bool> fixed_;  // [row_count]
   bool any_external_ = false;
+  std::map<Schedule, std::uint32_t> schedules_;  // index among all schedules
+  std::vector<ScheduledForce> scheduled_;
+  std::vector<std::uint32_t> schedules_of_faces_;  // [face]
   std::map<std::uint32_t, std::vector<PrescribedDirections>> prescribed_;
 };
 

@@ -80,6 +80,15 @@ void check_boundary(const Model& m) {
     assert_offsets(m.pressure.corner_begin, m.pressure.rows.size(), m.pressure.corners.size() / 2);
     TM_ASSERT(are_below(m.pressure.rows, m.layout.row_count), "pressure acts on rows of the layout");
   }
+  const ScheduledLoads& scheduled = m.scheduled;
+  const auto schedules = static_cast<std::uint32_t>(scheduled.schedules.size());
+  TM_ASSERT(scheduled.of_entry.size() == scheduled.rows.size() && scheduled.forces.size() == 3 * scheduled.rows.size(),
+            "an entry is row, schedule, force");
+  TM_ASSERT(std::is_sorted(scheduled.rows.begin(), scheduled.rows.end()), "rows of scheduled forces ascend");
+  TM_ASSERT(are_below(scheduled.rows, m.layout.row_count) && are_below(scheduled.of_entry, schedules),
+            "scheduled forces name rows of the layout and schedules");
+  TM_ASSERT(scheduled.rows.empty() || !m.external.empty(), "a scene with scheduled forces has external forces");
+  TM_ASSERT(is_empty_or(scheduled.of_face, m.pressure.faces.size()), "each pressure face has a schedule or kNone");
 }
 
 void check_surfaces(const Model& m) {

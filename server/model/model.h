@@ -11,6 +11,7 @@
 #include "matrix/patch_tetrahedra.h"
 #include "matrix/row_lists.h"
 #include "mesh/mesh.h"
+#include "model/schedule.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "physics/tool/pose.h"
@@ -89,9 +90,18 @@ struct PrescribedRows {
 /// A prescribed displacement over time, the same for all of its nodes.
 struct Prescribed {
   Vec3<double> displacement_m = Vec3<double>::Zero();
-  std::vector<double> time_s, factor;  ///< points of the curve; empty: the factor is 1
-  /// Returns displacement_m times the factor, which is linear between points and constant before and after them.
-  Vec3<double> at(double time_s) const;
+  Schedule schedule;
+  /// Returns displacement_m times the factor.
+  Vec3<double> at(double time_s) const { return displacement_m * schedule.at(time_s); }
+};
+
+/// Gravity and loads that follow schedules (model/loads.h). Loads of equal schedules share one.
+struct ScheduledLoads {
+  std::vector<Schedule> schedules;      ///< [schedule] none is empty
+  std::vector<std::uint32_t> rows;      ///< [entry] ascending; a row may have several entries
+  std::vector<std::uint32_t> of_entry;  ///< [entry] index into schedules
+  std::vector<double> forces;           ///< [entry, 3] N at a factor of 1
+  std::vector<std::uint32_t> of_face;   ///< [pressure face] index into schedules; mesh::kNone: the face has none
 };
 
 /// Boundary faces under pressure, and for each row the corners that it has in them. Rows are grouped by patch.
@@ -196,6 +206,7 @@ struct Model {
   std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
+  Schedule gravity_schedule;
 
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
@@ -213,12 +224,14 @@ struct Model {
   std::vector<double> rest;            ///< [row_count, 4]
   std::vector<double> inertia;         ///< [row_count, 4] StateView::inertia
   std::vector<double> row_mass;        ///< [row_count] kg; also in quasi-static scenes, where inertia has no mass
-  std::vector<double> external;        ///< [row_count, 4] N; empty: neither gravity nor loads
+  /// [row_count, 4] N, without the forces of `scheduled`. Empty: neither gravity nor forces, not even scheduled ones.
+  std::vector<double> external;
   /// [row_count, 4] m, m/s; empty: the scene starts at rest.
   std::vector<double> initial_displacement, initial_velocity;
   PrescribedRows prescribed_rows;
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
+  ScheduledLoads scheduled;
   ContactSurface contact;  ///< empty: no tools
   VisibleSurface visible;  ///< empty: no frames
 

@@ -157,6 +157,12 @@ Result<void> read_header(Compilation& c) {
   TM_ASSIGN_OR_RETURN(gravity, read_vector(c.scene.gravity_m_per_s2(), "scene.gravity_m_per_s2"));
   model.gravity_m_per_s2 = gravity;
   model.has_gravity = gravity.squaredNorm() > 0;
+  if (c.scene.has_gravity_schedule() && !c.scene.has_gravity_m_per_s2()) {
+    return invalid(
+        "scene.gravity_schedule: the scene has no gravity; give gravity_m_per_s2, or leave the schedule out");
+  }
+  TM_ASSIGN_OR_RETURN(schedule, read_schedule(c.scene.gravity_schedule(), "scene.gravity_schedule"));
+  model.gravity_schedule = std::move(schedule);
   return {};
 }
 

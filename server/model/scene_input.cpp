@@ -175,6 +175,28 @@ Result<double> read_number(double value, double low, double high, std::string_vi
   return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));
 }
 
+Result<Schedule> read_schedule(const v1::Schedule& schedule, std::string_view where) {
+  if (schedule.time_s_size() > limits::kMaxSchedulePoints) {
+    return invalid(fmt::format("{}: {} points exceed limits::kMaxSchedulePoints = {}", where, schedule.time_s_size(),
+                               limits::kMaxSchedulePoints));
+  }
+  if (schedule.time_s_size() != schedule.factor_size()) {
+    return invalid(fmt::format("{}: {} times and {} factors; give one factor a time", where, schedule.time_s_size(),
+                               schedule.factor_size()));
+  }
+  Schedule out;
+  for (int i = 0; i < schedule.time_s_size(); ++i) {
+    TM_ASSIGN_OR_RETURN(time, read_number(schedule.time_s(i), -1e9, 1e9, fmt::format("{}.time_s[{}]", where, i)));
+    TM_ASSIGN_OR_RETURN(factor, read_number(schedule.factor(i), -1e9, 1e9, fmt::format("{}.factor[{}]", where, i)));
+    if (!out.empty() && !(time > out.time_s.back())) {
+      return invalid(fmt::format("{}.time_s[{}]: {} does not come after {}", where, i, time, out.time_s.back()));
+    }
+    out.time_s.push_back(time);
+    out.factor.push_back(factor);
+  }
+  return out;
+}
+
 Result<double> read_rate(double value_hz, std::string_view where) {
   if (value_hz == 0) return 0.0;
   if (value_hz >= limits::kMinRateHz && value_hz <= limits::kMaxRateHz) return value_hz;

@@ -13,6 +13,7 @@
 #include "core/scalar.h"
 #include "mesh/elevate.h"
 #include "mesh/mesh.h"
+#include "model/schedule.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Turns untrusted messages into checked values. Every error says where in the scene it is and what to do.
@@ -32,6 +33,8 @@ Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::str
 
 /// Reads a number in [low, high]. Refuses NaN.
 Result<double> read_number(double value, double low, double high, std::string_view where);
+/// Reads a factor over time. A schedule without points is empty.
+Result<Schedule> read_schedule(const v1::Schedule& schedule, std::string_view where);
 /// Reads the rate of a stream [Hz]; 0 switches it off.
 Result<double> read_rate(double value_hz, std::string_view where);
 

@@ -11,6 +11,7 @@
 
 #include <fmt/format.h>
 
+#include "model/loads.h"
 #include "physics/element/element.h"
 #include "physics/element/face.h"
 #include "physics/lists.h"
@@ -102,7 +103,23 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
   }
 }
 
-Measured measure(const model::Model& m, const backend::RowState& state, const model::BodyModel& body) {
+/// Gravity, loads and pressure at a time.
+struct Loads {
+  std::vector<double> external;  // [row_count, 4]; empty: neither gravity nor forces
+  std::vector<view::PressureFace<double>> faces;
+};
+
+Loads loads_at(const model::Model& m, double time_s) {
+  std::vector<double> factors;
+  for (const model::Schedule& schedule : m.scheduled.schedules) factors.push_back(schedule.at(time_s));
+  Loads loads{std::vector<double>(m.external.size()), std::vector<view::PressureFace<double>>(m.pressure.faces.size())};
+  model::write_external(m, 1, factors, loads.external.data());
+  model::write_pressure(m, 1, factors, loads.faces.data());
+  return loads;
+}
+
+Measured measure(const model::Model& m, const backend::RowState& state,
+                 std::span<const view::PressureFace<double>> faces, const model::BodyModel& body) {
   Measured measured;
   measured.force.assign(m.layout.row_count, Vec3<double>::Zero());
   measured.cauchy.assign(body.element_count, {});
@@ -121,7 +138,7 @@ Measured measure(const model::Model& m, const backend::RowState& state, const mo
       }
     });
   }
-  for (const auto& face : m.pressure.faces) {
+  for (const auto& face : faces) {
     Vec3<double> x[physics::kMaxFaceNodes];
     for (std::uint32_t k = 0; k < face.node_count; ++k) {
       x[k] = view::load3<double>(m.rest.data(), face.rows[k]) +
@@ -162,7 +179,7 @@ double kinetic_energy(const model::Model& m, const std::vector<double>& velocity
 
 }  // namespace
 
-Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backend::RowState& state,
+Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backend::RowState& state, double time_s,
                                              const model::BodyModel& body, const v1::GetFieldsRequest& request) {
   std::set<int> asked;
   for (const int field : request.fields()) {
@@ -173,7 +190,8 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
       return invalid(fmt::format("fields: {} is asked for twice", v1::Field_Name(static_cast<v1::Field>(field))));
     }
   }
-  const Measured measured = measure(m, state, body);
+  const Loads loads = loads_at(m, time_s);
+  const Measured measured = measure(m, state, loads.faces, body);
   // A quasi-static scene stores the displacement of the last step in place of a velocity.
   const std::vector<double> still(m.quasi_static() ? state.velocity.size() : 0, 0.0);
   const std::vector<double>& velocity = still.empty() ? state.velocity : still;
@@ -202,7 +220,7 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
         by_node([&](std::size_t row) {
           const auto free = static_cast<std::uint32_t>(m.rest[4 * row + 3]);
           Vec3<double> force = -measured.force[row];
-          if (!m.external.empty()) force -= view::load3<double>(m.external.data(), row);
+          if (!loads.external.empty()) force -= view::load3<double>(loads.external.data(), row);
           for (int c = 0; c < 3; ++c) {
             if ((free >> c & 1) != 0) force[c] = 0;
           }

@@ -8,8 +8,9 @@
 namespace tensormass::world {
 
 /// Fills fields and energies of `body` from a scene's state, in double precision on the host, whatever the scene's
-/// precision. Errors: an unknown field.
-Result<v1::GetFieldsResponse> measure_fields(const model::Model& model, const backend::RowState& state,
+/// precision. time_s: simulated time of the state, at which scheduled loads have their factors. Errors: an unknown
+/// field.
+Result<v1::GetFieldsResponse> measure_fields(const model::Model& model, const backend::RowState& state, double time_s,
                                              const model::BodyModel& body, const v1::GetFieldsRequest& request);
 
 }  // namespace tensormass::world

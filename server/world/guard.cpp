@@ -54,8 +54,8 @@ constexpr std::array<Retry, 7> kQuasiStaticRetries{{
 double size_of(const model::Model& m) {
   double prescribed = 0;
   for (const model::Prescribed& p : m.prescribed) {
-    double largest = p.factor.empty() ? 1 : 0;
-    for (const double factor : p.factor) largest = std::max(largest, std::abs(factor));
+    double largest = p.schedule.empty() ? 1 : 0;
+    for (const double factor : p.schedule.factor) largest = std::max(largest, std::abs(factor));
     prescribed = std::max(prescribed, largest * p.displacement_m.norm());
   }
   return m.size_m + 2 * prescribed;

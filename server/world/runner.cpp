@@ -95,7 +95,7 @@ Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request
   Loop& loop = impl_->loop;
   TM_ASSIGN_OR_RETURN(body, loop.find_body(request.body()));
   TM_ASSIGN_OR_RETURN(source, loop.call([&] { return loop.do_copy_state(); }));
-  TM_ASSIGN_OR_RETURN(response, measure_fields(loop.model(), source.state, *body, request));
+  TM_ASSIGN_OR_RETURN(response, measure_fields(loop.model(), source.state, source.simulated_time_s, *body, request));
   response.set_step(source.step);
   response.set_simulated_time_s(source.simulated_time_s);
   return std::move(response);

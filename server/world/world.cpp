@@ -147,6 +147,12 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
   // The midpoint rule balances forces in the middle of each part, so its tools are there.
   const double tools_at = model_->extrapolates() ? 0.5 : 1;
   const bool loads_grow = model_->quasi_static() && step_count_ == 0;
+  // One product, so that halves of a step end at bitwise the same time as steps of half its length.
+  const auto time_s = [&](double share) { return (static_cast<double>(step_count_) + share) * model_->dt_s; };
+  // The parts of a dynamic step keep the scheduled loads of its end. They are then constant over the step, which makes
+  // StepResult::work_j, force times the move from the checkpoint, their work. Parts of a quasi-static step need gentler
+  // loads, and nobody counts its energy.
+  const auto loads_time_s = [&](double share) { return time_s(model_->quasi_static() ? share : 1); };
   tools_work_j_ = 0;
   TM_ASSERT(how.steps > 0, "a step has parts");
   solver::StepResult before;  // sums and maxima over the previous parts
@@ -156,18 +162,17 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
     const double share = static_cast<double>(part) / how.steps;
     const double share_of_tools = (part - 1 + tools_at) / how.steps;
     for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share_of_tools);
-    last_ =
-        state_->step({.tools = shapes_,
-                      // One product, so that halves of a step end at bitwise the same time as steps of half its length.
-                      .end_time_s = (static_cast<double>(step_count_) + share) * model_->dt_s,
-                      .dt_s = model_->dt_s / how.steps,
-                      .cg_max_iterations = cg_max_iterations,
-                      .saves_checkpoint = saves_checkpoint,
-                      .first_order = how.fallback_settings,
-                      .projects_stiffness = projects_stiffness,
-                      .load_factor = loads_grow ? share : 1,
-                      .gather_visible = gather_visible},
-                     forces_);
+    last_ = state_->step({.tools = shapes_,
+                          .end_time_s = time_s(share),
+                          .dt_s = model_->dt_s / how.steps,
+                          .cg_max_iterations = cg_max_iterations,
+                          .saves_checkpoint = saves_checkpoint,
+                          .first_order = how.fallback_settings,
+                          .projects_stiffness = projects_stiffness,
+                          .loads_time_s = loads_time_s(share),
+                          .load_factor = loads_grow ? share : 1,
+                          .gather_visible = gather_visible},
+                         forces_);
     StepEnergy energy{.available_j = energy_.available_j()};
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const auto& [shape, load] = touches_[i];

@@ -435,6 +435,13 @@ std::vector<Refusal> law_refusals() {
   };
 }
 
+v1::Load& press_top(v1::Scene& scene, double pressure_pa) {
+  v1::Load& load = *body(scene).add_loads();
+  top(*load.mutable_region());
+  load.set_pressure_pa(pressure_pa);
+  return load;
+}
+
 std::vector<Refusal> support_refusals() {
   return {
       {"UnknownSet", [](auto& s) { body(s).add_fixed()->set_set("nobody"); }, {"body 'beam'.fixed[1].set", "nobody"}},
@@ -476,6 +483,28 @@ std::vector<Refusal> support_refusals() {
          }
        },
        {"body 'beam'.prescribed[0].schedule.time_s[1]", "does not come after"}},
+      {"LoadScheduleOfUnequalLengths",
+       [](auto& s) { press_top(s, 1).mutable_schedule()->add_factor(1); },
+       {"body 'beam'.loads[0].schedule", "0 times and 1 factors"}},
+      {"PressureScheduleThatGoesBack",
+       [](auto& s) {
+         v1::Schedule& schedule = *press_top(s, 1).mutable_schedule();
+         for (const double time : {2.0, 1.0}) schedule.add_time_s(time);
+         for (int i = 0; i < 2; ++i) schedule.add_factor(1);
+       },
+       {"body 'beam'.loads[0].schedule.time_s[1]", "1 does not come after 2"}},
+      {"NanGravityFactor",
+       [](auto& s) {
+         s.mutable_gravity_schedule()->add_time_s(0);
+         s.mutable_gravity_schedule()->add_factor(kNan);
+       },
+       {"scene.gravity_schedule.factor[0]", "nan"}},
+      {"ScheduleWithoutGravity",
+       [](auto& s) {
+         s.clear_gravity_m_per_s2();
+         s.mutable_gravity_schedule();
+       },
+       {"scene.gravity_schedule", "no gravity", "gravity_m_per_s2"}},
       {"TractionOnNoFace",
        [](auto& s) {
          v1::Load& load = *body(s).add_loads();
@@ -483,20 +512,8 @@ std::vector<Refusal> support_refusals() {
          tests::set(*load.mutable_traction_pa(), 1, 0, 0);
        },
        {"body 'beam'.loads[0].region", "no whole face"}},
-      {"NanPressure",
-       [](auto& s) {
-         v1::Load& load = *body(s).add_loads();
-         top(*load.mutable_region());
-         load.set_pressure_pa(kNan);
-       },
-       {"body 'beam'.loads[0].pressure_pa", "nan"}},
-      {"HugePressure",
-       [](auto& s) {
-         v1::Load& load = *body(s).add_loads();
-         top(*load.mutable_region());
-         load.set_pressure_pa(1e13);
-       },
-       {"body 'beam'.loads[0].pressure_pa", "1e+12"}},
+      {"NanPressure", [](auto& s) { press_top(s, kNan); }, {"body 'beam'.loads[0].pressure_pa", "nan"}},
+      {"HugePressure", [](auto& s) { press_top(s, 1e13); }, {"body 'beam'.loads[0].pressure_pa", "1e+12"}},
       {"UnknownIntegrator",
        [](auto& s) { s.mutable_solver()->set_integrator(static_cast<v1::Solver::Integrator>(9)); },
        {"scene.solver.integrator", "9"}},

@@ -61,6 +61,27 @@ def test_forces_on_the_same_node_add_up() -> None:
     np.testing.assert_array_equal(forces_of(scene.body("bar")), expected)
 
 
+def test_each_entry_of_forces_has_their_schedule() -> None:
+    scene = bar()
+    scene.add_nodal_forces("bar", [[1, 0, 0], [2, 0, 0]], [5, 6], schedule=[(0, 0), (1, 2)])
+    scene.add_nodal_forces("bar", [[1, 0, 0]], [5])
+    schedule = scene_pb2.Schedule(time_s=[0, 1], factor=[0, 2])
+    first, second, constant = scene.body("bar").loads
+    assert first.schedule == second.schedule == schedule == tm.schedule_message([(0, 0), (1, 2)])
+    assert not constant.HasField("schedule")
+
+
+def test_gravity_has_a_schedule() -> None:
+    mesh = tm.grid([1, 1, 1], [1, 1, 1])
+    scene = tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -9.81), gravity_schedule=[(0, 1), (2, 0)])
+    assert scene.message.gravity_schedule == scene_pb2.Schedule(time_s=[0, 2], factor=[1, 0])
+    assert not tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -1)).message.HasField("gravity_schedule")
+    with pytest.raises(tm.InvalidArgumentError, match="gravity_schedule: given without gravity_m_per_s2"):
+        tm.Scene.from_mesh(mesh, gravity_schedule=[(0, 1)])
+    with pytest.raises(tm.InvalidArgumentError, match="gravity_schedule: time 0 s of row 1 does not come after 0 s"):
+        tm.Scene.from_mesh(mesh, gravity_m_per_s2=(0, 0, -1), gravity_schedule=[(0, 1), (0, 0)])
+
+
 def test_one_displacement_for_a_set_is_one_entry() -> None:
     scene = bar()
     scene.prescribe("bar", [0.01, 0], "wall", axes="xz", schedule=[(0, 0), (1, 2)])
@@ -119,6 +140,10 @@ def test_a_body_of_a_scene_file_takes_arrays_too() -> None:
         (lambda s: s.add_nodal_forces("bar", [[1, NAN, 3]], [0]), r"bar.forces_n: row 0 is not finite: \[1.0, nan, 3"),
         (lambda s: s.add_nodal_forces("bar", [["1 N", 0, 0]], [0]), "bar.forces_n: not an array of numbers"),
         (lambda s: s.add_nodal_forces("bar", [[1, 2, 3]], "wall"), "bar.nodes: expected .*, got the text 'wall'"),
+        (
+            lambda s: s.add_nodal_forces("bar", [[1, 2, 3]], [0], schedule=[0, 1]),
+            "bar.schedule: expected pairs of time",
+        ),
         (lambda s: s.prescribe("bar", [[1, 2, 3]], [0], axes="xy"), r"displacement_m: expected shape \[1, 2\]"),
         (lambda s: s.prescribe("bar", [[1, 2, 3]] * 2, [4, 4]), "bar.nodes: node 4 stands there twice"),
         (

@@ -476,6 +476,10 @@ def test_defaults_are_those_of_the_schema() -> None:
     for ends_s in (2.0, 7.0, 3.0):
         scene.bodies.add().prescribed.add().schedule.time_s.extend([0.0, ends_s])
     assert defaults.scheduled_s(scene) == 7.0
+    scene.bodies[1].loads.add().schedule.time_s.extend([0.0, 8.0])
+    assert defaults.scheduled_s(scene) == 8.0
+    scene.gravity_schedule.time_s.extend([0.0, 9.0])
+    assert defaults.scheduled_s(scene) == 9.0
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     scene.streams.frame_rate_hz, scene.streams.status_rate_hz = 60, 4
     scene.guard.max_move_m, scene.guard.max_distance_m, scene.guard.max_energy_ratio = 1, 10, 4
     scene.gravity_m_per_s2.z = -1
+    scene.gravity_schedule.time_s.extend([0, 1])
+    scene.gravity_schedule.factor.extend([0, 1])
     first = scene.bodies[0]
     first.rayleigh_mass_per_s, first.rayleigh_stiffness_s = 1, 1e-3
     first.color_srgb.x = 0.5
@@ -86,6 +88,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     first.loads[0].force_n.x = 0.1
     first.loads[1].traction_pa.x = 1
     first.loads[2].pressure_pa = 1
+    first.loads[2].schedule.time_s.extend([0, 1])
+    first.loads[2].schedule.factor.extend([0, 1])
     prescribed = first.prescribed.add(x_m=0.001, y_m=0.001, z_m=0.001)
     prescribed.region.nodes.indices.append(end[0])
     prescribed.schedule.time_s.extend([0, 1])

@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "support/backends.h"
+#include "support/laws.h"
 #include "support/scenes.h"
 
 /// The step loop allocates nothing. This program counts every call of operator new, in every thread.
@@ -85,6 +86,65 @@ TEST_P(StepLoop, AllocatesNothing) {
     EXPECT_NE(world->guard_event(), nullptr) << "a step that was done again was among them";
     EXPECT_EQ(allocations.load() - before, 0u);
     EXPECT_GT(world->readings()[0].force_n.norm(), 0) << "contact was among what ran";
+  }
+}
+
+/// Loads whose factors change in every step.
+void schedule_loads(v1::Scene& scene) {
+  const auto ramp = [](v1::Schedule& schedule) {
+    for (const double end : {0.0, 1.0}) {
+      schedule.add_time_s(end);
+      schedule.add_factor(end);
+    }
+  };
+  ramp(*scene.mutable_gravity_schedule());
+  for (const bool is_pressure : {false, true}) {
+    v1::Load& load = *scene.mutable_bodies(0)->add_loads();
+    tests::set(*load.mutable_region()->mutable_box()->mutable_min_m(), -1, -1, -1);
+    tests::set(*load.mutable_region()->mutable_box()->mutable_max_m(), 2, 1, 1);
+    if (is_pressure) {
+      load.set_pressure_pa(10);
+    } else {
+      tests::set(*load.mutable_force_n(), 0.1, 0, 0);
+    }
+    ramp(*load.mutable_schedule());
+  }
+}
+
+TEST_P(StepLoop, AllocatesNothingWhileLoadsChange) {
+  v1::Scene scene = tests::block_with_probe(false, 12);
+  schedule_loads(scene);
+  const auto world = start(scene);
+  const std::uint64_t before = allocations.load();
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(world->step(i % 2 == 0));
+  EXPECT_EQ(allocations.load() - before, 0u);
+  EXPECT_NE(world->last().work_j, 0) << "loads were among what ran";
+}
+
+/// Both kinds of loads are written for each part of the first step: those with a schedule and those without.
+TEST_P(StepLoop, AllocatesNothingWhileLoadsGrowInParts) {
+  for (const bool scheduled : {false, true}) {
+    v1::Scene scene = tests::beam_scene({.cells_x = 16,
+                                         .cells_y = 2,
+                                         .cells_z = 2,
+                                         .size_x_m = 1,
+                                         .size_y_m = 0.05,
+                                         .size_z_m = 0.05,
+                                         .double_precision = true});
+    tests::set(*scene.mutable_gravity_m_per_s2(), 0, -60, 0);
+    *scene.mutable_bodies(0)->mutable_law() = tests::law("neo_hookean", 1e5, 0.3);
+    scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+    scene.mutable_solver()->clear_cg_max_iterations();
+    scene.mutable_solver()->clear_cg_tolerance();
+    if (scheduled) {
+      schedule_loads(scene);
+      scene.mutable_stepping()->set_dt_s(1);
+    }
+    const auto world = start(scene);
+    const std::uint64_t before = allocations.load();
+    ASSERT_TRUE(world->step(false));
+    EXPECT_EQ(allocations.load() - before, 0u) << scheduled;
+    ASSERT_NE(world->guard_event(), nullptr) << "the load is too much for one part; make it larger";
   }
 }
 

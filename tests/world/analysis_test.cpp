@@ -47,7 +47,8 @@ class Analysis : public tests::OnBackend {
   static v1::GetFieldsResponse fields(World& world, std::initializer_list<v1::Field> wanted) {
     v1::GetFieldsRequest request;
     for (const v1::Field field : wanted) request.add_fields(field);
-    return measure_fields(world.model(), world.state(), world.model().bodies[0], request).value();
+    return measure_fields(world.model(), world.state(), world.simulated_time_s(), world.model().bodies[0], request)
+        .value();
   }
   static Eigen::MatrixXd values(const v1::FieldValues& field) {
     const auto components = static_cast<Eigen::Index>(field.components());

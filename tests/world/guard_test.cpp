@@ -136,7 +136,8 @@ TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
       const auto stress = [&](World& world) {
         v1::GetFieldsRequest request;
         request.add_fields(v1::FIELD_VON_MISES_STRESS);
-        const auto fields = measure_fields(world.model(), world.state(), world.model().bodies[0], request);
+        const auto fields =
+            measure_fields(world.model(), world.state(), world.simulated_time_s(), world.model().bodies[0], request);
         std::vector<double> values(fields->fields(0).values().size() / sizeof(double));
         std::memcpy(values.data(), fields->fields(0).values().data(), fields->fields(0).values().size());
         return Eigen::Map<Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size())).eval();
@@ -273,7 +274,8 @@ TEST_P(Guarding, ElasticEnergyEqualsThatOfTheFields) {
       const auto world = start(scene);
       for (int i = 0; i < 3; ++i) ASSERT_TRUE(world->step(false));
       world->diagnose();
-      const auto fields = measure_fields(world->model(), world->state(), world->model().bodies[0], {});
+      const auto fields =
+          measure_fields(world->model(), world->state(), world->simulated_time_s(), world->model().bodies[0], {});
       EXPECT_GT(fields->elastic_energy_j(), 0);
       EXPECT_NEAR(world->energy().elastic_j(), fields->elastic_energy_j(), 1e-9 * fields->elastic_energy_j())
           << name << ", " << v1::Shape_Name(shape);

@@ -32,6 +32,7 @@ from tensormass._src.launching import launch
 from tensormass._src.laws import law_message
 from tensormass._src.mesh_files import read_mesh, read_surface, write_mesh
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
+from tensormass._src.node_conditions import schedule_message
 from tensormass._src.poses import PoseSender
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import FrameStream, SceneHandle
@@ -73,6 +74,7 @@ __all__ = [
     "law_message",
     "read_mesh",
     "read_surface",
+    "schedule_message",
     "tetrahedralize",
     "write_mesh",
     "young_poisson",

@@ -34,7 +34,10 @@ class CpuState final : public SceneState {
         control_(const_cast<view::StepControl<Real>*>(view_.state.control)),
         newton_(const_cast<view::NewtonControl*>(view_.newton.control)),
         prescribed_(const_cast<Real*>(view_.prescribed.displacement)),
-        barrier_(view_.patches.patch_count) {
+        external_(const_cast<Real*>(view_.state.external)),
+        faces_(const_cast<view::PressureFace<Real>*>(view_.pressure.faces)),
+        barrier_(view_.patches.patch_count),
+        load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) {
       groups_.push_back(model::bind<Real>(model, g, arena_));
       passes_.push_back(cpu::element_passes<Real>(model.groups[g].shape, model.groups[g].law));
@@ -62,10 +65,7 @@ class CpuState final : public SceneState {
       tools_[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
     write_prescribed(model_, input, prescribed_);
-    if (input.load_factor != load_factor_) {
-      write_loads(model_, view_, load_factor_ = input.load_factor,
-                  [](auto* to, const auto& from) { std::copy(from.begin(), from.end(), to); });
-    }
+    load_factors_.write(model_, input, external_, faces_);
     *control_ = checkpoint_.begin(model_, input);
     StepResult result;
     if (model_.iterates()) {
@@ -186,12 +186,14 @@ class CpuState final : public SceneState {
   view::StepControl<Real>* const control_;
   view::NewtonControl* const newton_;
   Real* const prescribed_;
+  Real* const external_;
+  view::PressureFace<Real>* const faces_;
   std::vector<view::ElementView<Real>> groups_;
   std::vector<cpu::ElementPasses<Real>> passes_;
   cpu::Barrier barrier_;
   Command command_ = 0;
   Checkpoint<Real> checkpoint_;
-  double load_factor_ = 1;
+  LoadFactors load_factors_;
   std::atomic<Gate> gate_{Gate::kClosed};
   std::vector<std::thread> workers_;
 };

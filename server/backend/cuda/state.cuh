@@ -61,7 +61,10 @@ class CudaState final : public SceneState {
                    std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
         visible_(3 * std::size_t{model.visible.count()}),
-        view_(model::bind<Real>(model, arena_, exchange())) {
+        external_(loads_change(model) ? model.external.size() : 0),
+        faces_(loads_change(model) ? model.pressure.faces.size() : 0),
+        view_(model::bind<Real>(model, arena_, exchange())),
+        load_factors_(model) {
     for (std::size_t g = 0; g < model.groups.size(); ++g) groups_.push_back(model::bind<Real>(model, g, arena_));
     std::uint32_t largest = 0;
     for (std::uint32_t p = 0; p < view_.patches.patch_count; ++p) {
@@ -95,11 +98,9 @@ class CudaState final : public SceneState {
       tools_.host[tool] = model_.tools[tool].template placed<Real>(input.tools[tool]);
     }
     write_prescribed(model_, input, prescribed_.host);
-    if (input.load_factor != load_factor_) {
-      write_loads(model_, view_, load_factor_ = input.load_factor, [](auto* to, const auto& from) {
-        check(cudaMemcpy(to, from.data(), from.size() * sizeof(from[0]), cudaMemcpyHostToDevice), "loads");
-      });
-      finish_copies("loads");
+    if (load_factors_.write(model_, input, external_.data(), faces_.data())) {
+      upload_pinned(view_.state.external, external_, "loads");
+      upload_pinned(view_.pressure.faces, faces_, "loads");
     }
     *control_.host = checkpoint_.begin(model_, input);
     StepResult result;
@@ -355,12 +356,14 @@ class CudaState final : public SceneState {
   Pinned<Real> min_det_f_;
   Pinned<view::ToolLoad<Real>> loads_;
   Pinned<float> visible_;
+  Pinned<Real> external_;                   // [row_count, 4]; empty unless loads_change()
+  Pinned<view::PressureFace<Real>> faces_;  // likewise
   const view::SceneView<Real> view_;
   std::vector<view::ElementView<Real>> groups_;
   unsigned threads_ = 0;
   SolvePlan solve_plan_;
   Checkpoint<Real> checkpoint_;
-  double load_factor_ = 1;
+  LoadFactors load_factors_;
   Graph step_;
   std::array<Graph, step::kPhases> phases_{};
   const Stream stream_ = make_stream();  // last, so that its work has ended before anything that it uses goes

@@ -41,6 +41,9 @@ def newton_tolerance(solver: scene_pb2.Solver) -> float:
 
 
 def scheduled_s(scene: scene_pb2.Scene) -> float:
-    """Returns when the last schedule of a prescribed displacement ends [s]; 0 without one."""
-    ends = (max(of.schedule.time_s, default=0.0) for body in scene.bodies for of in body.prescribed)
-    return max(ends, default=0.0)
+    """Returns when the last schedule ends [s], of prescribed displacements, loads and gravity; 0 without one."""
+    schedules = [scene.gravity_schedule]
+    for body in scene.bodies:
+        schedules += [prescribed.schedule for prescribed in body.prescribed]
+        schedules += [load.schedule for load in body.loads]
+    return max(max(schedule.time_s, default=0.0) for schedule in schedules)

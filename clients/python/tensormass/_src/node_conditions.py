@@ -25,8 +25,11 @@ _AXES = "xyz"
 Indices = npt.NDArray[np.integer]
 
 
-def add_nodal_forces(body: scene_pb2.Body, forces_n: npt.ArrayLike, nodes: npt.ArrayLike | None) -> None:
+def add_nodal_forces(
+    body: scene_pb2.Body, forces_n: npt.ArrayLike, nodes: npt.ArrayLike | None, schedule: npt.ArrayLike | None
+) -> None:
     """See Scene.add_nodal_forces."""
+    factors = _optional_schedule(schedule, f"{body.name}.schedule")
     where = f"{body.name}.nodes"
     chosen = _chosen(body, nodes, where, repeated=True)
     forces = _rows(forces_n, len(chosen), 3, f"{body.name}.forces_n")
@@ -35,7 +38,7 @@ def add_nodal_forces(body: scene_pb2.Body, forces_n: npt.ArrayLike, nodes: npt.A
     loaded = np.flatnonzero(total.any(axis=1))
     shared = body.element_order != scene_pb2.ELEMENT_ORDER_QUADRATIC
     for group, force in _groups(loaded, total[loaded], shared):
-        load = body.loads.add()
+        load = body.loads.add(schedule=factors)
         load.region.nodes.indices.extend(group.tolist())
         x, y, z = len(group) * force  # the daemon divides it equally
         load.force_n.CopyFrom(scene_pb2.Vector3(x=x, y=y, z=z))
@@ -50,7 +53,7 @@ def prescribe(
 ) -> None:
     """See Scene.prescribe."""
     _check_axes(axes, f"{body.name}.axes")
-    factors = _schedule(schedule, f"{body.name}.schedule")
+    factors = _optional_schedule(schedule, f"{body.name}.schedule")
     where = f"{body.name}.displacement_m"
     rows = _numbers(displacement_m, where)
     if isinstance(nodes, str):
@@ -102,6 +105,35 @@ def set_initial_state(
         setattr(body, f"initial_{name}", rows.astype("<f8").tobytes())
 
 
+def schedule_message(schedule: npt.ArrayLike, where: str = "schedule") -> scene_pb2.Schedule:
+    """Returns a schedule as a message, for loads that are messages: `body.loads.add(pressure_pa=300, schedule=...)`.
+
+    Args:
+        schedule: pairs (time [s], factor), [points, 2]; the factor is linear in between and constant outside.
+        where: the name of the argument, for messages.
+
+    Raises:
+        InvalidArgumentError: not such pairs, or times that do not ascend.
+    """
+    rows = _numbers(schedule, where)
+    if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) == 0:
+        raise InvalidArgumentError(
+            f"{where}: expected pairs of time [s] and factor, shape [k, 2] with k > 0, got {list(rows.shape)}"
+        )
+    _check_finite(rows, where)
+    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
+    if late.size:
+        at = late[0]
+        raise InvalidArgumentError(
+            f"{where}: time {rows[at + 1, 0]:g} s of row {at + 1} does not come after {rows[at, 0]:g} s"
+        )
+    return scene_pb2.Schedule(time_s=rows[:, 0].tolist(), factor=rows[:, 1].tolist())
+
+
+def _optional_schedule(schedule: npt.ArrayLike | None, where: str) -> scene_pb2.Schedule | None:
+    return None if schedule is None else schedule_message(schedule, where)
+
+
 def _chosen(body: scene_pb2.Body, nodes: npt.ArrayLike | None, where: str, *, repeated: bool = False) -> Indices:
     """Returns indices of nodes, [k]; all nodes for None. A node stands there twice only if `repeated` allows it."""
     count = own_node_count(body)
@@ -141,24 +173,6 @@ def _check_finite(rows: FloatArray, where: str) -> None:
     bad = np.flatnonzero(~np.isfinite(rows.reshape(len(rows), -1)).all(axis=1))
     if bad.size:
         raise InvalidArgumentError(f"{where}: row {bad[0]} is not finite: {rows[bad[0]].tolist()}")
-
-
-def _schedule(schedule: npt.ArrayLike | None, where: str) -> scene_pb2.Schedule | None:
-    if schedule is None:
-        return None
-    rows = _numbers(schedule, where)
-    if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) == 0:
-        raise InvalidArgumentError(
-            f"{where}: expected pairs of time [s] and factor, shape [k, 2] with k > 0, got {list(rows.shape)}"
-        )
-    _check_finite(rows, where)
-    late = np.flatnonzero(np.diff(rows[:, 0]) <= 0)
-    if late.size:
-        at = late[0]
-        raise InvalidArgumentError(
-            f"{where}: time {rows[at + 1, 0]:g} s of row {at + 1} does not come after {rows[at, 0]:g} s"
-        )
-    return scene_pb2.Schedule(time_s=rows[:, 0].tolist(), factor=rows[:, 1].tolist())
 
 
 def _check_axes(axes: str, where: str) -> None:

@@ -76,21 +76,28 @@ class Scene:
         name: str = "scene",
         body: str = "body",
         gravity_m_per_s2: Vector | None = None,
+        gravity_schedule: npt.ArrayLike | None = None,
         density_kg_per_m3: float = 1060.0,
         **options: Any,  # noqa: ANN401
     ) -> Scene:
         """Makes a scene of one body, by default of liver tissue. Add tools with `add_tool`.
 
         Args:
+            gravity_schedule: pairs (time [s], factor) of gravity, as for `prescribe`.
             options: the further arguments of `add_body`.
 
         Raises:
             InvalidArgumentError: a mistake in an array; the message names array, row and remedy.
         """
+        if gravity_schedule is not None and gravity_m_per_s2 is None:
+            raise InvalidArgumentError("gravity_schedule: given without gravity_m_per_s2")
         scene = Scene(name)
         scene.add_body(body, mesh, density_kg_per_m3=density_kg_per_m3, **options)
         if gravity_m_per_s2 is not None:
             scene.message.gravity_m_per_s2.CopyFrom(vector3(gravity_m_per_s2, "gravity_m_per_s2"))
+        if gravity_schedule is not None:
+            schedule = node_conditions.schedule_message(gravity_schedule, "gravity_schedule")
+            scene.message.gravity_schedule.CopyFrom(schedule)
         return scene
 
     def add_body(
@@ -228,19 +235,27 @@ class Scene:
         """
         node_conditions.prescribe(self.body(body), displacement_m, nodes, axes, schedule)
 
-    def add_nodal_forces(self, body: str, forces_n: npt.ArrayLike, nodes: npt.ArrayLike | None = None) -> None:
-        """Adds constant forces on single nodes. They add to the loads that the body has.
+    def add_nodal_forces(
+        self,
+        body: str,
+        forces_n: npt.ArrayLike,
+        nodes: npt.ArrayLike | None = None,
+        *,
+        schedule: npt.ArrayLike | None = None,
+    ) -> None:
+        """Adds forces on single nodes. They add to the loads that the body has.
 
         Nodes of equal force share an entry of the protocol; the daemon takes 65,536 entries.
 
         Args:
             forces_n: [k, 3] N, a row for each node.
             nodes: indices [k], a mask [node_count], or None for all nodes. Forces on the same node add up.
+            schedule: as for `prescribe`.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it.
         """
-        node_conditions.add_nodal_forces(self.body(body), forces_n, nodes)
+        node_conditions.add_nodal_forces(self.body(body), forces_n, nodes, schedule)
 
     def set_initial_state(
         self,
