@@ -234,8 +234,8 @@ TEST_P(Patches, SolveTheSameSystemWhereverTheyStart) {
   }
 }
 
-/// Each iterate has less energy ½ x·Â x − b̂·x than x = 0 has, however bad the start and however few the iterations. So a
-/// solve that ends early adds no energy to a scene.
+/// Each iterate has less energy ½ x·Â x − b̂·x than x = 0 has, however bad the start and however few the iterations. So
+/// a solve that ends early adds no energy to a scene.
 TEST_P(Patches, NeverAddEnergyByTheirStart) {
   for (const std::uint32_t iterations : {2u, 3u, 8u}) {
     tests::Beam beam = kBeam;

@@ -7,7 +7,8 @@
 #include "support/scenes.h"
 #include "world/world.h"
 
-/// Scenes whose linear solves end long before they converge, as those of fine meshes do at a fixed number of iterations.
+/// Scenes whose linear solves end long before they converge, as those of fine meshes do at a fixed number of
+/// iterations.
 namespace tensormass::world {
 namespace {
 
