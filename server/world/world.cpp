@@ -144,15 +144,15 @@ BoundCheck World::retry(const BoundCheck& first) {
 /// there.
 BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
                             bool saves_checkpoint, bool gather_visible) {
-  // The midpoint rule balances forces in the middle of each part, so its tools are there.
-  const double tools_at = model_->extrapolates() ? 0.5 : 1;
+  // The midpoint rule balances forces in the middle of a step, so its tools and loads are there.
+  const double balanced_at = model_->extrapolates() ? 0.5 : 1;
   const bool loads_grow = model_->quasi_static() && step_count_ == 0;
   // One product, so that halves of a step end at bitwise the same time as steps of half its length.
   const auto time_s = [&](double share) { return (static_cast<double>(step_count_) + share) * model_->dt_s; };
-  // The parts of a dynamic step keep the scheduled loads of its end. They are then constant over the step, which makes
-  // StepResult::work_j, force times the move from the checkpoint, their work. Parts of a quasi-static step need gentler
-  // loads, and nobody counts its energy.
-  const auto loads_time_s = [&](double share) { return time_s(model_->quasi_static() ? share : 1); };
+  // All parts of a dynamic step have the scheduled loads of the whole step. These are then constant over the step,
+  // which makes StepResult::work_j, force times the move from the checkpoint, their work. Parts of a quasi-static step
+  // need gentler loads, and nobody counts its energy.
+  const auto loads_time_s = [&](double share) { return time_s(model_->quasi_static() ? share : balanced_at); };
   tools_work_j_ = 0;
   TM_ASSERT(how.steps > 0, "a step has parts");
   solver::StepResult before;  // sums and maxima over the previous parts
@@ -160,7 +160,7 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {tools_[i].shape_at(0), published_[i]};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
-    const double share_of_tools = (part - 1 + tools_at) / how.steps;
+    const double share_of_tools = (part - 1 + balanced_at) / how.steps;
     for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share_of_tools);
     last_ = state_->step({.tools = shapes_,
                           .end_time_s = time_s(share),

@@ -1,4 +1,5 @@
 #include <array>
+#include <cmath>
 #include <functional>
 #include <string>
 #include <utility>
@@ -253,6 +254,18 @@ TEST_P(Schedules, GravityThatSwitchesOffDoesNoMoreWork) {
     const backend::RowState state = world->state();
     EXPECT_NEAR(state.velocity[1], -9.81 * kDt * n, 10 * tolerance);
   }
+}
+
+/// Implicit midpoint takes the factor in the middle of a step: the impulse of a linear ramp is then exact, v = g t²/2.
+TEST_P(Schedules, TheMidpointRuleIsExactOnARamp) {
+  v1::Scene scene = bar(false);
+  scene.mutable_bodies(0)->clear_fixed();
+  scene.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT);
+  tests::set(*scene.mutable_gravity_m_per_s2(), 0, -9.81, 0);
+  set_schedule(*scene.mutable_gravity_schedule(), {{0, 0}, {1, 1}});
+  const auto world = start(scene);
+  for (int i = 0; i < 10; ++i) ASSERT_TRUE(world->step(false));
+  EXPECT_NEAR(world->state().velocity[1], -9.81 * std::pow(10 * kDt, 2) / 2, 1e-6);
 }
 
 /// A ramp's work is the sum of force times distance, each step with its own factor: also if a step is made in parts.
