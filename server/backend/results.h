@@ -115,6 +115,7 @@ struct StepRecord {
   double dt_s = 0;                   ///< length of the last step; 0: there was none
   double internal_dt_s = 0;          ///< RowState::internal_dt_s
   double largest_force_squared = 0;  ///< see solver::newton_step
+  std::uint32_t solution = 0;        ///< where SolveView::kept has the last step's solution
 };
 
 /// Returns the inputs of a step for the device. BDF2 starts anew where the last two steps differ in length.
@@ -134,8 +135,9 @@ view::StepControl<Real> control_of(const model::Model& m, const StepInput& input
   out.cg_max_iterations = input.cg_max_iterations;
   out.saves_checkpoint = input.saves_checkpoint ? 1 : 0;
   out.projects_stiffness = input.projects_stiffness ? 1 : 0;
-  // A retry does not start from the solution of the step that failed.
-  out.starts_from_last = input.saves_checkpoint && !starts && !m.iterates() ? 1 : 0;
+  out.starts_from_last = !starts && !m.iterates() ? 1 : 0;
+  out.last_solution = past.solution;
+  out.next_solution = 1 - past.solution;
   return out;
 }
 
@@ -149,10 +151,16 @@ class Checkpoint {
       checkpoint_ = past_;
       restored_ = false;
     }
-    return control_of<Real>(m, input, past_);
+    view::StepControl<Real> control = control_of<Real>(m, input, past_);
+    // No part of a retry overwrites the solution that belongs to the checkpoint: the next retry starts from it.
+    control.next_solution = 1 - checkpoint_.solution;
+    return control;
   }
   /// Call after a step.
-  void end(const StepInput& input) { past_.dt_s = past_.internal_dt_s = input.dt_s; }
+  void end(const StepInput& input) {
+    past_.dt_s = past_.internal_dt_s = input.dt_s;
+    past_.solution = 1 - checkpoint_.solution;
+  }
   /// Call after fields were written from outside.
   void start_anew(double internal_dt_s) { past_ = {.internal_dt_s = internal_dt_s}; }
   /// Implements SceneState::restore.

@@ -149,9 +149,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.matrix.diagonal = arena.template zeros<Real>("matrix diagonal", 8 * rows);
   s.matrix.rhs = arena.template zeros<Real>("right-hand side", 4 * rows);
   s.solve.solution = arena.template zeros<Real>("solution", 4 * rows);
-  // A streamed solve packs its solution into three reals a row, in an order of its own.
-  const bool packs_solution = m.solve == SolveKind::kStreamed;
-  s.solve.last = packs_solution ? arena.template zeros<Real>("last solution", 4 * rows) : s.solve.solution;
+  s.solve.kept = arena.template zeros<Real>("solutions of steps", only_if(!m.iterates(), 2 * 4 * rows));
   s.solve.residual = arena.template zeros<Real>("residual", only_if(!m.solve_keeps_vectors, 4 * local));
   s.solve.direction = arena.template zeros<Real>("direction", only_if(!m.solve_keeps_vectors, 4 * local));
   s.solve.product = arena.template zeros<Real>("product", 2 * 4 * rows);

@@ -29,8 +29,22 @@
 /// 6. The first iteration searches along the last step's solution, with α = p·r / p·q and β = 0. Successive steps
 ///    resemble each other, so it brings the solve as far as many iterations do. Then conjugate gradients start at
 ///    p = r. docs/decisions/preconditioner.md has the gain, and says why x does not start at that solution itself.
-///    The first step of a scene and retries have no solution to start from: they begin with p = b̂.
+///    A step after one of another length has no such solution, nor has the first step of a scene: p = b̂ there.
 namespace tensormass::solver {
+
+/// Returns where the solution of the last step is, [row_count, 4], in units of Â's system.
+template <class Real>
+TM_HOST_DEVICE const Real* last_solution(const view::PatchesView& patches, const view::StateView<Real>& state,
+                                         const view::SolveView<Real>& solve) {
+  return solve.kept + std::size_t{4} * patches.row_count * state.control->last_solution;
+}
+/// Keeps the solution of a row for the next step. Call when every patch has read `last_solution`.
+template <class Real>
+TM_HOST_DEVICE void keep_solution(const view::PatchesView& patches, const view::StateView<Real>& state,
+                                  const view::SolveView<Real>& solve, std::uint32_t row, const Vec3<Real>& x) {
+  if (solve.kept == nullptr) return;
+  view::store3<Real>(solve.kept + std::size_t{4} * patches.row_count * state.control->next_solution, row, x);
+}
 
 /// The scalars of the iteration: α, β and when it ends. They are the same in every patch.
 template <class Real>
@@ -100,8 +114,8 @@ class Recurrence {
   bool negative_curvature_ = false;
 };
 
-/// Solves Â x = b̂. The system must be scaled: `edges` holds Â, `rhs` holds b̂, and `solution` is also `last`.
-/// Reads edges, rhs, solution; writes solution, residual, direction, product, own_product, reduction, solve_report.
+/// Solves Â x = b̂. The system must be scaled: `edges` holds Â, `rhs` holds b̂.
+/// Reads edges, rhs, kept; writes solution, kept, residual, direction, product, own_product, reduction, solve_report.
 template <class Team, class Real>
 TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::PatchesView& patches,
                                                    const view::StateView<Real>& state,
@@ -116,7 +130,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
   const bool starts_from_last = Recurrence<Real>::may_start_from_last(state);
   const auto start_from = [&](std::uint32_t local, std::uint32_t row) {
     const Real* b = matrix.rhs + std::size_t{4} * row;
-    const Real* start = starts_from_last ? solve.last + std::size_t{4} * row : b;
+    const Real* start = starts_from_last ? last_solution(patches, state, solve) + std::size_t{4} * row : b;
     for (int c = 0; c < 4; ++c) {
       // The fourth component is padding. It must be zero even if an earlier solve has left NaN there.
       r[std::size_t{4} * local + c] = c < 3 ? b[c] : Real(0);
@@ -127,8 +141,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     const std::size_t row = std::size_t{patch.row_begin} + local;
     start_from(local, patch.row_begin + local);
     for (int c = 0; c < 4; ++c) {
-      // Other patches read the last solution until the first exchange.
-      if (!starts_from_last) solve.solution[4 * row + c] = 0;
+      solve.solution[4 * row + c] = 0;
       if (matrix::stores_edges(matrix)) solve.own_product[4 * row + c] = 0;
     }
   });
@@ -178,12 +191,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     const bool along_last = recurrence.is_along_last();
     Real sums[3] = {Lanes::sum(sum_pq), Lanes::sum(along_last ? sum_pr : sum_qq), Lanes::sum(sum_rr)};
     team.exchange(sums, solve.reduction + std::size_t{iteration & 1} * 4 * patches.patch_count);
-    if (!recurrence.take(sums[0], sums[1], sums[2])) {
-      if (along_last) {  // nothing to solve: `solution` still holds the last one
-        team.for_each(4 * patch.row_begin, 4 * patch.row_end, [&](std::uint32_t c) { solve.solution[c] = 0; });
-      }
-      break;
-    }
+    if (!recurrence.take(sums[0], sums[1], sums[2])) break;
     const Real alpha = recurrence.alpha(), beta = recurrence.beta();
     // Component by component: a row has four, and the fourth stays zero.
     sum_rr = T(0);
@@ -191,9 +199,7 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
       const std::size_t of_scene = std::size_t{4} * patch.row_begin + c;
       const T direction = Lanes::load(p + c);
       const T residual = next_residual(Lanes::load(r + c), Lanes::load(own_product + c), T(alpha));
-      // Before an iteration along the last solution, x is zero, and `solution` still holds the last one.
-      const T before = along_last ? T(0) : Lanes::load(solve.solution + of_scene);
-      const T solution = next_solution(before, direction, T(alpha));
+      const T solution = next_solution(Lanes::load(solve.solution + of_scene), direction, T(alpha));
       Lanes::store(solve.solution + of_scene, solution);
       Lanes::store(r + c, residual);
       Lanes::store(p + c, next_direction(residual, direction, T(beta)));
@@ -210,6 +216,9 @@ TM_FLATTEN TM_HOST_DEVICE void conjugate_gradients(Team& team, const view::Patch
     team.sync();
   } while (recurrence.goes_on());
 
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    keep_solution(patches, state, solve, row, view::load3<Real>(solve.solution, row));
+  });
   if (team.leads()) recurrence.report(solve);
 }
 

@@ -206,7 +206,7 @@ TEST_P(Patches, ReportNan) {
 /// Lets the next solve start from what `last` holds, a field of Δv before it is scaled.
 template <class Real>
 void start_from(StagedScene<Real>& staged, const Eigen::VectorXd& last) {
-  staged.put(staged.view.solve.last, last);
+  staged.put(staged.view.solve.kept, last);
   const_cast<view::StepControl<Real>*>(staged.view.state.control)->starts_from_last = 1;
 }
 

@@ -239,7 +239,8 @@ __global__ void __launch_bounds__(Threads, 1)
     solver::prefetch_move(s.state, s.guard, row[k]);
   }
   if (solver::Recurrence<float>::may_start_from_last(s.state)) {
-    const auto last_of = [&](std::uint32_t row) { return cell_of(view::load3<float>(s.solve.last, row)); };
+    const float* const last = solver::last_solution(s.patches, s.state, s.solve);
+    const auto last_of = [&](std::uint32_t row) { return cell_of(view::load3<float>(last, row)); };
     for (int k = 0; k < Rows; ++k) {
       if (has_row[k]) p[k] = three_of(direction[thread + k * Threads] = last_of(row[k]));
     }
@@ -375,7 +376,7 @@ __global__ void __launch_bounds__(Threads, 1)
     float factor[6];
     read_inverse(has_row[k] ? thread + k * Threads : 0, factor);
     change[k] = solver::unscaled(s.state, row[k], solver::lower(factor), x[k]);
-    if (has_row[k]) view::store3<float>(s.solve.last, row[k], x[k]);
+    if (has_row[k]) solver::keep_solution(s.patches, s.state, s.solve, row[k], x[k]);
   }
   __syncthreads();  // all factors have been read
   end_solve<Threads>(s, patch, tetrahedra, exchange, shared, [&](std::uint32_t moved) -> Vec3<float> {

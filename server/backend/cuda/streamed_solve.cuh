@@ -79,7 +79,8 @@ __global__ void __launch_bounds__(Threads, 1)
   for (std::uint32_t i = thread; i < locals; i += Threads) {
     const std::uint32_t row = view::global_row(s.patches, patch, i);
     const Vec3<float> b = view::load3<float>(s.matrix.rhs, row);
-    const Vec3<float> start = starts_from_last ? view::load3<float>(s.solve.last, row) : b;
+    const Vec3<float> start =
+        starts_from_last ? view::load3<float>(solver::last_solution(s.patches, s.state, s.solve), row) : b;
     p[i] = cell_of(start);
     r.set(i, b);
     if (i >= own) continue;
@@ -177,7 +178,7 @@ __global__ void __launch_bounds__(Threads, 1)
     }
   }
   for (std::uint32_t local = thread; local < own; local += Threads) {
-    view::store3<float>(s.solve.last, patch.row_begin + local, x[local]);
+    solver::keep_solution(s.patches, s.state, s.solve, patch.row_begin + local, x[local]);
   }
   if (thread == 0 && patch.index == 0) recurrence.report(s.solve);
   // end_solve does not overwrite x, which lies after the memory that it uses.
