@@ -56,8 +56,9 @@ void check_group(const ElementGroup& group, const matrix::Layout& layout) {
   TM_ASSERT(group.parameters.size() % group.stride == 0, "parameters: [law parameters][stride]");
   TM_ASSERT(is_empty_or(group.shares, group.point_count), "each point has its weights, or none has");
   TM_ASSERT(group.prony.size() <= physics::kMaxPronyTerms, "ElementView has room for the Prony terms");
-  TM_ASSERT(is_empty_or(group.partners, group.stride) && group.first_parts.size() == group.partners.size(),
-            "each place of a wedge pair has a partner and a part of the volume");
+  TM_ASSERT(is_empty_or(group.members, kMaxClusterElements * std::size_t{group.stride}) &&
+                group.member_parts.size() == group.members.size(),
+            "members, member_parts: [kMaxClusterElements][stride]");
   TM_ASSERT(group.record_reals() % 4 == 0, "records start at multiples of four reals");
   if (layout.storage == matrix::Storage::kEdges) {
     check_patch_elements(group, layout);

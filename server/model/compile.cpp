@@ -7,8 +7,8 @@
 
 #include "core/assert.h"
 #include "model/check.h"
+#include "model/clusters.h"
 #include "model/compile_parts.h"
-#include "model/wedge_pairs.h"
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
 ///
@@ -22,10 +22,10 @@ namespace tensormass::model {
 
 namespace {
 
-/// Makes the layout of the merged mesh. Wedge pairs count as elements here only, because the matrix couples all nodes
-/// of a pair.
+/// Makes the layout of the merged mesh. Clusters count as elements here only, because the matrix couples all nodes of
+/// a cluster.
 void make_layout(Compilation& c, const PatchPolicy& policy) {
-  c.merged.blocks.push_back(wedge_pair_block(c));
+  c.merged.blocks.push_back(cluster_block(c));
   const auto nodes = static_cast<std::uint32_t>(c.merged.nodes.size());
   c.model.layout = matrix::make_layout(c.merged, policy.count(nodes), policy.storage_of(nodes));
   c.merged.blocks.pop_back();
@@ -64,7 +64,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(read_bodies(c, progress));
   TM_RETURN_IF_ERROR(read_tools(c));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kOrderNodes));
-  make_wedge_pairs(c);
+  make_clusters(c);
   make_layout(c, policy);
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kBoundaryConditions));
   TM_RETURN_IF_ERROR(fill_row_fields(c));

@@ -11,6 +11,7 @@
 #include "model/material_input.h"
 #include "model/model.h"
 #include "model/scene_input.h"
+#include "physics/element/element.h"
 #include "physics/lists.h"
 #include "tensormass/v1/scene.pb.h"
 
@@ -33,12 +34,18 @@ struct ReadBody {
   BodyNodes nodes() const { return {mesh.nodes, middle_of}; }
 };
 
-/// Two wedges that share a volumetric quadrature point (wedge_pairs.h).
-struct WedgePair {
+/// The shape whose element pass evaluates a cluster.
+using ClusterShape = physics::Hexahedron;
+inline constexpr std::size_t kClusterNodes = ClusterShape::kNodes;
+
+/// Elements that share a quadrature point (clusters.h).
+struct Cluster {
   std::size_t body;
-  std::array<std::uint32_t, 2> elements;    ///< numbered in the body
-  std::array<std::uint32_t, 8> nodes;       ///< numbered in the scene: six of the first wedge, two more of the second
-  std::array<std::size_t, 6> second_nodes;  ///< places of the second wedge's nodes in `nodes`
+  double deviatoric_part;                                   ///< d
+  std::array<std::uint32_t, kMaxClusterElements> elements;  ///< numbered in the body; mesh::kNone: there are fewer
+  std::array<double, kMaxClusterElements> parts;            ///< V_e / V of each element
+  std::array<std::uint32_t, kClusterNodes> nodes;           ///< numbered in the scene
+  physics::PointGradients<ClusterShape, double> mean;       ///< ā_k and V
 };
 
 /// A model that is being compiled.
@@ -48,7 +55,7 @@ struct Compilation {
   mesh::Mesh merged;                      ///< the meshes of all bodies, one after the other
   std::vector<std::size_t> block_bodies;  ///< [block of merged] its body
   std::vector<ReadBody> bodies;
-  std::vector<WedgePair> wedge_pairs;
+  std::vector<Cluster> clusters;
 };
 
 /// Visits every element of the scene.

@@ -10,9 +10,9 @@
 #include "matrix/patch_elements.h"
 #include "matrix/row_elements.h"
 #include "mesh/shapes.h"
+#include "model/clusters.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
-#include "model/wedge_pairs.h"
 #include "physics/element/element.h"
 
 /// Turns elements into what a step reads: groups of elements that one kernel evaluates.
@@ -43,8 +43,9 @@ constexpr std::size_t kGrain = 16384;
 /// The part of an element's energy that a group integrates.
 enum class Share : std::uint8_t {
   kWhole,
-  kWithoutDilatation,  // a wedge of a pair: its volumetric part is in the group of its pair
-  kDilatationOfPair,   // the volumetric part of two wedges (wedge_pairs.h)
+  kMember,      // what an element of a cluster keeps (clusters.h)
+  kDilatation,  // what a cluster takes over: the volumetric part,
+  kMean,        // or also a part of the deviatoric one
 };
 
 /// Elements with equal keys form a group. The order puts groups whose tensors change in each step first.
@@ -64,8 +65,9 @@ struct GroupKey {
 
 /// The elements of a group in the order of the bodies.
 struct Collected {
-  std::vector<std::uint32_t> elements, partners;
-  std::vector<double> first_parts;
+  std::vector<std::uint32_t> elements;
+  std::vector<std::uint32_t> members;  // [element][member], see ElementGroup; empty: no clusters
+  std::vector<double> member_parts;
   std::vector<std::uint32_t> rows;  // [element][node]
   std::vector<double> rest;         // [element][point][rest real]
   std::vector<double> parameters;   // [element][law parameter]
@@ -157,7 +159,7 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
   physics::for_each_type(physics::Laws{}, [&](auto law, int index) {
     using Law = typename decltype(law)::Type;
     if (index != key.law) return;
-    group.checks_volume = Law::kInversion == physics::Inversion::kCaught && elements.partners.empty();
+    group.checks_volume = Law::kInversion == physics::Inversion::kCaught && elements.members.empty();
   });
   group.element_count = static_cast<std::uint32_t>(elements.elements.size());
   const bool edges = layout.storage == matrix::Storage::kEdges;
@@ -171,8 +173,8 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
   const auto components = [&](const auto& items) { return items.size() / group.element_count; };
   const auto placed = [&](const auto& items) { return transpose(items, components(items), order, group.stride); };
   group.elements = elements_of_places(elements.elements, order);
-  group.partners = placed(elements.partners);
-  group.first_parts = placed(elements.first_parts);
+  group.members = placed(elements.members);
+  group.member_parts = placed(elements.member_parts);
   group.rows = placed(elements.rows);
   group.rest = placed(elements.rest);
   group.parameters = placed(elements.parameters);
@@ -181,6 +183,15 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
     group.pair_places = matrix::pair_places(layout, by_patch, group.rows, elements.nodes);
   }
   return group;
+}
+
+/// Returns the material with the moduli that a linear tetrahedron keeps in a cluster.
+Material kept_by_member(Material material, double deviatoric_part) {
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
+    using Law = typename decltype(tag)::Type;
+    if (index == material.law) Law::scale_moduli(material.parameters.data(), 1 - deviatoric_part, 0.0);
+  });
+  return material;
 }
 
 /// Returns the error for a folded element. element: numbered in the scene.
@@ -207,9 +218,9 @@ Result<void> group_elements(Compilation& c) {
 
   std::map<GroupKey, Collected> collected;
   const auto collect = [&]<class Shape>(const physics::ElementAtRest<Shape>& rest, Share share, std::size_t b,
-                                        std::uint32_t element, std::span<const std::uint32_t> nodes) -> Collected& {
+                                        std::uint32_t element, const Material& material,
+                                        std::span<const std::uint32_t> nodes) -> Collected& {
     const ReadBody& body = c.bodies[b];
-    const Material& material = body.material(element);
     const bool alone = material.constant_stiffness || !material.prony.empty();
     Collected& group = collected[{material.constant_stiffness, physics::index_of<Shape>(physics::Shapes{}),
                                   material.law, body.quadrature, share, alone ? b : 0, series_of(material.prony)}];
@@ -233,14 +244,18 @@ Result<void> group_elements(Compilation& c) {
     return group;
   };
 
-  std::vector<bool> paired(mesh::element_count(c.merged), false);
-  for (const WedgePair& pair : c.wedge_pairs) {
-    const std::uint32_t begin = c.model.bodies[pair.body].element_begin;
-    for (const std::uint32_t element : pair.elements) paired[begin + element] = true;
-    const WedgePairAtRest at_rest = wedge_pair_at_rest(c, pair);
-    Collected& group = collect(at_rest.rest, Share::kDilatationOfPair, pair.body, pair.elements[0], pair.nodes);
-    group.partners.push_back(begin + pair.elements[1]);
-    group.first_parts.push_back(at_rest.first_part);
+  std::vector<const Cluster*> cluster_of(mesh::element_count(c.merged), nullptr);
+  for (const Cluster& cluster : c.clusters) {
+    const std::uint32_t begin = c.model.bodies[cluster.body].element_begin;
+    const Material& material = c.bodies[cluster.body].material(cluster.elements[0]);
+    const Share share = cluster.deviatoric_part > 0 ? Share::kMean : Share::kDilatation;
+    Collected& group =
+        collect(mean_at_rest(cluster), share, cluster.body, cluster.elements[0], material, cluster.nodes);
+    for (const std::uint32_t element : cluster.elements) {
+      group.members.push_back(element == mesh::kNone ? element : begin + element);
+      if (element != mesh::kNone) cluster_of[begin + element] = &cluster;
+    }
+    group.member_parts.insert(group.member_parts.end(), cluster.parts.begin(), cluster.parts.end());
   }
   std::uint32_t folded = mesh::kNone;
   for_each_element(
@@ -251,11 +266,17 @@ Result<void> group_elements(Compilation& c) {
         for (const auto& point : rest.points) {
           if (!(point.back() > 0)) folded = std::min(folded, of_scene);
         }
-        if (paired[of_scene]) {  // the last point is the volumetric one, which the pair has instead
+        const Material& material = c.bodies[b].material(element);
+        if (cluster_of[of_scene] == nullptr) {
+          collect(rest, Share::kWhole, b, element, material, nodes);
+        } else if constexpr (Shape::kSinglePoint) {
+          const Material kept = kept_by_member(material, cluster_of[of_scene]->deviatoric_part);
+          collect(rest, Share::kMember, b, element, kept, nodes);
+        } else {  // the last point is the volumetric one, which the cluster has instead
           rest.points.pop_back();
           rest.shares.pop_back();
+          collect(rest, Share::kMember, b, element, material, nodes);
         }
-        collect(rest, paired[of_scene] ? Share::kWithoutDilatation : Share::kWhole, b, element, nodes);
       });
 
   if (folded != mesh::kNone) return refuse_folded(c.model, folded);

@@ -42,6 +42,9 @@ enum class SolveKind : std::uint8_t {
   kStreamed,  ///< one GPU kernel; each iteration reads the matrix from memory
 };
 
+/// The most elements that share a quadrature point (clusters.h).
+inline constexpr std::size_t kMaxClusterElements = 6;
+
 /// Elements of one (shape, law). Linear and viscoelastic laws have a group for each body.
 struct ElementGroup {
   int shape = 0;  ///< index into physics::Shapes
@@ -56,16 +59,18 @@ struct ElementGroup {
   /// [place] element of the scene. mesh::kNone: padding, or an element that an earlier place has computed for another
   /// patch. May end before the padding does.
   std::vector<std::uint32_t> elements;
-  std::vector<std::uint32_t> partners;  ///< [place] second wedge of a pair (wedge_pairs.h); empty: no pairs
-  std::vector<double> first_parts;      ///< [place] V₁ / (V₁ + V₂) of a pair; empty: no pairs
-  std::vector<std::uint32_t> rows;      ///< [shape nodes][stride]
-  std::vector<double> rest;             ///< [point_count][rest reals][stride]
-  std::vector<double> parameters;       ///< [law parameters][stride]
-  matrix::RowLists row_lists;           ///< empty if is_constant, and with Storage::kEdges
+  /// [kMaxClusterElements][stride] elements of each cluster, the first as in `elements`; mesh::kNone: there are fewer.
+  /// Empty: the group has no clusters.
+  std::vector<std::uint32_t> members;
+  std::vector<double> member_parts;  ///< [kMaxClusterElements][stride] part of the cluster's volume
+  std::vector<std::uint32_t> rows;   ///< [shape nodes][stride]
+  std::vector<double> rest;          ///< [point_count][rest reals][stride]
+  std::vector<double> parameters;    ///< [law parameters][stride]
+  matrix::RowLists row_lists;        ///< empty if is_constant, and with Storage::kEdges
   // Storage::kEdges only (matrix/patch_elements.h):
   std::vector<std::uint32_t> patch_elements;  ///< [patch_count, 2]
   std::vector<std::uint32_t> pair_places;     ///< [pairs][stride]; empty if the tensors are constant
-  /// The law does not recover from inversion (Inversion::kCaught). False for wedge pairs: their wedges are checked.
+  /// The law does not recover from inversion (Inversion::kCaught). False for clusters: their elements are checked.
   bool checks_volume = false;
   bool solve_checks_volume = false;  ///< the solve checks the volumes (Model::checked), not a stage
 
@@ -74,7 +79,7 @@ struct ElementGroup {
     return view::record_reals(static_cast<std::uint32_t>(rest.size() / stride / point_count), point_count,
                               static_cast<std::uint32_t>(parameters.size() / stride));
   }
-  bool is_wedge_pairs() const { return !partners.empty(); }
+  bool has_clusters() const { return !members.empty(); }
   /// Returns the reals of all Γ_i: [point_count][prony][6][stride].
   std::size_t internal_variable_reals() const {
     return std::size_t{point_count} * prony.size() * physics::kSymmetricReals * stride;

@@ -2,12 +2,11 @@
 
 #include <algorithm>
 #include <deque>
-#include <utility>
-
-#include <fmt/format.h>
+#include <span>
 
 #include "mesh/faces.h"
 #include "mesh/shapes.h"
+#include "model/clusters.h"
 
 namespace tensormass::model {
 
@@ -15,20 +14,10 @@ namespace {
 
 constexpr const mesh::Topology& kWedge = mesh::topology(mesh::Shape::kWedge);
 
-/// Poisson's ratio above which a wedge without a partner is too stiff.
-constexpr double kNearlyIncompressible = 0.49;
-/// Fraction of a body's wedges that may lock without a warning. An irregular mesh leaves up to 0.02 alone.
-constexpr double kNoticeablePart = 0.1;
-
 struct SharedFace {
   ElementPair elements;
   double area_m2;
 };
-
-bool same_dilatation(const Material& a, const Material& b) {
-  return a.law == b.law && a.young_modulus_pa == b.young_modulus_pa && a.poisson_ratio == b.poisson_ratio &&
-         a.prony == b.prony;
-}
 
 std::vector<bool> wedges_of(const mesh::Mesh& mesh) {
   std::vector<bool> wedges;
@@ -104,77 +93,6 @@ std::vector<ElementPair> pair_wedges(const ReadBody& body) {
   }
   std::sort(pairs.begin(), pairs.end());
   return pairs;
-}
-
-void make_wedge_pairs(Compilation& c) {
-  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
-    const ReadBody& body = c.bodies[b];
-    if (body.quadrature != physics::Quadrature::kSelective) continue;
-    const BodyModel& of = c.model.bodies[b];
-    const auto nodes_of = mesh::element_nodes(body.mesh);
-    const std::vector<bool> is_wedge = wedges_of(body.mesh);
-    std::vector<bool> alone = is_wedge;
-    for (const ElementPair& elements : pair_wedges(body)) {
-      WedgePair pair{b, elements, {}, {}};
-      const auto first = nodes_of[elements[0]], second = nodes_of[elements[1]];
-      std::copy(first.begin(), first.end(), pair.nodes.begin());
-      std::size_t count = first.size();
-      for (std::size_t k = 0; k < second.size(); ++k) {
-        const auto place = static_cast<std::size_t>(std::find(first.begin(), first.end(), second[k]) - first.begin());
-        pair.second_nodes[k] = place < first.size() ? place : count++;
-        pair.nodes[pair.second_nodes[k]] = second[k];
-      }
-      for (std::uint32_t& node : pair.nodes) node += of.node_begin;
-      c.wedge_pairs.push_back(pair);
-      for (const std::uint32_t element : elements) alone[element] = false;
-    }
-    std::uint32_t wedges = 0, locking = 0;
-    for (std::uint32_t e = 0; e < of.element_count; ++e) {
-      wedges += is_wedge[e] ? 1 : 0;
-      if (alone[e] && body.material(e).poisson_ratio > kNearlyIncompressible) ++locking;
-    }
-    if (locking <= kNoticeablePart * wedges) continue;
-    c.model.warnings.push_back(fmt::format(
-        "body '{}': {} of {} wedges have no partner for their change of volume and are too stiff near a "
-        "Poisson's ratio of 0.5; a partner lies across a quadrilateral face and has the same law and moduli",
-        of.name, locking, wedges));
-  }
-}
-
-mesh::ElementBlock wedge_pair_block(const Compilation& c) {
-  mesh::ElementBlock block{mesh::Shape::kHexahedron, {}};
-  for (const WedgePair& pair : c.wedge_pairs)
-    block.nodes.insert(block.nodes.end(), pair.nodes.begin(), pair.nodes.end());
-  return block;
-}
-
-WedgePairAtRest wedge_pair_at_rest(const Compilation& c, const WedgePair& pair) {
-  using physics::Wedge;
-  using Gradients = physics::PointGradients<Wedge, double>;
-  const auto mean = [&](const auto& place) {
-    Vec3<double> x[Wedge::kNodes];
-    for (std::size_t k = 0; k < Wedge::kNodes; ++k) x[k] = c.merged.nodes[pair.nodes[place(k)]];
-    const auto point = physics::rest_points<Wedge>(x, physics::Quadrature::kReduced).front();
-    return Gradients::read([&](int i) { return point[static_cast<std::size_t>(i)]; });
-  };
-  const Gradients first = mean([](std::size_t k) { return k; });
-  const Gradients second = mean([&](std::size_t k) { return pair.second_nodes[k]; });
-
-  Vec3<double> a[WedgePairShape::kNodes];
-  for (Vec3<double>& gradient : a) gradient.setZero();
-  const double volume = first.weight + second.weight;
-  for (std::size_t k = 0; k < Wedge::kNodes; ++k) {
-    a[k] += first.a[k] * (first.weight / volume);
-    a[pair.second_nodes[k]] += second.a[k] * (second.weight / volume);
-  }
-  WedgePairAtRest out{{}, first.weight / volume};
-  auto& point = out.rest.points.emplace_back();
-  for (std::size_t k = 1; k < WedgePairShape::kNodes; ++k) {
-    for (std::size_t i = 0; i < 3; ++i) point[3 * (k - 1) + i] = a[k][static_cast<Eigen::Index>(i)];
-  }
-  point.back() = volume;
-  out.rest.shares.push_back({0, 1});
-  return out;
 }
 
 }  // namespace tensormass::model

@@ -112,7 +112,7 @@ v1::SceneReport make_report(const model::Model& model, const MachineRates& machi
       const model::ElementGroup& group = model.groups[stage.group];
       physics::with_shape_and_law(group.shape, group.law, [&](auto shape, auto law) {
         out.set_name(fmt::format("{}: {}, {}", info.name,
-                                 group.is_wedge_pairs() ? "volume of wedge pairs" : decltype(shape)::Type::kName,
+                                 group.has_clusters() ? "clusters" : decltype(shape)::Type::kName,
                                  decltype(law)::Type::kName));
       });
     }

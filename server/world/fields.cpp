@@ -27,8 +27,8 @@ struct Measured {
   std::vector<double> det_f, energy;          // [element] det F, energy in J
 };
 
-/// Adds force, stress, det F and energy of element `e` to `measured`, summed over its quadrature points. A wedge pair
-/// adds its sums to both wedges. history: the group's viscoelastic internal variables. first_element: index of the
+/// Adds force, stress, det F and energy of element `e` to `measured`, summed over its quadrature points. A cluster adds
+/// its sums to all of its elements. history: the group's viscoelastic internal variables. first_element: index of the
 /// body's first element, which is entry 0 of `measured`.
 template <class Shape, class Law>
 void measure_element(const model::ElementGroup& group, std::span<const double> history, double internal_dt_s,
@@ -95,11 +95,9 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     measured.det_f[out] = std::min(measured.det_f[out], det_f);
     measured.energy[out] += part * energy;
   };
-  if (group.is_wedge_pairs()) {
-    add(group.elements[e], group.first_parts[e]);
-    add(group.partners[e], 1 - group.first_parts[e]);
-  } else {
-    add(group.elements[e], 1);
+  if (!group.has_clusters()) add(group.elements[e], 1);
+  for (std::size_t i = e; i < group.members.size(); i += group.stride) {
+    if (group.members[i] != mesh::kNone) add(group.members[i], group.member_parts[i]);
   }
 }
 

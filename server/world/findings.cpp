@@ -124,7 +124,7 @@ void Findings::add_elements(v1::SceneStatus& status) const {
   for (std::size_t g = 0; g < groups_.size(); ++g) {
     min_det_f = std::min(min_det_f, groups_[g].min_det_f.load(kRelaxed));
     const model::ElementGroup& group = model_.groups[g];
-    if (group.is_wedge_pairs()) continue;  // each wedge has diagnostics of its own
+    if (group.has_clusters()) continue;  // each of their elements has diagnostics of its own
     const double strain = groups_[g].max_strain.load(kRelaxed), rotation = groups_[g].max_rotation_rad.load(kRelaxed);
     const double stretch = groups_[g].least_stretch.load(kRelaxed);
     physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {

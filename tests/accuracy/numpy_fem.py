@@ -10,6 +10,7 @@ stress [Pa].
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING
@@ -20,13 +21,18 @@ import numpy.typing as npt
 from tensormass.v1 import scene_pb2
 
 from . import problem as problems
-from .laws import IDENTITY
+from .laws import IDENTITY, Law
 from .meshes import Floats, Mesh
 
 if TYPE_CHECKING:
     import scipy.sparse
 
 Rule = tuple[Floats, Floats]
+
+# Rings of linear tetrahedra in selective quadrature (server/model/clusters.h).
+MOST_IN_RING = 6
+MOST_NODES_IN_RING = 8
+PART_OF_RING = 0.7
 
 
 def available() -> bool:
@@ -220,6 +226,32 @@ def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:
     return np.column_stack([first, partner[first]])
 
 
+def tetrahedron_rings(mesh: Mesh, elements: npt.NDArray) -> list[list[int]]:
+    """Tetrahedra that are one for selective quadrature, by the rule of server/model/tetrahedron_rings.h. A tetrahedron
+    that the rule leaves is a ring of its own.
+    """
+    around: dict[tuple[int, int], list[int]] = {}
+    for element, nodes in enumerate(elements.tolist()):
+        for edge in itertools.combinations(sorted(nodes), 2):
+            around.setdefault(edge, []).append(element)
+    lengths = {edge: float(np.linalg.norm(mesh.nodes[edge[0]] - mesh.nodes[edge[1]])) for edge in around}
+    longest = max(lengths.values())
+    order = sorted(around, key=lambda edge: (-round(1e6 * lengths[edge] / longest), edge))
+    free = set(range(len(elements)))
+    rings: list[list[int]] = []
+    for size in range(MOST_IN_RING, 1, -1):
+        for edge in order:
+            ring: list[int] = []
+            for element in around[edge]:
+                nodes = set(elements[[*ring, element]].ravel())
+                if element in free and len(ring) < MOST_IN_RING and len(nodes) <= MOST_NODES_IN_RING:
+                    ring.append(element)
+            if len(ring) >= size:
+                rings.append(ring)
+                free -= set(ring)
+    return rings + [[element] for element in sorted(free)]
+
+
 Stress = Callable[[Floats], Floats]
 
 
@@ -242,6 +274,8 @@ def _sums(
     a, w = gradients(problem.mesh, shape, elements)
     if problem.quadrature == scene_pb2.QUADRATURE_FULL:
         return [(elements, a, w, law.stress)]
+    if shape == "tetrahedron":
+        return _ring_sums(law, elements, a[:, 0], w[:, 0], tetrahedron_rings(problem.mesh, elements))
     if shape == "quadratic_hexahedron":  # selective: the volumetric stress is integrated at the 2×2×2 points
         return [
             (elements, a, w, lambda f: law.stress(f) - law.volumetric(f)),
@@ -261,6 +295,34 @@ def _sums(
         (elements, a, w, lambda f: law.stress(f) - law.volumetric(f)),
         (together, (total / volume[..., None])[:, None], volume, law.volumetric),
     ]
+
+
+def _ring_sums(
+    law: Law, elements: npt.NDArray, a: Floats, w: Floats, rings: list[list[int]]
+) -> list[tuple[npt.NDArray, Floats, Floats, Stress]]:
+    """The terms of `_sums` for linear tetrahedra in selective quadrature: each keeps a part of its deviatoric stress,
+    and its ring has the rest."""
+
+    def kept(f: Floats) -> Floats:
+        return (1 - PART_OF_RING) * (law.stress(f) - law.volumetric(f))
+
+    def shared(f: Floats) -> Floats:
+        return PART_OF_RING * law.stress(f) + (1 - PART_OF_RING) * law.volumetric(f)
+
+    alone = [ring[0] for ring in rings if len(ring) == 1]
+    in_rings = [element for ring in rings if len(ring) > 1 for element in ring]
+    out = [
+        (elements[alone], a[alone][:, None], w[alone][:, None], law.stress),
+        (elements[in_rings], a[in_rings][:, None], w[in_rings][:, None], kept),
+    ]
+    for size in sorted({len(ring) for ring in rings} - {1}):
+        of_size = np.array([ring for ring in rings if len(ring) == size])
+        volume = w[of_size].sum(axis=1)
+        mean = a[of_size] * (w[of_size] / volume[:, None])[:, :, None, None]
+        # A ring lists a node once for each of its tetrahedra; assembly adds up the entries.
+        nodes = elements[of_size].reshape(len(of_size), -1)
+        out.append((nodes, mean.reshape(len(of_size), 1, -1, 3), volume[:, None], shared))
+    return [term for term in out if len(term[0])]
 
 
 def solve(problem: problems.Problem) -> Floats:

@@ -46,10 +46,13 @@ class Setting:
     resolution: float
     rate_hz: float
     cg_tolerance: float = 0.01
+    selective: bool = False
 
     @property
     def name(self) -> str:
         kind = f"{'graded' if self.graded else 'uniform'} {'quadratic' if self.quadratic else 'linear'}"
+        if self.selective:
+            kind += " selective"
         return f"{kind} {self.resolution:g}, {self.rate_hz:g} Hz, CG {self.cg_tolerance:g}"
 
 
@@ -57,7 +60,11 @@ def _settings() -> list[Setting]:
     uniform = [Setting(False, False, r, rate) for r in (1, 2, 2.8) for rate in (60, 960)]
     uniform += [Setting(False, True, r, 60) for r in (0.5, 0.7, 1)]
     uniform += [Setting(False, True, r, 960, 0.1) for r in (0.5, 0.7, 1, 1.2, 1.3, 1.4, 2)]
+    uniform += [Setting(False, False, 1, 60, selective=True)]
+    uniform += [Setting(False, False, r, 960, 0.1, selective=True) for r in (1, 1.4, 2, 2.8)]
     graded = [Setting(True, False, 2, 960, 0.1)]
+    graded += [Setting(True, False, r, 60, selective=True) for r in (1, 1.5, 2)]
+    graded += [Setting(True, False, r, 960, 0.1, selective=True) for r in (1, 2, 3, 4)]
     graded += [Setting(True, True, r, 60) for r in (1, 1.15, 1.3)]
     graded += [Setting(True, True, r, 960, 0.1) for r in (1, 1.5, 2, 2.3, 2.5)]
     return [*uniform, *graded, Setting(True, True, 4, 960)]
@@ -111,6 +118,7 @@ def _scene(knobs: Knobs, setting: Setting) -> scene_pb2.Scene:
         "grading": "graded" if setting.graded else "uniform",
         "element_order": "quadratic" if setting.quadratic else "as_given",
         "resolution": setting.resolution,
+        "quadrature": "selective" if setting.selective else "full",
         "dt_s": 1 / setting.rate_hz,
         "cg_tolerance": setting.cg_tolerance,
     }

@@ -90,9 +90,9 @@ INSTANTIATE_TEST_SUITE_P(Family, EveryEntry,
 
 using Features = Agreement;
 
-/// Wedges share their volumetric points in pairs.
+/// Wedges and tetrahedra share points in clusters.
 TEST_F(Features, ViscoelasticWithSelectivePoints) {
-  for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE}) {
+  for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE, v1::SHAPE_TETRAHEDRON}) {
     v1::Scene scene = bar(shape, "neo_hookean", true);
     v1::Body& body = *scene.mutable_bodies(0);
     body.set_quadrature(v1::QUADRATURE_SELECTIVE);

@@ -367,6 +367,11 @@ STIFF = "mooney_rivlin: {c10_pa: 1, c01_pa: 1, bulk_modulus_pa: 1.0e+9}"
             "body 'bar': with quadrature: reduced, bending modes of a hexahedron have no stiffness; take selective",
         ),
         (
+            BAR.replace("hexahedron", "tetrahedron").replace("rayleigh_mass_per_s: 2", "quadrature: selective"),
+            (),
+            "body 'bar': with quadrature: selective, modes of linear tetrahedra are not computed; take full",
+        ),
+        (
             BAR.replace(LAW, FIBRES),
             (),
             "body 'bar'.law: transversely_isotropic is not isotropic, and modes are computed for isotropic laws",

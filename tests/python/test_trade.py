@@ -84,7 +84,6 @@ def test_missing_knobs_have_a_reason(tmp_path: Path) -> None:
     tm.write_mesh(tmp_path / "a.msh", meshes_of)
     knobs = knobs_of(FILE_OF_TETRAHEDRA, tmp_path)
     assert "comes from a file" in knobs.without["resolution"]
-    assert "one point" in knobs.without["quadrature"]
     with pytest.raises(tm.InvalidArgumentError, match="comes from a file"):
         knobs.choose(["resolution"])
     with pytest.raises(tm.InvalidArgumentError, match="did you mean 'cg_tolerance'"):
@@ -95,6 +94,17 @@ def test_missing_knobs_have_a_reason(tmp_path: Path) -> None:
     assert "element fields" in knobs_of(uneven, tmp_path).without["resolution"]
     still = BLOCK.replace("solver: {", "solver: {integrator: quasi_static, ")
     assert "equilibrium" in knobs_of(still, tmp_path).without["integrator"]
+
+
+@pytest.mark.parametrize(("own", "same"), [("full", "reduced"), ("reduced", "full")])
+def test_full_and_reduced_quadrature_of_linear_tetrahedra_are_the_same(tmp_path: Path, own: str, same: str) -> None:
+    tm.write_mesh(tmp_path / "a.msh", grids.grid([1, 1, 1], [1, 1, 1]))
+    knobs = knobs_of(FILE_OF_TETRAHEDRA.replace("quadrature: selective", f"quadrature: {own}"), tmp_path)
+    assert knobs.canonical({"quadrature": same}) == {}
+    assert knobs.canonical({"quadrature": "selective"}) == {"quadrature": "selective"}
+    assert knobs.canonical({"quadrature": same, "element_order": "quadratic"})["quadrature"] == same
+    selective = knobs_of(FILE_OF_TETRAHEDRA, tmp_path)
+    assert selective.canonical({"quadrature": own}) == {"quadrature": "full"}
 
 
 def test_tetrahedra_of_any_mesh_can_be_quadratic(tmp_path: Path) -> None:

@@ -110,13 +110,13 @@ TEST(Plan, ChecksTheVolumeOnlyOfLawsThatDoNotRecover) {
   }
 }
 
-TEST(Plan, NamesThePairsOfWedges) {
+TEST(Plan, NamesClusters) {
   v1::Scene scene = tests::beam_scene();
   scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(v1::SHAPE_WEDGE);
   scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);
   const std::vector<std::string> names = stages(plan(scene));
   EXPECT_EQ(names[0], "element tensors: wedge, st_venant_kirchhoff");
-  EXPECT_EQ(names[1], "element tensors: volume of wedge pairs, st_venant_kirchhoff");
+  EXPECT_EQ(names[1], "element tensors: clusters, st_venant_kirchhoff");
 }
 
 TEST(Plan, OfANonLinearSceneStoresNoConstantTensors) {

@@ -193,9 +193,9 @@ TEST_P(Analysis, PatchTest) {
   check(mixed, "all linear shapes, distorted, selective");
 }
 
-/// A nearly incompressible bar of wedge pairs bends like one of hexahedra, which do not lock. Its axis of bending lies
-/// across the triangles. Wedges whose volume change is not shared with a partner are far too stiff.
-TEST_P(Analysis, SelectiveWedgesDoNotLock) {
+/// A nearly incompressible bar of clusters bends like one of hexahedra, which do not lock. Its axis of bending lies
+/// across the triangles of wedges. Wedges and tetrahedra whose volume changes alone are far too stiff.
+TEST_P(Analysis, SelectiveClustersDoNotLock) {
   const auto tip = [&](v1::Shape shape) {
     v1::Scene scene = bar(shape, "hooke", 0.4999);
     v1::Body& body = *scene.mutable_bodies(0);
@@ -216,10 +216,11 @@ TEST_P(Analysis, SelectiveWedgesDoNotLock) {
   };
   const double hexahedra = tip(v1::SHAPE_HEXAHEDRON);
   EXPECT_NEAR(tip(v1::SHAPE_WEDGE), hexahedra, 0.15 * hexahedra);
+  EXPECT_NEAR(tip(v1::SHAPE_TETRAHEDRON), hexahedra, 0.15 * hexahedra);
 }
 
 /// Steps and fields must compute the same mechanics. In equilibrium, reactions are the derivative of the energy with
-/// respect to the prescribed displacements, also for wedge pairs. The elements hold all of the energy.
+/// respect to the prescribed displacements, also for clusters. The elements hold all of the energy.
 TEST_P(Analysis, ReactionsAreTheDerivativeOfTheEnergy) {
   for (const std::string& law : tests::law_names()) {
     const auto at = [&](double step) {
@@ -321,15 +322,15 @@ TEST_P(Analysis, PressureAllAroundIsHydrostatic) {
   }
 }
 
-/// After a sudden constant stretch, the stress of every law relaxes to 1 − α of its first value. Also holds for wedge
-/// pairs, whose pressure has internal variables of the pair and whose shear has those of each wedge.
+/// After a sudden constant stretch, the stress of every law relaxes to 1 − α of its first value. Also holds for
+/// clusters, which have internal variables of their own beside those of their elements.
 TEST_P(Analysis, ViscoelasticityRelaxesEveryLaw) {
   for (const std::string& law : tests::law_names()) {
-    for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE}) {
+    for (const v1::Shape shape : {v1::SHAPE_HEXAHEDRON, v1::SHAPE_WEDGE, v1::SHAPE_TETRAHEDRON}) {
       const std::string what = v1::Shape_Name(shape) + " " + law;
       v1::Scene scene = bar(shape, law);
       v1::Body& body = *scene.mutable_bodies(0);
-      if (shape == v1::SHAPE_WEDGE) body.set_quadrature(v1::QUADRATURE_SELECTIVE);
+      if (shape != v1::SHAPE_HEXAHEDRON) body.set_quadrature(v1::QUADRATURE_SELECTIVE);
       quasi_static(scene);
       scene.mutable_stepping()->set_dt_s(0.05);
       v1::PronyTerm& term = *body.mutable_law()->add_prony();
@@ -374,7 +375,7 @@ TEST_P(Analysis, DiagnosticsMeasureStrainAndCompression) {
   EXPECT_EQ(world->diagnostics()[0].max_strain, 0);
 }
 
-/// Wedges and their pairs are two element groups but give one warning.
+/// Elements and their clusters are two element groups but give one warning.
 TEST_P(Analysis, LeavingTheLinearRangeGivesOneWarning) {
   v1::Scene scene = bar(v1::SHAPE_WEDGE, "hooke");
   scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_SELECTIVE);

@@ -117,6 +117,11 @@ def _check_supported(body: scene_pb2.Body, mesh: VolumeMesh, where: str) -> None
             raise InvalidArgumentError(
                 f"{where}: with quadrature: reduced, bending modes of a {shape.name} have no stiffness; take selective"
             )
+        if body.quadrature == scene_pb2.QUADRATURE_SELECTIVE and shape.name == _ONE_POINT:
+            raise InvalidArgumentError(
+                f"{where}: with quadrature: selective, modes of linear tetrahedra are not computed; take full, or "
+                "element_order: quadratic"
+            )
     inverted = np.flatnonzero(signed_volumes(mesh) <= 0)
     if inverted.size:
         raise InvalidArgumentError(f"{where}: element {inverted[0]} is flat or inverted; `tensormass mesh` repairs it")

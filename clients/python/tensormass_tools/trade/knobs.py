@@ -35,6 +35,8 @@ ONE_CHOICE = {
     "contact": "penalty at the closest point of each triangle",
     "stream codec": "32-bit floats",
 }
+#: Quadratures that are the same for linear tetrahedra.
+_ONE_POINT = ("full", "reduced")
 _RESOLUTIONS = (0.5, 0.7, 1.0, 1.4, 2.0)
 _DT_FACTORS = (2.0, 1.0, 0.5, 0.25)
 _CG_SHARES = (0.1, 0.25, 1.0)
@@ -105,8 +107,11 @@ class Knobs:
     def canonical(self, setting: Setting) -> dict[str, Value]:
         """Drops values that equal the scene's own or have no effect, and sorts by the order of the knobs."""
         kept = {name: setting[name] for name in self.knobs if name in setting and setting[name] != self.knobs[name].own}
-        if self._has_one_point(kept):
-            kept.pop("quadrature", None)
+        if self._has_one_point(kept) and kept.get("quadrature") in _ONE_POINT:
+            if self.knobs["quadrature"].own in _ONE_POINT:
+                kept.pop("quadrature")
+            else:
+                kept["quadrature"] = _ONE_POINT[0]
         if self.value(kept, "integrator") == "quasi_static" and not self.quasi_static:
             kept.pop("mass", None)
         return kept
@@ -238,9 +243,7 @@ class Knobs:
         else:
             self._add("element_order", "order of the tetrahedra", self._own_order, _ORDERS)
         quadratures = {body.quadrature or scene_pb2.QUADRATURE_FULL for body in bodies}
-        if "shape" not in self.knobs and self._has_one_point({}):
-            self.without["quadrature"] = "linear tetrahedra have one point"
-        elif len(quadratures) > 1:
+        if len(quadratures) > 1:
             self.without["quadrature"] = "the bodies differ"
         else:
             own = short_name(scene_pb2.Quadrature.DESCRIPTOR, quadratures.pop())

@@ -1,17 +1,21 @@
-#include "model/wedge_pairs.h"
+#include "model/clusters.h"
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <set>
 
 #include <gtest/gtest.h>
 
 #include "mesh/grid.h"
+#include "mesh/shapes.h"
 #include "model/compile.h"
+#include "model/tetrahedron_rings.h"
+#include "model/wedge_pairs.h"
 #include "support/meshes.h"
 #include "support/scenes.h"
 
-/// Which wedges share a volumetric quadrature point.
+/// Which elements share a quadrature point.
 namespace tensormass::model {
 namespace {
 
@@ -138,6 +142,78 @@ TEST(PairWedges, FindsEveryWedgeOfAMixedMeshOnce) {
   EXPECT_EQ(*found.rbegin(), first + count - 1);
 }
 
+mesh::Mesh tetrahedra(std::uint32_t x, std::uint32_t y, std::uint32_t z) {
+  return grid(x, y, z, mesh::Shape::kTetrahedron);
+}
+
+/// The six tetrahedra of a cell share its diagonal. Other edges have six as well, but the diagonal is longer.
+TEST(RingTetrahedra, RestoresTheCellsOfAGrid) {
+  const std::vector<ElementRing> rings = ring_tetrahedra(body_of(tetrahedra(4, 3, 2)));
+  ASSERT_EQ(rings.size(), 4u * 3 * 2);
+  for (std::uint32_t cell = 0; cell < rings.size(); ++cell) {
+    ElementRing expected(6);
+    std::iota(expected.begin(), expected.end(), 6 * cell);
+    EXPECT_EQ(rings[cell], expected) << cell;
+  }
+}
+
+/// Tetrahedra around an axis, between the points of a circle.
+mesh::Mesh closed_ring(std::uint32_t count) {
+  mesh::Mesh mesh;
+  mesh.nodes = {{0, 0, -1.5}, {0, 0, 1.5}};
+  mesh::ElementBlock& block = mesh.blocks.emplace_back();
+  for (std::uint32_t i = 0; i < count; ++i) {
+    mesh.nodes.push_back({std::cos(2 * M_PI * i / count), std::sin(2 * M_PI * i / count), 0});
+    for (const std::uint32_t node : {0u, 1u, 2 + i, 2 + (i + 1) % count}) block.nodes.push_back(node);
+  }
+  return mesh;
+}
+
+/// Six that close a ring have eight nodes. Of seven, five in a row have eight, and the other two are a ring.
+TEST(RingTetrahedra, HaveAtMostEightNodes) {
+  EXPECT_EQ(ring_tetrahedra(body_of(closed_ring(6))), (std::vector<ElementRing>{{0, 1, 2, 3, 4, 5}}));
+  EXPECT_EQ(ring_tetrahedra(body_of(closed_ring(7))), (std::vector<ElementRing>{{0, 1, 2, 3, 4}, {5, 6}}));
+}
+
+TEST(RingTetrahedra, NeedOneMaterialAndSelectiveQuadrature) {
+  ReadBody body = body_of(tetrahedra(1, 1, 1));
+  body.materials.push_back(body.materials[0]);
+  body.element_materials = {0, 1, 0, 1, 0, 1};
+  EXPECT_EQ(ring_tetrahedra(body).size(), 1u) << "another entry that says the same";
+  body.materials[1].parameters = {1, 2, 3};
+  EXPECT_EQ(ring_tetrahedra(body), (std::vector<ElementRing>{{0, 2, 4}, {1, 3, 5}})) << "other fibres";
+  body.quadrature = physics::Quadrature::kFull;
+  EXPECT_TRUE(ring_tetrahedra(body).empty());
+  EXPECT_TRUE(ring_tetrahedra(body_of(grid(2, 2, 2, mesh::Shape::kHexahedron))).empty());
+}
+
+TEST(RingTetrahedra, FindEveryTetrahedronAtMostOnce) {
+  mesh::Mesh mesh = tetrahedra(5, 4, 3);
+  for (std::size_t i = 0; i < mesh.nodes.size(); ++i) {
+    for (int c = 0; c < 3; ++c) mesh.nodes[i][c] += 0.2 * std::sin(static_cast<double>(7 * i + 3) * (c + 1));
+  }
+  const std::vector<ElementRing> rings = ring_tetrahedra(body_of(mesh));
+  const auto nodes_of = mesh::element_nodes(mesh);
+  std::set<std::uint32_t> found;
+  std::size_t members = 0;
+  for (const ElementRing& ring : rings) {
+    members += ring.size();
+    found.insert(ring.begin(), ring.end());
+    EXPECT_TRUE(std::is_sorted(ring.begin(), ring.end()));
+    std::set<std::uint32_t> all(nodes_of[ring[0]].begin(), nodes_of[ring[0]].end()), common = all;
+    for (const std::uint32_t element : ring) {
+      all.insert(nodes_of[element].begin(), nodes_of[element].end());
+      std::erase_if(common, [&](std::uint32_t node) {
+        return std::find(nodes_of[element].begin(), nodes_of[element].end(), node) == nodes_of[element].end();
+      });
+    }
+    EXPECT_LE(all.size(), kClusterNodes);
+    EXPECT_GE(common.size(), 2u) << "an edge of all";
+  }
+  EXPECT_EQ(found.size(), members);
+  EXPECT_GT(members, 0.9 * 6 * 5 * 4 * 3);
+}
+
 v1::Scene wedge_bar(double poisson_ratio) {
   v1::Scene scene = tests::beam_scene({.cells_x = 3, .cells_y = 2, .cells_z = 2, .poisson_ratio = poisson_ratio});
   scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(v1::SHAPE_WEDGE);
@@ -154,23 +230,60 @@ TEST(WedgePairs, AreAGroupBesideTheirWedges) {
   const Model model = compile(scene, {}).value();
   ASSERT_EQ(model.groups.size(), 2u);
   const ElementGroup &wedges = model.groups[0], &pairs = model.groups[1];
-  EXPECT_FALSE(wedges.is_wedge_pairs());
+  EXPECT_FALSE(wedges.has_clusters());
   EXPECT_EQ(wedges.element_count, 2 * 24u);
   EXPECT_EQ(wedges.point_count, 6u);
-  EXPECT_TRUE(pairs.is_wedge_pairs());
+  EXPECT_TRUE(pairs.has_clusters());
   EXPECT_EQ(pairs.element_count, 2 * 12u);
   ASSERT_EQ(pairs.shares.size(), 1u);
   EXPECT_EQ(pairs.shares[0].deviatoric, 0);
   EXPECT_EQ(pairs.shares[0].volumetric, 1);
   double volume = 0;
   for (std::uint32_t e = 0; e < pairs.element_count; ++e) {
-    EXPECT_EQ(pairs.elements[e] / 2, pairs.partners[e] / 2) << "of one cell";
-    EXPECT_NE(pairs.elements[e], pairs.partners[e]);
-    EXPECT_NEAR(pairs.first_parts[e], 0.5, 1e-12);
-    volume += pairs.rest[std::size_t{physics::kRestReals<WedgePairShape> - 1} * pairs.stride + e];
+    const std::uint32_t first = pairs.members[e], second = pairs.members[pairs.stride + e];
+    EXPECT_EQ(first, pairs.elements[e]);
+    EXPECT_EQ(first / 2, second / 2) << "of one cell";
+    EXPECT_NE(first, second);
+    EXPECT_EQ(pairs.members[2 * pairs.stride + e], mesh::kNone) << "there is no third";
+    EXPECT_NEAR(pairs.member_parts[e], 0.5, 1e-12);
+    volume += pairs.rest[std::size_t{physics::kRestReals<ClusterShape> - 1} * pairs.stride + e];
   }
   EXPECT_NEAR(volume, 2 * 8 * 1 * 0.8, 1e-12);
   EXPECT_EQ(model.bodies[1].element_count, 24u) << "a pair is not an element of the scene";
+}
+
+/// A cell's ring beside its tetrahedra, which keep the rest of the deviatoric moduli. A ring with fewer nodes is filled
+/// up with neighbours whose gradients are zero.
+TEST(TetrahedronRings, AreAGroupBesideTheirTetrahedra) {
+  v1::Scene scene = wedge_bar(0.4);
+  scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(v1::SHAPE_TETRAHEDRON);
+  const Model model = compile(scene, {}).value();
+  ASSERT_EQ(model.groups.size(), 2u);
+  const ElementGroup &tetrahedra = model.groups[0], &rings = model.groups[1];
+  EXPECT_FALSE(tetrahedra.has_clusters());
+  EXPECT_EQ(tetrahedra.element_count, 6 * 12u);
+  EXPECT_TRUE(tetrahedra.shares.empty()) << "their moduli are scaled when the scene is compiled";
+  EXPECT_TRUE(rings.has_clusters());
+  EXPECT_EQ(rings.element_count, 12u);
+  ASSERT_EQ(rings.shares.size(), 1u);
+  EXPECT_EQ(rings.shares[0].deviatoric, kRingPart);
+  EXPECT_EQ(rings.shares[0].volumetric, 1);
+  EXPECT_FALSE(rings.checks_volume);
+  double parts = 0;
+  for (const double part : rings.member_parts) parts += part;
+  EXPECT_NEAR(parts, 12, 1e-12);
+
+  scene.mutable_bodies(0)->set_quadrature(v1::QUADRATURE_FULL);
+  EXPECT_EQ(compile(scene, {}).value().groups.size(), 1u);
+}
+
+TEST(TetrahedronRings, ASingleTetrahedronStaysAlone) {
+  Compilation c{v1::Scene{}, {}, {}, {}, {}, {}};
+  c.bodies.push_back(body_of(closed_ring(2)));
+  c.model.bodies.resize(1);
+  c.model.bodies[0].element_count = 2;
+  make_clusters(c);
+  EXPECT_TRUE(c.clusters.empty()) << "the mesh has six nodes, and a cluster needs eight";
 }
 
 TEST(WedgePairs, WarnOfWedgesThatLock) {
@@ -181,7 +294,7 @@ TEST(WedgePairs, WarnOfWedgesThatLock) {
   scene.mutable_bodies(0)->mutable_element_fields()->set_young_modulus_pa(young.data(), young.size() * sizeof(double));
   const Model model = compile(scene, {}).value();
   ASSERT_EQ(model.warnings.size(), 1u);
-  EXPECT_NE(model.warnings[0].find("24 of 24 wedges"), std::string::npos) << model.warnings[0];
+  EXPECT_NE(model.warnings[0].find("24 of 24 elements of shape wedge"), std::string::npos) << model.warnings[0];
 }
 
 }  // namespace

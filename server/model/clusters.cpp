@@ -1,0 +1,171 @@
+#include "model/clusters.h"
+
+#include <algorithm>
+#include <map>
+#include <optional>
+#include <span>
+#include <string_view>
+
+#include <fmt/format.h>
+
+#include "mesh/shapes.h"
+#include "model/tetrahedron_rings.h"
+#include "model/wedge_pairs.h"
+
+namespace tensormass::model {
+
+namespace {
+
+/// Poisson's ratio above which an element without a cluster is too stiff.
+constexpr double kNearlyIncompressible = 0.49;
+/// Fraction of a body's elements that may lock without a warning. An irregular mesh leaves up to 0.02 alone.
+constexpr double kNoticeablePart = 0.1;
+
+/// Finds the nodes that fill clusters up to eight.
+class Neighbours {
+ public:
+  explicit Neighbours(const mesh::Mesh& mesh) : nodes_of_(mesh::element_nodes(mesh)), begin_(mesh.nodes.size() + 1, 0) {
+    for (const auto& nodes : nodes_of_) {
+      for (const std::uint32_t node : nodes) ++begin_[node + 1];
+    }
+    for (std::size_t i = 1; i < begin_.size(); ++i) begin_[i] += begin_[i - 1];
+    elements_.resize(begin_.back());
+    std::vector<std::size_t> next(begin_.begin(), begin_.end() - 1);
+    for (std::uint32_t e = 0; e < nodes_of_.size(); ++e) {
+      for (const std::uint32_t node : nodes_of_[e]) elements_[next[node]++] = e;
+    }
+  }
+
+  std::span<const std::uint32_t> nodes_of(std::uint32_t element) const { return nodes_of_[element]; }
+
+  /// Adds the nodes that share the most elements with those of the cluster: the matrix couples most of them already.
+  /// Returns false if there are too few.
+  bool fill(std::vector<std::uint32_t>& nodes) const {
+    std::map<std::uint32_t, std::size_t> shared;  // node -> elements that it shares with the cluster's nodes
+    for (const std::uint32_t node : nodes) {
+      for (std::size_t i = begin_[node]; i < begin_[node + 1]; ++i) {
+        for (const std::uint32_t other : nodes_of_[elements_[i]]) ++shared[other];
+      }
+    }
+    for (const std::uint32_t node : nodes) shared.erase(node);
+    for (; nodes.size() < kClusterNodes; shared.erase(nodes.back())) {
+      if (shared.empty()) return false;
+      const auto best = std::max_element(shared.begin(), shared.end(),
+                                         [](const auto& a, const auto& b) { return a.second < b.second; });
+      nodes.push_back(best->first);
+    }
+    return true;
+  }
+
+ private:
+  std::vector<std::span<const std::uint32_t>> nodes_of_;  // [element]
+  std::vector<std::size_t> begin_;                        // [node + 1] into elements_
+  std::vector<std::uint32_t> elements_;                   // elements around each node
+};
+
+/// Makes the cluster of some elements. Returns nothing if the mesh has fewer than eight nodes.
+/// Leaves body and deviatoric_part open. Nodes are numbered in the body.
+template <class Shape>
+std::optional<Cluster> make_cluster(const mesh::Mesh& mesh, const Neighbours& neighbours,
+                                    std::span<const std::uint32_t> elements) {
+  std::vector<std::uint32_t> nodes;
+  for (const std::uint32_t element : elements) {
+    for (const std::uint32_t node : neighbours.nodes_of(element)) {
+      if (std::find(nodes.begin(), nodes.end(), node) == nodes.end()) nodes.push_back(node);
+    }
+  }
+  if (!neighbours.fill(nodes)) return std::nullopt;
+  Cluster cluster{};
+  cluster.elements.fill(mesh::kNone);
+  std::copy(elements.begin(), elements.end(), cluster.elements.begin());
+  std::copy(nodes.begin(), nodes.end(), cluster.nodes.begin());
+  for (Vec3<double>& a : cluster.mean.a) a.setZero();
+  for (std::size_t e = 0; e < elements.size(); ++e) {
+    const std::span<const std::uint32_t> of_element = neighbours.nodes_of(elements[e]);
+    Vec3<double> x[Shape::kNodes];
+    for (std::size_t k = 0; k < of_element.size(); ++k) x[k] = mesh.nodes[of_element[k]];
+    const auto point = physics::rest_points<Shape>(x, physics::Quadrature::kReduced).front();
+    const auto mean = physics::PointGradients<Shape, double>::read([&](int i) { return point[std::size_t(i)]; });
+    for (std::size_t k = 0; k < of_element.size(); ++k) {
+      const auto place = std::find(nodes.begin(), nodes.end(), of_element[k]) - nodes.begin();
+      cluster.mean.a[place] += mean.a[k] * mean.weight;
+    }
+    cluster.parts[e] = mean.weight;
+    cluster.mean.weight += mean.weight;
+  }
+  for (Vec3<double>& a : cluster.mean.a) a /= cluster.mean.weight;
+  for (double& part : cluster.parts) part /= cluster.mean.weight;
+  return cluster;
+}
+
+/// Warns if many elements of a shape stay alone and lock.
+///
+///   alone     [element of the body]
+///   partner   where an element's partner would be
+void warn_of_locking(Model& model, std::string_view name, const ReadBody& body, const std::vector<bool>& alone,
+                     mesh::Shape shape, std::string_view partner) {
+  const mesh::Topology& topology = mesh::topology(shape);
+  std::uint32_t all = 0, locking = 0;
+  mesh::for_each_element(body.mesh, [&](std::uint32_t e, const mesh::Topology& of, std::span<const std::uint32_t>) {
+    if (&of != &topology) return;
+    ++all;
+    if (alone[e] && body.material(e).poisson_ratio > kNearlyIncompressible) ++locking;
+  });
+  if (locking <= kNoticeablePart * all) return;
+  model.warnings.push_back(
+      fmt::format("body '{}': {} of {} elements of shape {} have no partner for their change of volume and are too "
+                  "stiff near a Poisson's ratio of 0.5; a partner {} and has the same law and moduli",
+                  name, locking, all, topology.name, partner));
+}
+
+}  // namespace
+
+bool same_dilatation(const Material& a, const Material& b) {
+  return a.law == b.law && a.young_modulus_pa == b.young_modulus_pa && a.poisson_ratio == b.poisson_ratio &&
+         a.prony == b.prony;
+}
+
+void make_clusters(Compilation& c) {
+  for (std::size_t b = 0; b < c.bodies.size(); ++b) {
+    const ReadBody& body = c.bodies[b];
+    if (body.quadrature != physics::Quadrature::kSelective) continue;
+    const BodyModel& of = c.model.bodies[b];
+    std::vector<bool> alone(of.element_count, true);
+    const Neighbours neighbours(body.mesh);
+    const auto add = [&](auto shape, std::span<const std::uint32_t> elements, double part) {
+      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(body.mesh, neighbours, elements);
+      if (!cluster) return;
+      cluster->body = b;
+      cluster->deviatoric_part = part;
+      for (std::uint32_t& node : cluster->nodes) node += of.node_begin;
+      c.clusters.push_back(*cluster);
+      for (const std::uint32_t element : elements) alone[element] = false;
+    };
+    for (const ElementPair& pair : pair_wedges(body)) add(physics::TypeTag<physics::Wedge>{}, pair, 0);
+    for (const ElementRing& ring : ring_tetrahedra(body)) {
+      add(physics::TypeTag<physics::LinearTetrahedron>{}, ring, kRingPart);
+    }
+    warn_of_locking(c.model, of.name, body, alone, mesh::Shape::kWedge, "lies across a quadrilateral face");
+    warn_of_locking(c.model, of.name, body, alone, mesh::Shape::kTetrahedron, "shares an edge");
+  }
+}
+
+physics::ElementAtRest<ClusterShape> mean_at_rest(const Cluster& cluster) {
+  physics::ElementAtRest<ClusterShape> rest;
+  auto& point = rest.points.emplace_back();
+  for (std::size_t k = 1; k < kClusterNodes; ++k) {
+    for (std::size_t i = 0; i < 3; ++i) point[3 * (k - 1) + i] = cluster.mean.a[k][static_cast<Eigen::Index>(i)];
+  }
+  point.back() = cluster.mean.weight;
+  rest.shares.push_back({cluster.deviatoric_part, 1});
+  return rest;
+}
+
+mesh::ElementBlock cluster_block(const Compilation& c) {
+  mesh::ElementBlock block{mesh::Shape::kHexahedron, {}};
+  for (const Cluster& cluster : c.clusters)
+    block.nodes.insert(block.nodes.end(), cluster.nodes.begin(), cluster.nodes.end());
+  return block;
+}
+
+}  // namespace tensormass::model
