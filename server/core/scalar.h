@@ -160,6 +160,14 @@ TM_HOST_DEVICE Real hyperbolic_sine(Real a) {
   return std::sinh(a);
 }
 
+/// Returns [a]×, for which [a]× b = a × b.
+template <class Real>
+TM_HOST_DEVICE Mat3<Real> cross_matrix(const Vec3<Real>& a) {
+  Mat3<Real> m;
+  m << 0, -a[2], a[1], a[2], 0, -a[0], -a[1], a[0], 0;
+  return m;
+}
+
 /// The Lanes interface: how a loop body reads and writes `kWidth` consecutive items at once. This version has one lane,
 /// which is what a GPU thread handles. PackLanes (core/pack.h) has as many as a vector register.
 ///

@@ -141,6 +141,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.pressure.rows = arena.template constant<uint32_t>("pressed rows", m.pressure.rows);
   s.pressure.corner_begin = arena.template constant<uint32_t>("pressed corner offsets", m.pressure.corner_begin);
   s.pressure.corners = arena.template constant<uint32_t>("pressed corners", m.pressure.corners);
+  s.pressure.slots = arena.template constant<uint32_t>("pressed corner slots", m.pressure.slots);
 
   s.guard.patch_tetrahedra = arena.template constant<uint32_t>("checked tetrahedra of patches", m.checked.begin);
   s.guard.tetrahedron_rows = arena.template constant<std::uint16_t>("checked tetrahedra", m.checked.rows);

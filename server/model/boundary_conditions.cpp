@@ -219,6 +219,7 @@ class BoundaryConditions {
     }
     c_.model.pressure.faces.push_back(out);
     schedules_of_faces_.push_back(schedule);
+    bodies_of_faces_.push_back(b);
   }
 
   Result<void> start(const v1::Body& body, std::size_t b, std::string_view where) {
@@ -314,10 +315,57 @@ class BoundaryConditions {
     std::partial_sum(out.patch_begin.begin(), out.patch_begin.end(), out.patch_begin.begin());
   }
 
-  /// Lists the rows under pressure by patch, and for each row its corners in the faces.
+  /// Returns for each body whether the pressure on it conserves energy: −∂f_k/∂x_l = (−∂f_l/∂x_k)ᵀ for all nodes, in
+  /// their free directions. It does if the pressed surface is closed and its pressure uniform. A rim may lie in fixed
+  /// nodes or in planes of symmetry. Checked at rest.
+  std::vector<bool> conserving_bodies() const {
+    struct Coupling {
+      Vec3<double> skew = Vec3<double>::Zero();  // v, where −∂f_k/∂x_l − (−∂f_l/∂x_k)ᵀ = [v]×
+      double size = 0;
+      std::size_t body = 0;
+    };
+    std::map<std::pair<std::uint32_t, std::uint32_t>, Coupling> couplings;  // [row k < row l]
+    const std::vector<view::PressureFace<double>>& faces = c_.model.pressure.faces;
+    for (std::size_t f = 0; f < faces.size(); ++f) {
+      const int nodes = static_cast<int>(faces[f].node_count);
+      Vec3<double> x[physics::kMaxFaceNodes];
+      for (int k = 0; k < nodes; ++k) {
+        for (int i = 0; i < 3; ++i) x[k][i] = c_.model.rest[4 * std::size_t{faces[f].rows[k]} + std::size_t(i)];
+      }
+      for (int k = 0; k < nodes; ++k) {
+        for (int l = 0; l < nodes; ++l) {
+          if (faces[f].rows[k] >= faces[f].rows[l]) continue;
+          Coupling& coupling = couplings[{faces[f].rows[k], faces[f].rows[l]}];
+          const Vec3<double> of_k = physics::face_area_change(x, nodes, k, l) * faces[f].pressure_pa;
+          const Vec3<double> of_l = physics::face_area_change(x, nodes, l, k) * faces[f].pressure_pa;
+          coupling.skew += of_k + of_l;
+          coupling.size += of_k.norm() + of_l.norm();
+          coupling.body = bodies_of_faces_[f];
+        }
+      }
+    }
+    constexpr double kRounding = 1e-9;
+    std::vector<bool> conserves(c_.bodies.size(), true);
+    for (const auto& [rows, coupling] : couplings) {
+      const Mat3<double> skew = cross_matrix(coupling.skew);
+      for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+          const bool moves = is_free(rows.first, i) && is_free(rows.second, j);
+          if (moves && std::abs(skew(i, j)) > kRounding * coupling.size) conserves[coupling.body] = false;
+        }
+      }
+    }
+    return conserves;
+  }
+  bool is_free(std::size_t row, int direction) const {
+    return (static_cast<std::uint32_t>(c_.model.rest[4 * row + 3]) >> direction & 1u) != 0;
+  }
+
+  /// Lists the rows under pressure by patch, and for each row its corners in the faces with their slots.
   void group_pressure() {
     PressureSurface& out = c_.model.pressure;
     if (out.faces.empty()) return;
+    const std::vector<bool> conserves = conserving_bodies();
     std::map<std::uint32_t, std::vector<std::uint32_t>> corners;  // [row] pairs of face, corner
     for (std::uint32_t f = 0; f < out.faces.size(); ++f) {
       for (std::uint32_t k = 0; k < out.faces[f].node_count; ++k) {
@@ -325,11 +373,20 @@ class BoundaryConditions {
         list.insert(list.end(), {f, k});
       }
     }
+    out.conserves_energy =
+        std::all_of(bodies_of_faces_.begin(), bodies_of_faces_.end(), [&](std::size_t b) { return conserves[b]; });
     out.patch_begin.assign(c_.model.layout.patch_count + 1, 0);
     out.corner_begin.assign(1, 0);
     for (const auto& [row, list] : corners) {
       out.rows.push_back(row);
       out.corners.insert(out.corners.end(), list.begin(), list.end());
+      for (std::size_t i = 0; i < list.size(); i += 2) {
+        const view::PressureFace<double>& face = out.faces[list[i]];
+        for (std::uint32_t l = 0; l < physics::kMaxFaceNodes; ++l) {
+          const bool couples = l < face.node_count && l != list[i + 1] && conserves[bodies_of_faces_[list[i]]];
+          out.slots.push_back(couples ? c_.model.layout.slot(row, face.rows[l]) : view::kNoPlace);
+        }
+      }
       out.corner_begin.push_back(static_cast<std::uint32_t>(out.corners.size() / 2));
       ++out.patch_begin[c_.model.layout.patch_of_row(row) + 1];
     }
@@ -343,6 +400,7 @@ class BoundaryConditions {
   std::map<Schedule, std::uint32_t> schedules_;  // index among all schedules
   std::vector<ScheduledForce> scheduled_;
   std::vector<std::uint32_t> schedules_of_faces_;  // [face]
+  std::vector<std::size_t> bodies_of_faces_;       // [face]
   std::map<std::uint32_t, std::vector<PrescribedDirections>> prescribed_;
 };
 

@@ -79,6 +79,8 @@ void check_boundary(const Model& m) {
   if (!m.pressure.faces.empty()) {
     assert_offsets(m.pressure.patch_begin, patches, m.pressure.rows.size());
     assert_offsets(m.pressure.corner_begin, m.pressure.rows.size(), m.pressure.corners.size() / 2);
+    TM_ASSERT(m.pressure.slots.size() == physics::kMaxFaceNodes * (m.pressure.corners.size() / 2),
+              "each pressed corner has a slot for each node of a face");
     TM_ASSERT(are_below(m.pressure.rows, m.layout.row_count), "pressure acts on rows of the layout");
   }
   const ScheduledLoads& scheduled = m.scheduled;

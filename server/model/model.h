@@ -116,6 +116,8 @@ struct PressureSurface {
   std::vector<std::uint32_t> rows;          ///< [pressed row]
   std::vector<std::uint32_t> corner_begin;  ///< [pressed row + 1] into corners
   std::vector<std::uint32_t> corners;       ///< [entry, 2] face, corner
+  std::vector<std::uint32_t> slots;         ///< [entry, kMaxFaceNodes], see PressureView
+  bool conserves_energy = true;             ///< its stiffness is symmetric on every body, and the matrix has it
 };
 
 /// The boundary of the bodies, for contact. Triangles and vertices are grouped by the patch that owns them.

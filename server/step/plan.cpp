@@ -76,8 +76,9 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   if (std::all_of(m.groups.begin(), m.groups.end(), [](const model::ElementGroup& g) { return g.prony.empty(); })) {
     report.add_not_modelled("viscosity: no law has prony terms");
   }
-  if (!m.pressure.faces.empty()) {
-    report.add_not_modelled("the stiffness of pressure: its forces follow the surface, its derivative is left out");
+  if (!m.pressure.conserves_energy) {
+    report.add_not_modelled(
+        "the stiffness of pressure where the pressed surface has a free rim: Newton's method takes more iterations");
   }
   report.add_not_modelled("plasticity, cutting and tearing");
   if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");

@@ -47,7 +47,7 @@ struct RunStage {
     if constexpr (kKind == K::kDecompose) matrix::decompose<Shape>(team, s.patches, s.state, e);
     if constexpr (kKind == K::kFinishRows) matrix::finish_rows(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kExternalForces) step::add_external_forces(team, s.patches, s.state, s.matrix);
-    if constexpr (kKind == K::kPressure) step::add_pressure(team, s.state, s.matrix, s.pressure);
+    if constexpr (kKind == K::kPressure) step::add_pressure(team, s.state, s.matrix, s.newton, s.pressure);
     if constexpr (kKind == K::kAssembleContact) contact::assemble(team, s.patches, s.state, s.matrix, s.contact);
     if constexpr (kKind == K::kMeasureResidual) solver::measure_residual(team, s.patches, s.state, s.matrix, s.newton);
     if constexpr (kKind == K::kFactorize) solver::factorize(team, s.patches, s.state, s.matrix);

@@ -217,11 +217,13 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.edges && !s.m.external.empty(); },
    [](const StageSizes& s) { return Cost{s.rows * 12 * s.real, s.rows * 6}; }},
   {StageKind::kPressure, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "pressure", "displacement, pressure faces", "right-hand side", "the scene has faces under pressure",
+   "pressure", "displacement, velocity, pressure faces", "matrix, right-hand side",
+   "the scene has faces under pressure",
    [](const StageSizes& s) { return !s.m.pressure.faces.empty(); },
    [](const StageSizes& s) {
      const double corners = static_cast<double>(s.m.pressure.corners.size()) / 2;
-     return Cost{corners * (36 + 4 * 8 * s.real), corners * 300};
+     // For four nodes a face: positions, velocities, and three blocks of the matrix.
+     return Cost{corners * (68 + (4 * 12 + 3 * 2 * 9) * s.real), corners * 4 * 500};
    }},
   {StageKind::kAssembleContact, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble contact", "contacts, velocity", "matrix, right-hand side", "the scene has tools",

@@ -38,6 +38,9 @@ struct PressureView {
   const std::uint32_t* rows;          // rows of pressure faces, grouped by patch
   const std::uint32_t* corner_begin;  // [pressed row + 1] into corners
   const std::uint32_t* corners;       // [.., 2] face, corner
+  const std::uint32_t* slots;         // [corner, kMaxFaceNodes] couples the corner to each node of its face; kNoPlace:
+                                      // the node's row stores that edge, there is no such node, or the matrix leaves
+                                      // the stiffness of pressure out
 };
 
 }  // namespace tensormass::view

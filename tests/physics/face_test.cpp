@@ -62,6 +62,21 @@ TEST_P(EveryFace, BentFacesHaveTheVectorAreaOfTheirRim) {
   EXPECT_LT((vector - rim).norm(), 1e-13);
 }
 
+TEST_P(EveryFace, AreaVectorsChangeAsTheirDerivativeSays) {
+  const int nodes = GetParam();
+  const auto x = face(nodes, 0.3);
+  const Vec3<double> step(1e-6, -2e-6, 3e-6);
+  for (int k = 0; k < nodes; ++k) {
+    for (int l = 0; l < nodes; ++l) {
+      auto ahead = x, behind = x;
+      ahead[static_cast<std::size_t>(l)] += step;
+      behind[static_cast<std::size_t>(l)] -= step;
+      const Vec3<double> change = face_area_vector(ahead.data(), nodes, k) - face_area_vector(behind.data(), nodes, k);
+      EXPECT_LT((cross_matrix(face_area_change(x.data(), nodes, k, l)) * step * 2 - change).norm(), 1e-15);
+    }
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(Nodes, EveryFace, testing::Values(3, 4, 6, 8));
 
 }  // namespace

@@ -83,6 +83,18 @@ TEST(Plan, WithoutGravityAndLoadsHasNoExternalForces) {
   EXPECT_FALSE(says_not_modelled(report, "gravity and loads"));
 }
 
+TEST(Plan, SaysWherePressureHasNoStiffness) {
+  v1::Scene scene = tests::beam_scene();
+  v1::Load& load = *scene.mutable_bodies(0)->add_loads();
+  tests::set(*load.mutable_region()->mutable_box()->mutable_min_m(), -9, -9, -9);
+  tests::set(*load.mutable_region()->mutable_box()->mutable_max_m(), 9, 9, 9);
+  load.set_pressure_pa(100);
+  EXPECT_FALSE(says_not_modelled(plan(scene), "stiffness of pressure")) << "the pressed surface is closed";
+  load.mutable_region()->mutable_box()->mutable_max_m()->set_z(0);
+  EXPECT_TRUE(says_not_modelled(plan(scene), "stiffness of pressure")) << "the face below has a free rim";
+  EXPECT_FALSE(says_not_modelled(plan(tests::beam_scene()), "stiffness of pressure"));
+}
+
 TEST(Plan, WithoutFramesGathersNothing) {
   v1::Scene scene = tests::beam_scene();
   scene.mutable_streams()->set_frame_rate_hz(0);

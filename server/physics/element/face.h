@@ -102,16 +102,22 @@ TM_HOST_DEVICE FacePoint<T> face_point(int nodes, int q) {
   return detail::triangle_point<T>(nodes, q);
 }
 
-/// Returns x_r × x_s at a point of the face: the normal times the area element per unit of reference area [m²].
+/// x_r and x_s at a point of the face [m per unit of reference length].
 template <class T>
-TM_HOST_DEVICE Vec3<T> face_normal(const FacePoint<T>& p, const Vec3<T>* x, int nodes) {
+struct FaceTangents {
   Vec3<T> r = Vec3<T>::Zero(), s = Vec3<T>::Zero();
-  for (int k = 0; k < nodes; ++k) {
-    r += x[k] * p.dn[k][0];
-    s += x[k] * p.dn[k][1];
+
+  TM_HOST_DEVICE FaceTangents(const FacePoint<T>& p, const Vec3<T>* x, int nodes) {
+    for (int k = 0; k < nodes; ++k) {
+      r += x[k] * p.dn[k][0];
+      s += x[k] * p.dn[k][1];
+    }
   }
-  return {r[1] * s[2] - r[2] * s[1], r[2] * s[0] - r[0] * s[2], r[0] * s[1] - r[1] * s[0]};
-}
+  /// Returns x_r × x_s: the normal times the area element per unit of reference area [m²].
+  TM_HOST_DEVICE Vec3<T> normal() const {
+    return {r[1] * s[2] - r[2] * s[1], r[2] * s[0] - r[0] * s[2], r[0] * s[1] - r[1] * s[0]};
+  }
+};
 
 /// Returns ∫ N_corner n da [m²] over the face at positions x. A pressure p loads the node with −p times this vector.
 template <class T>
@@ -119,7 +125,20 @@ TM_HOST_DEVICE Vec3<T> face_area_vector(const Vec3<T>* x, int nodes, int corner)
   Vec3<T> sum = Vec3<T>::Zero();
   for (int q = 0; q < face_points(nodes); ++q) {
     const FacePoint<T> p = face_point<T>(nodes, q);
-    sum += face_normal(p, x, nodes) * (p.weight * p.n[corner]);
+    sum += FaceTangents<T>(p, x, nodes).normal() * (p.weight * p.n[corner]);
+  }
+  return sum;
+}
+
+/// Returns the vector g_kl = ∫ N_k (∂N_l/∂s x_r − ∂N_l/∂r x_s) dr ds [m]. If node l moves by d, the area vector of
+/// corner k changes by g_kl × d.
+template <class T>
+TM_HOST_DEVICE Vec3<T> face_area_change(const Vec3<T>* x, int nodes, int corner, int other) {
+  Vec3<T> sum = Vec3<T>::Zero();
+  for (int q = 0; q < face_points(nodes); ++q) {
+    const FacePoint<T> p = face_point<T>(nodes, q);
+    const FaceTangents<T> tangents(p, x, nodes);
+    sum += (tangents.r * p.dn[other][1] - tangents.s * p.dn[other][0]) * (p.weight * p.n[corner]);
   }
   return sum;
 }
@@ -130,7 +149,7 @@ TM_HOST_DEVICE T face_area(const Vec3<T>* x, int nodes, int corner) {
   T sum = 0;
   for (int q = 0; q < face_points(nodes); ++q) {
     const FacePoint<T> p = face_point<T>(nodes, q);
-    sum += face_normal(p, x, nodes).norm() * p.weight * p.n[corner];
+    sum += FaceTangents<T>(p, x, nodes).normal().norm() * p.weight * p.n[corner];
   }
   return sum;
 }
