@@ -351,18 +351,11 @@ class Knobs:
         def set_of(body: dict[str, Any]) -> None:
             body["mesh"]["grid"]["shape"] = value
             body.pop("element_order", None)  # the shape says it
-            if value == "tetrahedron":
-                body.pop("quadrature", None)
 
         each_body(fields, set_of)
 
     def _set_element_order(self, fields: dict[str, Any], value: Value) -> None:
-        def set_of(body: dict[str, Any]) -> None:
-            body["element_order"] = value
-            if value == "as_given":
-                body.pop("quadrature", None)
-
-        each_body(fields, set_of)
+        each_body(fields, lambda body: body.update(element_order=value))
 
     def _set_law(self, fields: dict[str, Any], value: Value) -> None:
         for body, message in zip(fields["bodies"], self.message.bodies, strict=True):
