@@ -109,8 +109,10 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ),
         _IN_SMALL_STEPS,
     ),
+    ("stretched to 10×, free", "corotational", SHORT): (("quadratic_hexahedron",), _ELSEWHERE),
     ("stretched to 10×, free", "stable_neo_hookean", CAUGHT): (
         (
+            "pyramid",
             "quadratic_tetrahedron",
             "quadratic_hexahedron",
         ),
@@ -163,7 +165,7 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ),
         _ELSEWHERE,
     ),
-    ("inverted, free", "stable_neo_hookean", SHORT): (("pyramid",), _ELSEWHERE),
+    ("inverted, free", "stable_neo_hookean", SHORT): (("pyramid", "quadratic_hexahedron"), _ELSEWHERE),
     ("at random", "stable_neo_hookean", CAUGHT): (
         ("quadratic_tetrahedron",),
         _IN_SMALL_STEPS,
