@@ -26,7 +26,7 @@ PROMISES: dict[str, tuple[str, str, str]] = {
         "caught",
     ),
     "stable_neo_hookean": (
-        "comes back; quadratic shapes may overshoot from 10× and from random places",
+        "comes back; pyramids and quadratic shapes may overshoot from 10×, quadratic ones from random places",
         "comes back, except a free point: zero force and stiffness there",
         "comes back; quadratic hexahedra may rest crumpled",
     ),
