@@ -50,15 +50,7 @@ def main() -> int:
                 positions, status, residual = _fall(server, cells, iterations, "float")
                 rows.append(_row(cells, iterations, positions - reference, reference, status, residual))
                 print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
-    head = record.Head(
-        version.backend,
-        version.device,
-        record.machine(),
-        record.commit(),
-        " ".join(["python -m accuracy.iterations", *sys.argv[1:]]),
-        time.strftime("%Y-%m-%d"),
-        round(time.monotonic() - began),
-    )
+    head = record.Head.of_run(version, "accuracy.iterations", began)
     record.write(FOLDER / f"iterations-{args.name or args.backend}.json", head.head(), rows)
     print(table(rows))
     return 0

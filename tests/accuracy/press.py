@@ -99,15 +99,7 @@ def main() -> int:
                 errors = compare(found, reference, recorder.weights, script.held())
             rows.append(_row(name, found, errors))
             print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
-            head = record.Head(
-                version.backend,
-                version.device,
-                record.machine(),
-                record.commit(),
-                " ".join(["python -m accuracy.press", *sys.argv[1:]]),
-                time.strftime("%Y-%m-%d"),
-                round(time.monotonic() - began),
-            )
+            head = record.Head.of_run(version, "accuracy.press", began)
             record.write(FOLDER / f"press-{args.backend}.json", head.head(), rows)  # a time limit may end the run
     print(table(rows))
     return 0

@@ -6,10 +6,15 @@ import json
 import os
 import platform
 import subprocess
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tensormass.v1 import control_pb2
 
 HERE = Path(__file__).parent
 
@@ -25,6 +30,19 @@ class Head:
     command: str
     date: str
     seconds: int
+
+    @staticmethod
+    def of_run(version: control_pb2.GetVersionResponse, module: str, began: float) -> Head:
+        """Describes the running command: `python -m module` with its arguments, begun at time.monotonic() `began`."""
+        return Head(
+            version.backend,
+            version.device,
+            machine(),
+            commit(),
+            " ".join([f"python -m {module}", *sys.argv[1:]]),
+            time.strftime("%Y-%m-%d"),
+            round(time.monotonic() - began),
+        )
 
     def head(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(Head)}
