@@ -8,18 +8,12 @@
 
 #include "mesh/adjacency.h"
 #include "mesh/finding.h"
-#include "mesh/shapes.h"
 
 namespace tensormass::mesh {
 namespace {
 
 constexpr const Topology& kLinear = topology(Shape::kTetrahedron);
 constexpr const Topology& kQuadratic = topology(Shape::kQuadraticTetrahedron);
-
-EdgeEnds ends_of(const Edge& edge, std::span<const std::uint32_t> nodes) {
-  const auto [low, high] = std::minmax(nodes[edge.nodes[0]], nodes[edge.nodes[1]]);
-  return {low, high};
-}
 
 Result<void> check_shapes(const Mesh& mesh, std::string_view where) {
   Finding other;

@@ -8,11 +8,9 @@
 #include "core/limits.h"
 #include "core/result.h"
 #include "mesh/mesh.h"
+#include "mesh/shapes.h"
 
 namespace tensormass::mesh {
-
-/// The two ends of an edge, the lower node first.
-using EdgeEnds = std::array<std::uint32_t, 2>;
 
 /// A mesh whose linear tetrahedra have become quadratic.
 struct ElevatedMesh {

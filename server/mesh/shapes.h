@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -256,6 +257,15 @@ inline std::vector<std::span<const std::uint32_t>> element_nodes(const Mesh& mes
   for_each_element(
       mesh, [&](std::uint32_t, const Topology&, std::span<const std::uint32_t> nodes) { nodes_of.push_back(nodes); });
   return nodes_of;
+}
+
+/// The two ends of an edge, the lower node first.
+using EdgeEnds = std::array<std::uint32_t, 2>;
+
+/// Returns the ends of an element's edge. nodes: mesh nodes of the element.
+inline EdgeEnds ends_of(const Edge& edge, std::span<const std::uint32_t> nodes) {
+  const auto [low, high] = std::minmax(nodes[edge.nodes[0]], nodes[edge.nodes[1]]);
+  return {low, high};
 }
 
 /// Returns six times the signed volume of a tetrahedron [m³]; positive in VTK node order.

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "mesh/adjacency.h"
 #include "mesh/shapes.h"
 #include "model/tetrahedron_rings.h"
 #include "model/wedge_pairs.h"
@@ -21,69 +22,53 @@ constexpr double kNearlyIncompressible = 0.49;
 /// Fraction of a body's elements that may lock without a warning. An irregular mesh leaves up to 0.02 alone.
 constexpr double kNoticeablePart = 0.1;
 
-/// Finds the nodes that fill clusters up to eight.
-class Neighbours {
- public:
-  explicit Neighbours(const mesh::Mesh& mesh) : nodes_of_(mesh::element_nodes(mesh)), begin_(mesh.nodes.size() + 1, 0) {
-    for (const auto& nodes : nodes_of_) {
-      for (const std::uint32_t node : nodes) ++begin_[node + 1];
-    }
-    for (std::size_t i = 1; i < begin_.size(); ++i) begin_[i] += begin_[i - 1];
-    elements_.resize(begin_.back());
-    std::vector<std::size_t> next(begin_.begin(), begin_.end() - 1);
-    for (std::uint32_t e = 0; e < nodes_of_.size(); ++e) {
-      for (const std::uint32_t node : nodes_of_[e]) elements_[next[node]++] = e;
-    }
-  }
-
-  std::span<const std::uint32_t> nodes_of(std::uint32_t element) const { return nodes_of_[element]; }
-
-  /// Adds the nodes that share the most elements with those of the cluster: the matrix couples most of them already.
-  /// Returns false if there are too few.
-  bool fill(std::vector<std::uint32_t>& nodes) const {
-    std::map<std::uint32_t, std::size_t> shared;  // node -> elements that it shares with the cluster's nodes
-    for (const std::uint32_t node : nodes) {
-      for (std::size_t i = begin_[node]; i < begin_[node + 1]; ++i) {
-        for (const std::uint32_t other : nodes_of_[elements_[i]]) ++shared[other];
-      }
-    }
-    for (const std::uint32_t node : nodes) shared.erase(node);
-    for (; nodes.size() < kClusterNodes; shared.erase(nodes.back())) {
-      if (shared.empty()) return false;
-      const auto best = std::max_element(shared.begin(), shared.end(),
-                                         [](const auto& a, const auto& b) { return a.second < b.second; });
-      nodes.push_back(best->first);
-    }
-    return true;
-  }
-
- private:
-  std::vector<std::span<const std::uint32_t>> nodes_of_;  // [element]
-  std::vector<std::size_t> begin_;                        // [node + 1] into elements_
-  std::vector<std::uint32_t> elements_;                   // elements around each node
+/// A mesh with its elements by node and its nodes by element.
+struct Neighbours {
+  const mesh::Mesh& mesh;
+  std::vector<std::span<const std::uint32_t>> nodes_of = mesh::element_nodes(mesh);
+  mesh::Rows elements_of = mesh::node_elements(mesh);
 };
+
+/// Fills the nodes of a cluster up to eight with those that share the most elements with them: the matrix couples most
+/// of them already. Returns false if there are too few.
+bool fill(std::vector<std::uint32_t>& nodes, const Neighbours& neighbours) {
+  if (nodes.size() == kClusterNodes) return true;
+  std::map<std::uint32_t, std::size_t> shared;  // node -> elements that it shares with the cluster's nodes
+  for (const std::uint32_t node : nodes) {
+    for (const std::uint32_t element : neighbours.elements_of[node]) {
+      for (const std::uint32_t other : neighbours.nodes_of[element]) ++shared[other];
+    }
+  }
+  for (const std::uint32_t node : nodes) shared.erase(node);
+  for (; nodes.size() < kClusterNodes; shared.erase(nodes.back())) {
+    if (shared.empty()) return false;
+    const auto best = std::max_element(shared.begin(), shared.end(),
+                                       [](const auto& a, const auto& b) { return a.second < b.second; });
+    nodes.push_back(best->first);
+  }
+  return true;
+}
 
 /// Makes the cluster of some elements. Returns nothing if the mesh has fewer than eight nodes.
 /// Leaves body and deviatoric_part open. Nodes are numbered in the body.
 template <class Shape>
-std::optional<Cluster> make_cluster(const mesh::Mesh& mesh, const Neighbours& neighbours,
-                                    std::span<const std::uint32_t> elements) {
+std::optional<Cluster> make_cluster(const Neighbours& neighbours, std::span<const std::uint32_t> elements) {
   std::vector<std::uint32_t> nodes;
   for (const std::uint32_t element : elements) {
-    for (const std::uint32_t node : neighbours.nodes_of(element)) {
+    for (const std::uint32_t node : neighbours.nodes_of[element]) {
       if (std::find(nodes.begin(), nodes.end(), node) == nodes.end()) nodes.push_back(node);
     }
   }
-  if (!neighbours.fill(nodes)) return std::nullopt;
+  if (!fill(nodes, neighbours)) return std::nullopt;
   Cluster cluster{};
   cluster.elements.fill(mesh::kNone);
   std::copy(elements.begin(), elements.end(), cluster.elements.begin());
   std::copy(nodes.begin(), nodes.end(), cluster.nodes.begin());
   for (Vec3<double>& a : cluster.mean.a) a.setZero();
   for (std::size_t e = 0; e < elements.size(); ++e) {
-    const std::span<const std::uint32_t> of_element = neighbours.nodes_of(elements[e]);
+    const std::span<const std::uint32_t> of_element = neighbours.nodes_of[elements[e]];
     Vec3<double> x[Shape::kNodes];
-    for (std::size_t k = 0; k < of_element.size(); ++k) x[k] = mesh.nodes[of_element[k]];
+    for (std::size_t k = 0; k < of_element.size(); ++k) x[k] = neighbours.mesh.nodes[of_element[k]];
     const auto point = physics::rest_points<Shape>(x, physics::Quadrature::kReduced).front();
     const auto mean = physics::PointGradients<Shape, double>::read([&](int i) { return point[std::size_t(i)]; });
     for (std::size_t k = 0; k < of_element.size(); ++k) {
@@ -131,9 +116,13 @@ void make_clusters(Compilation& c) {
     if (body.quadrature != physics::Quadrature::kSelective) continue;
     const BodyModel& of = c.model.bodies[b];
     std::vector<bool> alone(of.element_count, true);
-    const Neighbours neighbours(body.mesh);
+    const bool forms_clusters = std::any_of(body.mesh.blocks.begin(), body.mesh.blocks.end(), [](const auto& block) {
+      return block.shape == mesh::Shape::kWedge || block.shape == mesh::Shape::kTetrahedron;
+    });
+    if (!forms_clusters) continue;
+    const Neighbours neighbours{body.mesh};
     const auto add = [&](auto shape, std::span<const std::uint32_t> elements, double part) {
-      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(body.mesh, neighbours, elements);
+      std::optional<Cluster> cluster = make_cluster<typename decltype(shape)::Type>(neighbours, elements);
       if (!cluster) return;
       cluster->body = b;
       cluster->deviatoric_part = part;

@@ -14,14 +14,16 @@ namespace {
 
 constexpr std::size_t kLeastTetrahedra = 2;
 
-/// An edge of a tetrahedron. ends: ascending.
+constexpr const mesh::Topology& kTetrahedron = mesh::topology(mesh::Shape::kTetrahedron);
+
+/// An edge of a tetrahedron.
 struct EdgeOfElement {
-  std::array<std::uint32_t, 2> ends;
+  mesh::EdgeEnds ends;
   std::uint32_t element;
 };
 
 /// An edge and its tetrahedra, in ascending order.
-struct Edge {
+struct SharedEdge {
   std::int64_t length;  ///< in units of the longest edge × 1e-6
   std::span<const EdgeOfElement> elements;
 };
@@ -30,12 +32,9 @@ std::vector<EdgeOfElement> edges_of_tetrahedra(const mesh::Mesh& mesh) {
   std::vector<EdgeOfElement> edges;
   mesh::for_each_element(mesh,
                          [&](std::uint32_t element, const mesh::Topology& shape, std::span<const std::uint32_t> nodes) {
-                           if (&shape != &mesh::topology(mesh::Shape::kTetrahedron)) return;
-                           for (std::size_t k = 0; k < nodes.size(); ++k) {
-                             for (std::size_t l = k + 1; l < nodes.size(); ++l) {
-                               edges.push_back({{std::min(nodes[k], nodes[l]), std::max(nodes[k], nodes[l])}, element});
-                             }
-                           }
+                           if (&shape != &kTetrahedron) return;
+                           for (const mesh::Edge& edge : shape.edges)
+                             edges.push_back({mesh::ends_of(edge, nodes), element});
                          });
   std::sort(edges.begin(), edges.end(), [](const EdgeOfElement& a, const EdgeOfElement& b) {
     return std::tie(a.ends, a.element) < std::tie(b.ends, b.element);
@@ -44,9 +43,9 @@ std::vector<EdgeOfElement> edges_of_tetrahedra(const mesh::Mesh& mesh) {
 }
 
 /// Returns the edges, the longest first.
-std::vector<Edge> sorted_edges(const mesh::Mesh& mesh, std::span<const EdgeOfElement> of_elements) {
+std::vector<SharedEdge> sorted_edges(const mesh::Mesh& mesh, std::span<const EdgeOfElement> of_elements) {
   std::vector<double> lengths;
-  std::vector<Edge> edges;
+  std::vector<SharedEdge> edges;
   double longest = 0;
   for (std::size_t begin = 0, end = 0; begin < of_elements.size(); begin = end) {
     const auto& ends = of_elements[begin].ends;
@@ -56,7 +55,8 @@ std::vector<Edge> sorted_edges(const mesh::Mesh& mesh, std::span<const EdgeOfEle
     longest = std::max(longest, lengths.back());
   }
   for (std::size_t i = 0; i < edges.size(); ++i) edges[i].length = std::llround(1e6 * lengths[i] / longest);
-  std::stable_sort(edges.begin(), edges.end(), [](const Edge& a, const Edge& b) { return a.length > b.length; });
+  std::stable_sort(edges.begin(), edges.end(),
+                   [](const SharedEdge& a, const SharedEdge& b) { return a.length > b.length; });
   return edges;
 }
 
@@ -72,9 +72,9 @@ std::vector<ElementRing> ring_tetrahedra(const ReadBody& body) {
   const auto nodes_of = mesh::element_nodes(body.mesh);
   std::vector<bool> taken(mesh::element_count(body.mesh), false);
   std::vector<ElementRing> rings;
-  std::vector<Edge> edges = sorted_edges(body.mesh, of_elements);
+  const std::vector<SharedEdge> edges = sorted_edges(body.mesh, of_elements);
   for (std::size_t size = kMaxClusterElements; size >= kLeastTetrahedra; --size) {
-    const auto serve = [&](const Edge& edge) {
+    for (const SharedEdge& edge : edges) {
       ElementRing ring;
       std::vector<std::uint32_t> nodes;
       for (const EdgeOfElement& one : edge.elements) {
@@ -88,11 +88,10 @@ std::vector<ElementRing> ring_tetrahedra(const ReadBody& body) {
         nodes = with;
         ring.push_back(one.element);
       }
-      if (ring.size() < size) return;
+      if (ring.size() < size) continue;
       for (const std::uint32_t element : ring) taken[element] = true;
       rings.push_back(std::move(ring));
-    };
-    for (const Edge& edge : edges) serve(edge);
+    }
   }
   std::sort(rings.begin(), rings.end());
   return rings;
