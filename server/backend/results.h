@@ -115,10 +115,11 @@ struct StepRecord {
   double dt_s = 0;                   ///< length of the last step; 0: there was none
   double internal_dt_s = 0;          ///< RowState::internal_dt_s
   double largest_force_squared = 0;  ///< see solver::newton_step
-  std::uint32_t solution = 0;        ///< where SolveView::kept has the last step's solution
+  std::uint32_t solution = 0;        ///< index of the last step's solution in SolveView::kept
 };
 
-/// Returns the inputs of a step for the device. BDF2 starts anew where the last two steps differ in length.
+/// Returns the inputs of a step for the device, without next_solution. BDF2 starts anew where the last two steps differ
+/// in length.
 template <class Real>
 view::StepControl<Real> control_of(const model::Model& m, const StepInput& input, const StepRecord& past) {
   const bool starts = input.first_order || past.dt_s != input.dt_s;
@@ -137,7 +138,6 @@ view::StepControl<Real> control_of(const model::Model& m, const StepInput& input
   out.projects_stiffness = input.projects_stiffness ? 1 : 0;
   out.starts_from_last = !starts && !m.iterates() ? 1 : 0;
   out.last_solution = past.solution;
-  out.next_solution = 1 - past.solution;
   return out;
 }
 
@@ -152,7 +152,7 @@ class Checkpoint {
       restored_ = false;
     }
     view::StepControl<Real> control = control_of<Real>(m, input, past_);
-    // No part of a retry overwrites the solution that belongs to the checkpoint: the next retry starts from it.
+    // A retry keeps the solution that belongs to the checkpoint, because the next retry starts from it.
     control.next_solution = 1 - checkpoint_.solution;
     return control;
   }
