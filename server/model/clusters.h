@@ -27,11 +27,12 @@
 ///   d                                0                         kRingPart
 ///
 /// Wedges: de Souza Neto, Pires, Owen 2005 (F-bar patches), written as an energy. Linear tetrahedra are too stiff in
-/// bending even if their volume is free to change. The mean over a ring is not, but it does not resist motions within
-/// the ring. So the tetrahedra keep a part of the energy (Puso, Solberg 2006 do the same for means around nodes).
+/// bending even if their volume is free to change. The mean gradient of a ring is not too stiff, but motions within the
+/// ring cost it no energy. So the tetrahedra keep a part of the energy, as Puso and Solberg 2006 do for means around
+/// nodes.
 ///
-/// A cluster has eight nodes and one point, so the element pass of the hexahedron runs it without a change. Nodes that
-/// a smaller cluster lacks are neighbours with the gradient zero.
+/// A cluster has eight nodes and one point, so the element pass of the hexahedron evaluates it without a change. A
+/// smaller cluster takes neighbouring nodes in addition, whose gradients are zero.
 namespace tensormass::model {
 
 /// d of linear tetrahedra. docs/decisions/mesh.md has the measurements.

@@ -43,9 +43,9 @@ constexpr std::size_t kGrain = 16384;
 /// The part of an element's energy that a group integrates.
 enum class Share : std::uint8_t {
   kWhole,
-  kMember,      // what an element of a cluster keeps (clusters.h)
-  kDilatation,  // what a cluster takes over: the volumetric part,
-  kMean,        // or also a part of the deviatoric one
+  kMember,      // an element of a cluster: what it keeps (clusters.h)
+  kDilatation,  // a cluster: the volumetric part of its elements
+  kMean,        // a cluster: the volumetric part and a part of the deviatoric one
 };
 
 /// Elements with equal keys form a group. The order puts groups whose tensors change in each step first.

@@ -30,10 +30,10 @@ TM_HOST_DEVICE void add_external_forces(const Team& team, const view::PatchesVie
 ///
 /// The forces are those at the displacement ahead, f_k + Σ_l ∂f_k/∂x_l d_l.
 ///
-/// The matrix has the stiffness of bodies on which it is symmetric, because conjugate gradients need that: the pressed
-/// surface is closed, or its rim is fixed (model/boundary_conditions.cpp). With the symmetric part alone, Newton's
-/// method takes more iterations at a free rim than without any. The stiffness is not positive semi-definite, so a
-/// projected one leaves it out.
+/// Conjugate gradients need a symmetric matrix. The stiffness of pressure is symmetric if the pressed surface is closed
+/// or its rim is fixed. Only bodies of that kind add it (model/boundary_conditions.cpp). At a free rim Newton's method
+/// takes fewer iterations without it than with its symmetric part. It is not positive semi-definite, so a projected
+/// stiffness leaves it out.
 /// Reads displacement, velocity; adds to edges, rhs.
 template <class Team, class Real>
 TM_HOST_DEVICE void add_pressure(const Team& team, const view::StateView<Real>& state,

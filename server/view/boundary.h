@@ -38,9 +38,9 @@ struct PressureView {
   const std::uint32_t* rows;          // rows of pressure faces, grouped by patch
   const std::uint32_t* corner_begin;  // [pressed row + 1] into corners
   const std::uint32_t* corners;       // [.., 2] face, corner
-  const std::uint32_t* slots;         // [corner, kMaxFaceNodes] couples the corner to each node of its face; kNoPlace:
-                                      // the node's row stores that edge, there is no such node, or the matrix leaves
-                                      // the stiffness of pressure out
+  const std::uint32_t* slots;         // [corner, kMaxFaceNodes] slots of the edges to the nodes of the corner's face.
+                                      // kNoPlace: the corner adds no stiffness to that edge, because the other row
+                                      // stores it, the face has fewer nodes, or its stiffness is not symmetric
 };
 
 }  // namespace tensormass::view

@@ -21,7 +21,7 @@ template <class Real>
 struct SolveView {
   Real cg_tolerance;
   Real* solution;     // [row_count, 4] x
-  Real* kept;         // [2, row_count, 4] x of steps (solver/conjugate_gradients.h); nullptr: Newton's method iterates
+  Real* kept;         // [2, row_count, 4] x of the last good step and of a later one; nullptr: Newton's method iterates
   Real* residual;     // [own + halo of every patch, 4]
   Real* direction;    // [own + halo of every patch, 4]
   Real* product;      // [2, row_count, 4] Â p by parity of the iteration; patches exchange at least the boundary rows

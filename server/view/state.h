@@ -38,8 +38,8 @@ struct StepControl {
   std::uint32_t saves_checkpoint;    // 1: save the state before the step, for a guard that takes the step back
   std::uint32_t projects_stiffness;  // 1: a step that is linearized once projects the stiffness to positive definite
   std::uint32_t starts_from_last;    // 1: the solve searches along the last step's solution first
-  std::uint32_t last_solution;       // where SolveView::kept has it, 0 or 1
-  std::uint32_t next_solution;       // where it keeps the solution of this step; may be the same place
+  std::uint32_t last_solution;       // index into SolveView::kept, 0 or 1: the last step's solution
+  std::uint32_t next_solution;       // the same: this step writes its solution there; may equal last_solution
 };
 
 /// Fields of rows, [row_count, 4] each.

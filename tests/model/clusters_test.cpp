@@ -252,8 +252,7 @@ TEST(WedgePairs, AreAGroupBesideTheirWedges) {
   EXPECT_EQ(model.bodies[1].element_count, 24u) << "a pair is not an element of the scene";
 }
 
-/// A cell's ring beside its tetrahedra, which keep the rest of the deviatoric moduli. A ring with fewer nodes is filled
-/// up with neighbours whose gradients are zero.
+/// A cell's ring stands beside its tetrahedra, which keep the rest of the deviatoric moduli.
 TEST(TetrahedronRings, AreAGroupBesideTheirTetrahedra) {
   v1::Scene scene = wedge_bar(0.4);
   scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(v1::SHAPE_TETRAHEDRON);
@@ -277,13 +276,13 @@ TEST(TetrahedronRings, AreAGroupBesideTheirTetrahedra) {
   EXPECT_EQ(compile(scene, {}).value().groups.size(), 1u);
 }
 
-TEST(TetrahedronRings, ASingleTetrahedronStaysAlone) {
+TEST(TetrahedronRings, NeedAMeshOfEightNodes) {
   Compilation c{v1::Scene{}, {}, {}, {}, {}, {}};
   c.bodies.push_back(body_of(closed_ring(2)));
   c.model.bodies.resize(1);
   c.model.bodies[0].element_count = 2;
   make_clusters(c);
-  EXPECT_TRUE(c.clusters.empty()) << "the mesh has six nodes, and a cluster needs eight";
+  EXPECT_TRUE(c.clusters.empty()) << "the mesh has four nodes";
 }
 
 TEST(WedgePairs, WarnOfWedgesThatLock) {
