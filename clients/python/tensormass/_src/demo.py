@@ -19,7 +19,7 @@ from tensormass._src.processes import BUILD_BIN
 
 _PACKAGE = Path(__file__).resolve().parent
 _TEMPLATES = _PACKAGE.parent / "scenes"
-_SOURCES = ("organ.py", "isosurface.py", "meshes.py", "mesh_geometry.py", "mesh_files.py", "shapes.py")
+_SOURCES = ("organ.py", "isosurface.py", "interface.py", "meshes.py", "mesh_geometry.py", "mesh_files.py", "shapes.py")
 
 
 def builtin_scenes() -> list[str]:

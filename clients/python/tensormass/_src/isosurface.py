@@ -21,9 +21,7 @@ from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
 
 Implicit = Callable[[FloatArray], FloatArray]
 """Continuous function, [n, 3] m -> [n]: positive inside, zero on the surface."""
-
-
-_Indices = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.int64]
 # A cut that is nearer to a lattice point than this share of its edge moves the point (the paper's safe choice for both
 # kinds of edges).
 _WARP_LONG = 0.24999
@@ -44,7 +42,7 @@ def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: flo
     edges, is_long = _edges(tetrahedra, len(points))
     crossed = value[edges[:, 0]] * value[edges[:, 1]] < 0
     edges, is_long = edges[crossed], is_long[crossed]
-    cuts = _cut_points(inside, points[edges[:, 0]], points[edges[:, 1]], value[edges[:, 0]])
+    cuts = cut_points(inside, points[edges[:, 0]], points[edges[:, 1]], value[edges[:, 0]])
     _warp(points, value, edges, is_long, cuts)
 
     # Keeps the cuts onto which no point was moved.
@@ -82,7 +80,7 @@ def smooth(surface: TriangleSurface, inside: Implicit, step_m: float, rounds: in
     return TriangleSurface(vertices, surface.triangles)
 
 
-def _lattice(lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> tuple[FloatArray, _Indices]:
+def _lattice(lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> tuple[FloatArray, Indices]:
     """Makes points and tetrahedra of the lattice. Corners of cubes come first, then the cubes' centres."""
     count = np.ceil((upper_m - lower_m) / cell_m).astype(np.int64) + 1
     corner_shape, centre_shape = count + 1, count
@@ -105,34 +103,35 @@ def _lattice(lower_m: FloatArray, upper_m: FloatArray, cell_m: float) -> tuple[F
 _SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
 
 
-def _grid_indices(shape: _Indices) -> _Indices:
+def _grid_indices(shape: Indices) -> Indices:
     return np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _grid_points(shape: _Indices) -> FloatArray:
+def _grid_points(shape: Indices) -> FloatArray:
     return _grid_indices(shape).astype(np.float64)
 
 
-def _flat(index: _Indices, shape: _Indices) -> _Indices:
-    flat: _Indices = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
+def _flat(index: Indices, shape: Indices) -> Indices:
+    flat: Indices = (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
     return flat
 
 
-def _edges(tetrahedra: _Indices, point_count: int) -> tuple[_Indices, npt.NDArray[np.bool_]]:
+def _edges(tetrahedra: Indices, point_count: int) -> tuple[Indices, npt.NDArray[np.bool_]]:
     """Returns unique edges [n, 2], smaller index first, and whether each is long. Edges 01 and 23 are long by
     construction."""
     pairs = [(0, 1), (2, 3), (0, 2), (0, 3), (1, 2), (1, 3)]
-    keys = np.concatenate([_pair_keys(tetrahedra[:, a], tetrahedra[:, b], point_count) for a, b in pairs])
+    keys = np.concatenate([pair_keys(tetrahedra[:, a], tetrahedra[:, b], point_count) for a, b in pairs])
     unique, first = np.unique(keys, return_index=True)
     return np.stack([unique // point_count, unique % point_count], axis=1), first < 2 * len(tetrahedra)
 
 
-def _pair_keys(a: _Indices, b: _Indices, point_count: int) -> _Indices:
-    keys: _Indices = np.minimum(a, b) * point_count + np.maximum(a, b)
+def pair_keys(a: Indices, b: Indices, point_count: int) -> Indices:
+    """Returns a number for each pair of points, the same in both orders."""
+    keys: Indices = np.minimum(a, b) * point_count + np.maximum(a, b)
     return keys
 
 
-def _cut_points(inside: Implicit, a: FloatArray, b: FloatArray, value_a: FloatArray) -> FloatArray:
+def cut_points(inside: Implicit, a: FloatArray, b: FloatArray, value_a: FloatArray) -> FloatArray:
     """Finds the zero of the function between `a` and `b`, by bisection."""
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(_BISECTIONS):
@@ -143,7 +142,7 @@ def _cut_points(inside: Implicit, a: FloatArray, b: FloatArray, value_a: FloatAr
 
 
 def _warp(
-    points: FloatArray, value: FloatArray, edges: _Indices, is_long: npt.NDArray[np.bool_], cuts: FloatArray
+    points: FloatArray, value: FloatArray, edges: Indices, is_long: npt.NDArray[np.bool_], cuts: FloatArray
 ) -> None:
     """Moves points that are too near to a cut onto the nearest cut, and sets their value to zero."""
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
@@ -160,20 +159,20 @@ def _warp(
 class _PairTable:
     """Looks up the node of the cut on an edge, by the ends of the edge."""
 
-    def __init__(self, edges: _Indices, point_count: int, first: int) -> None:
+    def __init__(self, edges: Indices, point_count: int, first: int) -> None:
         self._point_count = point_count
-        self._keys = _pair_keys(edges[:, 0], edges[:, 1], point_count)  # sorted, as `_edges` made them
+        self._keys = pair_keys(edges[:, 0], edges[:, 1], point_count)  # sorted, as `_edges` made them
         self._first = first
 
-    def __call__(self, inner: _Indices, outer: _Indices, sign: FloatArray) -> _Indices:
+    def __call__(self, inner: Indices, outer: Indices, sign: FloatArray) -> Indices:
         """Returns the cut between an inner and an outer point. A point on the surface is its own cut."""
         if not len(self._keys):
             return inner
-        place = np.searchsorted(self._keys, _pair_keys(inner, outer, self._point_count))
+        place = np.searchsorted(self._keys, pair_keys(inner, outer, self._point_count))
         return np.where(sign[inner] == 0, inner, self._first + np.minimum(place, len(self._keys) - 1))
 
 
-def _stencils(tetrahedra: _Indices, sign: FloatArray, cut_of: _PairTable) -> _Indices:
+def _stencils(tetrahedra: Indices, sign: FloatArray, cut_of: _PairTable) -> Indices:
     """Cuts each tetrahedron to the part inside the surface."""
     # Sorts inner corners first. The number of outer corners then decides.
     order = np.argsort(-sign[tetrahedra], axis=1, kind="stable")
@@ -208,7 +207,7 @@ def _stencils(tetrahedra: _Indices, sign: FloatArray, cut_of: _PairTable) -> _In
     return np.concatenate(blocks)
 
 
-def _before(corner: _Indices, lattice: npt.NDArray[np.int64], p: int, q: int, n: int) -> npt.NDArray[np.bool_]:
+def _before(corner: Indices, lattice: npt.NDArray[np.int64], p: int, q: int, n: int) -> npt.NDArray[np.bool_]:
     """Chooses the diagonal that halves the inner part p q c_q c_p of a face p q n whose corner n is outside.
 
     True is the diagonal from p to c_q. Neighbours choose alike, because only points of the face matter: the diagonal
@@ -220,12 +219,12 @@ def _before(corner: _Indices, lattice: npt.NDArray[np.int64], p: int, q: int, n:
 
 
 def _prism(
-    top: _Indices,
-    bottom: _Indices,
+    top: Indices,
+    bottom: Indices,
     zero_before_one: npt.NDArray[np.bool_],
     zero_before_two: npt.NDArray[np.bool_],
     one_before_two: npt.NDArray[np.bool_],
-) -> _Indices:
+) -> Indices:
     """Returns three tetrahedra of a prism with columns top[:, k] - bottom[:, k]; `i_before_j` is the diagonal top i -
     bottom j.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tensormass._src.meshes import ElementBlock, FloatArray, TriangleSurface, VolumeMesh
+from tensormass._src.meshes import ElementBlock, FloatArray, IndexArray, TriangleSurface, VolumeMesh
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,13 @@ def quality(mesh: VolumeMesh) -> MeshQuality:
 
 
 def boundary(mesh: VolumeMesh) -> TriangleSurface:
-    """Returns the faces that belong to one element only, as outward triangles on a compact list of vertices."""
+    """Returns the boundary as outward triangles on a compact list of vertices."""
+    used, index = np.unique(boundary_triangles(mesh), return_inverse=True)
+    return TriangleSurface(mesh.nodes[used], index.reshape(-1, 3).astype(np.uint32))
+
+
+def boundary_triangles(mesh: VolumeMesh) -> IndexArray:
+    """Returns the faces that belong to one element only, as outward triangles of the mesh's nodes, [n, 3]."""
     triangles = []
     for corner_count in (3, 4):
         faces = np.concatenate(
@@ -114,5 +120,4 @@ def boundary(mesh: VolumeMesh) -> TriangleSurface:
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         outer = faces[np.sort(first[count == 1])]
         triangles += [outer[:, [0, k, k + 1]] for k in range(1, corner_count - 1)]
-    used, index = np.unique(np.concatenate(triangles), return_inverse=True)
-    return TriangleSurface(mesh.nodes[used], index.reshape(-1, 3).astype(np.uint32))
+    return np.concatenate(triangles)

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tensormass._src import isosurface
+from tensormass._src import interface, isosurface
 from tensormass._src.mesh_geometry import boundary
 from tensormass._src.meshes import FloatArray, TriangleSurface, VolumeMesh
 
+#: Name of the set of nodes that an organ's surroundings hold.
+HELD = "held"
 # Halvings that find a distance to rounding.
 _BISECTIONS = 60
 
@@ -52,6 +54,8 @@ class Organ:
     """A shape, the box around it, and the cell sizes of its volume and skin."""
 
     inside: isosurface.Implicit
+    #: Positive where its surroundings hold the organ.
+    held: isosurface.Implicit
     lower_m: FloatArray
     upper_m: FloatArray
     cell_m: float
@@ -59,9 +63,14 @@ class Organ:
     focus: Focus | None = None
 
     def volume(self, *, graded: bool = False) -> VolumeMesh:
-        """Makes the tetrahedra that are simulated, of one size or graded towards the focus, which must exist then."""
-        if not graded:
-            return isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
+        """Makes the tetrahedra that are simulated, of one size or graded towards the focus, which must exist then.
+
+        They are fitted to the part that is held, whose nodes are the set `HELD`.
+        """
+        mesh = self._graded() if graded else isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
+        return interface.fit(mesh, self.held, HELD)
+
+    def _graded(self) -> VolumeMesh:
         focus = self.focus
         assert focus is not None, "graded towards a focus"
         lower = [at - focus.before(at - to) for at, to in zip(focus.center_m, self.lower_m, strict=True)]
@@ -93,6 +102,13 @@ def liver(points: FloatArray) -> FloatArray:
     return body
 
 
+def liver_held(points: FloatArray) -> FloatArray:
+    """Positive where the liver is held: ligaments hold its back, and it rests on its neighbours below."""
+    back, below = -0.035 - points[:, 1], -0.032 - points[:, 2]
+    hollow = 0.15 - np.linalg.norm(points - [0.03, 0.0, -0.155], axis=1)
+    return np.maximum(np.maximum(back, below), hollow)
+
+
 def kidney(points: FloatArray) -> FloatArray:
     """Implicit function of the kidney, like `liver`: a bean, its hilum towards -x."""
     bean = _ellipsoid(points, (0.000, 0.000, 0.000), (0.030, 0.024, 0.055), tilt_deg=(0.0, 0.0, 0.0))
@@ -100,13 +116,26 @@ def kidney(points: FloatArray) -> FloatArray:
     return -_blend(-bean, hilum, 0.018)
 
 
-# The liver has about 20,000 tetrahedra, graded 2,400, the kidney about 6,000. The demo's probe waits above the focus.
+def kidney_held(points: FloatArray) -> FloatArray:
+    """Positive where the kidney is held: at the hilum by its vessels, and at its lower pole."""
+    return np.maximum(0.022 - np.linalg.norm(points - [-0.03, 0.0, 0.0], axis=1), -0.043 - points[:, 2])
+
+
+# The liver has about 21,000 tetrahedra, graded 3,000, the kidney 5,600. The demo's probe waits above the focus.
 _LIVER_FOCUS = Focus(np.array([-0.035, 0.015, 0.048]), scale=0.23, radius_m=0.078, far=2.66)
 ORGANS = {
     "liver": Organ(
-        liver, np.array([-0.12, -0.085, -0.065]), np.array([0.125, 0.085, 0.065]), 0.0093, 0.0042, _LIVER_FOCUS
+        liver,
+        liver_held,
+        np.array([-0.12, -0.085, -0.065]),
+        np.array([0.125, 0.085, 0.065]),
+        0.0093,
+        0.0042,
+        _LIVER_FOCUS,
     ),
-    "kidney": Organ(kidney, np.array([-0.035, -0.03, -0.06]), np.array([0.035, 0.03, 0.06]), 0.0074, 0.0034),
+    "kidney": Organ(
+        kidney, kidney_held, np.array([-0.035, -0.03, -0.06]), np.array([0.035, 0.03, 0.06]), 0.0074, 0.0034
+    ),
 }
 
 

@@ -20,7 +20,7 @@ from tensormass._src.enums import short_name
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.files import replacing
 from tensormass._src.names import suggestion
-from tensormass._src.organ import ORGANS
+from tensormass._src.organ import HELD, ORGANS
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.shapes import BY_NUMBER, SHAPES
 from tensormass.v1 import scene_pb2
@@ -213,7 +213,7 @@ class Knobs:
             grids.append("grid" in own)
             if "grid" not in own and self._organ(own) is None:
                 reasons.append(f"body {body.name!r}: its mesh comes from a file")
-            elif _names_single_nodes(body):
+            elif _names_single_nodes(body, carried=() if "grid" in own else (HELD,)):
                 reasons.append(f"body {body.name!r}: node numbers or element fields belong to its mesh as it is")
         if reasons:
             self.without["resolution"] = "; ".join(reasons)
@@ -372,9 +372,11 @@ _ORDERS = ("as_given", "quadratic")
 _SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
 
 
-def _names_single_nodes(body: scene_pb2.Body) -> bool:
+def _names_single_nodes(body: scene_pb2.Body, carried: Sequence[str]) -> bool:
+    """Tells whether a body refers to nodes or elements by number. The sets `carried` are made with its mesh."""
+    sets = [named for named in body.sets if named.name not in carried]
     regions = [*body.fixed, *(load.region for load in body.loads), *(of.region for of in body.law_regions)]
-    regions += [of.region for of in body.prescribed] + [region for named in body.sets for region in named.regions]
+    regions += [of.region for of in body.prescribed] + [region for named in sets for region in named.regions]
     fields = body.element_fields
     of_elements = fields.young_modulus_pa or fields.poisson_ratio or fields.fibre_directions
     return bool(of_elements) or any(region.WhichOneof("kind") == "nodes" for region in regions)
