@@ -57,17 +57,18 @@ class Setting:
 
 
 def _settings() -> list[Setting]:
-    uniform = [Setting(False, False, r, rate) for r in (1, 2, 2.8) for rate in (60, 960)]
-    uniform += [Setting(False, True, r, 60) for r in (0.5, 0.7, 1)]
-    uniform += [Setting(False, True, r, 960, 0.1) for r in (0.5, 0.7, 1, 1.2, 1.3, 1.4, 2)]
-    uniform += [Setting(False, False, 1, 60, selective=True)]
-    uniform += [Setting(False, False, r, 960, 0.1, selective=True) for r in (1, 1.4, 2, 2.8)]
-    graded = [Setting(True, False, 2, 960, 0.1)]
-    graded += [Setting(True, False, r, 60, selective=True) for r in (1, 1.5, 2)]
-    graded += [Setting(True, False, r, 960, 0.1, selective=True) for r in (1, 2, 3, 4)]
-    graded += [Setting(True, True, r, 60) for r in (1, 1.15, 1.3)]
-    graded += [Setting(True, True, r, 960, 0.1) for r in (1, 1.5, 2, 2.3, 2.5)]
-    return [*uniform, *graded, Setting(True, True, 4, 960)]
+    uniform = [Setting(False, False, r, 60) for r in (0.8, 1)]
+    uniform += [Setting(False, False, r, 960) for r in (1, 2, 2.8)]
+    uniform += [Setting(False, True, r, 960, 0.03) for r in (0.7, 1, 1.4, 2)]
+    uniform += [Setting(False, False, r, 60, selective=True) for r in (0.7, 1)]
+    uniform += [Setting(False, False, r, 960, 0.03, selective=True) for r in (1, 1.4, 1.7, 2)]
+    graded = [Setting(True, False, 1, 60)]
+    graded += [Setting(True, False, r, 60, selective=True) for r in (0.8, 1, 1.2)]
+    graded += [Setting(True, False, 1.8, 960, tolerance, selective=True) for tolerance in (0.1, 0.01)]
+    graded += [Setting(True, False, r, 960, 0.03, selective=True) for r in (1, 1.5, 1.8, 2, 2.5)]
+    graded += [Setting(True, True, r, 60) for r in (0.5, 0.7)]
+    graded += [Setting(True, True, r, 960, 0.03) for r in (0.7, 1, 1.2)]
+    return [*uniform, *graded, Setting(True, True, 2.5, 960)]
 
 
 SETTINGS = {setting.name: setting for setting in _settings()}

@@ -51,7 +51,7 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
 
 def _make_organs(folder: Path) -> None:
     for name, organ in ORGANS.items():
-        mesh_files.write_mesh(folder / f"{name}.msh", organ.volume())
+        mesh_files.write_mesh(folder / f"{name}.msh", organ.volume(graded=organ.focus is not None))
         skin = organ.skin()
         meshio.Mesh(skin.vertices, [("triangle", skin.triangles.astype("int32"))]).write(folder / f"{name}_skin.ply")
 

@@ -223,7 +223,7 @@ class Knobs:
         if reasons or any(organ is None or ORGANS[organ[0]].focus is None for organ in organs):
             self.without["grading"] = "; ".join(reasons) or "only the built-in liver has a place where tools act"
         else:
-            self._add("grading", "cells of one size, or smaller where tools act", "uniform", ("uniform", "graded"))
+            self._add("grading", "cells of one size, or smaller where tools act", "graded", ("uniform", "graded"))
         shapes = {_shape_of_grid(body) for body in bodies if body.mesh.WhichOneof("source") == "grid"}
         orders = {body.element_order or scene_pb2.ELEMENT_ORDER_AS_GIVEN for body in bodies}
         self._own_shape = "tetrahedron" if all(map(_is_tetrahedral, bodies)) else "any"
@@ -345,7 +345,7 @@ class Knobs:
         name, *made = Path(mesh.get("file", "")).stem.split("-")
         if self.file.builtin is None or name not in ORGANS:
             return None
-        return (name, float(made[1]), made[0] == "graded") if made else (name, 1.0, False)
+        return (name, float(made[1]), made[0] == "graded") if made else (name, 1.0, ORGANS[name].focus is not None)
 
     def _set_shape(self, fields: dict[str, Any], value: Value) -> None:
         def set_of(body: dict[str, Any]) -> None:
