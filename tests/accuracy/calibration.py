@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import statistics
 import sys
 import tempfile
@@ -38,7 +37,7 @@ from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Machine, Store
 
 from . import record
-from .tables import Cell, csv_text, markdown
+from .tables import Cell, csv_text, filled, markdown
 
 FOLDER = Path(__file__).parent / "results"
 PAGE = Path(__file__).parents[2] / "docs" / "decisions" / "trade.md"
@@ -55,7 +54,6 @@ _SETTINGS: dict[str, dict[str, Any]] = {
     HEXAHEDRA: {"shape": "hexahedron", "quadrature": "selective"},
     QUADRATIC: {"shape": "quadratic_tetrahedron", "quadrature": "selective"},
 }
-_BLOCK = re.compile(r"(?<=<!-- made: calibration -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -316,8 +314,8 @@ def readme() -> list[str]:
 def outputs() -> dict[Path, str]:
     """The text of every file that is made of these results alone."""
     run = Run.read()
-    text = "\n".join(table(run)) + "\n"
-    return {FOLDER / "calibration.csv": csv_text(rows(run)), PAGE: _BLOCK.sub(lambda _: text, PAGE.read_text())}
+    page = filled(PAGE.read_text(), {"calibration": table(run)})
+    return {FOLDER / "calibration.csv": csv_text(rows(run)), PAGE: page}
 
 
 def main() -> int:

@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from . import advice, calibration, record, trade_plot, trade_tables
+from . import advice, calibration, press, press_parts, record, trade_plot, trade_tables
 from .case import Case, Outcome
 from .cases import all_cases
-from .tables import Cell, csv_text, markdown
+from .tables import Cell, csv_text, filled, markdown
 
 FOLDER = Path(__file__).parent / "results"
 PAGE = Path(__file__).parents[2] / "docs" / "accuracy.md"
@@ -210,6 +210,9 @@ def outputs(runs: Sequence[Run], cases: Sequence[Case]) -> dict[Path, str]:
         **{FOLDER / f"{name}.csv": csv_text(of) for name, of in rows.items()},
         **advice.outputs(BACKENDS),
         **calibration.outputs(),
+        press.PAGE: filled(
+            press.PAGE.read_text(), {"press": press.table(), "targets": press.targets(), **press_parts.tables()}
+        ),
     }
 
 

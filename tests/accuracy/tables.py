@@ -1,10 +1,11 @@
-"""CSV files beside the JSON results: one line a row, plain numbers, the same columns in every run."""
+"""Texts made of results. CSV files: one line a row, plain numbers, the same columns in every run. Tables of pages."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 Cell = str | int | float | bool | None
@@ -24,6 +25,17 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table for a page."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
+def filled(page: str, blocks: Mapping[str, Sequence[str]]) -> str:
+    """Replaces what stands in a page between `<!-- made: NAME -->` and `<!-- end -->` by the lines of that name. Names
+    without lines keep what they have."""
+
+    def block(of: re.Match[str]) -> str:
+        name = of[1]
+        return "\n".join([f"<!-- made: {name} -->", *blocks[name], "<!-- end -->"]) if name in blocks else of[0]
+
+    return re.sub(r"<!-- made: (\w+) -->\n.*?<!-- end -->", block, page, flags=re.DOTALL)
 
 
 def _cell(value: Cell) -> str:

@@ -17,7 +17,7 @@ from tensormass_tools.trade.store import Machine, Measurement
 from . import trade
 from .trade import OWN, SCENES, Trade
 from .trade_plot import Curve, svg
-from .trade_tables import confirmations, doubt
+from .trade_tables import confirmations, doubt, read
 
 setting_text = trade.report.setting_text
 
@@ -53,11 +53,8 @@ def test_a_preset_keeps_the_law_and_is_no_worse_in_what_is_seen_or_felt() -> Non
     assert all(of.setting == {} for of in alone.values())
 
 
-@pytest.mark.parametrize("backend", ["cpu", "cuda"])
-@pytest.mark.parametrize("scene", SCENES)
-def test_no_setting_of_the_same_law_is_better_than_a_preset(scene: str, backend: str) -> None:
-    trade = Trade.read(scene, backend)
-    assert trade is not None
+@pytest.mark.parametrize("trade", read(["cpu", "cuda"]), ids=lambda of: f"{of.head['scene']}-{of.head['host']}")
+def test_no_setting_of_the_same_law_is_better_than_a_preset(trade: Trade) -> None:
     points = {
         of.key: (of.cost_s, of.slow_s, *of.errors.of_tolerance)
         for of in trade.measurements

@@ -27,7 +27,7 @@ from tensormass._src.processes import ChildProcess, end_explained
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_tools import run
 from tensormass_tools.cli import main, parse_length_m
-from tensormass_tools.output import load_line, status_line
+from tensormass_tools.output import load_line, report_text, status_line
 
 STATUS = stream_pb2.SceneStatus(
     scene="demo",
@@ -42,6 +42,17 @@ STATUS = stream_pb2.SceneStatus(
     cg_relative_residual=8e-4,
     tools=[stream_pb2.ToolFeedback(tool="probe", force_n=scene_pb2.Vector3(x=3, z=4))],
 )
+
+
+def test_the_plan_names_what_follows_a_schedule() -> None:
+    schedule = scene_pb2.Schedule(time_s=[0, 2], factor=[0, 1])
+    scene = scene_pb2.Scene(
+        bodies=[scene_pb2.Body(name="bar", loads=[scene_pb2.Load(), scene_pb2.Load(schedule=schedule)])],
+        gravity_schedule=schedule,
+    )
+    text = report_text(control_pb2.SceneReport(), scene)
+    assert "factors by schedule:\n  gravity: 0 at 0 s, 1 at 2 s\n  'bar', loads[1]: 0 at 0 s, 1 at 2 s" in text
+    assert "schedule" not in report_text(control_pb2.SceneReport(), scene_pb2.Scene())
 
 
 @pytest.mark.parametrize(

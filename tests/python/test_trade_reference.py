@@ -12,6 +12,7 @@ from trade_parts import BLOCK, MACHINE, Formula, knobs_of
 import tensormass as tm
 from tensormass.v1 import scene_pb2
 from tensormass_tools.trade import reference
+from tensormass_tools.trade.knobs import Knobs
 from tensormass_tools.trade.recording import Recording
 from tensormass_tools.trade.script import Script
 from tensormass_tools.trade.store import Store
@@ -98,10 +99,34 @@ def test_inverted_elements_end_the_other_discretization(tmp_path: Path) -> None:
     assert said[-1] == "reference, in quadratic tetrahedra: inverted elements, det F down to -0.5"
 
 
+def _of_tetrahedra(folder: Path, quadrature: str) -> Knobs:
+    tm.write_mesh(folder / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
+    text = BLOCK[: BLOCK.index("grid:")] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :]
+    return knobs_of(text.replace("quadrature: selective", f"quadrature: {quadrature}"), folder)
+
+
+def _make_refinable(knobs: Knobs) -> None:
+    """Lets a mesh be refined as if it were that of a built-in organ."""
+    knobs.refinable.add("resolution")
+    knobs._setters["resolution"] = lambda fields, value: None
+
+
+def test_tetrahedra_without_locking_are_their_own_reference(tmp_path: Path) -> None:
+    knobs = _of_tetrahedra(tmp_path, "selective")
+    _make_refinable(knobs)
+    script, store = Script.of(knobs.message, None), Store(tmp_path)
+    formula = Formula(knobs.message, script)
+    found = reference.find(knobs, script, formula, store, MACHINE, tolerance=0.02, limit_s=1e9, say=lambda _: None)  # type: ignore[arg-type]
+    assert "element_order" not in found.levels[-1].setting
+    assert not found.raises_order
+    assert found.other_name == "quadratic tetrahedra"
+    assert [of.setting["resolution"] for of in found.other] == [of.setting["resolution"] for of in found.levels[-4:-1]]
+    for of in found.other:
+        assert (of.setting["element_order"], of.setting["quadrature"]) == ("quadratic", "full")
+
+
 def test_the_reference_of_a_tetrahedral_mesh_is_quadratic(tmp_path: Path) -> None:
-    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
-    at = BLOCK.index("grid:")
-    knobs = knobs_of(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :], tmp_path)
+    knobs = _of_tetrahedra(tmp_path, "full")
     script, store = Script.of(knobs.message, None), Store(tmp_path)
     formula = Formula(knobs.message, script)
     found = reference.find(knobs, script, formula, store, MACHINE, tolerance=0.02, limit_s=1e9, say=lambda _: None)  # type: ignore[arg-type]
@@ -122,12 +147,8 @@ def test_refined_linear_tetrahedra_approach_a_quadratic_reference(
             self.wrongness = [next(self.left)] if is_linear else []
             return super().record(scene)
 
-    tm.write_mesh(tmp_path / "own.msh", tm.grid([4, 4, 3], [0.1, 0.1, 0.05]))
-    at = BLOCK.index("grid:")
-    knobs = knobs_of(BLOCK[:at] + "file: own.msh}" + BLOCK[BLOCK.index("\n    law") :], tmp_path)
-    # As if the mesh were that of a built-in organ.
-    knobs.refinable.add("resolution")
-    knobs._setters["resolution"] = lambda fields, value: None
+    knobs = _of_tetrahedra(tmp_path, "full")
+    _make_refinable(knobs)
     script, said = Script.of(knobs.message, None), list[str]()
 
     def find(limit_s: float) -> reference.Reference:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -14,8 +15,8 @@ def lines_of(name: str) -> list[str]:
 
 def table_after(lines: list[str], mark: str) -> list[str]:
     """Returns the rows of the first table after a mark, without its heading."""
-    rows = [line for line in lines[lines.index(mark) : lines.index(mark) + SCREEN] if line.startswith("|")]
-    return rows[2:]
+    below = itertools.dropwhile(lambda line: not line.startswith("|"), lines[lines.index(mark) :])
+    return list(itertools.takewhile(lambda line: line.startswith("|"), below))[2:]
 
 
 def test_the_readme_opens_with_a_picture_and_five_rows_of_figures() -> None:

@@ -141,6 +141,8 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     elevated = [repr(body.name) for body in scene.bodies if body.element_order == scene_pb2.ELEMENT_ORDER_QUADRATIC]
     if elevated:
         sections.append(f"made quadratic, with a node in the middle of each edge: {', '.join(elevated)}")
+    if scheduled := _schedules(scene):
+        sections.append("factors by schedule:\n" + "\n".join(f"  {item}" for item in scheduled))
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
     if report.warnings:
@@ -148,6 +150,20 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
     sections += [f"{table(stages)}\nper step; for the solve, per iteration", table(buffers)]
     return "\n\n".join(sections)
+
+
+def _schedules(scene: scene_pb2.Scene) -> list[str]:
+    """Describes the schedules of gravity, loads and prescribed displacements, one a line."""
+    found = [("gravity", scene.gravity_schedule)]
+    for body in scene.bodies:
+        found += [(f"{body.name!r}, loads[{i}]", load.schedule) for i, load in enumerate(body.loads)]
+        found += [(f"{body.name!r}, prescribed[{i}]", of.schedule) for i, of in enumerate(body.prescribed)]
+    return [
+        f"{what}: "
+        + ", ".join(f"{factor:g} at {time_s:g} s" for time_s, factor in zip(of.time_s, of.factor, strict=True))
+        for what, of in found
+        if of.time_s
+    ]
 
 
 def quality_text(quality: MeshQuality) -> str:

@@ -76,8 +76,10 @@ class Knobs:
     def __init__(self, file: SceneFile, mesh_folder: Path) -> None:
         self.message = file.message()
         self.file = replace(file, fields=with_numbers(file.fields, cast(Descriptor, self.message.DESCRIPTOR)))
-        self._mesh_folder = mesh_folder
+        self.mesh_folder = mesh_folder
         self._made: set[Path] = set()
+        #: True if all bodies are in selective quadrature.
+        self.is_selective = all(body.quadrature == scene_pb2.QUADRATURE_SELECTIVE for body in self.message.bodies)
         self.quasi_static = self.message.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
         #: Knobs by name.
         self.knobs: dict[str, Knob] = {}
@@ -331,9 +333,9 @@ class Knobs:
 
     def _mesh_again(self, name: str, factor: float, graded: bool) -> str:
         """Meshes an organ with `factor` times the cells along an edge. Returns the file, which `_organ` knows again."""
-        path = (self._mesh_folder / f"{name}-{'graded' if graded else 'uniform'}-{factor:g}.msh").resolve()
+        path = (self.mesh_folder / f"{name}-{'graded' if graded else 'uniform'}-{factor:g}.msh").resolve()
         if path not in self._made:
-            self._mesh_folder.mkdir(parents=True, exist_ok=True)
+            self.mesh_folder.mkdir(parents=True, exist_ok=True)
             organ = replace(ORGANS[name], cell_m=ORGANS[name].cell_m / factor)
             mesh_files.write_mesh(path, organ.volume(graded=graded))
             self._made.add(path)

@@ -1,12 +1,12 @@
 """The reference: the scene refined until its result no longer moves. All settings are compared with it.
 
 Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
-second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids,
-quadratic tetrahedra for other tetrahedral meshes. Richardson extrapolation bounds the remaining error by the
-differences between levels.
+second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids, linear
+tetrahedra in selective quadrature if the scene has them, quadratic tetrahedra for other tetrahedral meshes. Richardson
+extrapolation bounds the remaining error by the differences between levels.
 
 A sequence that converges may still converge to something else. The last levels are therefore also run in another
-discretization: quadratic tetrahedra if the reference has hexahedra, linear ones if it has quadratic ones. Their
+discretization: linear tetrahedra if the reference has quadratic ones, quadratic tetrahedra for all others. Their
 distance from the reference must shrink. If it exceeds the error bar of the other discretization, the rest of it is an
 error of the reference, whose own error bar must not be smaller.
 
@@ -160,7 +160,7 @@ def find(
     estimates: tuple[float, float | None, float] = (float("inf"), None, 1.0)
     growth = _RATIO ** ((3 if "resolution" in knobs.refinable else 0) + (0 if script.one_step else 1))
     ended = "the last level"
-    first = _FIRST_QUADRATIC_LEVEL if "element_order" in knobs.refinable else _FIRST_LEVEL
+    first = _FIRST_QUADRATIC_LEVEL if _is_quadratic(knobs) else _FIRST_LEVEL
     for number in range(most_levels):
         setting = _setting(knobs, script, number + first)
         if len(levels) > 1:
@@ -195,7 +195,7 @@ def find(
     other: list[Level] = []
     differences: list[Errors] = []
     before: Recording | None = None
-    for setting in _other_settings(levels):
+    for setting in _other_settings(levels, knobs):
         if other and sum(of.wall_s for of in other) + growth * other[-1].wall_s > _OTHER_TIME * limit_s:
             break
         try:
@@ -214,17 +214,25 @@ def find(
     return _not_below_the_gap(replace(found, other=other), differences)
 
 
-def _other_settings(levels: list[Level]) -> list[dict[str, Value]]:
+def _other_settings(levels: list[Level], knobs: Knobs) -> list[dict[str, Value]]:
     """Returns the settings of the other discretization, coarse to fine; none if the mesh is not refined."""
-    finest = levels[-1].setting
-    if "resolution" not in finest:
+    if "resolution" not in knobs.refinable:
         return []
-    if finest.get("element_order") == "quadratic":
+    if _is_quadratic(knobs):
         return [level.setting | {"element_order": "as_given"} for level in levels[-_OTHER_LEVELS:]]
-    if "shape" in finest:
-        # Without the finest level, because quadratic tetrahedra have twice as many nodes along an edge.
-        return [level.setting | {"shape": "quadratic_tetrahedron"} for level in levels[-1 - _OTHER_LEVELS : -1]]
-    return []
+    if "shape" in knobs.refinable:
+        quadratic: dict[str, Value] = {"shape": "quadratic_tetrahedron"}
+    elif "element_order" in knobs.refinable:
+        quadratic = {"element_order": "quadratic", "quadrature": "full"}
+    else:
+        return []
+    # Without the finest level, because quadratic tetrahedra have twice as many nodes along an edge.
+    return [level.setting | quadratic for level in levels[-1 - _OTHER_LEVELS : -1]]
+
+
+def _is_quadratic(knobs: Knobs) -> bool:
+    """Tells whether the reference has quadratic tetrahedra in place of linear ones."""
+    return "element_order" in knobs.refinable and not knobs.is_selective
 
 
 def _not_below_the_gap(found: Reference, differences: Sequence[Errors]) -> Reference:
@@ -290,7 +298,7 @@ def _setting(knobs: Knobs, script: Script, level: int) -> dict[str, Value]:
         setting["resolution"] = factor
     if "shape" in knobs.refinable:
         setting |= {"shape": "hexahedron", "quadrature": "selective"}
-    if "element_order" in knobs.refinable:
+    if _is_quadratic(knobs):
         setting["element_order"] = "quadratic"
     if not script.one_step:
         setting["dt_s"] = script.sample_s / max(1, round(_STEPS_A_SAMPLE * factor))
