@@ -2,8 +2,8 @@
 
 Each level has a finer mesh and a smaller step, and is solved to tight tolerances in double precision. It uses the
 second-order scheme and the elements that converge fastest, because the limit is the same: hexahedra for grids, linear
-tetrahedra in selective quadrature if the scene has them, quadratic tetrahedra for other tetrahedral meshes. Richardson
-extrapolation bounds the remaining error by the differences between levels.
+tetrahedra in selective quadrature if the scene has them and they can be refined, quadratic tetrahedra for other
+tetrahedral meshes. Richardson extrapolation bounds the remaining error by the differences between levels.
 
 A sequence that converges may still converge to something else. The last levels are therefore also run in another
 discretization: linear tetrahedra if the reference has quadratic ones, quadratic tetrahedra for all others. Their
@@ -231,8 +231,10 @@ def _other_settings(levels: list[Level], knobs: Knobs) -> list[dict[str, Value]]
 
 
 def _is_quadratic(knobs: Knobs) -> bool:
-    """Tells whether the reference has quadratic tetrahedra in place of linear ones."""
-    return "element_order" in knobs.refinable and not knobs.is_selective
+    """Tells whether the reference has quadratic tetrahedra in place of linear ones. Those in selective quadrature stay
+    if they can be refined: they converge as far in less time."""
+    stays = knobs.is_selective and "resolution" in knobs.refinable
+    return "element_order" in knobs.refinable and not stays
 
 
 def _not_below_the_gap(found: Reference, differences: Sequence[Errors]) -> Reference:
