@@ -6,7 +6,6 @@ A table stands between `<!-- made: NAME -->` and `<!-- end -->`, where NAME is o
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +14,13 @@ from typing import Any
 from tensormass_tools.presets import FOR_BACKEND
 
 from . import press, trade, trade_tables
-from .tables import markdown
+from .tables import filled, markdown
 from .trade import FOREIGN, OWN, PRESETS_BACKEND, Trade
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
 #: The demo in real time under a moving probe, as `tensormass run` steps it on a GPU.
 BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h100-demo-default.jsonl"
 Measurement, report = trade.Measurement, trade.report
-_BLOCK = re.compile(r"<!-- made: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 class NotMeasuredError(Exception):
@@ -80,7 +78,7 @@ KNOBS = (
 def outputs(backends: Sequence[str]) -> dict[Path, str]:
     """docs/choosing.md with its tables made anew."""
     trades = {(of.head["scene"], of.head["machine"]["backend"]): of for of in trade_tables.read(backends)}
-    return {PAGE: _BLOCK.sub(lambda found: _block(found[1], trades), PAGE.read_text())}
+    return {PAGE: filled(PAGE.read_text(), {name: table(trades) for name, table in TABLES.items()})}
 
 
 Trades = dict[tuple[str, str], Trade]
@@ -173,10 +171,6 @@ def find(of: Trade, setting: dict[str, Any]) -> Measurement:
             return measured
     where = f"{of.head['scene']} on {of.head['machine']['backend']}"
     raise NotMeasuredError(f"{where}: {report.setting_text(setting)} has no results; change it in advice.py")
-
-
-def _block(name: str, trades: Trades) -> str:
-    return "\n".join([f"<!-- made: {name} -->", *TABLES[name](trades), "<!-- end -->"])
 
 
 def _own(of: Trade) -> dict[str, Any]:

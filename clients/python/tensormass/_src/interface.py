@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src.isosurface import Implicit, Indices, cut_points, pair_keys
+from tensormass._src.isosurface import Implicit, Indices, cut_points, nearest_cuts, pair_keys, unique_edges
 from tensormass._src.mesh_geometry import boundary_triangles
 from tensormass._src.meshes import BoolArray, FloatArray, VolumeMesh
 from tensormass._src.shapes import SHAPES
@@ -70,16 +70,12 @@ def _move(nodes: FloatArray, tetrahedra: Indices, outer: Indices, inside: Implic
     is_outer = np.zeros(len(nodes), bool)
     is_outer[outer] = True
 
-    node, cut = edges.T.reshape(-1), np.tile(np.arange(len(edges)), 2)
-    near = np.concatenate([_share(nodes, edges, cuts, side) for side in (0, 1)]) < _NEAR
-    near &= ~is_outer[node] | slides[cut]
-    node, cut = node[near], cut[near]
-    order = np.lexsort((cut, np.linalg.norm(nodes[node] - cuts[cut], axis=1), node))
-    moved, first = np.unique(node[order], return_index=True)
+    is_free = ~is_outer[edges.T] | slides
+    moved, cut = nearest_cuts(nodes, edges, cuts, np.where(is_free, _NEAR * _lengths(nodes, edges), 0.0))
 
     before = nodes[moved].copy()
     least = np.minimum(_LEAST_QUALITY, _LEAST_SHARE * qualities(nodes, tetrahedra))
-    nodes[moved] = cuts[cut[order][first]]
+    nodes[moved] = cuts[cut]
     is_moved = np.zeros(len(nodes), bool)
     is_moved[moved] = True
     while True:
@@ -95,9 +91,7 @@ def _crossings(
     nodes: FloatArray, tetrahedra: Indices, value: FloatArray, inside: Implicit
 ) -> tuple[Indices, FloatArray]:
     """Returns the edges that cross the surface, [n, 2], and where they do, [n, 3]."""
-    pairs = tetrahedra[:, _EDGES].reshape(-1, 2)
-    keys = np.unique(pair_keys(pairs[:, 0], pairs[:, 1], len(nodes)))
-    edges = np.stack([keys // len(nodes), keys % len(nodes)], axis=1)
+    edges, _ = unique_edges(tetrahedra, len(nodes))
     edges = edges[_crosses(value, edges)]
     return edges, cut_points(inside, nodes[edges[:, 0]], nodes[edges[:, 1]], value[edges[:, 0]])
 
@@ -129,10 +123,10 @@ def _halve(tetrahedra: Indices, edges: Indices, first: int) -> npt.NDArray[np.in
         own = pair_keys(tetrahedra[:, _EDGES[:, 0]], tetrahedra[:, _EDGES[:, 1]], node_count)
         place = order[np.minimum(np.searchsorted(keys, own, sorter=order), len(keys) - 1)]
         rank = np.where(keys[place] == own, place, len(keys))
-        edge = rank.argmin(axis=1)
-        split = rank.min(axis=1) < len(keys)
+        least = rank.min(axis=1)
+        split = least < len(keys)
         done.append(tetrahedra[~split])
-        tetrahedra, ends, new = tetrahedra[split], _EDGES[edge[split]], first + rank.min(axis=1)[split]
+        tetrahedra, ends, new = tetrahedra[split], _EDGES[rank[split].argmin(axis=1)], first + least[split]
         halves = [tetrahedra.copy(), tetrahedra.copy()]
         for half, end in zip(halves, ends.T, strict=True):
             half[np.arange(len(half)), end] = new

@@ -39,7 +39,7 @@ def fill(inside: Implicit, lower_m: FloatArray, upper_m: FloatArray, cell_m: flo
     value = inside(points)
     kept = (value[tetrahedra] > 0).any(axis=1)
     tetrahedra = tetrahedra[kept]
-    edges, is_long = _edges(tetrahedra, len(points))
+    edges, is_long = unique_edges(tetrahedra, len(points))
     crossed = value[edges[:, 0]] * value[edges[:, 1]] < 0
     edges, is_long = edges[crossed], is_long[crossed]
     cuts = cut_points(inside, points[edges[:, 0]], points[edges[:, 1]], value[edges[:, 0]])
@@ -116,9 +116,9 @@ def _flat(index: Indices, shape: Indices) -> Indices:
     return flat
 
 
-def _edges(tetrahedra: Indices, point_count: int) -> tuple[Indices, npt.NDArray[np.bool_]]:
-    """Returns unique edges [n, 2], smaller index first, and whether each is long. Edges 01 and 23 are long by
-    construction."""
+def unique_edges(tetrahedra: Indices, point_count: int) -> tuple[Indices, npt.NDArray[np.bool_]]:
+    """Returns unique edges [n, 2], smaller index first, and whether each is an edge 01 or 23 of a tetrahedron. These
+    are the long edges of the lattice."""
     pairs = [(0, 1), (2, 3), (0, 2), (0, 3), (1, 2), (1, 3)]
     keys = np.concatenate([pair_keys(tetrahedra[:, a], tetrahedra[:, b], point_count) for a, b in pairs])
     unique, first = np.unique(keys, return_index=True)
@@ -147,13 +147,24 @@ def _warp(
     """Moves points that are too near to a cut onto the nearest cut, and sets their value to zero."""
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     limit = np.where(is_long, _WARP_LONG, _WARP_SHORT) * length
-    distance = np.concatenate([np.linalg.norm(points[edges[:, side]] - cuts, axis=1) for side in (0, 1)])
-    point, cut = np.concatenate([edges[:, 0], edges[:, 1]]), np.tile(np.arange(len(edges)), 2)
-    near = distance < np.tile(limit, 2)
-    order = np.lexsort((cut[near], distance[near], point[near]))
-    moved, first = np.unique(point[near][order], return_index=True)
-    points[moved] = cuts[cut[near][order][first]]
+    moved, cut = nearest_cuts(points, edges, cuts, np.stack([limit, limit]))
+    points[moved] = cuts[cut]
     value[moved] = 0.0
+
+
+def nearest_cuts(points: FloatArray, edges: Indices, cuts: FloatArray, limits: FloatArray) -> tuple[Indices, Indices]:
+    """Returns the points with a cut on one of their edges within its limit, and the nearest such cut of each.
+
+    Args:
+        cuts: one on each edge, [n, 3].
+        limits: distances from the first and from the second end of each edge, [2, n].
+    """
+    distance = np.concatenate([np.linalg.norm(points[edges[:, side]] - cuts, axis=1) for side in (0, 1)])
+    point, cut = edges.T.reshape(-1), np.tile(np.arange(len(edges)), 2)
+    near = distance < limits.reshape(-1)
+    order = np.lexsort((cut[near], distance[near], point[near]))
+    found, first = np.unique(point[near][order], return_index=True)
+    return found, cut[near][order][first]
 
 
 class _PairTable:
