@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import tensormass as tm
-from tensormass._src import isosurface, mesh_files
+from tensormass._src import mesh_files
 from tensormass._src.errors import TensormassError
 from tensormass._src.launching import launch
 from tensormass._src.meshes import FloatArray
@@ -184,7 +184,7 @@ def _scene(knobs: Knobs, part: Part) -> scene_pb2.Scene:
     fields = copy.deepcopy(file.fields)
     if not part.fitted:
         organ = ORGANS["liver"]
-        mesh = isosurface.fill(organ.inside, organ.lower_m, organ.upper_m, organ.cell_m)
+        mesh = organ.unfitted(graded=False)
         held = np.flatnonzero(organ.held(mesh.nodes) >= 0).astype(np.uint32)
         path = knobs.mesh_folder / "not-fitted.msh"
         mesh_files.write_mesh(path, replace(mesh, sets={HELD: held}))

@@ -52,7 +52,7 @@ def main() -> None:
         scale = arguments.length_m / np.ptp(mesh.nodes, axis=0).max()
         mesh = replace(mesh, nodes=mesh.nodes * scale)
     else:
-        mesh = replace(ORGANS["liver"], cell_m=arguments.cell_m).volume(graded=False)
+        mesh = replace(ORGANS["liver"], cell_m=arguments.cell_m).unfitted(graded=False)
     scene = organ_scene(arguments.output.stem, mesh)
     arguments.output.write_bytes(scene.message.SerializeToString())
     print(f"{arguments.output}: {mesh.element_count} elements, {len(mesh.nodes)} nodes")

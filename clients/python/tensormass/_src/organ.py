@@ -63,14 +63,14 @@ class Organ:
     focus: Focus | None = None
 
     def volume(self, *, graded: bool) -> VolumeMesh:
-        """Makes the tetrahedra that are simulated, of one size or graded towards the focus, which must exist then.
+        """Makes the tetrahedra that are simulated: those of `unfitted`, fitted to the part that is held. Its nodes are
+        the set `HELD`."""
+        return interface.fit(self.unfitted(graded=graded), self.held, HELD)
 
-        They are fitted to the part that is held, whose nodes are the set `HELD`.
-        """
-        mesh = self._graded() if graded else isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
-        return interface.fit(mesh, self.held, HELD)
-
-    def _graded(self) -> VolumeMesh:
+    def unfitted(self, *, graded: bool) -> VolumeMesh:
+        """Fills the organ with tetrahedra of one size, or graded towards the focus, which must exist then."""
+        if not graded:
+            return isosurface.fill(self.inside, self.lower_m, self.upper_m, self.cell_m)
         focus = self.focus
         assert focus is not None, "graded towards a focus"
         lower = [at - focus.before(at - to) for at, to in zip(focus.center_m, self.lower_m, strict=True)]
