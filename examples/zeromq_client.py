@@ -18,12 +18,12 @@ from tensormass.v1 import scene_pb2, stream_pb2
 SECONDS, POSES_PER_S = 3.0, 250
 TRAVEL_M = 0.04  # down along z; from the demo's start to 10 mm into its liver
 CLIENT_ID = secrets.randbits(63) | 1
+VALID_FOR_S = 0.5  # a pose then expires: if this program dies, the server lets the tool go
 
 
 def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
-    now_ns = time.monotonic_ns()
-    message = stream_pb2.ToolPose(sequence=sequence, client_id=CLIENT_ID, client_time_ns=now_ns, position_m=position_m)
-    return message.SerializeToString()
+    stamp = {"sequence": sequence, "client_id": CLIENT_ID, "client_time_ns": time.monotonic_ns()}
+    return stream_pb2.ToolPose(**stamp, position_m=position_m, valid_for_s=VALID_FOR_S).SerializeToString()
 
 
 def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list[float]:

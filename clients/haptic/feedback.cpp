@@ -54,6 +54,7 @@ void encode_pose(const OutgoingPose& pose, std::string& out) {
   q.set_x(pose.pose.orientation.x());
   q.set_y(pose.pose.orientation.y());
   q.set_z(pose.pose.orientation.z());
+  message.set_valid_for_s(kPoseValidForS);
   message.SerializeToString(&out);
 }
 

@@ -18,6 +18,10 @@
 
 namespace tensormass::haptic {
 
+/// Time for which a pose holds without a newer one [s]. If this program dies, the server then lets the tool go. Longer
+/// than any pause of a healthy network or machine.
+inline constexpr double kPoseValidForS = 0.5;
+
 /// A pose for the server, with what the server echoes in its feedback: sequence, client and time.
 struct OutgoingPose {
   std::uint64_t sequence = 0;

@@ -30,13 +30,19 @@ namespace tensormass::backend {
 struct ToolForce {
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();
+  Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
+};
+
+/// A tool in a step: poses of its shape (model::ToolModel::placed) at the end and at the start.
+struct ToolInput {
+  physics::Pose shape, start;
+  double presence = 1;  ///< share of its contact stiffness with which it touches; 0: not at all
 };
 
 /// Inputs of a step.
 struct StepInput {
-  /// Pose of each tool's shape (model::ToolModel::placed) at the end of the step; [tool_count].
-  std::span<const physics::Pose> tools{};
-  double end_time_s = 0;  ///< time of the scene, for prescribed displacements that change
+  std::span<const ToolInput> tools{};  ///< [tool_count]
+  double end_time_s = 0;               ///< time of the scene, for prescribed displacements that change
   double dt_s = 0;
   std::uint32_t cg_max_iterations = 0;
   bool saves_checkpoint = true;  ///< `restore` goes back to the state before this step

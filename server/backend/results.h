@@ -60,6 +60,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
       for (int c = 0; c < 3; ++c) {
         sum.force_n[c] += static_cast<double>(load.force_n[c]);
         sum.torque_n_m[c] += static_cast<double>(load.torque_n_m[c]);
+        sum.friction_n[c] += static_cast<double>(load.friction_n[c]);
       }
     }
     forces[tool] = sum;
@@ -109,6 +110,12 @@ class LoadFactors {
   double load_factor_ = 1;
   std::vector<double> factors_;  // [schedule] of the last step
 };
+
+/// Number of reals in ContactView::slips.
+template <class Real>
+std::size_t slip_reals(const view::ContactView<Real>& contact) {
+  return 4 * std::size_t{contact.tool_count} * contact.triangle_count;
+}
 
 /// State of the step sequence, besides the fields of the rows.
 struct StepRecord {
@@ -176,6 +183,9 @@ class Checkpoint {
       copy(view.guard.checkpoint_previous_displacement, reals, view.state.previous_displacement);
       copy(view.guard.checkpoint_previous_velocity, reals, view.state.previous_velocity);
     }
+    if (view.contact.slips != nullptr) {
+      copy(view.contact.checkpoint_slips, slip_reals(view.contact), view.contact.slips);
+    }
     // The step that is taken back has advanced the internal variables to the checkpoint's stress, and a retry needs
     // them there. So the first restore saves them. A later restore, after a retry of several steps, copies them back.
     for (std::size_t g = 0; g < groups.size(); ++g) {
@@ -226,6 +236,8 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
     upload(view.state.previous_displacement, state.displacement);
     upload(view.state.previous_velocity, state.velocity);
   }
+  // Friction starts anew: a state from outside says nothing about where tools hold the tissue.
+  if (view.contact.slips != nullptr) upload(view.contact.slips, std::vector<double>(slip_reals(view.contact), 0.0));
   std::span<const double> histories = state.internal_variables;
   for (std::size_t g = 0; g < groups.size(); ++g) {
     const std::size_t count = m.groups[g].internal_variable_reals();

@@ -2,12 +2,14 @@
 
 #include <cmath>
 
+#include "contact/friction.h"
 #include "contact/surface.h"
 #include "matrix/edges.h"
 #include "physics/lists.h"
 #include "view/scene.h"
 
-/// Rigid tools against the tissue's surface: penalty pressure, without friction, implicit in time.
+/// Rigid tools against the tissue's surface: penalty pressure, implicit in time, with friction if a tool has it
+/// (friction.h).
 ///
 ///                   ___
 ///                 /     \       c     point of the tool's core (physics/tool/tool.h)
@@ -171,13 +173,20 @@ struct CoreDepths {
   }
 };
 
+/// Returns n · Σ w d: how far the contact point moves away from the tool until the end of the step [m].
+template <class Real>
+TM_HOST_DEVICE Real retreat_of(const FrictionPoint<Real>& at) {
+  Real retreat = 0;
+  for (int c = 0; c < 3; ++c) retreat += at.touch.weight[c] * at.normal().dot(view::change_ahead(at.state, at.rows[c]));
+  return retreat;
+}
+
 /// Computes each triangle's contact with one tool.
-/// contacts: the tool's, [triangle_count]
+/// first: index of its first contact
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
                                            const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                           const physics::PlacedTool<Real>& tool,
-                                           view::TriangleContact<Real>* contacts) {
+                                           const physics::PlacedTool<Real>& tool, std::size_t first) {
   using std::sqrt;
   const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
   const auto generate = [&](std::uint32_t triangle) {
@@ -198,7 +207,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
                                                      : Vec3<Real>(-unit<Real>(corners.normal()));
     };
     Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
-    view::TriangleContact<Real>& touch = contacts[triangle];
+    view::TriangleContact<Real>& touch = contact.contacts[first + triangle];
     touch.depth_m = greatest;
     if (!(greatest > 0)) return;
     for (int c = 0; c < 3; ++c) {
@@ -206,12 +215,17 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       touch.normal[c] = normal[c];
     }
     touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+    if (!(tool.friction > 0)) return;
+    const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
+    const Real pressure = touch.stiffness * maximum(touch.depth_m - retreat_of(at), Real(0));
+    contact.frictions[first + triangle] =
+        predict_friction(at, tool, corners.at(weights), pressure, contact.slips + 4 * (first + triangle));
   };
   team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], generate);
 }
 
 /// Stage 2, contact generation: does this for all tools.
-/// Reads displacement, tools, closest; writes contacts.
+/// Reads displacement, velocity, tools, closest, slips; writes contacts, frictions.
 template <class Team, class Real>
 TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView& patches,
                                       const view::StateView<Real>& state, const view::ContactView<Real>& contact) {
@@ -219,13 +233,13 @@ TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView&
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
       generate_contacts_with<typename decltype(kind)::Type>(team, patches, state, contact, tool,
-                                                            contact.contacts + std::size_t{t} * contact.triangle_count);
+                                                            std::size_t{t} * contact.triangle_count);
     });
   }
 }
 
 /// Stage 3: adds contacts to the linear system. Each surface node gathers from the triangles around it.
-/// Reads contacts, velocity; adds to edges, diagonal, rhs.
+/// Reads contacts, frictions, velocity; adds to edges, diagonal, rhs.
 template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                              const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
@@ -237,19 +251,22 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
       for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
         const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
         const std::uint32_t triangle = incidence[0], corner = incidence[1];
-        const view::TriangleContact<Real>& touch = contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
+        const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
+        const view::TriangleContact<Real>& touch = contact.contacts[place];
         if (!(touch.depth_m > 0)) continue;
-        const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
-        Real retreat = 0;  // n · Σ w d, how far the contact point moves away
-        for (int c = 0; c < 3; ++c) {
-          retreat +=
-              touch.weight[c] * n.dot(view::change_ahead(state, contact.triangle_rows[std::size_t{3} * triangle + c]));
-        }
+        const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
+        const Vec3<Real> n = at.normal();
         const Real weight = touch.weight[corner];
-        const Vec3<Real> impulse = n * (h * weight * touch.stiffness * (touch.depth_m - retreat));
-        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + impulse);
+        Vec3<Real> force = n * (touch.stiffness * (touch.depth_m - retreat_of(at)));
+        Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
+        if (contact.frictions != nullptr && contact.tools[t].friction > 0) {
+          const view::TriangleFriction<Real>& friction = contact.frictions[place];
+          force += at.stretch(friction) * friction.stiffness;
+          stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
+        }
+        stiffness *= h * h * weight;
+        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * (h * weight));
 
-        const Mat3<Real> stiffness = n * n.transpose() * (h * h * touch.stiffness * weight);
         Real* d = matrix.diagonal + std::size_t{8} * row;
         d[0] += weight * stiffness(0, 0);
         d[1] += weight * stiffness(0, 1);
@@ -267,40 +284,64 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
   });
 }
 
-/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step.
-/// Reads contacts, displacement, velocity; writes tool_loads.
+/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step, and ends
+/// the step of the springs of friction.
+/// Reads contacts, frictions, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                             const view::ContactView<Real>& contact) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
-    Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero();
+    const bool has_friction = tool.friction > 0;
+    Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
     team.for_each(
         contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
-          const view::TriangleContact<Real>& touch =
-              contact.contacts[std::size_t{t} * contact.triangle_count + triangle];
-          if (!(touch.depth_m > 0)) return;
-          const Vec3<Real> n(touch.normal[0], touch.normal[1], touch.normal[2]);
-          Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
-          for (int c = 0; c < 3; ++c) {
-            const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-            // With base fields, contacts are generated again at the end of the step: nothing has moved since.
-            if (state.base_displacement == nullptr) {
-              change += view::load3<Real>(state.velocity, row) * (view::step_size(state) * touch.weight[c]);
+          const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
+          const view::TriangleContact<Real>& touch = contact.contacts[place];
+          const bool touches = touch.depth_m > 0;
+          if (!touches && !has_friction) return;
+          const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
+          Real pressure = 0;
+          Vec3<Real> push = Vec3<Real>::Zero();  // on the tissue
+          if (touches) {
+            Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
+            for (int c = 0; c < 3; ++c) {
+              // With base fields, contacts are generated again at the end of the step: nothing has moved since.
+              if (state.base_displacement == nullptr) change += view::change_ahead(state, at.rows[c]) * touch.weight[c];
+              point += view::position(state, at.rows[c]) * touch.weight[c];
             }
-            point += view::position(state, row) * touch.weight[c];
+            point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
+            // Penalty contact only pushes: a point that left the tool within the step carries no force.
+            pressure = touch.stiffness * maximum(touch.depth_m - at.normal().dot(change), Real(0));
+            push = at.normal() * pressure;
+            if (has_friction) {
+              const Vec3<Real> drag = at.stretch(contact.frictions[place]) * contact.frictions[place].stiffness;
+              push += drag;
+              friction -= drag;
+            }
+            force -= push;
+            torque -= physics::cross<Real>(point - tool.position(), push);
           }
-          point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
-          // Penalty contact only pushes: a point that left the tool within the step carries no force.
-          const Real pressure = touch.stiffness * maximum(touch.depth_m - n.dot(change), Real(0));
-          force -= n * pressure;
-          torque -= physics::cross<Real>(point - tool.position(), n) * pressure;
+          if (!has_friction) return;
+          Real* slip = contact.slips + 4 * place;
+          if (state.control->saves_checkpoint != 0) {
+            for (int c = 0; c < 4; ++c) contact.checkpoint_slips[4 * place + static_cast<std::size_t>(c)] = slip[c];
+          }
+          Vec3<Real> stretch = Vec3<Real>::Zero();
+          if (pressure > 0) stretch = next_stretch(at, tool, at.stretch(contact.frictions[place]), pressure, slip);
+          for (int c = 0; c < 3; ++c) slip[c] = stretch[c];
+          slip[3] = pressure;
         });
-    Real sums[6] = {force[0], force[1], force[2], torque[0], torque[1], torque[2]};
+    Real sums[9];
+    for (int c = 0; c < 3; ++c) {
+      sums[c] = force[c];
+      sums[3 + c] = torque[c];
+      sums[6 + c] = friction[c];
+    }
     team.patch_sum(sums);
     if (team.leads_patch()) {
-      contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()] = {{sums[0], sums[1], sums[2]},
-                                                                                 {sums[3], sums[4], sums[5]}};
+      contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()] = {
+          {sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}};
     }
   }
 }

@@ -168,6 +168,10 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.incidence = arena.template constant<uint32_t>("contact incidence", m.contact.incidence);
   s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", m.core_points() * patches);
   s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", tools * triangles);
+  const std::size_t frictions = only_if(m.has_friction(), tools * triangles);
+  s.contact.frictions = arena.template zeros<view::TriangleFriction<Real>>("friction", frictions);
+  s.contact.slips = arena.template zeros<Real>("friction slips", 4 * frictions);
+  s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", 4 * frictions);
 
   s.surface.vertex_count = m.visible.count();
   s.surface.rows = arena.template constant<uint32_t>("visible rows", m.visible.rows);

@@ -167,6 +167,7 @@ struct ToolModel {
   std::array<double, limits::kMaxToolParameters> parameters{};  ///< kParameters of the kind; zero beyond them
   Vec3<double> tip_offset_m = Vec3<double>::Zero();             ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;
+  double friction = 0;  ///< Coulomb's coefficient
   double max_speed_m_per_s = 0;
   /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
   double plane_strain_modulus_pa = 0;
@@ -174,16 +175,22 @@ struct ToolModel {
   v1::Tool description;  ///< the scene's message, for viewers
 
   /// Returns the tool with its shape's frame at a pose. That frame is the tool's own, moved by tip_offset_m.
+  /// start: pose of the shape at the start of the step. presence: share of its contact stiffness.
   template <class Real>
-  physics::PlacedTool<Real> placed(const physics::Pose& shape) const {
+  physics::PlacedTool<Real> placed(const physics::Pose& shape, const physics::Pose& start, double presence = 1) const {
     physics::PlacedTool<Real> out{};
-    const Mat3<double> turned = physics::rotation(shape).toRotationMatrix();
+    const Mat3<double> rotation = physics::rotation(shape).toRotationMatrix();
+    const Mat3<double> turned =
+        Mat3<double>::Identity() - physics::rotation(start).toRotationMatrix() * rotation.transpose();
     for (int c = 0; c < 3; ++c) out.position_m[c] = static_cast<Real>(shape.position_m[c]);
-    for (int c = 0; c < 9; ++c) out.rotation[c] = static_cast<Real>(turned(c / 3, c % 3));
+    for (int c = 0; c < 9; ++c) out.rotation[c] = static_cast<Real>(rotation(c / 3, c % 3));
+    for (int c = 0; c < 3; ++c) out.moved_m[c] = static_cast<Real>(shape.position_m[c] - start.position_m[c]);
+    for (int c = 0; c < 9; ++c) out.turned[c] = static_cast<Real>(turned(c / 3, c % 3));
     for (std::size_t i = 0; i < joints; ++i) out.joint_values[i] = static_cast<Real>(shape.joint_values[i]);
     for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = static_cast<Real>(parameters[i]);
     out.radius_m = static_cast<Real>(radius_m);
-    out.penalty_pa_per_m = static_cast<Real>(penalty_pa_per_m);
+    out.penalty_pa_per_m = static_cast<Real>(presence * penalty_pa_per_m);
+    out.friction = static_cast<Real>(friction);
     out.kind = kind;
     out.first_core_point = first_core_point;
     return out;
@@ -259,6 +266,10 @@ struct Model {
   /// Returns the number of core points of all tools (physics/tool/tool.h).
   std::uint32_t core_points() const {
     return tools.empty() ? 0 : tools.back().first_core_point + tools.back().core_points;
+  }
+  /// Returns whether a tool has friction.
+  bool has_friction() const {
+    return std::any_of(tools.begin(), tools.end(), [](const ToolModel& tool) { return tool.friction > 0; });
   }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

@@ -21,6 +21,7 @@ using google::protobuf::Message;
 /// Contact pressure per depth, unless the scene gives it: this factor times E / radius.
 constexpr double kDefaultPenalty = 20;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
+constexpr double kMaxFriction = 10;
 
 /// Returns the stiffest material of the scene: contact must not be softer than the tissue.
 const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
@@ -96,6 +97,9 @@ Result<ToolModel> read_tool(const v1::Tool& tool, const Material& stiffest) {
       speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : kDefaultMaxSpeedMPerS, 1e-6, 1e3,
                          where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
+  TM_ASSIGN_OR_RETURN(friction,
+                      read_number(tool.friction_coefficient(), 0, kMaxFriction, where + ".friction_coefficient"));
+  out.friction = friction;
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));

@@ -61,7 +61,7 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
     report.add_not_modelled("contact with tools: the scene has none; no contact stage, no contact buffer");
   if (m.bodies.size() > 1) report.add_not_modelled("contact between bodies: they pass through each other");
   report.add_not_modelled("self-contact of a body");
-  if (!m.tools.empty()) report.add_not_modelled("friction between tools and tissue");
+  if (!m.tools.empty() && !m.has_friction()) report.add_not_modelled("friction: no tool has a friction_coefficient");
   if (m.external.empty() && m.pressure.faces.empty())
     report.add_not_modelled("gravity and loads: the scene names none");
   bool damped = false;

@@ -163,7 +163,7 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "contact generation", "displacement, tools, closest", "contacts", "the scene has tools",
+   "contact generation", "displacement, tools, closest, friction slips", "contacts, friction", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
@@ -226,7 +226,7 @@ inline constexpr StageInfo kStages[] = {
      return Cost{corners * (68 + (4 * 12 + 3 * 2 * 9) * s.real), corners * 4 * 500};
    }},
   {StageKind::kAssembleContact, Phase::kEvaluate, Scope::kScene, Communication::kNone,
-   "assemble contact", "contacts, velocity", "matrix, right-hand side", "the scene has tools",
+   "assemble contact", "contacts, friction, velocity", "matrix, right-hand side", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) {
      const double incidences = static_cast<double>(s.m.contact.incidence.size()) / 4;
@@ -278,14 +278,17 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
    [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEnd, Scope::kScene, Communication::kNone,
-   "contact generation", "displacement, tools, closest", "contacts",
+   "contact generation", "displacement, tools, closest, friction slips", "contacts, friction",
    "once more, if the scene has tools and its step began with predict",
    [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
    [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
   {StageKind::kMeasureContact, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "measure contact", "contacts, velocity", "force on each tool", "the scene has tools",
+   "measure contact", "contacts, friction, velocity", "force on each tool, friction slips", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
-   [](const StageSizes& s) { return Cost{s.tools * s.triangles * s.real, s.tools * s.triangles}; }},
+   [](const StageSizes& s) {
+     const double slips = s.m.has_friction() ? 4 + 4 : 0;  // reads and writes
+     return Cost{s.tools * s.triangles * s.real * (1 + slips), s.tools * s.triangles};
+   }},
   {StageKind::kExtrapolate, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "extrapolate", "base displacement and velocity, displacement, velocity", "displacement, velocity, guard reports",
    "the integrator is the implicit midpoint rule",

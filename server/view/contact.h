@@ -19,6 +19,13 @@ struct TriangleContact {
   Real stiffness;  // [N/m]
 };
 
+/// Friction at a TriangleContact in this step (contact/friction.h).
+template <class Real>
+struct TriangleFriction {
+  Real ahead_m[3];  // stretch of the spring at the end of the step if the tissue stood still
+  Real stiffness;   // [N/m] of the spring, or less where it slips
+};
+
 /// Distance from a core point of a tool to a patch's closest triangle, and where the patch's triangles cross the core
 /// between this point and the next.
 template <class Real>
@@ -33,6 +40,7 @@ template <class Real>
 struct ToolLoad {
   Real force_n[3];
   Real torque_n_m[3];  // about PlacedTool::position_m
+  Real friction_n[3];  // the part of the force that is friction
 };
 
 template <class Real>
@@ -54,6 +62,12 @@ struct ContactView {
   ClosestTriangle<Real>* closest;          // [core points of all tools, patch_count]
   TriangleContact<Real>* contacts;         // [tool_count, triangle_count]
   ToolLoad<Real>* tool_loads;              // [tool_count, patch_count]
+
+  // Friction; nullptr: no tool has it.
+  TriangleFriction<Real>* frictions;  // [tool_count, triangle_count]
+  Real* slips;             // [tool_count, triangle_count, 4] stretch of the spring in the frame of the tool's
+                           // shape [m]; 4th: normal force [N]. Both at the end of the last step
+  Real* checkpoint_slips;  // the same before the step that saved the checkpoint
 };
 
 }  // namespace tensormass::view

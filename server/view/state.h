@@ -75,6 +75,15 @@ TM_HOST_DEVICE Vec3<Real> change_ahead(const StateView<Real>& state, std::size_t
   return load3<Real>(state.base_displacement, row) + ahead - load3<Real>(state.displacement, row);
 }
 
+/// How far a row moves in the step [m]: û + h v − u₀ with u₀ at its start, where v is `velocity` as it is stored.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> motion_in_step(const StateView<Real>& state, std::size_t row) {
+  const Vec3<Real> motion = load3<Real>(state.velocity, row) * step_size(state);
+  if (state.previous_displacement == nullptr) return motion;  // û = u₀
+  // solver::predict has put u₀ there.
+  return motion + load3<Real>(state.base_displacement, row) - load3<Real>(state.previous_displacement, row);
+}
+
 /// Bits of the directions in which a row is free.
 template <class Real>
 TM_HOST_DEVICE std::uint32_t free_bits(const StateView<Real>& state, std::size_t row) {

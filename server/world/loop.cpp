@@ -99,7 +99,7 @@ bool Loop::frame_due() {
 bool Loop::step_once(bool with_frame, bool with_diagnostics) {
   for (std::size_t i = 0; i < inboxes_.size(); ++i) {
     if (const ReceivedPose* pose = inboxes_[i].take()) {
-      world_->set_tool_target(i, pose->pose, pose->stamp);
+      world_->set_tool_target(i, pose->pose, pose->stamp, pose->valid_for_s);
     }
   }
   bool good = false;

@@ -66,8 +66,10 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.mutable_orientation()->set_x(q[1]);
   out.mutable_orientation()->set_y(q[2]);
   out.mutable_orientation()->set_z(q[3]);
+  out.set_retired(reading.retired);
   fill(reading.force_n, *out.mutable_force_n());
   fill(reading.torque_n_m, *out.mutable_torque_n_m());
+  fill(reading.friction_n, *out.mutable_friction_n());
   out.clear_joint_values();
   for (std::size_t i = 0; i < model.tools[tool].joints; ++i) out.add_joint_values(reading.pose.joint_values[i]);
   v1::LocalModel& local = *out.mutable_local_model();

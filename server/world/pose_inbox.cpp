@@ -28,6 +28,12 @@ Result<decltype(Pose::joint_values)> read_joints(const model::ToolModel& tool, c
   return values;
 }
 
+Result<double> read_validity(const v1::ToolPose& message, std::string_view where) {
+  if (!message.has_valid_for_s()) return kUntilTheNext;
+  return model::read_number(message.valid_for_s(), limits::kMinPoseValidForS, limits::kMaxPoseValidForS,
+                            fmt::format("{}.valid_for_s", where));
+}
+
 }  // namespace
 
 bool PoseInbox::is_newer(const v1::ToolPose& message) {
@@ -58,6 +64,8 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   if (!orientation) return refuse(orientation.error());
   const auto joints = read_joints(tool, message, where);
   if (!joints) return refuse(joints.error());
+  const auto valid_for_s = read_validity(message, where);
+  if (!valid_for_s) return refuse(valid_for_s.error());
 
   const std::lock_guard lock(writers_);
   if (!is_newer(message)) {
@@ -67,7 +75,8 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   }
   TM_ASSERT(position->allFinite(), "the loop takes finite poses only");
   newest_.writing() = {{*position, *orientation, *joints},
-                       {message.sequence(), message.client_time_ns(), message.client_id()}};
+                       {message.sequence(), message.client_time_ns(), message.client_id()},
+                       *valid_for_s};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);
   return {};

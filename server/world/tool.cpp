@@ -9,7 +9,7 @@ namespace tensormass::world {
 /// Returns a bound on the way of each core point from one pose of the shape to another [m]: the way of the shape's
 /// origin, which is straight, plus the arc about it.
 double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
-  const auto placed = tool_->placed<double>(from);
+  const auto placed = tool_->placed<double>(from, from);
   double arm = 0;
   physics::with_tool(tool_->kind, [&](auto kind) {
     using Kind = typename decltype(kind)::Type;
@@ -22,16 +22,22 @@ double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
 
 void ToolMotion::move(double dt_s) {
   before_ = current_;
-  from_ = shape_of(current_);
+  current_.target_age_s += dt_s;
+  const bool valid = current_.target_age_s <= valid_for_s_;
+  // A retired tool may jump: it touches nothing.
+  if (retired() && valid) current_.pose = target_;
+  current_.fade = std::clamp(current_.fade + (valid ? dt_s : -dt_s) / kFadeS, 0.0, 1.0);
+
+  from_ = shape_of(current_.pose);
   to_ = shape_of(target_);
   // The shape must not jump through tissue, so the speed of its core points is limited, for rotations too.
   const double way = longest_way(from_, to_), reach = tool_->max_speed_m_per_s * dt_s;
   if (way > reach) {
     to_ = physics::between(from_, to_, reach / way);
-    current_ = to_;
-    current_.position_m = to_.position_m - lever(to_);
+    current_.pose = to_;
+    current_.pose.position_m = to_.position_m - lever(to_);
   } else {
-    current_ = target_;
+    current_.pose = target_;
   }
 }
 

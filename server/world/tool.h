@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 
 #include "core/scalar.h"
 #include "model/model.h"
@@ -23,9 +24,13 @@ struct PoseStamp {
   std::uint64_t client_id = 0;
 };
 
+/// valid_for_s of a pose that holds until the next one.
+inline constexpr double kUntilTheNext = std::numeric_limits<double>::infinity();
+
 struct ReceivedPose {
   Pose pose;
   PoseStamp stamp;
+  double valid_for_s = kUntilTheNext;  ///< in the time of the simulation
 };
 
 /// A tool at the end of a step. Feedback, frames and the status all carry this.
@@ -34,38 +39,68 @@ struct ToolReading {
   PoseStamp newest;  ///< stamp of the newest pose that the step used; all zero before the first
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();  ///< about the tool's position
+  Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
   /// A haptic client closes its own loop with this.
   Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
+  bool retired = false;  ///< it touches nothing, because its newest pose has expired
 };
 
 /// The motion of one tool, step by step.
+///
+/// A pose may expire: its client has died, or the network has. The tool then stays where it is, and its *presence*, the
+/// share of its contact stiffness, falls to zero within kFadeS: the tool is retired. With its next pose it appears
+/// there, and its presence rises again. Tissue is thus neither held for ever nor struck. The presence is the fourth
+/// power of a ramp: contact is much stiffer than tissue, so that most of the force is there at a few percent of it.
 class ToolMotion {
  public:
+  /// Time in which a tool fades out of contact, and into it again [s].
+  static constexpr double kFadeS = 0.1;
+
   explicit ToolMotion(const model::ToolModel& tool) : tool_(&tool) { place(); }
 
   /// Puts the tool at its initial pose, where it stays until the next target.
-  void place() { target_ = current_ = tool_->initial_pose; }
-  void set_target(const Pose& target) { target_ = target; }
+  void place() {
+    current_ = {tool_->initial_pose, 1, 0};
+    set_target(tool_->initial_pose, kUntilTheNext);
+  }
+  void set_target(const Pose& target, double valid_for_s) {
+    target_ = target;
+    valid_for_s_ = valid_for_s;
+    current_.target_age_s = 0;
+  }
   /// Starts a step of length dt_s: moves the tool towards its target, at most at its maximum speed.
   void move(double dt_s);
   /// Takes the last `move` back: its step failed.
   void take_back() { current_ = before_; }
 
-  const Pose& pose() const { return current_; }
+  const Pose& pose() const { return current_.pose; }
+  bool retired() const { return current_.fade == 0; }
   /// Pose of the shape at a fraction of the step: 0 is its start, 1 its end.
   Pose shape_at(double fraction) const { return physics::between(to_, from_, 1 - fraction); }
+  /// Share of its contact stiffness at a fraction of the step.
+  double presence_at(double fraction) const {
+    const double fade = before_.fade + fraction * (current_.fade - before_.fade);
+    return fade * fade * fade * fade;
+  }
   /// Vector from the tool's position to the origin of its shape's frame [m].
-  Vec3<double> lever() const { return lever(current_); }
+  Vec3<double> lever() const { return lever(current_.pose); }
 
  private:
   Vec3<double> lever(const Pose& pose) const { return physics::rotation(pose) * tool_->tip_offset_m; }
   Pose shape_of(const Pose& pose) const { return {pose.position_m + lever(pose), pose.orientation, pose.joint_values}; }
   double longest_way(const Pose& from, const Pose& to) const;
 
+  struct State {
+    Pose pose;                // in the simulation
+    double fade = 1;          // fourth root of the presence: it changes at a constant rate
+    double target_age_s = 0;  // time since the target was set
+  };
+
   const model::ToolModel* tool_;
-  Pose target_;     // the newest pose that a client sent
-  Pose current_;    // in the simulation
-  Pose before_;     // at the start of the step
+  Pose target_;  // the newest pose that a client sent
+  double valid_for_s_ = kUntilTheNext;
+  State current_;
+  State before_;    // at the start of the step
   Pose from_, to_;  // poses of the shape at the start and the end of the step
 };
 

@@ -17,7 +17,7 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       state_(std::move(state)),
       tools_(model_->tools.begin(), model_->tools.end()),
       published_(model_->tools.size()),
-      shapes_(model_->tools.size()),
+      inputs_(model_->tools.size()),
       touches_(model_->tools.size()),
       forces_(model_->tools.size()),
       readings_(model_->tools.size()),
@@ -60,12 +60,16 @@ void World::read_tools() {
     const model::ToolModel& tool = model_->tools[i];
     ToolReading& reading = readings_[i];
     reading.pose = tools_[i].pose();
+    reading.retired = tools_[i].retired();
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
-    const double force = reading.force_n.norm();
+    reading.friction_n = forces_[i].friction_n;
+    // Between two steps the local model follows the normal force; friction stays as it is.
+    const Vec3<double> pressing = reading.force_n - reading.friction_n;
+    const double force = pressing.norm();
     reading.stiffness_n_per_m.setZero();
     if (force > 0) {
-      const Vec3<double> normal = reading.force_n / force;
+      const Vec3<double> normal = pressing / force;
       reading.stiffness_n_per_m = physics::hertz_tangent_stiffness(force, tool.plane_strain_modulus_pa, tool.radius_m) *
                                   normal * normal.transpose();
     }
@@ -161,8 +165,11 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
     const double share_of_tools = (part - 1 + balanced_at) / how.steps;
-    for (std::size_t i = 0; i < tools_.size(); ++i) shapes_[i] = tools_[i].shape_at(share_of_tools);
-    last_ = state_->step({.tools = shapes_,
+    for (std::size_t i = 0; i < tools_.size(); ++i) {
+      inputs_[i] = {tools_[i].shape_at(share_of_tools), tools_[i].shape_at(static_cast<double>(part - 1) / how.steps),
+                    tools_[i].presence_at(share_of_tools)};
+    }
+    last_ = state_->step({.tools = inputs_,
                           .end_time_s = time_s(share),
                           .dt_s = model_->dt_s / how.steps,
                           .cg_max_iterations = cg_max_iterations,
@@ -176,10 +183,11 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
     StepEnergy energy{.available_j = energy_.available_j()};
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       const auto& [shape, load] = touches_[i];
-      tools_work_j_ -= (load.force_n + forces_[i].force_n).dot(shapes_[i].position_m - shape.position_m) / 2;
-      tools_work_j_ -= (load.torque_n_m + forces_[i].torque_n_m).dot(physics::rotation_vector(shape, shapes_[i])) / 2;
+      const Pose& now = inputs_[i].shape;
+      tools_work_j_ -= (load.force_n + forces_[i].force_n).dot(now.position_m - shape.position_m) / 2;
+      tools_work_j_ -= (load.torque_n_m + forces_[i].torque_n_m).dot(physics::rotation_vector(shape, now)) / 2;
       energy.contacts_j += std::max(load.force_n.norm(), forces_[i].force_n.norm()) * model_->tools[i].radius_m;
-      touches_[i] = {shapes_[i], forces_[i]};
+      touches_[i] = {now, forces_[i]};
     }
     energy.tools_work_j = tools_work_j_;
     const BoundCheck check = guard_.check(last_, energy);

@@ -40,10 +40,11 @@ class World {
 
   const model::Model& model() const { return *model_; }
 
-  /// stamp: of the pose's message; the tool's next reading repeats it.
-  void set_tool_target(std::size_t tool, const Pose& pose, const PoseStamp& stamp = {}) {
+  /// stamp: of the pose's message; the tool's next reading repeats it. valid_for_s: as in ReceivedPose.
+  void set_tool_target(std::size_t tool, const Pose& pose, const PoseStamp& stamp = {},
+                       double valid_for_s = kUntilTheNext) {
     TM_ASSERT(tool < tools_.size(), "a pose is for a tool of the scene");
-    tools_[tool].set_target(pose);
+    tools_[tool].set_target(pose, valid_for_s);
     readings_[tool].newest = stamp;
   }
 
@@ -124,8 +125,8 @@ class World {
   std::vector<ToolMotion> tools_;
   std::vector<backend::ToolForce> published_;  // [tool], at the end of the last step
   // The current step, [tool].
-  std::vector<Pose> shapes_;    // at the end of the current part
-  std::vector<Touch> touches_;  // at the end of the previous part
+  std::vector<backend::ToolInput> inputs_;  // at the end of the current part
+  std::vector<Touch> touches_;              // at the end of the previous part
   std::vector<backend::ToolForce> forces_;
   std::vector<ToolReading> readings_;
   std::vector<backend::GroupDiagnostics> diagnostics_;

@@ -22,7 +22,8 @@ void place(StagedScene<double>& staged, const Vec3<double>& position) {
   physics::Pose pose = staged.model.tools[0].initial_pose;
   pose.position_m = position;
   // The view hands tools to the stages as constants; between steps they are the backend's to write.
-  const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) = staged.model.tools[0].placed<double>(pose);
+  const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
+      staged.model.tools[0].placed<double>(pose, pose);
 }
 
 backend::ToolForce measured(const StagedScene<double>& staged) {
@@ -233,7 +234,8 @@ TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {
     pose.position_m = {0.3, 1.05 - 1e-3, 0.6};  // the axis runs along z; a positive tilt lowers the other end
     const Eigen::Quaterniond turned(Eigen::AngleAxisd(tilt, Vec3<double>::UnitX()));
     pose.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
-    const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) = staged.model.tools[0].placed<double>(pose);
+    const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
+        staged.model.tools[0].placed<double>(pose, pose);
     staged.step();
     const backend::ToolForce tool = measured(staged);
     const double lower = tilt > 0 ? 0.2 * std::sin(tilt) : 0, depth = 1e-3 + lower;
@@ -259,7 +261,7 @@ TEST(CapsuleAcrossARigidBlock, IsPushedOutWithItsEndsOutside) {
         physics::Pose pose;
         pose.position_m = {0.3, 1.05 - depth, shaft.start_m};
         const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
-            staged.model.tools[0].placed<double>(pose);
+            staged.model.tools[0].placed<double>(pose, pose);
         staged.step();
         EXPECT_GT(measured(staged).force_n[1], 0.999 * kPenalty * shaft.pushed_m2 * depth)
             << depth << " m deep, from " << shaft.start_m << ", " << patches << " patches";

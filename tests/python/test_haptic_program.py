@@ -134,6 +134,30 @@ def test_a_web_proxy_is_not_used_for_the_server(server: tm.Server, load: Callabl
     assert done.returncode == 0, done.stderr
 
 
+def test_a_hand_that_is_killed_in_contact_lets_go(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
+    scene = load(BLOCK)
+    with scene.feedbacks("probe") as feedbacks:
+
+        def wait(until: Callable[[stream_pb2.ToolFeedback], bool], steps: int) -> stream_pb2.ToolFeedback:
+            first = None
+            for feedback in feedbacks:
+                first = first or feedback.step
+                if until(feedback):
+                    return feedback
+                assert feedback.step - first < steps, feedback
+            raise AssertionError
+
+        command = [PROGRAM, *at(server, scene), *PRESS, "--seconds", "60", "--period", "2"]
+        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as hand:
+            wait(lambda feedback: feedback.force_n.z > 0.01, steps=2000)
+            hand.kill()
+        # 0.5 s until the pose expires and 0.1 s until the force has faded, in steps of 5 ms; some were on their way.
+        gone = wait(lambda feedback: feedback.retired, steps=200)
+        assert gone.force_n == scene_pb2.Vector3()
+        scene.move_tool("probe", (0.05, 0.05, 0.08))
+        wait(lambda feedback: not feedback.retired, steps=200)
+
+
 # --- signals while it connects ----------------------------------------------------------------------------------------
 
 

@@ -36,6 +36,11 @@ const std::vector<Kind>& kinds() {
          term.set_share(0.5);
          term.set_relaxation_time_s(0.03);
        }},
+      {"friction",
+       [](v1::Scene& s) {
+         s.mutable_tools(0)->set_friction_coefficient(0.5);
+         tests::set(*s.mutable_gravity_m_per_s2(), 4, -9.81, 0);  // it also slides over the probe
+       }},
       {"prescribed",
        [](v1::Scene& s) {
          v1::PrescribedDisplacement& sides = *s.mutable_bodies(0)->add_prescribed();

@@ -81,6 +81,24 @@ TEST(PoseInbox, TakesOneFiniteValueForEachJoint) {
   EXPECT_NE(nan.error().message.find("joint_values[0]"), std::string::npos) << nan.error().message;
 }
 
+TEST(PoseInbox, APoseHoldsForAsLongAsItSays) {
+  PoseInbox inbox;
+  ASSERT_TRUE(inbox.submit(probe(), pose(7, 1)));
+  EXPECT_EQ(inbox.take()->valid_for_s, kUntilTheNext);
+  v1::ToolPose message = pose(7, 2);
+  message.set_valid_for_s(0.5);
+  ASSERT_TRUE(inbox.submit(probe(), message));
+  EXPECT_EQ(inbox.take()->valid_for_s, 0.5);
+  message.set_sequence(3);
+  for (const double seconds : {0.0, 0.01, -1.0, 4000.0, std::numeric_limits<double>::quiet_NaN()}) {
+    message.set_valid_for_s(seconds);
+    const auto refused = inbox.submit(probe(), message);
+    ASSERT_FALSE(refused) << seconds;
+    EXPECT_NE(refused.error().message.find("valid_for_s"), std::string::npos) << refused.error().message;
+  }
+  EXPECT_EQ(inbox.take(), nullptr);
+}
+
 TEST(PoseInbox, OfManyClientsOnlyTheOldestIsForgotten) {
   PoseInbox inbox;
   for (std::uint64_t client = 1; client <= 9; ++client) ASSERT_TRUE(inbox.submit(probe(), pose(client, 10)));

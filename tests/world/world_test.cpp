@@ -325,6 +325,48 @@ TEST_P(Mechanics, ToolsFollowTheirTargetsAtTheMaximumSpeed) {
   }
 }
 
+/// A tool whose pose expires lets go of the tissue. With its next pose it takes hold again, there and gently.
+TEST_P(Mechanics, AToolWithoutNewPosesIsRetired) {
+  const auto world = start(tests::block_with_probe(true, 4));  // in steps of 0.01 s
+  run(*world, 200);
+  const Eigen::MatrixX3d rest = positions(*world);  // sunk under its weight
+  const Pose pressed{{0.05, 0.045, 0.05}, {1, 0, 0, 0}};
+  const auto force_n = [&] { return world->readings()[0].force_n.norm(); };
+  world->set_tool_target(0, pressed, {}, 0.3);
+  run(*world, 30);
+  const double held_n = force_n();
+  ASSERT_GT(held_n, 0);
+  EXPECT_FALSE(world->readings()[0].retired);
+
+  for (int step = 1; step <= 10; ++step) {
+    const double before_n = force_n();
+    run(*world, 1);
+    EXPECT_LT(force_n(), before_n) << "it fades";
+  }
+  EXPECT_TRUE(world->readings()[0].retired);
+  EXPECT_EQ(force_n(), 0);
+  EXPECT_EQ(world->readings()[0].pose.position_m, pressed.position_m);
+  const double dent_m = (positions(*world) - rest).norm();
+  run(*world, 100);
+  EXPECT_LT((positions(*world) - rest).norm(), 0.2 * dent_m) << "the tissue is free";
+
+  const Pose beside{{0.06, 0.045, 0.05}, {1, 0, 0, 0}};
+  world->set_tool_target(0, beside);
+  run(*world, 1);
+  EXPECT_FALSE(world->readings()[0].retired);
+  EXPECT_EQ(world->readings()[0].pose.position_m, beside.position_m) << "a tool that touches nothing may jump";
+  EXPECT_LT(force_n(), 0.2 * held_n);
+  run(*world, 100);
+  EXPECT_NEAR(force_n(), held_n, 0.2 * held_n);
+
+  world->set_tool_target(0, beside, {}, 0.02);
+  run(*world, 50);
+  ASSERT_TRUE(world->readings()[0].retired);
+  world->reset();
+  run(*world, 1);
+  EXPECT_FALSE(world->readings()[0].retired);
+}
+
 /// A long tool that turns moves its tip fast. The limit holds for the sphere at the tip, which still reaches its
 /// target.
 TEST_P(Mechanics, RotationMovesTheSphereNoFasterThanTheMaximumSpeed) {

@@ -72,7 +72,7 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
         parts.append(f"Newton {status.newton_iterations} to {status.newton_residual:.0e}")
     if status.state != stream_pb2.SceneStatus.STATE_RUNNING:
         parts.insert(0, state_name(status))
-    parts += [f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
+    parts += [f"{tool.tool} retired" if tool.retired else f"{tool.tool} {force_n(tool):.2f} N" for tool in status.tools]
     if client_count is not None:
         parts.append(f"clients {client_count}")
     if status.guard_events > 0:

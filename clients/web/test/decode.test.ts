@@ -89,6 +89,7 @@ describe("decodeFrame", () => {
       positionM: [0.1, 0.2, 0.3],
       orientationWxyz: [1, 0, 0, 0],
       forceN: [0, 1.5, 0],
+      retired: false,
     });
     const unit = (w: number, x: number, y: number, z: number) =>
       decodeFrame(frameBytes({ tools: [{ tool: "p", orientation: { w, x, y, z } }] })).tools[0]?.orientationWxyz;

@@ -32,6 +32,18 @@ it("places the sphere with the position and orientation of the tool", () => {
   expect(sphere?.getWorldPosition(new THREE.Vector3()).toArray()).toEqual(close(1, 2.1, 3));
 });
 
+it("draws a tool that touches nothing as a ghost", () => {
+  const topology = decodeTopology(topologyBytes());
+  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const opacity = (retired: boolean): number => {
+    const tools = [{ tool: "probe", positionM: { x: 1, y: 2, z: 3 }, forceN: { x: 0, y: 0, z: 0 }, retired }];
+    instruments.update(decodeFrame(frameBytes({ tools })));
+    return ((instruments.shapes()[0] as THREE.Mesh).material as THREE.Material).opacity;
+  };
+  expect(opacity(true)).toBeLessThan(0.5);
+  expect(opacity(false)).toBe(1);
+});
+
 it("draws a capsule from its tip along the tool's z axis", () => {
   const capsule = { kind: { case: "capsule" as const, value: { radiusM: 0.005, lengthM: 0.2 } } };
   const tool = { name: "probe", radiusM: 0.005, tipOffsetM: { x: 0, y: 0, z: -0.1 }, tool: capsule };

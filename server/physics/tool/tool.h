@@ -66,11 +66,30 @@ struct PlacedTool {
   Real radius_m;
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;
-  std::uint32_t kind;              // place in Tools
+  Real friction;       // Coulomb's coefficient μ; 0: none
+  Real moved_m[3];     // motion of position_m in this step
+  Real turned[9];      // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
+  std::uint32_t kind;  // place in Tools
   std::uint32_t first_core_point;  // its core points among those of all tools
 
   TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
+  /// Returns how far the point of the tool that is now at `x` has moved in this step [m].
+  TM_HOST_DEVICE Vec3<Real> motion_at(const Vec3<Real>& x) const {
+    const Vec3<Real> arm = x - position();
+    Vec3<Real> motion;
+    for (int c = 0; c < 3; ++c) {
+      motion[c] = moved_m[c] + turned[3 * c] * arm[0] + turned[3 * c + 1] * arm[1] + turned[3 * c + 2] * arm[2];
+    }
+    return motion;
+  }
+  /// Returns a vector of the shape's frame in the scene's frame, and back.
+  TM_HOST_DEVICE Vec3<Real> to_scene(const Vec3<Real>& v) const {
+    return axis(0) * v[0] + axis(1) * v[1] + axis(2) * v[2];
+  }
+  TM_HOST_DEVICE Vec3<Real> to_shape(const Vec3<Real>& v) const {
+    return {axis(0).dot(v), axis(1).dot(v), axis(2).dot(v)};
+  }
 };
 
 /// A visit of for_each_candidate that does nothing. nvcc does not take a lambda within a concept.

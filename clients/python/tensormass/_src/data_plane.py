@@ -69,7 +69,7 @@ class DataPlane(Closing):
         source = ZenohSource(self.zenoh(), key) if transport == "zenoh" else ZeroMqSource(self._subscriber(key))
         return self._opened(Subscription(self.check_open, source, key, kind))
 
-    def pose_sender(self, scene: str, tool: str, transport: Transport) -> PoseSender:
+    def pose_sender(self, scene: str, tool: str, transport: Transport, valid_for_s: float | None = None) -> PoseSender:
         """Opens the stream of a tool's poses."""
         _check_transport(transport)
         key = stream_key(self.server, scene, f"tool/{tool}/pose")
@@ -77,9 +77,9 @@ class DataPlane(Closing):
             publisher = self.zenoh().declare_publisher(
                 key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.REAL_TIME, express=True
             )
-            return self._opened(PoseSender(self.check_open, publisher.put, publisher.undeclare, key))
+            return self._opened(PoseSender(self.check_open, publisher.put, publisher.undeclare, key, valid_for_s))
         poses = ZeroMqPoses(self._pusher(), key)
-        return self._opened(PoseSender(self.check_open, poses.put, poses.close, key))
+        return self._opened(PoseSender(self.check_open, poses.put, poses.close, key, valid_for_s))
 
     def zenoh(self) -> zenoh.Session:
         """Returns the zenoh session, a client of the daemon's own peer."""

@@ -38,9 +38,13 @@ class Feedback:
     force_n: npt.NDArray[np.float64]
     #: Torque on the tool about its position, [3] N m.
     torque_n_m: npt.NDArray[np.float64]
+    #: The part of force_n that is friction, [3] N.
+    friction_n: npt.NDArray[np.float64]
     #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
     valid_for_s: float
+    #: The tool touches nothing, because its newest pose was valid for a time that has passed.
+    retired: bool
 
     @staticmethod
     def from_message(message: stream_pb2.ToolFeedback) -> Feedback:
@@ -57,8 +61,10 @@ class Feedback:
             orientation=np.array([orientation.w, orientation.x, orientation.y, orientation.z]),
             force_n=_array(message.force_n),
             torque_n_m=_array(message.torque_n_m),
+            friction_n=_array(message.friction_n),
             stiffness_n_per_m=stiffness.reshape(3, 3) if stiffness.size == 9 else np.zeros((3, 3)),
             valid_for_s=message.local_model.valid_for_s,
+            retired=message.retired,
         )
 
 

@@ -16,9 +16,14 @@ from tensormass.v1 import stream_pb2
 
 
 class PoseSequence:
-    """Numbers the poses of one client: a random id, and sequences from 1."""
+    """Numbers the poses of one client: a random id, and sequences from 1.
 
-    def __init__(self) -> None:
+    Args:
+        valid_for_s: time of the simulation for which a pose holds without a newer one; None: until the next one.
+    """
+
+    def __init__(self, valid_for_s: float | None = None) -> None:
+        self._valid_for_s = valid_for_s
         self.client_id = secrets.randbits(63) | 1
         self.last = 0
 
@@ -32,6 +37,7 @@ class PoseSequence:
             client_id=self.client_id,
             position_m=position,
             orientation=rotation,
+            valid_for_s=self._valid_for_s,
         )
 
 
@@ -99,11 +105,16 @@ class PoseSender(Stream):
     """
 
     def __init__(
-        self, check_plane: Callable[[], None], put: Callable[[bytes], object], end: Callable[[], object], key: str
+        self,
+        check_plane: Callable[[], None],
+        put: Callable[[bytes], object],
+        end: Callable[[], object],
+        key: str,
+        valid_for_s: float | None = None,
     ) -> None:
         super().__init__(check_plane, key, end)
         self._put = put
-        self._sequence = PoseSequence()
+        self._sequence = PoseSequence(valid_for_s)
 
     @property
     def client_id(self) -> int:

@@ -333,6 +333,7 @@ class Scene:
         position_m: Vector,
         orientation: Vector | None = None,
         max_speed_m_per_s: float | None = None,
+        friction_coefficient: float = 0.0,
         **shape: float | Vector,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -340,6 +341,7 @@ class Scene:
         Args:
             kind: a kind of the protocol's `Tool`, such as "spherical_probe" or "capsule".
             orientation: quaternion w, x, y, z; None is the identity.
+            friction_coefficient: Coulomb's coefficient between the tool and tissue; 0 for a smooth tool.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.
 
         Raises:
@@ -352,6 +354,7 @@ class Scene:
                 position_m=position_m,
                 orientation=orientation,
                 max_speed_m_per_s=max_speed_m_per_s,
+                friction_coefficient=friction_coefficient,
                 shape=shape,
             )
         )

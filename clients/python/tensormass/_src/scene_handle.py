@@ -200,14 +200,20 @@ class SceneHandle:
         request = control_pb2.GetFeedbackRequest(scene=self.name, tool=name)
         return Feedback.from_message(self._connection.call("GetFeedback", request).feedback)
 
-    def tool_stream(self, name: str, transport: Transport = "zeromq") -> PoseSender:
+    def tool_stream(
+        self, name: str, transport: Transport = "zeromq", *, valid_for_s: float | None = None
+    ) -> PoseSender:
         """Opens a stream of poses, for clients that move a tool more often than a call per pose allows.
+
+        Args:
+            valid_for_s: time of the simulation for which a pose holds, 0.02 to 3600 s. If no other pose follows, the
+                tool lets go of the tissue then. None: a pose holds until the next one.
 
         Raises:
             NotFoundError: no such tool. The stream itself would not report it.
         """
         find_tool(self.topology(), name)
-        return self._connection.data_plane.pose_sender(self.name, name, transport)
+        return self._connection.data_plane.pose_sender(self.name, name, transport, valid_for_s)
 
     def feedbacks(self, name: str, transport: Transport = "zeromq") -> Subscription[stream_pb2.ToolFeedback]:
         """Subscribes to the feedback of a tool: the newest after each step.

@@ -38,6 +38,7 @@ def make_tool(
     position_m: Vector,
     orientation: Vector | None,
     max_speed_m_per_s: float | None,
+    friction_coefficient: float,
     shape: dict[str, float | Vector],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -48,6 +49,7 @@ def make_tool(
         position_m=vector3(position_m, f"{name}.position_m"),
         orientation=quaternion(orientation, f"{name}.orientation"),
         max_speed_m_per_s=max_speed_m_per_s,
+        friction_coefficient=friction_coefficient,
     )
     message = getattr(tool, kind)
     message.SetInParent()

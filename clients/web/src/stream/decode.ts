@@ -59,6 +59,8 @@ export interface ToolState {
   readonly orientationWxyz: readonly [number, number, number, number];
   /** Force on the tool. */
   readonly forceN: Vector;
+  /** Whether the tool touches nothing, because its client has fallen silent. */
+  readonly retired: boolean;
 }
 
 export interface Frame {
@@ -191,6 +193,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     orientationWxyz,
     // No limit: a stiff body can push with meganewtons.
     forceN: vector(`${here}, force_n`, tool.forceN, Infinity),
+    retired: tool.retired,
   };
 }
 

@@ -13,6 +13,7 @@ const HALF_FORCE_N = 1.5;
 const LEAST_FORCE_N = 0.005;
 const ARROW_WIDTH = 0.014;
 const HANDLE_LENGTH = 1.1;
+const RETIRED_OPACITY = 0.25;
 
 export interface ForceLabel {
   readonly tool: string;
@@ -57,6 +58,7 @@ class Instrument {
   readonly mesh: THREE.Mesh;
   readonly #shape: ToolShape;
   readonly #tool = new THREE.Group();
+  readonly #steel: THREE.MeshStandardMaterial[];
   readonly #sceneRadiusM: number;
   readonly #arrow = new THREE.Group();
   readonly #arrowShaft: THREE.Mesh;
@@ -82,6 +84,7 @@ class Instrument {
       new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
       steel.clone(),
     );
+    this.#steel = [steel, handle.material];
     handle.position.copy(this.mesh.position);
     for (const mesh of [this.mesh, handle]) {
       mesh.castShadow = true;
@@ -106,6 +109,10 @@ class Instrument {
     const [w, x, y, z] = state.orientationWxyz;
     this.#tool.position.set(...state.positionM);
     this.#tool.quaternion.set(x, y, z, w);
+    for (const steel of this.#steel) {
+      steel.transparent = state.retired;
+      steel.opacity = state.retired ? RETIRED_OPACITY : 1;
+    }
 
     const force = new THREE.Vector3(...state.forceN);
     // hypot, because the square of a large force overflows.
