@@ -135,6 +135,8 @@ def _finish(head: dict[str, Any], entries: dict[tuple[str, str], Entry], cases: 
         seconds=round(sum(entry.seconds for entry in there)),
         rows=[entry.row for entry in there],
     )
+    if not any(case.long for case in cases):
+        run_ = report.with_long_rows(run_, {case.key for case in all_cases() if case.long})
     unexplained = report.unexplained_rows(run_)
     print(f"{len(there)} of {len(wanted)} rows, {len(unexplained)} unexplained")
     print(f"wrote {run_.write()}")

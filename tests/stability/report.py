@@ -14,7 +14,7 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -105,6 +105,22 @@ def updated(head: Mapping[str, Any], only: str, rows: Sequence[Row]) -> Run:
     if head["commit"] != whole:
         parts.append(f"{only}: {head['commit']}")
     return replace(run, rows=list(of_task.values()), commit="; ".join([whole, *parts]))
+
+
+def with_long_rows(run: Run, long: Collection[str]) -> Run:
+    """Adds the rows of long cases from the backend's last results, and the commit that ran them.
+
+    Args:
+        run: a run without them; results of another device add nothing.
+        long: keys of the long cases.
+    """
+    last = Run.read(run.backend)
+    if last is None or last.device != run.device:
+        return run
+    rows = [row for row in last.rows if row.key in long]
+    whole, *parts = last.commit.split("; ")
+    commit = next((part for part in parts if part.startswith("long: ")), f"long: {whole}")
+    return replace(run, rows=[*run.rows, *rows], commit=f"{run.commit}; {commit}") if rows else run
 
 
 def page(runs: Sequence[Run]) -> str:

@@ -405,6 +405,20 @@ def test_writing_results_again_changes_nothing(tmp_path: Path, monkeypatch: pyte
     assert run.write().read_text() == written
 
 
+def test_a_run_keeps_the_rows_of_long_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "FOLDER", tmp_path)
+    long, short = entry("rest/long/law/shape").row, entry("motion/a/law/shape").row
+    new = report.Run("cpu", "CPU", "m", "new", "command", "day", 1, [short])
+    assert report.with_long_rows(new, {long.key}) == new, "there are no results yet"
+    report.Run("cpu", "CPU", "m", "old", "command", "day", 1, [short, long]).write()
+    kept = report.with_long_rows(new, {long.key})
+    assert (kept.rows, kept.commit) == ([short, long], "new; long: old")
+    kept.write()
+    assert report.with_long_rows(new, {long.key}).commit == "new; long: old", "those rows have not run since"
+    other = report.Run("cpu", "another CPU", "m", "new", "command", "day", 1, [short])
+    assert report.with_long_rows(other, {long.key}) == other
+
+
 def test_an_update_replaces_rows_and_notes_its_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "FOLDER", tmp_path)
     head = {"backend": "cpu", "device": "CPU", "commit": "new"}
