@@ -31,9 +31,6 @@
 /// ring cost it no energy. So the tetrahedra keep a part of the energy, as Puso and Solberg 2006 do for means around
 /// nodes.
 ///
-/// A ring keeps its volume even if one of its tetrahedra collapses and the others grow. Law::resist_collapse gives the
-/// tetrahedra an energy that acts only near det F_e = 0.
-///
 /// A cluster has eight nodes and one point, so the element pass of the hexahedron evaluates it without a change. A
 /// smaller cluster takes neighbouring nodes in addition, whose gradients are zero.
 namespace tensormass::model {

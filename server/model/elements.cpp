@@ -189,11 +189,7 @@ ElementGroup make_group(const GroupKey& key, const Collected& elements, const ma
 Material kept_by_member(Material material, double deviatoric_part) {
   physics::for_each_type(physics::Laws{}, [&](auto tag, int index) {
     using Law = typename decltype(tag)::Type;
-    if (index != material.law) return;
-    Law::scale_moduli(material.parameters.data(), 1 - deviatoric_part, 0.0);
-    if constexpr (requires { Law::resist_collapse(material.parameters.data()); }) {
-      Law::resist_collapse(material.parameters.data());
-    }
+    if (index == material.law) Law::scale_moduli(material.parameters.data(), 1 - deviatoric_part, 0.0);
   });
   return material;
 }

@@ -79,42 +79,6 @@ TYPED_TEST(EveryMaterial, StiffnessIsTheDerivativeOfTheStress) {
   }
 }
 
-/// Laws that resist collapse if an element has no resistance to change of volume.
-TYPED_TEST(EveryMaterial, ResistsCollapseOnlyNearIt) {
-  if constexpr (requires { TypeParam::resist_collapse(this->parameters_.data()); }) {
-    TypeParam::scale_moduli(this->parameters_.data(), 0.3, 0.0);
-    auto with = this->parameters_;
-    TypeParam::resist_collapse(with.data());
-    const auto difference = [&](double j) {
-      const Mat3<double> f = Vec3<double>(1.1, 0.9, j / 0.99).asDiagonal();
-      return TypeParam::energy(TypeParam::at(f, with.data())) - this->energy(f);
-    };
-    EXPECT_EQ(difference(1.0), 0);
-    EXPECT_EQ(difference(0.5), 0);
-    const double shear_pa = TypeParam::moduli_at_rest(with.data()).shear_pa;
-    EXPECT_GT(difference(0.0), shear_pa);
-    EXPECT_GT(difference(-0.2), difference(0.0));
-
-    // The derivatives, as of every law.
-    this->parameters_ = with;
-    const double h = 1e-6;
-    for (const double j : {0.39, 0.2, 0.01, -0.1}) {
-      const Mat3<double> f = random_rotation(this->random_) * Vec3<double>(1.1, 0.9, j / 0.99).asDiagonal() *
-                             random_rotation(this->random_).transpose();
-      const Tangent tangent = testing::tangent<TypeParam>(this->at(f));
-      const Mat3<double> stress = this->stress(f);
-      for (int i = 0; i < 9; ++i) {
-        Mat3<double> above = f, below = f;
-        above(i) += h;
-        below(i) -= h;
-        EXPECT_NEAR(stress(i), (this->energy(above) - this->energy(below)) / (2 * h), 1e-6 * stress.norm());
-        const Mat3<double> change = (this->stress(above) - this->stress(below)) / (2 * h);
-        EXPECT_LT((tangent.col(i) - change.reshaped()).norm(), 1e-6 * tangent.norm());
-      }
-    }
-  }
-}
-
 TYPED_TEST(EveryMaterial, TractionIsTheStressTimesTheGradientAlsoAfterProjection) {
   const Vec3<double> a(0.3, -1.2, 0.7);
   for (const Mat3<double>& f : this->states()) {

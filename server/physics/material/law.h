@@ -43,8 +43,6 @@
 ///   scale_moduli(p, d, v)  multiplies the deviatoric part of the energy by d and the volumetric part by v. Selective
 ///                          reduced integration evaluates the two at different points. Energy is linear in the moduli,
 ///                          so the parts add up to the whole
-///   resist_collapse(p)     optional: changes the parameters of an element without resistance to change of volume so
-///                          that it does not collapse (model/clusters.h)
 ///   at(F, p)               returns the Point: what the functions below share at a quadrature point
 ///   energy(point)          returns W, which is zero at rest
 ///   stress(point)          returns P
