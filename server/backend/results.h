@@ -67,6 +67,15 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   }
 }
 
+/// tools: [tool_count]
+template <class Real>
+void write_tools(const model::Model& m, const StepInput& input, physics::PlacedTool<Real>* tools) {
+  for (std::size_t i = 0; i < input.tools.size(); ++i) {
+    const ToolInput& one = input.tools[i];
+    tools[i] = m.tools[i].placed<Real>(one.shape, one.start, one.presence);
+  }
+}
+
 /// prescribed: [Model::prescribed, 4]
 template <class Real>
 void write_prescribed(const model::Model& m, const StepInput& input, Real* prescribed) {

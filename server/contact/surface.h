@@ -61,4 +61,34 @@ TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const
   return sum;
 }
 
+/// The point at which a triangle of the tissue touches a tool.
+///
+///   n, w_a, d_a   as in tools.h;  D, P as in friction.h
+template <class Real>
+struct ContactPoint {
+  const view::StateView<Real>& state;
+  const std::uint32_t* rows;  // rows of the triangle's corners
+  const view::TriangleContact<Real>& touch;
+
+  TM_HOST_DEVICE ContactPoint(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                              std::uint32_t triangle, const view::TriangleContact<Real>& touch)
+      : state(state), rows(contact.triangle_rows + std::size_t{3} * triangle), touch(touch) {}
+
+  TM_HOST_DEVICE Vec3<Real> normal() const { return {touch.normal[0], touch.normal[1], touch.normal[2]}; }
+  /// Returns P v.
+  TM_HOST_DEVICE Vec3<Real> tangential(const Vec3<Real>& v) const { return v - normal() * normal().dot(v); }
+  /// Returns n · Σ w d: how far the point moves away from the tool until the end of the step [m].
+  TM_HOST_DEVICE Real retreat() const {
+    Real sum = 0;
+    for (int c = 0; c < 3; ++c) sum += touch.weight[c] * normal().dot(view::change_ahead(state, rows[c]));
+    return sum;
+  }
+  /// Returns D: how far the point moves in the whole step [m].
+  TM_HOST_DEVICE Vec3<Real> motion_in_step() const {
+    Vec3<Real> sum = Vec3<Real>::Zero();
+    for (int c = 0; c < 3; ++c) sum += view::motion_in_step(state, rows[c]) * touch.weight[c];
+    return sum;
+  }
+};
+
 }  // namespace tensormass::contact

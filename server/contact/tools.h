@@ -173,14 +173,6 @@ struct CoreDepths {
   }
 };
 
-/// Returns n · Σ w d: how far the contact point moves away from the tool until the end of the step [m].
-template <class Real>
-TM_HOST_DEVICE Real retreat_of(const FrictionPoint<Real>& at) {
-  Real retreat = 0;
-  for (int c = 0; c < 3; ++c) retreat += at.touch.weight[c] * at.normal().dot(view::change_ahead(at.state, at.rows[c]));
-  return retreat;
-}
-
 /// Computes each triangle's contact with one tool.
 /// first: index of its first contact
 template <class Kind, class Team, class Real>
@@ -216,8 +208,8 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     }
     touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
     if (!(tool.friction > 0)) return;
-    const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
-    const Real pressure = touch.stiffness * maximum(touch.depth_m - retreat_of(at), Real(0));
+    const ContactPoint<Real> at(state, contact, triangle, touch);
+    const Real pressure = touch.stiffness * maximum(touch.depth_m - at.retreat(), Real(0));
     contact.frictions[first + triangle] =
         predict_friction(at, tool, corners.at(weights), pressure, contact.slips + 4 * (first + triangle));
   };
@@ -254,14 +246,14 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
         const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
         const view::TriangleContact<Real>& touch = contact.contacts[place];
         if (!(touch.depth_m > 0)) continue;
-        const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
+        const ContactPoint<Real> at(state, contact, triangle, touch);
         const Vec3<Real> n = at.normal();
         const Real weight = touch.weight[corner];
-        Vec3<Real> force = n * (touch.stiffness * (touch.depth_m - retreat_of(at)));
+        Vec3<Real> force = n * (touch.stiffness * (touch.depth_m - at.retreat()));
         Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
         if (contact.frictions != nullptr && contact.tools[t].friction > 0) {
           const view::TriangleFriction<Real>& friction = contact.frictions[place];
-          force += at.stretch(friction) * friction.stiffness;
+          force += stretch_of(at, friction) * friction.stiffness;
           stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
         }
         stiffness *= h * h * weight;
@@ -284,8 +276,8 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
   });
 }
 
-/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step, and ends
-/// the step of the springs of friction.
+/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step, and takes
+/// the springs of friction to it.
 /// Reads contacts, frictions, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
@@ -300,9 +292,9 @@ TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const 
           const view::TriangleContact<Real>& touch = contact.contacts[place];
           const bool touches = touch.depth_m > 0;
           if (!touches && !has_friction) return;
-          const FrictionPoint<Real> at{state, contact.triangle_rows + std::size_t{3} * triangle, touch};
+          const ContactPoint<Real> at(state, contact, triangle, touch);
           Real pressure = 0;
-          Vec3<Real> push = Vec3<Real>::Zero();  // on the tissue
+          Vec3<Real> stretch = Vec3<Real>::Zero();
           if (touches) {
             Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
             for (int c = 0; c < 3; ++c) {
@@ -313,24 +305,17 @@ TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const 
             point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
             // Penalty contact only pushes: a point that left the tool within the step carries no force.
             pressure = touch.stiffness * maximum(touch.depth_m - at.normal().dot(change), Real(0));
-            push = at.normal() * pressure;
+            Vec3<Real> push = at.normal() * pressure;  // on the tissue
             if (has_friction) {
-              const Vec3<Real> drag = at.stretch(contact.frictions[place]) * contact.frictions[place].stiffness;
+              stretch = stretch_of(at, contact.frictions[place]);
+              const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
               push += drag;
               friction -= drag;
             }
             force -= push;
             torque -= physics::cross<Real>(point - tool.position(), push);
           }
-          if (!has_friction) return;
-          Real* slip = contact.slips + 4 * place;
-          if (state.control->saves_checkpoint != 0) {
-            for (int c = 0; c < 4; ++c) contact.checkpoint_slips[4 * place + static_cast<std::size_t>(c)] = slip[c];
-          }
-          Vec3<Real> stretch = Vec3<Real>::Zero();
-          if (pressure > 0) stretch = next_stretch(at, tool, at.stretch(contact.frictions[place]), pressure, slip);
-          for (int c = 0; c < 3; ++c) slip[c] = stretch[c];
-          slip[3] = pressure;
+          if (has_friction) end_friction(at, contact, tool, stretch, pressure, place);
         });
     Real sums[9];
     for (int c = 0; c < 3; ++c) {

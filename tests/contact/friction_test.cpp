@@ -6,8 +6,8 @@
 
 #include <gtest/gtest.h>
 
+#include "contact/staged_tool.h"
 #include "support/backends.h"
-#include "support/staged_scene.h"
 #include "support/tools.h"
 
 /// Coulomb friction: one contact against its formulas, and whole scenes against mechanics.
@@ -16,39 +16,31 @@ namespace {
 
 using Pose = physics::Pose;
 
-/// A block that cannot move, its top two large triangles at y = 1, and a tool that touches one of them.
+/// A tool that touches one triangle of a rigid block.
 class OneContact : public testing::TestWithParam<std::string> {
  public:
   static constexpr double kPenalty = 4e6, kRadiusM = 0.05, kDepthM = 1e-3, kFriction = 0.5;
-  static constexpr double kStiffness = kPenalty * 0.5;  // a triangle has half the area of the top, 1 m²
+  static constexpr double kStiffness = kPenalty * 0.5;  // a triangle has half the area of the top
 
   static v1::Scene scene(const std::string& kind) {
-    v1::Scene scene = tests::beam_scene({.cells_x = 1,
-                                         .cells_y = 1,
-                                         .cells_z = 1,
-                                         .size_x_m = 1,
-                                         .size_z_m = 1,
-                                         .linear = true,
-                                         .double_precision = true});
-    scene.clear_gravity_m_per_s2();
-    v1::Box& all = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
-    tests::set(*all.mutable_min_m(), -1, -1, -1);
-    tests::set(*all.mutable_max_m(), 2, 2, 2);
-    tests::add_tool(scene, kind, kRadiusM, 0, 5, 0, kPenalty).set_friction_coefficient(kFriction);
+    v1::Scene scene = tests::rigid_block(kind, kPenalty);
+    scene.mutable_tools(0)->set_friction_coefficient(kFriction);
     return scene;
   }
 
  protected:
-  /// Steps while the tool moves from where it was to a point above the block, `x` along it.
-  backend::ToolForce step_to(double x, double depth_m = kDepthM) {
-    const Pose before = pose_;
-    pose_.position_m = {0.3 + x, 1 + kRadiusM - depth_m, 0.7};
-    const_cast<physics::PlacedTool<double>&>(staged_.view.contact.tools[0]) =
-        staged_.model.tools[0].placed<double>(pose_, before);
+  /// Steps while the tool moves from where it was.
+  backend::ToolForce step_to(const Pose& pose) {
+    place(staged_, pose, pose_);
+    pose_ = pose;
     staged_.step();
-    backend::ToolForce force;
-    backend::read_forces<double>({staged_.view.contact.tool_loads, staged_.view.patches.patch_count}, {&force, 1});
-    return force;
+    return measured(staged_);
+  }
+  /// Steps while it moves to a point above the block, `x` along it.
+  backend::ToolForce step_to(double x, double depth_m = kDepthM) {
+    Pose pose = pose_;
+    pose.position_m = {0.3 + x, 1 + kRadiusM - depth_m, 0.7};
+    return step_to(pose);
   }
 
   tests::StagedScene<double> staged_{scene(GetParam())};
@@ -97,13 +89,8 @@ TEST_P(OneContact, StretchTurnsWithTheTool) {
   ASSERT_LT(held_n, 0);
   const Eigen::Quaterniond quarter(Eigen::AngleAxisd(M_PI / 2, Vec3<double>::UnitY()));
   const Eigen::Quaterniond turned = quarter * physics::rotation(pose_);
-  const Pose before = pose_;
-  pose_.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
-  const_cast<physics::PlacedTool<double>&>(staged_.view.contact.tools[0]) =
-      staged_.model.tools[0].placed<double>(pose_, before);
-  staged_.step();
-  backend::ToolForce force;
-  backend::read_forces<double>({staged_.view.contact.tool_loads, staged_.view.patches.patch_count}, {&force, 1});
+  const backend::ToolForce force =
+      step_to({pose_.position_m, {turned.w(), turned.x(), turned.y(), turned.z()}, pose_.joint_values});
   EXPECT_NEAR(force.friction_n[2], -held_n, 1e-6 * std::abs(held_n));  // x turns to −z about y
 }
 

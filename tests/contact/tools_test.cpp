@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "contact/staged_tool.h"
 #include "mesh/random_mesh.h"
 #include "mesh/surface.h"
 #include "support/dense_system.h"
@@ -18,18 +19,10 @@ using tests::StagedScene;
 constexpr double kPenalty = 4e6;  // Pa/m
 
 /// Puts the scene's tool, with the orientation that the scene gives it, at a position.
-void place(StagedScene<double>& staged, const Vec3<double>& position) {
+void place_at(StagedScene<double>& staged, const Vec3<double>& position) {
   physics::Pose pose = staged.model.tools[0].initial_pose;
   pose.position_m = position;
-  // The view hands tools to the stages as constants; between steps they are the backend's to write.
-  const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
-      staged.model.tools[0].placed<double>(pose, pose);
-}
-
-backend::ToolForce measured(const StagedScene<double>& staged) {
-  backend::ToolForce force;
-  backend::read_forces<double>({staged.view.contact.tool_loads, staged.view.patches.patch_count}, {&force, 1});
-  return force;
+  place(staged, pose);
 }
 
 /// What contact with a tool outside the tissue adds to the system, triangle by triangle from the boundary.
@@ -106,7 +99,7 @@ TEST_P(EveryTool, AddsToTheSystemWhatBruteForceAdds) {
   const tests::DenseSystem tissue = tests::dense_system(scene, u);
   // Over a face, over an edge, at a corner.
   for (const Vec3<double>& position : {Vec3<double>(0.5, 1.2, 0.5), {1.15, 1.1, 0.5}, {-0.1, 1.1, 1.1}}) {
-    place(staged, position);
+    place_at(staged, position);
     staged.run_through(StageKind::kAssembleContact);
     physics::with_tool(staged.model.tools[0].kind, [&](auto tag) {
       const DenseContact contact(typename decltype(tag)::Type{}, mesh_, u, v, dt, staged.view.contact.tools[0]);
@@ -123,7 +116,7 @@ TEST_P(EveryTool, AddsToTheSystemWhatBruteForceAdds) {
 TEST_P(EveryTool, ActsOnTheTissueAsTheTissueOnIt) {
   StagedScene<double> staged(box_scene(mesh_, kind(), 0.3), patches());
   const Vec3<double> origin(0.4, 1.1, 0.6);
-  place(staged, origin);
+  place_at(staged, origin);
   staged.step();
   const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity);
   Vec3<double> momentum = Vec3<double>::Zero(), angular = Vec3<double>::Zero();
@@ -142,7 +135,7 @@ TEST_P(EveryTool, ActsOnTheTissueAsTheTissueOnIt) {
 /// Without friction every force on a sphere passes through its centre.
 TEST(SphericalProbe, FeelsNoTorqueAboutItsCentre) {
   StagedScene<double> staged(box_scene(mesh::testing::random_mesh(8, 4, 1.0), "spherical_probe", 0.3));
-  place(staged, {0.4, 1.1, 0.6});
+  place_at(staged, {0.4, 1.1, 0.6});
   staged.step();
   EXPECT_LT(measured(staged).torque_n_m.norm(), 1e-12 * measured(staged).force_n.norm());
 }
@@ -154,7 +147,7 @@ TEST_P(EveryTool, OutOfReachIsExactlyNothing) {
   const Eigen::VectorXd v = tests::random_field(3 * alone.node_count(), 0.5, 2);
   alone.put(alone.view.state.velocity, v);
   touching_nothing.put(touching_nothing.view.state.velocity, v);
-  place(touching_nothing, {0.5, 1.6, 0.5});
+  place_at(touching_nothing, {0.5, 1.6, 0.5});
   for (int i = 0; i < 3; ++i) {
     alone.step();
     touching_nothing.step();
@@ -168,10 +161,10 @@ TEST_P(EveryTool, OutOfReachIsExactlyNothing) {
 /// Contacts of one step must not push in the next.
 TEST_P(EveryTool, LetsGoWhenItLeaves) {
   StagedScene<double> staged(box_scene(mesh_, kind(), 0.3), patches());
-  place(staged, {0.5, 1.1, 0.5});
+  place_at(staged, {0.5, 1.1, 0.5});
   staged.step();
   ASSERT_GT(measured(staged).force_n.norm(), 100);
-  place(staged, {0.5, 9, 0.5});
+  place_at(staged, {0.5, 9, 0.5});
   staged.step();
   EXPECT_EQ(measured(staged).force_n.norm(), 0);
 }
@@ -179,32 +172,13 @@ TEST_P(EveryTool, LetsGoWhenItLeaves) {
 INSTANTIATE_TEST_SUITE_P(Tools, EveryTool,
                          testing::Combine(testing::ValuesIn(tests::tool_kinds()), testing::Values(1u, 2u, 6u)));
 
-/// A block that cannot move: every node fixed, its top two large triangles at y = 1.
-v1::Scene rigid_block(const std::string& kind) {
-  tests::Beam block{.cells_x = 1,
-                    .cells_y = 1,
-                    .cells_z = 1,
-                    .size_x_m = 1,
-                    .size_y_m = 1,
-                    .size_z_m = 1,
-                    .linear = true,
-                    .double_precision = true};
-  v1::Scene scene = tests::beam_scene(block);
-  scene.clear_gravity_m_per_s2();
-  v1::Box& all = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
-  tests::set(*all.mutable_min_m(), -1, -1, -1);
-  tests::set(*all.mutable_max_m(), 2, 2, 2);
-  tests::add_tool(scene, kind, 0.05, 0, 5, 0, kPenalty);
-  return scene;
-}
-
 /// A tool that comes down on the block with its tip.
 class OnARigidBlock : public testing::TestWithParam<std::string> {};
 
 TEST_P(OnARigidBlock, FeelsStiffnessTimesDepth) {
-  StagedScene<double> staged(rigid_block(GetParam()));
+  StagedScene<double> staged(tests::rigid_block(GetParam(), kPenalty));
   for (const double depth : {1e-4, 1e-3, 1e-2}) {
-    place(staged, {0.3, 1.05 - depth, 0.7});  // far from every edge: one triangle
+    place_at(staged, {0.3, 1.05 - depth, 0.7});  // far from every edge: one triangle
     staged.step();
     const backend::ToolForce tool = measured(staged);
     EXPECT_NEAR(tool.force_n[1], kPenalty * 0.5 * depth, 1e-9 * kPenalty * depth);
@@ -216,9 +190,9 @@ TEST_P(OnARigidBlock, FeelsStiffnessTimesDepth) {
 
 /// The force grows on when the tip's centre passes the surface, and goes on pushing the tool out.
 TEST_P(OnARigidBlock, IsPushedOutWithItsCentreInside) {
-  StagedScene<double> staged(rigid_block(GetParam()));
+  StagedScene<double> staged(tests::rigid_block(GetParam(), kPenalty));
   for (const double depth : {0.049, 0.0499999, 0.05, 0.0500001, 0.051, 0.1}) {
-    place(staged, {0.3, 1.05 - depth, 0.7});
+    place_at(staged, {0.3, 1.05 - depth, 0.7});
     staged.step();
     EXPECT_NEAR(measured(staged).force_n[1], kPenalty * 0.5 * depth, 1e-6 * kPenalty * depth) << "at " << depth << " m";
   }
@@ -228,14 +202,13 @@ INSTANTIATE_TEST_SUITE_P(Tools, OnARigidBlock, testing::ValuesIn(tests::tool_kin
 
 /// A capsule that lies on one triangle touches it with its deepest point, which is the lower end if it is tilted.
 TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {
-  StagedScene<double> staged(rigid_block("capsule"));
+  StagedScene<double> staged(tests::rigid_block("capsule", kPenalty));
   physics::Pose pose;
   for (const double tilt : {0.02, -0.02}) {
     pose.position_m = {0.3, 1.05 - 1e-3, 0.6};  // the axis runs along z; a positive tilt lowers the other end
     const Eigen::Quaterniond turned(Eigen::AngleAxisd(tilt, Vec3<double>::UnitX()));
     pose.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
-    const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
-        staged.model.tools[0].placed<double>(pose, pose);
+    place(staged, pose);
     staged.step();
     const backend::ToolForce tool = measured(staged);
     const double lower = tilt > 0 ? 0.2 * std::sin(tilt) : 0, depth = 1e-3 + lower;
@@ -253,15 +226,14 @@ TEST(CapsuleAcrossARigidBlock, IsPushedOutWithItsEndsOutside) {
     double pushed_m2;          // area of the triangles of the top that push at full depth
   };
   for (const Shaft& shaft : {Shaft{-0.25, 1.5, 1.0}, Shaft{0.6, 0.9, 0.5}, Shaft{-0.5, 0.9, 0.5}}) {
-    v1::Scene scene = rigid_block("capsule");
+    v1::Scene scene = tests::rigid_block("capsule", kPenalty);
     scene.mutable_tools(0)->mutable_capsule()->set_length_m(shaft.length_m);
     for (const std::uint32_t patches : {1u, 3u}) {
       StagedScene<double> staged(scene, patches);
       for (const double depth : {0.04, 0.0499, 0.0501, 0.07, 0.1}) {
         physics::Pose pose;
         pose.position_m = {0.3, 1.05 - depth, shaft.start_m};
-        const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
-            staged.model.tools[0].placed<double>(pose, pose);
+        place(staged, pose);
         staged.step();
         EXPECT_GT(measured(staged).force_n[1], 0.999 * kPenalty * shaft.pushed_m2 * depth)
             << depth << " m deep, from " << shaft.start_m << ", " << patches << " patches";
@@ -312,7 +284,7 @@ TEST(ProbeBetweenTwoBodies, PushesTheOneThatItIsNotIn) {
   neighbour.mutable_mesh()->mutable_translation_m()->set_x(1.02);
   for (const std::uint32_t patches : {1u, 3u}) {
     StagedScene<double> staged(scene, patches);
-    place(staged, {0.97, 0.4, 0.6});  // 3 cm inside of the first, 5 cm before the second
+    place_at(staged, {0.97, 0.4, 0.6});  // 3 cm inside of the first, 5 cm before the second
     staged.step();
     const Eigen::VectorXd v = staged.by_node(staged.view.state.velocity);
     Vec3<double> momentum[2] = {Vec3<double>::Zero(), Vec3<double>::Zero()};
@@ -348,7 +320,7 @@ int check_sides(const mesh::Mesh& mesh, std::uint32_t patches, std::uint32_t see
     const bool inside =
         std::any_of(elements.begin(), elements.end(), [&](const auto& nodes) { return contains(p, nodes); });
     inside_count += inside ? 1 : 0;
-    place(staged, p);
+    place_at(staged, p);
     staged.run(StageKind::kQueryClosest);
     const auto* first = staged.view.contact.closest;
     const auto* nearest = std::min_element(

@@ -41,4 +41,23 @@ inline v1::Tool& add_tool(v1::Scene& scene, const std::string& kind, double radi
   return tool;
 }
 
+/// Returns a block that cannot move, 1 m along each edge, its top two large triangles at y = 1, with a tool of radius
+/// 0.05 m far above it.
+inline v1::Scene rigid_block(const std::string& kind, double penalty_pa_per_m) {
+  v1::Scene scene = beam_scene({.cells_x = 1,
+                                .cells_y = 1,
+                                .cells_z = 1,
+                                .size_x_m = 1,
+                                .size_y_m = 1,
+                                .size_z_m = 1,
+                                .linear = true,
+                                .double_precision = true});
+  scene.clear_gravity_m_per_s2();
+  v1::Box& all = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
+  set(*all.mutable_min_m(), -1, -1, -1);
+  set(*all.mutable_max_m(), 2, 2, 2);
+  add_tool(scene, kind, 0.05, 0, 5, 0, penalty_pa_per_m);
+  return scene;
+}
+
 }  // namespace tensormass::tests

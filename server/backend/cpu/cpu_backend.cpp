@@ -61,10 +61,7 @@ class CpuState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
-      const ToolInput& one = input.tools[tool];
-      tools_[tool] = model_.tools[tool].template placed<Real>(one.shape, one.start, one.presence);
-    }
+    write_tools(model_, input, tools_);
     write_prescribed(model_, input, prescribed_);
     load_factors_.write(model_, input, external_, faces_);
     *control_ = checkpoint_.begin(model_, input);

@@ -94,10 +94,7 @@ class CudaState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    for (std::size_t tool = 0; tool < input.tools.size(); ++tool) {
-      const ToolInput& one = input.tools[tool];
-      tools_.host[tool] = model_.tools[tool].template placed<Real>(one.shape, one.start, one.presence);
-    }
+    write_tools(model_, input, tools_.host);
     write_prescribed(model_, input, prescribed_.host);
     if (load_factors_.write(model_, input, external_.data(), faces_.data())) {
       upload_pinned(view_.state.external, external_, "loads");

@@ -97,7 +97,7 @@ export class Connection {
   }
 
   /** Sends a pose of a tool. */
-  moveTool({ name, positionM, orientationWxyz }: Omit<ToolState, "forceN" | "retired">): void {
+  moveTool({ name, positionM, orientationWxyz }: Pick<ToolState, "name" | "positionM" | "orientationWxyz">): void {
     this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
   }
 

@@ -1,0 +1,23 @@
+#pragma once
+
+#include "support/staged_scene.h"
+
+/// The first tool of a staged scene, between the steps that a test runs.
+namespace tensormass::contact {
+
+/// Puts the shape of the tool at a pose. start: its pose at the start of the coming step.
+inline void place(tests::StagedScene<double>& staged, const physics::Pose& shape, const physics::Pose& start) {
+  // The view hands tools to the stages as constants; between steps they are the backend's to write.
+  const_cast<physics::PlacedTool<double>&>(staged.view.contact.tools[0]) =
+      staged.model.tools[0].placed<double>(shape, start);
+}
+/// Puts it there without motion in the coming step.
+inline void place(tests::StagedScene<double>& staged, const physics::Pose& shape) { place(staged, shape, shape); }
+
+inline backend::ToolForce measured(const tests::StagedScene<double>& staged) {
+  backend::ToolForce force;
+  backend::read_forces<double>({staged.view.contact.tool_loads, staged.view.patches.patch_count}, {&force, 1});
+  return force;
+}
+
+}  // namespace tensormass::contact
