@@ -8,7 +8,7 @@
 /// The tissue's surface at the present displacement: corners and normals of the triangles that tools can touch.
 namespace tensormass::contact {
 
-/// Current positions of a triangle's corners.
+/// A vector for each corner of a triangle: positions, or motions.
 template <class Real>
 struct Corners {
   Vec3<Real> x[3];
@@ -74,14 +74,19 @@ struct ContactPoint {
                               std::uint32_t triangle, const view::TriangleContact<Real>& touch)
       : state(state), rows(contact.triangle_rows + std::size_t{3} * triangle), touch(touch) {}
 
+  TM_HOST_DEVICE Vec3<Real> weights() const { return {touch.weight[0], touch.weight[1], touch.weight[2]}; }
   TM_HOST_DEVICE Vec3<Real> normal() const { return {touch.normal[0], touch.normal[1], touch.normal[2]}; }
   /// Returns P v.
   TM_HOST_DEVICE Vec3<Real> tangential(const Vec3<Real>& v) const { return v - normal() * normal().dot(v); }
-  /// Returns n · Σ w d: how far the point moves away from the tool until the end of the step [m].
-  TM_HOST_DEVICE Real retreat() const {
-    Real sum = 0;
-    for (int c = 0; c < 3; ++c) sum += touch.weight[c] * normal().dot(view::change_ahead(state, rows[c]));
-    return sum;
+  /// Returns d of the corners.
+  TM_HOST_DEVICE Corners<Real> change_ahead() const {
+    Corners<Real> change;
+    for (int c = 0; c < 3; ++c) change.x[c] = view::change_ahead(state, rows[c]);
+    return change;
+  }
+  /// Returns the force along n after a motion of the corners; negative if it pulls [N].
+  TM_HOST_DEVICE Real pressure_after(const Corners<Real>& motion) const {
+    return touch.stiffness * (touch.depth_m - normal().dot(motion.at(weights())));
   }
   /// Returns D: how far the point moves in the whole step [m].
   TM_HOST_DEVICE Vec3<Real> motion_in_step() const {

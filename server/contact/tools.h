@@ -4,6 +4,7 @@
 
 #include "contact/friction.h"
 #include "contact/surface.h"
+#include "contact/tilt.h"
 #include "matrix/edges.h"
 #include "physics/lists.h"
 #include "view/scene.h"
@@ -21,9 +22,9 @@
 ///
 /// 1. Each surface triangle has one contact with a tool: of the tool's candidates, the one with the greatest depth. The
 ///    triangle is in contact if that depth is positive.
-/// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n. It enters the same linear system as the
-///    tissue. Its derivative has three diagonal blocks and the edge tensors between the three corners. The mesh has
-///    those edges anyway.
+/// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n, and the forces of tilt (tilt.h). It enters
+///    the same linear system as the tissue. Its derivative has three diagonal blocks and the edge tensors between the
+///    three corners. The mesh has those edges anyway.
 /// 3. Each step decides once for each core point whether it is inside the tissue: at the closest point of the whole
 ///    surface, by the angle-weighted pseudonormal there (Bærentzen, Aanæs 2005). Between two core points, c is inside
 ///    up to where the core crosses the surface (CoreDepths).
@@ -183,7 +184,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
   const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
   const auto generate = [&](std::uint32_t triangle) {
     const Corners<Real> corners = corners_of(state, contact, triangle);
-    Real greatest = 0;
+    Real greatest = 0, lever = 0;
     Vec3<Real> weights, normal;
     const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
       const Vec3<Real> away = corners.at(candidate) - core.position;
@@ -194,6 +195,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
       if (!(depth > greatest)) return;
       greatest = depth;
+      lever = behind ? Real(0) : distance;
       weights = candidate;
       normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
                                                      : Vec3<Real>(-unit<Real>(corners.normal()));
@@ -207,9 +209,10 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       touch.normal[c] = normal[c];
     }
     touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+    touch.lever_m = lever;
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, touch);
-    const Real pressure = touch.stiffness * maximum(touch.depth_m - at.retreat(), Real(0));
+    const Real pressure = maximum(at.pressure_after(at.change_ahead()), Real(0));
     contact.frictions[first + triangle] =
         predict_friction(at, tool, corners.at(weights), pressure, contact.slips + 4 * (first + triangle));
   };
@@ -249,27 +252,28 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
         const ContactPoint<Real> at(state, contact, triangle, touch);
         const Vec3<Real> n = at.normal();
         const Real weight = touch.weight[corner];
-        Vec3<Real> force = n * (touch.stiffness * (touch.depth_m - at.retreat()));
+        const Corners<Real> change = at.change_ahead();
+        Vec3<Real> force = n * at.pressure_after(change);
         Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
         if (contact.frictions != nullptr && contact.tools[t].friction > 0) {
           const view::TriangleFriction<Real>& friction = contact.frictions[place];
           force += stretch_of(at, friction) * friction.stiffness;
           stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
         }
-        stiffness *= h * h * weight;
-        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * (h * weight));
-
+        const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
+        force = force * weight + tilt.force(corner, tilt.of(change));
+        const auto block = [&](std::uint32_t other) {
+          return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * (h * h));
+        };
+        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
+        const Mat3<Real> own = block(corner);
         Real* d = matrix.diagonal + std::size_t{8} * row;
-        d[0] += weight * stiffness(0, 0);
-        d[1] += weight * stiffness(0, 1);
-        d[2] += weight * stiffness(0, 2);
-        d[3] += weight * stiffness(1, 1);
-        d[4] += weight * stiffness(1, 2);
-        d[5] += weight * stiffness(2, 2);
+        for (int i = 0, c = 0; i < 3; ++i) {
+          for (int j = i; j < 3; ++j, ++c) d[c] += own(i, j);
+        }
         for (std::uint32_t k = 1; k <= 2; ++k) {
           const std::uint32_t slot = incidence[1 + k];
-          const Real other = touch.weight[(corner + k) % 3];
-          if (slot != view::kNoPlace) matrix::add_to_block<Real>(matrix, slot, stiffness * other);
+          if (slot != view::kNoPlace) matrix::add_to_block<Real>(matrix, slot, block((corner + k) % 3));
         }
       }
     }
@@ -286,37 +290,43 @@ TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const 
     const physics::PlacedTool<Real> tool = contact.tools[t];
     const bool has_friction = tool.friction > 0;
     Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
-    team.for_each(
-        contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], [&](std::uint32_t triangle) {
-          const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
-          const view::TriangleContact<Real>& touch = contact.contacts[place];
-          const bool touches = touch.depth_m > 0;
-          if (!touches && !has_friction) return;
-          const ContactPoint<Real> at(state, contact, triangle, touch);
-          Real pressure = 0;
-          Vec3<Real> stretch = Vec3<Real>::Zero();
-          if (touches) {
-            Vec3<Real> change = Vec3<Real>::Zero(), point = Vec3<Real>::Zero();
-            for (int c = 0; c < 3; ++c) {
-              // With base fields, contacts are generated again at the end of the step: nothing has moved since.
-              if (state.base_displacement == nullptr) change += view::change_ahead(state, at.rows[c]) * touch.weight[c];
-              point += view::position(state, at.rows[c]) * touch.weight[c];
-            }
-            point -= change;  // back to where the normal was taken: tissue that slides exerts no torque on a sphere
-            // Penalty contact only pushes: a point that left the tool within the step carries no force.
-            pressure = touch.stiffness * maximum(touch.depth_m - at.normal().dot(change), Real(0));
-            Vec3<Real> push = at.normal() * pressure;  // on the tissue
-            if (has_friction) {
-              stretch = stretch_of(at, contact.frictions[place]);
-              const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
-              push += drag;
-              friction -= drag;
-            }
-            force -= push;
-            torque -= physics::cross<Real>(point - tool.position(), push);
-          }
-          if (has_friction) end_friction(at, contact, tool, stretch, pressure, place);
-        });
+    const auto add = [&](std::uint32_t triangle) {
+      const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
+      const view::TriangleContact<Real>& touch = contact.contacts[place];
+      const bool touches = touch.depth_m > 0;
+      if (!touches && !has_friction) return;
+      const ContactPoint<Real> at(state, contact, triangle, touch);
+      Real pressure = 0;
+      Vec3<Real> stretch = Vec3<Real>::Zero();
+      if (touches) {
+        // Forces act where the contact was generated: tissue that slides exerts no torque on a sphere. With base
+        // fields, contacts are generated again at the end of the step, and nothing has moved since.
+        const bool moved = state.base_displacement == nullptr;
+        Corners<Real> corners = corners_of(state, contact, triangle), change = at.change_ahead();
+        for (int c = 0; c < 3; ++c) {
+          if (!moved) change.x[c] = Vec3<Real>::Zero();
+          corners.x[c] -= change.x[c];
+        }
+        // The tissue received these forces in the solve, so they are reported even where they pull: a contact is
+        // decided before the solve, and holds back a point that leaves the tool within the step.
+        pressure = at.pressure_after(change);
+        Vec3<Real> push = at.normal() * pressure;  // on the tissue
+        if (has_friction) {
+          stretch = stretch_of(at, contact.frictions[place]);
+          const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
+          push += drag;
+          friction -= drag;
+        }
+        const Tilt<Real> tilt(corners, touch);
+        const Vec3<Real> aside = tilt.total_force(tilt.of(change));
+        const Vec3<Real> point = corners.at(at.weights()), core = point - at.normal() * touch.lever_m;
+        force -= push + aside;
+        torque -= physics::cross<Real>(point - tool.position(), push);
+        torque -= physics::cross<Real>(core - tool.position(), aside);
+      }
+      if (has_friction) end_friction(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
+    };
+    team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], add);
     Real sums[9];
     for (int c = 0; c < 3; ++c) {
       sums[c] = force[c];

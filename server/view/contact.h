@@ -17,6 +17,7 @@ struct TriangleContact {
   Real normal[3];  // direction in which the tissue is pushed
   Real depth_m;    // penetration; zero: no contact
   Real stiffness;  // [N/m]
+  Real lever_m;    // distance from the tool's core to the contact point; zero if the core is behind the surface
 };
 
 /// Friction at a TriangleContact in this step (contact/friction.h).

@@ -37,36 +37,81 @@ struct DenseContact {
       : a(Eigen::MatrixXd::Zero(u.size(), u.size())), b(Eigen::VectorXd::Zero(u.size())) {
     const mesh::Surface surface = mesh::boundary(mesh);
     for (const mesh::Triangle& triangle : surface.triangles) {
-      Vec3<double> rest[3], x[3];
+      Triangle rest, x;
+      Eigen::Matrix<double, 9, 1> change;  // until the end of the step
       std::uint32_t node[3];
       for (std::size_t c = 0; c < 3; ++c) {
         node[c] = surface.nodes[triangle[c]];
         rest[c] = mesh.nodes[node[c]];
         x[c] = rest[c] + u.segment<3>(3 * node[c]);
+        change.segment<3>(3 * static_cast<Eigen::Index>(c)) = dt * v.segment<3>(3 * node[c]);
       }
-      const auto point_at = [&](const Vec3<double>& w) {
-        return Vec3<double>(x[0] * w[0] + x[1] * w[1] + x[2] * w[2]);
-      };
-      Vec3<double> weights = Vec3<double>::Zero();
-      double depth = 0;
-      Kind::for_each_candidate(tool, x[0], x[1], x[2], [&](const Vec3<double>& candidate, const auto&) {
-        const double here = -Kind::distance(tool, point_at(candidate));
-        if (here > depth) weights = candidate;
-        depth = std::max(depth, here);
-      });
-      if (depth <= 0) continue;
+      const Deepest at = deepest<Kind>(tool, x);
+      if (at.depth <= 0) continue;
       ++touching;
-      Vec3<double> velocity = Vec3<double>::Zero();
-      for (int c = 0; c < 3; ++c) velocity += weights[c] * v.segment<3>(3 * node[c]);
-      const Vec3<double> n = Kind::gradient(tool, point_at(weights));
       const double k = kPenalty * (rest[1] - rest[0]).cross(rest[2] - rest[0]).norm() / 2;
+      const Vec3<double> n = Kind::gradient(tool, point_at(x, at.weights));
+      Eigen::Matrix<double, 1, 9> along;  // how far the contact point moves along n
+      for (int c = 0; c < 3; ++c) along.segment<3>(3 * c) = at.weights[c] * n.transpose();
+      const Eigen::Matrix<double, 3, 9> across = way_in_triangle(x, at.weights, at.core);
+      const double length = (point_at(x, at.weights) - at.core).norm();
+      const Eigen::Matrix<double, 9, 9> stiffness =
+          k * along.transpose() * along + k * at.depth / length * across.transpose() * across;
+      const Eigen::Matrix<double, 9, 1> force = k * at.depth * along.transpose() - stiffness * change;
       for (int c = 0; c < 3; ++c) {
-        b.segment<3>(3 * node[c]) += dt * k * weights[c] * (depth - dt * n.dot(velocity)) * n;
+        b.segment<3>(3 * node[c]) += dt * force.segment<3>(3 * c);
         for (int d = 0; d < 3; ++d) {
-          a.block<3, 3>(3 * node[c], 3 * node[d]) += dt * dt * k * weights[c] * weights[d] * n * n.transpose();
+          a.block<3, 3>(3 * node[c], 3 * node[d]) += dt * dt * stiffness.block<3, 3>(3 * c, 3 * d);
         }
       }
     }
+  }
+
+ private:
+  using Triangle = std::array<Vec3<double>, 3>;
+  struct Deepest {
+    double depth = 0;
+    Vec3<double> weights = Vec3<double>::Zero(), core = Vec3<double>::Zero();
+  };
+
+  static Vec3<double> point_at(const Triangle& x, const Vec3<double>& w) {
+    return x[0] * w[0] + x[1] * w[1] + x[2] * w[2];
+  }
+  template <class Kind>
+  static Deepest deepest(const physics::PlacedTool<double>& tool, const Triangle& x) {
+    Deepest found;
+    Kind::for_each_candidate(tool, x[0], x[1], x[2], [&](const Vec3<double>& candidate, const auto& core) {
+      const double depth = tool.radius_m - (point_at(x, candidate) - core.position).norm();
+      if (!(depth > found.depth)) return;
+      found.depth = depth;
+      found.weights = candidate;
+      found.core = core.position;
+    });
+    return found;
+  }
+  /// Returns the matrix that takes the motion of the corners to the way of the closest point through the triangle. The
+  /// vector r from the core to that point stays orthogonal to the directions e in which it is free:
+  ///
+  ///   (dp + Σ e_j dz_j) · e_i + r · de_i = 0     dp: motion of the material there;  dz: change of its coordinates
+  static Eigen::Matrix<double, 3, 9> way_in_triangle(const Triangle& x, const Vec3<double>& weights,
+                                                     const Vec3<double>& core) {
+    std::vector<std::pair<int, int>> ways;  // from one corner to another
+    for (int c = 0; c < 3; ++c) {
+      if (weights[c] > 0 && weights[(c + 1) % 3] > 0) ways.emplace_back(c, (c + 1) % 3);
+    }
+    if (ways.size() == 3) ways.pop_back();
+    const auto count = static_cast<Eigen::Index>(ways.size());
+    if (count == 0) return Eigen::Matrix<double, 3, 9>::Zero();
+    const Vec3<double> r = point_at(x, weights) - core;
+    Eigen::MatrixXd e(3, count), change = Eigen::MatrixXd::Zero(count, 9);
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const auto [from, to] = ways[static_cast<std::size_t>(i)];
+      e.col(i) = x[static_cast<std::size_t>(to)] - x[static_cast<std::size_t>(from)];
+      for (int c = 0; c < 3; ++c) change.block<1, 3>(i, 3 * c) = weights[c] * e.col(i).transpose();
+      change.block<1, 3>(i, 3 * to) += r.transpose();
+      change.block<1, 3>(i, 3 * from) -= r.transpose();
+    }
+    return -e * (e.transpose() * e).inverse() * change;
   }
 };
 
