@@ -20,6 +20,7 @@
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
 #include "physics/tool/capsule.h"
+#include "physics/tool/retractor.h"
 #include "physics/tool/spherical_probe.h"
 #include "physics/tool/tool.h"
 
@@ -40,7 +41,7 @@ using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, Quadratic
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;
 /// All kinds of tools. Their indices are internal; the protocol uses names.
-using Tools = TypeList<SphericalProbe, Capsule>;
+using Tools = TypeList<SphericalProbe, Capsule, Retractor>;
 
 namespace detail {
 template <class... Types>

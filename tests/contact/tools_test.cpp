@@ -287,6 +287,22 @@ TEST(CapsuleAcrossARigidBlock, IsPushedOutWithItsEndsOutside) {
   }
 }
 
+/// The same for the blade of a retractor, whose shaft stands beside the block.
+TEST(RetractorAcrossARigidBlock, IsPushedOutWithItsCornersOutside) {
+  v1::Scene scene = tests::rigid_block("retractor", kPenalty);
+  scene.mutable_tools(0)->mutable_retractor()->set_blade_length_m(1.5);
+  StagedScene<double> staged(scene);
+  for (const double depth : {0.04, 0.0501, 0.1}) {
+    physics::Pose pose;
+    pose.position_m = {0.3, 1.05 - depth, -0.25};
+    const Eigen::Quaterniond turned = Eigen::Quaterniond::FromTwoVectors(Vec3<double>::UnitX(), Vec3<double>::UnitZ());
+    pose.orientation = {turned.w(), turned.x(), turned.y(), turned.z()};
+    place(staged, pose);
+    staged.step();
+    EXPECT_GT(measured(staged).force_n[1], 0.999 * kPenalty * depth) << depth << " m deep";
+  }
+}
+
 /// The depth of a core between its ends, from the crossings that each patch has found.
 TEST(CoreDepths, ChangesItsSignAtTheCrossings) {
   physics::PlacedTool<double> tool{};

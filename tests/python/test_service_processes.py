@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from service_parts import BLOCK, DEADLINE_S, block
+from test_client import wait_until
 
 import tensormass as tm
 from tensormass._src import processes
@@ -48,6 +49,26 @@ def test_inspect_works_without_a_daemon() -> None:
     report = json.loads(out)
     assert report["bodies"][0]["element_count"] == 20160
     assert any("conjugate gradients" in stage["name"] for stage in report["stages"])
+
+
+def test_a_scripted_hand_moves_a_tool_and_lets_go(tmp_path: Path) -> None:
+    script = tmp_path / "press.yaml"
+    script.write_text("""
+tool: probe
+poses:
+  - {time_s: 0, position_m: {x: 0.05, y: 0.05, z: 0.08}}
+  - {time_s: 0.5, position_m: {x: 0.05, y: 0.05, z: 0.055}}
+  - {time_s: 100, position_m: {x: 0.05, y: 0.05, z: 0.055}}
+""")
+    with tm.launch(backend="cpu", cpu_threads=1) as server:
+        scene = server.load(block(), name="block")
+        with command("hand", str(script), "--scene", "block", "--server", server.address) as process:
+            wait_until(lambda: scene.feedback("probe").force_n[2] > 0.05)
+            process.send_signal(signal.SIGTERM)
+            _, err = process.communicate(timeout=DEADLINE_S)
+        assert process.returncode == 143, err
+        wait_until(lambda: scene.feedback("probe").retired)
+        assert scene.feedback("probe").force_n[2] == 0
 
 
 def test_run_steps_reports_and_ends_on_ctrl_c(tmp_path: Path, runtime_folder: Path) -> None:

@@ -26,7 +26,7 @@ from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import export, load_test, modes, run, solve
+from tensormass_tools import export, hand, load_test, modes, run, solve
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
@@ -209,6 +209,12 @@ def _parser() -> argparse.ArgumentParser:
     sub = commands.add_parser("view", parents=[server, json_option], help="viewer for a running daemon")
     add_gateway_arguments(sub)
     sub.set_defaults(command=_view)
+
+    sub = commands.add_parser(
+        "hand", parents=[server], help="move a tool of a running scene through the poses of a file"
+    )
+    hand.add_arguments(sub)
+    sub.set_defaults(command=hand.run)
 
     sub = commands.add_parser("load-test", help="drive a daemon with real clients and measure")
     add_load_test_arguments(sub)

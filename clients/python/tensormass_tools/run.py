@@ -1,5 +1,7 @@
 """`tensormass run`: starts a daemon, a scene, a simulated haptic device for each tool, and the viewer's gateway.
 
+A built-in scene may have a scripted hand (hand.py), which then moves its tool instead of a device.
+
 All parts run until Ctrl-C, SIGTERM or the end of --seconds. They end in the order of their dependencies.
 
 A guard may stop the scene. A run with --seconds then ends at once, because nobody watches it. Without --seconds the run
@@ -32,7 +34,7 @@ from tensormass_gateway.command import write_ready_file
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
-from tensormass_tools import presets
+from tensormass_tools import hand, presets
 from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
 from tensormass_tools.running import announced
 
@@ -147,16 +149,21 @@ async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gat
 def _start_hands(
     args: argparse.Namespace, server: Server, handle: SceneHandle, parts: contextlib.AsyncExitStack
 ) -> list[tuple[ChildProcess, Path]]:
-    program = find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
+    device = find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
+    script = hand.script_of(args.scene)
+    scripted = hand.HandScript.read(script).tool if script is not None else None
     folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-run-")))
     hands = []
     for tool in handle.topology().tools:
         log_file = folder / f"{tool.name}.log"
-        command: list[str | Path] = [program, "--server", server.address, "--scene", handle.name, "--tool", tool.name]
+        where = ["--server", server.address, "--scene", handle.name]
+        command: list[str | Path] = [device, *where, "--tool", tool.name, "--transport", args.haptic_transport]
+        if script is not None and tool.name == scripted:
+            command = [sys.executable, "-m", "tensormass", "hand", script, *where, "--transport", args.haptic_transport]
         with log_file.open("wb") as log:
-            hand = ChildProcess([*command, "--transport", args.haptic_transport], output=log)
-        parts.callback(hand.stop)
-        hands.append((hand, log_file))
+            process = ChildProcess(command, output=log)
+        parts.callback(process.stop)
+        hands.append((process, log_file))
     return hands
 
 
@@ -176,8 +183,8 @@ async def _report_until(
     while True:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(stop.wait(), period_s)
-        for hand, log_file in hands:
-            if not hand.running:
+        for process, log_file in hands:
+            if not process.running:
                 raise UnavailableError(f"a haptic device ended by itself:\n{log_tail(log_file)}")
         status = await asyncio.to_thread(handle.status)
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)

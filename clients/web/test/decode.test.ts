@@ -32,7 +32,7 @@ describe("decodeTopology", () => {
       ["vein", 4, 3],
     ]);
     expect(topology.bodies.map((body) => body.colorSrgb)).toEqual([null, [0.1, 0.2, 0.9]]);
-    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1], lengthM: 0 }]);
+    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1], coreM: [[0, 0, 0]] }]);
   });
 
   it("uses z as up without gravity", () => {

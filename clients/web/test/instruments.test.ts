@@ -53,6 +53,15 @@ it("draws a capsule from its tip along the tool's z axis", () => {
   expect(box.max.toArray()).toEqual(close(0.005, 0.005, 0.105));
 });
 
+it("draws a retractor from its toe along the blade, and up its shaft", () => {
+  const value = { radiusM: 0.005, bladeLengthM: 0.04, shaftLengthM: 0.2 };
+  const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "retractor" as const, value } } };
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
+  expect(box.min.toArray()).toEqual(close(-0.005, -0.005, -0.005));
+  expect(box.max.toArray()).toEqual(close(0.045, 0.005, 0.205));
+});
+
 it("draws the arrow from the sphere along the force, and the label at its tip", () => {
   const { instruments, labels } = update({ x: 0, y: 0, z: -1.5 });
   const [label] = labels;

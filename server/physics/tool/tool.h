@@ -11,7 +11,7 @@
 /// The interface of a tool's kind: the shape that touches tissue.
 ///
 /// A tool is a rigid core and a radius r: its surface is at the distance r from the core. A point makes a sphere, a
-/// segment a capsule.
+/// segment a capsule, a bent line a retractor.
 ///
 ///        r  ______________          c0, c1  core points
 ///       ___/              \___      x       a point of the scene [m]

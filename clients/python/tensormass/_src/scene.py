@@ -339,7 +339,7 @@ class Scene:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
 
         Args:
-            kind: a kind of the protocol's `Tool`, such as "spherical_probe" or "capsule".
+            kind: a kind of the protocol's `Tool`, such as "spherical_probe", "capsule" or "retractor".
             orientation: quaternion w, x, y, z; None is the identity.
             friction_coefficient: Coulomb's coefficient between the tool and tissue; 0 for a smooth tool.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.

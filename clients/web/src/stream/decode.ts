@@ -2,7 +2,7 @@
 // checked here, once. WebGL checks nothing itself; the results of this file are safe to pass to it.
 import { fromBinary } from "@bufbuild/protobuf";
 
-import type { Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
+import type { Tool, Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
 import {
   FrameSchema,
   SceneStatusSchema,
@@ -39,8 +39,8 @@ export interface ToolShape {
   readonly radiusM: number;
   /** Centre of the sphere at the tip, in the tool's frame [m]. */
   readonly tipOffsetM: Vector;
-  /** Length of a capsule from that centre along the tool's z axis [m]; 0 for a sphere, and for kinds unknown here. */
-  readonly lengthM: number;
+  /** Corners of the line through the tool's core, from that centre on [m]: one for a sphere and for kinds unknown here. */
+  readonly coreM: readonly Vector[];
 }
 
 export interface Topology {
@@ -132,19 +132,36 @@ export function decodeTopology(payload: Uint8Array): Topology {
     if (!(tool.radiusM > 0 && tool.radiusM < MAX_LENGTH_M)) {
       throw new DecodeError(`${where}: radius_m is ${tool.radiusM}`);
     }
-    const kind = tool.tool?.kind;
-    const lengthM = kind?.case === "capsule" ? kind.value.lengthM : 0;
-    if (!(lengthM >= 0 && lengthM < MAX_LENGTH_M)) {
-      throw new DecodeError(`${where}: length_m is ${lengthM}`);
-    }
     return {
       name: tool.name,
       radiusM: tool.radiusM,
       tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM),
-      lengthM,
+      coreM: coreOf(where, tool.tool),
     };
   });
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
+}
+
+/** The core of a tool. Each kind states its own in server/physics/tool. */
+function coreOf(where: string, tool: Tool | undefined): Vector[] {
+  const length = (name: string, value: number): number => {
+    if (!(value >= 0 && value < MAX_LENGTH_M)) {
+      throw new DecodeError(`${where}: ${name} is ${value}`);
+    }
+    return value;
+  };
+  const tip: Vector = [0, 0, 0];
+  const kind = tool?.kind;
+  switch (kind?.case) {
+    case "capsule":
+      return [tip, [0, 0, length("length_m", kind.value.lengthM)]];
+    case "retractor": {
+      const blade = length("blade_length_m", kind.value.bladeLengthM);
+      return [tip, [blade, 0, 0], [blade, 0, length("shaft_length_m", kind.value.shaftLengthM)]];
+    }
+    default:
+      return [tip];
+  }
 }
 
 /** Decodes a Frame. Throws DecodeError on a fraction of a vertex and on a coordinate that is not finite. */

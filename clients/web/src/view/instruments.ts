@@ -1,6 +1,7 @@
 // The tools and their forces. Sizes are in metres, except those of arrow and handle: these are in scene radii, so that
 // they are visible in every scene.
 import * as THREE from "three";
+import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 
 import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
 import type { Quality } from "./quality";
@@ -77,19 +78,23 @@ class Instrument {
     this.mesh = new THREE.Mesh(shapeOf(shape), steel);
     this.mesh.name = shape.name;
     this.mesh.position.set(...shape.tipOffsetM);
-    // The handle is not simulated. It lies along the tool's z axis and shows the tool's orientation. A capsule is its own.
-    const length = shape.lengthM > 0 ? shape.lengthM : HANDLE_LENGTH * sceneRadiusM;
-    const thickness = 0.26 * shape.radiusM;
-    const handle = new THREE.Mesh(
-      new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
-      steel.clone(),
-    );
-    this.#steel = [steel, handle.material];
-    handle.position.copy(this.mesh.position);
-    for (const mesh of [this.mesh, handle]) {
+    this.#steel = [steel];
+    this.#tool.add(this.mesh);
+    if (shape.coreM.length === 1) {
+      // A sphere has a handle that is not simulated. It lies along the tool's z axis and shows the tool's orientation.
+      const length = HANDLE_LENGTH * sceneRadiusM;
+      const thickness = 0.26 * shape.radiusM;
+      const handle = new THREE.Mesh(
+        new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
+        steel.clone(),
+      );
+      this.#steel.push(handle.material);
+      handle.position.copy(this.mesh.position);
+      this.#tool.add(handle);
+    }
+    for (const mesh of this.#tool.children) {
       mesh.castShadow = true;
       mesh.frustumCulled = false;
-      this.#tool.add(mesh);
     }
 
     // Drawn over everything: the force matters most where tissue surrounds the tool.
@@ -133,11 +138,18 @@ class Instrument {
 }
 
 /** The shape that touches tissue, in the tool's frame moved by tipOffsetM. */
-function shapeOf({ radiusM, lengthM }: ToolShape): THREE.BufferGeometry {
-  if (lengthM === 0) {
-    return new THREE.SphereGeometry(radiusM, 48, 32);
-  }
-  return new THREE.CapsuleGeometry(radiusM, lengthM, 24, 48).rotateX(Math.PI / 2).translate(0, 0, lengthM / 2);
+function shapeOf({ radiusM, coreM }: ToolShape): THREE.BufferGeometry {
+  const points = coreM.map((point) => new THREE.Vector3(...point));
+  const bars = points.slice(1).map((to, i) => bar(points[i]!, to, radiusM));
+  return bars.length === 0 ? new THREE.SphereGeometry(radiusM, 48, 32) : mergeGeometries(bars);
+}
+
+/** A cylinder with round ends from one point to another. */
+function bar(from: THREE.Vector3, to: THREE.Vector3, radiusM: number): THREE.BufferGeometry {
+  const way = to.clone().sub(from);
+  const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), way.clone().normalize());
+  const middle = from.clone().addScaledVector(way, 0.5);
+  return new THREE.CapsuleGeometry(radiusM, way.length(), 24, 48).applyQuaternion(turn).translate(middle.x, middle.y, middle.z);
 }
 
 /** Length of the arrow [scene radii]: nearly proportional for small forces, bounded so that it stays on the screen. */

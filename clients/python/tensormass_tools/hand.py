@@ -1,0 +1,160 @@
+"""`tensormass hand`: a scripted hand, which moves a tool through the poses of a file, over and over.
+
+    tool: retractor
+    poses:
+      - {time_s: 0, position_m: {x: 0.1, z: 0.09}, orientation: {w: 1}}
+      - {time_s: 2, position_m: {x: 0.1, z: 0.06}}
+
+Between two poses the tool accelerates and brakes smoothly (minimum jerk). A pose without orientation has the one before
+it. The last pose should be the first one again; the tool goes on from there without a pause.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from google.protobuf import json_format
+from google.protobuf.descriptor import Descriptor
+
+from tensormass._src import strict_yaml
+from tensormass._src.errors import InvalidArgumentError, NotFoundError
+from tensormass._src.meshes import FloatArray
+from tensormass._src.scene_fields import checked_fields
+from tensormass._src.server import connect
+from tensormass._src.vectors import quaternion
+from tensormass.v1 import stream_pb2
+from tensormass_tools.running import find_server
+
+RATE_HZ = 120.0
+#: A hand that is gone lets go after this time of the simulation [s].
+VALID_FOR_S = 0.5
+_HANDS = Path(__file__).parents[1] / "tensormass" / "scenes" / "hands"
+
+
+@dataclass(frozen=True)
+class HandScript:
+    """Poses of a tool over a period.
+
+    times_s: ascending from 0, [poses]. positions_m: [poses, 3]. orientations: unit quaternions w, x, y, z, [poses, 4].
+    """
+
+    tool: str
+    times_s: FloatArray
+    positions_m: FloatArray
+    orientations: FloatArray
+
+    @staticmethod
+    def read(path: Path) -> HandScript:
+        """Reads a file.
+
+        Raises:
+            NotFoundError: no such file.
+            InvalidArgumentError: the file is not such a script; the message has the place.
+        """
+        try:
+            text = path.read_text("utf-8")
+        except OSError as error:
+            raise NotFoundError(f"{path}: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise InvalidArgumentError(f"{path}: not a text in UTF-8") from error
+        content = strict_yaml.load(text, str(path))
+        if not isinstance(content, dict) or set(content) != {"tool", "poses"}:
+            raise InvalidArgumentError(f"{path}: expected the two fields tool and poses")
+        poses = content["poses"]
+        if not isinstance(content["tool"], str) or not isinstance(poses, list) or len(poses) < 2:
+            raise InvalidArgumentError(f"{path}: tool must be a name, and poses a list of two or more")
+        times: list[float] = []
+        messages: list[stream_pb2.ToolPose] = []
+        for number, pose in enumerate(poses):
+            at = f"{path}: poses[{number}]"
+            time_s, message = _read_pose(pose, str(path), f"poses[{number}]")
+            if not time_s > (times[-1] if times else -1) or (not times and time_s != 0):
+                raise InvalidArgumentError(f"{at}.time_s: {time_s:g}; times start at 0 and ascend")
+            if not message.HasField("orientation") and messages:
+                message.orientation.CopyFrom(messages[-1].orientation)
+            times.append(time_s)
+            messages.append(message)
+        return HandScript(
+            content["tool"],
+            np.array(times),
+            np.array([(m.position_m.x, m.position_m.y, m.position_m.z) for m in messages]),
+            np.array([_unit_quaternion(m, f"{path}: poses[{i}].orientation") for i, m in enumerate(messages)]),
+        )
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Returns position [3] m and orientation [4] at a time after the start."""
+        time_s %= float(self.times_s[-1])
+        i = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
+        share = (time_s - self.times_s[i]) / (self.times_s[i + 1] - self.times_s[i])
+        smooth = share**3 * (10 - 15 * share + 6 * share**2)
+        way = self.positions_m[i + 1] - self.positions_m[i]
+        return self.positions_m[i] + smooth * way, _between(self.orientations[i], self.orientations[i + 1], smooth)
+
+
+def script_of(scene: str) -> Path | None:
+    """Returns the hand script that comes with a built-in scene."""
+    path = _HANDS / f"{scene}.yaml"
+    return path if path.is_file() else None
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of `tensormass hand`."""
+    parser.add_argument("script", type=Path, help="poses of a tool (.yaml)")
+    parser.add_argument("--scene", required=True, help="name of the loaded scene")
+    parser.add_argument("--transport", choices=("zeromq", "zenoh"), default="zeromq", help="default: %(default)s")
+    parser.add_argument("--seconds", type=float, metavar="T", help="end after so long; default: until Ctrl-C")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Moves the tool until told to end. Returns 0."""
+    if args.seconds is not None and not 0 < args.seconds < math.inf:
+        raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
+    script = HandScript.read(args.script)
+    with connect(find_server(args.server)) as server:
+        scene = server.scene(args.scene)
+        with scene.tool_stream(script.tool, args.transport, valid_for_s=VALID_FOR_S) as stream:
+            start = now = time.monotonic()
+            while args.seconds is None or now - start < args.seconds:
+                stream.send(*script.at(now - start))
+                time.sleep(1 / RATE_HZ)
+                now = time.monotonic()
+    return 0
+
+
+def _read_pose(pose: object, where: str, path: str) -> tuple[float, stream_pb2.ToolPose]:
+    names = set(pose) if isinstance(pose, dict) else set()
+    if not isinstance(pose, dict) or not {"time_s", "position_m"} <= names <= {"time_s", "position_m", "orientation"}:
+        raise InvalidArgumentError(f"{where}: {path}: expected time_s, position_m and perhaps orientation")
+    time_s = pose["time_s"]
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s < math.inf:
+        raise InvalidArgumentError(f"{where}: {path}.time_s: expected seconds, got {time_s!r}")
+    fields = {name: value for name, value in pose.items() if name != "time_s"}
+    checked = checked_fields(fields, cast(Descriptor, stream_pb2.ToolPose.DESCRIPTOR), where, path)
+    return float(time_s), json_format.ParseDict(checked, stream_pb2.ToolPose())
+
+
+def _unit_quaternion(pose: stream_pb2.ToolPose, where: str) -> tuple[float, float, float, float]:
+    if not pose.HasField("orientation"):
+        return 1.0, 0.0, 0.0, 0.0
+    q = pose.orientation
+    unit = quaternion((q.w, q.x, q.y, q.z), where)
+    assert unit is not None
+    return unit.w, unit.x, unit.y, unit.z
+
+
+def _between(a: FloatArray, b: FloatArray, share: float) -> FloatArray:
+    """Returns the orientation at a share of the shorter way from one to another (slerp)."""
+    cosine = float(a @ b)
+    if cosine < 0:
+        b, cosine = -b, -cosine
+    angle = math.acos(min(cosine, 1.0))
+    if angle < 1e-6:
+        return a
+    turned: FloatArray = (math.sin((1 - share) * angle) * a + math.sin(share * angle) * b) / math.sin(angle)
+    return turned
