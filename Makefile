@@ -30,7 +30,7 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test test-only bench accuracy stability trade asan tsan \
+.PHONY: help setup setup-test build native python viewer run test pictures test-only bench accuracy stability trade asan tsan \
         lint format protocol-release clean
 
 help: ## Show this list
@@ -52,6 +52,9 @@ run: build ## Start daemon, simulated haptic device and viewer; Ctrl-C ends them
 test: setup-test ## Run every test: C++, Python, web, and the real page in Chromium
 	@$(MAKE) native python viewer
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
+
+pictures: build ## Take the pictures of docs/images again, in headless Chromium
+	@node tests/e2e/pictures.mjs retract grasp
 
 test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -30,7 +31,8 @@ namespace tensormass::backend {
 struct ToolForce {
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();
-  Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
+  Vec3<double> friction_n = Vec3<double>::Zero();       ///< the part of force_n that is friction
+  std::array<double, limits::kMaxToolJoints> joints{};  ///< force of the tissue along each joint [N m or N]
 };
 
 /// A tool in a step: poses of its shape (model::ToolModel::placed) at the end and at the start.

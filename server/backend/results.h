@@ -62,6 +62,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
         sum.torque_n_m[c] += static_cast<double>(load.torque_n_m[c]);
         sum.friction_n[c] += static_cast<double>(load.friction_n[c]);
       }
+      for (std::size_t j = 0; j < sum.joints.size(); ++j) sum.joints[j] += static_cast<double>(load.joints[j]);
     }
     forces[tool] = sum;
   }

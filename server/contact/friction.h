@@ -20,11 +20,10 @@
 ///    and N predicted before the solve. The system stays symmetric and positive definite. Where it slides, the force is
 ///    then exact only if the prediction is; in steady sliding it is.
 /// 3. ξ is predicted with the velocities before the solve. In a plain scene (solver/time_scheme.h) N is that of the
-/// last
-///    step: predicted, it would be many times too large when a tool strikes tissue. In other scenes N is predicted,
-///    too. Newton's iterations correct it, and they measure the force at the end of the step.
+///    last step: predicted, it would be many times too large when a tool strikes tissue. In other scenes N is
+///    predicted, too. Newton's iterations correct it, and they measure the force at the end of the step.
 /// 4. After the solve the stretch is returned to the cone k |ξ| ≤ μ N (return mapping: Wriggers 2006, section 5.2). It
-///    is kept in the frame of the tool's shape, and turns with the tool.
+///    is kept in the frame of the tool's shape, and turns with the tool, though not with a joint.
 namespace tensormass::contact {
 
 /// Returns ξ at the velocities as they are stored.
@@ -43,16 +42,16 @@ TM_HOST_DEVICE Vec3<Real> old_stretch(const ContactPoint<Real>& at, const physic
 
 /// Predicts whether a contact sticks or slides in this step.
 ///
-///   point         the contact's point of the tissue
+///   tool_motion   motion of the tool's point that touches the tissue, in this step [m]
 ///   predicted_n   N at the velocities as they are stored; a plain scene takes that of the last step instead
 ///   slip          the contact's entry of ContactView::slips
 template <class Real>
 TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<Real>& at,
                                                              const physics::PlacedTool<Real>& tool,
-                                                             const Vec3<Real>& point, Real predicted_n,
+                                                             const Vec3<Real>& tool_motion, Real predicted_n,
                                                              const Real* slip) {
   using std::sqrt;
-  const Vec3<Real> ahead = old_stretch(at, tool, slip) + at.tangential(tool.motion_at(point));
+  const Vec3<Real> ahead = old_stretch(at, tool, slip) + at.tangential(tool_motion);
   view::TriangleFriction<Real> out{{ahead[0], ahead[1], ahead[2]}, 0};
   const Vec3<Real> stretch = stretch_of(at, out);
   const Real most = tool.friction * (at.state.base_displacement == nullptr ? slip[3] : predicted_n);

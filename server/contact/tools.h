@@ -213,8 +213,10 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, touch);
     const Real pressure = maximum(at.pressure_after(at.change_ahead()), Real(0));
+    const Vec3<Real> point = corners.at(weights);
+    const Vec3<Real> tool_motion = physics::motion_with_joints<Kind, Real>(tool, point - normal * lever, point);
     contact.frictions[first + triangle] =
-        predict_friction(at, tool, corners.at(weights), pressure, contact.slips + 4 * (first + triangle));
+        predict_friction(at, tool, tool_motion, pressure, contact.slips + 4 * (first + triangle));
   };
   team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], generate);
 }
@@ -280,64 +282,80 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
   });
 }
 
-/// Stage 4, after the solve: measures the force and torque of the tissue on each tool at the end of the step, and takes
-/// the springs of friction to it.
+/// Measures the load on tool t, and takes its springs of friction to the end of the step.
+template <class Kind, class Team, class Real>
+TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                    const view::ContactView<Real>& contact, std::uint32_t t) {
+  const physics::PlacedTool<Real> tool = contact.tools[t];
+  const bool has_friction = tool.friction > 0;
+  constexpr std::size_t kJoints = Kind::kJoints.size();
+  // Force, torque, friction, joints. Summed over the patch together.
+  Real sums[9 + kJoints]{};
+  Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
+  const auto add = [&](std::uint32_t triangle) {
+    const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
+    const view::TriangleContact<Real>& touch = contact.contacts[place];
+    const bool touches = touch.depth_m > 0;
+    if (!touches && !has_friction) return;
+    const ContactPoint<Real> at(state, contact, triangle, touch);
+    Real pressure = 0;
+    Vec3<Real> stretch = Vec3<Real>::Zero();
+    if (touches) {
+      // Forces act where the contact was generated: tissue that slides exerts no torque on a sphere. With base
+      // fields, contacts are generated again at the end of the step, and nothing has moved since.
+      const bool moved = state.base_displacement == nullptr;
+      Corners<Real> corners = corners_of(state, contact, triangle), change = at.change_ahead();
+      for (int c = 0; c < 3; ++c) {
+        if (!moved) change.x[c] = Vec3<Real>::Zero();
+        corners.x[c] -= change.x[c];
+      }
+      // The tissue received these forces in the solve, so they are reported even where they pull: a contact is
+      // decided before the solve, and holds back a point that leaves the tool within the step.
+      pressure = at.pressure_after(change);
+      Vec3<Real> push = at.normal() * pressure;  // on the tissue
+      if (has_friction) {
+        stretch = stretch_of(at, contact.frictions[place]);
+        const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
+        push += drag;
+        friction -= drag;
+      }
+      const Tilt<Real> tilt(corners, touch);
+      const Vec3<Real> aside = tilt.total_force(tilt.of(change));
+      const Vec3<Real> point = corners.at(at.weights()), core = point - at.normal() * touch.lever_m;
+      force -= push + aside;
+      torque -= physics::cross<Real>(point - tool.position(), push);
+      torque -= physics::cross<Real>(core - tool.position(), aside);
+      for (std::size_t j = 0; j < kJoints; ++j) {
+        sums[9 + j] -= Kind::joint_motion(tool, j, core, point).dot(push);
+        sums[9 + j] -= Kind::joint_motion(tool, j, core, core).dot(aside);
+      }
+    }
+    if (has_friction) end_friction(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
+  };
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], add);
+  for (int c = 0; c < 3; ++c) {
+    sums[c] = force[c];
+    sums[3 + c] = torque[c];
+    sums[6 + c] = friction[c];
+  }
+  team.patch_sum(sums);
+  if (team.leads_patch()) {
+    auto& load = contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()];
+    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}};
+    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[9 + j];
+  }
+}
+
+/// Stage 4, after the solve: measures the load of the tissue on each tool at the end of the step, and takes the springs
+/// of friction to it.
 /// Reads contacts, frictions, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                             const view::ContactView<Real>& contact) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
-    const physics::PlacedTool<Real> tool = contact.tools[t];
-    const bool has_friction = tool.friction > 0;
-    Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
-    const auto add = [&](std::uint32_t triangle) {
-      const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
-      const view::TriangleContact<Real>& touch = contact.contacts[place];
-      const bool touches = touch.depth_m > 0;
-      if (!touches && !has_friction) return;
-      const ContactPoint<Real> at(state, contact, triangle, touch);
-      Real pressure = 0;
-      Vec3<Real> stretch = Vec3<Real>::Zero();
-      if (touches) {
-        // Forces act where the contact was generated: tissue that slides exerts no torque on a sphere. With base
-        // fields, contacts are generated again at the end of the step, and nothing has moved since.
-        const bool moved = state.base_displacement == nullptr;
-        Corners<Real> corners = corners_of(state, contact, triangle), change = at.change_ahead();
-        for (int c = 0; c < 3; ++c) {
-          if (!moved) change.x[c] = Vec3<Real>::Zero();
-          corners.x[c] -= change.x[c];
-        }
-        // The tissue received these forces in the solve, so they are reported even where they pull: a contact is
-        // decided before the solve, and holds back a point that leaves the tool within the step.
-        pressure = at.pressure_after(change);
-        Vec3<Real> push = at.normal() * pressure;  // on the tissue
-        if (has_friction) {
-          stretch = stretch_of(at, contact.frictions[place]);
-          const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
-          push += drag;
-          friction -= drag;
-        }
-        const Tilt<Real> tilt(corners, touch);
-        const Vec3<Real> aside = tilt.total_force(tilt.of(change));
-        const Vec3<Real> point = corners.at(at.weights()), core = point - at.normal() * touch.lever_m;
-        force -= push + aside;
-        torque -= physics::cross<Real>(point - tool.position(), push);
-        torque -= physics::cross<Real>(core - tool.position(), aside);
-      }
-      if (has_friction) end_friction(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
-    };
-    team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], add);
-    Real sums[9];
-    for (int c = 0; c < 3; ++c) {
-      sums[c] = force[c];
-      sums[3 + c] = torque[c];
-      sums[6 + c] = friction[c];
-    }
-    team.patch_sum(sums);
-    if (team.leads_patch()) {
-      contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()] = {
-          {sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}};
-    }
+    physics::with_tool(contact.tools[t].kind, [&](auto kind) {
+      measure_load_on<typename decltype(kind)::Type>(team, patches, state, contact, t);
+    });
   }
 }
 

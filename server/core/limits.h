@@ -17,8 +17,6 @@ inline constexpr std::size_t kMaxTools = 16;
 inline constexpr std::size_t kMaxToolJoints = 4;
 inline constexpr std::size_t kMaxToolParameters = 4;
 inline constexpr std::size_t kMaxCorePoints = 4;
-/// Largest joint value of a pose [rad or m]; a pose with a larger one is refused.
-inline constexpr double kMaxJointValue = 1e3;
 /// Range of ToolPose.valid_for_s [s].
 inline constexpr double kMinPoseValidForS = 0.02, kMaxPoseValidForS = 3600;
 /// Nodes of one scene; a scene with more is refused. Node indices have 32 bits.

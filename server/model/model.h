@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -159,10 +160,10 @@ struct BodyModel {
 
 struct ToolModel {
   std::string name;
-  std::uint32_t kind = 0;              ///< place in physics::Tools
-  std::uint32_t core_points = 0;       ///< kCorePoints of the kind
-  std::uint32_t first_core_point = 0;  ///< its core points among those of all tools
-  std::size_t joints = 0;              ///< kJoints of the kind
+  std::uint32_t kind = 0;                          ///< place in physics::Tools
+  std::uint32_t core_points = 0;                   ///< kCorePoints of the kind
+  std::uint32_t first_core_point = 0;              ///< its core points among those of all tools
+  std::span<const physics::ToolParameter> joints;  ///< kJoints of the kind
   double radius_m = 0;
   std::array<double, limits::kMaxToolParameters> parameters{};  ///< kParameters of the kind; zero beyond them
   Vec3<double> tip_offset_m = Vec3<double>::Zero();             ///< origin of the shape's frame in the tool's frame
@@ -186,7 +187,10 @@ struct ToolModel {
     for (int c = 0; c < 9; ++c) out.rotation[c] = static_cast<Real>(rotation(c / 3, c % 3));
     for (int c = 0; c < 3; ++c) out.moved_m[c] = static_cast<Real>(shape.position_m[c] - start.position_m[c]);
     for (int c = 0; c < 9; ++c) out.turned[c] = static_cast<Real>(turned(c / 3, c % 3));
-    for (std::size_t i = 0; i < joints; ++i) out.joint_values[i] = static_cast<Real>(shape.joint_values[i]);
+    for (std::size_t i = 0; i < joints.size(); ++i) {
+      out.joint_values[i] = static_cast<Real>(shape.joint_values[i]);
+      out.joints_moved[i] = static_cast<Real>(shape.joint_values[i] - start.joint_values[i]);
+    }
     for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = static_cast<Real>(parameters[i]);
     out.radius_m = static_cast<Real>(radius_m);
     out.penalty_pa_per_m = static_cast<Real>(presence * penalty_pa_per_m);

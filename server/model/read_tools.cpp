@@ -104,6 +104,12 @@ Result<ToolModel> read_tool(const v1::Tool& tool, const Material& stiffest) {
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
   out.initial_pose = {position, orientation, {}};
+  if (tool.joint_values_size() > 0) {
+    TM_ASSIGN_OR_RETURN(joints, read_joints(tool.joint_values(), out.joints, where + ".joint_values"));
+    out.initial_pose.joint_values = joints;
+  } else {
+    for (std::size_t i = 0; i < out.joints.size(); ++i) out.initial_pose.joint_values[i] = out.joints[i].least;
+  }
   return out;
 }
 

@@ -170,6 +170,22 @@ Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::str
   return std::array<double, 4>{q.w() / length, q.x() / length, q.y() / length, q.z() / length};
 }
 
+Result<std::array<double, limits::kMaxToolJoints>> read_joints(const google::protobuf::RepeatedField<double>& values,
+                                                               std::span<const physics::ToolParameter> joints,
+                                                               std::string_view where) {
+  if (static_cast<std::size_t>(values.size()) != joints.size()) {
+    return invalid(fmt::format("{}: {} values for a tool of {} joints", where, values.size(), joints.size()));
+  }
+  std::array<double, limits::kMaxToolJoints> out{};
+  for (std::size_t i = 0; i < joints.size(); ++i) {
+    const physics::ToolParameter& joint = joints[i];
+    TM_ASSIGN_OR_RETURN(value, read_number(values.Get(static_cast<int>(i)), joint.least, joint.most,
+                                           fmt::format("{}[{}] ({})", where, i, joint.name)));
+    out[i] = value;
+  }
+  return out;
+}
+
 Result<double> read_number(double value, double low, double high, std::string_view where) {
   if (value >= low && value <= high) return value;
   return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));

@@ -14,6 +14,7 @@
 #include "mesh/elevate.h"
 #include "mesh/mesh.h"
 #include "model/schedule.h"
+#include "physics/tool/tool.h"
 #include "tensormass/v1/scene.pb.h"
 
 /// Turns untrusted messages into checked values. Every error says where in the scene it is and what to do.
@@ -30,6 +31,10 @@ Result<Vec3<double>> read_vector(const v1::Vector3& vector, std::string_view whe
 
 /// Reads a unit quaternion w x y z; all zero is the identity.
 Result<std::array<double, 4>> read_orientation(const v1::Quaternion& q, std::string_view where);
+/// Returns a value for each joint, within the joint's range. Fails if there are more or fewer.
+Result<std::array<double, limits::kMaxToolJoints>> read_joints(const google::protobuf::RepeatedField<double>& values,
+                                                               std::span<const physics::ToolParameter> joints,
+                                                               std::string_view where);
 
 /// Reads a number in [low, high]. Refuses NaN.
 Result<double> read_number(double value, double low, double high, std::string_view where);

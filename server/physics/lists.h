@@ -20,6 +20,7 @@
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
 #include "physics/tool/capsule.h"
+#include "physics/tool/grasper.h"
 #include "physics/tool/retractor.h"
 #include "physics/tool/spherical_probe.h"
 #include "physics/tool/tool.h"
@@ -41,7 +42,7 @@ using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, Quadratic
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;
 /// All kinds of tools. Their indices are internal; the protocol uses names.
-using Tools = TypeList<SphericalProbe, Capsule, Retractor>;
+using Tools = TypeList<SphericalProbe, Capsule, Retractor, Grasper>;
 
 namespace detail {
 template <class... Types>
@@ -52,7 +53,7 @@ constexpr bool are_laws(TypeList<Types...>) {
 }
 template <Tool... Types>
 constexpr bool are_tools(TypeList<Types...>) {
-  return ((Types::kJoints <= limits::kMaxToolJoints && Types::kParameters.size() <= limits::kMaxToolParameters &&
+  return ((Types::kJoints.size() <= limits::kMaxToolJoints && Types::kParameters.size() <= limits::kMaxToolParameters &&
            Types::kCorePoints <= limits::kMaxCorePoints) &&
           ...);
 }

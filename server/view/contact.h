@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "core/limits.h"
 #include "physics/tool/tool.h"
 
 /// The tissue's surface and the tools that touch it (contact/). In a scene without tools all pointers are nullptr and
@@ -40,8 +41,9 @@ struct ClosestTriangle {
 template <class Real>
 struct ToolLoad {
   Real force_n[3];
-  Real torque_n_m[3];  // about PlacedTool::position_m
-  Real friction_n[3];  // the part of the force that is friction
+  Real torque_n_m[3];                   // about PlacedTool::position_m
+  Real friction_n[3];                   // the part of the force that is friction
+  Real joints[limits::kMaxToolJoints];  // [N m or N] force along each joint
 };
 
 template <class Real>

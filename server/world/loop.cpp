@@ -98,8 +98,10 @@ bool Loop::frame_due() {
 /// with_diagnostics: checks the elements even if that is not due yet.
 bool Loop::step_once(bool with_frame, bool with_diagnostics) {
   for (std::size_t i = 0; i < inboxes_.size(); ++i) {
-    if (const ReceivedPose* pose = inboxes_[i].take()) {
-      world_->set_tool_target(i, pose->pose, pose->stamp, pose->valid_for_s);
+    if (const ReceivedPose* received = inboxes_[i].take()) {
+      Pose target = received->pose;
+      if (!received->has_joints) target.joint_values = world_->tool_target(i).joint_values;
+      world_->set_tool_target(i, target, received->stamp, received->valid_for_s);
     }
   }
   bool good = false;

@@ -29,6 +29,8 @@ void LoopOutputs::release_tools() {
   for (ToolReading& tool : tools_) {
     tool.force_n.setZero();
     tool.torque_n_m.setZero();
+    tool.friction_n.setZero();
+    tool.joint_loads = {};
     tool.stiffness_n_per_m.setZero();
   }
   stamp_.server_time_ns = unix_time_ns();

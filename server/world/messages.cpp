@@ -71,7 +71,11 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   fill(reading.torque_n_m, *out.mutable_torque_n_m());
   fill(reading.friction_n, *out.mutable_friction_n());
   out.clear_joint_values();
-  for (std::size_t i = 0; i < model.tools[tool].joints; ++i) out.add_joint_values(reading.pose.joint_values[i]);
+  out.clear_joint_loads();
+  for (std::size_t i = 0; i < model.tools[tool].joints.size(); ++i) {
+    out.add_joint_values(reading.pose.joint_values[i]);
+    out.add_joint_loads(reading.joint_loads[i]);
+  }
   v1::LocalModel& local = *out.mutable_local_model();
   local.clear_stiffness_n_per_m();
   for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(reading.stiffness_n_per_m(i / 3, i % 3));

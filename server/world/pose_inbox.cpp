@@ -12,22 +12,6 @@ namespace tensormass::world {
 
 namespace {
 
-Result<decltype(Pose::joint_values)> read_joints(const model::ToolModel& tool, const v1::ToolPose& message,
-                                                 std::string_view where) {
-  decltype(Pose::joint_values) values{};
-  if (static_cast<std::size_t>(message.joint_values_size()) != tool.joints) {
-    return invalid(fmt::format("{}.joint_values: {} values for a tool of {} joints", where, message.joint_values_size(),
-                               tool.joints));
-  }
-  for (std::size_t i = 0; i < tool.joints; ++i) {
-    TM_ASSIGN_OR_RETURN(value,
-                        model::read_number(message.joint_values(static_cast<int>(i)), -limits::kMaxJointValue,
-                                           limits::kMaxJointValue, fmt::format("{}.joint_values[{}]", where, i)));
-    values[i] = value;
-  }
-  return values;
-}
-
 Result<double> read_validity(const v1::ToolPose& message, std::string_view where) {
   if (!message.has_valid_for_s()) return kUntilTheNext;
   return model::read_number(message.valid_for_s(), limits::kMinPoseValidForS, limits::kMaxPoseValidForS,
@@ -62,7 +46,9 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   if (!position) return refuse(position.error());
   const auto orientation = model::read_orientation(message.orientation(), where + ".orientation");
   if (!orientation) return refuse(orientation.error());
-  const auto joints = read_joints(tool, message, where);
+  const bool has_joints = message.joint_values_size() > 0;
+  const auto joints = has_joints ? model::read_joints(message.joint_values(), tool.joints, where + ".joint_values")
+                                 : Result<decltype(Pose::joint_values)>({});
   if (!joints) return refuse(joints.error());
   const auto valid_for_s = read_validity(message, where);
   if (!valid_for_s) return refuse(valid_for_s.error());
@@ -75,6 +61,7 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   }
   TM_ASSERT(position->allFinite(), "the loop takes finite poses only");
   newest_.writing() = {{*position, *orientation, *joints},
+                       has_joints,
                        {message.sequence(), message.client_time_ns(), message.client_id()},
                        *valid_for_s};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);

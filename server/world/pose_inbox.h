@@ -24,9 +24,9 @@ namespace tensormass::world {
 /// inbox refuses a pose that is not newer than the client's last.
 class PoseInbox {
  public:
-  /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, that has not one
-  /// value for each of the tool's joints, whose valid_for_s is out of range, or that is not newer than the same
-  /// client's last. A pose with neither client nor sequence comes from a script and is always newer.
+  /// Keeps a pose for the loop. Refuses one that is not finite, whose orientation is not a rotation, whose joint
+  /// values are neither absent nor one for each joint, whose valid_for_s is out of range, or that is not newer than the
+  /// same client's last. A pose with neither client nor sequence comes from a script and is always newer.
   Result<void> submit(const model::ToolModel& tool, const v1::ToolPose& message);
   /// For the loop: the newest pose since the last call, else nullptr. Valid until the next call.
   const ReceivedPose* take() { return newest_.take(); }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <limits>
 
@@ -29,6 +30,7 @@ inline constexpr double kUntilTheNext = std::numeric_limits<double>::infinity();
 
 struct ReceivedPose {
   Pose pose;
+  bool has_joints = true;  ///< else the joints stay as they are
   PoseStamp stamp;
   double valid_for_s = kUntilTheNext;  ///< in the time of the simulation
 };
@@ -40,6 +42,8 @@ struct ToolReading {
   Vec3<double> force_n = Vec3<double>::Zero();
   Vec3<double> torque_n_m = Vec3<double>::Zero();  ///< about the tool's position
   Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
+  /// Force of the tissue along each joint [N m or N].
+  std::array<double, limits::kMaxToolJoints> joint_loads{};
   /// A haptic client closes its own loop with this.
   Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
   bool retired = false;  ///< it touches nothing, because its newest pose has expired
@@ -74,6 +78,7 @@ class ToolMotion {
   void take_back() { current_ = before_; }
 
   const Pose& pose() const { return current_.pose; }
+  const Pose& target() const { return target_; }
   bool retired() const { return current_.fade == 0; }
   /// Pose of the shape at a fraction of the step: 0 is its start, 1 its end.
   Pose shape_at(double fraction) const { return physics::between(to_, from_, 1 - fraction); }

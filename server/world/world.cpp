@@ -64,6 +64,7 @@ void World::read_tools() {
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
     reading.friction_n = forces_[i].friction_n;
+    reading.joint_loads = forces_[i].joints;
     // Between two steps the local model follows the normal force; friction stays as it is.
     const Vec3<double> pressing = reading.force_n - reading.friction_n;
     const double force = pressing.norm();
@@ -186,6 +187,9 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
       const Pose& now = inputs_[i].shape;
       tools_work_j_ -= (load.force_n + forces_[i].force_n).dot(now.position_m - shape.position_m) / 2;
       tools_work_j_ -= (load.torque_n_m + forces_[i].torque_n_m).dot(physics::rotation_vector(shape, now)) / 2;
+      for (std::size_t j = 0; j < load.joints.size(); ++j) {
+        tools_work_j_ -= (load.joints[j] + forces_[i].joints[j]) * (now.joint_values[j] - shape.joint_values[j]) / 2;
+      }
       energy.contacts_j += std::max(load.force_n.norm(), forces_[i].force_n.norm()) * model_->tools[i].radius_m;
       touches_[i] = {now, forces_[i]};
     }

@@ -40,6 +40,8 @@ class World {
 
   const model::Model& model() const { return *model_; }
 
+  /// Returns the pose that a tool moves to.
+  const Pose& tool_target(std::size_t tool) const { return tools_[tool].target(); }
   /// stamp: of the pose's message; the tool's next reading repeats it. valid_for_s: as in ReceivedPose.
   void set_tool_target(std::size_t tool, const Pose& pose, const PoseStamp& stamp = {},
                        double valid_for_s = kUntilTheNext) {

@@ -44,6 +44,10 @@ class EveryTool : public ::testing::Test {
     for (int c = 0; c < 9; ++c) out.rotation[c] = turned(c / 3, c % 3);
     out.radius_m = uniform(0.1, 0.5);
     for (std::size_t i = 0; i < Kind::kParameters.size(); ++i) out.parameters[i] = uniform(0.5, 1.5);
+    for (std::size_t i = 0; i < Kind::kJoints.size(); ++i) {
+      const ToolParameter& joint = Kind::kJoints[i];
+      out.joint_values[i] = joint.least + uniform(0.2, 1) * (joint.most - joint.least);
+    }
     return out;
   }
   /// Returns a point of the core: between two core points, or the only one.
@@ -112,6 +116,23 @@ TYPED_TEST(EveryTool, ShapeMovesWithItsFrame) {
       for (int c = 0; c < 3; ++c) moved.rotation[3 * c + axis] = turned[c];
     }
     EXPECT_NEAR(TypeParam::distance(moved, Vec3<double>(turn * x + shift)), TypeParam::distance(tool, x), 1e-13);
+  }
+}
+
+TYPED_TEST(EveryTool, CorePointsMoveWithTheJointsAsJointMotionSays) {
+  constexpr double kStep = 1e-6;
+  for (int trial = 0; trial < 50; ++trial) {
+    const auto tool = this->tool();
+    for (std::size_t j = 0; j < TypeParam::kJoints.size(); ++j) {
+      auto less = tool, more = tool;
+      less.joint_values[j] -= kStep;
+      more.joint_values[j] += kStep;
+      for (std::uint32_t i = 0; i < TypeParam::kCorePoints; ++i) {
+        const Vec3<double> x = TypeParam::core_point(tool, i);
+        const Vec3<double> slope = (TypeParam::core_point(more, i) - TypeParam::core_point(less, i)) / (2 * kStep);
+        EXPECT_LT((TypeParam::joint_motion(tool, j, x, x) - slope).norm(), 1e-9) << "core point " << i;
+      }
+    }
   }
 }
 

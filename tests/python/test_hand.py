@@ -14,10 +14,10 @@ from tensormass_tools.hand import HandScript, script_of
 SCRIPT = """
 tool: probe
 poses:
-  - {time_s: 0, position_m: {x: 0.1}, orientation: {w: 1}}
-  - {time_s: 1, position_m: {x: 0.3, z: 0.1}, orientation: {w: 2, z: 2}}
+  - {time_s: 0, position_m: {x: 0.1}, orientation: {w: 1}, joint_values: [0.2]}
+  - {time_s: 1, position_m: {x: 0.3, z: 0.1}, orientation: {w: 2, z: 2}, joint_values: [0.8]}
   - {time_s: 1.5, position_m: {x: 0.3, z: 0.1}}
-  - {time_s: 3, position_m: {x: 0.1}, orientation: {w: 1}}
+  - {time_s: 3, position_m: {x: 0.1}, orientation: {w: 1}, joint_values: [0.2]}
 """
 
 
@@ -30,18 +30,27 @@ def read(folder: Path, text: str) -> HandScript:
 def test_a_script_passes_through_its_poses_and_starts_again(tmp_path: Path) -> None:
     script = read(tmp_path, SCRIPT)
     quarter = np.array([1, 0, 0, 1]) / np.sqrt(2)
-    for time_s, position, orientation in (
-        (0, (0.1, 0, 0), (1, 0, 0, 0)),
-        (1, (0.3, 0, 0.1), quarter),
-        (1.3, (0.3, 0, 0.1), quarter),
-        (4, (0.3, 0, 0.1), quarter),
+    for time_s, position, orientation, joint in (
+        (0, (0.1, 0, 0), (1, 0, 0, 0), 0.2),
+        (1, (0.3, 0, 0.1), quarter, 0.8),
+        (1.3, (0.3, 0, 0.1), quarter, 0.8),
+        (4, (0.3, 0, 0.1), quarter, 0.8),
     ):
         at = script.at(time_s)
-        np.testing.assert_allclose(at[0], position, atol=1e-12)
-        np.testing.assert_allclose(at[1], orientation, atol=1e-12)
+        np.testing.assert_allclose(at.position_m, position, atol=1e-12)
+        np.testing.assert_allclose(at.orientation, orientation, atol=1e-12)
+        np.testing.assert_allclose(at.joint_values, [joint], atol=1e-12)
     middle = script.at(0.5)
-    np.testing.assert_allclose(middle[0], (0.2, 0, 0.05), atol=1e-12)
-    np.testing.assert_allclose(middle[1], (np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)), atol=1e-12)
+    np.testing.assert_allclose(middle.position_m, (0.2, 0, 0.05), atol=1e-12)
+    np.testing.assert_allclose(middle.orientation, (np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)), atol=1e-12)
+    np.testing.assert_allclose(middle.joint_values, [0.5], atol=1e-12)
+
+
+def test_orientation_and_joints_may_be_left_out(tmp_path: Path) -> None:
+    script = read(tmp_path, "tool: a\nposes: [{time_s: 0, position_m: {}}, {time_s: 1, position_m: {x: 1}}]")
+    at = script.at(0.5)
+    np.testing.assert_allclose(at.orientation, (1, 0, 0, 0))
+    assert at.joint_values.size == 0
 
 
 def test_a_tool_starts_and_stops_smoothly(tmp_path: Path) -> None:
@@ -71,6 +80,10 @@ def test_a_tool_starts_and_stops_smoothly(tmp_path: Path) -> None:
         (
             "tool: a\nposes: [{time_s: 0, position_m: {}, orientation: {w: 0}}, {time_s: 1, position_m: {}}]",
             r"poses\[0\].orientation",
+        ),
+        (
+            "tool: a\nposes: [{time_s: 0, position_m: {}}, {time_s: 1, position_m: {}, joint_values: [1]}]",
+            r"poses\[1\].joint_values: expected as many",
         ),
     ],
 )

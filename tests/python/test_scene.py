@@ -287,7 +287,9 @@ def test_tools_of_any_kind_are_added_by_name() -> None:
         radius_m=0.005,
         length_m=0.2,
         tip_offset_m=(0, 0, -0.1),
+        joint_values=[0.5],
     )
+    assert tool.joint_values == [0.5]
     assert tool.orientation == scene_pb2.Quaternion(x=1)
     assert tool.capsule == scene_pb2.Capsule(radius_m=0.005, length_m=0.2, tip_offset_m=scene_pb2.Vector3(z=-0.1))
     with pytest.raises(tm.InvalidArgumentError, match=r"hook: there is no kind 'capsul'.*capsule"):
@@ -299,6 +301,8 @@ def test_tools_of_any_kind_are_added_by_name() -> None:
             scene.add_tool("hook", "capsule", position_m=(0, 0, 1), length_m=wrong)  # type: ignore[arg-type]
     with pytest.raises(tm.InvalidArgumentError, match=r"hook.tip_offset_m: expected three finite numbers, got 0.1"):
         scene.add_tool("hook", "capsule", position_m=(0, 0, 1), tip_offset_m=0.1)
+    with pytest.raises(tm.InvalidArgumentError, match=r"hook.joint_values: expected finite numbers"):
+        scene.add_tool("hook", "capsule", position_m=(0, 0, 1), joint_values=[float("nan")])
     assert len(scene.message.tools) == 1, "a tool that is refused is not added"
 
 

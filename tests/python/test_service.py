@@ -114,6 +114,32 @@ def test_a_jump_is_followed_at_the_tools_speed(load: Callable[..., tm.SceneHandl
     assert handle.feedback("probe").position_m[2] == pytest.approx(0.08 + 10 * 0.1 * 0.005, abs=1e-6)
 
 
+def test_jaws_follow_the_pose_and_stay_without_one(load: Callable[..., tm.SceneHandle]) -> None:
+    scene = block()
+    above_m = (0.05, 0.05, 0.2)
+    scene.add_tool("grasper", "grasper", position_m=above_m, joint_values=[1.0], radius_m=0.004, jaw_length_m=0.03)
+    handle = load(scene, lockstep=True)
+    assert handle.feedback("grasper").joint_values == [1.0]
+    handle.move_tool("grasper", above_m, joint_values=[1.01])
+    handle.step()
+    assert handle.feedback("grasper").joint_values == [1.01]
+    handle.move_tool("grasper", (0.05, 0.05, 0.201))
+    handle.step()
+    feedback = handle.feedback("grasper")
+    assert feedback.joint_values == [1.01]
+    assert feedback.joint_loads == [0.0]
+    np.testing.assert_allclose(feedback.position_m, (0.05, 0.05, 0.201))
+    for wrong, why in (
+        ([-0.1], r"joint_values\[0\] \(opening_rad\): -0.1 is not within"),
+        ([1, 1], "2 values for a tool"),
+    ):
+        with pytest.raises(tm.InvalidArgumentError, match=why):
+            handle.move_tool("grasper", above_m, joint_values=wrong)
+        scene.message.tools[-1].joint_values[:] = wrong
+        with pytest.raises(tm.InvalidArgumentError, match=why):
+            load(scene)
+
+
 def test_surface_is_the_meshs_boundary_at_its_nodes(load: Callable[..., tm.SceneHandle]) -> None:
     handle = load(block(), lockstep=True)
     handle.step(5)

@@ -63,7 +63,7 @@ poses:
     with tm.launch(backend="cpu", cpu_threads=1) as server:
         scene = server.load(block(), name="block")
         with command("hand", str(script), "--scene", "block", "--server", server.address) as process:
-            wait_until(lambda: scene.feedback("probe").force_n[2] > 0.05)
+            wait_until(lambda: process.poll() is not None or scene.feedback("probe").force_n[2] > 0.05)
             process.send_signal(signal.SIGTERM)
             _, err = process.communicate(timeout=DEADLINE_S)
         assert process.returncode == 143, err

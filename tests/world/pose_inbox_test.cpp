@@ -18,11 +18,12 @@ v1::ToolPose pose(std::uint64_t client, std::uint64_t sequence, double x = 0) {
   return out;
 }
 
-/// joints: that its poses must have.
+/// joints: that its poses must have, each from 0 to 1.
 model::ToolModel probe(std::size_t joints = 0) {
+  static constexpr std::array<physics::ToolParameter, 2> kJoints{{{"first", 0, 1}, {"second", 0, 1}}};
   model::ToolModel tool;
   tool.name = "probe";
-  tool.joints = joints;
+  tool.joints = std::span(kJoints).first(joints);
   return tool;
 }
 
@@ -64,7 +65,7 @@ TEST(PoseInbox, AlwaysTakesPosesOfScripts) {
   EXPECT_EQ(inbox.take()->pose.position_m[0], 2);
 }
 
-TEST(PoseInbox, TakesOneFiniteValueForEachJoint) {
+TEST(PoseInbox, TakesOneValueForEachJointOrNone) {
   PoseInbox inbox;
   v1::ToolPose message = pose(7, 1);
   message.add_joint_values(0.5);
@@ -73,12 +74,19 @@ TEST(PoseInbox, TakesOneFiniteValueForEachJoint) {
   EXPECT_NE(none.error().message.find("1 values for a tool of 0 joints"), std::string::npos) << none.error().message;
   EXPECT_FALSE(inbox.submit(probe(2), message));
   ASSERT_TRUE(inbox.submit(probe(1), message));
-  EXPECT_EQ(inbox.take()->pose.joint_values[0], 0.5);
+  const ReceivedPose* taken = inbox.take();
+  EXPECT_TRUE(taken->has_joints);
+  EXPECT_EQ(taken->pose.joint_values[0], 0.5);
   message.set_sequence(2);
-  message.set_joint_values(0, std::numeric_limits<double>::quiet_NaN());
-  const auto nan = inbox.submit(probe(1), message);
-  ASSERT_FALSE(nan);
-  EXPECT_NE(nan.error().message.find("joint_values[0]"), std::string::npos) << nan.error().message;
+  for (const double value : {std::numeric_limits<double>::quiet_NaN(), -0.1, 1.1}) {
+    message.set_joint_values(0, value);
+    const auto refused = inbox.submit(probe(1), message);
+    ASSERT_FALSE(refused);
+    EXPECT_NE(refused.error().message.find("joint_values[0] (first)"), std::string::npos) << refused.error().message;
+  }
+  message.clear_joint_values();
+  ASSERT_TRUE(inbox.submit(probe(1), message));
+  EXPECT_FALSE(inbox.take()->has_joints);
 }
 
 TEST(PoseInbox, APoseHoldsForAsLongAsItSays) {

@@ -5,8 +5,9 @@
       - {time_s: 0, position_m: {x: 0.1, z: 0.09}, orientation: {w: 1}}
       - {time_s: 2, position_m: {x: 0.1, z: 0.06}}
 
-Between two poses the tool accelerates and brakes smoothly (minimum jerk). A pose without orientation has the one before
-it. The last pose should be the first one again; the tool goes on from there without a pause.
+Between two poses the tool accelerates and brakes smoothly (minimum jerk). A pose without orientation or joint_values
+has those of the one before it. The last pose should be the first one again; the tool goes on from there without a
+pause.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from google.protobuf import json_format
@@ -37,17 +38,27 @@ VALID_FOR_S = 0.5
 _HANDS = Path(__file__).parents[1] / "tensormass" / "scenes" / "hands"
 
 
+class HandPose(NamedTuple):
+    """A pose, as `PoseSender.send` takes it: position [3] m, orientation w, x, y, z, joints [rad or m]."""
+
+    position_m: FloatArray
+    orientation: FloatArray
+    joint_values: FloatArray
+
+
 @dataclass(frozen=True)
 class HandScript:
     """Poses of a tool over a period.
 
     times_s: ascending from 0, [poses]. positions_m: [poses, 3]. orientations: unit quaternions w, x, y, z, [poses, 4].
+    joint_values: [poses, joints].
     """
 
     tool: str
     times_s: FloatArray
     positions_m: FloatArray
     orientations: FloatArray
+    joint_values: FloatArray
 
     @staticmethod
     def read(path: Path) -> HandScript:
@@ -76,8 +87,12 @@ class HandScript:
             time_s, message = _read_pose(pose, str(path), f"poses[{number}]")
             if not time_s > (times[-1] if times else -1) or (not times and time_s != 0):
                 raise InvalidArgumentError(f"{at}.time_s: {time_s:g}; times start at 0 and ascend")
-            if not message.HasField("orientation") and messages:
+            if messages and messages[-1].HasField("orientation") and not message.HasField("orientation"):
                 message.orientation.CopyFrom(messages[-1].orientation)
+            if messages and not message.joint_values:
+                message.joint_values.extend(messages[-1].joint_values)
+            if messages and len(message.joint_values) != len(messages[0].joint_values):
+                raise InvalidArgumentError(f"{at}.joint_values: expected as many as in the first pose")
             times.append(time_s)
             messages.append(message)
         return HandScript(
@@ -85,16 +100,20 @@ class HandScript:
             np.array(times),
             np.array([(m.position_m.x, m.position_m.y, m.position_m.z) for m in messages]),
             np.array([_unit_quaternion(m, f"{path}: poses[{i}].orientation") for i, m in enumerate(messages)]),
+            np.array([m.joint_values for m in messages], dtype=np.float64),
         )
 
-    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """Returns position [3] m and orientation [4] at a time after the start."""
+    def at(self, time_s: float) -> HandPose:
+        """Returns the pose at a time after the start."""
         time_s %= float(self.times_s[-1])
         i = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
         share = (time_s - self.times_s[i]) / (self.times_s[i + 1] - self.times_s[i])
         smooth = share**3 * (10 - 15 * share + 6 * share**2)
-        way = self.positions_m[i + 1] - self.positions_m[i]
-        return self.positions_m[i] + smooth * way, _between(self.orientations[i], self.orientations[i + 1], smooth)
+        return HandPose(
+            (1 - smooth) * self.positions_m[i] + smooth * self.positions_m[i + 1],
+            _between(self.orientations[i], self.orientations[i + 1], smooth),
+            (1 - smooth) * self.joint_values[i] + smooth * self.joint_values[i + 1],
+        )
 
 
 def script_of(scene: str) -> Path | None:
@@ -129,8 +148,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _read_pose(pose: object, where: str, path: str) -> tuple[float, stream_pb2.ToolPose]:
     names = set(pose) if isinstance(pose, dict) else set()
-    if not isinstance(pose, dict) or not {"time_s", "position_m"} <= names <= {"time_s", "position_m", "orientation"}:
-        raise InvalidArgumentError(f"{where}: {path}: expected time_s, position_m and perhaps orientation")
+    needed = {"time_s", "position_m"}
+    if not isinstance(pose, dict) or not needed <= names <= needed | {"orientation", "joint_values"}:
+        raise InvalidArgumentError(
+            f"{where}: {path}: expected time_s, position_m and perhaps orientation and joint_values"
+        )
     time_s = pose["time_s"]
     if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not 0 <= time_s < math.inf:
         raise InvalidArgumentError(f"{where}: {path}.time_s: expected seconds, got {time_s!r}")

@@ -32,7 +32,8 @@ describe("decodeTopology", () => {
       ["vein", 4, 3],
     ]);
     expect(topology.bodies.map((body) => body.colorSrgb)).toEqual([null, [0.1, 0.2, 0.9]]);
-    expect(topology.tools).toEqual([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1], coreM: [[0, 0, 0]] }]);
+    expect(topology.tools).toMatchObject([{ name: "probe", radiusM: 0.005, tipOffsetM: [0, 0, -0.1], core: { shaftM: [0, 0, 0] } }]);
+    expect(topology.tools[0]?.core.cornersM([])).toEqual([[0, 0, 0]]);
   });
 
   it("uses z as up without gravity", () => {
@@ -89,6 +90,7 @@ describe("decodeFrame", () => {
       positionM: [0.1, 0.2, 0.3],
       orientationWxyz: [1, 0, 0, 0],
       forceN: [0, 1.5, 0],
+      jointValues: [],
       retired: false,
     });
     const unit = (w: number, x: number, y: number, z: number) =>

@@ -23,6 +23,8 @@ function update(forceN: { x: number; y: number; z: number }, orientation = { w: 
 }
 
 const close = (...values: number[]): unknown[] => values.map((value) => expect.closeTo(value, 6) as unknown);
+/** Within 0.05 mm: spheres are drawn as polyhedra. */
+const near = (...values: number[]): unknown[] => values.map((value) => expect.closeTo(value, 4) as unknown);
 
 it("places the sphere with the position and orientation of the tool", () => {
   // A quarter turn about x.
@@ -60,6 +62,19 @@ it("draws a retractor from its toe along the blade, and up its shaft", () => {
   const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
   expect(box.min.toArray()).toEqual(close(-0.005, -0.005, -0.005));
   expect(box.max.toArray()).toEqual(close(0.045, 0.005, 0.205));
+});
+
+it("draws the jaws of a grasper as far open as they are", () => {
+  const value = { radiusM: 0.005, jawLengthM: 0.04 };
+  const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "grasper" as const, value } } };
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  for (const opening of [0, 1, 0.5]) {
+    instruments.update(decodeFrame(frameBytes({ tools: [{ tool: "probe", jointValues: [opening] }] })));
+    const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
+    const aside = 0.005 + 0.04 * Math.sin(opening / 2);
+    expect(box.min.toArray()).toEqual(near(-aside, -0.005, 0.04 * (1 - Math.cos(opening / 2)) - 0.005));
+    expect(box.max.toArray()).toEqual(near(aside, 0.005, 0.045));
+  }
 });
 
 it("draws the arrow from the sphere along the force, and the label at its tip", () => {

@@ -11,7 +11,6 @@ namespace tensormass::physics {
 struct Capsule : BentLine<Capsule> {
   static constexpr std::string_view kName = "capsule";
   static constexpr std::array<ToolParameter, 1> kParameters{{{"length_m", 1e-6, 1e3}}};  // between the ends' centres
-  static constexpr std::size_t kJoints = 0;
   static constexpr std::uint32_t kCorePoints = 2;
 
   template <class Real>

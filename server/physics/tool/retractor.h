@@ -17,7 +17,6 @@ struct Retractor : BentLine<Retractor> {
   static constexpr std::string_view kName = "retractor";
   static constexpr std::array<ToolParameter, 2> kParameters{
       {{"blade_length_m", 1e-6, 1e3}, {"shaft_length_m", 1e-6, 1e3}}};
-  static constexpr std::size_t kJoints = 0;
   static constexpr std::uint32_t kCorePoints = 3;
 
   template <class Real>

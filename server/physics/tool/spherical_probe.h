@@ -11,7 +11,6 @@ namespace tensormass::physics {
 struct SphericalProbe : ThinCore<SphericalProbe> {
   static constexpr std::string_view kName = "spherical_probe";
   static constexpr std::array<ToolParameter, 0> kParameters{};
-  static constexpr std::size_t kJoints = 0;
   static constexpr std::uint32_t kCorePoints = 1;
 
   template <class Real>

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <concepts>
 #include <cstdint>
@@ -29,7 +30,7 @@
 ///
 ///   kName         the protocol's name for it, in Tool.kind
 ///   kParameters   numbers that its message has besides radius_m, tip_offset_m and penalty_stiffness_pa_per_m
-///   kJoints       joints that its pose has
+///   kJoints       joints that its pose has [rad or m], with their ranges
 ///   kCorePoints   number of its core points. Contact finds out for each whether it is inside the tissue
 ///
 /// Functions of a kind; `tool` is placed in the scene, `x` is a point of the scene:
@@ -42,11 +43,14 @@
 ///                                 visits pairs of a point of the triangle abc and a point of the core. The contact is
 ///                                 one of them
 ///                                 visit(weights, core): called at least once; barycentric coordinates, CorePoint
+///   joint_motion(tool, j, core, x)
+///                                 returns the derivative by joint j of the point of the tool that is at x. `core` is
+///                                 the point of the core that x belongs to. Only for a kind with joints
 namespace tensormass::physics {
 
-/// A number in the message of a tool's kind.
+/// A number in the message of a tool's kind, or a joint in its poses.
 struct ToolParameter {
-  std::string_view name;  ///< the field's
+  std::string_view name;  ///< that of the field
   double least, most;
 };
 
@@ -66,15 +70,16 @@ struct PlacedTool {
   Real radius_m;
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;
-  Real friction;       // Coulomb's coefficient μ; 0: none
-  Real moved_m[3];     // motion of position_m in this step
-  Real turned[9];      // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
-  std::uint32_t kind;  // place in Tools
-  std::uint32_t first_core_point;  // its core points among those of all tools
+  Real friction;    // Coulomb's coefficient μ; 0: none
+  Real moved_m[3];  // motion of position_m in this step
+  Real turned[9];   // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
+  Real joints_moved[limits::kMaxToolJoints];  // change of joint_values in this step
+  std::uint32_t kind;                         // place in Tools
+  std::uint32_t first_core_point;             // its core points among those of all tools
 
   TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
-  /// Returns how far the point of the tool that is now at `x` has moved in this step [m].
+  /// Returns how far the point of the tool that is now at `x` has moved in this step [m], without its joints.
   TM_HOST_DEVICE Vec3<Real> motion_at(const Vec3<Real>& x) const {
     const Vec3<Real> arm = x - position();
     Vec3<Real> motion;
@@ -102,18 +107,39 @@ template <class T>
 concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
   { T::kName } -> std::convertible_to<std::string_view>;
   { T::kParameters.size() } -> std::convertible_to<std::size_t>;
-  { T::kJoints } -> std::convertible_to<std::size_t>;
+  { T::kJoints.size() } -> std::convertible_to<std::size_t>;
   { T::kCorePoints } -> std::convertible_to<std::uint32_t>;
   { T::core_point(tool, 0) } -> std::same_as<Vec3<double>>;
   { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
   { T::distance(tool, x) } -> std::same_as<double>;
   { T::gradient(tool, x) } -> std::same_as<Vec3<double>>;
   T::for_each_candidate(tool, x, x, x, IgnoreCandidate{});
+  { T::joint_motion(tool, 0, x, x) } -> std::same_as<Vec3<double>>;
 };
 
-/// Signed distance and gradient of a kind whose core has no volume, from its closest_core_point.
+/// Returns how far the point of a tool that is now at `x` has moved in this step [m].
+/// core: point of the core that x belongs to.
+template <class Kind, class Real>
+TM_HOST_DEVICE Vec3<Real> motion_with_joints(const PlacedTool<Real>& tool, const Vec3<Real>& core,
+                                             const Vec3<Real>& x) {
+  Vec3<Real> motion = tool.motion_at(x);
+  for (std::size_t j = 0; j < Kind::kJoints.size(); ++j) {
+    motion += Kind::joint_motion(tool, j, core, x) * tool.joints_moved[j];
+  }
+  return motion;
+}
+
+/// Signed distance and gradient of a kind whose core has no volume, from its closest_core_point. It has no joints
+/// unless the kind states them.
 template <class Kind>
 struct ThinCore {
+  static constexpr std::array<ToolParameter, 0> kJoints{};
+
+  template <class Real>
+  TM_HOST_DEVICE static Vec3<Real> joint_motion(const PlacedTool<Real>&, std::size_t, const Vec3<Real>&,
+                                                const Vec3<Real>&) {
+    return Vec3<Real>::Zero();
+  }
   template <class Real>
   TM_HOST_DEVICE static Real distance(const PlacedTool<Real>& tool, const Vec3<Real>& x) {
     using std::sqrt;

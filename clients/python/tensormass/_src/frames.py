@@ -43,6 +43,9 @@ class Feedback:
     #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
     valid_for_s: float
+    #: Joints of the tool [rad or m], and the load of tissue on each [N m or N]; positive pushes to larger values.
+    joint_values: npt.NDArray[np.float64]
+    joint_loads: npt.NDArray[np.float64]
     #: The tool touches nothing, because its newest pose was valid for a time that has passed.
     retired: bool
 
@@ -64,6 +67,8 @@ class Feedback:
             friction_n=_array(message.friction_n),
             stiffness_n_per_m=stiffness.reshape(3, 3) if stiffness.size == 9 else np.zeros((3, 3)),
             valid_for_s=message.local_model.valid_for_s,
+            joint_values=np.array(message.joint_values, dtype=np.float64),
+            joint_loads=np.array(message.joint_loads, dtype=np.float64),
             retired=message.retired,
         )
 

@@ -121,18 +121,16 @@ def kidney_held(points: FloatArray) -> FloatArray:
     return np.maximum(0.022 - np.linalg.norm(points - [-0.03, 0.0, 0.0], axis=1), -0.043 - points[:, 2])
 
 
-# The liver has about 15,000 tetrahedra, 21,000 of one size, the kidney 5,600. The demo's probe waits above the focus.
-_LIVER_FOCUS = Focus(np.array([-0.035, 0.015, 0.048]), scale=0.35, radius_m=0.078, far=1.42)
+# The demo's probe waits above the focus of the liver. A grasper takes the tip of its left lobe.
+_ABOVE = Focus(np.array([-0.035, 0.015, 0.048]), scale=0.35, radius_m=0.078, far=1.42)
+_LEFT_TIP = Focus(np.array([0.105, -0.006, -0.004]), scale=0.25, radius_m=0.078, far=1.42)
+_LIVER = Organ(
+    liver, liver_held, np.array([-0.12, -0.085, -0.065]), np.array([0.125, 0.085, 0.065]), 0.0093, 0.0042, _ABOVE
+)
+# The liver has about 15,000 tetrahedra, 21,000 of one size, the kidney 5,600.
 ORGANS = {
-    "liver": Organ(
-        liver,
-        liver_held,
-        np.array([-0.12, -0.085, -0.065]),
-        np.array([0.125, 0.085, 0.065]),
-        0.0093,
-        0.0042,
-        _LIVER_FOCUS,
-    ),
+    "liver": _LIVER,
+    "liver_tip": replace(_LIVER, focus=_LEFT_TIP),
     "kidney": Organ(
         kidney, kidney_held, np.array([-0.035, -0.03, -0.06]), np.array([0.035, 0.03, 0.06]), 0.0074, 0.0034
     ),

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import zmq
 
 from tensormass._src.streams import Stream
-from tensormass._src.vectors import Vector, quaternion, vector3
+from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import stream_pb2
 
 
@@ -27,9 +27,10 @@ class PoseSequence:
         self.client_id = secrets.randbits(63) | 1
         self.last = 0
 
-    def next(self, position_m: Vector, orientation: Vector | None) -> stream_pb2.ToolPose:
+    def next(self, position_m: Vector, orientation: Vector | None, joint_values: Vector = ()) -> stream_pb2.ToolPose:
         """Makes the message of the next pose, stamped with the monotonic clock."""
         position, rotation = vector3(position_m, "position"), quaternion(orientation, "orientation")
+        joints = finite_numbers(joint_values, "joint_values")
         self.last += 1
         return stream_pb2.ToolPose(
             sequence=self.last,
@@ -37,6 +38,7 @@ class PoseSequence:
             client_id=self.client_id,
             position_m=position,
             orientation=rotation,
+            joint_values=joints,
             valid_for_s=self._valid_for_s,
         )
 
@@ -126,13 +128,13 @@ class PoseSender(Stream):
         """Returns the sequence of the last pose sent. `Feedback.pose_sequence` repeats it."""
         return self._sequence.last
 
-    def send(self, position_m: Vector, orientation: Vector | None = None) -> int:
-        """Sends a pose ([3] m; w, x, y, z or None for the identity) and returns its sequence.
+    def send(self, position_m: Vector, orientation: Vector | None = None, joint_values: Vector = ()) -> int:
+        """Sends a pose and returns its sequence. The arguments are those of `SceneHandle.move_tool`.
 
         Raises:
             InvalidArgumentError: a value that is not a finite number.
             UnavailableError: the sender or its connection was closed.
         """
         self._check_open()
-        self._put(self._sequence.next(position_m, orientation).SerializeToString())
+        self._put(self._sequence.next(position_m, orientation, joint_values).SerializeToString())
         return self._sequence.last

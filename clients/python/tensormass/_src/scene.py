@@ -334,14 +334,16 @@ class Scene:
         orientation: Vector | None = None,
         max_speed_m_per_s: float | None = None,
         friction_coefficient: float = 0.0,
+        joint_values: Vector = (),
         **shape: float | Vector,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
 
         Args:
-            kind: a kind of the protocol's `Tool`, such as "spherical_probe", "capsule" or "retractor".
+            kind: a kind of the protocol's `Tool`, such as "spherical_probe", "capsule" or "grasper".
             orientation: quaternion w, x, y, z; None is the identity.
             friction_coefficient: Coulomb's coefficient between the tool and tissue; 0 for a smooth tool.
+            joint_values: one for each joint [rad or m]; empty: the least of each.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.
 
         Raises:
@@ -355,6 +357,7 @@ class Scene:
                 orientation=orientation,
                 max_speed_m_per_s=max_speed_m_per_s,
                 friction_coefficient=friction_coefficient,
+                joint_values=joint_values,
                 shape=shape,
             )
         )

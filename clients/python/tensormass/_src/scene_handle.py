@@ -181,18 +181,21 @@ class SceneHandle:
 
     # --- tools --------------------------------------------------------------------------------------------------------
 
-    def move_tool(self, name: str, position_m: Vector, orientation: Vector | None = None) -> None:
+    def move_tool(
+        self, name: str, position_m: Vector, orientation: Vector | None = None, joint_values: Vector = ()
+    ) -> None:
         """Moves a tool from the next step on, no faster than its maximum speed.
 
         Args:
             position_m: [3] m.
             orientation: quaternion w, x, y, z; None is the identity.
+            joint_values: one for each joint of the tool [rad or m]; empty: the joints stay as they are.
 
         Raises:
             NotFoundError: no such tool.
-            InvalidArgumentError: a value that is not a finite number.
+            InvalidArgumentError: a value that is not a finite number, or a joint beyond its range.
         """
-        pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation)
+        pose = self._poses.setdefault(name, PoseSequence()).next(position_m, orientation, joint_values)
         self._connection.call("MoveTool", control_pb2.MoveToolRequest(scene=self.name, tool=name, pose=pose))
 
     def feedback(self, name: str) -> Feedback:

@@ -8,7 +8,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.names import suggestion
-from tensormass._src.vectors import Vector, quaternion, vector3
+from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import scene_pb2
 
 
@@ -39,6 +39,7 @@ def make_tool(
     orientation: Vector | None,
     max_speed_m_per_s: float | None,
     friction_coefficient: float,
+    joint_values: Vector,
     shape: dict[str, float | Vector],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -50,6 +51,7 @@ def make_tool(
         orientation=quaternion(orientation, f"{name}.orientation"),
         max_speed_m_per_s=max_speed_m_per_s,
         friction_coefficient=friction_coefficient,
+        joint_values=finite_numbers(joint_values, f"{name}.joint_values"),
     )
     message = getattr(tool, kind)
     message.SetInParent()

@@ -32,6 +32,14 @@ def quaternion(values: Vector | None, where: str) -> scene_pb2.Quaternion | None
     return scene_pb2.Quaternion(w=w, x=x, y=y, z=z)
 
 
+def finite_numbers(values: Vector, where: str) -> list[float]:
+    """Returns any number of finite numbers."""
+    array = _numbers(values)
+    if array.ndim != 1 or array.size != len(values) or not np.isfinite(array).all():
+        raise InvalidArgumentError(f"{where}: expected finite numbers, got {values!r}")
+    return [float(value) for value in array]
+
+
 def _numbers(values: Vector) -> npt.NDArray[np.float64]:
     """Converts a sequence of numbers; returns an empty array if it is not one."""
     try:

@@ -39,8 +39,15 @@ export interface ToolShape {
   readonly radiusM: number;
   /** Centre of the sphere at the tip, in the tool's frame [m]. */
   readonly tipOffsetM: Vector;
-  /** Corners of the line through the tool's core, from that centre on [m]: one for a sphere and for kinds unknown here. */
-  readonly coreM: readonly Vector[];
+  readonly core: ToolCore;
+}
+
+/** The core of a tool, in the tool's frame from the centre of the sphere at the tip on. */
+export interface ToolCore {
+  /** Corners of the line through the core [m]: one for a sphere and for kinds unknown here. */
+  readonly cornersM: (jointValues: readonly number[]) => readonly Vector[];
+  /** Start of a shaft along the z axis that is only drawn [m]; null: the core has its own. */
+  readonly shaftM: Vector | null;
 }
 
 export interface Topology {
@@ -59,6 +66,8 @@ export interface ToolState {
   readonly orientationWxyz: readonly [number, number, number, number];
   /** Force on the tool. */
   readonly forceN: Vector;
+  /** Joints of the tool [rad or m]. */
+  readonly jointValues: readonly number[];
   /** Whether the tool touches nothing, because its client has fallen silent. */
   readonly retired: boolean;
 }
@@ -136,31 +145,41 @@ export function decodeTopology(payload: Uint8Array): Topology {
       name: tool.name,
       radiusM: tool.radiusM,
       tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM),
-      coreM: coreOf(where, tool.tool),
+      core: coreOf(where, tool.tool),
     };
   });
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
 }
 
 /** The core of a tool. Each kind states its own in server/physics/tool. */
-function coreOf(where: string, tool: Tool | undefined): Vector[] {
+function coreOf(where: string, tool: Tool | undefined): ToolCore {
   const length = (name: string, value: number): number => {
     if (!(value >= 0 && value < MAX_LENGTH_M)) {
       throw new DecodeError(`${where}: ${name} is ${value}`);
     }
     return value;
   };
+  const rigid = (...corners: Vector[]): ToolCore => ({ cornersM: () => corners, shaftM: null });
   const tip: Vector = [0, 0, 0];
   const kind = tool?.kind;
   switch (kind?.case) {
     case "capsule":
-      return [tip, [0, 0, length("length_m", kind.value.lengthM)]];
+      return rigid(tip, [0, 0, length("length_m", kind.value.lengthM)]);
     case "retractor": {
       const blade = length("blade_length_m", kind.value.bladeLengthM);
-      return [tip, [blade, 0, 0], [blade, 0, length("shaft_length_m", kind.value.shaftLengthM)]];
+      return rigid(tip, [blade, 0, 0], [blade, 0, length("shaft_length_m", kind.value.shaftLengthM)]);
+    }
+    case "grasper": {
+      const jaw = length("jaw_length_m", kind.value.jawLengthM);
+      const hinge: Vector = [0, 0, jaw];
+      const tipOf = (angle: number): Vector => [jaw * Math.sin(angle), 0, jaw * (1 - Math.cos(angle))];
+      return {
+        cornersM: ([opening = 0]) => [tipOf(-opening / 2), hinge, tipOf(opening / 2)],
+        shaftM: hinge,
+      };
     }
     default:
-      return [tip];
+      return { cornersM: () => [tip], shaftM: tip };
   }
 }
 
@@ -210,6 +229,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     orientationWxyz,
     // No limit: a stiff body can push with meganewtons.
     forceN: vector(`${here}, force_n`, tool.forceN, Infinity),
+    jointValues: tool.jointValues.map((value, i) => finite(`${here}, joint_values[${i}]`, value)),
     retired: tool.retired,
   };
 }
@@ -219,6 +239,13 @@ function up(gravity: ProtoVector3 | undefined): Vector {
   return gravity && length > 0 && Number.isFinite(length)
     ? [-gravity.x / length, -gravity.y / length, -gravity.z / length]
     : [0, 0, 1];
+}
+
+function finite(where: string, value: number): number {
+  if (!Number.isFinite(value)) {
+    throw new DecodeError(`${where}: ${value} is not finite`);
+  }
+  return value;
 }
 
 /** @param limit Largest coordinate. Infinity: refuses only values that are not finite. */

@@ -61,6 +61,7 @@ class Instrument {
   readonly #tool = new THREE.Group();
   readonly #steel: THREE.MeshStandardMaterial[];
   readonly #sceneRadiusM: number;
+  #jointValues: readonly number[] = [];
   readonly #arrow = new THREE.Group();
   readonly #arrowShaft: THREE.Mesh;
   readonly #arrowHead: THREE.Mesh;
@@ -75,21 +76,21 @@ class Instrument {
       metalness: quality.level === "high" ? 1 : 0.2,
       roughness: 0.24,
     });
-    this.mesh = new THREE.Mesh(shapeOf(shape), steel);
+    this.mesh = new THREE.Mesh(shapeOf(shape, this.#jointValues), steel);
     this.mesh.name = shape.name;
     this.mesh.position.set(...shape.tipOffsetM);
     this.#steel = [steel];
     this.#tool.add(this.mesh);
-    if (shape.coreM.length === 1) {
-      // A sphere has a handle that is not simulated. It lies along the tool's z axis and shows the tool's orientation.
+    if (shape.core.shaftM !== null) {
+      // A shaft that is not simulated. It lies along the tool's z axis and shows the tool's orientation.
       const length = HANDLE_LENGTH * sceneRadiusM;
-      const thickness = 0.26 * shape.radiusM;
+      const thickness = (shape.core.cornersM([]).length === 1 ? 0.26 : 1) * shape.radiusM;
       const handle = new THREE.Mesh(
         new THREE.CylinderGeometry(thickness, thickness, length, 24, 1, true).rotateX(Math.PI / 2).translate(0, 0, length / 2),
         steel.clone(),
       );
       this.#steel.push(handle.material);
-      handle.position.copy(this.mesh.position);
+      handle.position.set(...shape.core.shaftM).add(this.mesh.position);
       this.#tool.add(handle);
     }
     for (const mesh of this.#tool.children) {
@@ -114,6 +115,11 @@ class Instrument {
     const [w, x, y, z] = state.orientationWxyz;
     this.#tool.position.set(...state.positionM);
     this.#tool.quaternion.set(x, y, z, w);
+    if (state.jointValues.some((value, i) => value !== this.#jointValues[i])) {
+      this.#jointValues = state.jointValues;
+      this.mesh.geometry.dispose();
+      this.mesh.geometry = shapeOf(this.#shape, state.jointValues);
+    }
     for (const steel of this.#steel) {
       steel.transparent = state.retired;
       steel.opacity = state.retired ? RETIRED_OPACITY : 1;
@@ -138,8 +144,8 @@ class Instrument {
 }
 
 /** The shape that touches tissue, in the tool's frame moved by tipOffsetM. */
-function shapeOf({ radiusM, coreM }: ToolShape): THREE.BufferGeometry {
-  const points = coreM.map((point) => new THREE.Vector3(...point));
+function shapeOf({ radiusM, core }: ToolShape, jointValues: readonly number[]): THREE.BufferGeometry {
+  const points = core.cornersM(jointValues).map((point) => new THREE.Vector3(...point));
   const bars = points.slice(1).map((to, i) => bar(points[i]!, to, radiusM));
   return bars.length === 0 ? new THREE.SphereGeometry(radiusM, 48, 32) : mergeGeometries(bars);
 }
