@@ -20,7 +20,7 @@ from tensormass._src.demo import builtin_scenes
 from tensormass_tools.hand import HandScript, script_of
 from tensormass_tools.presets import read_for_backend
 
-#: Steps of which the daemon keeps the times (SceneStatus.step_time_p50_s).
+#: The daemon keeps the times of so many steps (SceneStatus.step_time_p50_s).
 _TURN = 1024
 
 

@@ -82,7 +82,7 @@ TEST_P(Grasp, TissueIsHeldWithoutSlipAndLetGo) {
   for (const double time_s : {1.0, 1.5}) weight.add_time_s(time_s);
   for (const double factor : {0.0, 1.0}) weight.add_factor(factor);
   const auto world = start(sheet);
-  const auto height_m = [&] {  // of the tissue's middle, seen from the grasper
+  const auto height_m = [&] {  // the middle of the tissue, seen from the grasper
     const std::vector<double> x = world->positions(world->model().bodies[0]);
     double mean = 0;
     for (std::size_t i = 2; i < x.size(); i += 3) mean += x[i];

@@ -44,4 +44,4 @@ def test_documents_are_pages_decisions_and_pictures() -> None:
     """Logs and histories are data beside the tests that made them."""
     folder = ROOT / "docs"
     assert {path.name for path in folder.iterdir() if path.is_dir()} == {"decisions", "images"}
-    assert {path.suffix for path in folder.rglob("*") if path.is_file()} == {".md", ".svg", ".png"}
+    assert {path.suffix for path in folder.rglob("*") if path.is_file()} == {".jpg", ".md", ".png", ".svg"}
