@@ -123,6 +123,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
         shape.tip_offset_m.z = 0.001
         tool.position_m.z = 1
         tool.orientation.w = 1
+    scene.tools[-1].joint_values.append(0.5)  # the grasper's
     return scene
 
 
