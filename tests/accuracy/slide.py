@@ -2,8 +2,8 @@
 
 python -m accuracy.slide [--backend cpu|cuda] >> accuracy/results/slide.jsonl
 
-The probe follows the organ's surface at rest, at a depth, with 50 mm/s and 960 steps a second. A line has the largest
-change of the force from one step to the next as a share of its mean.
+The probe follows the organ's surface at rest, at a depth, with 960 steps a second. Its speed rises to 50 mm/s within
+0.1 s. A line has the largest change of the force from one step to the next as a share of its mean.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from . import record
 DT_S, SPEED_M_PER_S, WAY_M = 1 / 960, 0.05, 0.05
 START_X_M, Y_M = -0.06, 0.015
 DEPTHS_M, FRICTIONS = (0.004, 0.006), (0.0, 0.2)
-_SINKS_S, _LOWERS_S, _WAITS_S = 0.1, 0.2, 0.2
+_SINKS_S, _LOWERS_S, _WAITS_S, _STARTS_S = 0.1, 0.2, 0.2, 0.1
 
 
 def _top_m(x_m: float) -> float:
@@ -36,6 +36,13 @@ def _top_m(x_m: float) -> float:
         is_inside = liver(np.array([[x_m, Y_M, middle]]))[0] > 0
         low, high = (middle, high) if is_inside else (low, middle)
     return low
+
+
+def _way_m(time_s: float) -> float:
+    """Returns the way after a time: uniformly accelerated for _STARTS_S, then at constant speed."""
+    if time_s < _STARTS_S:
+        return SPEED_M_PER_S * time_s**2 / (2 * _STARTS_S)
+    return SPEED_M_PER_S * (time_s - _STARTS_S / 2)
 
 
 def slide(server: Server, depth_m: float, friction: float) -> FloatArray:
@@ -58,8 +65,8 @@ def slide(server: Server, depth_m: float, friction: float) -> FloatArray:
             handle.move_tool(tool.name, at(0, above_m))
             handle.step()
         handle.step(round(_WAITS_S / DT_S))
-        for i in range(1, round(WAY_M / SPEED_M_PER_S / DT_S) + 1):
-            handle.move_tool(tool.name, at(i * SPEED_M_PER_S * DT_S))
+        for i in range(1, round((WAY_M / SPEED_M_PER_S + _STARTS_S / 2) / DT_S) + 1):
+            handle.move_tool(tool.name, at(_way_m(i * DT_S)))
             force = handle.step().tools[0].force_n
             forces.append((force.x, force.y, force.z))
     return np.array(forces)
