@@ -205,14 +205,14 @@ def processors() -> Iterator[str]:
 
 def instruments() -> Iterator[str]:
     """Scenes with a scripted hand, with their tools and without."""
-    yield "| scene, device | tetrahedra | period | step: median (p99) | without the tool | largest force |"
-    yield "|---|---|---|---|---|---|"
+    yield "| scene, device | tetrahedra | period | step: median (p99) | without |"
+    yield "|---|---|---|---|---|"
     found = {(row["case"], row["device"]): row for row in rows("instruments.jsonl")}
     for (case, device), row in sorted(found.items()):
         times = (f"{row[f'{of}_ms_median']:.3g} ({row[f'{of}_ms_p99']:.3g}) ms" for of in ("step", "alone"))
         yield (
             f"| {case.removeprefix('instrument: ')}, {device} | {row['elements']:,} | {row['dt_ms']:.3g} ms "
-            f"| {' | '.join(times)} | {row['largest_force_n']:.2f} N |"
+            f"| {' | '.join(times)} |"
         )
 
 
@@ -229,7 +229,6 @@ def sources() -> Iterator[str]:
         "two-cores-load.jsonl",
         "two-cores-beams.jsonl",
         "xeon-16-threads-sizes.jsonl",
-        "instruments.jsonl",
     ):
         row = rows(name)[-1]
         command = re.sub(r" --commit \w+", "", row["command"])
