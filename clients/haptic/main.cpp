@@ -21,6 +21,7 @@
 #include "core/limits.h"
 #include "haptic/checks.h"
 #include "haptic/discovery.h"
+#include "haptic/haply_device.h"
 #include "haptic/realtime.h"
 #include "haptic/report.h"
 #include "haptic/report_file.h"
@@ -47,15 +48,19 @@ struct Options {
   std::string scene = "demo";
   std::string tool = "probe";
   std::string transport = "zeromq";
+  std::string device = "simulated";
   double connect_timeout_s = 10.0;
   std::string json_path;
   double watchdog_s = 0.05;
+  HaplyOptions haply;
   // Empty or negative: taken from the scene.
+  std::vector<double> workspace_center_m;
+  std::vector<double> workspace_rotation_deg = {0.0, 0.0, 0.0};
   std::vector<double> press_at_m;
   std::vector<double> direction;
   double depth_m = -1.0;
   HandScriptOptions hand;
-  SimulatedDeviceOptions device;
+  SimulatedDeviceOptions simulated;
   LoopOptions loop;
 };
 
@@ -96,6 +101,44 @@ struct Within : CLI::Validator {
   }
 };
 
+constexpr const char* kHandGroup = "Scripted hand (--device simulated)";
+constexpr const char* kHaplyGroup = "Haply Inverse (--device haply)";
+
+void add_haply_options(CLI::App& app, Options& o) {
+  const auto url_problem = [](const std::string& url) {
+    const Result<HaplyAddress> address = parse_haply_url(url);
+    return address ? std::string() : address.error().message;
+  };
+  app.add_option("--device-url", o.haply.url, "Where Haply's Inverse service listens")
+      ->check(url_problem, "ws://HOST:PORT")
+      ->capture_default_str()
+      ->group(kHaplyGroup);
+  app.add_option("--device-id", o.haply.choice.device_id, "Id of the Inverse3; default: the only one")
+      ->group(kHaplyGroup);
+  app.add_option("--grip-id", o.haply.choice.grip_id,
+                 "Id of the VerseGrip that gives the orientation; default: the only one, or none")
+      ->group(kHaplyGroup);
+  app.add_option("--workspace-center", o.workspace_center_m,
+                 "Where in the scene the grip is at the start, x,y,z [m]; default: where the tool is")
+      ->delimiter(',')
+      ->expected(3)
+      ->check(Within(-limits::kMaxLength, limits::kMaxLength))
+      ->group(kHaplyGroup);
+  app.add_option("--workspace-scale", o.haply.scale,
+                 "Metres in the scene for a metre of the hand. Forces are not scaled, so the hand feels the scene's "
+                 "stiffness times this")
+      ->check(Within(0.01, 100.0))
+      ->capture_default_str()
+      ->group(kHaplyGroup);
+  app.add_option("--workspace-rotation", o.workspace_rotation_deg,
+                 "Rotation from the device (x to the right, y forward, z up) to the scene about the scene's axes x, "
+                 "then y, then z [degrees]; -90,0,0 for a scene with y up; default: none")
+      ->delimiter(',')
+      ->expected(3)
+      ->check(Within(-360.0, 360.0))
+      ->group(kHaplyGroup);
+}
+
 void add_options(CLI::App& app, Options& o) {
   const Within anywhere(-limits::kMaxLength, limits::kMaxLength), positive(1e-6, 1e6);
   app.add_option("--server", o.server, "The server's control endpoint, host:port")->capture_default_str();
@@ -103,6 +146,9 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--tool", o.tool, "Name of the tool in it")->capture_default_str();
   app.add_option("--transport", o.transport, "Transport of poses and feedback")
       ->check(CLI::IsMember({"zeromq", "zenoh"}))
+      ->capture_default_str();
+  app.add_option("--device", o.device, "The device: a simulated one, or a Haply Inverse through its Inverse service")
+      ->check(CLI::IsMember({"simulated", "haply"}))
       ->capture_default_str();
   app.add_option("--connect-timeout", o.connect_timeout_s, "How long to wait for the server [s]")
       ->check(Within(0.1, 600.0))
@@ -114,7 +160,8 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str();
   app.add_option("--json", o.json_path, "Write the report to this file as JSON; - for standard output");
 
-  const std::string hand = "Scripted hand";
+  add_haply_options(app, o);
+  const std::string hand = kHandGroup;
   app.add_option("--press-at", o.press_at_m,
                  "Where the tool's origin first touches, x,y,z [m]; default: at the surface nearest to the tool")
       ->delimiter(',')
@@ -141,15 +188,15 @@ void add_options(CLI::App& app, Options& o) {
       ->check(Within(0.1, 3600.0))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--hand-stiffness", o.device.hand_stiffness_n_per_m, "Stiffness of the hand's grip [N/m]")
+  app.add_option("--hand-stiffness", o.simulated.hand_stiffness_n_per_m, "Stiffness of the hand's grip [N/m]")
       ->check(positive)
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--hand-damping", o.device.hand_damping_n_s_per_m, "Damping of the hand's grip [N s/m]")
+  app.add_option("--hand-damping", o.simulated.hand_damping_n_s_per_m, "Damping of the hand's grip [N s/m]")
       ->check(Within(0.0, 1e6))
       ->capture_default_str()
       ->group(hand);
-  app.add_option("--mass", o.device.mass_kg, "Mass of device and hand together [kg]")
+  app.add_option("--mass", o.simulated.mass_kg, "Mass of device and hand together [kg]")
       ->check(positive)
       ->capture_default_str()
       ->group(hand);
@@ -171,6 +218,15 @@ void add_options(CLI::App& app, Options& o) {
       ->check(Within(0.002, 1.0))
       ->capture_default_str()
       ->group(force);
+}
+
+/// Returns the name of an option that was given and belongs to the other device, or nothing.
+std::string option_of_another_device(const CLI::App& app, const Options& options) {
+  const char* other = options.device == "haply" ? kHandGroup : kHaplyGroup;
+  for (const CLI::Option* option : app.get_options()) {
+    if (option->get_group() == other && option->count() > 0) return option->get_name();
+  }
+  return {};
 }
 
 Eigen::Vector3d to_eigen(const std::vector<double>& v) { return {v[0], v[1], v[2]}; }
@@ -196,6 +252,19 @@ Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool,
   return HandScript::create(hand);
 }
 
+Result<std::unique_ptr<Device>> make_device(const Options& options, const DiscoveredTool& tool, Patience patience,
+                                            Clock& clock) {
+  if (options.device == "haply") {
+    HaplyOptions haply = options.haply;
+    haply.scene_center_m =
+        options.workspace_center_m.empty() ? tool.tool_position_m : to_eigen(options.workspace_center_m);
+    haply.rotation = rotation_about_axes(to_eigen(options.workspace_rotation_deg));
+    return std::make_unique<HaplyDevice>(haply);
+  }
+  TM_ASSIGN_OR_RETURN(script, plan_hand(options, tool, patience));
+  return std::make_unique<SimulatedDevice>(options.simulated, script, clock);
+}
+
 std::string ask_why_unanswered(const Options& options, const DiscoveredTool& tool) {
   // Not the run's own flag: the question must be asked after a signal too.
   const std::atomic<bool> never = false;
@@ -211,8 +280,9 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   const Patience patience{options.connect_timeout_s, stop};
   const Result<DiscoveredTool> tool = discover_tool(options.server, options.scene, options.tool, patience);
   if (!tool) return tl::make_unexpected(tool.error());
-  const Result<HandScript> script = plan_hand(options, *tool, patience);
-  if (!script) return tl::make_unexpected(script.error());
+  MonotonicClock clock;
+  const Result<std::unique_ptr<Device>> device = make_device(options, *tool, patience, clock);
+  if (!device) return tl::make_unexpected(device.error());
   // Before the link starts its threads, which inherit the priority. Feedback that waits for a core is as good as lost.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
     std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';
@@ -222,12 +292,10 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   if (!link) return tl::make_unexpected(link.error());
   if (stop) return fail(ErrorCode::kCancelled, "ended before the loop ran");
 
-  MonotonicClock clock;
-  SimulatedDevice device(options.device, *script, clock);
-  const Result<LoopReport> report = run_device(device, **link, options.loop, stop, options.watchdog_s);
+  const Result<LoopReport> report = run_device(**device, **link, options.loop, stop, options.watchdog_s);
   if (!report) return tl::make_unexpected(report.error());
 
-  const RunLabel label{options.server, options.scene, options.tool, options.transport, device.info().name};
+  const RunLabel label{options.server, options.scene, options.tool, options.transport, (*device)->info().name};
   std::cerr << to_text(*report, label);
   if (const auto written = report_file.write(to_json(*report, label)); !written) {
     return tl::make_unexpected(written.error());
@@ -254,6 +322,11 @@ int main(int argc, char** argv) {
   if (options.watchdog_s * options.loop.rate_hz < 2) {
     std::cerr << fmt::format("tensormass-haptic: --watchdog: {:g} s are less than two periods of --rate {:g}\n",
                              options.watchdog_s, options.loop.rate_hz);
+    return kExitOptions;
+  }
+  if (const std::string wrong = option_of_another_device(app, options); !wrong.empty()) {
+    std::cerr << fmt::format("tensormass-haptic: {} has no effect with --device {}; leave it out\n", wrong,
+                             options.device);
     return kExitOptions;
   }
   const SignalFlag signals;
