@@ -12,33 +12,12 @@ from dataclasses import dataclass
 
 import pytest
 from inverse_service import HANG_UP, SILENT, Dialect, InverseService, Message, Vector
+from test_haptic_program import BLOCK, PROGRAM
 
 import tensormass as tm
-from tensormass._src import processes
 from tensormass.v1 import stream_pb2
 
-try:
-    PROGRAM = processes.find_program("tensormass-haptic", "TENSORMASS_HAPTIC")
-except tm.NotFoundError as not_built:
-    pytest.skip(str(not_built), allow_module_level=True)
-
 # The top is at 0.05 m: the probe touches it when its centre is at 0.06 m.
-BLOCK = """
-name: block
-stepping: {dt_s: 0.005}
-bodies:
-  - name: tissue
-    mesh: {grid: {size_m: {x: 0.1, y: 0.1, z: 0.05}, cells_x: 3, cells_y: 3, cells_z: 2}}
-    law: {st_venant_kirchhoff: {young_modulus_pa: 8000, poisson_ratio: 0.4}}
-    density_kg_per_m3: 1000
-    rayleigh_mass_per_s: 2.0
-    fixed:
-      - box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}
-tools:
-  - name: probe
-    spherical_probe: {radius_m: 0.01}
-    position_m: {x: 0.05, y: 0.05, z: 0.08}
-"""
 TOOL_START_M = 0.08
 PRESS_M = 0.03
 # 20 s of the simulation: more than a loaded machine needs for the press.
