@@ -32,7 +32,7 @@ const json* member(const json& object, const char* name) {
   return found == object.end() ? nullptr : &*found;
 }
 
-/// `who` sent the message, for the error.
+/// Parses a message as a JSON object. The error says that `who` sent it.
 Result<json> parse(std::string_view message, const std::string& who) {
   // Without exceptions: a text that is not JSON, also one with NaN or a number beyond double, is then "discarded".
   json parsed = json::parse(message, nullptr, false);
@@ -43,12 +43,13 @@ Result<json> parse(std::string_view message, const std::string& who) {
                           who, message.size(), kRestart));
 }
 
-/// The devices of one list, by id. A missing list is an empty one.
+/// A device of the service's lists.
 struct Listed {
   std::string id;
   const json* device;
 };
 
+/// Returns the devices of one list. A missing list is an empty one.
 Result<std::vector<Listed>> devices_in(const json& message, const char* list) {
   const json* devices = member(message, list);
   if (devices == nullptr) return std::vector<Listed>{};
@@ -100,7 +101,8 @@ const Listed* find(const std::vector<Listed>& listed, const std::string& id) {
   return found == listed.end() ? nullptr : &*found;
 }
 
-/// Returns the chosen one, the only one, or nullptr if there is none. `kind` is for the message, `option` chooses.
+/// Returns the device with this id. If `id` is empty, returns the only device of the list, or nullptr if the list is
+/// empty; several devices are then an error. The errors name the kind of device and the option that gives the id.
 Result<const Listed*> choose(const std::vector<Listed>& listed, const std::string& id, const char* kind,
                              const char* option) {
   if (!id.empty()) {

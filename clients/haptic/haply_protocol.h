@@ -12,8 +12,7 @@
 //
 // Reasons:
 // 1. The service is another program, so nothing it sends is trusted. A message that is not JSON, lacks a field, or has
-// a
-//    value of the wrong type is an error that names the device, the field and the remedy. It is never a pose.
+//    a value of the wrong type is an error that names the device, the field and the remedy. It is never a pose.
 // 2. Service 3.5 calls the force of `set_cursor_force` "vector", older ones call it "values". No message carries the
 //    service's version, but only 3.5 puts `preset`, `mount`, `filters` or `home_return` into a device's configuration.
 //

@@ -14,6 +14,8 @@ from pathlib import Path
 import meshio
 
 from tensormass._src import mesh_files
+from tensormass._src.isosurface import Implicit
+from tensormass._src.meshes import TriangleSurface
 from tensormass._src.organ import ORGANS
 from tensormass._src.processes import BUILD_BIN
 
@@ -50,9 +52,12 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
 
 
 def _make_organs(folder: Path) -> None:
+    skins: dict[Implicit, TriangleSurface] = {}  # organs that differ only in their cells look the same
     for name, organ in ORGANS.items():
         mesh_files.write_mesh(folder / f"{name}.msh", organ.volume(graded=organ.focus is not None))
-        skin = organ.skin()
+        if organ.inside not in skins:
+            skins[organ.inside] = organ.skin()
+        skin = skins[organ.inside]
         meshio.Mesh(skin.vertices, [("triangle", skin.triangles.astype("int32"))]).write(folder / f"{name}_skin.ply")
 
 
