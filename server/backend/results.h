@@ -68,12 +68,15 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   }
 }
 
+/// samples: ContactView::samples
 /// tools: [tool_count]
 template <class Real>
-void write_tools(const model::Model& m, const StepInput& input, physics::PlacedTool<Real>* tools) {
+void write_tools(const model::Model& m, const StepInput& input, const float* samples,
+                 physics::PlacedTool<Real>* tools) {
   for (std::size_t i = 0; i < input.tools.size(); ++i) {
     const ToolInput& one = input.tools[i];
     tools[i] = m.tools[i].placed<Real>(one.shape, one.start, one.presence);
+    tools[i].samples = samples + m.tools[i].first_sample;
   }
 }
 
@@ -124,7 +127,7 @@ class LoadFactors {
 /// Number of reals in ContactView::slips.
 template <class Real>
 std::size_t slip_reals(const view::ContactView<Real>& contact) {
-  return 4 * std::size_t{contact.tool_count} * contact.triangle_count;
+  return 4 * std::size_t{contact.contact_points} * contact.triangle_count;
 }
 
 /// State of the step sequence, besides the fields of the rows.

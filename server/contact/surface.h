@@ -70,9 +70,9 @@ struct ContactPoint {
   const std::uint32_t* rows;  // rows of the triangle's corners
   const view::TriangleContact<Real>& touch;
 
-  TM_HOST_DEVICE ContactPoint(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                              std::uint32_t triangle, const view::TriangleContact<Real>& touch)
-      : state(state), rows(contact.triangle_rows + std::size_t{3} * triangle), touch(touch) {}
+  TM_HOST_DEVICE ContactPoint(const view::StateView<Real>& of_state, const view::ContactView<Real>& contact,
+                              std::uint32_t triangle, const view::TriangleContact<Real>& of_touch)
+      : state(of_state), rows(contact.triangle_rows + std::size_t{3} * triangle), touch(of_touch) {}
 
   TM_HOST_DEVICE Vec3<Real> weights() const { return {touch.weight[0], touch.weight[1], touch.weight[2]}; }
   TM_HOST_DEVICE Vec3<Real> normal() const { return {touch.normal[0], touch.normal[1], touch.normal[2]}; }

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "contact/friction.h"
+#include "contact/solid.h"
 #include "contact/surface.h"
 #include "contact/tilt.h"
 #include "matrix/edges.h"
@@ -20,8 +21,9 @@
 ///                               k     stiffness, penalty · area of the triangle [N/m]
 ///                               depth   radius − distance from c to the contact point [m]
 ///
-/// 1. Each surface triangle has one contact with a tool: of the tool's candidates, the one with the greatest depth. The
-///    triangle is in contact if that depth is positive.
+/// 1. Each surface triangle has one contact with a thin tool: of the tool's candidates, the one with the greatest
+/// depth.
+///    The triangle is in contact if that depth is positive. With a solid it has four, without a core (solid.h).
 /// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n, and the forces of tilt (tilt.h). It enters
 ///    the same linear system as the tissue. Its derivative has three diagonal blocks and the edge tensors between the
 ///    three corners. The mesh has those edges anyway.
@@ -99,6 +101,18 @@ TM_HOST_DEVICE void query_crossings(Team& team, const view::PatchesView& patches
   closest.last_crossing = last;
 }
 
+/// Does both for the core of one thin tool.
+template <class Kind, class Team, class Real>
+TM_HOST_DEVICE void query_core(Kind, Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                               const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool) {
+  for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
+    const Vec3<Real> point = Kind::core_point(tool, i);
+    query_core_point(team, patches, state, contact, point, tool.first_core_point + i);
+    if (i + 1 == Kind::kCorePoints) break;
+    query_crossings(team, patches, state, contact, point, Kind::core_point(tool, i + 1), tool.first_core_point + i);
+  }
+}
+
 /// Stage 1, closest-point query: does this for the core points of all tools.
 /// Reads displacement, tools; writes closest.
 template <class Team, class Real>
@@ -108,12 +122,7 @@ TM_HOST_DEVICE void query_closest(Team& team, const view::PatchesView& patches, 
     const physics::PlacedTool<Real>& tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
       using Kind = typename decltype(kind)::Type;
-      for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
-        const Vec3<Real> point = Kind::core_point(tool, i);
-        query_core_point(team, patches, state, contact, point, tool.first_core_point + i);
-        if (i + 1 == Kind::kCorePoints) break;
-        query_crossings(team, patches, state, contact, point, Kind::core_point(tool, i + 1), tool.first_core_point + i);
-      }
+      if constexpr (!Kind::kIsSolid) query_core(Kind{}, team, patches, state, contact, tool);
     });
   }
 }
@@ -174,51 +183,76 @@ struct CoreDepths {
   }
 };
 
-/// Computes each triangle's contact with one tool.
-/// first: index of its first contact
+/// Returns where a triangle touches a thin tool.
+template <class Kind, class Real>
+TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
+                                         const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners) {
+  using std::sqrt;
+  Touch<Real> deepest;
+  const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
+    const Vec3<Real> away = corners.at(candidate) - core.position;
+    const Real distance = sqrt(away.dot(away));
+    // No point of the core is deeper than its distance to any triangle.
+    const Real inside = minimum(core_depths.at(core.place), distance);
+    const bool behind = inside > 0 && corners.normal().dot(away) > 0;
+    const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
+    if (!(depth > deepest.depth_m)) return;
+    deepest.depth_m = depth;
+    deepest.lever_m = behind ? Real(0) : distance;
+    deepest.weights = candidate;
+    deepest.normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
+                                                           : Vec3<Real>(-unit<Real>(corners.normal()));
+  };
+  Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
+  return deepest;
+}
+
+/// Returns the index of a contact in ContactView::contacts.
+template <class Real>
+TM_HOST_DEVICE std::size_t contact_place(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                                         std::uint32_t point, std::uint32_t triangle) {
+  return std::size_t{tool.first_contact_point + point} * contact.triangle_count + triangle;
+}
+
+/// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
                                            const view::StateView<Real>& state, const view::ContactView<Real>& contact,
-                                           const physics::PlacedTool<Real>& tool, std::size_t first) {
-  using std::sqrt;
-  const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
-  const auto generate = [&](std::uint32_t triangle) {
-    const Corners<Real> corners = corners_of(state, contact, triangle);
-    Real greatest = 0, lever = 0;
-    Vec3<Real> weights, normal;
-    const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
-      const Vec3<Real> away = corners.at(candidate) - core.position;
-      const Real distance = sqrt(away.dot(away));
-      // No point of the core is deeper than its distance to any triangle.
-      const Real inside = minimum(core_depths.at(core.place), distance);
-      const bool behind = inside > 0 && corners.normal().dot(away) > 0;
-      const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
-      if (!(depth > greatest)) return;
-      greatest = depth;
-      lever = behind ? Real(0) : distance;
-      weights = candidate;
-      normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
-                                                     : Vec3<Real>(-unit<Real>(corners.normal()));
-    };
-    Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
-    view::TriangleContact<Real>& touch = contact.contacts[first + triangle];
-    touch.depth_m = greatest;
-    if (!(greatest > 0)) return;
+                                           const physics::PlacedTool<Real>& tool) {
+  const auto store = [&](std::uint32_t triangle, std::uint32_t point, const Corners<Real>& corners,
+                         const Touch<Real>& touch) {
+    const std::size_t place = contact_place(contact, tool, point, triangle);
+    view::TriangleContact<Real>& out = contact.contacts[place];
+    out.depth_m = touch.depth_m;
+    if (!(touch.depth_m > 0)) return;
     for (int c = 0; c < 3; ++c) {
-      touch.weight[c] = weights[c];
-      touch.normal[c] = normal[c];
+      out.weight[c] = touch.weights[c];
+      out.normal[c] = touch.normal[c];
     }
-    touch.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
-    touch.lever_m = lever;
+    out.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle] * touch.share;
+    out.lever_m = touch.lever_m;
     if (!(tool.friction > 0)) return;
-    const ContactPoint<Real> at(state, contact, triangle, touch);
+    const ContactPoint<Real> at(state, contact, triangle, out);
     const Real pressure = maximum(at.pressure_after(at.change_ahead()), Real(0));
-    const Vec3<Real> point = corners.at(weights);
-    const Vec3<Real> tool_motion = physics::motion_with_joints<Kind, Real>(tool, point - normal * lever, point);
-    contact.frictions[first + triangle] =
-        predict_friction(at, tool, tool_motion, pressure, contact.slips + 4 * (first + triangle));
+    const Vec3<Real> x = corners.at(touch.weights);
+    const Vec3<Real> tool_motion = physics::motion_with_joints<Kind, Real>(tool, x - touch.normal * touch.lever_m, x);
+    contact.frictions[place] = predict_friction(at, tool, tool_motion, pressure, contact.slips + 4 * place);
   };
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], generate);
+  const std::uint32_t begin = contact.patch_triangles[team.patch()], end = contact.patch_triangles[team.patch() + 1];
+  if constexpr (Kind::kIsSolid) {
+    team.for_each(begin, end, [&](std::uint32_t triangle) {
+      const Corners<Real> corners = corners_of(state, contact, triangle);
+      for_each_touch_of_solid<Kind>(tool, corners, [&](std::uint32_t point, const Touch<Real>& touch) {
+        store(triangle, point, corners, touch);
+      });
+    });
+  } else {
+    const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
+    team.for_each(begin, end, [&](std::uint32_t triangle) {
+      const Corners<Real> corners = corners_of(state, contact, triangle);
+      store(triangle, 0, corners, touch_of_thin(tool, core_depths, corners));
+    });
+  }
 }
 
 /// Stage 2, contact generation: does this for all tools.
@@ -229,9 +263,50 @@ TM_HOST_DEVICE void generate_contacts(const Team& team, const view::PatchesView&
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     const physics::PlacedTool<Real> tool = contact.tools[t];
     physics::with_tool(tool.kind, [&](auto kind) {
-      generate_contacts_with<typename decltype(kind)::Type>(team, patches, state, contact, tool,
-                                                            std::size_t{t} * contact.triangle_count);
+      generate_contacts_with<typename decltype(kind)::Type>(team, patches, state, contact, tool);
     });
+  }
+}
+
+/// Adds to one row of the system what a contact does to one corner of its triangle.
+///
+///   place       index of the contact
+///   incidence   the corner's entry of ContactView::incidence
+///   row         row of the corner
+template <class Real>
+TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const view::MatrixView<Real>& matrix,
+                                     const view::ContactView<Real>& contact, std::size_t place,
+                                     const std::uint32_t* incidence, std::uint32_t row, bool has_friction) {
+  const view::TriangleContact<Real>& touch = contact.contacts[place];
+  if (!(touch.depth_m > 0)) return;
+  const std::uint32_t triangle = incidence[0], corner = incidence[1];
+  const Real weight = touch.weight[corner];
+  if (weight == 0) return;  // then the contact is at another corner or edge, and tilt does not concern this one
+  const ContactPoint<Real> at(state, contact, triangle, touch);
+  const Real h = view::step_size(state);
+  const Vec3<Real> n = at.normal();
+  const Corners<Real> change = at.change_ahead();
+  Vec3<Real> force = n * at.pressure_after(change);
+  Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
+  if (has_friction) {
+    const view::TriangleFriction<Real>& friction = contact.frictions[place];
+    force += stretch_of(at, friction) * friction.stiffness;
+    stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
+  }
+  const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
+  force = force * weight + tilt.force(corner, tilt.of(change));
+  const auto block = [&](std::uint32_t other) {
+    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * (h * h));
+  };
+  view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
+  const Mat3<Real> own = block(corner);
+  Real* d = matrix.diagonal + std::size_t{8} * row;
+  for (int i = 0, c = 0; i < 3; ++i) {
+    for (int j = i; j < 3; ++j, ++c) d[c] += own(i, j);
+  }
+  for (std::uint32_t k = 1; k <= 2; ++k) {
+    const std::uint32_t slot = incidence[1 + k], other = (corner + k) % 3;
+    if (slot != view::kNoPlace && touch.weight[other] != 0) matrix::add_to_block<Real>(matrix, slot, block(other));
   }
 }
 
@@ -241,41 +316,16 @@ template <class Team, class Real>
 TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                              const view::MatrixView<Real>& matrix, const view::ContactView<Real>& contact) {
   const view::Patch patch = view::patch_of(patches, team.patch());
-  const Real h = view::step_size(state);
   team.for_each(contact.patch_surface[patch.index], contact.patch_surface[patch.index + 1], [&](std::uint32_t vertex) {
     const std::uint32_t row = contact.surface_rows[vertex];
     for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+      const physics::PlacedTool<Real>& tool = contact.tools[t];
+      const std::uint32_t points = tool.contact_points;
       for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
         const std::uint32_t* incidence = contact.incidence + std::size_t{4} * i;
-        const std::uint32_t triangle = incidence[0], corner = incidence[1];
-        const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
-        const view::TriangleContact<Real>& touch = contact.contacts[place];
-        if (!(touch.depth_m > 0)) continue;
-        const ContactPoint<Real> at(state, contact, triangle, touch);
-        const Vec3<Real> n = at.normal();
-        const Real weight = touch.weight[corner];
-        const Corners<Real> change = at.change_ahead();
-        Vec3<Real> force = n * at.pressure_after(change);
-        Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
-        if (contact.frictions != nullptr && contact.tools[t].friction > 0) {
-          const view::TriangleFriction<Real>& friction = contact.frictions[place];
-          force += stretch_of(at, friction) * friction.stiffness;
-          stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
-        }
-        const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
-        force = force * weight + tilt.force(corner, tilt.of(change));
-        const auto block = [&](std::uint32_t other) {
-          return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * (h * h));
-        };
-        view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
-        const Mat3<Real> own = block(corner);
-        Real* d = matrix.diagonal + std::size_t{8} * row;
-        for (int i = 0, c = 0; i < 3; ++i) {
-          for (int j = i; j < 3; ++j, ++c) d[c] += own(i, j);
-        }
-        for (std::uint32_t k = 1; k <= 2; ++k) {
-          const std::uint32_t slot = incidence[1 + k];
-          if (slot != view::kNoPlace) matrix::add_to_block<Real>(matrix, slot, block((corner + k) % 3));
+        for (std::uint32_t point = 0; point < points; ++point) {
+          const std::size_t place = contact_place(contact, tool, point, incidence[0]);
+          assemble_contact(state, matrix, contact, place, incidence, row, tool.friction > 0);
         }
       }
     }
@@ -292,8 +342,8 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   // Force, torque, friction, joints. Summed over the patch together.
   Real sums[9 + kJoints]{};
   Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
-  const auto add = [&](std::uint32_t triangle) {
-    const std::size_t place = std::size_t{t} * contact.triangle_count + triangle;
+  const auto add = [&](std::uint32_t triangle, std::uint32_t contact_point) {
+    const std::size_t place = contact_place(contact, tool, contact_point, triangle);
     const view::TriangleContact<Real>& touch = contact.contacts[place];
     const bool touches = touch.depth_m > 0;
     if (!touches && !has_friction) return;
@@ -332,7 +382,10 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
     }
     if (has_friction) end_friction(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
   };
-  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1], add);
+  team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
+                [&](std::uint32_t triangle) {
+                  for (std::uint32_t i = 0; i < Kind::kContactPoints; ++i) add(triangle, i);
+                });
   for (int c = 0; c < 3; ++c) {
     sums[c] = force[c];
     sums[3 + c] = torque[c];

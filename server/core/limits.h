@@ -17,6 +17,8 @@ inline constexpr std::size_t kMaxTools = 16;
 inline constexpr std::size_t kMaxToolJoints = 4;
 inline constexpr std::size_t kMaxToolParameters = 4;
 inline constexpr std::size_t kMaxCorePoints = 4;
+/// Triangles of a tool's surface; a tool with more is refused.
+inline constexpr std::size_t kMaxToolTriangles = 100'000;
 /// Range of ToolPose.valid_for_s [s].
 inline constexpr double kMinPoseValidForS = 0.02, kMaxPoseValidForS = 3600;
 /// Nodes of one scene; a scene with more is refused. Node indices have 32 bits.

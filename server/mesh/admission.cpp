@@ -30,13 +30,12 @@ bool acceptable(const Eigen::Vector3d& point) {
 }
 
 /// Checks the coordinates of a mesh's nodes or a skin's vertices. `what` names one of them in the error.
-Result<void> check_points(std::span<const Eigen::Vector3d> points, std::string_view what, std::string_view body) {
+Result<void> check_points(std::span<const Eigen::Vector3d> points, std::string_view what, std::string_view owner) {
   Finding bad;
   for (std::size_t i = 0; i < points.size(); ++i) {
     if (acceptable(points[i])) continue;
     bad.add([&] {
-      return fmt::format("{} {} of body '{}' is at ({}, {}, {})", what, i, body, points[i].x(), points[i].y(),
-                         points[i].z());
+      return fmt::format("{} {} of {} is at ({}, {}, {})", what, i, owner, points[i].x(), points[i].y(), points[i].z());
     });
   }
   if (bad.count == 0) return {};
@@ -177,7 +176,8 @@ class Components {
 
 Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
   if (auto ok = check_sizes(mesh, body); !ok) return tl::make_unexpected(ok.error());
-  if (auto ok = check_points(mesh.nodes, "node", body); !ok) return tl::make_unexpected(ok.error());
+  if (auto ok = check_points(mesh.nodes, "node", fmt::format("body '{}'", body)); !ok)
+    return tl::make_unexpected(ok.error());
   if (auto ok = check_indices(mesh, body); !ok) return tl::make_unexpected(ok.error());
 
   MeshReport report;
@@ -292,18 +292,18 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
 }
 
 Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
-                              std::string_view body) {
+                              std::string_view owner) {
   if (vertices.empty() || triangles.empty()) {
-    return invalid(fmt::format("the skin of body '{}' has {} vertices and {} triangles; give a surface or none", body,
+    return invalid(fmt::format("the skin of {} has {} vertices and {} triangles; give a surface or none", owner,
                                vertices.size(), triangles.size()));
   }
   if (vertices.size() > limits::kMaxNodes || triangles.size() > limits::kMaxElements) {
     return fail(ErrorCode::kResourceExhausted,
-                fmt::format("the skin of body '{}' has {} vertices and {} triangles; limits::kMaxNodes is {} and "
+                fmt::format("the skin of {} has {} vertices and {} triangles; limits::kMaxNodes is {} and "
                             "limits::kMaxElements {}; simplify it",
-                            body, vertices.size(), triangles.size(), limits::kMaxNodes, limits::kMaxElements));
+                            owner, vertices.size(), triangles.size(), limits::kMaxNodes, limits::kMaxElements));
   }
-  if (auto ok = check_points(vertices, "skin vertex", body); !ok) return tl::make_unexpected(ok.error());
+  if (auto ok = check_points(vertices, "skin vertex", owner); !ok) return tl::make_unexpected(ok.error());
 
   std::uint64_t flat_count = 0;
   Finding out_of_range, repeated;
@@ -313,14 +313,14 @@ Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::sp
     const auto highest = *std::max_element(triangle.begin(), triangle.end());
     if (highest >= vertices.size()) {
       out_of_range.add([&] {
-        return fmt::format("skin triangle {} of body '{}' refers to vertex {}, and the skin has {} vertices", i, body,
+        return fmt::format("skin triangle {} of {} refers to vertex {}, and the skin has {} vertices", i, owner,
                            highest, vertices.size());
       });
       continue;
     }
     if (repeats_a_node(triangle)) {
       repeated.add([&] {
-        return fmt::format("skin triangle {} of body '{}' repeats a vertex ({})", i, body, fmt::join(triangle, ", "));
+        return fmt::format("skin triangle {} of {} repeats a vertex ({})", i, owner, fmt::join(triangle, ", "));
       });
       continue;
     }
@@ -341,11 +341,10 @@ Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::sp
 
   SkinReport report{static_cast<std::uint32_t>(vertices.size()), static_cast<std::uint32_t>(triangles.size()), {}};
   if (flat_count > 0) {
-    report.warnings.push_back(fmt::format("the skin of body '{}' has {} triangles without area", body, flat_count));
+    report.warnings.push_back(fmt::format("the skin of {} has {} triangles without area", owner, flat_count));
   }
   if (const auto unused = std::count(used.begin(), used.end(), false); unused > 0) {
-    report.warnings.push_back(
-        fmt::format("the skin of body '{}' has {} vertices that belong to no triangle", body, unused));
+    report.warnings.push_back(fmt::format("the skin of {} has {} vertices that belong to no triangle", owner, unused));
   }
   return report;
 }

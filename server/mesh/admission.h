@@ -55,12 +55,12 @@ struct SkinReport {
   std::vector<std::string> warnings;
 };
 
-/// Checks a triangle surface from outside the server. `body` names it in messages.
+/// Checks a triangle surface from outside the server. `owner` names whose it is in messages: "body 'liver'".
 ///
 ///   errors     no vertices or triangles, counts beyond core/limits.h, an index out of range, a coordinate that is not
 ///              finite or too large, a triangle that repeats a vertex
 ///   warnings   triangles without area and vertices without triangle, because they only look bad
 Result<SkinReport> admit_skin(std::span<const Eigen::Vector3d> vertices, std::span<const Triangle> triangles,
-                              std::string_view body);
+                              std::string_view owner);
 
 }  // namespace tensormass::mesh

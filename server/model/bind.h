@@ -76,6 +76,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.patches.row_count = layout.row_count;
   s.patches.patch_count = layout.patch_count;
   s.contact.tool_count = static_cast<uint32_t>(tools);
+  s.contact.contact_points = m.contact_points();
   s.contact.triangle_count = m.contact.triangle_count();
   s.state.control = exchange.control;
   s.contact.tools = exchange.tools;
@@ -167,8 +168,9 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.incidence_begin = arena.template constant<uint32_t>("contact incidence offsets", m.contact.incidence_begin);
   s.contact.incidence = arena.template constant<uint32_t>("contact incidence", m.contact.incidence);
   s.contact.closest = arena.template zeros<view::ClosestTriangle<Real>>("contact closest", m.core_points() * patches);
-  s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", tools * triangles);
-  const std::size_t frictions = only_if(m.has_friction(), tools * triangles);
+  s.contact.contacts = arena.template zeros<view::TriangleContact<Real>>("contacts", m.contact_points() * triangles);
+  s.contact.samples = arena.template constant<float>("tool samples", m.tool_samples);
+  const std::size_t frictions = only_if(m.has_friction(), m.contact_points() * triangles);
   s.contact.frictions = arena.template zeros<view::TriangleFriction<Real>>("friction", frictions);
   s.contact.slips = arena.template zeros<Real>("friction slips", 4 * frictions);
   s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", 4 * frictions);

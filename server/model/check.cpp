@@ -98,11 +98,13 @@ void check_surfaces(const Model& m) {
   const ContactSurface& contact = m.contact;
   const std::size_t triangles = contact.triangle_count();
   TM_ASSERT(triangles == 0 || !m.tools.empty(), "only scenes with tools have a contact surface");
-  std::uint32_t core_points = 0;
+  std::uint32_t core_points = 0, contact_points = 0;
   for (const ToolModel& tool : m.tools) {
     TM_ASSERT(tool.kind < std::uint32_t{physics::Tools::kCount}, "a tool has a kind of the list");
     TM_ASSERT(tool.first_core_point == core_points, "core points of tools follow each other");
+    TM_ASSERT(tool.first_contact_point == contact_points, "contact points of tools follow each other");
     core_points += tool.core_points;
+    contact_points += tool.contact_points;
   }
   if (triangles > 0) {
     assert_offsets(contact.patch_triangles, m.layout.patch_count, triangles);

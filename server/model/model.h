@@ -163,10 +163,15 @@ struct ToolModel {
   std::uint32_t kind = 0;                          ///< place in physics::Tools
   std::uint32_t core_points = 0;                   ///< kCorePoints of the kind
   std::uint32_t first_core_point = 0;              ///< its core points among those of all tools
+  std::uint32_t contact_points = 0;                ///< kContactPoints of the kind
+  std::uint32_t first_contact_point = 0;           ///< its contact points among those of all tools
+  std::size_t first_sample = 0;                    ///< its place in Model::tool_samples, if it is sampled
+  bool fixed = false;                              ///< an obstacle: it takes no poses
   std::span<const physics::ToolParameter> joints;  ///< kJoints of the kind
-  double radius_m = 0;
-  std::array<double, limits::kMaxToolParameters> parameters{};  ///< kParameters of the kind; zero beyond them
-  Vec3<double> tip_offset_m = Vec3<double>::Zero();             ///< origin of the shape's frame in the tool's frame
+  double radius_m = 0;                             ///< for a solid half its thickness
+  double reach_m = 0;  ///< for a solid the largest distance of its surface from the origin of the shape's frame
+  physics::ToolParameters parameters{};
+  Vec3<double> tip_offset_m = Vec3<double>::Zero();  ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;
   double friction = 0;  ///< Coulomb's coefficient
   double max_speed_m_per_s = 0;
@@ -197,6 +202,8 @@ struct ToolModel {
     out.friction = static_cast<Real>(friction);
     out.kind = kind;
     out.first_core_point = first_core_point;
+    out.contact_points = contact_points;
+    out.first_contact_point = first_contact_point;
     return out;
   }
 };
@@ -228,6 +235,7 @@ struct Model {
 
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
+  std::vector<float> tool_samples;  ///< signed distances of tools, see physics/tool/mesh_solid.h
   std::vector<std::string> warnings;
 
   matrix::Layout layout;
@@ -270,6 +278,10 @@ struct Model {
   /// Returns the number of core points of all tools (physics/tool/tool.h).
   std::uint32_t core_points() const {
     return tools.empty() ? 0 : tools.back().first_core_point + tools.back().core_points;
+  }
+  /// Returns the number of contacts that a triangle can have.
+  std::uint32_t contact_points() const {
+    return tools.empty() ? 0 : tools.back().first_contact_point + tools.back().contact_points;
   }
   /// Returns whether a tool has friction.
   bool has_friction() const {

@@ -109,7 +109,7 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
     TM_ASSIGN_OR_RETURN(elevated, mesh::elevate(std::move(mesh), where + ".element_order"));
     if (body.has_skin()) {
       TM_ASSIGN_OR_RETURN(skin, read_skin(body, where));
-      TM_ASSIGN_OR_RETURN(skin_report, mesh::admit_skin(skin.vertices, skin.triangles, body.name()));
+      TM_ASSIGN_OR_RETURN(skin_report, mesh::admit_skin(skin.vertices, skin.triangles, where));
       (void)skin_report;  // make_visible_surface adds its warnings
       mesh::curve(elevated, skin.vertices, skin.triangles);
     }

@@ -5,7 +5,9 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "mesh/admission.h"
 #include "model/compile_parts.h"
+#include "model/distance_field.h"
 #include "model/scene_input.h"
 #include "physics/lists.h"
 
@@ -18,8 +20,10 @@ namespace {
 using google::protobuf::FieldDescriptor;
 using google::protobuf::Message;
 
-/// Contact pressure per depth, unless the scene gives it: this factor times E / radius.
+/// Contact pressure per depth, unless the scene gives it: this factor times E / radius. A solid's radius is half its
+/// thickness; that of a plane is this share of the scene's size.
 constexpr double kDefaultPenalty = 20;
+constexpr double kPlaneRadiusInScenes = 0.1;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
 constexpr double kMaxFriction = 10;
 
@@ -47,40 +51,85 @@ Result<double> read_field(const Message& kind, std::string_view name, double lea
                      fmt::format("{}.{}", where, name));
 }
 
-/// Reads what the message of a kind says about the shape.
-/// kind: message of Kind.
-template <class Kind>
-Result<void> read_shape(const Message& kind, double young_modulus_pa, std::string_view where, ToolModel& out) {
-  out.core_points = Kind::kCorePoints;
-  out.joints = Kind::kJoints;
-  TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
-  out.radius_m = radius;
-  const Message& tip_message = kind.GetReflection()->GetMessage(kind, &field_of(kind, "tip_offset_m"));
-  TM_ASSIGN_OR_RETURN(
-      tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
-  out.tip_offset_m = tip;
-  constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
-  out.penalty_pa_per_m = kDefaultPenalty * young_modulus_pa / radius;
-  if (kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
-    out.penalty_pa_per_m = kind.GetReflection()->GetDouble(kind, &field_of(kind, kPenalty));
+/// Reads the surface of a sampled solid. Appends to Model::tool_samples.
+Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, Compilation& c, ToolModel& out) {
+  const std::string where = fmt::format("{}.mesh", owner);
+  TM_ASSIGN_OR_RETURN(surface, read_triangles(message.surface(), where + ".surface"));
+  if (surface.triangles.size() > limits::kMaxToolTriangles) {
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("{}.surface: {} triangles exceed limits::kMaxToolTriangles = {}; simplify it", where,
+                            surface.triangles.size(), limits::kMaxToolTriangles));
   }
-  TM_RETURN_IF_ERROR(read_number(out.penalty_pa_per_m, 1e-3, 1e18, fmt::format("{}.{}", where, kPenalty)));
+  TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(surface.vertices, surface.triangles, owner));
+  c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
+  TM_ASSIGN_OR_RETURN(scale, read_number(message.has_scale() ? message.scale() : 1, 1e-9, 1e9, where + ".scale"));
+  for (Eigen::Vector3d& vertex : surface.vertices) vertex *= scale;
+  TM_ASSIGN_OR_RETURN(field, sample_distance(surface.vertices, surface.triangles, where + ".surface"));
+  out.parameters[0] = field.box.sizes().minCoeff() / 2;
+  out.parameters[1] = field.reach_m;
+  out.first_sample = c.model.tool_samples.size();
+  c.model.tool_samples.insert(c.model.tool_samples.end(), field.samples.begin(), field.samples.end());
+  return {};
+}
+
+/// Returns the diagonal of the box around all bodies at rest [m].
+double size_of(const Compilation& c) {
+  Eigen::AlignedBox3d box;
+  for (const Eigen::Vector3d& node : c.merged.nodes) box.extend(node);
+  return box.diagonal().norm();
+}
+
+/// Reads what the message of a kind says about the shape.
+/// kind: message of Kind. owner: the tool, for messages.
+template <class Kind>
+Result<void> read_shape(const Message& kind, double young_modulus_pa, std::string_view owner, Compilation& c,
+                        ToolModel& out) {
+  const std::string where = fmt::format("{}.{}", owner, Kind::kName);
+  out.core_points = Kind::kCorePoints;
+  out.contact_points = Kind::kContactPoints;
+  out.joints = Kind::kJoints;
   for (std::size_t i = 0; i < Kind::kParameters.size(); ++i) {
     const physics::ToolParameter& parameter = Kind::kParameters[i];
     TM_ASSIGN_OR_RETURN(value, read_field(kind, parameter.name, parameter.least, parameter.most, where));
     out.parameters[i] = value;
   }
+  if constexpr (std::is_same_v<Kind, physics::BoxSolid>) {
+    TM_RETURN_IF_ERROR(
+        read_number(out.parameters[3], 0, Kind::length_m(out.parameters), fmt::format("{}.edge_radius_m", where)));
+  }
+  if constexpr (std::is_same_v<Kind, physics::MeshSolid>) {
+    TM_RETURN_IF_ERROR(read_surface(dynamic_cast<const v1::MeshSolid&>(kind), owner, c, out));
+  }
+  if constexpr (Kind::kIsSolid) {
+    out.radius_m = Kind::length_m(out.parameters);
+    out.reach_m = Kind::reach_m(out.parameters);
+    if (!(out.radius_m > 0)) out.radius_m = kPlaneRadiusInScenes * size_of(c);
+  } else {
+    TM_ASSIGN_OR_RETURN(radius, read_field(kind, "radius_m", 1e-6, 1e3, where));
+    out.radius_m = radius;
+  }
+  const Message& tip_message = kind.GetReflection()->GetMessage(kind, &field_of(kind, "tip_offset_m"));
+  TM_ASSIGN_OR_RETURN(
+      tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
+  out.tip_offset_m = tip;
+  constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
+  out.penalty_pa_per_m = kDefaultPenalty * young_modulus_pa / out.radius_m;
+  if (kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
+    out.penalty_pa_per_m = kind.GetReflection()->GetDouble(kind, &field_of(kind, kPenalty));
+  }
+  TM_RETURN_IF_ERROR(read_number(out.penalty_pa_per_m, 1e-3, 1e18, fmt::format("{}.{}", where, kPenalty)));
   return {};
 }
 
 /// stiffest: material that sets the default stiffness of contact.
-Result<ToolModel> read_tool(const v1::Tool& tool, const Material& stiffest) {
+Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material& stiffest) {
   const std::string where = fmt::format("tool '{}'", tool.name());
   const auto* field =
       tool.GetReflection()->GetOneofFieldDescriptor(tool, tool.GetDescriptor()->FindOneofByName("kind"));
   ToolModel out;
   out.name = tool.name();
   out.description = tool;
+  out.fixed = tool.fixed();
   std::string known;
   std::optional<Result<void>> shape;
   physics::for_each_type(physics::Tools{}, [&](auto tag, int index) {
@@ -88,8 +137,7 @@ Result<ToolModel> read_tool(const v1::Tool& tool, const Material& stiffest) {
     known += fmt::format("{}{}", known.empty() ? "" : ", ", Kind::kName);
     if (field == nullptr || field->name() != Kind::kName) return;
     out.kind = static_cast<std::uint32_t>(index);
-    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), stiffest.young_modulus_pa,
-                             fmt::format("{}.{}", where, Kind::kName), out);
+    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), stiffest.young_modulus_pa, where, c, out);
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
@@ -128,8 +176,9 @@ Result<void> read_tools(Compilation& c) {
     if (!names.insert(tool.name()).second) {
       return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
     }
-    TM_ASSIGN_OR_RETURN(out, read_tool(tool, stiffest));
+    TM_ASSIGN_OR_RETURN(out, read_tool(c, tool, stiffest));
     out.first_core_point = c.model.core_points();
+    out.first_contact_point = c.model.contact_points();
     c.model.tools.push_back(std::move(out));
   }
   return {};

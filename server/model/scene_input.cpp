@@ -229,18 +229,24 @@ Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where) {
 }
 
 Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where) {
-  if (body.skin().source_case() != v1::Skin::kPacked) {
-    return invalid(fmt::format("{}.skin: give packed triangles; the server reads no files", where));
-  }
   TM_ASSIGN_OR_RETURN(placement, read_placement(body.mesh(), where));
-  const v1::PackedTriangles& packed = body.skin().packed();
+  return read_triangles(body.skin(), fmt::format("{}.skin", where)).map([&](SkinMesh skin) {
+    placement.apply(skin.vertices);
+    return skin;
+  });
+}
+
+Result<SkinMesh> read_triangles(const v1::Skin& surface, std::string_view where) {
+  if (surface.source_case() != v1::Skin::kPacked) {
+    return invalid(fmt::format("{}: give packed triangles; the server reads no files", where));
+  }
+  const v1::PackedTriangles& packed = surface.packed();
   TM_ASSIGN_OR_RETURN(vertices,
-                      read_points(packed.vertex_positions(), fmt::format("{}.skin.packed.vertex_positions", where)));
-  TM_ASSIGN_OR_RETURN(
-      indices, read_packed<std::uint32_t>(packed.triangles(), 3, fmt::format("{}.skin.packed.triangles", where)));
+                      read_points(packed.vertex_positions(), fmt::format("{}.packed.vertex_positions", where)));
+  TM_ASSIGN_OR_RETURN(indices,
+                      read_packed<std::uint32_t>(packed.triangles(), 3, fmt::format("{}.packed.triangles", where)));
   SkinMesh skin;
   skin.vertices = std::move(vertices);
-  placement.apply(skin.vertices);
   skin.triangles.resize(indices.size() / 3);
   std::memcpy(skin.triangles.data(), indices.data(), indices.size() * sizeof(std::uint32_t));
   return skin;

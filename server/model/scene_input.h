@@ -47,9 +47,12 @@ Result<double> read_rate(double value_hz, std::string_view where);
 Result<mesh::Mesh> read_mesh(const v1::Body& body, std::string_view where);
 
 struct SkinMesh {
-  std::vector<Eigen::Vector3d> vertices;  ///< [m] scaled and moved like the mesh
+  std::vector<Eigen::Vector3d> vertices;  ///< m
   std::vector<mesh::Triangle> triangles;
 };
+/// Reads a triangle surface as it stands. mesh::admit_skin has not checked it yet.
+Result<SkinMesh> read_triangles(const v1::Skin& surface, std::string_view where);
+/// Reads the body's skin, scaled and moved like its mesh.
 Result<SkinMesh> read_skin(const v1::Body& body, std::string_view where);
 
 /// Reads a packed array of float64 with `width` values a row.

@@ -81,7 +81,7 @@ Result<void> make_visible_surface(Compilation& c) {
     if (source.has_skin()) {
       const std::string where = fmt::format("body '{}'", body.name);
       TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
-      TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, body.name));
+      TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, fmt::format("body '{}'", body.name)));
       c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
       TM_ASSIGN_OR_RETURN(embedding,
                           mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));

@@ -19,8 +19,11 @@
 #include "physics/material/st_venant_kirchhoff.h"
 #include "physics/material/stable_neo_hookean.h"
 #include "physics/material/transversely_isotropic.h"
+#include "physics/tool/box_solid.h"
 #include "physics/tool/capsule.h"
 #include "physics/tool/grasper.h"
+#include "physics/tool/mesh_solid.h"
+#include "physics/tool/plane.h"
 #include "physics/tool/retractor.h"
 #include "physics/tool/spherical_probe.h"
 #include "physics/tool/tool.h"
@@ -42,7 +45,15 @@ using Shapes = TypeList<LinearTetrahedron, Pyramid, Wedge, Hexahedron, Quadratic
 using Laws = TypeList<Hooke, StVenantKirchhoff, Corotational, NeoHookean, StableNeoHookean, MooneyRivlin, Ogden,
                       TransverselyIsotropic, Hencky>;
 /// All kinds of tools. Their indices are internal; the protocol uses names.
-using Tools = TypeList<SphericalProbe, Capsule, Retractor, Grasper>;
+using ThinTools = TypeList<SphericalProbe, Capsule, Retractor, Grasper>;
+using SolidTools = TypeList<BoxSolid, Plane, MeshSolid>;
+
+namespace detail {
+template <class... First, class... Second>
+TypeList<First..., Second...> joined(TypeList<First...>, TypeList<Second...>);
+}  // namespace detail
+
+using Tools = decltype(detail::joined(ThinTools{}, SolidTools{}));
 
 namespace detail {
 template <class... Types>

@@ -87,7 +87,7 @@ struct Cost {
 struct StageSizes {
   const model::Model& m;
   const model::ElementGroup* group;  ///< the group of a stage of a group; else nullptr
-  double real, rows, slots, tools, core_points, triangles;
+  double real, rows, slots, tools, core_points, contacts, triangles;
   bool edges;  ///< the matrix stores edges
 
   StageSizes(const model::Model& model, const model::ElementGroup* of_group)
@@ -98,6 +98,7 @@ struct StageSizes {
         slots(model.layout.slot_count()),
         tools(static_cast<double>(model.tools.size())),
         core_points(model.core_points()),
+        contacts(static_cast<double>(model.contact_points()) * model.contact.triangle_count()),
         triangles(model.contact.triangle_count()),
         edges(model.layout.storage == matrix::Storage::kEdges) {}
 
@@ -112,9 +113,12 @@ struct StageSizes {
 
   /// A pass over the triangles for each core point, and one for each segment between two of them.
   Cost query_tools() const {
-    const double passes = (2 * core_points - tools) * triangles;
+    const auto thin = std::count_if(m.tools.begin(), m.tools.end(),
+                                    [](const model::ToolModel& tool) { return tool.core_points > 0; });
+    const double passes = (2 * core_points - static_cast<double>(thin)) * triangles;
     return {passes * (12 + 3 * 8 * real), passes * 60};
   }
+  Cost generate_contacts() const { return {tools * triangles * (12 + 3 * 8 * real) + contacts * real, contacts * 60}; }
   Cost solve() const {  // one iteration
     const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
     if (m.double_precision || m.layout.storage != matrix::Storage::kTiles) return whole;
@@ -165,7 +169,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kGenerateContacts, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "contact generation", "displacement, tools, closest, friction slips", "contacts, friction", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
-   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+   [](const StageSizes& s) { return s.generate_contacts(); }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
    "the matrix stores edges (CPU); element passes then add to it",
@@ -230,7 +234,8 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) {
      const double incidences = static_cast<double>(s.m.contact.incidence.size()) / 4;
-     return Cost{s.tools * incidences * (16 + 9 * s.real), s.tools * incidences * 4};
+     const double points = s.m.contact_points();
+     return Cost{incidences * (16 * s.tools + 9 * s.real * points), points * incidences * 4};
    }},
   {StageKind::kMeasureResidual, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "measure residual", "right-hand side, forces", "residual of each patch", "the scene solves more than once a step",
@@ -281,13 +286,13 @@ inline constexpr StageInfo kStages[] = {
    "contact generation", "displacement, tools, closest, friction slips", "contacts, friction",
    "once more, if the scene has tools and its step began with predict",
    [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
-   [](const StageSizes& s) { return Cost{s.tools * s.triangles * (12 + 3 * 8 * s.real), s.tools * s.triangles * 60}; }},
+   [](const StageSizes& s) { return s.generate_contacts(); }},
   {StageKind::kMeasureContact, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "measure contact", "contacts, friction, velocity", "force on each tool, friction slips", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) {
      const double slips = s.m.has_friction() ? 4 + 4 : 0;  // reads and writes
-     return Cost{s.tools * s.triangles * s.real * (1 + slips), s.tools * s.triangles};
+     return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
   {StageKind::kExtrapolate, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "extrapolate", "base displacement and velocity, displacement, velocity", "displacement, velocity, guard reports",

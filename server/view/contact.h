@@ -11,7 +11,7 @@ namespace tensormass::view {
 
 inline constexpr std::uint32_t kNoTriangle = 0xFFFFFFFFu;
 
-/// Contact of one tool with one triangle in this step.
+/// Contact of one tool with one triangle in this step, at one point of it.
 template <class Real>
 struct TriangleContact {
   Real weight[3];  // barycentric coordinates of the contact point
@@ -50,6 +50,7 @@ template <class Real>
 struct ContactView {
   std::uint32_t tool_count;
   std::uint32_t triangle_count;
+  std::uint32_t contact_points;  // contacts that a triangle can have, with all tools
 
   const std::uint32_t* triangle_rows;        // [triangle_count, 3]
   const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] across the edges 01, 12, 20; kNoTriangle at a rim
@@ -63,12 +64,14 @@ struct ContactView {
 
   const physics::PlacedTool<Real>* tools;  // [tool_count]
   ClosestTriangle<Real>* closest;          // [core points of all tools, patch_count]
-  TriangleContact<Real>* contacts;         // [tool_count, triangle_count]
+  TriangleContact<Real>* contacts;         // [contact_points, triangle_count]
   ToolLoad<Real>* tool_loads;              // [tool_count, patch_count]
 
+  const float* samples;  // signed distances of all sampled tools (physics/tool/mesh_solid.h)
+
   // Friction; nullptr: no tool has it.
-  TriangleFriction<Real>* frictions;  // [tool_count, triangle_count]
-  Real* slips;             // [tool_count, triangle_count, 4] stretch of the spring in the frame of the tool's
+  TriangleFriction<Real>* frictions;  // [contact_points, triangle_count]
+  Real* slips;             // [contact_points, triangle_count, 4] stretch of the spring in the frame of the tool's
                            // shape [m]; 4th: normal force [N]. Both at the end of the last step
   Real* checkpoint_slips;  // the same before the step that saved the checkpoint
 };

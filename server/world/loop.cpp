@@ -104,6 +104,7 @@ bool Loop::step_once(bool with_frame, bool with_diagnostics) {
       world_->set_tool_target(i, target, received->stamp, received->valid_for_s);
     }
   }
+  const Clock::time_point began = Clock::now();
   bool good = false;
   try {
     good = world_->step(with_frame && outputs_.has_frames());
@@ -119,7 +120,7 @@ bool Loop::step_once(bool with_frame, bool with_diagnostics) {
     stop_with_fault(to_text(*world_->guard_event(), world_->model()));
     return false;
   }
-  outputs_.take_step();
+  outputs_.take_step(began);
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(with_frame);
   return true;
@@ -228,7 +229,7 @@ Result<v1::SceneStatus> Loop::do_reset() {
   world_->set_cg_limit(budget_.limit());
   next_diagnostics_ = 0;
   for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before the reset
-  outputs_.take_step();
+  outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);
   return status_.make();

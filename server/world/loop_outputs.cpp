@@ -15,13 +15,13 @@ LoopOutputs::LoopOutputs(World& world)
       frames_(FrameSlot{{}, std::vector<float>(3 * std::size_t{model_.visible.count()}), tools_}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}) {
-  take_step();
+  take_step(Clock::now());
 }
 
-void LoopOutputs::take_step() {
+void LoopOutputs::take_step(Clock::time_point began) {
   const std::span<const ToolReading> readings = world_.readings();
   TM_ASSERT(readings.size() == tools_.size(), "a reading for each tool");
-  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns()};
+  stamp_ = {world_.step_count(), world_.simulated_time_s(), unix_time_ns(), began, Clock::now()};
   std::copy(readings.begin(), readings.end(), tools_.begin());
 }
 

@@ -34,7 +34,7 @@ class LoopOutputs {
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
   /// Copies step, time and tool readings from the world.
-  void take_step();
+  void take_step(Clock::time_point began);
   /// Zeroes force, torque and stiffness of every tool: a scene that does not step must not push anyone's hand.
   void release_tools();
 

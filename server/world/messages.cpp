@@ -60,6 +60,11 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.set_pose_sequence(reading.newest.sequence);
   out.set_client_time_ns(reading.newest.client_time_ns);
   out.set_client_id(reading.newest.client_id);
+  const auto seconds = [](Clock::duration time) { return std::chrono::duration<double>(time).count(); };
+  const bool has_pose = reading.newest.arrived != Clock::time_point{};
+  out.set_pose_waited_s(has_pose ? seconds(stamp.began - reading.newest.arrived) : 0);
+  out.set_step_s(seconds(stamp.ended - stamp.began));
+  out.set_published_after_s(seconds(Clock::now() - stamp.ended));
   fill(reading.pose.position_m, *out.mutable_position_m());
   const auto& q = reading.pose.orientation;
   out.mutable_orientation()->set_w(q[0]);

@@ -6,16 +6,18 @@
 
 #include "model/model.h"
 #include "tensormass/v1/stream.pb.h"
+#include "world/step_clock.h"
 #include "world/tool.h"
 
 /// Conversion of a scene's values to the messages of the protocol.
 namespace tensormass::world {
 
-/// The end of a step: its number, in simulated time and on the server's clock.
+/// A step: its number, its end in simulated time and on the server's clock, and when it was computed.
 struct StepStamp {
   std::uint64_t step = 0;
   double simulated_time_s = 0;
   std::uint64_t server_time_ns = 0;
+  Clock::time_point began{}, ended{};
 };
 
 /// Visible positions and tools of a step, from the loop to the publisher.

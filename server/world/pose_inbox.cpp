@@ -41,6 +41,10 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
     return tl::make_unexpected(std::move(error));
   };
   const std::string where = fmt::format("pose of tool '{}'", tool.name);
+  if (tool.fixed) {
+    return refuse(
+        {ErrorCode::kFailedPrecondition, where + ": the scene says that this tool is fixed, so it takes no poses"});
+  }
   if (!message.has_position_m()) return refuse({ErrorCode::kInvalidArgument, where + ": give position_m"});
   const auto position = model::read_vector(message.position_m(), where + ".position_m");
   if (!position) return refuse(position.error());
@@ -62,7 +66,7 @@ Result<void> PoseInbox::submit(const model::ToolModel& tool, const v1::ToolPose&
   TM_ASSERT(position->allFinite(), "the loop takes finite poses only");
   newest_.writing() = {{*position, *orientation, *joints},
                        has_joints,
-                       {message.sequence(), message.client_time_ns(), message.client_id()},
+                       {message.sequence(), message.client_time_ns(), message.client_id(), Clock::now()},
                        *valid_for_s};
   if (newest_.publish()) superseded_.fetch_add(1, std::memory_order_relaxed);
   received_.fetch_add(1, std::memory_order_relaxed);

@@ -6,22 +6,23 @@
 
 namespace tensormass::world {
 
-/// Returns a bound on the way of each core point from one pose of the shape to another [m]: the way of the shape's
-/// origin, which is straight, plus the arc about it, plus the way of its joints.
+/// Returns a bound on the way of each core point, or of the surface of a solid, from one pose of the shape to another
+/// [m]: the way of the shape's origin, which is straight, plus the arc about it, plus the way of its joints.
 double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
   const auto first = tool_->placed<double>(from, from), last = tool_->placed<double>(to, from);
-  double arm = 0, by_joints = 0;
+  double arm = tool_->reach_m, by_joints = 0;
   physics::with_tool(tool_->kind, [&](auto kind) {
     using Kind = typename decltype(kind)::Type;
-    for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
-      const Vec3<double> at_first = Kind::core_point(first, i), at_last = Kind::core_point(last, i);
-      arm = std::max({arm, (at_first - first.position()).norm(), (at_last - last.position()).norm()});
-      double way = 0;
-      for (std::size_t j = 0; j < Kind::kJoints.size(); ++j) {
-        way += (Kind::joint_motion(last, j, at_last, at_last) * last.joints_moved[j]).norm();
+    if constexpr (!Kind::kIsSolid)
+      for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
+        const Vec3<double> at_first = Kind::core_point(first, i), at_last = Kind::core_point(last, i);
+        arm = std::max({arm, (at_first - first.position()).norm(), (at_last - last.position()).norm()});
+        double way = 0;
+        for (std::size_t j = 0; j < Kind::kJoints.size(); ++j) {
+          way += (Kind::joint_motion(last, j, at_last, at_last) * last.joints_moved[j]).norm();
+        }
+        by_joints = std::max(by_joints, way);
       }
-      by_joints = std::max(by_joints, way);
-    }
   });
   return (to.position_m - from.position_m).norm() + arm * physics::rotation_vector(from, to).norm() + by_joints;
 }

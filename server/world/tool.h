@@ -7,6 +7,7 @@
 #include "core/scalar.h"
 #include "model/model.h"
 #include "physics/tool/pose.h"
+#include "world/step_clock.h"
 
 /// A tool of a stepping scene: how it follows the poses of a client, and what a client gets back.
 ///
@@ -18,11 +19,12 @@ namespace tensormass::world {
 
 using physics::Pose;
 
-/// The numbers of a pose's message. Feedback repeats them, so that a client can measure its delay.
+/// The numbers of a pose's message, and when it came. Feedback repeats them, so that a client can measure its delay.
 struct PoseStamp {
   std::uint64_t sequence = 0;
   std::uint64_t client_time_ns = 0;
   std::uint64_t client_id = 0;
+  Clock::time_point arrived{};  ///< at the server
 };
 
 /// valid_for_s of a pose that holds until the next one.

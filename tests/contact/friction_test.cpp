@@ -94,7 +94,7 @@ TEST_P(OneContact, StretchTurnsWithTheTool) {
   EXPECT_NEAR(force.friction_n[2], -held_n, 1e-6 * std::abs(held_n));  // x turns to −z about y
 }
 
-INSTANTIATE_TEST_SUITE_P(Tools, OneContact, testing::ValuesIn(tests::tool_kinds()));
+INSTANTIATE_TEST_SUITE_P(Tools, OneContact, testing::ValuesIn(tests::thin_tool_kinds()));
 
 /// Whole scenes.
 class Friction : public tests::OnBackend {

@@ -147,12 +147,15 @@ TEST_P(EveryTool, AddsToTheSystemWhatBruteForceAdds) {
     place_at(staged, position);
     staged.run_through(StageKind::kAssembleContact);
     physics::with_tool(staged.model.tools[0].kind, [&](auto tag) {
-      const DenseContact contact(typename decltype(tag)::Type{}, mesh_, u, v, dt, staged.view.contact.tools[0]);
-      ASSERT_GT(contact.touching, 3);
-      const Eigen::MatrixXd a = tissue.a(dt) + contact.a;
-      const Eigen::VectorXd b = tissue.b(dt, v) + contact.b;
-      EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * contact.a.norm());
-      EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - b).norm(), 1e-12 * b.norm());
+      using Kind = typename decltype(tag)::Type;
+      if constexpr (!Kind::kIsSolid) {
+        const DenseContact contact(Kind{}, mesh_, u, v, dt, staged.view.contact.tools[0]);
+        ASSERT_GT(contact.touching, 3);
+        const Eigen::MatrixXd a = tissue.a(dt) + contact.a;
+        const Eigen::VectorXd b = tissue.b(dt, v) + contact.b;
+        EXPECT_LT((staged.matrix() - a).norm(), 1e-12 * contact.a.norm());
+        EXPECT_LT((staged.by_node(staged.view.matrix.rhs) - b).norm(), 1e-12 * b.norm());
+      }
     });
   }
 }
@@ -215,7 +218,7 @@ TEST_P(EveryTool, LetsGoWhenItLeaves) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Tools, EveryTool,
-                         testing::Combine(testing::ValuesIn(tests::tool_kinds()), testing::Values(1u, 2u, 6u)));
+                         testing::Combine(testing::ValuesIn(tests::thin_tool_kinds()), testing::Values(1u, 2u, 6u)));
 
 /// A tool that comes down on the block with its tip.
 class OnARigidBlock : public testing::TestWithParam<std::string> {};
@@ -243,7 +246,7 @@ TEST_P(OnARigidBlock, IsPushedOutWithItsCentreInside) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Tools, OnARigidBlock, testing::ValuesIn(tests::tool_kinds()));
+INSTANTIATE_TEST_SUITE_P(Tools, OnARigidBlock, testing::ValuesIn(tests::thin_tool_kinds()));
 
 /// A capsule that lies on one triangle touches it with its deepest point, which is the lower end if it is tilted.
 TEST(CapsuleOnARigidBlock, TouchesWithItsLowerEnd) {

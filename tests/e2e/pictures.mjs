@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs retract grasp
+//     node tests/e2e/pictures.mjs retract grasp table
 //
 // It needs a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture is taken when
 // the force on the tool has been steady for a second.

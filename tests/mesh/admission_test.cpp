@@ -236,10 +236,10 @@ TEST(Admission, WarnsAboutSeparateParts) {
 TEST(SkinAdmission, ReportsAndRefuses) {
   const std::vector<Eigen::Vector3d> vertices{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {2, 0, 0}};
   const auto refusal = [&](std::vector<Triangle> triangles) {
-    const Result<SkinReport> report = admit_skin(vertices, triangles, "liver");
+    const Result<SkinReport> report = admit_skin(vertices, triangles, "body 'liver'");
     return report ? std::string("accepted") : report.error().message;
   };
-  const SkinReport good = admit_skin(vertices, std::vector<Triangle>{{0, 1, 2}, {1, 3, 2}}, "liver").value();
+  const SkinReport good = admit_skin(vertices, std::vector<Triangle>{{0, 1, 2}, {1, 3, 2}}, "body 'liver'").value();
   EXPECT_EQ(good.triangle_count, 2u);
   EXPECT_TRUE(good.warnings.empty());
 
@@ -248,14 +248,14 @@ TEST(SkinAdmission, ReportsAndRefuses) {
             std::string::npos);
   EXPECT_NE(refusal({{0, 1, 1}}).find("skin triangle 0 of body 'liver' repeats a vertex"), std::string::npos);
 
-  const SkinReport ugly = admit_skin(vertices, std::vector<Triangle>{{0, 1, 3}}, "liver").value();
+  const SkinReport ugly = admit_skin(vertices, std::vector<Triangle>{{0, 1, 3}}, "body 'liver'").value();
   ASSERT_EQ(ugly.warnings.size(), 2u);
   EXPECT_NE(ugly.warnings[0].find("1 triangles without area"), std::string::npos);
   EXPECT_NE(ugly.warnings[1].find("1 vertices that belong to no triangle"), std::string::npos);
 
   std::vector<Eigen::Vector3d> broken = vertices;
   broken[2].z() = std::numeric_limits<double>::quiet_NaN();
-  const Result<SkinReport> report = admit_skin(broken, std::vector<Triangle>{{0, 1, 2}}, "liver");
+  const Result<SkinReport> report = admit_skin(broken, std::vector<Triangle>{{0, 1, 2}}, "body 'liver'");
   ASSERT_FALSE(report);
   EXPECT_NE(report.error().message.find("skin vertex 2 of body 'liver'"), std::string::npos);
 }

@@ -1,5 +1,6 @@
 #include "physics/tool/tool.h"
 
+#include <cmath>
 #include <random>
 #include <string>
 
@@ -8,8 +9,8 @@
 #include "physics/lists.h"
 #include "physics/tool/pose.h"
 
-/// Properties that every kind of tool must have. The list is that of physics/lists.h: a new entry there is tested here
-/// without a change.
+/// Properties that every kind of tool must have. The lists are those of physics/lists.h: a new thin kind there is
+/// tested here without a change. A solid has tests in tests/contact/solid_test.cpp, too.
 namespace tensormass::physics {
 namespace {
 
@@ -61,7 +62,7 @@ class EveryTool : public ::testing::Test {
   std::mt19937 random_{5};
 };
 
-TYPED_TEST_SUITE(EveryTool, AsTestTypes<Tools>::All, ToolNames);
+TYPED_TEST_SUITE(EveryTool, AsTestTypes<ThinTools>::All, ToolNames);
 
 TYPED_TEST(EveryTool, CorePointsAreOnTheCoreInOrder) {
   for (int trial = 0; trial < 50; ++trial) {
@@ -186,6 +187,61 @@ TEST(Pose, RotationVectorIsAngleTimesAxisOfTheShorterTurn) {
       EXPECT_LT((rotation_vector(turned(0.2, 1), turned(0.2 + angle, sign)) - angle * axis).norm(), 1e-12) << angle;
     }
   }
+}
+
+/// A box of 0.6 × 0.8 × 1.2 m with edges of this radius, turned.
+PlacedTool<double> box(double edge_radius_m) {
+  PlacedTool<double> out{};
+  const Mat3<double> turned = Eigen::AngleAxisd(0.7, Vec3<double>(1, 2, 3).normalized()).toRotationMatrix();
+  for (int c = 0; c < 9; ++c) out.rotation[c] = turned(c / 3, c % 3);
+  for (int c = 0; c < 3; ++c) out.position_m[c] = 0.1 * c;
+  const ToolParameters parameters{0.6, 0.8, 1.2, edge_radius_m};
+  for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = parameters[i];
+  out.radius_m = BoxSolid::length_m(parameters);
+  return out;
+}
+
+TEST(BoxSolid, TheWayAlongTheGradientEndsOnTheSurface) {
+  constexpr double kStep = 1e-7;
+  std::mt19937 random(4);
+  std::uniform_real_distribution<double> uniform(-1, 1);
+  for (const double edge_radius_m : {0.0, 0.1, 0.3}) {
+    const auto tool = box(edge_radius_m);
+    EXPECT_NEAR(BoxSolid::distance(tool, tool.position()), -0.3, 1e-12);
+    for (int trial = 0; trial < 500; ++trial) {
+      const Vec3<double> x(uniform(random), uniform(random), uniform(random));
+      const double distance = BoxSolid::distance(tool, x);
+      const Vec3<double> gradient = BoxSolid::gradient(tool, x);
+      EXPECT_NEAR(gradient.norm(), 1, 1e-12);
+      EXPECT_NEAR(BoxSolid::distance(tool, Vec3<double>(x - distance * gradient)), 0, 1e-12);
+      // The distance has no derivative where two faces are equally near.
+      Vec3<double> slope;
+      for (int c = 0; c < 3; ++c) {
+        const Vec3<double> h = kStep * Vec3<double>::Unit(c);
+        slope[c] = (BoxSolid::distance(tool, Vec3<double>(x + h)) - BoxSolid::distance(tool, Vec3<double>(x - h))) /
+                   (2 * kStep);
+      }
+      if (std::abs(slope.norm() - 1) > 1e-6) continue;
+      EXPECT_LT((gradient - slope).norm(), 1e-6);
+    }
+  }
+}
+
+/// Corners are where they should be: half a diagonal away, less what the rounding takes.
+TEST(BoxSolid, HasItsCornersWhereItsSizeSays) {
+  for (const double r : {0.0, 0.1}) {
+    const auto tool = box(r);
+    const Vec3<double> corner = tool.position() + tool.to_scene(Vec3<double>(0.3, -0.4, 0.6));
+    EXPECT_NEAR(BoxSolid::distance(tool, corner), r * (std::sqrt(3.0) - 1), 1e-12);
+  }
+}
+
+TEST(Plane, IsSolidBelow) {
+  PlacedTool<double> tool = box(0);
+  const Vec3<double> x(0.3, 0.5, -0.7);
+  EXPECT_NEAR(Plane::distance(tool, x), tool.axis(2).dot(x - tool.position()), 1e-15);
+  EXPECT_EQ(Plane::gradient(tool, x), tool.axis(2));
+  EXPECT_LT(Plane::distance(tool, Vec3<double>(tool.position() - tool.axis(2))), 0);
 }
 
 }  // namespace

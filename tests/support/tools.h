@@ -7,16 +7,16 @@
 #include "physics/lists.h"
 #include "support/scenes.h"
 
-/// Tools of every kind, for tests that run over all of them.
+/// Tools of every thin kind, for tests that run over all of them.
 namespace tensormass::tests {
 
-inline std::vector<std::string> tool_kinds() {
+inline std::vector<std::string> thin_tool_kinds() {
   std::vector<std::string> names;
-  physics::for_each_type(physics::Tools{}, [&](auto tag, int) { names.emplace_back(decltype(tag)::Type::kName); });
+  physics::for_each_type(physics::ThinTools{}, [&](auto tag, int) { names.emplace_back(decltype(tag)::Type::kName); });
   return names;
 }
 
-/// Adds a tool of this kind with its shape's origin at (x, y, z) [m]. Its z axis points up, along the scene's y.
+/// Adds a tool of this thin kind with its shape's origin at (x, y, z) [m]. Its z axis points up, along the scene's y.
 /// Numbers of the kind besides the radius become four radii.
 inline v1::Tool& add_tool(v1::Scene& scene, const std::string& kind, double radius_m, double x, double y, double z,
                           double penalty_pa_per_m) {

@@ -70,6 +70,23 @@ TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
   EXPECT_EQ(feedback.local_model().valid_for_s(), local_model_validity_s(model));
 }
 
+/// The times are those of the server's clock, so a client that adds transport needs no common clock.
+TEST(Messages, FeedbackSaysWhereItsTimeWent) {
+  using std::chrono::milliseconds;
+  const model::Model model = two_bodies_and_a_probe();
+  const Clock::time_point now = Clock::now();
+  const StepStamp stamp{12, 0.5, 13, now - milliseconds(50), now - milliseconds(20)};
+  ToolReading reading;
+  v1::ToolFeedback feedback;
+  fill_feedback(model, stamp, 0, reading, feedback);
+  EXPECT_EQ(feedback.pose_waited_s(), 0) << "there was no pose";
+  reading.newest.arrived = now - milliseconds(60);
+  fill_feedback(model, stamp, 0, reading, feedback);
+  EXPECT_NEAR(feedback.pose_waited_s(), 0.01, 1e-9);
+  EXPECT_NEAR(feedback.step_s(), 0.03, 1e-9);
+  EXPECT_GE(feedback.published_after_s(), 0.02);
+}
+
 TEST(Messages, LocalModelOutlivesAFewMissingSteps) {
   model::Model model = two_bodies_and_a_probe();
   model.rate_hz = 10;

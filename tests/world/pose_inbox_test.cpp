@@ -44,6 +44,18 @@ TEST(PoseInbox, KeepsTheNewestPoseAndItsNumbersForFeedback) {
   EXPECT_EQ(inbox.rejected(), 0u);
 }
 
+TEST(PoseInbox, RefusesPosesOfAnObstacle) {
+  PoseInbox inbox;
+  model::ToolModel table = probe();
+  table.fixed = true;
+  const auto refused = inbox.submit(table, pose(7, 1));
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("tool 'probe'"), std::string::npos);
+  EXPECT_NE(refused.error().message.find("fixed"), std::string::npos);
+  EXPECT_EQ(inbox.take(), nullptr);
+  EXPECT_EQ(inbox.rejected(), 1u);
+}
+
 TEST(PoseInbox, RefusesPosesThatAreNotNewerThanTheSameClientsLast) {
   PoseInbox inbox;
   ASSERT_TRUE(inbox.submit(probe(), pose(7, 5)));

@@ -107,8 +107,8 @@ class Daemon:
         # A browser that has not seen the newest topology may mean a tool of the previous one.
         if feed is None or feed.topology is None or not watcher.outbox.topology_known or self.problem:
             return
-        if tool not in {shape.name for shape in feed.topology.tools}:
-            raise ProtocolError(f"scene {feed.scene!r} has no tool {tool!r}")
+        if tool not in {shape.name for shape in feed.topology.tools if not shape.tool.fixed}:
+            raise ProtocolError(f"scene {feed.scene!r} has no tool {tool!r} that can be moved")
         watcher.pose_sequence += 1
         pose = stream_pb2.ToolPose(
             sequence=watcher.pose_sequence,

@@ -155,6 +155,8 @@ def _start_hands(
     folder = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="tensormass-run-")))
     hands = []
     for tool in handle.topology().tools:
+        if tool.tool.fixed:
+            continue
         log_file = folder / f"{tool.name}.log"
         where = ["--server", server.address, "--scene", handle.name]
         command: list[str | Path] = [device, *where, "--tool", tool.name, "--transport", args.haptic_transport]

@@ -77,6 +77,38 @@ it("draws the jaws of a grasper as far open as they are", () => {
   }
 });
 
+it("draws solids as what they are, and obstacles are not for dragging", () => {
+  const positions = new Float64Array([0, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0, 5]);
+  const triangles = new Uint32Array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]);
+  const bytes = (array: Float64Array | Uint32Array): Uint8Array<ArrayBuffer> => new Uint8Array(array.buffer as ArrayBuffer);
+  const packed = { vertexPositions: bytes(positions), triangles: bytes(triangles) };
+  const source = { case: "packed" as const, value: packed };
+  const box = { case: "box" as const, value: { sizeXM: 0.02, sizeYM: 0.04, sizeZM: 0.06, edgeRadiusM: 0.002 } };
+  const mesh = { case: "mesh" as const, value: { scale: 0.01, surface: { source } } };
+  const topology = decodeTopology(
+    topologyBytes({
+      tools: [
+        { name: "box", radiusM: 0.01, tool: { kind: box } },
+        { name: "mesh", radiusM: 0.01, tool: { kind: mesh } },
+        { name: "plane", radiusM: 0.01, tool: { kind: { case: "plane", value: {} }, fixed: true } },
+      ],
+    }),
+  );
+  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const shapes = instruments.shapes();
+  expect(shapes.map((shape) => shape.name)).toEqual(["box", "mesh"]);
+  expect(new THREE.Box3().setFromObject(shapes[0]!).max.toArray()).toEqual(near(0.01, 0.02, 0.03));
+  expect(new THREE.Box3().setFromObject(shapes[1]!).max.toArray()).toEqual(near(0.03, 0.04, 0.05));
+  expect(instruments.group.children).toHaveLength(3);
+});
+
+it("refuses a surface that names a vertex it lacks", () => {
+  const packed = { vertexPositions: new Uint8Array(24), triangles: new Uint8Array(new Uint32Array([0, 0, 7]).buffer) };
+  const kind = { case: "mesh" as const, value: { surface: { source: { case: "packed" as const, value: packed } } } };
+  const tool = { name: "rake", radiusM: 0.01, tool: { kind } };
+  expect(() => decodeTopology(topologyBytes({ tools: [tool] }))).toThrow(/tool "rake": its surface has/);
+});
+
 it("draws the arrow from the sphere along the force, and the label at its tip", () => {
   const { instruments, labels } = update({ x: 0, y: 0, z: -1.5 });
   const [label] = labels;

@@ -61,7 +61,7 @@ class CpuState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    write_tools(model_, input, tools_);
+    write_tools(model_, input, view_.contact.samples, tools_);
     write_prescribed(model_, input, prescribed_);
     load_factors_.write(model_, input, external_, faces_);
     *control_ = checkpoint_.begin(model_, input);

@@ -94,7 +94,7 @@ class CudaState final : public SceneState {
   }
 
   StepResult step(const StepInput& input, std::span<ToolForce> forces) override {
-    write_tools(model_, input, tools_.host);
+    write_tools(model_, input, view_.contact.samples, tools_.host);
     write_prescribed(model_, input, prescribed_.host);
     if (load_factors_.write(model_, input, external_.data(), faces_.data())) {
       upload_pinned(view_.state.external, external_, "loads");

@@ -11,8 +11,9 @@
 
 /// The interface of a tool's kind: the shape that touches tissue.
 ///
-/// A tool is a rigid core and a radius r: its surface is at the distance r from the core. A point makes a sphere, a
-/// segment a capsule, a bent line a retractor.
+/// There are two families. A *thin* tool is a rigid core and a radius r: its surface is at the distance r from the
+/// core. A point makes a sphere, a segment a capsule, a bent line a retractor. A *solid* (physics/tool/solid.h) is a
+/// volume, given by its signed distance alone: a box, a plane, a mesh.
 ///
 ///        r  ______________          c0, c1  core points
 ///       ___/              \___      x       a point of the scene [m]
@@ -28,24 +29,37 @@
 ///
 /// Constants of a kind:
 ///
-///   kName         the protocol's name for it, in Tool.kind
-///   kParameters   numbers that its message has besides radius_m, tip_offset_m and penalty_stiffness_pa_per_m
-///   kJoints       joints that its pose has [rad or m], with their ranges
-///   kCorePoints   number of its core points. Contact finds out for each whether it is inside the tissue
+///   kName            the protocol's name for it, in Tool.kind
+///   kParameters      numbers that its message has besides radius_m, tip_offset_m and penalty_stiffness_pa_per_m
+///   kJoints          joints that its pose has [rad or m], with their ranges
+///   kIsSolid         whether it is a solid
+///   kCorePoints      number of its core points; a solid has none. Contact finds out for each whether it is inside the
+///                    tissue
+///   kContactPoints   number of points at which it may touch one triangle
 ///
 /// Functions of a kind; `tool` is placed in the scene, `x` is a point of the scene:
 ///
+///   distance(tool, x)             returns φ
+///   gradient(tool, x)             returns ∇φ; zero where it is undefined
+///   joint_motion(tool, j, core, x)
+///                                 returns the derivative by joint j of the point of the tool that is at x. `core` is
+///                                 the point of the core that x belongs to. Only for a kind with joints
+///
+/// Functions of a thin kind:
+///
 ///   core_point(tool, i)           returns core point i
 ///   closest_core_point(tool, x)   returns the point of the core that is closest to x
-///   distance(tool, x)             returns φ
-///   gradient(tool, x)             returns ∇φ; zero on the core, where it is undefined
 ///   for_each_candidate(tool, a, b, c, visit)
 ///                                 visits pairs of a point of the triangle abc and a point of the core. The contact is
 ///                                 one of them
 ///                                 visit(weights, core): called at least once; barycentric coordinates, CorePoint
-///   joint_motion(tool, j, core, x)
-///                                 returns the derivative by joint j of the point of the tool that is at x. `core` is
-///                                 the point of the core that x belongs to. Only for a kind with joints
+///
+/// Functions of a solid kind:
+///
+///   length_m(parameters)          returns half of its thickness [m], by which the depth of contact is judged
+///   reach_m(parameters)           returns the largest distance of its surface from the origin of its frame [m]
+///   middle_m(tool)                returns how deep its middle is inside [m]. Contact looks for the point of a triangle
+///                                 that is closest to there
 namespace tensormass::physics {
 
 /// A number in the message of a tool's kind, or a joint in its poses.
@@ -53,6 +67,9 @@ struct ToolParameter {
   std::string_view name;  ///< that of the field
   double least, most;
 };
+
+/// The numbers of a tool's message, as its kind's kParameters lists them; zero beyond them.
+using ToolParameters = std::array<double, limits::kMaxToolParameters>;
 
 /// A point of a tool's core.
 template <class Real>
@@ -67,7 +84,8 @@ struct PlacedTool {
   Real position_m[3];  // origin of the shape's frame: the tool's own frame, moved by tip_offset_m
   Real rotation[9];    // row-major; its columns are the axes of the shape's frame
   Real joint_values[limits::kMaxToolJoints];
-  Real radius_m;
+  Real radius_m;                                // for a solid length_m
+  const float* samples;                         // distances of a mesh_solid.h, else nullptr
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;
   Real friction;    // Coulomb's coefficient μ; 0: none
@@ -76,6 +94,8 @@ struct PlacedTool {
   Real joints_moved[limits::kMaxToolJoints];  // change of joint_values in this step
   std::uint32_t kind;                         // place in Tools
   std::uint32_t first_core_point;             // its core points among those of all tools
+  std::uint32_t contact_points;               // kContactPoints of the kind
+  std::uint32_t first_contact_point;          // its contact points among those of all tools
 
   TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }
@@ -104,16 +124,30 @@ struct IgnoreCandidate {
 };
 
 template <class T>
-concept Tool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
+concept ThinTool = requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
+  requires !T::kIsSolid;
+  { T::core_point(tool, 0) } -> std::same_as<Vec3<double>>;
+  { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
+  T::for_each_candidate(tool, x, x, x, IgnoreCandidate{});
+};
+
+template <class T>
+concept SolidTool = requires(const PlacedTool<double>& tool, const ToolParameters& parameters) {
+  requires T::kIsSolid && T::kCorePoints == 0;
+  { T::length_m(parameters) } -> std::same_as<double>;
+  { T::reach_m(parameters) } -> std::same_as<double>;
+  { T::middle_m(tool) } -> std::same_as<double>;
+};
+
+template <class T>
+concept Tool = (ThinTool<T> || SolidTool<T>)&&requires(const PlacedTool<double>& tool, const Vec3<double>& x) {
   { T::kName } -> std::convertible_to<std::string_view>;
   { T::kParameters.size() } -> std::convertible_to<std::size_t>;
   { T::kJoints.size() } -> std::convertible_to<std::size_t>;
   { T::kCorePoints } -> std::convertible_to<std::uint32_t>;
-  { T::core_point(tool, 0) } -> std::same_as<Vec3<double>>;
-  { T::closest_core_point(tool, x) } -> std::same_as<CorePoint<double>>;
+  { T::kContactPoints } -> std::convertible_to<std::uint32_t>;
   { T::distance(tool, x) } -> std::same_as<double>;
   { T::gradient(tool, x) } -> std::same_as<Vec3<double>>;
-  T::for_each_candidate(tool, x, x, x, IgnoreCandidate{});
   { T::joint_motion(tool, 0, x, x) } -> std::same_as<Vec3<double>>;
 };
 
@@ -134,6 +168,8 @@ TM_HOST_DEVICE Vec3<Real> motion_with_joints(const PlacedTool<Real>& tool, const
 template <class Kind>
 struct ThinCore {
   static constexpr std::array<ToolParameter, 0> kJoints{};
+  static constexpr bool kIsSolid = false;
+  static constexpr std::uint32_t kContactPoints = 1;
 
   template <class Real>
   TM_HOST_DEVICE static Vec3<Real> joint_motion(const PlacedTool<Real>&, std::size_t, const Vec3<Real>&,

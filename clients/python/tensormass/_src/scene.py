@@ -335,16 +335,19 @@ class Scene:
         max_speed_m_per_s: float | None = None,
         friction_coefficient: float = 0.0,
         joint_values: Vector = (),
-        **shape: float | Vector,
+        fixed: bool = False,
+        **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
 
         Args:
-            kind: a kind of the protocol's `Tool`, such as "spherical_probe", "capsule" or "grasper".
+            kind: a kind of the protocol's `Tool`, such as "spherical_probe", "grasper", "box", "plane" or "mesh".
             orientation: quaternion w, x, y, z; None is the identity.
             friction_coefficient: Coulomb's coefficient between the tool and tissue; 0 for a smooth tool.
             joint_values: one for each joint [rad or m]; empty: the least of each.
-            shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`.
+            fixed: whether it is an obstacle, for which poses are refused.
+            shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
+                `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
         Raises:
             InvalidArgumentError: no such kind, or no such field.
@@ -358,6 +361,7 @@ class Scene:
                 max_speed_m_per_s=max_speed_m_per_s,
                 friction_coefficient=friction_coefficient,
                 joint_values=joint_values,
+                fixed=fixed,
                 shape=shape,
             )
         )

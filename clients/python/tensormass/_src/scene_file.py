@@ -89,3 +89,9 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
         with naming(f"{at}.skin.file"):
             if body.skin.WhichOneof("source") == "file":
                 body.skin.packed.CopyFrom(pack_triangles(mesh_files.read_surface(directory / body.skin.file)))
+    for index, tool in enumerate(scene.tools):
+        if tool.mesh.surface.WhichOneof("source") != "file":
+            continue
+        with naming(f"{where}: tools[{index}].mesh.surface.file"):
+            surface = mesh_files.read_surface(directory / tool.mesh.surface.file)
+            tool.mesh.surface.packed.CopyFrom(pack_triangles(surface))

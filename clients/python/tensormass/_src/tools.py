@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Protocol, cast
 
+import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 
 from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.meshes import TriangleSurface
 from tensormass._src.names import suggestion
+from tensormass._src.packing import pack_triangles
 from tensormass._src.vectors import Vector, finite_numbers, quaternion, vector3
 from tensormass.v1 import scene_pb2
 
@@ -15,7 +18,6 @@ from tensormass.v1 import scene_pb2
 class ToolShape(Protocol):
     """What the messages of all kinds of tools have."""
 
-    radius_m: float
     tip_offset_m: scene_pb2.Vector3
 
 
@@ -31,6 +33,31 @@ def shape_of(tool: scene_pb2.Tool) -> ToolShape:
     return cast("ToolShape", getattr(tool, kind))
 
 
+def radius_m(tool: scene_pb2.Tool) -> float:
+    """Returns the radius of a tool; of a solid half its smallest size [m].
+
+    Raises:
+        InvalidArgumentError: the tool has no kind, or no size.
+    """
+    shape = shape_of(tool)
+    if isinstance(shape, scene_pb2.BoxSolid):
+        return min(shape.size_x_m, shape.size_y_m, shape.size_z_m) / 2
+    if isinstance(shape, scene_pb2.MeshSolid):
+        positions = np.frombuffer(shape.surface.packed.vertex_positions, "<f8").reshape(-1, 3)
+        if len(positions) == 0:
+            raise InvalidArgumentError(f"tool {tool.name!r} has a surface without vertices")
+        scale = shape.scale if shape.HasField("scale") else 1.0
+        return float(scale * np.ptp(positions, axis=0).min() / 2)
+    if isinstance(shape, scene_pb2.Plane):
+        raise InvalidArgumentError(f"tool {tool.name!r} is a plane, which has no size")
+    return float(shape.radius_m)  # type: ignore[attr-defined]  # all other kinds are thin
+
+
+def movable_tools(scene: scene_pb2.Scene) -> list[scene_pb2.Tool]:
+    """Returns the tools that clients can move."""
+    return [tool for tool in scene.tools if not tool.fixed]
+
+
 def make_tool(
     name: str,
     kind: str,
@@ -40,7 +67,8 @@ def make_tool(
     max_speed_m_per_s: float | None,
     friction_coefficient: float,
     joint_values: Vector,
-    shape: dict[str, float | Vector],
+    fixed: bool,
+    shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
     if kind not in _kinds():
@@ -52,6 +80,7 @@ def make_tool(
         max_speed_m_per_s=max_speed_m_per_s,
         friction_coefficient=friction_coefficient,
         joint_values=finite_numbers(joint_values, f"{name}.joint_values"),
+        fixed=fixed,
     )
     message = getattr(tool, kind)
     message.SetInParent()
@@ -60,7 +89,11 @@ def make_tool(
         if described is None:
             fields = list(message.DESCRIPTOR.fields_by_name)
             raise InvalidArgumentError(f"{name}: {kind} has no {field!r}; {suggestion(field, fields)}")
-        if described.type == FieldDescriptor.TYPE_MESSAGE:
+        if isinstance(value, TriangleSurface):
+            if field != "surface":
+                raise InvalidArgumentError(f"{name}.{field}: expected a number, got a surface")
+            message.surface.packed.CopyFrom(pack_triangles(value))
+        elif described.type == FieldDescriptor.TYPE_MESSAGE:
             getattr(message, field).CopyFrom(vector3(cast("Vector", value), f"{name}.{field}"))
         else:
             try:

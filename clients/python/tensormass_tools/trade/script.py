@@ -21,7 +21,7 @@ from tensormass._src import defaults, mesh_geometry
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.meshes import BoolArray, FloatArray
 from tensormass._src.packing import volume_mesh
-from tensormass._src.tools import shape_of
+from tensormass._src.tools import movable_tools, radius_m, shape_of
 from tensormass.v1 import scene_pb2
 
 # Shares of the duration at which the tool starts to move, is at its deepest, starts back, and is back.
@@ -74,20 +74,21 @@ class Script:
         dt_s = defaults.dt_s(scene)
         scheduled_s = defaults.scheduled_s(scene)
         loaded = scene.HasField("gravity_m_per_s2") or any(body.loads or body.prescribed for body in scene.bodies)
-        if not loaded and not scene.tools:
+        tools = movable_tools(scene)
+        if not loaded and not tools:
             raise InvalidArgumentError("the scene has no gravity, no load and no tool: nothing would move")
         quasi_static = scene.solver.integrator == scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
-        if quasi_static and not scene.tools and scheduled_s == 0:
+        if quasi_static and not tools and scheduled_s == 0:
             return Script(dt_s, dt_s, True, (0.0, 0.0))
         sample_s = SAMPLE_STEPS * dt_s
         depths = press_radii or (PRESS_RADII,)
         of_tool_s = _TOOL_DURATION_S * (1 if len(depths) == 1 else _LONGER)
-        usual_s = of_tool_s if scene.tools else 0 if quasi_static else _FREE_DURATION_S
+        usual_s = of_tool_s if tools else 0 if quasi_static else _FREE_DURATION_S
         wanted_s = seconds or max(scheduled_s, usual_s)
         duration_s = sample_s * max(1, math.ceil(wanted_s / sample_s - 1e-3))
-        if not scene.tools:
+        if not tools:
             return Script(duration_s, sample_s, False, (0.0, duration_s))
-        tool = scene.tools[0]
+        tool = tools[0]
         start, travel, depths_m, stays = _press(scene, tool, depths)
         script = Script(duration_s, sample_s, False, (0.0, 0.0), tool.name, start, travel, depths_m, stays)
         moves_s = script._moves_s
@@ -184,18 +185,18 @@ def _press(
     """Returns the start of a tool; its way straight to the nearest point of the surface at rest and the last of
     `press_radii` beyond it; for each of these its depth [m] and the share of the way at which it is reached."""
     start = np.array([tool.position_m.x, tool.position_m.y, tool.position_m.z])
-    shape, q = shape_of(tool), tool.orientation
+    shape, radius, q = shape_of(tool), radius_m(tool), tool.orientation
     centre = start + _rotated(q, np.array([shape.tip_offset_m.x, shape.tip_offset_m.y, shape.tip_offset_m.z]))
     surface = np.concatenate(
         [rest_nodes(body, mesh_geometry.boundary(volume_mesh(body)).vertices) for body in scene.bodies]
     )
     way = surface[np.linalg.norm(surface - centre, axis=1).argmin()] - centre
     distance = float(np.linalg.norm(way))
-    lengths = [distance + (depth - 1) * shape.radius_m for depth in press_radii]
+    lengths = [distance + (depth - 1) * radius for depth in press_radii]
     if distance > 0:
         way = way * lengths[-1] / distance
     stays = tuple(length / lengths[-1] if lengths[-1] != 0 else 1.0 for length in lengths)
-    depths_m = tuple(depth * shape.radius_m for depth in press_radii)
+    depths_m = tuple(depth * radius for depth in press_radii)
     return (start[0], start[1], start[2]), (way[0], way[1], way[2]), depths_m, stays
 
 

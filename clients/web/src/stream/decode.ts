@@ -40,7 +40,16 @@ export interface ToolShape {
   /** Centre of the sphere at the tip, in the tool's frame [m]. */
   readonly tipOffsetM: Vector;
   readonly core: ToolCore;
+  /** The solid that it is, in the same frame as the core; null: a line with a radius. */
+  readonly solid: Solid | null;
+  /** Whether it stays where it is. */
+  readonly fixed: boolean;
 }
+
+export type Solid =
+  | { readonly kind: "box"; readonly sizeM: Vector; readonly edgeRadiusM: number }
+  | { readonly kind: "plane" } // solid below, across the z axis
+  | { readonly kind: "mesh"; readonly positions: Float32Array; readonly triangles: Uint32Array };
 
 /** The core of a tool, in the tool's frame from the centre of the sphere at the tip on. */
 export interface ToolCore {
@@ -146,19 +155,56 @@ export function decodeTopology(payload: Uint8Array): Topology {
       radiusM: tool.radiusM,
       tipOffsetM: vector(`${where}, tip_offset_m`, tool.tipOffsetM),
       core: coreOf(where, tool.tool),
+      solid: solidOf(where, tool.tool),
+      fixed: tool.tool?.fixed ?? false,
     };
   });
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
 }
 
+function checkedLength(where: string, name: string, value: number): number {
+  if (!(value >= 0 && value < MAX_LENGTH_M)) {
+    throw new DecodeError(`${where}: ${name} is ${value}`);
+  }
+  return value;
+}
+
+function solidOf(where: string, tool: Tool | undefined): Solid | null {
+  const kind = tool?.kind;
+  switch (kind?.case) {
+    case "box": {
+      const { sizeXM, sizeYM, sizeZM, edgeRadiusM } = kind.value;
+      const size = [sizeXM, sizeYM, sizeZM].map((value) => checkedLength(where, "size", value));
+      return {
+        kind: "box",
+        sizeM: [size[0]!, size[1]!, size[2]!],
+        edgeRadiusM: checkedLength(where, "edge_radius_m", edgeRadiusM),
+      };
+    }
+    case "plane":
+      return { kind: "plane" };
+    case "mesh": {
+      const source = kind.value.surface?.source;
+      const packed = source?.case === "packed" ? source.value : { vertexPositions: new Uint8Array(), triangles: new Uint8Array() };
+      if (packed.vertexPositions.length % 24 !== 0 || packed.triangles.length % 12 !== 0) {
+        throw new DecodeError(`${where}: its surface has a fraction of a vertex or triangle`);
+      }
+      const scale = kind.value.scale ?? 1;
+      const positions = Float32Array.from(new Float64Array(aligned(packed.vertexPositions)), (value) => value * scale);
+      const triangles = new Uint32Array(aligned(packed.triangles));
+      if (!positions.every(Number.isFinite) || triangles.some((vertex) => vertex >= positions.length / 3)) {
+        throw new DecodeError(`${where}: its surface has a position that is not finite, or a triangle without a vertex`);
+      }
+      return { kind: "mesh", positions, triangles };
+    }
+    default:
+      return null;
+  }
+}
+
 /** The core of a tool. Each kind states its own in server/physics/tool. */
 function coreOf(where: string, tool: Tool | undefined): ToolCore {
-  const length = (name: string, value: number): number => {
-    if (!(value >= 0 && value < MAX_LENGTH_M)) {
-      throw new DecodeError(`${where}: ${name} is ${value}`);
-    }
-    return value;
-  };
+  const length = (name: string, value: number): number => checkedLength(where, name, value);
   const rigid = (...corners: Vector[]): ToolCore => ({ cornersM: () => corners, shaftM: null });
   const tip: Vector = [0, 0, 0];
   const kind = tool?.kind;
@@ -178,6 +224,10 @@ function coreOf(where: string, tool: Tool | undefined): ToolCore {
         shaftM: hinge,
       };
     }
+    case "box":
+    case "plane":
+    case "mesh":
+      return rigid(tip);
     default:
       return { cornersM: () => [tip], shaftM: tip };
   }

@@ -1,9 +1,10 @@
 // The tools and their forces. Sizes are in metres, except those of arrow and handle: these are in scene radii, so that
 // they are visible in every scene.
 import * as THREE from "three";
+import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.js";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 
-import type { Frame, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
+import type { Frame, Solid, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
 import type { Quality } from "./quality";
 import { tipOf } from "./tip";
 
@@ -15,6 +16,8 @@ const LEAST_FORCE_N = 0.005;
 const ARROW_WIDTH = 0.014;
 const HANDLE_LENGTH = 1.1;
 const RETIRED_OPACITY = 0.25;
+/** Edge of the square that stands for a plane [scene radii]. */
+const PLANE_SIZE = 5;
 
 export interface ForceLabel {
   readonly tool: string;
@@ -39,9 +42,9 @@ export class Instruments {
     return frame.tools.flatMap((state) => this.#tools.get(state.name)?.update(state) ?? []);
   }
 
-  /** Shapes of the tools, for picking; `name` is the tool's name. */
+  /** Shapes of the tools that can be moved, for picking; `name` is the tool's name. */
   shapes(): THREE.Object3D[] {
-    return [...this.#tools.values()].map((tool) => tool.mesh);
+    return [...this.#tools.values()].filter((tool) => !tool.fixed).map((tool) => tool.mesh);
   }
 
   dispose(): void {
@@ -57,6 +60,7 @@ export class Instruments {
 class Instrument {
   readonly group = new THREE.Group();
   readonly mesh: THREE.Mesh;
+  readonly fixed: boolean;
   readonly #shape: ToolShape;
   readonly #tool = new THREE.Group();
   readonly #steel: THREE.MeshStandardMaterial[];
@@ -69,14 +73,19 @@ class Instrument {
   constructor(shape: ToolShape, sceneRadiusM: number, quality: Quality) {
     this.#shape = shape;
     this.#sceneRadiusM = sceneRadiusM;
+    this.fixed = shape.fixed;
 
-    const steel = new THREE.MeshStandardMaterial({
-      color: "#d5dce2",
-      // Metal shows its environment. Without one it would be black.
-      metalness: quality.level === "high" ? 1 : 0.2,
-      roughness: 0.24,
-    });
-    this.mesh = new THREE.Mesh(shapeOf(shape, this.#jointValues), steel);
+    // An obstacle is matte, so that it is not taken for an instrument.
+    const steel = shape.fixed
+      ? new THREE.MeshStandardMaterial({ color: "#5d6a75", metalness: 0, roughness: 0.95 })
+      : new THREE.MeshStandardMaterial({
+          color: "#d5dce2",
+          // Metal shows its environment. Without one it would be black.
+          metalness: quality.level === "high" ? 1 : 0.2,
+          roughness: 0.24,
+        });
+    this.mesh = new THREE.Mesh(shapeOf(shape, this.#jointValues, sceneRadiusM), steel);
+    this.mesh.receiveShadow = shape.fixed;
     this.mesh.name = shape.name;
     this.mesh.position.set(...shape.tipOffsetM);
     this.#steel = [steel];
@@ -94,7 +103,7 @@ class Instrument {
       this.#tool.add(handle);
     }
     for (const mesh of this.#tool.children) {
-      mesh.castShadow = true;
+      mesh.castShadow = shape.solid?.kind !== "plane";
       mesh.frustumCulled = false;
     }
 
@@ -118,7 +127,7 @@ class Instrument {
     if (state.jointValues.some((value, i) => value !== this.#jointValues[i])) {
       this.#jointValues = state.jointValues;
       this.mesh.geometry.dispose();
-      this.mesh.geometry = shapeOf(this.#shape, state.jointValues);
+      this.mesh.geometry = shapeOf(this.#shape, state.jointValues, this.#sceneRadiusM);
     }
     for (const steel of this.#steel) {
       steel.transparent = state.retired;
@@ -128,7 +137,8 @@ class Instrument {
     const force = new THREE.Vector3(...state.forceN);
     // hypot, because the square of a large force overflows.
     const magnitudeN = Math.hypot(...state.forceN);
-    this.#arrow.visible = magnitudeN >= LEAST_FORCE_N;
+    // A table carries tissue at many points, and an arrow at its origin would mean nothing.
+    this.#arrow.visible = magnitudeN >= LEAST_FORCE_N && !this.fixed;
     if (!this.#arrow.visible) {
       return [];
     }
@@ -144,10 +154,31 @@ class Instrument {
 }
 
 /** The shape that touches tissue, in the tool's frame moved by tipOffsetM. */
-function shapeOf({ radiusM, core }: ToolShape, jointValues: readonly number[]): THREE.BufferGeometry {
+function shapeOf({ radiusM, core, solid }: ToolShape, jointValues: readonly number[], sceneRadiusM: number): THREE.BufferGeometry {
+  if (solid !== null) {
+    return solidGeometry(solid, sceneRadiusM);
+  }
   const points = core.cornersM(jointValues).map((point) => new THREE.Vector3(...point));
   const bars = points.slice(1).map((to, i) => bar(points[i]!, to, radiusM));
   return bars.length === 0 ? new THREE.SphereGeometry(radiusM, 48, 32) : mergeGeometries(bars);
+}
+
+/** A plane is a square that is seen from its free side only: from below it would hide the tissue. */
+function solidGeometry(solid: Solid, sceneRadiusM: number): THREE.BufferGeometry {
+  if (solid.kind === "box") {
+    const [x, y, z] = solid.sizeM;
+    return solid.edgeRadiusM > 0 ? new RoundedBoxGeometry(x, y, z, 4, solid.edgeRadiusM) : new THREE.BoxGeometry(x, y, z);
+  }
+  if (solid.kind === "plane") {
+    return new THREE.PlaneGeometry(PLANE_SIZE * sceneRadiusM, PLANE_SIZE * sceneRadiusM);
+  }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(solid.positions, 3));
+  geometry.setIndex(new THREE.BufferAttribute(solid.triangles, 1));
+  // Without shared vertices the edges stay sharp.
+  const faceted = geometry.toNonIndexed();
+  faceted.computeVertexNormals();
+  return faceted;
 }
 
 /** A cylinder with round ends from one point to another. */

@@ -1,0 +1,105 @@
+#pragma once
+
+#include <cmath>
+
+#include "contact/surface.h"
+
+/// A solid tool (physics/tool/solid.h) touches a triangle at four points: at the corners, and at the point nearest to
+/// its middle.
+///
+///           b              a..c  corners, which are points 1 to 3
+///          . .               4     point of the triangle that is nearest to the middle of the solid
+///         . 4 .
+///        a.....c             Each point carries a quarter of the area that the triangle turns to the solid,
+///                            −n·n_t A, with its normal n_t and its area A at rest.
+///
+/// 1. A flat solid touches a triangle with its whole area. A single point, the deepest, would jump from corner to
+///    corner while the triangle tilts, and the triangle would rock for ever. The corners carry a pressure that changes
+///    linearly over the triangle exactly.
+/// 2. Point 4 finds what the corners miss: an edge or a tip of the solid between them.
+/// 3. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
+///    area towards the solid counts.
+namespace tensormass::contact {
+
+/// A point of a triangle that touches a tool.
+template <class Real>
+struct Touch {
+  Real depth_m = 0;  // zero: it does not touch
+  Real lever_m = 0;  // view::TriangleContact::lever_m
+  Real share = 1;    // part of the triangle's area that it carries
+  Vec3<Real> weights = Vec3<Real>::Zero();
+  Vec3<Real> normal = Vec3<Real>::Zero();
+};
+
+/// Returns the direction in which a solid pushes tissue at a point: the gradient of its distance over a stencil of a
+/// quarter of the way to its middle. Near a sharp edge the gradient itself jumps from one face to the other when the
+/// point moves by a hair, and tissue under the edge would never come to rest.
+template <class Kind, class Real>
+TM_HOST_DEVICE Vec3<Real> way_out(const physics::PlacedTool<Real>& tool, const Vec3<Real>& x) {
+  const Real reach = Kind::middle_m(tool) / 4;
+  if (!(reach > 0)) return Kind::gradient(tool, x);
+  Vec3<Real> slope = Vec3<Real>::Zero();
+  for (int c = 0; c < 3; ++c) {
+    const Vec3<Real> axis = tool.axis(c), aside = axis * reach;
+    slope += axis * (Kind::distance(tool, Vec3<Real>(x + aside)) - Kind::distance(tool, Vec3<Real>(x - aside)));
+  }
+  const Real squared = slope.dot(slope);
+  return squared > 0 ? unit<Real>(slope) : Kind::gradient(tool, x);
+}
+
+/// Returns the point of a triangle that is nearest to the middle of a solid, found by steepest descent from the
+/// centroid. Flat on flat it is the centroid.
+template <class Kind, class Real>
+TM_HOST_DEVICE Vec3<Real> nearest_to_middle(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners) {
+  constexpr int kDescents = 8;
+  const Vec3<Real> centroid = Vec3<Real>::Constant(Real(1) / 3);
+  Vec3<Real> weights = centroid, best = centroid;
+  Real least = Kind::distance(tool, corners.at(centroid));
+  for (int i = 0; i < kDescents; ++i) {
+    const Vec3<Real> x = corners.at(weights);
+    const Vec3<Real> way = Kind::gradient(tool, x) * (Kind::distance(tool, x) + Kind::middle_m(tool));
+    weights = physics::closest_point_on_triangle<Real>(x - way, corners.x[0], corners.x[1], corners.x[2]).weights;
+    const Real distance = Kind::distance(tool, corners.at(weights));
+    if (!(distance < least)) continue;
+    least = distance;
+    best = weights;
+  }
+  return best;
+}
+
+/// Visits the contact points of a solid on a triangle.
+///
+///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is zero where it does not touch
+template <class Kind, class Real, class Visit>
+TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners,
+                                            const Visit& visit) {
+  using std::sqrt;
+  static_assert(Kind::kContactPoints == 4);
+  const Vec3<Real> centroid = corners.at(Vec3<Real>::Constant(Real(1) / 3));
+  Real size_squared = 0;
+  for (const Vec3<Real>& x : corners.x) size_squared = maximum(size_squared, (x - centroid).dot(x - centroid));
+  // A distance changes by at most the way.
+  const bool far = Kind::distance(tool, centroid) > sqrt(size_squared);
+  const Vec3<Real> facing = unit<Real>(corners.normal());
+  const auto touch_at = [&](const Vec3<Real>& weights) {
+    Touch<Real> touch;
+    if (far) return touch;
+    const Vec3<Real> x = corners.at(weights);
+    const Real depth = -Kind::distance(tool, x);
+    if (!(depth > 0)) return touch;
+    touch.normal = way_out<Kind>(tool, x);
+    touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
+    if (!(touch.share > 0)) return touch;
+    touch.depth_m = depth;
+    touch.weights = weights;
+    return touch;
+  };
+  for (int c = 0; c < 3; ++c) {
+    Vec3<Real> corner = Vec3<Real>::Zero();
+    corner[c] = 1;
+    visit(static_cast<std::uint32_t>(c), touch_at(corner));
+  }
+  visit(std::uint32_t{3}, far ? Touch<Real>{} : touch_at(nearest_to_middle<Kind>(tool, corners)));
+}
+
+}  // namespace tensormass::contact
