@@ -1,10 +1,12 @@
 #include "haptic/feedback.h"
 
 #include <limits>
+#include <utility>
 
 #include <Eigen/Eigenvalues>
 
 #include "haptic/checks.h"
+#include "haptic/clock.h"
 #include "tensormass/v1/stream.pb.h"
 
 namespace tensormass::haptic {
@@ -12,6 +14,8 @@ namespace {
 
 // Relative. The server works in single precision by default, so its stiffness is symmetric only up to rounding.
 constexpr double kStiffnessTolerance = 1e-3;
+// A scene may be paused for days between a pose and the next step.
+constexpr double kMostServerTimeS = 1e9;
 
 Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
 
@@ -82,6 +86,12 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
     if (auto read = read_stiffness(message.local_model(), feedback); !read) {
       return tl::make_unexpected(std::move(read.error()));
     }
+  }
+  for (const auto& [seconds, ns] :
+       {std::pair{message.pose_waited_s(), &feedback.waited_ns}, std::pair{message.step_s(), &feedback.step_ns},
+        std::pair{message.published_after_s(), &feedback.published_after_ns}}) {
+    if (!(seconds >= 0 && seconds < kMostServerTimeS)) return invalid("feedback: a time of the server is out of range");
+    *ns = static_cast<std::int64_t>(seconds * kNsPerS);
   }
   return feedback;
 }

@@ -46,6 +46,11 @@ struct Feedback {
   /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
   double valid_for_s = 0.0;
+  /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
+  /// written.
+  std::int64_t waited_ns = 0;
+  std::int64_t step_ns = 0;
+  std::int64_t published_after_ns = 0;
 };
 
 /// Serializes a v1::ToolPose into `out`, and reuses the string's capacity.

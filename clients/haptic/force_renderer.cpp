@@ -15,26 +15,47 @@ Eigen::Vector3d shortened_to(const Eigen::Vector3d& v, double length) {
 }  // namespace
 
 void ForceRenderer::update(const Feedback& feedback) {
+  // The first model starts at once: limit_force() raises its force from zero.
+  weight_at_renewal_ = model_ ? weight(feedback.arrival_ns) : 1.0;
+  renewed_ns_ = feedback.arrival_ns;
   model_ = feedback;
-  if (feedback.largest_stiffness_n_per_m > options_.max_stiffness_n_per_m) {
-    model_->stiffness_n_per_m *= options_.max_stiffness_n_per_m / feedback.largest_stiffness_n_per_m;
+  double& largest = model_->largest_stiffness_n_per_m;
+  if (const double raised = secant_.update(feedback) - largest; raised > 0.0) {
+    // No eigenvalue exceeds the secant, because the addition has rank one.
+    const Eigen::Vector3d direction = feedback.force_n.normalized();
+    model_->stiffness_n_per_m += raised * direction * direction.transpose();
+    largest += raised;
+  }
+  if (largest > options_.max_stiffness_n_per_m) {
+    const double scale = options_.max_stiffness_n_per_m / largest;
+    model_->force_n *= scale;
+    model_->stiffness_n_per_m *= scale;
+    largest = options_.max_stiffness_n_per_m;
   }
   const double valid_for_s = std::min(feedback.valid_for_s, options_.max_valid_for_s);
   valid_until_ns_ = std::min(feedback.arrival_ns + static_cast<std::int64_t>(valid_for_s * kNsPerS),
                              feedback.client_time_ns + static_cast<std::int64_t>(options_.max_pose_age_s * kNsPerS));
 }
 
+double ForceRenderer::weight(std::int64_t now_ns) const {
+  const double stale_s = static_cast<double>(now_ns - valid_until_ns_) / kNsPerS;
+  const double falling = stale_s <= 0.0 ? 1.0 : std::max(0.0, 1.0 - stale_s / options_.fade_s);
+  // A model may arrive after the tick has read the clock.
+  const double renewed_s = static_cast<double>(std::max<std::int64_t>(now_ns - renewed_ns_, 0)) / kNsPerS;
+  const double rising = weight_at_renewal_ + renewed_s / options_.fade_s;
+  return std::min(falling, rising);
+}
+
 ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const {
   if (!model_) return {};
-  const double stale_s = static_cast<double>(now_ns - valid_until_ns_) / kNsPerS;
-  const double weight = stale_s <= 0.0 ? 1.0 : std::max(0.0, 1.0 - stale_s / options_.fade_s);
+  const double w = weight(now_ns);
   Eigen::Vector3d force = model_->force_n - model_->stiffness_n_per_m * (position_m - model_->position_m);
   // Without a contact force there is no direction to clamp.
   if (const double norm = model_->force_n.norm(); norm > 0.0) {
     const Eigen::Vector3d direction = model_->force_n / norm;
     force -= std::min(0.0, force.dot(direction)) * direction;
   }
-  return {weight * force, weight};
+  return {w * force, w, now_ns > valid_until_ns_};
 }
 
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,

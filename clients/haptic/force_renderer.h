@@ -11,31 +11,38 @@
 #include <Eigen/Core>
 
 #include "haptic/feedback.h"
+#include "haptic/secant_stiffness.h"
 
 namespace tensormass::haptic {
 
 struct ForceRendererOptions {
-  /// Time in which a stale force falls linearly to zero [s]. Much longer than a loop period, so that the hand is not
-  /// jerked. Much shorter than a reaction time (about 150 ms), so that the hand does not lean on vanished tissue.
+  /// Time in which a stale force falls linearly to zero, and in which a renewed one returns [s]. Much longer than a
+  /// loop period, so that the hand is not jerked. Much shorter than a reaction time (about 150 ms), so that the hand
+  /// does not lean on vanished tissue.
   double fade_s = 0.05;
   /// Largest age of the answered pose [s]. A feedback that answers an older pose is stale even if it has just arrived:
   /// poses no longer reach the server, so the model's anchor no longer follows the hand.
   double max_pose_age_s = 0.5;
   /// Upper bound on the model's own valid_for_s [s].
   double max_valid_for_s = 0.5;
-  /// Usually DeviceInfo::max_stiffness_n_per_m. A stiffer local model is scaled down to it.
+  /// Usually DeviceInfo::max_stiffness_n_per_m. Stiffer tissue is scaled down to it, force and stiffness alike. If only
+  /// the stiffness were scaled, the rest of the spring would come with the next feedback, which is late.
   double max_stiffness_n_per_m = 2000.0;
+  /// See SecantStiffness. Far above the resolution of common devices, far below the depth of a press.
+  double min_secant_move_m = 2e-4;
 };
 
 /// Evaluates the server's local model at the device's position. The model changes only once in a simulation step:
 ///
 ///     F(p) = w (force_n − K (p − position_m))
 ///
-/// The weight w is 1 while the model is valid, then falls linearly to 0 in fade_s. Contact pushes and never pulls: when
-/// the hand leaves the tissue between two steps, the part of F along force_n is clamped at zero.
+/// K is the model's, raised along force_n to the stiffness that SecantStiffness estimates. The weight w is 1 while the
+/// model is valid, then falls linearly to 0 in fade_s. A renewed model raises w at the same rate, so that the returning
+/// force does not kick a hand that has sunk in. Contact pushes and never pulls: when the hand leaves the tissue between
+/// two steps, the part of F along force_n is clamped at zero.
 class ForceRenderer {
  public:
-  explicit ForceRenderer(const ForceRendererOptions& options) : options_(options) {}
+  explicit ForceRenderer(const ForceRendererOptions& options) : options_(options), secant_(options.min_secant_move_m) {}
 
   /// Replaces the model. `feedback` must have passed decode_feedback().
   void update(const Feedback& feedback);
@@ -44,14 +51,22 @@ class ForceRenderer {
     Eigen::Vector3d force_n = Eigen::Vector3d::Zero();
     /// w: 1 valid, 0 expired.
     double weight = 0.0;
+    /// The model has expired.
+    bool stale = false;
   };
   /// The force at `position_m` and `now_ns`. Before the first update: zero, with weight 0.
   Output render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const;
 
  private:
+  double weight(std::int64_t now_ns) const;
+
   ForceRendererOptions options_;
+  SecantStiffness secant_;
   std::optional<Feedback> model_;
   std::int64_t valid_until_ns_ = 0;
+  // w when the newest model arrived. It rises from there.
+  std::int64_t renewed_ns_ = 0;
+  double weight_at_renewal_ = 1.0;
 };
 
 struct ForceLimits {

@@ -57,6 +57,7 @@ HandScript::Target HandScript::at(double time_s) const {
   if (phase < kApproachEnd) return segment(0.0, kApproachEnd, options_.home_m, options_.contact_m);
   if (phase < kPressEnd) return segment(kApproachEnd, kPressEnd, options_.contact_m, bottom_m_);
   if (phase < kCirclesEnd) {
+    if (options_.circle_radius_m == 0.0) return {bottom_m_, Eigen::Vector3d::Zero()};
     // The radius follows sin²(πu), so the circles start and end at rest.
     const double u = (phase - kPressEnd) / (kCirclesEnd - kPressEnd);
     const double du_dt = 1.0 / ((kCirclesEnd - kPressEnd) * period);

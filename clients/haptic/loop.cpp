@@ -87,10 +87,9 @@ Result<void> Loop::tick() {
 
   const ForceRenderer::Output rendered = renderer_.render(pose->position_m, now_ns);
   if (report_.feedback_received > 0) {
-    const bool stale = rendered.weight < 1.0;
-    report_.stale_ticks += stale;
-    report_.stale_episodes += stale && !was_stale_;
-    was_stale_ = stale;
+    report_.stale_ticks += rendered.stale;
+    report_.stale_episodes += rendered.stale && !was_stale_;
+    was_stale_ = rendered.stale;
   }
   // From the guard, because the watchdog may have set it to zero since the last tick.
   const Eigen::Vector3d held = guard_.held_force_n();
@@ -117,6 +116,7 @@ Result<void> Loop::tick_without(const DevicePose& invalid) {
 void Loop::receive() {
   const std::optional<Feedback> feedback = link_.receive();
   if (!feedback) return;
+  const std::uint64_t last_echoed = latency_.last_echoed();
   // Only an answer to this client's own pose may push its hand: another client's model has another anchor.
   const bool own = feedback->client_id == options_.client_id && feedback->client_time_ns <= feedback->arrival_ns &&
                    latency_.echoed(feedback->pose_sequence, feedback->arrival_ns);
@@ -129,7 +129,15 @@ void Loop::receive() {
   }
   last_step_ = feedback->step;
   ++report_.feedback_received;
-  report_.answered_pose_age.add(feedback->arrival_ns - feedback->client_time_ns);
+  const std::int64_t age_ns = feedback->arrival_ns - feedback->client_time_ns;
+  report_.answered_pose_age.add(age_ns);
+  if (latency_.last_echoed() > last_echoed) {
+    report_.pose_wait.add(feedback->waited_ns);
+    report_.step_time.add(feedback->step_ns);
+    report_.publication.add(feedback->published_after_ns);
+    const std::int64_t in_server_ns = feedback->waited_ns + feedback->step_ns + feedback->published_after_ns;
+    report_.transport.add(std::max<std::int64_t>(age_ns - in_server_ns, 0));
+  }
   renderer_.update(*feedback);
 }
 

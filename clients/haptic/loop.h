@@ -93,6 +93,12 @@ struct LoopReport {
   Histogram round_trip;
   /// Age of the answered pose when its feedback arrives.
   Histogram answered_pose_age;
+  /// Parts of that age, for the first feedback that answers a pose. The server measures the first three; the transport
+  /// is the rest, both ways.
+  Histogram pose_wait;
+  Histogram step_time;
+  Histogram publication;
+  Histogram transport;
   /// From the deadline of a tick to its wake-up.
   Histogram wake_up_lateness;
   /// From wake-up to the written force.

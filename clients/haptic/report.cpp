@@ -61,6 +61,10 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       "{} at {}/{} on {} over {}: {:.1f} s, {} ticks ({} missed)\n"
       "  pose to force      {}\n"
       "  answered pose age  {}\n"
+      "    waits for a step {}\n"
+      "    step             {}\n"
+      "    publication      {}\n"
+      "    transport        {}\n"
       "  wake-up lateness   {}\n"
       "  tick duration      {}\n"
       "  poses     {} sent, last {} echoed {}{}{}\n"
@@ -68,8 +72,9 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       "  force     at most {:.3f} N; stale {} ticks in {} episodes; watchdog {}; least energy {:.2e} J\n",
       label.device, label.scene, label.tool, label.server, label.transport, report.seconds, report.ticks,
       report.missed_ticks, percentiles(report.round_trip), percentiles(report.answered_pose_age),
-      percentiles(report.wake_up_lateness), percentiles(report.tick_duration), report.poses_sent,
-      report.last_sequence_sent, report.last_sequence_echoed,
+      percentiles(report.pose_wait), percentiles(report.step_time), percentiles(report.publication),
+      percentiles(report.transport), percentiles(report.wake_up_lateness), percentiles(report.tick_duration),
+      report.poses_sent, report.last_sequence_sent, report.last_sequence_echoed,
       report.poses_not_taken > 0 ? fmt::format(", {} not taken by the transport", report.poses_not_taken) : "",
       report.poses_invalid > 0 ? fmt::format(", {} of the device invalid", report.poses_invalid) : "",
       report.feedback_received, report.feedback_dropped, report.feedback_foreign, report.feedback_malformed,
@@ -103,6 +108,10 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
              .add("min_energy_j", report.min_energy_j)
              .add("pose_to_force", report.round_trip)
              .add("answered_pose_age", report.answered_pose_age)
+             .add("pose_wait", report.pose_wait)
+             .add("step_time", report.step_time)
+             .add("publication_time", report.publication)
+             .add("transport_time", report.transport)
              .add("wake_up_lateness", report.wake_up_lateness)
              .add("tick_duration", report.tick_duration)
              .finish() +

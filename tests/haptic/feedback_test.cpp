@@ -70,6 +70,8 @@ TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(8, -20.0); }).find("semi-definite"),
             std::string::npos);
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->add_stiffness_n_per_m(1.0); }).find("3×3"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.set_step_s(nan); }).find("time of the server"), std::string::npos);
+  EXPECT_NE(with([](auto& m) { m.set_pose_waited_s(-1.0); }).find("time of the server"), std::string::npos);
   EXPECT_NE(with([](auto& m) { m.mutable_local_model()->set_valid_for_s(-1.0); }).find("valid_for_s"),
             std::string::npos);
   EXPECT_FALSE(decode_feedback("\xff\xff garbage", 0));

@@ -77,13 +77,60 @@ TEST(ForceRenderer, BoundsTheModelsValidityByItsOwnLimit) {
   EXPECT_EQ(renderer.render(boastful.position_m, after(0.5 + 0.05)).weight, 0.0);
 }
 
-TEST(ForceRenderer, ScalesDownAModelThatIsStifferThanTheDeviceRenders) {
+TEST(ForceRenderer, AReturningForceFadesIn) {
+  ForceRenderer renderer(kOptions);
+  renderer.update(pressed());
+  // The model expires after 20 ms, and its successor comes 25 ms later, when half of the force is left.
+  Feedback next = pressed();
+  next.arrival_ns = next.client_time_ns = after(0.045);
+  renderer.update(next);
+  EXPECT_NEAR(renderer.render(next.position_m, after(0.045)).weight, 0.5, 1e-6);
+  const ForceRenderer::Output rising = renderer.render(next.position_m, after(0.055));
+  EXPECT_NEAR(rising.weight, 0.7, 1e-6);
+  EXPECT_FALSE(rising.stale) << "the model is valid";
+  next.arrival_ns = next.client_time_ns = after(0.06);
+  renderer.update(next);
+  EXPECT_NEAR(renderer.render(next.position_m, after(0.06)).weight, 0.8, 1e-6) << "a renewal must not start over";
+  EXPECT_EQ(renderer.render(next.position_m, after(0.075)).weight, 1.0);
+}
+
+TEST(ForceRenderer, ScalesDownForceAndStiffnessBeyondTheDevices) {
   Feedback stiff = pressed();
   stiff.stiffness_n_per_m = Eigen::Vector3d(500.0, 0.0, 4000.0).asDiagonal();
   stiff.largest_stiffness_n_per_m = 4000.0;
   ForceRenderer renderer(kOptions);
   renderer.update(stiff);
-  expect_near(renderer.render({0.101, 0.2, 0.299}, after(0.0)).force_n, {-0.125, 0.0, 3.0});
+  // A quarter of 2 N, and 1000 N/m for 1 mm.
+  expect_near(renderer.render({0.101, 0.2, 0.299}, after(0.0)).force_n, {-0.125, 0.0, 1.5});
+}
+
+// Returns a press whose local model has no stiffness, `depth_m` deep in tissue of 400 N/m along z.
+Feedback soft_model(double depth_m, double time_s) {
+  Feedback feedback = pressed();
+  feedback.arrival_ns = feedback.client_time_ns = after(time_s);
+  feedback.position_m = {0.0, 0.0, -depth_m};
+  feedback.force_n = {0.0, 0.0, 400.0 * depth_m};
+  feedback.stiffness_n_per_m.setZero();
+  feedback.largest_stiffness_n_per_m = 0.0;
+  return feedback;
+}
+
+TEST(ForceRenderer, RaisesTheStiffnessToWhatFeedbacksShow) {
+  ForceRenderer renderer(kOptions);
+  renderer.update(soft_model(0.002, 0.0));
+  expect_near(renderer.render({0.0, 0.0, -0.003}, after(0.0)).force_n, {0.0, 0.0, 0.8});
+  for (int i = 1; i <= 20; ++i) renderer.update(soft_model(0.002 + 0.001 * (i % 2), 0.01 * i));
+  expect_near(renderer.render({0.001, 0.0, -0.003}, after(0.2)).force_n, {0.0, 0.0, 1.2}, 1e-5);
+}
+
+TEST(ForceRenderer, BoundsTheRaisedStiffnessByTheDevice) {
+  ForceRendererOptions options = kOptions;
+  options.max_stiffness_n_per_m = 100.0;
+  ForceRenderer renderer(options);
+  for (int i = 0; i <= 20; ++i) renderer.update(soft_model(0.002 + 0.001 * (i % 2), 0.01 * i));
+  // 400 N/m appear as 100 N/m, in the force as in its change.
+  expect_near(renderer.render({0.0, 0.0, -0.002}, after(0.2)).force_n, {0.0, 0.0, 0.2}, 1e-5);
+  expect_near(renderer.render({0.0, 0.0, -0.003}, after(0.2)).force_n, {0.0, 0.0, 0.3}, 1e-5);
 }
 
 TEST(ForceRenderer, TissueDoesNotPullAToolThatLeavesIt) {

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <utility>
 
 #include "fakes.h"
 #include "haptic/loop.h"
@@ -60,6 +61,28 @@ TEST(Loop, SendsAPoseEachTickAndRendersTheAnswer) {
   EXPECT_EQ(report.round_trip.count(), 100u);
   EXPECT_EQ(report.stale_ticks, 0u);
   EXPECT_DOUBLE_EQ(report.max_force_n, 1.0);
+}
+
+/// Only the first answer to a pose says how long the pose waited; later ones wait for the next pose.
+TEST(Loop, TellsWhereTheTimeOfAnAnswerWent) {
+  constexpr std::int64_t kUs = 1000;
+  Bench bench;
+  bench.link.answer = [&](const OutgoingPose& pose) {
+    Feedback feedback = answer_to(pose, ++bench.step);
+    if (bench.step % 2 == 0) feedback.pose_sequence = pose.sequence - 1;  // answered before
+    feedback.arrival_ns = feedback.client_time_ns + 900 * kUs;
+    feedback.waited_ns = 300 * kUs;
+    feedback.step_ns = 200 * kUs;
+    feedback.published_after_ns = 50 * kUs;
+    return std::optional(feedback);
+  };
+  const LoopReport report = bench.run(options(0.1)).value();
+  EXPECT_EQ(report.feedback_received, 100u);
+  for (const auto& [histogram, us] : {std::pair{&report.pose_wait, 300}, std::pair{&report.step_time, 200},
+                                      std::pair{&report.publication, 50}, std::pair{&report.transport, 350}}) {
+    EXPECT_EQ(histogram->count(), 50u);
+    EXPECT_NEAR(static_cast<double>(histogram->percentile_ns(0.5)), us * kUs, 0.04 * us * kUs) << "buckets of 3 %";
+  }
 }
 
 TEST(Loop, BoundsItsOptionsByTheDevice) {

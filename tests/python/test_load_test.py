@@ -195,7 +195,8 @@ HAPTIC: dict[str, Any] = {
 def test_people_see_how_many_poses_were_lost() -> None:
     none = {**NO_TIME, "count": 0}
     report = {**EMPTY, "haptic": [{**HAPTIC, "last_sequence_echoed": 993}]}
-    heading, row = load_report.to_text({**report, "pose_to_force": none, "answered_pose_age": none}).splitlines()[3:5]
+    times = dict.fromkeys(("pose_to_force", "answered_pose_age", *load_report.PARTS_OF_THE_AGE), none)
+    heading, row = load_report.to_text({**report, **times}).splitlines()[7:9]
     assert row[heading.index("sent") :].split() == ["1000", "7", "4", "5", "0.50"]
 
 

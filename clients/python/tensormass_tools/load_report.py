@@ -11,6 +11,13 @@ import numpy.typing as npt
 from tensormass.v1 import stream_pb2
 
 Json = dict[str, Any]
+#: Parts of the answered pose's age, in order, and their names for people.
+PARTS_OF_THE_AGE = {
+    "pose_wait": "waits for a step",
+    "step_time": "step",
+    "publication_time": "publication",
+    "transport_time": "transport",
+}
 _FRACTIONS = {"p50_s": 0.5, "p99_s": 0.99, "p999_s": 0.999}
 
 
@@ -101,6 +108,7 @@ def to_text(report: Mapping[str, Any]) -> str:
     if report["haptic"]:
         lines += [f"  pose to force      {_ms(report['pose_to_force'])}"]
         lines += [f"  answered pose age  {_ms(report['answered_pose_age'])}"]
+        lines += [f"    {name:<17}{_ms(report[part])}" for part, name in PARTS_OF_THE_AGE.items()]
     if report["viewers"]:
         lines += [f"  frame age          {_ms(report['frame_age'])}"]
     lines += _table(

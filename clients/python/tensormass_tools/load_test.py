@@ -31,7 +31,7 @@ from tensormass._src.processes import ChildProcess, end_explained, find_program
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server, connect
-from tensormass._src.tools import shape_of
+from tensormass._src.tools import movable_tools, radius_m
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_report
 from tensormass_tools.load_report import Json
@@ -132,7 +132,7 @@ class _LoadTest:
         phase_s = self._phase_s(scenes[0]) if args.stop_viewer is not None else 0.0
         seconds = max(args.seconds, 3 * phase_s)
         haptics = [
-            self._start_haptic(i, scenes[i % args.scenes], tools.tools[i // args.scenes].name, seconds)
+            self._start_haptic(i, scenes[i % args.scenes], movable_tools(tools)[i // args.scenes].name, seconds)
             for i in range(args.haptic)
         ]
         stopped = self._with_a_stopped_viewer(viewers[0], scenes[0], phase_s) if phase_s else None
@@ -179,6 +179,10 @@ class _LoadTest:
             },
             "pose_to_force": load_report.merged_histogram(client["pose_to_force"] for client in reports),
             "answered_pose_age": load_report.merged_histogram(client["answered_pose_age"] for client in reports),
+            **{
+                part: load_report.merged_histogram(client[part] for client in reports)
+                for part in load_report.PARTS_OF_THE_AGE
+            },
             "frame_age": load_report.percentiles(ages),
             "poses_lost_at_end": sum(
                 int(client["last_sequence_sent"] - client["last_sequence_echoed"]) for client in reports
@@ -339,17 +343,18 @@ class _LoadTest:
 
 
 def with_tools(scene: scene_pb2.Scene, count: int) -> scene_pb2.Scene:
-    """Returns the scene with at least `count` tools. Added ones are copies of its first, side by side along x."""
-    if count and not scene.tools:
+    """Returns the scene with at least `count` tools that clients can move. Added ones are copies of its first of them,
+    side by side along x."""
+    movable = movable_tools(scene)
+    if count and not movable:
         raise InvalidArgumentError(f"scene {scene.name!r} has no tool for a haptic client; give --haptic 0")
     result = scene_pb2.Scene()
     result.CopyFrom(scene)
     names = {tool.name for tool in scene.tools}
-    while len(result.tools) < count:
+    for index in range(len(movable) + 1, count + 1):
         tool = result.tools.add()
-        tool.CopyFrom(scene.tools[0])
-        index = len(result.tools)
+        tool.CopyFrom(movable[0])
         tool.name = next(name for name in (f"tool-{index + k}" for k in range(_MAX_TOOLS + 1)) if name not in names)
         names.add(tool.name)
-        tool.position_m.x += 3.0 * shape_of(tool).radius_m * (index - 1)
+        tool.position_m.x += 3.0 * radius_m(tool) * (index - 1)
     return result
