@@ -7,6 +7,8 @@
 #   REFERENCES=1   `make accuracy` runs the other solvers again, instead of comparing with their stored answers
 #   LONG=1         `make stability` also runs 10⁶ steps, an hour of simulated time, and millions of elements
 #   RUN_ARGS=...   more arguments of `tensormass run`
+#   CUDA_ARCHITECTURES=...  GPU generations to compile for, as CMake names them (default: CMakeLists.txt has it)
+#   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
 #   TEST_ARGS=...  test runners for `make test`: ctest, pytest, vitest, e2e (default: all)
 
 SHELL := bash
@@ -21,6 +23,10 @@ SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
 TEST_ARGS ?=
+CUDA_ARCHITECTURES ?=
+SUITE ?= bookworm
+# Ampere (A100 and, as 8.x, RTX 30), Ada, Hopper, Blackwell. Newer GPUs compile the PTX of 100 when the daemon starts.
+RELEASE_CUDA_ARCHITECTURES := 80-real;89-real;90-real;100
 # The set-up writes CUDACXX and CUDAToolkit_ROOT into this file.
 -include .venv/toolchain.env
 export CUDA CUDACXX CUDAToolkit_ROOT
@@ -30,8 +36,8 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test pictures test-only bench accuracy stability trade asan tsan \
-        lint format protocol-release clean
+.PHONY: help setup setup-test build native python viewer run test pictures test-only wheel wheel-only bench accuracy \
+        stability trade asan tsan lint format protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,17 +60,20 @@ test: setup-test ## Run every test: C++, Python, web, and the real page in Chrom
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
 pictures: build ## Take the pictures of docs/images again, in headless Chromium
-	@node tests/e2e/pictures.mjs retract grasp
+	@node tests/e2e/pictures.mjs retract grasp table
 
 test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
-native: $(BUILD)/configured-cuda-$(CUDA) $(BUILD)/bin/tensormass
-	@ninja -C $(BUILD) -j $(JOBS)
+CONFIGURED := $(BUILD)/configured-cuda-$(CUDA)$(addprefix -,$(subst ;,-,$(CUDA_ARCHITECTURES)))
 
-$(BUILD)/configured-cuda-$(CUDA):
+native: $(CONFIGURED) $(BUILD)/bin/tensormass
+	@ninja -C $(BUILD) -j $(JOBS) $(NATIVE_TARGETS)
+
+$(CONFIGURED):
 	@echo "build: configuring $(BUILD) (CUDA $(CUDA))"
-	@cmake -S . -B $(BUILD) -G Ninja -DTENSORMASS_CUDA=$(CUDA) --log-level=NOTICE
+	@cmake -S . -B $(BUILD) -G Ninja -DTENSORMASS_CUDA=$(CUDA) --log-level=NOTICE \
+	  $(if $(CUDA_ARCHITECTURES),-D,-U)TENSORMASS_CUDA_ARCHITECTURES$(if $(CUDA_ARCHITECTURES),='$(CUDA_ARCHITECTURES)')
 	@rm -f $(BUILD)/configured-cuda-*
 	@touch $@
 
@@ -82,6 +91,16 @@ $(VIEWER): $(VIEWER_SOURCES)
 	@echo "build: web viewer"
 	@cd clients/web && npm run --silent build -- --logLevel warn
 	@touch $@
+
+wheel: ## Make a wheel with everything inside, for all GPU generations, and try it in a bare Debian (root)
+	@.setup/setup.sh wheel
+	@$(MAKE) BUILD=build-wheel NATIVE_TARGETS='tensormassd tensormass-haptic' \
+	  CUDA_ARCHITECTURES='$(RELEASE_CUDA_ARCHITECTURES)' native python viewer
+	@$(MAKE) BUILD=build-wheel wheel-only
+
+wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-up and build
+	@python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
+	@tests/wheel/bare.sh $(BUILD)/wheel/*.whl $(SUITE)
 
 bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench
@@ -130,4 +149,4 @@ protocol-release: setup-test ## Record the protocol as released; `make test` ref
 	@python tests/proto/compatibility.py --release
 
 clean: ## Remove what was built (the set-up stays)
-	@rm -rf $(BUILD) build-asan build-tsan clients/web/dist clients/web/src/generated clients/python/tensormass/v1
+	@rm -rf $(BUILD) build-asan build-tsan build-wheel clients/web/dist clients/web/src/generated clients/python/tensormass/v1

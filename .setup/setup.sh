@@ -2,10 +2,11 @@
 # Makes a Debian 12 machine ready to build, run and test Tensormass. Installs only what is missing: a tool that is
 # already there and new enough is used. A second run changes nothing and takes a fraction of a second.
 #
-#   .setup/setup.sh [build|test|runtime]
+#   .setup/setup.sh [build|test|wheel|runtime]
 #
 #   build    (default) everything that `make build` and `make run` need
 #   test     the same, plus everything that `make test` and `make lint` need
+#   wheel    what build installs, plus everything that `make wheel` needs
 #   runtime  only the Debian packages that the built programs need, for an image
 #
 # Debian packages go into the system (as root, or through sudo). Everything else goes into .venv and
@@ -35,6 +36,7 @@ build_packages=(g++ libboost-dev libcli11-dev libeigen3-dev libexpected-dev libg
   libspdlog-dev libzmq3-dev cppzmq-dev nlohmann-json3-dev pkg-config protobuf-compiler protobuf-compiler-grpc python3
   python3-venv)
 test_packages=(calculix-ccx chromium clang-format)
+wheel_packages=(mmdebstrap patchelf)
 
 say() { echo "set-up: $*"; }
 die() {
@@ -233,7 +235,8 @@ case $goal in
     ;;
   build) packages=("${build_packages[@]}") ;;
   test) packages=("${build_packages[@]}" "${test_packages[@]}") ;;
-  *) die "unknown goal '$goal'; give build, test or runtime" ;;
+  wheel) packages=("${build_packages[@]}" "${wheel_packages[@]}") ;;
+  *) die "unknown goal '$goal'; give build, test, wheel or runtime" ;;
 esac
 
 rust_wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/server/bus/zenoh/rust/Cargo.toml")

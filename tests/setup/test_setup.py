@@ -259,6 +259,8 @@ def test_goals(machine: Machine) -> None:
     assert "unknown goal 'everything'" in result.stderr
     assert machine.set_up("test").returncode == 0
     assert "clang-format" in machine.installs()[0]
+    assert machine.set_up("wheel").returncode == 0
+    assert "mmdebstrap patchelf" in machine.installs()[0]
 
 
 @pytest.mark.parametrize("candidate", ["1.85.0+dfsg3-1~deb12u3", "(none)"])

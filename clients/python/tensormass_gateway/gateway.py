@@ -88,7 +88,8 @@ class Gateway:
     def __init__(self, options: GatewayOptions) -> None:
         if not (options.viewer / "index.html").is_file():
             raise FileNotFoundError(
-                f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web"
+                f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web, "
+                "install a wheel of `make wheel`, or name a folder with --viewer"
             )
         if options.max_browsers < 1:
             raise ValueError(f"max_browsers is {options.max_browsers}; at least one browser must be let in")

@@ -7,9 +7,17 @@ import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tensormass._src.processes import BUNDLE
 from tensormass_gateway.origins import origin_of
 
-DEFAULT_VIEWER = Path(__file__).resolve().parents[2] / "web" / "dist"
+
+def find_viewer() -> Path:
+    """Returns the folder of the built viewer: in the installed wheel, else in the checkout, where it may be missing."""
+    bundled = BUNDLE / "viewer"
+    return bundled if bundled.is_dir() else Path(__file__).resolve().parents[2] / "web" / "dist"
+
+
+DEFAULT_VIEWER = find_viewer()
 
 
 @dataclass(frozen=True)

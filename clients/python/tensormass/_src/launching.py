@@ -37,7 +37,7 @@ def launch(
         options: further flags of `tensormassd`.
 
     Raises:
-        NotFoundError: `tensormassd` is not in $TENSORMASSD, the checkout's build/bin or PATH.
+        NotFoundError: `tensormassd` is not in $TENSORMASSD, the installed wheel, the checkout's build/bin or PATH.
         UnavailableError: the daemon ended or was not ready in time; the message has the end of its log.
     """
     program = find_program("tensormassd", "TENSORMASSD")

@@ -13,6 +13,8 @@ from typing import IO
 
 from tensormass._src.errors import InternalError, NotFoundError, UnavailableError
 
+# Programs and viewer inside a wheel of `make wheel`. A checkout has no such folder.
+BUNDLE = Path(__file__).resolve().parents[1] / "_bundle"
 # In a checkout: clients/python/tensormass/_src/processes.py -> build/bin.
 BUILD_BIN = Path(__file__).resolve().parents[4] / "build" / "bin"
 # Reads until the parent's end of the pipe is closed, then ends the child and wakes it if it was suspended. The kernel
@@ -24,7 +26,7 @@ _END_S = 0.5
 
 
 def find_program(name: str, variable: str) -> Path:
-    """Finds a built program in $`variable`, the checkout's build/bin, or PATH, in this order.
+    """Finds a program in $`variable`, the installed wheel, the checkout's build/bin, or PATH, in this order.
 
     Raises:
         NotFoundError: the message names the searched places.
@@ -34,11 +36,15 @@ def find_program(name: str, variable: str) -> Path:
         if not os.access(named, os.X_OK):
             raise NotFoundError(f"${variable} names {named}, which is not an executable file")
         return Path(named)
-    if os.access(BUILD_BIN / name, os.X_OK):
-        return BUILD_BIN / name
+    for folder in (BUNDLE, BUILD_BIN):
+        if os.access(folder / name, os.X_OK):
+            return folder / name
     found = shutil.which(name)
     if found is None:
-        raise NotFoundError(f"{name} is not built: not in {BUILD_BIN} nor on PATH; run `make build` or set ${variable}")
+        searched = f"not in {BUILD_BIN} nor on PATH, and the installed package holds no programs"
+        raise NotFoundError(
+            f"{name} is not built: {searched}; run `make build`, install a wheel of `make wheel` or set ${variable}"
+        )
     return Path(found)
 
 
