@@ -48,7 +48,7 @@ struct Sphere {
 
 TEST(DistanceField, IsThatOfASphere) {
   constexpr double kRadiusM = 0.03, kCubeM = 2 * kRadiusM / kDistanceCubes;
-  const Sphere sphere(kRadiusM, 4);
+  const Sphere sphere(kRadiusM, 5);
   const DistanceField field = sample_distance(sphere.vertices, sphere.triangles, "tool 'ball'").value();
   EXPECT_NEAR(field.reach_m, kRadiusM, 1e-12);
   EXPECT_NEAR(field.box.sizes().minCoeff(), 2 * kRadiusM, 1e-12);
