@@ -24,6 +24,8 @@ using google::protobuf::Message;
 /// thickness; that of a plane is this share of the scene's size.
 constexpr double kDefaultPenalty = 20;
 constexpr double kPlaneRadiusInScenes = 0.1;
+/// A mesh should be thicker than so many cubes of the grid that samples its distance.
+constexpr double kLeastCubes = 3;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
 constexpr double kMaxFriction = 10;
 
@@ -65,7 +67,14 @@ Result<void> read_surface(const v1::MeshSolid& message, std::string_view owner, 
   TM_ASSIGN_OR_RETURN(scale, read_number(message.has_scale() ? message.scale() : 1, 1e-9, 1e9, where + ".scale"));
   for (Eigen::Vector3d& vertex : surface.vertices) vertex *= scale;
   TM_ASSIGN_OR_RETURN(field, sample_distance(surface.vertices, surface.triangles, where + ".surface"));
-  out.parameters[0] = field.box.sizes().minCoeff() / 2;
+  const double thickness_m = field.box.sizes().minCoeff(), cube_m = field.box.sizes().maxCoeff() / kDistanceCubes;
+  if (thickness_m < kLeastCubes * cube_m) {
+    c.model.warnings.push_back(fmt::format(
+        "{}.surface is {:.3g} m thin, and its distance is sampled every {:.3g} m; tissue may pass through it, "
+        "so make it thicker or take another kind of tool",
+        where, thickness_m, cube_m));
+  }
+  out.parameters[0] = thickness_m / 2;
   out.parameters[1] = field.reach_m;
   out.first_sample = c.model.tool_samples.size();
   c.model.tool_samples.insert(c.model.tool_samples.end(), field.samples.begin(), field.samples.end());

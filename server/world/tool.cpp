@@ -13,7 +13,7 @@ double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
   double arm = tool_->reach_m, by_joints = 0;
   physics::with_tool(tool_->kind, [&](auto kind) {
     using Kind = typename decltype(kind)::Type;
-    if constexpr (!Kind::kIsSolid)
+    if constexpr (!Kind::kIsSolid) {
       for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) {
         const Vec3<double> at_first = Kind::core_point(first, i), at_last = Kind::core_point(last, i);
         arm = std::max({arm, (at_first - first.position()).norm(), (at_last - last.position()).norm()});
@@ -23,6 +23,7 @@ double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
         }
         by_joints = std::max(by_joints, way);
       }
+    }
   });
   return (to.position_m - from.position_m).norm() + arm * physics::rotation_vector(from, to).norm() + by_joints;
 }
