@@ -121,9 +121,16 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
             if field.type == FieldDescriptor.TYPE_DOUBLE:
                 setattr(shape, field.name, 1e6 if field.name.endswith("pa_per_m") else 0.01)
         shape.tip_offset_m.z = 0.001
-        tool.position_m.z = 1
+        tool.position_m.z = -1 if kind.name == "plane" else 1  # below the bodies, above them
         tool.orientation.w = 1
-    scene.tools[-1].joint_values.append(0.5)  # the grasper's
+        if kind.name == "grasper":
+            tool.joint_values.append(0.5)
+        elif kind.name == "box":
+            tool.box.edge_radius_m = 0.002
+        elif kind.name == "mesh":
+            surface = tool.mesh.surface.packed
+            surface.vertex_positions = packed([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+            surface.triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4").tobytes()
     return scene
 
 
@@ -256,10 +263,10 @@ def _names_it(refusal: str, place: Place, value: float) -> bool:
     """Whether the refusal says where the bad value is.
 
     Values that are not finite or absurdly large must be named by their field. Any other value may be valid by itself
-    and wrong in its effect: a region without nodes, a flat element, a skin outside. Then that is named, with its body.
+    and wrong in its effect: a region without nodes, a flat element, a skin outside. Then that is named, with its body or tool.
     """
     if np.isfinite(value) and abs(value) < 1e300:
-        return place.name in refusal or "body '" in refusal
+        return place.name in refusal or "body '" in refusal or "tool '" in refusal
     by_row = place.name.endswith("positions") and re.search(r"(node|point|vertex) \d+ of", refusal)
     return bool(by_row) or place.name.removesuffix("s") in refusal  # an element has one of its fibre_directions
 
