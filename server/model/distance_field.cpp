@@ -18,6 +18,9 @@ using Eigen::Vector3d;
 using mesh::Triangle;
 using Edge = std::pair<std::uint32_t, std::uint32_t>;  // from, to
 
+/// A surface that encloses less, relative to the cube of its diagonal, is flat.
+constexpr double kLeastRelativeVolume = 1e-9;
+
 /// A triangle with the outward normals of its parts.
 struct Facet {
   std::array<Vector3d, 3> corners;
@@ -99,19 +102,19 @@ std::vector<Facet> facets_of(std::span<const Vector3d> vertices, std::span<const
 Result<DistanceField> sample_distance(std::span<const Vector3d> vertices, std::span<const Triangle> triangles,
                                       std::string_view what) {
   TM_ASSIGN_OR_RETURN(edges, edges_of(triangles, what));
-  const double volume_m3 = volume_of(vertices, triangles);
-  if (!(volume_m3 > 0)) {
-    return invalid(
-        fmt::format("{}: the surface encloses {:.3g} m³; its triangles must be counter-clockwise seen from "
-                    "outside",
-                    what, volume_m3));
-  }
   DistanceField out;
   for (const Triangle& triangle : triangles) {
     for (const std::uint32_t vertex : triangle) {
       out.box.extend(vertices[vertex]);
       out.reach_m = std::max(out.reach_m, vertices[vertex].norm());
     }
+  }
+  const double volume_m3 = volume_of(vertices, triangles);
+  if (!(volume_m3 > kLeastRelativeVolume * std::pow(out.box.diagonal().norm(), 3))) {
+    return invalid(
+        fmt::format("{}: the surface encloses {:.3g} m³; it must not be flat, and its triangles must be "
+                    "counter-clockwise seen from outside",
+                    what, volume_m3));
   }
   const double spacing = out.box.sizes().maxCoeff() / kDistanceCubes;
   const Vector3d origin = out.box.min() - Vector3d::Constant(kDistanceMargin * spacing);

@@ -263,7 +263,8 @@ def _names_it(refusal: str, place: Place, value: float) -> bool:
     """Whether the refusal says where the bad value is.
 
     Values that are not finite or absurdly large must be named by their field. Any other value may be valid by itself
-    and wrong in its effect: a region without nodes, a flat element, a skin outside. Then that is named, with its body or tool.
+    and wrong in its effect: a region without nodes, a flat element, a skin outside. Then that is named, with its body
+    or tool.
     """
     if np.isfinite(value) and abs(value) < 1e300:
         return place.name in refusal or "body '" in refusal or "tool '" in refusal
