@@ -22,8 +22,7 @@
 ///                               depth   radius − distance from c to the contact point [m]
 ///
 /// 1. Each surface triangle has one contact with a thin tool: of the tool's candidates, the one with the greatest
-/// depth.
-///    The triangle is in contact if that depth is positive. With a solid it has four, without a core (solid.h).
+///    depth. The triangle is in contact if that depth is positive. With a solid it has four, without a core (solid.h).
 /// 2. The force at the *end* of the step is k (depth − n·Σ w_a d_a) along n, and the forces of tilt (tilt.h). It enters
 ///    the same linear system as the tissue. Its derivative has three diagonal blocks and the edge tensors between the
 ///    three corners. The mesh has those edges anyway.

@@ -7,7 +7,7 @@
 
 namespace tensormass::physics {
 
-/// Signed distances of a solid on a regular grid in the shape's frame, as mesh/distance_field.h samples them.
+/// Signed distances of a solid on a regular grid in the shape's frame, as model/distance_field.h samples them.
 ///
 ///   [count_x, count_y, count_z, spacing, origin_x, origin_y, origin_z | values, x fastest]
 struct SampledDistance {

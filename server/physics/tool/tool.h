@@ -85,7 +85,7 @@ struct PlacedTool {
   Real rotation[9];    // row-major; its columns are the axes of the shape's frame
   Real joint_values[limits::kMaxToolJoints];
   Real radius_m;                                // for a solid length_m
-  const float* samples;                         // distances of a mesh_solid.h, else nullptr
+  const float* samples;                         // distances of mesh_solid.h; others do not read it
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;
   Real friction;    // Coulomb's coefficient μ; 0: none
