@@ -130,6 +130,12 @@ std::size_t slip_reals(const view::ContactView<Real>& contact) {
   return 4 * std::size_t{contact.contact_points} * contact.triangle_count;
 }
 
+/// Number of reals in TiesView::slips.
+template <class Real>
+std::size_t slip_reals(const view::TiesView<Real>& ties) {
+  return ties.slips == nullptr ? 0 : 4 * std::size_t{ties.candidate_count};
+}
+
 /// State of the step sequence, besides the fields of the rows.
 struct StepRecord {
   double dt_s = 0;                   ///< length of the last step; 0: there was none
@@ -199,6 +205,8 @@ class Checkpoint {
     if (view.contact.slips != nullptr) {
       copy(view.contact.checkpoint_slips, slip_reals(view.contact), view.contact.slips);
     }
+    copy(view.ties.checkpoint_slips, slip_reals(view.ties), view.ties.slips);
+    copy(view.ties.checkpoint_broken, view.ties.spring_count, view.ties.broken);
     // The step that is taken back has advanced the internal variables to the checkpoint's stress, and a retry needs
     // them there. So the first restore saves them. A later restore, after a retry of several steps, copies them back.
     for (std::size_t g = 0; g < groups.size(); ++g) {
@@ -249,8 +257,10 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
     upload(view.state.previous_displacement, state.displacement);
     upload(view.state.previous_velocity, state.velocity);
   }
-  // Friction starts anew: a state from outside says nothing about where tools hold the tissue.
+  // Friction starts anew and attachments are whole: a state from outside says nothing about them.
   if (view.contact.slips != nullptr) upload(view.contact.slips, std::vector<double>(slip_reals(view.contact), 0.0));
+  upload(view.ties.slips, std::vector<double>(slip_reals(view.ties), 0.0));
+  upload(view.ties.broken, std::vector<double>(view.ties.spring_count, 0.0));
   std::span<const double> histories = state.internal_variables;
   for (std::size_t g = 0; g < groups.size(); ++g) {
     const std::size_t count = m.groups[g].internal_variable_reals();

@@ -54,12 +54,12 @@ TM_HOST_DEVICE Vec3<Real> nearest_to_middle(const physics::PlacedTool<Real>& too
   constexpr int kDescents = 8;
   const Vec3<Real> centroid = Vec3<Real>::Constant(Real(1) / 3);
   Vec3<Real> weights = centroid, best = centroid;
-  Real least = Kind::distance(tool, corners.at(centroid));
+  Real distance = Kind::distance(tool, corners.at(centroid)), least = distance;
   for (int i = 0; i < kDescents; ++i) {
     const Vec3<Real> x = corners.at(weights);
-    const Vec3<Real> way = Kind::gradient(tool, x) * (Kind::distance(tool, x) + Kind::middle_m(tool));
+    const Vec3<Real> way = Kind::gradient(tool, x) * (distance + Kind::middle_m(tool));
     weights = physics::closest_point_on_triangle<Real>(x - way, corners.x[0], corners.x[1], corners.x[2]).weights;
-    const Real distance = Kind::distance(tool, corners.at(weights));
+    distance = Kind::distance(tool, corners.at(weights));
     if (!(distance < least)) continue;
     least = distance;
     best = weights;
@@ -80,7 +80,7 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
   for (const Vec3<Real>& x : corners.x) size_squared = maximum(size_squared, (x - centroid).dot(x - centroid));
   // A distance changes by at most the way.
   const bool far = Kind::distance(tool, centroid) > sqrt(size_squared);
-  const Vec3<Real> facing = unit<Real>(corners.normal());
+  const Vec3<Real> facing = far ? Vec3<Real>(Vec3<Real>::Zero()) : unit<Real>(corners.normal());
   const auto touch_at = [&](const Vec3<Real>& weights) {
     Touch<Real> touch;
     if (far) return touch;

@@ -17,6 +17,11 @@ inline constexpr std::size_t kMaxTools = 16;
 inline constexpr std::size_t kMaxToolJoints = 4;
 inline constexpr std::size_t kMaxToolParameters = 4;
 inline constexpr std::size_t kMaxCorePoints = 4;
+/// Contacts between bodies, and attachments, of one scene; a scene with more is refused.
+inline constexpr std::size_t kMaxBodyContacts = 256;
+inline constexpr std::size_t kMaxAttachments = 256;
+/// Pairs of nodes of an attachment's two regions; an attachment with more is refused. The reader tests every pair.
+inline constexpr std::size_t kMaxAttachmentPairs = 100'000'000;
 /// Triangles of a tool's surface; a tool with more is refused.
 inline constexpr std::size_t kMaxToolTriangles = 100'000;
 /// Range of ToolPose.valid_for_s [s].
@@ -68,6 +73,8 @@ inline constexpr int kMaxSchedulePoints = 100'000;
 /// Largest force [N] and largest pressure [Pa] accepted as a load.
 inline constexpr double kMaxForceN = 1e12;
 inline constexpr double kMaxPressurePa = 1e12;
+/// Largest coefficient of Coulomb friction.
+inline constexpr double kMaxFriction = 10;
 /// Newton iterations of one step.
 inline constexpr std::uint32_t kMaxNewtonIterations = 10'000;
 

@@ -42,6 +42,7 @@ struct StepExchange {
   view::PatchDiagnostics<Real>* diagnostics;
   Real* min_det_f;
   view::ToolLoad<Real>* tool_loads;
+  view::TieReport<Real>* tie_reports;
 };
 
 template <class Real, class Arena>
@@ -57,6 +58,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   e.diagnostics = arena.template zeros<view::PatchDiagnostics<Real>>("diagnostics", groups * patches);
   e.min_det_f = arena.template zeros<Real>("volume check", m.checks_volume() ? groups * patches : 0);
   e.tool_loads = arena.template zeros<view::ToolLoad<Real>>("tool loads", tools * patches);
+  e.tie_reports = arena.template zeros<view::TieReport<Real>>("tie reports", m.ties.count() > 0 ? patches : 0);
   return e;
 }
 
@@ -87,6 +89,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.guard.diagnostics = exchange.diagnostics;
   s.guard.min_det_f = exchange.min_det_f;
   s.contact.tool_loads = exchange.tool_loads;
+  s.ties.reports = exchange.tie_reports;
   s.solve.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.state.size_m = static_cast<Real>(m.size_m);
 
@@ -174,6 +177,33 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.frictions = arena.template zeros<view::TriangleFriction<Real>>("friction", frictions);
   s.contact.slips = arena.template zeros<Real>("friction slips", 4 * frictions);
   s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", 4 * frictions);
+
+  const Ties& ties = m.ties;
+  s.ties.candidate_count = ties.candidate_count();
+  s.ties.spring_count = ties.spring_count();
+  s.ties.leaf_count = ties.leaf_count();
+  s.ties.patch_rows = arena.template constant<uint32_t>("tied rows of patches", ties.patch_rows);
+  s.ties.rows = arena.template constant<uint32_t>("tied rows", ties.rows);
+  s.ties.row_place = arena.template constant<uint32_t>("places of tied rows", ties.row_place);
+  s.ties.leaf_triangles = arena.template constant<uint32_t>("triangles in boxes", ties.leaf_triangles);
+  s.ties.boxes =
+      arena.template zeros<view::AxisBox<Real>>("boxes", ties.leaf_count() + ties.leaf_count() / view::kGroupLeaves);
+  s.ties.patch_candidates = arena.template constant<uint32_t>("contact candidates of patches", ties.patch_candidates);
+  s.ties.candidates = arena.template constant<uint32_t>("contact candidates", ties.candidates);
+  s.ties.candidate_area = arena.template constant<Real>("areas of contact candidates", ties.candidate_area);
+  s.ties.side_groups = arena.template constant<uint32_t>("boxes of bodies", ties.side_groups);
+  s.ties.side_numbers = arena.template constant<Real>("contacts of bodies", ties.side_numbers);
+  const std::size_t tie_slips = 4 * only_if(ties.has_friction(), ties.candidate_count());
+  s.ties.slips = arena.template zeros<Real>("friction slips of bodies", tie_slips);
+  s.ties.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips of bodies", tie_slips);
+  s.ties.patch_springs = arena.template constant<uint32_t>("springs of patches", ties.patch_springs);
+  s.ties.spring_rows = arena.template constant<uint32_t>("springs", ties.spring_rows);
+  s.ties.spring_numbers = arena.template constant<Real>("stiffness of springs", ties.spring_numbers);
+  s.ties.broken = arena.template zeros<Real>("broken springs", ties.spring_count());
+  s.ties.checkpoint_broken = arena.template zeros<Real>("checkpoint broken springs", ties.spring_count());
+  s.ties.ties = arena.template zeros<view::Tie<Real>>("ties", ties.count());
+  s.ties.head = arena.template zeros<uint32_t>("lists of ties", only_if(ties.count() > 0, rows));
+  s.ties.next = arena.template zeros<uint32_t>("entries of lists of ties", 4 * std::size_t{ties.count()});
 
   s.surface.vertex_count = m.visible.count();
   s.surface.rows = arena.template constant<uint32_t>("visible rows", m.visible.rows);

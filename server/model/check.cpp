@@ -97,7 +97,8 @@ void check_boundary(const Model& m) {
 void check_surfaces(const Model& m) {
   const ContactSurface& contact = m.contact;
   const std::size_t triangles = contact.triangle_count();
-  TM_ASSERT(triangles == 0 || !m.tools.empty(), "only scenes with tools have a contact surface");
+  TM_ASSERT(triangles == 0 || !m.tools.empty() || m.ties.candidate_count() > 0,
+            "only scenes with tools or contact between bodies have a contact surface");
   std::uint32_t core_points = 0, contact_points = 0;
   for (const ToolModel& tool : m.tools) {
     TM_ASSERT(tool.kind < std::uint32_t{physics::Tools::kCount}, "a tool has a kind of the list");
@@ -122,6 +123,32 @@ void check_surfaces(const Model& m) {
   TM_ASSERT(are_below(m.visible.rows, m.layout.row_count), "visible vertices name rows of the layout");
 }
 
+void check_ties(const Model& m) {
+  const Ties& ties = m.ties;
+  if (ties.count() == 0) return;
+  const std::size_t patches = m.layout.patch_count, sides = ties.side_groups.size() / 3;
+  TM_ASSERT(m.solve == SolveKind::kStages, "fused solves know no ties");
+  assert_offsets(ties.patch_rows, patches, ties.rows.size());
+  TM_ASSERT(are_below(ties.rows, m.layout.row_count) && ties.row_place.size() == m.layout.row_count,
+            "ties name rows of the layout");
+  if (ties.candidate_count() > 0) assert_offsets(ties.patch_candidates, patches, ties.candidate_count());
+  if (ties.spring_count() > 0) assert_offsets(ties.patch_springs, patches, ties.spring_count());
+  TM_ASSERT(ties.candidates.size() == 2 * std::size_t{ties.candidate_count()}, "a candidate has a vertex and a side");
+  for (std::size_t i = 0; i < ties.candidates.size(); i += 2) {
+    TM_ASSERT(ties.candidates[i] < m.contact.surface_rows.size() && ties.candidates[i + 1] < sides,
+              "it names those that exist");
+  }
+  TM_ASSERT(ties.side_numbers.size() == view::kSideNumbers * sides, "each side has its numbers");
+  TM_ASSERT(ties.leaf_count() % view::kGroupLeaves == 0, "groups of leaves are full");
+  for (std::size_t side = 0; side < sides; ++side) {
+    TM_ASSERT(ties.side_groups[3 * side] <= ties.side_groups[3 * side + 1] &&
+                  ties.side_groups[3 * side + 1] * view::kGroupLeaves <= ties.leaf_count(),
+              "a side has groups of leaves");
+  }
+  TM_ASSERT(are_below(ties.spring_rows, m.layout.row_count), "springs name rows of the layout");
+  TM_ASSERT(ties.spring_numbers.size() == 3 * std::size_t{ties.spring_count()}, "each spring has its numbers");
+}
+
 }  // namespace
 
 void check_model(const Model& m) {
@@ -142,6 +169,7 @@ void check_model(const Model& m) {
   }
   check_boundary(m);
   check_surfaces(m);
+  check_ties(m);
 }
 
 }  // namespace tensormass::model

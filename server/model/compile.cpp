@@ -12,7 +12,8 @@
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
 ///
-///   scene --read--> bodies, tools --merge--> one mesh --make_layout--> rows --fill--> masses, loads, prescribed rows
+///   scene --read--> bodies, tools, ties --merge--> one mesh --make_layout--> rows --fill--> masses, loads, prescribed
+///   rows
 ///                                                                          --group--> elements by (shape, law)
 ///                                                                          --make---> surfaces for contact and clients
 ///
@@ -59,10 +60,11 @@ Result<void> check_integrator(const Model& model) {
 }  // namespace
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
-  Compilation c{scene, {}, {}, {}, {}, {}};
+  Compilation c{scene, {}, {}, {}, {}, {}, {}, {}};
   TM_RETURN_IF_ERROR(read_header(c));
   TM_RETURN_IF_ERROR(read_bodies(c, progress));
   TM_RETURN_IF_ERROR(read_tools(c));
+  TM_RETURN_IF_ERROR(read_ties(c));
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kOrderNodes));
   make_clusters(c);
   make_layout(c, policy);
@@ -75,7 +77,8 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(list_elements_of_rows(c));
   equip_solve(c, policy);
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
-  if (!c.model.tools.empty()) make_contact_surface(c);
+  if (!c.model.tools.empty() || !c.body_contacts.empty()) make_contact_surface(c);
+  if (c.has_ties()) make_ties(c);
   if (c.model.frame_rate_hz > 0) {
     TM_RETURN_IF_ERROR(make_visible_surface(c));
   }

@@ -48,6 +48,18 @@ struct Cluster {
   physics::PointGradients<ClusterShape, double> mean;       ///< ā_k and V
 };
 
+/// Contact of a body with another, or with itself.
+struct ReadBodyContact {
+  std::size_t body, other;
+  double distance_m, penalty_pa_per_m, friction, reach_m;
+};
+
+/// Springs between two bodies.
+struct ReadAttachment {
+  std::vector<std::array<std::uint32_t, 2>> springs;  ///< nodes of the scene
+  double stiffness_n_per_m, breaking_force_n;         ///< of one spring
+};
+
 /// A model that is being compiled.
 struct Compilation {
   const v1::Scene& scene;
@@ -56,6 +68,10 @@ struct Compilation {
   std::vector<std::size_t> block_bodies;  ///< [block of merged] its body
   std::vector<ReadBody> bodies;
   std::vector<Cluster> clusters;
+  std::vector<ReadBodyContact> body_contacts;
+  std::vector<ReadAttachment> attachments;
+
+  bool has_ties() const { return !body_contacts.empty() || !attachments.empty(); }
 };
 
 /// Visits every element of the scene.
@@ -97,6 +113,9 @@ Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_vie
 /// Reads the tools. Needs the materials of all bodies, which set the default stiffness of contact.
 Result<void> read_tools(Compilation& c);
 
+/// Reads contacts between bodies and attachments. Needs the bodies.
+Result<void> read_ties(Compilation& c);
+
 /// Fills rest positions, masses and damping. Needs the layout.
 Result<void> fill_row_fields(Compilation& c);
 
@@ -112,8 +131,10 @@ Result<void> list_elements_of_rows(Compilation& c);
 /// Decides who runs the solve, where its vectors are stored, and which volumes it checks at its end.
 void equip_solve(Compilation& c, const PatchPolicy& policy);
 
-/// Makes the triangles that tools can touch: the boundary of all bodies.
+/// Makes the triangles that tools and bodies can touch: the boundary of all bodies.
 void make_contact_surface(Compilation& c);
+/// Makes the ties of contacts between bodies and of attachments. Needs the contact surface if bodies touch.
+void make_ties(Compilation& c);
 /// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
 Result<void> make_visible_surface(Compilation& c);
 

@@ -291,6 +291,7 @@ Result<void> group_elements(Compilation& c) {
 void equip_solve(Compilation& c, const PatchPolicy& policy) {
   Model& model = c.model;
   if (model.layout.storage == matrix::Storage::kEdges || model.double_precision) return;
+  if (c.has_ties()) return;  // the fused solves know only neighbours in the mesh (solver/tie_product.h)
   const std::uint32_t rows = model.layout.largest_patch();
   if (policy.solve_of) model.solve = policy.solve_of(model.layout);
   model.solve_keeps_vectors = rows <= policy.solve_keeps_rows;

@@ -19,6 +19,7 @@
 #include "physics/tool/tool.h"
 #include "solver/time_scheme.h"
 #include "tensormass/v1/scene.pb.h"
+#include "view/ties.h"
 
 /// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
 ///
@@ -134,6 +135,33 @@ struct ContactSurface {
   std::vector<std::uint32_t> incidence;            ///< [entry, 4], see ContactView
 
   std::uint32_t triangle_count() const { return static_cast<std::uint32_t>(triangle_area.size()); }
+};
+
+/// Contact between bodies, and attachments (view/ties.h). Entries are grouped by patch.
+struct Ties {
+  std::vector<std::uint32_t> patch_rows;        ///< [patch_count + 1] into rows
+  std::vector<std::uint32_t> rows;              ///< rows that a tie may have, ascending
+  std::vector<std::uint32_t> row_place;         ///< [row_count]
+  std::vector<std::uint32_t> leaf_triangles;    ///< [leaf_count, kLeafTriangles]
+  std::vector<std::uint32_t> patch_candidates;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> candidates;        ///< [candidate_count, 2]
+  std::vector<double> candidate_area;           ///< [candidate_count] m²
+  std::vector<std::uint32_t> side_groups;       ///< [side, 3]
+  std::vector<double> side_numbers;             ///< [side, kSideNumbers]
+  std::vector<std::uint32_t> patch_springs;     ///< [patch_count + 1]
+  std::vector<std::uint32_t> spring_rows;       ///< [spring_count, 2]
+  std::vector<double> spring_numbers;           ///< [spring_count, 3]
+
+  std::uint32_t candidate_count() const { return static_cast<std::uint32_t>(candidate_area.size()); }
+  std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
+  std::uint32_t count() const { return candidate_count() + spring_count(); }
+  std::uint32_t leaf_count() const { return static_cast<std::uint32_t>(leaf_triangles.size() / view::kLeafTriangles); }
+  bool has_friction() const {
+    for (std::size_t i = view::kSideFriction; i < side_numbers.size(); i += view::kSideNumbers) {
+      if (side_numbers[i] > 0) return true;
+    }
+    return false;
+  }
 };
 
 /// The vertices that clients see, body by body: each is a weighted mean of four rows.
@@ -258,7 +286,8 @@ struct Model {
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
   ScheduledLoads scheduled;
-  ContactSurface contact;  ///< empty: no tools
+  ContactSurface contact;  ///< empty: neither tools nor contact between bodies
+  Ties ties;               ///< empty: neither contact between bodies nor attachments
   VisibleSurface visible;  ///< empty: no frames
 
   /// Returns whether a step runs Newton's method: more than one linear solve.

@@ -27,7 +27,6 @@ constexpr double kPlaneRadiusInScenes = 0.1;
 /// A mesh should be thicker than so many cubes of the grid that samples its distance.
 constexpr double kLeastCubes = 3;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
-constexpr double kMaxFriction = 10;
 
 /// Returns the stiffest material of the scene: contact must not be softer than the tissue.
 const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
@@ -154,8 +153,8 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
       speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : kDefaultMaxSpeedMPerS, 1e-6, 1e3,
                          where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
-  TM_ASSIGN_OR_RETURN(friction,
-                      read_number(tool.friction_coefficient(), 0, kMaxFriction, where + ".friction_coefficient"));
+  TM_ASSIGN_OR_RETURN(
+      friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));
   out.friction = friction;
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));

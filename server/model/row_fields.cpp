@@ -8,7 +8,7 @@
 /// Fills the vectors that have an entry for each row: rest positions, masses and damping.
 ///
 ///   rest     [row] X, Y, Z, bits of the free directions: 7, until boundary conditions fix some
-///   inertia  [row] m_kk, α, β, √(ρ_max / ρ); quasi-static scenes: 0, 0, 0, 1
+///   inertia  [row] m_kk, α, β, √(ρ_max / ρ); the last is 1 if ties couple bodies; quasi-static scenes: 0, 0, 0, 1
 ///   gap row  zeros, and 1 as the last entry of inertia
 ///
 /// Symbols:
@@ -50,7 +50,7 @@ Result<void> fill_row_fields(Compilation& c) {
       if (!inertia) continue;
       c.model.inertia[4 * row + 1] = alpha;
       c.model.inertia[4 * row + 2] = beta;
-      c.model.inertia[4 * row + 3] = std::sqrt(densest / c.bodies[b].density_kg_per_m3);
+      if (!c.has_ties()) c.model.inertia[4 * row + 3] = std::sqrt(densest / c.bodies[b].density_kg_per_m3);
     }
   }
   if (consistent) c.model.mass_edges.assign(layout.slot_count(), 0);

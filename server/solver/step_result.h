@@ -9,6 +9,7 @@
 #include "view/guard.h"
 #include "view/newton.h"
 #include "view/solve.h"
+#include "view/ties.h"
 
 /// The host's result of a step, reduced from the reports of the patches. This last, short reduction runs in the order
 /// of the patches, so that it repeats bitwise.
@@ -28,7 +29,10 @@ struct StepResult {
   /// if it does and no element is inverted.
   double min_det_f = 1;
   std::uint32_t newton_iterations = 1;
-  double newton_residual = 0;  ///< relative to the acting forces; 0 in a step that is linearized once
+  double newton_residual = 0;        ///< relative to the acting forces; 0 in a step that is linearized once
+  std::uint32_t touching_nodes = 0;  ///< nodes that touch a body
+  double deepest_contact_m = 0;      ///< largest penetration of one body into another
+  std::uint32_t broken_springs = 0;  ///< of attachments, since the start
   /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;
 
@@ -42,6 +46,16 @@ struct StepResult {
     work_j = later.work_j;
   }
 };
+
+/// Adds what the ties of all patches did.
+template <class Real>
+void read_ties(std::span<const view::TieReport<Real>> patches, StepResult& result) {
+  for (const auto& patch : patches) {
+    result.touching_nodes += static_cast<std::uint32_t>(patch.contacts);
+    result.deepest_contact_m = std::max(result.deepest_contact_m, static_cast<double>(patch.deepest_m));
+    result.broken_springs += static_cast<std::uint32_t>(patch.broken);
+  }
+}
 
 /// view::PatchResidual, summed over the patches.
 struct NewtonResidual {

@@ -28,6 +28,8 @@ enum class StageKind : std::uint8_t {
   kPrescribe,
   kQueryClosest,
   kGenerateContacts,
+  kBeginTies,
+  kFindTies,
   kBeginEdges,
   kInternalVariables,
   kDecompose,
@@ -36,6 +38,7 @@ enum class StageKind : std::uint8_t {
   kExternalForces,
   kPressure,
   kAssembleContact,
+  kAssembleTies,
   kMeasureResidual,
   kFactorize,
   kScaleEdges,
@@ -45,6 +48,7 @@ enum class StageKind : std::uint8_t {
   kStreamedSolve,
   kBacktrack,
   kMeasureContact,
+  kMeasureTies,
   kExtrapolate,
   kCheckInversion,
   kDiagnostics,
@@ -119,8 +123,18 @@ struct StageSizes {
     return {passes * (12 + 3 * 8 * real), passes * 60};
   }
   Cost generate_contacts() const { return {tools * triangles * (12 + 3 * 8 * real) + contacts * real, contacts * 60}; }
+  /// A pass over the groups of boxes for each candidate, and over a leaf with its triangles. Deeper searches cost more.
+  Cost find_ties() const {
+    const double leaves = m.ties.leaf_triangles.size() / view::kLeafTriangles;
+    const double boxes = leaves / view::kGroupLeaves + view::kGroupLeaves, candidates = m.ties.candidate_count();
+    const double near = candidates * view::kLeafTriangles;
+    return {leaves * 6 * real + near * (4 + 12 + 9 * real) + m.ties.count() * 15 * real,
+            candidates * boxes * 15 + near * 60};
+  }
   Cost solve() const {  // one iteration
-    const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real, slots * (edges ? 36 : 18) + rows * 36};
+    const double tied = 4 * m.ties.count();
+    const Cost whole{slots * (9 * real + 4) + rows * 9 * 4 * real + tied * 20 * real,
+                     slots * (edges ? 36 : 18) + rows * 36 + tied * 150};
     if (m.double_precision || m.layout.storage != matrix::Storage::kTiles) return whole;
     // Tiles stream in single precision: packed blocks, and beside each a column, mostly of 16 bits.
     const double slot = sizeof(matrix::PackedBlock) + sizeof(std::uint16_t), row = sizeof(matrix::PackedDiagonal);
@@ -163,13 +177,26 @@ inline constexpr StageInfo kStages[] = {
      return Cost{entries * (12 + 9 * s.real), entries * 6};
    }},
   {StageKind::kQueryClosest, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
-   "closest-point query", "displacement, tools", "closest triangle of each patch", "the scene has tools",
-   [](const StageSizes& s) { return s.has_tools(); },
+   "closest-point query", "displacement, tools", "closest triangle of each patch", "the scene has thin tools",
+   [](const StageSizes& s) { return s.core_points > 0; },
    [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "contact generation", "displacement, tools, closest, friction slips", "contacts, friction", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) { return s.generate_contacts(); }},
+  {StageKind::kBeginTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "begin ties", "displacement", "empty lists of ties, boxes around surfaces",
+   "bodies touch each other or are attached to each other",
+   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) {
+     const double places = static_cast<double>(s.m.ties.leaf_triangles.size());  // leaves and groups both read them
+     return Cost{places * 2 * (4 + 12 + 3 * 8 * s.real), places * 2 * 18};
+   }},
+  {StageKind::kFindTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "find ties", "displacement, velocity, boxes, friction slips, broken springs", "ties, their lists",
+   "bodies touch each other or are attached to each other",
+   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) { return s.find_ties(); }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
    "the matrix stores edges (CPU); element passes then add to it",
@@ -237,6 +264,14 @@ inline constexpr StageInfo kStages[] = {
      const double points = s.m.contact_points();
      return Cost{incidences * (16 * s.tools + 9 * s.real * points), points * incidences * 4};
    }},
+  {StageKind::kAssembleTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
+   "assemble ties", "ties, velocity", "matrix diagonal, right-hand side",
+   "bodies touch each other or are attached to each other",
+   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) {
+     const double ties = s.m.ties.count();
+     return Cost{ties * (4 * 4 + 4 * (4 + 15 * s.real)), ties * 4 * 100};
+   }},
   {StageKind::kMeasureResidual, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "measure residual", "right-hand side, forces", "residual of each patch", "the scene solves more than once a step",
    [](const StageSizes& s) { return s.m.iterates(); },
@@ -279,8 +314,8 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) { return Cost{s.rows * 5 * 4 * s.real, s.rows * 12}; }},
   {StageKind::kQueryClosest, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "closest-point query", "displacement, tools", "closest triangle of each patch",
-   "once more, if the scene has tools and its step began with predict",
-   [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
+   "once more, if the scene has thin tools and its step began with predict",
+   [](const StageSizes& s) { return s.core_points > 0 && !s.m.is_plain(); },
    [](const StageSizes& s) { return s.query_tools(); }},
   {StageKind::kGenerateContacts, Phase::kEnd, Scope::kScene, Communication::kNone,
    "contact generation", "displacement, tools, closest, friction slips", "contacts, friction",
@@ -293,6 +328,14 @@ inline constexpr StageInfo kStages[] = {
    [](const StageSizes& s) {
      const double slips = s.m.has_friction() ? 4 + 4 : 0;  // reads and writes
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
+   }},
+  {StageKind::kMeasureTies, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "measure ties", "ties, velocity", "broken springs, friction slips, report",
+   "bodies touch each other or are attached to each other",
+   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) {
+     const double ties = s.m.ties.count();
+     return Cost{ties * (4 * 4 + 24 * s.real), ties * 100};
    }},
   {StageKind::kExtrapolate, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "extrapolate", "base displacement and velocity, displacement, velocity", "displacement, velocity, guard reports",

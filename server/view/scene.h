@@ -10,6 +10,7 @@
 #include "view/solve.h"
 #include "view/state.h"
 #include "view/surface.h"
+#include "view/ties.h"
 
 /// The data of a scene that stages read and write: plain pointers to host or device memory, in one precision.
 ///
@@ -24,7 +25,7 @@
 ///   elements ─────> groups of (shape, law)              one ElementView each, beside the scene
 ///   matrix ───────> A and b                             elements, loads and contact add to it
 ///   solve ────────> conjugate gradients                 Â x = b̂
-///   newton, guard, contact, prescribed, pressure, surface: only in scenes that use them
+///   newton, guard, contact, ties, prescribed, pressure, surface: only in scenes that use them
 ///
 /// A kernel takes the view by value, as its parameter.
 namespace tensormass::view {
@@ -38,6 +39,7 @@ struct SceneView {
   NewtonView<Real> newton;
   GuardView<Real> guard;
   ContactView<Real> contact;
+  TiesView<Real> ties;
   PrescribedView<Real> prescribed;
   PressureView<Real> pressure;
   SurfaceView<Real> surface;

@@ -52,6 +52,9 @@ void Findings::take_step(const World& world) {
   newton_residual_.store(result.newton_residual, kRelaxed);
   converged_.store(result.converged, kRelaxed);
   negative_curvature_.store(result.negative_curvature, kRelaxed);
+  touching_nodes_.store(result.touching_nodes, kRelaxed);
+  deepest_contact_m_.store(result.deepest_contact_m, kRelaxed);
+  broken_springs_.store(result.broken_springs, kRelaxed);
 }
 
 void Findings::take_diagnostics(const World& world) {
@@ -67,8 +70,11 @@ void Findings::take_diagnostics(const World& world) {
 }
 
 void Findings::clear() {
-  for (auto* count : {&cg_iterations_, &newton_iterations_}) count->store(0, kRelaxed);
-  for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_}) {
+  for (auto* count : {&cg_iterations_, &newton_iterations_, &touching_nodes_, &broken_springs_}) {
+    count->store(0, kRelaxed);
+  }
+  for (auto* value :
+       {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_, &deepest_contact_m_}) {
     value->store(0, kRelaxed);
   }
   window_steps_ = window_repeated_ = 0;
@@ -90,6 +96,9 @@ void Findings::add_to(v1::SceneStatus& status) const {
   add_energy(status);
   add_guard(status);
   add_budget(status);
+  status.set_touching_nodes(touching_nodes_.load(kRelaxed));
+  status.set_deepest_contact_m(deepest_contact_m_.load(kRelaxed));
+  status.set_broken_springs(broken_springs_.load(kRelaxed));
 }
 
 void Findings::add_solve(v1::SceneStatus& status) const {

@@ -95,7 +95,7 @@ double least_energy(const model::Model& m) {
 bool counts_all_work(const model::Model& m) { return m.prescribed_rows.rows.empty() && m.pressure.faces.empty(); }
 
 bool counts_all_energy(const model::Model& m) {
-  return !m.quasi_static() && m.mass_edges.empty() &&
+  return !m.quasi_static() && m.mass_edges.empty() && m.ties.count() == 0 &&
          std::all_of(m.groups.begin(), m.groups.end(), [](const auto& group) { return group.prony.empty(); });
 }
 

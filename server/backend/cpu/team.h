@@ -101,6 +101,12 @@ class Team {
   template <class Real, std::size_t Maxima, std::size_t Sums>
   void end_reduce(Real (&)[Maxima], Real (&)[Sums]) const {}
 
+  /// Stores a value and returns the one before. Other patches may do so at the same place at the same time.
+  static std::uint32_t replace(std::uint32_t* place, std::uint32_t value) {
+    return std::atomic_ref(*place).exchange(value, std::memory_order_relaxed);
+  }
+  /// Makes everything that a patch wrote before visible to all patches.
+  void meet() const { barrier_.arrive_and_wait(); }
   /// Replaces `sums` by their sums over all patches, and makes everything that a patch wrote before visible to all
   /// patches.
   /// scratch: [patch_count, 4]; must differ from that of the previous exchange.

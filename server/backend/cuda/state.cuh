@@ -60,6 +60,7 @@ class CudaState final : public SceneState {
         min_det_f_(model.checks_volume() ? model.groups.size() * model.layout.patch_count * volume_parts_ : 0,
                    std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
+        tie_reports_(model.ties.count() > 0 ? model.layout.patch_count : 0),
         visible_(3 * std::size_t{model.visible.count()}),
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
@@ -114,6 +115,7 @@ class CudaState final : public SceneState {
     read_forces<Real>(loads_.span(), forces);
     if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
+    solver::read_ties<Real>(tie_reports_.span(), result);
     checkpoint_.end(input);
     return result;
   }
@@ -220,7 +222,8 @@ class CudaState final : public SceneState {
             .residuals = residuals_.data(),
             .diagnostics = diagnostics_.data(),
             .min_det_f = min_det_f_.data(),
-            .tool_loads = loads_.data()};
+            .tool_loads = loads_.data(),
+            .tie_reports = tie_reports_.data()};
   }
 
   /// Launches a stage. items: its number of items, a thread for each; 0: the larger number of rows or triangles.
@@ -353,6 +356,7 @@ class CudaState final : public SceneState {
   const std::uint32_t volume_parts_;  // blocks of a patch in the stages that reduce in parts
   Pinned<Real> min_det_f_;
   Pinned<view::ToolLoad<Real>> loads_;
+  Pinned<view::TieReport<Real>> tie_reports_;
   Pinned<float> visible_;
   Pinned<Real> external_;                   // [row_count, 4]; empty unless loads_change()
   Pinned<view::PressureFace<Real>> faces_;  // likewise

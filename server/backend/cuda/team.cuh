@@ -97,6 +97,12 @@ class Team {
     index = best.index;
   }
 
+  /// Stores a value and returns the one before. Other threads may do so at the same place at the same time.
+  __device__ static std::uint32_t replace(std::uint32_t* place, std::uint32_t value) {
+    return atomicExch(place, value);
+  }
+  /// Makes everything that a patch wrote before visible to all patches. Only for stages that exchange.
+  __device__ void meet() const { cooperative_groups::this_grid().sync(); }
   /// Replaces `sums` by their sums over all patches, and makes everything that a patch wrote before visible to all.
   /// scratch: [patch_count, 4]; must differ from that of the previous exchange.
   template <class Real, std::size_t Count>

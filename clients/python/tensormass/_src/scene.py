@@ -18,6 +18,7 @@ from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile, is_mesh_file
 from tensormass._src.solver_settings import Integrator, Precision, set_fields
+from tensormass._src.ties import Nodes, make_attachment, make_contact
 from tensormass._src.tools import make_tool
 from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
@@ -366,6 +367,63 @@ class Scene:
             )
         )
         return self.message.tools[-1]
+
+    def add_body_contact(
+        self,
+        body: str,
+        other: str | None = None,
+        *,
+        friction_coefficient: float = 0.0,
+        distance_m: float | None = None,
+        penalty_stiffness_pa_per_m: float | None = None,
+        reach_m: float | None = None,
+    ) -> scene_pb2.BodyContact:
+        """Lets two bodies touch each other, or with one name a body touch itself. `BodyContact` has the defaults.
+
+        Args:
+            friction_coefficient: Coulomb's coefficient; 0 for smooth surfaces.
+            distance_m: distance at which the surfaces begin to push each other.
+            penalty_stiffness_pa_per_m: contact pressure per metre of penetration.
+            reach_m: largest penetration from which a node is pushed back.
+
+        Raises:
+            InvalidArgumentError: no such body.
+        """
+        settings = {
+            "friction_coefficient": friction_coefficient,
+            "distance_m": distance_m,
+            "penalty_stiffness_pa_per_m": penalty_stiffness_pa_per_m,
+            "reach_m": reach_m,
+        }
+        contact = make_contact(self.body(body), self.body(body if other is None else other), settings)
+        self.message.body_contacts.append(contact)
+        return self.message.body_contacts[-1]
+
+    def attach(
+        self,
+        name: str,
+        body: str,
+        nodes: Nodes,
+        other: str,
+        other_nodes: Nodes,
+        *,
+        stiffness_n_per_m: float,
+        breaking_force_n: float | None = None,
+    ) -> scene_pb2.Attachment:
+        """Holds nodes of a body to another body by springs that only pull, such as a ligament.
+
+        Args:
+            nodes: indices, a mask, or the name of a set of the body. Each is held by the nearest of `other_nodes`.
+            stiffness_n_per_m: of all springs together.
+            breaking_force_n: force at which the attachment tears if all springs are pulled alike; None: never.
+
+        Raises:
+            InvalidArgumentError: no such body, or no nodes.
+        """
+        settings = {"stiffness_n_per_m": stiffness_n_per_m, "breaking_force_n": breaking_force_n}
+        attachment = make_attachment(name, self.body(body), nodes, self.body(other), other_nodes, settings)
+        self.message.attachments.append(attachment)
+        return self.message.attachments[-1]
 
     def keep_to_budget(
         self, budget_s: float, *, floor_cg_iterations: int | None = None, floor_tolerance: float | None = None

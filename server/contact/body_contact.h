@@ -1,0 +1,258 @@
+#pragma once
+
+#include <cmath>
+
+#include "contact/surface.h"
+#include "contact/tie.h"
+#include "view/scene.h"
+
+/// Contact of bodies with each other, and of a body with itself: nodes of one surface against triangles of another.
+///
+///          x               x     node of a surface
+///          ↑ n             p     point of the other surface that is closest to x
+///     ─────p──────         n     outward normal at p, in which the node is pushed
+///       triangle           s     signed distance from p to x; negative inside the other body
+///
+///   depth = r − s          r     distance at which surfaces begin to push each other
+///   force = k (depth − n·(d_x − Σ w_a d_a)) n, on the node; the corners of the triangle receive the opposite
+///
+///   k = penalty · half the node's part of its surface. Both surfaces have nodes that touch the other, and share the
+///   load; so a pressure p is carried at a depth of p / penalty.
+///
+/// 1. p is searched in two levels of boxes that are refitted in each step: groups of leaves, leaves of triangles. The
+///    boxes' members are chosen once, at rest.
+/// 2. The sign of s is that of the angle-weighted pseudonormal at the closest point (Bærentzen, Aanæs 2005).
+/// 3. A node deeper than `reach` is not found. It must be larger than what two surfaces approach in a step.
+/// 4. For contact of a body with itself, triangles that lie within two reaches of the node at rest are left out. So a
+///    node touches neither its own neighbourhood nor the other side of a thin part.
+/// 5. p is the closest point of the triangles that face the node. At the rim of two blocks that rest on each other, the
+///    closest triangle may be a side, which would push the node the wrong way.
+/// 6. Friction is that of tools (friction.h): a spring across n that yields. Its stretch belongs to the node.
+namespace tensormass::contact {
+
+/// Width of the rim in is_inside, as a part of the reach.
+inline constexpr double kRimInReaches = 0.1;
+
+template <class Real>
+TM_HOST_DEVICE Real distance_squared(const view::AxisBox<Real>& box, const Vec3<Real>& point) {
+  Real sum = 0;
+  for (int c = 0; c < 3; ++c) {
+    const Real beyond = maximum(maximum(box.least[c] - point[c], point[c] - box.most[c]), Real(0));
+    sum += beyond * beyond;
+  }
+  return sum;
+}
+
+/// Puts the boxes around the present surface. Each patch takes a part of all boxes.
+template <class Team, class Real>
+TM_HOST_DEVICE void refit_boxes(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                const view::ContactView<Real>& contact, const view::TiesView<Real>& ties) {
+  const std::uint32_t groups = ties.leaf_count / view::kGroupLeaves, boxes = ties.leaf_count + groups;
+  const auto first_of = [&](std::uint32_t patch) {
+    return static_cast<std::uint32_t>(std::uint64_t{boxes} * patch / patches.patch_count);
+  };
+  team.for_each(first_of(team.patch()), first_of(team.patch() + 1), [&](std::uint32_t b) {
+    const std::uint32_t leaves = b < ties.leaf_count ? 1 : view::kGroupLeaves;
+    const std::uint32_t leaf = b < ties.leaf_count ? b : (b - ties.leaf_count) * view::kGroupLeaves;
+    constexpr Real kFar = Real(1e30);
+    view::AxisBox<Real> box{{kFar, kFar, kFar}, {-kFar, -kFar, -kFar}};
+    for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + leaves) * view::kLeafTriangles; ++i) {
+      if (ties.leaf_triangles[i] == view::kNoTriangle) continue;
+      const Corners<Real> corners = corners_of(state, contact, ties.leaf_triangles[i]);
+      for (const auto& corner : corners.x) {
+        for (int c = 0; c < 3; ++c) {
+          box.least[c] = minimum(box.least[c], corner[c]);
+          box.most[c] = maximum(box.most[c], corner[c]);
+        }
+      }
+    }
+    ties.boxes[b] = box;
+  });
+}
+
+/// Returns whether a triangle is so close to a node at rest that the two never count as touching (4. above).
+template <class Real>
+TM_HOST_DEVICE bool are_neighbours(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                   std::uint32_t row, std::uint32_t triangle, Real reach) {
+  const std::uint32_t* rows = contact.triangle_rows + std::size_t{3} * triangle;
+  const Vec3<Real> x = view::load3<Real>(state.rest, row);
+  const Corners<Real> corners{{view::load3<Real>(state.rest, rows[0]), view::load3<Real>(state.rest, rows[1]),
+                               view::load3<Real>(state.rest, rows[2])}};
+  const Vec3<Real> way =
+      x - corners.at(physics::closest_point_on_triangle(x, corners.x[0], corners.x[1], corners.x[2]).weights);
+  return way.dot(way) < 4 * reach * reach;
+}
+
+/// Returns the outward normal at a surface vertex, weighted by area; its length says nothing.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> vertex_normal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                        std::uint32_t vertex) {
+  Vec3<Real> sum = Vec3<Real>::Zero();
+  for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+    sum += corners_of(state, contact, contact.incidence[4 * i]).normal();
+  }
+  return sum;
+}
+
+/// A point of a surface.
+template <class Real>
+struct SurfacePoint {
+  std::uint32_t triangle = view::kNoTriangle;  // none lies within the reach
+  physics::TriangleFeature feature{};
+  Vec3<Real> weights, way;  // way: from the point to the node
+};
+
+/// The points of a surface that are closest to a node: of all its triangles, and of those that face the node.
+template <class Real>
+struct NearestPoints {
+  SurfacePoint<Real> any, facing;
+};
+
+template <class Real>
+TM_HOST_DEVICE NearestPoints<Real> nearest_points(const view::StateView<Real>& state,
+                                                  const view::ContactView<Real>& contact,
+                                                  const view::TiesView<Real>& ties, std::uint32_t vertex,
+                                                  const std::uint32_t* side_groups, Real reach) {
+  const std::uint32_t row = contact.surface_rows[vertex];
+  const Vec3<Real> x = view::position(state, row);
+  const bool own = side_groups[2] != 0;
+  Vec3<Real> of_vertex = Vec3<Real>::Zero();
+  bool has_normal = false;
+  const auto normal = [&]() -> const Vec3<Real>& {  // most nodes have nothing in reach, and need none
+    if (!has_normal) of_vertex = vertex_normal(state, contact, vertex);
+    has_normal = true;
+    return of_vertex;
+  };
+  NearestPoints<Real> nearest;
+  Real any = reach * reach, facing = any;  // any ≤ facing
+  const auto consider = [&](std::uint32_t triangle) {
+    const Corners<Real> corners = corners_of(state, contact, triangle);
+    const auto closest = physics::closest_point_on_triangle(x, corners.x[0], corners.x[1], corners.x[2]);
+    const Vec3<Real> way = x - corners.at(closest.weights);
+    const Real squared = way.dot(way);
+    if (!(squared < facing) || (own && are_neighbours(state, contact, row, triangle, reach))) return;
+    const SurfacePoint<Real> point{triangle, closest.feature, closest.weights, way};
+    if (squared < any) {
+      any = squared;
+      nearest.any = point;
+    }
+    if (!(corners.normal().dot(normal()) < 0)) return;
+    facing = squared;
+    nearest.facing = point;
+  };
+  for (std::uint32_t group = side_groups[0]; group < side_groups[1]; ++group) {
+    if (distance_squared(ties.boxes[ties.leaf_count + group], x) >= facing) continue;
+    for (std::uint32_t leaf = group * view::kGroupLeaves; leaf < (group + 1) * view::kGroupLeaves; ++leaf) {
+      if (distance_squared(ties.boxes[leaf], x) >= facing) continue;
+      for (std::uint32_t i = leaf * view::kLeafTriangles; i < (leaf + 1) * view::kLeafTriangles; ++i) {
+        if (ties.leaf_triangles[i] != view::kNoTriangle) consider(ties.leaf_triangles[i]);
+      }
+    }
+  }
+  return nearest;
+}
+
+/// Returns whether a node is inside a body. A node that is hardly outside a triangle that does not face it counts as
+/// inside if it is behind the one that does: rims of blocks that rest on each other do not slip past.
+///
+///   normal   of the facing triangle
+template <class Real>
+TM_HOST_DEVICE bool is_inside(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                              const NearestPoints<Real>& nearest, const Vec3<Real>& normal, Real reach) {
+  const SurfacePoint<Real>& any = nearest.any;
+  if (pseudonormal(state, contact, any.triangle, any.feature).dot(any.way) < 0) return true;
+  const Real margin = Real(kRimInReaches) * reach;
+  return any.way.dot(any.way) < margin * margin && normal.dot(nearest.facing.way) < 0;
+}
+
+/// Returns the stretch of a contact's spring of friction at the velocities as they are stored: the one with which the
+/// step started, less the relative motion across n.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> contact_stretch(const view::StateView<Real>& state, const view::Tie<Real>& tie,
+                                          const Real* slip) {
+  const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+  const Vec3<Real> moved = relative(tie, kAllRows, [&](std::uint32_t row) { return view::motion_in_step(state, row); });
+  const Vec3<Real> stretch = Vec3<Real>(slip[0], slip[1], slip[2]) - moved;
+  return stretch - n * n.dot(stretch);
+}
+
+/// Adds friction to the tie of a contact: predicts whether it sticks or slides, as predict_friction does for tools.
+template <class Real>
+TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coefficient, const Real* slip,
+                                 view::Tie<Real>& tie) {
+  using std::sqrt;
+  const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+  const Vec3<Real> ahead = relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead(state, row); });
+  const Vec3<Real> depth_force(tie.force[0], tie.force[1], tie.force[2]);
+  const Real predicted = n.dot(depth_force) - tie.stiffness * n.dot(ahead);
+  const Real most = coefficient * (state.base_displacement == nullptr ? slip[3] : predicted);
+  if (!(most > 0)) return;
+  const Vec3<Real> stretch = contact_stretch(state, tie, slip);
+  const Real spring = tie.stiffness * sqrt(stretch.dot(stretch));
+  tie.across = tie.stiffness * (spring > most ? most / spring : Real(1));
+  // The force of a tie is counted from where the rows are now, the stretch to where they will be.
+  const Vec3<Real> now = stretch + (ahead - n * n.dot(ahead));
+  for (int c = 0; c < 3; ++c) tie.force[c] += tie.across * now[c];
+}
+
+/// Returns the tie of a candidate in this step.
+template <class Real>
+TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& state,
+                                                const view::ContactView<Real>& contact,
+                                                const view::TiesView<Real>& ties, std::uint32_t candidate) {
+  using std::sqrt;
+  const std::uint32_t vertex = ties.candidates[std::size_t{2} * candidate], row = contact.surface_rows[vertex];
+  const std::uint32_t side = ties.candidates[std::size_t{2} * candidate + 1];
+  const Real* numbers = ties.side_numbers + std::size_t{view::kSideNumbers} * side;
+  view::Tie<Real> tie{{row, row, row, row}, {1, 0, 0, 0}, {}, {}, 0, 0};
+  const Real reach = numbers[view::kSideReach];
+  const NearestPoints<Real> nearest =
+      nearest_points(state, contact, ties, vertex, ties.side_groups + std::size_t{3} * side, reach);
+  const SurfacePoint<Real>& point = nearest.facing;
+  if (point.triangle == view::kNoTriangle) return tie;
+  const Vec3<Real> face = unit<Real>(corners_of(state, contact, point.triangle).normal());
+  const bool inside = is_inside(state, contact, nearest, face, reach);
+  const Real distance = sqrt(point.way.dot(point.way));
+  const Real depth = numbers[view::kSideDistance] - (inside ? face.dot(point.way) : distance);
+  if (!(depth > 0)) return tie;
+  const bool has_direction = !inside && distance > Real(1e-4) * reach;
+  const Vec3<Real> n = has_direction ? Vec3<Real>(point.way / distance) : face;
+  tie.stiffness = numbers[view::kSidePenalty] * ties.candidate_area[candidate];
+  for (int c = 0; c < 3; ++c) {
+    tie.rows[1 + c] = contact.triangle_rows[std::size_t{3} * point.triangle + static_cast<std::size_t>(c)];
+    tie.weight[1 + c] = -point.weights[c];
+    tie.normal[c] = n[c];
+    tie.force[c] = tie.stiffness * depth * n[c];
+  }
+  if (numbers[view::kSideFriction] > 0) {
+    add_friction(state, numbers[view::kSideFriction], ties.slips + std::size_t{4} * candidate, tie);
+  }
+  return tie;
+}
+
+/// Takes a contact's spring of friction to the end of the step, as end_friction does for tools.
+/// pressure: normal force at the end of the step; not positive: the contact has ended, and its stretch is forgotten.
+template <class Real>
+TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
+                                         std::uint32_t candidate, Real pressure) {
+  using std::sqrt;
+  const view::Tie<Real>& tie = ties.ties[candidate];
+  Real* slip = ties.slips + std::size_t{4} * candidate;
+  if (state.control->saves_checkpoint != 0) {
+    for (std::size_t c = 0; c < 4; ++c) ties.checkpoint_slips[std::size_t{4} * candidate + c] = slip[c];
+  }
+  const std::uint32_t side = ties.candidates[std::size_t{2} * candidate + 1];
+  const Real friction = ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
+  Vec3<Real> next = Vec3<Real>::Zero();
+  if (pressure > 0 && friction > 0) {
+    const Vec3<Real> start(slip[0], slip[1], slip[2]), stretch = contact_stretch(state, tie, slip);
+    const Real reach = state.control->scheme.reach;  // the midpoint rule solves for the middle of the step
+    const Vec3<Real> end = stretch + (stretch - start) * (reach - 1);
+    const Real spring = tie.stiffness * sqrt(end.dot(end)), most = friction * pressure;
+    next = spring > most ? Vec3<Real>(end * (most / spring)) : end;
+  }
+  for (int c = 0; c < 3; ++c) slip[c] = next[c];
+  slip[3] = maximum(pressure, Real(0));
+}
+
+}  // namespace tensormass::contact

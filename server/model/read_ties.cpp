@@ -1,0 +1,186 @@
+#include <algorithm>
+#include <limits>
+#include <map>
+#include <optional>
+#include <set>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "mesh/surface.h"
+#include "model/compile_parts.h"
+#include "model/scene_input.h"
+
+/// Reads contacts between bodies and attachments.
+namespace tensormass::model {
+
+namespace {
+
+/// Contact pressure per depth, unless the scene gives it: this factor times E / edge. A tool's is twice as large,
+/// because a tool has no compliance of its own.
+constexpr double kDefaultPenalty = 10;
+/// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
+constexpr double kDefaultDistanceInEdges = 0.1;
+
+/// What the defaults of a contact follow from.
+struct BodySurface {
+  double mean_edge_m, young_modulus_pa;
+};
+
+BodySurface surface_of(const ReadBody& body) {
+  const mesh::Surface surface = mesh::boundary(body.mesh);
+  double sum_m = 0;
+  for (const mesh::Triangle& triangle : surface.triangles) {
+    for (std::size_t i = 0; i < 3; ++i) {
+      const std::uint32_t a = surface.nodes[triangle[i]], b = surface.nodes[triangle[(i + 1) % 3]];
+      sum_m += (body.mesh.nodes[a] - body.mesh.nodes[b]).norm();
+    }
+  }
+  double stiffest_pa = 0;
+  for (const Material& material : body.materials) stiffest_pa = std::max(stiffest_pa, material.young_modulus_pa);
+  return {sum_m / (3 * static_cast<double>(surface.triangles.size())), stiffest_pa};
+}
+
+class TieReader {
+ public:
+  explicit TieReader(Compilation& c) : c_(c) {}
+
+  Result<void> read() {
+    TM_RETURN_IF_ERROR(
+        check_count(c_.scene.body_contacts_size(), limits::kMaxBodyContacts, "body_contacts", "kMaxBodyContacts"));
+    TM_RETURN_IF_ERROR(
+        check_count(c_.scene.attachments_size(), limits::kMaxAttachments, "attachments", "kMaxAttachments"));
+    for (int i = 0; i < c_.scene.body_contacts_size(); ++i) {
+      TM_RETURN_IF_ERROR(read_contact(c_.scene.body_contacts(i), fmt::format("scene.body_contacts[{}]", i)));
+    }
+    for (int i = 0; i < c_.scene.attachments_size(); ++i) {
+      TM_RETURN_IF_ERROR(read_attachment(c_.scene.attachments(i), fmt::format("scene.attachments[{}]", i)));
+    }
+    return {};
+  }
+
+ private:
+  static Result<void> check_count(int count, std::size_t most, std::string_view field, std::string_view limit) {
+    if (static_cast<std::size_t>(count) <= most) return {};
+    return fail(ErrorCode::kResourceExhausted,
+                fmt::format("scene.{}: {} exceed limits::{} = {}", field, count, limit, most));
+  }
+
+  Result<std::size_t> find_body(const std::string& name, const std::string& where) const {
+    std::string known;
+    for (std::size_t b = 0; b < c_.model.bodies.size(); ++b) {
+      if (c_.model.bodies[b].name == name) return b;
+      known += (known.empty() ? "'" : ", '") + c_.model.bodies[b].name + "'";
+    }
+    return invalid(fmt::format("{}: no body has the name '{}'; the scene has {}", where, name, known));
+  }
+
+  const BodySurface& surface(std::size_t body) {
+    std::optional<BodySurface>& known = surfaces_[body];
+    if (!known) known = surface_of(c_.bodies[body]);
+    return *known;
+  }
+
+  Result<void> read_contact(const v1::BodyContact& contact, const std::string& where) {
+    TM_ASSIGN_OR_RETURN(body, find_body(contact.body(), where + ".body"));
+    std::size_t other = body;
+    if (!contact.other().empty()) {
+      TM_ASSIGN_OR_RETURN(named, find_body(contact.other(), where + ".other"));
+      other = named;
+    }
+    if (!pairs_.insert(std::minmax(body, other)).second) {
+      return invalid(fmt::format("{}: an earlier entry names the same two bodies", where));
+    }
+    const BodySurface a = surface(body), b = surface(other);
+    const double largest_m = std::max(a.mean_edge_m, b.mean_edge_m);
+    ReadBodyContact out{body, other, 0, 0, 0, 0};
+    TM_ASSIGN_OR_RETURN(distance, read_number(contact.has_distance_m()
+                                                  ? contact.distance_m()
+                                                  : kDefaultDistanceInEdges * std::min(a.mean_edge_m, b.mean_edge_m),
+                                              0, limits::kMaxLength, where + ".distance_m"));
+    TM_ASSIGN_OR_RETURN(
+        penalty, read_number(contact.has_penalty_stiffness_pa_per_m()
+                                 ? contact.penalty_stiffness_pa_per_m()
+                                 : kDefaultPenalty * std::min(a.young_modulus_pa, b.young_modulus_pa) / largest_m,
+                             1e-3, 1e18, where + ".penalty_stiffness_pa_per_m"));
+    TM_ASSIGN_OR_RETURN(friction, read_number(contact.friction_coefficient(), 0, limits::kMaxFriction,
+                                              where + ".friction_coefficient"));
+    TM_ASSIGN_OR_RETURN(reach,
+                        read_number(contact.has_reach_m() ? contact.reach_m() : std::max(largest_m, 2 * distance), 1e-9,
+                                    limits::kMaxLength, where + ".reach_m"));
+    if (!(reach > distance)) {
+      return invalid(
+          fmt::format("{}.reach_m: {:.3g} m is not more than distance_m = {:.3g} m; surfaces could not push "
+                      "each other",
+                      where, reach, distance));
+    }
+    out.distance_m = distance;
+    out.penalty_pa_per_m = penalty;
+    out.friction = friction;
+    out.reach_m = reach;
+    c_.body_contacts.push_back(out);
+    return {};
+  }
+
+  /// Returns the nodes of a region, numbered in the scene.
+  Result<std::vector<std::uint32_t>> nodes_of(std::size_t body, const v1::Region& region, const std::string& where) {
+    const v1::Body& message = c_.scene.bodies(static_cast<int>(body));
+    TM_ASSIGN_OR_RETURN(
+        sets, read_sets(message, c_.bodies[body].nodes(), fmt::format("body '{}'", c_.model.bodies[body].name)));
+    TM_ASSIGN_OR_RETURN(nodes, read_region(region, c_.bodies[body].nodes(), sets, where));
+    for (std::uint32_t& node : nodes) node += c_.model.bodies[body].node_begin;
+    return std::move(nodes);
+  }
+
+  Result<void> read_attachment(const v1::Attachment& attachment, const std::string& at) {
+    TM_RETURN_IF_ERROR(check_name(attachment.name(), at + ".name"));
+    if (!names_.insert(attachment.name()).second) {
+      return invalid(fmt::format("{}: the name '{}' is taken by another attachment", at, attachment.name()));
+    }
+    const std::string where = fmt::format("attachment '{}'", attachment.name());
+    TM_ASSIGN_OR_RETURN(body, find_body(attachment.body(), where + ".body"));
+    TM_ASSIGN_OR_RETURN(other, find_body(attachment.other(), where + ".other"));
+    TM_ASSIGN_OR_RETURN(nodes, nodes_of(body, attachment.region(), where + ".region"));
+    TM_ASSIGN_OR_RETURN(others, nodes_of(other, attachment.other_region(), where + ".other_region"));
+    if (nodes.size() * others.size() > limits::kMaxAttachmentPairs) {
+      return fail(ErrorCode::kResourceExhausted,
+                  fmt::format("{}: {} and {} nodes make more pairs than limits::kMaxAttachmentPairs = {}; make the "
+                              "regions smaller",
+                              where, nodes.size(), others.size(), limits::kMaxAttachmentPairs));
+    }
+    const auto count = static_cast<double>(nodes.size());
+    TM_ASSIGN_OR_RETURN(stiffness,
+                        read_number(attachment.stiffness_n_per_m(), 1e-9, 1e12, where + ".stiffness_n_per_m"));
+    ReadAttachment out{{}, stiffness / count, std::numeric_limits<double>::infinity()};
+    if (attachment.has_breaking_force_n()) {
+      TM_ASSIGN_OR_RETURN(
+          force, read_number(attachment.breaking_force_n(), 1e-9, limits::kMaxForceN, where + ".breaking_force_n"));
+      out.breaking_force_n = force / count;
+    }
+    const auto& x = c_.merged.nodes;
+    for (const std::uint32_t node : nodes) {
+      const std::uint32_t nearest =
+          *std::min_element(others.begin(), others.end(), [&](std::uint32_t a, std::uint32_t b) {
+            return (x[a] - x[node]).squaredNorm() < (x[b] - x[node]).squaredNorm();
+          });
+      if (nearest == node) {
+        return invalid(fmt::format("{}: node {} of body '{}' is in both regions; a spring needs two nodes", where,
+                                   node - c_.model.bodies[body].node_begin, attachment.body()));
+      }
+      out.springs.push_back({node, nearest});
+    }
+    c_.attachments.push_back(std::move(out));
+    return {};
+  }
+
+  Compilation& c_;
+  std::map<std::size_t, std::optional<BodySurface>> surfaces_;
+  std::set<std::pair<std::size_t, std::size_t>> pairs_;
+  std::set<std::string> names_;
+};
+
+}  // namespace
+
+Result<void> read_ties(Compilation& c) { return TieReader(c).read(); }
+
+}  // namespace tensormass::model

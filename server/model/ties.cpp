@@ -1,0 +1,177 @@
+#include <algorithm>
+#include <array>
+#include <map>
+#include <numeric>
+
+#include "mesh/partition.h"
+#include "model/compile_parts.h"
+
+/// Makes the tables of ties (view/ties.h) from contacts between bodies and attachments.
+namespace tensormass::model {
+
+namespace {
+
+class TieMaker {
+ public:
+  explicit TieMaker(Compilation& c) : c_(c), layout_(c.model.layout), out_(c.model.ties) {}
+
+  void make() {
+    if (!c_.body_contacts.empty()) {
+      find_surfaces();
+      for (const ReadBodyContact& contact : c_.body_contacts) {
+        add_side(contact, contact.body, contact.other);
+        if (contact.body != contact.other) add_side(contact, contact.other, contact.body);
+      }
+      store_candidates();
+    }
+    store_springs();
+    store_rows();
+  }
+
+ private:
+  struct Candidate {
+    std::uint32_t row, vertex, side;
+    double area_m2;
+  };
+  struct Spring {
+    std::uint32_t row, other;
+    std::array<double, 3> numbers;
+  };
+  struct Surface {
+    std::vector<std::uint32_t> vertices, triangles;  ///< of ContactSurface
+    std::array<std::uint32_t, 2> groups{0, 0};       ///< of boxes
+  };
+
+  std::size_t body_of_row(std::uint32_t row) const {
+    const std::uint32_t node = layout_.node_of_row[row];
+    const auto after = std::upper_bound(c_.model.bodies.begin(), c_.model.bodies.end(), node,
+                                        [](std::uint32_t n, const BodyModel& body) { return n < body.node_begin; });
+    return static_cast<std::size_t>(after - c_.model.bodies.begin()) - 1;
+  }
+
+  /// Divides the contact surface among the bodies, and puts boxes around the triangles of those that are touched.
+  void find_surfaces() {
+    const ContactSurface& contact = c_.model.contact;
+    surfaces_.resize(c_.model.bodies.size());
+    vertex_area_.assign(contact.surface_rows.size(), 0);
+    for (std::uint32_t v = 0; v < contact.surface_rows.size(); ++v) {
+      surfaces_[body_of_row(contact.surface_rows[v])].vertices.push_back(v);
+    }
+    for (std::uint32_t t = 0; t < contact.triangle_count(); ++t) {
+      surfaces_[body_of_row(contact.triangle_rows[3 * std::size_t{t}])].triangles.push_back(t);
+      for (std::size_t i = 0; i < 3; ++i) {
+        vertex_area_[contact.vertex_of_corner[3 * std::size_t{t} + i]] += contact.triangle_area[t] / 3;
+      }
+    }
+    for (const ReadBodyContact& pair : c_.body_contacts) {
+      for (const std::size_t body : {pair.body, pair.other}) {
+        if (surfaces_[body].groups[1] == 0) add_boxes(surfaces_[body]);
+      }
+    }
+  }
+
+  void add_boxes(Surface& surface) {
+    const ContactSurface& contact = c_.model.contact;
+    std::vector<Eigen::Vector3d> centers;
+    for (const std::uint32_t triangle : surface.triangles) {
+      Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+      for (std::size_t i = 0; i < 3; ++i) {
+        sum += c_.merged.nodes[layout_.node_of_row[contact.triangle_rows[3 * std::size_t{triangle} + i]]];
+      }
+      centers.push_back(sum / 3);
+    }
+    constexpr std::uint32_t kGroupTriangles = view::kLeafTriangles * view::kGroupLeaves;
+    const auto begin = static_cast<std::uint32_t>(out_.leaf_triangles.size() / kGroupTriangles);
+    for (const std::uint32_t i : mesh::bisection_order(centers, view::kLeafTriangles)) {
+      out_.leaf_triangles.push_back(surface.triangles[i]);
+    }
+    const auto groups = (static_cast<std::uint32_t>(surface.triangles.size()) - 1) / kGroupTriangles + 1;
+    out_.leaf_triangles.resize(std::size_t{begin + groups} * kGroupTriangles, view::kNoTriangle);
+    surface.groups = {begin, begin + groups};
+  }
+
+  /// Lets the nodes of one body touch the surface of another.
+  void add_side(const ReadBodyContact& contact, std::size_t of_nodes, std::size_t touched) {
+    const auto side = static_cast<std::uint32_t>(out_.side_groups.size() / 3);
+    const std::array<std::uint32_t, 2>& groups = surfaces_[touched].groups;
+    out_.side_groups.insert(out_.side_groups.end(), {groups[0], groups[1], of_nodes == touched ? 1u : 0u});
+    std::array<double, view::kSideNumbers> numbers{};
+    numbers[view::kSidePenalty] = contact.penalty_pa_per_m;
+    numbers[view::kSideDistance] = contact.distance_m;
+    numbers[view::kSideReach] = contact.reach_m;
+    numbers[view::kSideFriction] = contact.friction;
+    out_.side_numbers.insert(out_.side_numbers.end(), numbers.begin(), numbers.end());
+    for (const std::uint32_t vertex : surfaces_[of_nodes].vertices) {
+      candidates_.push_back({c_.model.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2});
+    }
+  }
+
+  /// Sorts items by row and counts those of each patch.
+  template <class Item>
+  std::vector<std::uint32_t> group_by_patch(std::vector<Item>& items) const {
+    std::stable_sort(items.begin(), items.end(), [](const Item& a, const Item& b) { return a.row < b.row; });
+    std::vector<std::uint32_t> begin(layout_.patch_count + 1, 0);
+    for (const Item& item : items) ++begin[layout_.patch_of_row(item.row) + 1];
+    std::partial_sum(begin.begin(), begin.end(), begin.begin());
+    return begin;
+  }
+
+  void store_candidates() {
+    out_.patch_candidates = group_by_patch(candidates_);
+    for (const Candidate& candidate : candidates_) {
+      out_.candidates.insert(out_.candidates.end(), {candidate.vertex, candidate.side});
+      out_.candidate_area.push_back(candidate.area_m2);
+    }
+  }
+
+  void store_springs() {
+    std::vector<Spring> springs;
+    for (const ReadAttachment& attachment : c_.attachments) {
+      for (const auto& [node, other] : attachment.springs) {
+        const double length_m = (c_.merged.nodes[node] - c_.merged.nodes[other]).norm();
+        springs.push_back({layout_.row_of_node[node],
+                           layout_.row_of_node[other],
+                           {attachment.stiffness_n_per_m, length_m, attachment.breaking_force_n}});
+      }
+    }
+    if (springs.empty()) return;
+    out_.patch_springs = group_by_patch(springs);
+    for (const Spring& spring : springs) {
+      out_.spring_rows.insert(out_.spring_rows.end(), {spring.row, spring.other});
+      out_.spring_numbers.insert(out_.spring_numbers.end(), spring.numbers.begin(), spring.numbers.end());
+    }
+  }
+
+  void store_rows() {
+    std::vector<bool> tied(layout_.row_count, false);
+    for (const ReadBodyContact& pair : c_.body_contacts) {
+      for (const std::size_t body : {pair.body, pair.other}) {
+        for (const std::uint32_t vertex : surfaces_[body].vertices) tied[c_.model.contact.surface_rows[vertex]] = true;
+      }
+    }
+    for (const std::uint32_t row : out_.spring_rows) tied[row] = true;
+    out_.patch_rows.assign(layout_.patch_count + 1, 0);
+    out_.row_place.resize(layout_.row_count);
+    for (std::uint32_t row = 0; row < layout_.row_count; ++row) {
+      const std::uint32_t patch = layout_.patch_of_row(row);
+      out_.row_place[row] = row + layout_.patch_halo[patch];  // view::Patch::local_begin
+      if (!tied[row]) continue;
+      out_.rows.push_back(row);
+      ++out_.patch_rows[patch + 1];
+    }
+    std::partial_sum(out_.patch_rows.begin(), out_.patch_rows.end(), out_.patch_rows.begin());
+  }
+
+  Compilation& c_;
+  const matrix::Layout& layout_;
+  Ties& out_;
+  std::vector<Surface> surfaces_;    // [body]
+  std::vector<double> vertex_area_;  // [surface vertex]
+  std::vector<Candidate> candidates_;
+};
+
+}  // namespace
+
+void make_ties(Compilation& c) { TieMaker(c).make(); }
+
+}  // namespace tensormass::model
