@@ -1,6 +1,7 @@
 #include "contact/ties.h"
 
 #include <cmath>
+#include <numbers>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -223,6 +224,42 @@ TEST_P(Bodies, TouchThemselves) {
       EXPECT_LT(lowest, -0.1);
     }
   }
+}
+
+/// A sheet that is folded over itself. Its upper half sinks on the lower one and rests there, without passing through.
+TEST_P(Bodies, FoldedSheetRests) {
+  constexpr double kThick = 0.005, kRadius = 0.0075, kHalf = 0.06;  // m; the halves are 10 mm apart
+  const double length = 2 * kHalf + std::numbers::pi * kRadius;
+  mesh::Mesh mesh = mesh::make_grid({0, -kThick / 2, 0}, {length, kThick, 0.04}, 36, 2, 8).value();
+  for (Eigen::Vector3d& x : mesh.nodes) {
+    const double along = x[0] - kHalf, out = x[1];
+    if (along <= 0) continue;  // the lower half
+    const double angle = std::min(along / kRadius, std::numbers::pi), rest = along - angle * kRadius;
+    // Around the fold's axis at x = kHalf, y = kRadius. The sheet's upper side turns inward.
+    x[0] = kHalf + (kRadius - out) * std::sin(angle) - rest;
+    x[1] = kRadius - (kRadius - out) * std::cos(angle);
+  }
+  v1::Scene scene = tests::packed_scene(mesh, false);
+  v1::Body& sheet = *scene.mutable_bodies(0);
+  sheet.mutable_law()->mutable_stable_neo_hookean()->set_young_modulus_pa(2e3);
+  sheet.mutable_law()->mutable_stable_neo_hookean()->set_poisson_ratio(0.3);
+  sheet.set_quadrature(v1::QUADRATURE_SELECTIVE);
+  sheet.set_rayleigh_mass_per_s(5);
+  set_layer(*sheet.add_fixed(), -kThick / 2);
+  scene.mutable_stepping()->set_dt_s(1.0 / 120);
+  scene.mutable_solver()->set_cg_max_iterations(1000);
+  scene.mutable_solver()->set_cg_tolerance(1e-8);
+  tests::set(*scene.mutable_gravity_m_per_s2(), 0, -9.81, 0);
+  let_touch(scene, "beam", "", 0.001).set_reach_m(0.004);
+  scene.mutable_body_contacts(0)->set_friction_coefficient(0.3);
+  const auto world = start(scene);
+  for (int i = 0; i < 400; ++i) ASSERT_TRUE(world->step(false));
+  EXPECT_GT(world->last().touching_nodes, 20u);
+  EXPECT_LT(world->last().deepest_contact_m, 0.002);
+  EXPECT_LT(world->last().max_speed_m_per_s, 1e-5);
+  const double upper = 2 * kRadius - kThick / 2;  // lower side of the upper half, at rest
+  EXPECT_LT(mean_of_layer(*world, 0, upper)[1], upper - 0.002);
+  EXPECT_GT(mean_of_layer(*world, 0, upper)[1], kThick / 2);
 }
 
 /// A block hangs from another by a ligament: the ligament stretches by weight / stiffness, and tears at its force.

@@ -7,24 +7,11 @@
 #include <gtest/gtest.h>
 
 #include "core/limits.h"
-#include "model/compile.h"
-#include "support/scenes.h"
+#include "model/refusals.h"
 
 /// Everything that a scene can be refused for, one by one: the code, the place by name, and what is said of it.
 namespace tensormass::model {
 namespace {
-
-const double kNan = std::numeric_limits<double>::quiet_NaN();
-const double kInfinity = std::numeric_limits<double>::infinity();
-
-struct Refusal {
-  std::string name;
-  std::function<void(v1::Scene&)> spoil;
-  std::vector<std::string> says;  ///< parts of the message; the first is the place
-  ErrorCode code = ErrorCode::kInvalidArgument;
-
-  friend void PrintTo(const Refusal& refusal, std::ostream* out) { *out << refusal.name; }
-};
 
 v1::Body& body(v1::Scene& scene) { return *scene.mutable_bodies(0); }
 v1::Grid& grid(v1::Scene& scene) { return *body(scene).mutable_mesh()->mutable_grid(); }
@@ -569,30 +556,15 @@ std::vector<Refusal> all_refusals() {
   return all;
 }
 
-v1::Scene good_scene() {
-  v1::Scene scene = tests::block_with_probe(false, 4);
-  return scene;
-}
-
 class Refused : public testing::TestWithParam<Refusal> {};
 
-TEST_P(Refused, WithItsPlaceAndItsReason) {
-  v1::Scene scene = good_scene();
-  GetParam().spoil(scene);
-  const auto model = compile(scene, {});
-  ASSERT_FALSE(model) << "it was admitted";
-  EXPECT_EQ(model.error().code, GetParam().code);
-  for (const std::string& part : GetParam().says) {
-    EXPECT_NE(model.error().message.find(part), std::string::npos)
-        << "missing '" << part << "' in: " << model.error().message;
-  }
-}
+TEST_P(Refused, WithItsPlaceAndItsReason) { expect_refused(GetParam()); }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, Refused, testing::ValuesIn(all_refusals()),
                          [](const auto& one) { return one.param.name; });
 
 TEST(Admitted, TheSceneThatTheRefusalsSpoil) {
-  const auto model = compile(good_scene(), {});
+  const auto model = compile(admitted_scene(), {});
   EXPECT_TRUE(model) << model.error().message;
 }
 

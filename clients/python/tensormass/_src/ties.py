@@ -16,7 +16,9 @@ from tensormass.v1 import scene_pb2
 Nodes = str | Sequence[int] | npt.NDArray[np.integer] | npt.NDArray[np.bool_]
 
 
-def make_contact(body: scene_pb2.Body, other: scene_pb2.Body, settings: dict[str, float | None]) -> scene_pb2.BodyContact:
+def make_contact(
+    body: scene_pb2.Body, other: scene_pb2.Body, settings: dict[str, float | None]
+) -> scene_pb2.BodyContact:
     """See Scene.add_body_contact."""
     contact = scene_pb2.BodyContact(body=body.name, other=other.name)
     set_fields(contact, "add_body_contact", settings)

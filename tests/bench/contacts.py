@@ -1,0 +1,117 @@
+"""What each kind of contact costs: the steps of `demo-abdomen` as it is, and without one kind after the other.
+
+    python tests/bench/contacts.py [--backend cuda] [--commit HASH] >> tests/bench/results/contacts.jsonl
+
+The scenes follow the scripted hand in lockstep, in turns of 256 steps, so that a slower moment of the machine slows all
+of them. A scene without any tie runs the fused solve of the GPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import tensormass as tm
+from tensormass.v1 import scene_pb2
+from tensormass_tools.hand import HandScript, script_of
+
+_SCENE = "demo-abdomen"
+_TURN = 256
+
+
+def _drop_self_contact(scene: scene_pb2.Scene) -> None:
+    for contact in [contact for contact in scene.body_contacts if contact.other in ("", contact.body)]:
+        scene.body_contacts.remove(contact)
+
+
+def _drop_body_contacts(scene: scene_pb2.Scene) -> None:
+    del scene.body_contacts[:]
+
+
+def _drop_attachments(scene: scene_pb2.Scene) -> None:
+    del scene.attachments[:]
+
+
+def _drop_ties(scene: scene_pb2.Scene) -> None:
+    _drop_body_contacts(scene)
+    _drop_attachments(scene)
+
+
+def _drop_obstacles(scene: scene_pb2.Scene) -> None:
+    for tool in [tool for tool in scene.tools if tool.fixed]:
+        scene.tools.remove(tool)
+
+
+def _drop_probe(scene: scene_pb2.Scene) -> None:
+    for tool in [tool for tool in scene.tools if not tool.fixed]:
+        scene.tools.remove(tool)
+
+
+def _drop_all(scene: scene_pb2.Scene) -> None:
+    _drop_ties(scene)
+    del scene.tools[:]
+
+
+_VARIANTS: dict[str, Callable[[scene_pb2.Scene], None]] = {
+    "all": lambda _: None,
+    "without self-contact": _drop_self_contact,
+    "without contact of bodies": _drop_body_contacts,
+    "without attachments": _drop_attachments,
+    "without ties": _drop_ties,
+    "without obstacles": _drop_obstacles,
+    "without the probe": _drop_probe,
+    "without any contact": _drop_all,
+}
+
+
+def _measure(server: tm.Server) -> dict[str, dict[str, float]]:
+    path = script_of(_SCENE)
+    assert path is not None
+    script = HandScript.read(path)
+    times: dict[str, list[tuple[float, float, int]]] = {name: [] for name in _VARIANTS}
+    with contextlib.ExitStack() as stack:
+        handles: dict[str, tm.SceneHandle] = {}
+        for name, drop in _VARIANTS.items():
+            scene = tm.Scene.from_file(_SCENE)
+            drop(scene.message)
+            handles[name] = stack.enter_context(server.load(scene, name=name.replace(" ", "_"), lockstep=True))
+        dt_s = 1 / 60
+        for turn in range(max(1, round(float(script.times_s[-1]) / dt_s / _TURN))):
+            for name, handle in handles.items():
+                moves = any(tool.name == script.tool for tool in handle.topology().tools)
+                iterations = []
+                for step in range(_TURN):
+                    if moves:
+                        handle.move_tool(script.tool, *script.at((turn * _TURN + step) * dt_s))
+                    iterations.append(handle.step().cg_iterations)
+                status = handle.status()
+                times[name].append((status.step_time_p50_s, status.step_time_p99_s, round(statistics.mean(iterations))))
+    return {
+        name: {
+            "step_ms": round(1e3 * statistics.median(p50 for p50, _, _ in rows), 4),
+            "p99_ms": round(1e3 * max(p99 for _, p99, _ in rows), 4),
+            "cg_iterations": statistics.median(count for _, _, count in rows),
+        }
+        for name, rows in times.items()
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")
+    parser.add_argument("--commit", default="", help="commit of the daemon, for the result")
+    args = parser.parse_args()
+    command = f"python tests/bench/contacts.py --backend {args.backend}"
+    with tm.launch(backend=args.backend, zenoh=False) as server:
+        said = server.version()
+        where = {"backend": said.backend, "device": said.device, "commit": args.commit, "command": command}
+        for name, row in _measure(server).items():
+            print(json.dumps({"case": f"contact: {name}", **row, **where}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

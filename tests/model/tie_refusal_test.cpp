@@ -1,0 +1,89 @@
+#include "core/limits.h"
+#include "model/refusals.h"
+
+/// Contacts between bodies and attachments that are refused.
+namespace tensormass::model {
+namespace {
+
+v1::BodyContact& contact(v1::Scene& scene) {
+  v1::BodyContact& contact = *scene.add_body_contacts();
+  contact.set_body(scene.bodies(0).name());
+  return contact;
+}
+v1::Attachment& attachment(v1::Scene& scene) {
+  v1::Attachment& attachment = *scene.add_attachments();
+  attachment.set_name("ligament");
+  attachment.set_body(scene.bodies(0).name());
+  attachment.mutable_region()->mutable_nodes()->add_indices(0);
+  attachment.set_other(scene.bodies(0).name());
+  attachment.mutable_other_region()->mutable_nodes()->add_indices(1);
+  attachment.set_stiffness_n_per_m(1);
+  return attachment;
+}
+
+std::vector<Refusal> tie_refusals() {
+  return {
+      {"ContactOfNoBody",
+       [](auto& s) { contact(s).set_body("lung"); },
+       {"scene.body_contacts[0].body", "'lung'", "the scene has 'beam'"}},
+      {"ContactWithNoBody", [](auto& s) { contact(s).set_other("lung"); }, {"scene.body_contacts[0].other", "'lung'"}},
+      {"ContactTwice",
+       [](auto& s) { contact(s), contact(s).set_other("beam"); },
+       {"scene.body_contacts[1]", "same two bodies"}},
+      {"ContactAtNegativeDistance",
+       [](auto& s) { contact(s).set_distance_m(-1); },
+       {"scene.body_contacts[0].distance_m", "-1"}},
+      {"ContactWithoutStiffness",
+       [](auto& s) { contact(s).set_penalty_stiffness_pa_per_m(0); },
+       {"scene.body_contacts[0].penalty_stiffness_pa_per_m"}},
+      {"ContactOfNanStiffness",
+       [](auto& s) { contact(s).set_penalty_stiffness_pa_per_m(kNan); },
+       {"scene.body_contacts[0].penalty_stiffness_pa_per_m", "nan"}},
+      {"ContactThatPulls",
+       [](auto& s) { contact(s).set_friction_coefficient(-0.1); },
+       {"scene.body_contacts[0].friction_coefficient"}},
+      {"ContactThatReachesTooLittle",
+       [](auto& s) {
+         contact(s).set_distance_m(0.01);
+         s.mutable_body_contacts(0)->set_reach_m(0.01);
+       },
+       {"scene.body_contacts[0].reach_m", "distance_m = 0.01"}},
+      {"TooManyContacts",
+       [](auto& s) {
+         while (s.body_contacts_size() <= static_cast<int>(limits::kMaxBodyContacts)) contact(s);
+       },
+       {"scene.body_contacts", "kMaxBodyContacts"},
+       ErrorCode::kResourceExhausted},
+      {"AttachmentWithoutName", [](auto& s) { attachment(s).clear_name(); }, {"scene.attachments[0].name"}},
+      {"TwoAttachmentsOfOneName",
+       [](auto& s) { attachment(s), attachment(s); },
+       {"scene.attachments[1]", "'ligament'", "taken"}},
+      {"AttachmentOfNoBody", [](auto& s) { attachment(s).clear_body(); }, {"attachment 'ligament'.body", "''"}},
+      {"AttachmentToNoBody",
+       [](auto& s) { attachment(s).set_other("lung"); },
+       {"attachment 'ligament'.other", "'lung'"}},
+      {"AttachmentOfNoNodes", [](auto& s) { attachment(s).clear_region(); }, {"attachment 'ligament'.region"}},
+      {"AttachmentToAMissingSet",
+       [](auto& s) { attachment(s).mutable_other_region()->set_set("hilum"); },
+       {"attachment 'ligament'.other_region", "hilum"}},
+      {"AttachmentOfANodeToItself",
+       [](auto& s) { attachment(s).mutable_other_region()->mutable_nodes()->set_indices(0, 0); },
+       {"attachment 'ligament'", "node 0", "both regions"}},
+      {"AttachmentWithoutStiffness",
+       [](auto& s) { attachment(s).set_stiffness_n_per_m(0); },
+       {"attachment 'ligament'.stiffness_n_per_m"}},
+      {"AttachmentThatTearsAtNothing",
+       [](auto& s) { attachment(s).set_breaking_force_n(0); },
+       {"attachment 'ligament'.breaking_force_n"}},
+  };
+}
+
+class RefusedTies : public testing::TestWithParam<Refusal> {};
+
+TEST_P(RefusedTies, WithItsPlaceAndItsReason) { expect_refused(GetParam()); }
+
+INSTANTIATE_TEST_SUITE_P(Scenes, RefusedTies, testing::ValuesIn(tie_refusals()),
+                         [](const auto& one) { return one.param.name; });
+
+}  // namespace
+}  // namespace tensormass::model
