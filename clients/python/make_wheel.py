@@ -58,7 +58,7 @@ def main() -> int:
 
     with tempfile.TemporaryDirectory(prefix="tensormass-wheel-") as made:
         stage = Path(made)
-        copy_packages(stage)
+        copy_packages(ROOT, stage, project_of_the_wheel((HERE / "pyproject.toml").read_text()))
         bundle = stage / "tensormass" / "_bundle"
         add_programs(bundle, programs)
         shutil.copytree(args.viewer, bundle / "viewer")
@@ -82,12 +82,14 @@ def output_of(command: Sequence[str | Path]) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
-def copy_packages(stage: Path) -> None:
+def copy_packages(root: Path, stage: Path, project: str) -> None:
+    """Fills a folder with the Python packages of a checkout. `project` becomes its pyproject.toml."""
     for name in PACKAGES:
-        shutil.copytree(HERE / name, stage / name, ignore=shutil.ignore_patterns("__pycache__", "_bundle"))
-    shutil.copy(HERE / "README.md", stage)
-    shutil.copy(ROOT / "LICENSE", stage)
-    (stage / "pyproject.toml").write_text(project_of_the_wheel((HERE / "pyproject.toml").read_text()))
+        source = root / "clients/python" / name
+        shutil.copytree(source, stage / name, ignore=shutil.ignore_patterns("__pycache__", "_bundle"))
+    shutil.copy(root / "clients/python/README.md", stage)
+    shutil.copy(root / "LICENSE", stage)
+    (stage / "pyproject.toml").write_text(project)
 
 
 def project_of_the_wheel(project: str) -> str:
