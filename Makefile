@@ -113,7 +113,7 @@ release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (ro
 	@python clients/python/make_release.py --wheel build-wheel/wheel --output dist
 
 images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there too)
-	@BUILD=$(BUILD) TENSORMASS_WHOLE_IMAGES=$(WHOLE) python -m pytest -q -rs tests/docker
+	@BUILD=$(BUILD) TENSORMASS_IMAGES=$(if $(WHOLE),whole,built) python -m pytest -q -rs tests/docker
 
 bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench
