@@ -24,7 +24,7 @@ from pathlib import Path
 _PASSED = re.compile(r"PIP_((EXTRA_)?INDEX_URL|TRUSTED_HOST)|(https?|no|all)_proxy", re.IGNORECASE)
 # Files of this machine that commands in a root see, and where. The certificates stand apart, because the package
 # ca-certificates replaces the system's list.
-_SYSTEM_CERTIFICATES, _CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt", "/mnt/certificates.crt"
+_SYSTEM_CERTIFICATES, _CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt", "/run/certificates.crt"
 _SHARED = {
     "/etc/resolv.conf": "/etc/resolv.conf",
     "/etc/pip.conf": "/etc/pip.conf",
