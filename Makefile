@@ -25,6 +25,7 @@ RUN_ARGS ?=
 TEST_ARGS ?=
 CUDA_ARCHITECTURES ?=
 SUITE ?= bookworm
+WHOLE ?=
 # Ampere (A100 and, as 8.x, RTX 30), Ada, Hopper, Blackwell. Newer GPUs compile the PTX of 100 when the daemon starts.
 RELEASE_CUDA_ARCHITECTURES := 80-real;89-real;90-real;100
 # The set-up writes CUDACXX and CUDAToolkit_ROOT into this file.
@@ -36,8 +37,8 @@ VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test pictures test-only wheel wheel-only bench accuracy \
-        stability trade asan tsan lint format protocol-release clean
+.PHONY: help setup setup-test build native python viewer run test pictures test-only programs wheel wheel-only release \
+        images bench accuracy stability trade asan tsan lint format protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -92,15 +93,27 @@ $(VIEWER): $(VIEWER_SOURCES)
 	@cd clients/web && npm run --silent build -- --logLevel warn
 	@touch $@
 
+# What wheel and images hold, without set-up. A recursive call reads the toolchain.env of a set-up that has just ended.
+programs:
+	@$(MAKE) NATIVE_TARGETS='tensormassd tensormass-haptic' CUDA_ARCHITECTURES='$(RELEASE_CUDA_ARCHITECTURES)' \
+	  native python viewer
+
 wheel: ## Make a wheel with everything inside, for all GPU generations, and try it in a bare Debian (root)
 	@.setup/setup.sh wheel
-	@$(MAKE) BUILD=build-wheel NATIVE_TARGETS='tensormassd tensormass-haptic' \
-	  CUDA_ARCHITECTURES='$(RELEASE_CUDA_ARCHITECTURES)' native python viewer
-	@$(MAKE) BUILD=build-wheel wheel-only
+	@$(MAKE) BUILD=build-wheel programs wheel-only
 
 wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-up and build
 	@python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
 	@tests/wheel/bare.sh $(BUILD)/wheel/*.whl $(SUITE)
+
+release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
+	@.setup/setup.sh wheel
+	@python clients/python/make_release.py --check
+	@$(MAKE) wheel
+	@python clients/python/make_release.py --wheel build-wheel/wheel --output dist
+
+images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there too)
+	@BUILD=$(BUILD) TENSORMASS_IMAGES=$(if $(WHOLE),whole,built) python -m pytest -q -rs tests/docker
 
 bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench
@@ -149,4 +162,4 @@ protocol-release: setup-test ## Record the protocol as released; `make test` ref
 	@python tests/proto/compatibility.py --release
 
 clean: ## Remove what was built (the set-up stays)
-	@rm -rf $(BUILD) build-asan build-tsan build-wheel clients/web/dist clients/web/src/generated clients/python/tensormass/v1
+	@rm -rf $(BUILD) build-asan build-tsan build-wheel dist clients/web/dist clients/web/src/generated clients/python/tensormass/v1

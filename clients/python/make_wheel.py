@@ -8,7 +8,8 @@ The packages are copied into a folder, and the built parts are added as tensorma
     lib/                              the shared libraries that a bare Linux lacks
     viewer/                           the built page
 
-A wheel of the SDK alone, for any system, is made by `pip wheel --no-deps clients/python`.
+Its dependencies include the extras of EXTRAS, because `tensormass run` needs them. A wheel of the SDK alone, for any
+system and with extras, is made by `pip wheel --no-deps clients/python`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PACKAGES = ("tensormass", "tensormass_gateway", "tensormass_tools")
 PROGRAMS = ("tensormassd", "tensormass-haptic")
+# Extras of pyproject.toml that this wheel always brings along.
+EXTRAS = ("meshes", "tetrahedra", "viewer")
 # A wheel may expect these on every machine (PEP 600, the manylinux policy). Python itself or NumPy needs them too.
 EXPECTED = ("libstdc++.so.6", "libgcc_s.so.1", "libz.so.1")
 # Commands that only this wheel has. In a checkout the programs themselves are in build/bin.
@@ -55,7 +58,7 @@ def main() -> int:
 
     with tempfile.TemporaryDirectory(prefix="tensormass-wheel-") as made:
         stage = Path(made)
-        copy_packages(stage)
+        copy_packages(ROOT, stage, project_of_the_wheel((HERE / "pyproject.toml").read_text()))
         bundle = stage / "tensormass" / "_bundle"
         add_programs(bundle, programs)
         shutil.copytree(args.viewer, bundle / "viewer")
@@ -79,15 +82,24 @@ def output_of(command: Sequence[str | Path]) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
-def copy_packages(stage: Path) -> None:
+def copy_packages(root: Path, stage: Path, project: str) -> None:
+    """Fills a folder with the Python packages of a checkout. `project` becomes its pyproject.toml."""
     for name in PACKAGES:
-        shutil.copytree(HERE / name, stage / name, ignore=shutil.ignore_patterns("__pycache__", "_bundle"))
-    shutil.copy(HERE / "README.md", stage)
-    shutil.copy(ROOT / "LICENSE", stage)
-    head = "[project.scripts]\n"
-    project = (HERE / "pyproject.toml").read_text()
-    assert project.count(head) == 1
-    (stage / "pyproject.toml").write_text(project.replace(head, head + COMMANDS))
+        source = root / "clients/python" / name
+        shutil.copytree(source, stage / name, ignore=shutil.ignore_patterns("__pycache__", "_bundle"))
+    shutil.copy(root / "clients/python/README.md", stage)
+    shutil.copy(root / "LICENSE", stage)
+    (stage / "pyproject.toml").write_text(project)
+
+
+def project_of_the_wheel(project: str) -> str:
+    """Adds the programs' commands and the packages of EXTRAS to the text of pyproject.toml."""
+    extras = tomllib.loads(project)["project"]["optional-dependencies"]
+    packages = "".join(f'  "{package}",\n' for extra in EXTRAS for package in extras[extra])
+    for head, added in (("[project.scripts]\n", COMMANDS), ("\ndependencies = [\n", packages)):
+        assert project.count(head) == 1
+        project = project.replace(head, head + added)
+    return project
 
 
 def add_programs(bundle: Path, programs: Iterable[Path]) -> None:

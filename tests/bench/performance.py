@@ -1,4 +1,4 @@
-"""Writes the tables of docs/performance.md and README.md from the committed results, and every row as CSV.
+"""Writes the tables of docs/performance.md, docs/comparison.md and README.md from the results, and every row as CSV.
 
     python tests/bench/performance.py
 
@@ -216,6 +216,24 @@ def instruments() -> Iterator[str]:
         )
 
 
+def engines() -> Iterator[str]:
+    """One beam in several engines: step time and error of each setting, by the size of the mesh."""
+    found = newest("two-cores-others.jsonl").values()
+    sizes = sorted({row["elements"] for row in found})
+    yield "| engine, setting |" + "".join(f" {size:,} tetrahedra: median step | error |" for size in sizes)
+    yield f"|---|{'---|---|' * len(sizes)}"
+    cells: dict[tuple[str, str], dict[int, str]] = {}
+    for row in found:
+        measured = f"{row['step_ms_median']:.3g} ms | {row['error_percent']:.2g} %"
+        setting = re.sub(r"one linear solve, |at most | iterations to .*(?<=1e-08)", "", row["setting"])
+        cells.setdefault((row["engine"], setting), {})[row["elements"]] = measured
+    package = {"MuJoCo": "mujoco", "Newton": "newton"}
+    versions = next(iter(found))["versions"]
+    for (engine, setting), of_size in sorted(cells.items(), key=lambda cell: (cell[0][0] != "Tensormass", cell[0][0])):
+        name = f"{engine} {versions[package[engine]]}" if engine in package else engine
+        yield f"| {name}: {setting} | {' | '.join(of_size.get(size, ' | ') for size in sizes)} |"
+
+
 def sources() -> Iterator[str]:
     """Device, commit and command of the last row in each file that the page uses."""
     yield "| file | device | commit | command |"
@@ -294,6 +312,7 @@ TABLES = {
         "instruments": instruments,
         "sources": sources,
     },
+    REPOSITORY / "docs" / "comparison.md": {"engines": engines},
     REPOSITORY / "README.md": {"summary": summary},
 }
 

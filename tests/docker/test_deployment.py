@@ -76,8 +76,12 @@ def test_dockerfile_copies_what_exists() -> None:
 
 
 @pytest.mark.parametrize("file", ["compose.yaml", "compose.gpu.yaml"])
-def test_compose_builds_targets_that_the_dockerfile_has(file: str) -> None:
-    targets = set(re.findall(r"^FROM \S+ AS (\w+)$", (DOCKER / "Dockerfile").read_text(), re.MULTILINE))
+def test_compose_builds_targets_and_arguments_that_the_dockerfile_has(file: str) -> None:
+    dockerfile = (DOCKER / "Dockerfile").read_text()
+    targets = set(re.findall(r"^FROM \S+ AS (\w+)$", dockerfile, re.MULTILINE))
+    arguments = set(re.findall(r"^ARG (\w+)", dockerfile, re.MULTILINE))
     for service in yaml.safe_load((DOCKER / file).read_text())["services"].values():
-        if "build" in service:
-            assert service["build"]["target"] in targets
+        build = service.get("build", {})
+        assert set(build) <= {"context", "dockerfile", "target", "args"}
+        assert {build.get("target", "server")} <= targets
+        assert set(build.get("args", {})) <= arguments

@@ -17,6 +17,7 @@ TOP_LEVEL = {
     ".dockerignore",
     ".gitignore",
     ".setup",
+    "CHANGELOG.md",
     "CMakeLists.txt",
     "LICENSE",
     "Makefile",

@@ -19,12 +19,12 @@ from types import FrameType
 from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
 from tensormass._src.demo import builtin_scenes
 from tensormass._src.errors import TensormassError
+from tensormass._src.extras import require
 from tensormass._src.launching import launch
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
-from tensormass_gateway import command as gateway
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import export, hand, load_test, modes, run, solve
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
@@ -303,9 +303,12 @@ def _inspect(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
+    require("viewer", "view")
+    from tensormass_gateway import command
+
     run.check_gateway_options(args)
     args.server = find_server(args.server)
-    return gateway.run(args)
+    return command.run(args)
 
 
 def _mesh(args: argparse.Namespace) -> int:

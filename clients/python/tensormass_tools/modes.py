@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from tensormass._src.errors import InvalidArgumentError, naming
+from tensormass._src.extras import require
 from tensormass._src.scene import Scene
 from tensormass.v1 import scene_pb2
 from tensormass_tools import modes_files
-from tensormass_tools.modes_matrices import SHAPES, matrices, require_packages
+from tensormass_tools.modes_matrices import SHAPES, matrices
 from tensormass_tools.modes_solver import Modes, lowest_modes
 from tensormass_tools.output import check_writable, print_json
 
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         if args.export.suffix not in modes_files.ENDINGS:
             raise InvalidArgumentError(f"--export {args.export}: must end in {' or '.join(modes_files.ENDINGS)}")
         check_writable("--export", args.export)
-    require_packages()
+    require("modes", "modes")
     scene = Scene.from_file(args.scene).message
     if not scene.bodies:
         raise InvalidArgumentError(f"{args.scene}: has no bodies")

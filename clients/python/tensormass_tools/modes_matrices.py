@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.elastic_constants import lame
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
+from tensormass._src.errors import InvalidArgumentError, naming
 from tensormass._src.mesh_geometry import signed_volumes
 from tensormass._src.meshes import BoolArray, ElementBlock, FloatArray, VolumeMesh
 from tensormass._src.packing import volume_mesh
@@ -51,21 +51,6 @@ class Matrices:
     free: BoolArray
     #: Largest Young's modulus of an element [Pa].
     young_modulus_pa: float
-
-
-def require_packages() -> None:
-    """Checks that the packages of the extra `modes` are there.
-
-    Raises:
-        NotFoundError: one is missing; the message says how to install it.
-    """
-    try:
-        import scipy.sparse.linalg  # noqa: F401
-        import skfem  # noqa: F401
-    except ImportError as error:
-        raise NotFoundError(
-            f"modes needs scikit-fem and SciPy ({error}); install them with: pip install 'tensormass[modes]'"
-        ) from error
 
 
 def matrices(body: scene_pb2.Body) -> Matrices:

@@ -22,21 +22,24 @@ import sys
 import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, TensormassError, UnavailableError
+from tensormass._src.extras import require
 from tensormass._src.launching import launch
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import ChildProcess, end_explained, find_program, log_tail
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server
-from tensormass_gateway.command import write_ready_file
-from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
 from tensormass_tools import hand, presets
 from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
 from tensormass_tools.running import announced
+
+if TYPE_CHECKING:
+    from tensormass_gateway.gateway import Gateway  # needs the extra `viewer`
 
 _STATUS_PERIOD_S = 0.5
 # Period of status lines that are not rewritten in place, as in a log.
@@ -75,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < math.inf:
         raise InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive and finite")
     if not args.no_viewer:
+        require("viewer", "run without --no-viewer")
         check_gateway_options(args)
     scene = presets.read_scene(args.scene, args.preset)
     if args.rate is not None:
@@ -131,6 +135,9 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
 
 @contextlib.asynccontextmanager
 async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gateway]:
+    from tensormass_gateway.command import write_ready_file
+    from tensormass_gateway.gateway import serve
+
     async with contextlib.AsyncExitStack() as parts:
         try:
             running = await parts.enter_async_context(serve(options_from(args, server.address)))

@@ -11,9 +11,8 @@ import os
 import tempfile
 from pathlib import Path
 
-import meshio
-
 from tensormass._src import mesh_files
+from tensormass._src.extras import require
 from tensormass._src.isosurface import Implicit
 from tensormass._src.meshes import TriangleSurface
 from tensormass._src.organ import ORGANS
@@ -36,6 +35,7 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     scene_file = _TEMPLATES / f"{name}.yaml"
     if not any(f"{organ}.msh" in scene_file.read_text() for organ in ORGANS):
         return scene_file, _TEMPLATES
+    require("meshes", f"the built-in scene {name!r}")
     folder = cache_folder()
     files = [folder / file for organ in ORGANS for file in (f"{organ}.msh", f"{organ}_skin.ply")]
     stamp = folder / "made_from.txt"
@@ -58,7 +58,7 @@ def _make_organs(folder: Path) -> None:
         if organ.inside not in skins:
             skins[organ.inside] = organ.skin()
         skin = skins[organ.inside]
-        meshio.Mesh(skin.vertices, [("triangle", skin.triangles.astype("int32"))]).write(folder / f"{name}_skin.ply")
+        mesh_files.write_surface(folder / f"{name}_skin.ply", skin)
 
 
 def cache_folder() -> Path:

@@ -14,16 +14,20 @@ import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import meshio
 import numpy as np
 import numpy.typing as npt
 
 from tensormass._src.errors import InvalidArgumentError, NotFoundError
+from tensormass._src.extras import require
 from tensormass._src.files import replacing
 from tensormass._src.meshes import ELEMENT_FIELDS, ElementBlock, FloatArray, TriangleSurface, VolumeMesh
 from tensormass._src.names import as_name
 from tensormass._src.shapes import BY_MESHIO_TYPE
+
+if TYPE_CHECKING:
+    import meshio
 
 # Gmsh element types. Elements without a volume are skipped; volumes other than tetrahedra are refused.
 _GMSH_TETRAHEDRON = 4
@@ -149,6 +153,14 @@ def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
     write_blocks(path, mesh.nodes, mesh.blocks, masks, mesh.element_fields)
 
 
+def write_surface(path: str | Path, surface: TriangleSurface) -> None:
+    """Writes a triangulated surface. The ending of the name chooses the format."""
+    require("meshes", "writing a surface")
+    import meshio
+
+    meshio.Mesh(surface.vertices, [("triangle", surface.triangles.astype("int32"))]).write(Path(path))
+
+
 def write_blocks(
     path: str | Path,
     points: FloatArray,
@@ -158,6 +170,9 @@ def write_blocks(
 ) -> None:
     """Writes blocks of elements like `write_mesh`, with data of nodes [node_count, ...] and elements [element_count,
     ...]."""
+    require("meshes", "writing a mesh")
+    import meshio
+
     path = Path(path)
     ends = np.cumsum([len(elements) for _, elements in blocks])[:-1]
     out = meshio.Mesh(
@@ -260,6 +275,9 @@ def _meshio_read(path: Path) -> meshio.Mesh:
     options = {"file_format": "gmsh"} if path.suffix.lower() == ".msh" else {}
     if options and _begins_with(path, b"("):
         raise InvalidArgumentError(f"{path}: a mesh of ANSYS (Fluent) is not read; save it as Gmsh, VTK or Abaqus")
+    require("meshes", f"{path}: reading this mesh")
+    import meshio
+
     said = io.StringIO()
     try:
         # meshio prints an error and exits on a file that it cannot read. It tells ASCII from binary STL by a product

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import meshio
 import numpy.typing as npt
 
 from tensormass._src import mesh_files, meshes, node_conditions
@@ -22,6 +21,9 @@ from tensormass._src.ties import Nodes, make_attachment, make_contact
 from tensormass._src.tools import make_tool
 from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import scene_pb2
+
+if TYPE_CHECKING:
+    import meshio
 
 
 class Scene:

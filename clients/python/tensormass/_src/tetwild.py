@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.extras import require
 from tensormass._src.mesh_repair import repair
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
 from tensormass._src.processes import ChildProcess
@@ -25,7 +26,9 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
 
     Raises:
         InvalidArgumentError: an edge that is not positive or longer than the surface, or nothing enclosed.
+        NotFoundError: the extra `tetrahedra` is not installed.
     """
+    require("tetrahedra", "filling a surface with tetrahedra")
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     if not 0 < edge_length < diagonal:
         raise InvalidArgumentError(
