@@ -13,7 +13,6 @@ import contextlib
 import json
 import statistics
 from collections.abc import Callable
-from typing import Any
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2

@@ -7,7 +7,6 @@ import pytest
 from service_parts import block
 
 import tensormass as tm
-from tensormass._src import meshes
 
 
 def two_blocks(gap_m: float = 0.01) -> tm.Scene:
