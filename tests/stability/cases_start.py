@@ -117,10 +117,7 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ),
         _IN_SMALL_STEPS,
     ),
-    ("stretched to 10×", "mooney_rivlin", CAUGHT): (
-        ("pyramid", "hexahedron", "quadratic_tetrahedron"),
-        _IN_SMALL_STEPS,
-    ),
+    ("stretched to 10×", "mooney_rivlin", CAUGHT): (("pyramid", "hexahedron"), _IN_SMALL_STEPS),
     ("stretched to 10×, free", "mooney_rivlin", CAUGHT): (
         ("tetrahedron", "pyramid", "hexahedron", "quadratic_tetrahedron"),
         _IN_SMALL_STEPS,
