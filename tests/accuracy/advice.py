@@ -18,8 +18,8 @@ from .tables import filled, markdown
 from .trade import FOREIGN, OWN, PRESETS_BACKEND, Trade
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
-#: The demo in real time under a moving probe, as `tensormass run` steps it on a GPU.
-BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h100-demo-default.jsonl"
+#: The demo in real time under the probe of a haptic client, as `tensormass run` steps it on a GPU.
+BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h200-demo-default.jsonl"
 Measurement, report = trade.Measurement, trade.report
 
 
@@ -49,10 +49,22 @@ USES = (
         "cpu",
         {"shape": "hexahedron", "quadrature": "selective", "integrator": "bdf2"},
     ),
-    Use("free motion", "beam", "cuda", {"shape": "hexahedron", **_BDF2}),
+    Use(
+        "free motion, fast",
+        "beam",
+        "cuda",
+        {"resolution": 0.5, "quadrature": "selective", "dt_s": 0.02, **_BDF2, "cg_max_iterations": 10},
+    ),
+    Use(
+        "free motion, accurate",
+        "beam",
+        "cuda",
+        {"resolution": 1.4, "shape": "hexahedron", "quadrature": "selective", "integrator": "bdf2"},
+    ),
     Use("analysis, fast", "cantilever", "cpu", {"resolution": 0.7, **_TETRAHEDRA}),
     Use("analysis", "cantilever", "cpu", _TETRAHEDRA),
-    Use("analysis", "cantilever", "cuda", {"resolution": 2.0, "cg_tolerance": 0.001, **_LOOSE}),
+    Use("analysis, fast", "cantilever", "cuda", {"cg_tolerance": 0.001, **_LOOSE}),
+    Use("analysis", "cantilever", "cuda", {"resolution": 1.4, "cg_tolerance": 0.001, **_TETRAHEDRA}),
 )
 #: Single knobs that the second table shows: name and value.
 KNOBS = (

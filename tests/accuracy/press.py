@@ -84,7 +84,9 @@ def _settings() -> list[Setting]:
     graded += [Setting(True, False, r, 60, selective=True) for r in (0.8, 1, 1.2)]
     graded += [Setting(True, False, 1.8, 960, tolerance, selective=True) for tolerance in (0.1, 0.01)]
     graded += [Setting(True, False, r, 960, 0.03, selective=True) for r in (1, 1.5, 1.8, 2, 2.5)]
-    graded += [Setting(True, False, r, 960, selective=True) for r in (2, 2.2)]
+    # Close steps of the resolution, because the demo on a GPU has the finest that its step leaves time for.
+    fine = (2, 2.05, 2.1, 2.15, 2.2)
+    graded += [Setting(True, False, r, 960, tolerance, selective=True) for r in fine for tolerance in (0.1, 0.01)]
     graded += [Setting(True, True, r, 60) for r in (0.5, 0.7)]
     graded += [Setting(True, True, r, 960, 0.03) for r in (0.7, 1, 1.2)]
     return [*uniform, *graded, Setting(True, True, 2.5, 960)]

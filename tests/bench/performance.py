@@ -261,11 +261,11 @@ def summary() -> Iterator[str]:
 
     yield "| what | where | result | data |"
     yield "|---|---|---|---|"
-    demo = newest("nvidia-h100-demo-default.jsonl")["real time: demo"]
+    demo = newest("nvidia-h200-demo-default.jsonl")["real time: demo"]
     yield (
-        f"| demo organ under a probe, {demo['elements']:,} tetrahedra, 960 steps a second | H100 "
+        f"| demo organ under a haptic client's probe, {demo['elements']:,} tetrahedra, 960 steps a second | H200 "
         f"| step {demo['step_ms_median']:.2f} ms (p99 {demo['step_ms_p99']:.2f}); {demo['missed_deadlines']} of "
-        f"{demo['steps']:,} deadlines missed | {link('nvidia-h100-demo-default.jsonl')} |"
+        f"{demo['steps']:,} deadlines missed | {link('nvidia-h200-demo-default.jsonl')} |"
     )
     beam = newest("nvidia-h200-targets.jsonl")["beam 307200 StVK"]
     yield (

@@ -117,10 +117,7 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
         ),
         _IN_SMALL_STEPS,
     ),
-    ("stretched to 10×", "mooney_rivlin", CAUGHT): (
-        ("pyramid", "hexahedron", "quadratic_tetrahedron"),
-        _IN_SMALL_STEPS,
-    ),
+    ("stretched to 10×", "mooney_rivlin", CAUGHT): (("pyramid", "hexahedron"), _IN_SMALL_STEPS),
     ("stretched to 10×, free", "mooney_rivlin", CAUGHT): (
         ("tetrahedron", "pyramid", "hexahedron", "quadratic_tetrahedron"),
         _IN_SMALL_STEPS,
@@ -175,6 +172,9 @@ _SHORT: dict[tuple[str, str, str], tuple[tuple[str, ...], str]] = {
 }
 # The same for quadratic hexahedra alone: starts from which they crumple, or are caught on the way.
 _CRUMPLING: set[tuple[str, str, str]] = {
+    # Rounding decides here too: from 10× the CPU comes back in both precisions, an H200 in neither. We ran the 41
+    # starts of the corotational law on the CPU, in both precisions. Of 82 cubes seven crumpled, and one was caught.
+    ("stretched to 10×, free" + _NEWTON, "ogden", SHORT),
     ("stretched to 10×, free", "corotational", CAUGHT),
     ("stretched to 10×, free", "corotational", SHORT),
     ("collapsed to a point", "corotational", SHORT),

@@ -26,7 +26,10 @@ PROMISES = {
 
 #: What `tensormass run` makes of a built-in scene on a backend without --preset. The files fit two cores.
 FOR_BACKEND: dict[str, dict[str, Setting]] = {
-    "cuda": {name: {"resolution": 2.0, "dt_s": 1 / 960} for name in ("demo", "retract", "grasp", "table")},
+    "cuda": {
+        "demo": {"resolution": 2.1, "dt_s": 1 / 960},
+        **{name: {"resolution": 2.0, "dt_s": 1 / 960} for name in ("retract", "grasp", "table")},
+    },
 }
 
 
