@@ -91,8 +91,8 @@ def _measure(server: tm.Server) -> dict[str, dict[str, float]]:
                 times[name].append((status.step_time_p50_s, status.step_time_p99_s, round(statistics.mean(iterations))))
     return {
         name: {
-            "step_ms": round(1e3 * statistics.median(p50 for p50, _, _ in rows), 4),
-            "p99_ms": round(1e3 * max(p99 for _, p99, _ in rows), 4),
+            "step_ms_median": round(1e3 * statistics.median(p50 for p50, _, _ in rows), 4),
+            "step_ms_p99": round(1e3 * max(p99 for _, p99, _ in rows), 4),
             "cg_iterations": statistics.median(count for _, _, count in rows),
         }
         for name, rows in times.items()

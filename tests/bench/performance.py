@@ -1,4 +1,4 @@
-"""Writes the tables of docs/performance.md, docs/comparison.md and README.md from the results, and every row as CSV.
+"""Writes the tables of docs/performance.md, docs/comparison.md, docs/decisions/contact.md and README.md from the results, and every row as CSV.
 
     python tests/bench/performance.py
 
@@ -216,6 +216,20 @@ def instruments() -> Iterator[str]:
         )
 
 
+def contacts() -> Iterator[str]:
+    """One scene with every kind of contact, and without one kind after the other."""
+    found = newest("contacts.jsonl").values()
+    devices = sorted({row["device"] for row in found})
+    yield "| `demo-abdomen` |" + "".join(f" {device}: median step (p99) |" for device in devices)
+    yield f"|---|{'---|' * len(devices)}"
+    cells: dict[str, dict[str, str]] = {}
+    for row in rows("contacts.jsonl"):
+        times = f"{row['step_ms_median']:.3g} ({row['step_ms_p99']:.3g}) ms"
+        cells.setdefault(row["case"].removeprefix("contact: "), {})[row["device"]] = times
+    for case, of_device in cells.items():
+        yield f"| {case} | {' | '.join(of_device.get(device, '') for device in devices)} |"
+
+
 def engines() -> Iterator[str]:
     """One beam in several engines: step time and error of each setting, by the size of the mesh."""
     found = newest("two-cores-others.jsonl").values()
@@ -313,6 +327,7 @@ TABLES = {
         "sources": sources,
     },
     REPOSITORY / "docs" / "comparison.md": {"engines": engines},
+    REPOSITORY / "docs" / "decisions" / "contact.md": {"contacts": contacts},
     REPOSITORY / "README.md": {"summary": summary},
 }
 
