@@ -1,4 +1,4 @@
-"""Writes the tables of docs/performance.md, docs/comparison.md, docs/decisions/contact.md and README.md from the results, and every row as CSV.
+"""Writes the tables of pages (TABLES) from the results, and every row as CSV.
 
     python tests/bench/performance.py
 
