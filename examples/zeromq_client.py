@@ -28,8 +28,11 @@ def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
 
 def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list[float]:
     """Computes the force [3] N at the hand's position [m] from the feedback's local model."""
-    off_m = [getattr(hand, axis) - getattr(feedback.position_m, axis) for axis in "xyz"]
-    stiffness = feedback.local_model.stiffness_n_per_m  # row-major [3, 3]
+    model = feedback.local_model
+    # A tool with a mass is elsewhere than the hand, so its model has an anchor.
+    anchor = model.anchor_m if model.HasField("anchor_m") else feedback.position_m
+    off_m = [getattr(hand, axis) - getattr(anchor, axis) for axis in "xyz"]
+    stiffness = model.stiffness_n_per_m  # row-major [3, 3]
     spring_n = [sum(stiffness[3 * row + column] * off_m[column] for column in range(3)) for row in range(3)]
     return [getattr(feedback.force_n, axis) - spring for axis, spring in zip("xyz", spring_n, strict=True)]
 

@@ -5,6 +5,7 @@
 // Units: m, N, N/m, N s/m, in the scene's frame. Threading: ForceGuard calls a device from the loop and from the
 // watchdog, one at a time. A call that fails ends the loop and reaches the user as the loop's error.
 
+#include <optional>
 #include <string>
 
 #include <Eigen/Core>
@@ -26,12 +27,17 @@ struct DeviceInfo {
   double max_damping_n_s_per_m = 0.0;
 };
 
-/// Pose of the tool in the scene's frame. A pose is invalid in two cases: a coordinate is not finite or exceeds
-/// limits::kMaxLength, or the quaternion's length is off 1 by 1 % or more. For an invalid pose the loop renders no
-/// force and sends nothing.
+/// The widest angle of a tool's jaws that the protocol allows [rad]; the least is zero (message Grasper).
+inline constexpr double kMostJawAngleRad = 2.5;
+
+/// Pose of the tool in the scene's frame. A pose is invalid in three cases: a coordinate is not finite or exceeds
+/// limits::kMaxLength, the quaternion's length is off 1 by 1 % or more, or the jaws' angle is out of its range. For an
+/// invalid pose the loop renders no force and sends nothing.
 struct DevicePose {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+  /// Angle between the tool's jaws, zero to kMostJawAngleRad. Only for a tool that has jaws.
+  std::optional<double> jaw_angle_rad = std::nullopt;
 };
 
 /// A haptic device. Called by one thread at a time, which need not always be the same one.

@@ -29,6 +29,8 @@ struct DiscoveredTool {
   double radius_m = 0.0;
   /// Vector from the tool's origin to the centre of its sphere.
   Eigen::Vector3d tip_offset_m = Eigen::Vector3d::Zero();
+  /// The tool has one joint, which opens its jaws.
+  bool has_jaws = false;
   /// The scene's count of rejected poses at the time of the call.
   std::uint64_t poses_rejected = 0;
 };

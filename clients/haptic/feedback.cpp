@@ -58,6 +58,7 @@ void encode_pose(const OutgoingPose& pose, std::string& out) {
   q.set_x(pose.pose.orientation.x());
   q.set_y(pose.pose.orientation.y());
   q.set_z(pose.pose.orientation.z());
+  if (pose.pose.jaw_angle_rad) message.add_joint_values(*pose.pose.jaw_angle_rad);
   message.set_valid_for_s(kPoseValidForS);
   message.SerializeToString(&out);
 }
@@ -74,7 +75,9 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   feedback.client_id = message.client_id();
   feedback.client_time_ns = static_cast<std::int64_t>(message.client_time_ns());
   feedback.arrival_ns = arrival_ns;
-  feedback.position_m = to_eigen(message.position_m());
+  // A tool with a mass lags behind the hand, and the model belongs to the hand's place.
+  feedback.position_m =
+      to_eigen(message.local_model().has_anchor_m() ? message.local_model().anchor_m() : message.position_m());
   feedback.force_n = to_eigen(message.force_n());
   if (!is_position(feedback.position_m)) {
     return invalid("feedback: the position is not finite or beyond the largest length");

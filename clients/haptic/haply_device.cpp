@@ -302,11 +302,7 @@ HaplyDevice::~HaplyDevice() { close(); }
 Result<void> HaplyDevice::open() {
   close();
   TM_ASSIGN_OR_RETURN(address, parse_haply_url(options_.url));
-  if (!is_positive(options_.scale)) return invalid("Haply Inverse3: the workspace's scale must be positive and finite");
-  if (!is_position(options_.scene_center_m) || !is_rotation(options_.rotation)) {
-    return invalid(
-        "Haply Inverse3: the workspace's centre and rotation must be finite, the rotation a unit quaternion");
-  }
+  TM_RETURN_IF_ERROR(check(options_.workspace, "Haply Inverse3"));
   session_ = std::make_unique<Session>(options_.url, address, options_.choice);
   const Result<HaplyDevices> devices = session_->wait_until_ready();
   const Result<DevicePose> first = devices ? session_->newest() : tl::make_unexpected(devices.error());
@@ -314,7 +310,7 @@ Result<void> HaplyDevice::open() {
     close();
     return tl::make_unexpected(first.error());
   }
-  map_ = {first->position_m, options_.scene_center_m, options_.rotation.normalized(), options_.scale};
+  map_ = map_from(first->position_m, options_.workspace);
   info_ = map_.to_scene(kInverse3Limits);
   info_.name += " " + shown_haply_id(devices->inverse_id);
   return {};

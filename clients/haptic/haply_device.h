@@ -56,13 +56,7 @@ struct HaplyOptions {
   /// ws://host[:port][/path]; the default port is 10001.
   std::string url = "ws://127.0.0.1:10001";
   HaplyChoice choice;
-  /// The grip's place in the scene when the device opens. From there it moves relative to its first position, so the
-  /// tool neither jumps nor appears inside tissue, however the device is mounted.
-  Eigen::Vector3d scene_center_m = Eigen::Vector3d::Zero();
-  /// From the device's frame (x to the right, y forward, z up) to the scene's.
-  Eigen::Quaterniond rotation = Eigen::Quaterniond::Identity();
-  /// Metres in the scene for a metre of the hand; see workspace_map.h for what it does to forces.
-  double scale = 1.0;
+  Workspace workspace;
 };
 
 /// The address at which a service listens.

@@ -19,6 +19,12 @@ std::uint64_t random_client_id() {
   return std::uniform_int_distribution<std::uint64_t>(1)(random);
 }
 
+/// Returns false for an invalid pose (see DevicePose).
+bool is_valid(const DevicePose& pose) {
+  const double jaws_rad = pose.jaw_angle_rad.value_or(0.0);
+  return is_position(pose.position_m) && is_rotation(pose.orientation) && jaws_rad >= 0 && jaws_rad <= kMostJawAngleRad;
+}
+
 /// Bounds the options by the device. fmin returns the device's bound if an option is NaN.
 LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   const auto bind = [](double& asked, double device) { asked = std::fmin(asked, device); };
@@ -76,7 +82,7 @@ Result<void> Loop::tick() {
   const Result<DevicePose> pose = guard_.read();
   if (!pose) return tl::make_unexpected(pose.error());
   ++report_.ticks;
-  if (!is_position(pose->position_m) || !is_rotation(pose->orientation)) return tick_without(*pose);
+  if (!is_valid(*pose)) return tick_without(*pose);
   invalid_in_a_row_ = 0;
   const std::int64_t now_ns = clock_.now_ns();
   const std::uint64_t sequence = latency_.last_sent() + 1;

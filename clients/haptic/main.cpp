@@ -21,7 +21,9 @@
 #include "core/limits.h"
 #include "haptic/checks.h"
 #include "haptic/discovery.h"
+#include "haptic/force_dimension_device.h"
 #include "haptic/haply_device.h"
+#include "haptic/openhaptics_device.h"
 #include "haptic/realtime.h"
 #include "haptic/report.h"
 #include "haptic/report_file.h"
@@ -53,6 +55,10 @@ struct Options {
   std::string json_path;
   double watchdog_s = 0.05;
   HaplyOptions haply;
+  /// Path of the maker's library; empty: the one that the system's loader finds.
+  std::string library;
+  std::string device_id;
+  double workspace_scale = 1.0;
   // Empty or negative: taken from the scene.
   std::vector<double> workspace_center_m;
   std::vector<double> workspace_rotation_deg = {0.0, 0.0, 0.0};
@@ -103,40 +109,48 @@ struct Within : CLI::Validator {
 
 constexpr const char* kHandGroup = "Scripted hand (--device simulated)";
 constexpr const char* kHaplyGroup = "Haply Inverse (--device haply)";
+constexpr const char* kLibraryGroup = "OpenHaptics and Force Dimension (--device openhaptics, force-dimension)";
+constexpr const char* kHardwareGroup = "Devices other than the simulated one";
 
-void add_haply_options(CLI::App& app, Options& o) {
+void add_hardware_options(CLI::App& app, Options& o) {
   const auto url_problem = [](const std::string& url) {
     const Result<HaplyAddress> address = parse_haply_url(url);
     return address ? std::string() : address.error().message;
   };
+  app.add_option(
+         "--device-id", o.device_id,
+         "Which device, if several are connected: id of the Inverse3, name in OpenHaptics' setup, serial number "
+         "at Force Dimension")
+      ->group(kHardwareGroup);
   app.add_option("--device-url", o.haply.url, "Where Haply's Inverse service listens")
       ->check(url_problem, "ws://HOST:PORT")
       ->capture_default_str()
       ->group(kHaplyGroup);
-  app.add_option("--device-id", o.haply.choice.device_id, "Id of the Inverse3; default: the only one")
-      ->group(kHaplyGroup);
   app.add_option("--grip-id", o.haply.choice.grip_id,
                  "Id of the VerseGrip that gives the orientation; default: the only one, or none")
       ->group(kHaplyGroup);
+  app.add_option("--device-library", o.library,
+                 "The maker's library; default: libHD.so or libdhd.so.3 where the system finds it")
+      ->group(kLibraryGroup);
   app.add_option("--workspace-center", o.workspace_center_m,
                  "Where in the scene the grip is at the start, x,y,z [m]; default: where the tool is")
       ->delimiter(',')
       ->expected(3)
       ->check(Within(-limits::kMaxLength, limits::kMaxLength))
-      ->group(kHaplyGroup);
-  app.add_option("--workspace-scale", o.haply.scale,
+      ->group(kHardwareGroup);
+  app.add_option("--workspace-scale", o.workspace_scale,
                  "Metres in the scene for a metre of the hand. Forces are not scaled, so the hand feels the scene's "
                  "stiffness times this")
       ->check(Within(0.01, 100.0))
       ->capture_default_str()
-      ->group(kHaplyGroup);
+      ->group(kHardwareGroup);
   app.add_option("--workspace-rotation", o.workspace_rotation_deg,
                  "Rotation from the device (x to the right, y forward, z up) to the scene about the scene's axes x, "
                  "then y, then z [degrees]; -90,0,0 for a scene with y up; default: none")
       ->delimiter(',')
       ->expected(3)
       ->check(Within(-360.0, 360.0))
-      ->group(kHaplyGroup);
+      ->group(kHardwareGroup);
 }
 
 void add_options(CLI::App& app, Options& o) {
@@ -147,8 +161,10 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--transport", o.transport, "Transport of poses and feedback")
       ->check(CLI::IsMember({"zeromq", "zenoh"}))
       ->capture_default_str();
-  app.add_option("--device", o.device, "The device: a simulated one, or a Haply Inverse through its Inverse service")
-      ->check(CLI::IsMember({"simulated", "haply"}))
+  app.add_option("--device", o.device,
+                 "The device: a simulated one, a Haply Inverse through its service, or one of 3D Systems or Force "
+                 "Dimension through its maker's library")
+      ->check(CLI::IsMember({"simulated", "haply", "openhaptics", "force-dimension"}))
       ->capture_default_str();
   app.add_option("--connect-timeout", o.connect_timeout_s, "How long to wait for the server [s]")
       ->check(Within(0.1, 600.0))
@@ -160,7 +176,7 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str();
   app.add_option("--json", o.json_path, "Write the report to this file as JSON; - for standard output");
 
-  add_haply_options(app, o);
+  add_hardware_options(app, o);
   const std::string hand = kHandGroup;
   app.add_option("--press-at", o.press_at_m,
                  "Where the tool's origin first touches, x,y,z [m]; default: at the surface nearest to the tool")
@@ -220,11 +236,16 @@ void add_options(CLI::App& app, Options& o) {
       ->group(force);
 }
 
-/// Returns the name of an option that was given and belongs to the other device, or nothing.
+/// Returns the name of an option that was given and that the chosen device does not use, or nothing.
 std::string option_of_another_device(const CLI::App& app, const Options& options) {
-  const char* other = options.device == "haply" ? kHandGroup : kHaplyGroup;
+  const std::string& device = options.device;
+  const auto is_unused = [&](const std::string& group) {
+    return (group == kHandGroup && device != "simulated") || (group == kHardwareGroup && device == "simulated") ||
+           (group == kHaplyGroup && device != "haply") ||
+           (group == kLibraryGroup && device != "openhaptics" && device != "force-dimension");
+  };
   for (const CLI::Option* option : app.get_options()) {
-    if (option->get_group() == other && option->count() > 0) return option->get_name();
+    if (is_unused(option->get_group()) && option->count() > 0) return option->get_name();
   }
   return {};
 }
@@ -254,12 +275,30 @@ Result<HandScript> plan_hand(const Options& options, const DiscoveredTool& tool,
 
 Result<std::unique_ptr<Device>> make_device(const Options& options, const DiscoveredTool& tool, Patience patience,
                                             Clock& clock) {
+  const Workspace workspace{
+      options.workspace_center_m.empty() ? tool.tool_position_m : to_eigen(options.workspace_center_m),
+      rotation_about_axes(to_eigen(options.workspace_rotation_deg)), options.workspace_scale};
   if (options.device == "haply") {
     HaplyOptions haply = options.haply;
-    haply.scene_center_m =
-        options.workspace_center_m.empty() ? tool.tool_position_m : to_eigen(options.workspace_center_m);
-    haply.rotation = rotation_about_axes(to_eigen(options.workspace_rotation_deg));
+    haply.choice.device_id = options.device_id;
+    haply.workspace = workspace;
     return std::make_unique<HaplyDevice>(haply);
+  }
+  if (options.device == "openhaptics") {
+    OpenHapticsOptions openhaptics;
+    if (!options.library.empty()) openhaptics.library = options.library;
+    openhaptics.name = options.device_id;
+    openhaptics.workspace = workspace;
+    openhaptics.moves_jaws = tool.has_jaws;
+    return std::make_unique<OpenHapticsDevice>(openhaptics);
+  }
+  if (options.device == "force-dimension") {
+    ForceDimensionOptions force_dimension;
+    if (!options.library.empty()) force_dimension.library = options.library;
+    force_dimension.serial = options.device_id;
+    force_dimension.workspace = workspace;
+    force_dimension.moves_jaws = tool.has_jaws;
+    return std::make_unique<ForceDimensionDevice>(force_dimension);
   }
   TM_ASSIGN_OR_RETURN(script, plan_hand(options, tool, patience));
   return std::make_unique<SimulatedDevice>(options.simulated, script, clock);

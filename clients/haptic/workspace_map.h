@@ -15,12 +15,35 @@
 //
 // Units: m, N. Pure functions, for any thread.
 
+#include <string>
+
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "haptic/checks.h"
 #include "haptic/device.h"
 
 namespace tensormass::haptic {
+
+/// The part of the scene in which a device works.
+struct Workspace {
+  /// The grip's place in the scene when the device opens. From there it moves relative to its first position, so the
+  /// tool neither jumps nor appears inside tissue, however the device is mounted.
+  Eigen::Vector3d scene_center_m = Eigen::Vector3d::Zero();
+  /// From the device's frame (x to the right, y forward, z up) to the scene's.
+  Eigen::Quaterniond rotation = Eigen::Quaterniond::Identity();
+  /// Metres in the scene for a metre of the hand.
+  double scale = 1.0;
+};
+
+/// Fails with kInvalidArgument on a workspace without meaning. device: its name, for the message.
+inline Result<void> check(const Workspace& workspace, const std::string& device) {
+  if (!is_positive(workspace.scale)) return invalid(device + ": the workspace's scale must be positive and finite");
+  if (!is_position(workspace.scene_center_m) || !is_rotation(workspace.rotation)) {
+    return invalid(device + ": the workspace's centre and rotation must be finite, the rotation a unit quaternion");
+  }
+  return {};
+}
 
 struct WorkspaceMap {
   /// Point of the device's frame that lies on scene_center_m.
@@ -32,7 +55,8 @@ struct WorkspaceMap {
   double scale = 1.0;
 
   DevicePose to_scene(const DevicePose& device) const {
-    return {scene_center_m + scale * (rotation * (device.position_m - device_center_m)), rotation * device.orientation};
+    return {scene_center_m + scale * (rotation * (device.position_m - device_center_m)), rotation * device.orientation,
+            device.jaw_angle_rad};
   }
 
   Eigen::Vector3d force_to_device(const Eigen::Vector3d& force_n) const { return rotation.conjugate() * force_n; }
@@ -42,6 +66,25 @@ struct WorkspaceMap {
     device.max_stiffness_n_per_m /= scale;
     device.max_damping_n_s_per_m /= scale;
     return device;
+  }
+};
+
+/// Returns the map that puts the device's first position on the workspace's centre.
+inline WorkspaceMap map_from(const Eigen::Vector3d& first_position_m, const Workspace& workspace) {
+  return {first_position_m, workspace.scene_center_m, workspace.rotation.normalized(), workspace.scale};
+}
+
+/// The axes of a maker's frame. All devices of this client speak of x to the right, y forward (away from the hand) and
+/// z up, so that one rotation of the workspace suits them all.
+struct DeviceAxes {
+  /// From the maker's frame to that of this client.
+  Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();
+
+  Eigen::Vector3d from_maker(const Eigen::Vector3d& v) const { return turn * v; }
+  Eigen::Vector3d to_maker(const Eigen::Vector3d& v) const { return turn.transpose() * v; }
+  /// A rotation is expressed in the other axes, so no rotation stays no rotation.
+  Eigen::Quaterniond from_maker(const Eigen::Matrix3d& rotation) const {
+    return Eigen::Quaterniond(Eigen::Matrix3d(turn * rotation * turn.transpose()));
   }
 };
 

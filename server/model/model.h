@@ -203,6 +203,8 @@ struct ToolModel {
   double penalty_pa_per_m = 0;
   double friction = 0;  ///< Coulomb's coefficient
   double max_speed_m_per_s = 0;
+  /// Virtual coupling (world/coupling.h) [kg, N/m, N s/m]. Without a mass the tool is at its pose.
+  double mass_kg = 0, coupling_stiffness_n_per_m = 0, coupling_damping_n_s_per_m = 0;
   /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
   double plane_strain_modulus_pa = 0;
   physics::Pose initial_pose;

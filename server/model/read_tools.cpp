@@ -1,3 +1,4 @@
+#include <cmath>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -27,6 +28,8 @@ constexpr double kPlaneRadiusInScenes = 0.1;
 /// A mesh should be thicker than so many cubes of the grid that samples its distance.
 constexpr double kLeastCubes = 3;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
+/// About half of what the haptic client lets a device render.
+constexpr double kDefaultCouplingNPerM = 1000;
 
 /// Returns the stiffest material of the scene: contact must not be softer than the tissue.
 const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
@@ -129,6 +132,26 @@ Result<void> read_shape(const Message& kind, double young_modulus_pa, std::strin
   return {};
 }
 
+/// Reads the mass of a tool and its coupling to the hand.
+Result<void> read_coupling(const v1::Tool& tool, const std::string& where, ToolModel& out) {
+  if (!tool.has_mass_kg()) {
+    if (!tool.has_coupling_stiffness_n_per_m() && !tool.has_coupling_damping_n_s_per_m()) return {};
+    return invalid(fmt::format("{}: a coupling needs mass_kg, so state it or leave the coupling out", where));
+  }
+  if (tool.fixed()) return invalid(fmt::format("{}: a fixed tool does not move, so leave mass_kg out", where));
+  TM_ASSIGN_OR_RETURN(mass, read_number(tool.mass_kg(), 1e-6, 1e3, where + ".mass_kg"));
+  const double given_k =
+      tool.has_coupling_stiffness_n_per_m() ? tool.coupling_stiffness_n_per_m() : kDefaultCouplingNPerM;
+  TM_ASSIGN_OR_RETURN(stiffness, read_number(given_k, 1e-3, 1e9, where + ".coupling_stiffness_n_per_m"));
+  const double critical = 2 * std::sqrt(stiffness * mass);
+  const double given_c = tool.has_coupling_damping_n_s_per_m() ? tool.coupling_damping_n_s_per_m() : critical;
+  TM_ASSIGN_OR_RETURN(damping, read_number(given_c, 0, 1e9, where + ".coupling_damping_n_s_per_m"));
+  out.mass_kg = mass;
+  out.coupling_stiffness_n_per_m = stiffness;
+  out.coupling_damping_n_s_per_m = damping;
+  return {};
+}
+
 /// stiffest: material that sets the default stiffness of contact.
 Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material& stiffest) {
   const std::string where = fmt::format("tool '{}'", tool.name());
@@ -156,6 +179,7 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
   TM_ASSIGN_OR_RETURN(
       friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));
   out.friction = friction;
+  TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));

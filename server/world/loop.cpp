@@ -1,5 +1,7 @@
 #include "world/loop.h"
 
+#include <sys/prctl.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -48,6 +50,8 @@ void Loop::enqueue(std::function<void()> command) {
 // -- the loop's thread ------------------------------------------------------------------------------------------------
 
 void Loop::run() {
+  // By default the kernel lets timers fire 50 us late, to save power. docs/decisions/haptics.md has the numbers.
+  prctl(PR_SET_TIMERSLACK, 1UL);
   clock_.restart(Clock::now());
   while (wait_for_turn()) {
     run_commands();

@@ -85,6 +85,7 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   local.clear_stiffness_n_per_m();
   for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(reading.stiffness_n_per_m(i / 3, i % 3));
   local.set_valid_for_s(local_model_validity_s(model));
+  if (model.tools[tool].mass_kg > 0) fill(reading.hand_m, *local.mutable_anchor_m());
 }
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,

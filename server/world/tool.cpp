@@ -28,25 +28,65 @@ double ToolMotion::longest_way(const Pose& from, const Pose& to) const {
   return (to.position_m - from.position_m).norm() + arm * physics::rotation_vector(from, to).norm() + by_joints;
 }
 
+/// Returns the pose that a way from one pose to another comes to, if no point may move farther than reach_m. Sets the
+/// poses of the shape at both ends.
+Pose ToolMotion::approach(const Pose& from, const Pose& to, double reach_m) {
+  from_ = shape_of(from);
+  to_ = shape_of(to);
+  // The shape must not jump through tissue, so the speed of its core points is limited, for rotations too.
+  const double way = longest_way(from_, to_);
+  if (way <= reach_m) return to;
+  to_ = physics::between(from_, to_, reach_m / way);
+  Pose reached = to_;
+  reached.position_m = to_.position_m - lever(to_);
+  return reached;
+}
+
 void ToolMotion::move(double dt_s) {
   before_ = current_;
   current_.target_age_s += dt_s;
   const bool valid = current_.target_age_s <= valid_for_s_;
   // A retired tool may jump: it touches nothing.
-  if (retired() && valid) current_.pose = target_;
+  if (retired() && valid) {
+    current_.pose = target_;
+    current_.hand_m = target_.position_m;
+    current_.velocity_m_per_s.setZero();
+    felt_ = {};
+    felt_.position_m = target_.position_m;
+  }
   current_.fade = std::clamp(current_.fade + (valid ? dt_s : -dt_s) / kFadeS, 0.0, 1.0);
 
-  from_ = shape_of(current_.pose);
-  to_ = shape_of(target_);
-  // The shape must not jump through tissue, so the speed of its core points is limited, for rotations too.
-  const double way = longest_way(from_, to_), reach = tool_->max_speed_m_per_s * dt_s;
-  if (way > reach) {
-    to_ = physics::between(from_, to_, reach / way);
-    current_.pose = to_;
-    current_.pose.position_m = to_.position_m - lever(to_);
+  const double reach_m = tool_->max_speed_m_per_s * dt_s;
+  Pose hand = current_.pose;
+  if (has_mass()) hand.position_m = current_.hand_m;
+  hand = approach(hand, target_, reach_m);
+  if (has_mass()) {
+    pull(hand, dt_s);
   } else {
-    current_.pose = target_;
+    current_.pose = hand;
+    current_.hand_m = hand.position_m;
   }
+}
+
+/// Moves a tool with a mass by the coupling to the hand's new place.
+void ToolMotion::pull(const Pose& hand, double dt_s) {
+  const Coupling coupling{tool_->mass_kg, tool_->coupling_stiffness_n_per_m, tool_->coupling_damping_n_s_per_m};
+  const Vec3<double> start_m = current_.pose.position_m;
+  current_.hand_m_per_s = (hand.position_m - current_.hand_m) / dt_s;
+  current_.hand_m = hand.position_m;
+  Pose pulled = hand;
+  pulled.position_m = start_m + dt_s * coupled_velocity(coupling, start_m, current_.velocity_m_per_s, current_.hand_m,
+                                                        current_.hand_m_per_s, felt_, dt_s);
+  current_.pose = approach(current_.pose, pulled, tool_->max_speed_m_per_s * dt_s);
+  current_.velocity_m_per_s = (current_.pose.position_m - start_m) / dt_s;
+}
+
+void ToolMotion::feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m) {
+  // A sphere of the tool's radius cannot press on more than its cross-section.
+  const double most_n_per_m = tool_->penalty_pa_per_m * EIGEN_PI * tool_->radius_m * tool_->radius_m;
+  const FeltContact before = felt_;
+  felt_ = {current_.pose.position_m, force_n, stiffness_n_per_m};
+  raise(felt_, before, most_n_per_m);
 }
 
 }  // namespace tensormass::world

@@ -7,13 +7,15 @@
 #include "core/scalar.h"
 #include "model/model.h"
 #include "physics/tool/pose.h"
+#include "world/coupling.h"
 #include "world/step_clock.h"
 
 /// A tool of a stepping scene: how it follows the poses of a client, and what a client gets back.
 ///
 ///     client ──ReceivedPose──> inbox ──> ToolMotion ──shape's pose──> step ──ToolForce──> ToolReading ──> client
 ///
-///     tool's frame     what clients send and receive
+///     hand's pose      follows the client's poses at the tool's maximum speed
+///     tool's frame     the hand's pose; a tool with a mass is pulled to the hand's place instead (coupling.h)
 ///     shape's frame    the tool's frame moved by tip_offset_m; contact is computed there (physics/tool/tool.h)
 namespace tensormass::world {
 
@@ -40,8 +42,9 @@ struct ReceivedPose {
 /// A tool at the end of a step. Feedback, frames and the status all carry this.
 struct ToolReading {
   Pose pose;
+  Vec3<double> hand_m = Vec3<double>::Zero();  ///< place of the hand; that of the pose, unless the tool has a mass
   PoseStamp newest;  ///< stamp of the newest pose that the step used; all zero before the first
-  Vec3<double> force_n = Vec3<double>::Zero();
+  Vec3<double> force_n = Vec3<double>::Zero();     ///< on the hand: that of the coupling, if the tool has a mass
   Vec3<double> torque_n_m = Vec3<double>::Zero();  ///< about the tool's position
   Vec3<double> friction_n = Vec3<double>::Zero();  ///< the part of force_n that is friction
   /// Force of the tissue along each joint [N m or N].
@@ -66,7 +69,9 @@ class ToolMotion {
 
   /// Puts the tool at its initial pose, where it stays until the next target.
   void place() {
-    current_ = {tool_->initial_pose, 1, 0};
+    current_ = {tool_->initial_pose, tool_->initial_pose.position_m, Vec3<double>::Zero(), Vec3<double>::Zero(), 1, 0};
+    felt_ = {};
+    felt_.position_m = tool_->initial_pose.position_m;
     set_target(tool_->initial_pose, kUntilTheNext);
   }
   void set_target(const Pose& target, double valid_for_s) {
@@ -76,10 +81,19 @@ class ToolMotion {
   }
   /// Starts a step of length dt_s: moves the tool towards its target, at most at its maximum speed.
   void move(double dt_s);
+  /// Ends a step: takes the contact that the tool felt, for the next move of a tool with a mass.
+  void feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m);
   /// Takes the last `move` back: its step failed.
   void take_back() { current_ = before_; }
 
   const Pose& pose() const { return current_.pose; }
+  bool has_mass() const { return tool_->mass_kg > 0; }
+  const Vec3<double>& hand_m() const { return current_.hand_m; }
+  /// Returns the force of the coupling on the hand [N].
+  Vec3<double> force_on_hand_n() const {
+    return tool_->coupling_stiffness_n_per_m * (current_.pose.position_m - current_.hand_m) +
+           tool_->coupling_damping_n_s_per_m * (current_.velocity_m_per_s - current_.hand_m_per_s);
+  }
   const Pose& target() const { return target_; }
   bool retired() const { return current_.fade == 0; }
   /// Pose of the shape at a fraction of the step: 0 is its start, 1 its end.
@@ -96,9 +110,15 @@ class ToolMotion {
   Vec3<double> lever(const Pose& pose) const { return physics::rotation(pose) * tool_->tip_offset_m; }
   Pose shape_of(const Pose& pose) const { return {pose.position_m + lever(pose), pose.orientation, pose.joint_values}; }
   double longest_way(const Pose& from, const Pose& to) const;
+  Pose approach(const Pose& from, const Pose& to, double reach_m);
+  void pull(const Pose& hand, double dt_s);
 
   struct State {
-    Pose pose;                // in the simulation
+    Pose pose;  // in the simulation
+    // Only for a tool with a mass, whose pose has the orientation and the joints of the hand.
+    Vec3<double> hand_m = Vec3<double>::Zero();
+    Vec3<double> hand_m_per_s = Vec3<double>::Zero();
+    Vec3<double> velocity_m_per_s = Vec3<double>::Zero();
     double fade = 1;          // fourth root of the presence: it changes at a constant rate
     double target_age_s = 0;  // time since the target was set
   };
@@ -107,8 +127,9 @@ class ToolMotion {
   Pose target_;  // the newest pose that a client sent
   double valid_for_s_ = kUntilTheNext;
   State current_;
-  State before_;    // at the start of the step
-  Pose from_, to_;  // poses of the shape at the start and the end of the step
+  State before_;      // at the start of the step
+  FeltContact felt_;  // at the end of the last step
+  Pose from_, to_;    // poses of the shape at the start and the end of the step
 };
 
 }  // namespace tensormass::world

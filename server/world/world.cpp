@@ -51,6 +51,7 @@ void World::place_tools() {
     published_[i] = {};
     readings_[i] = {};
     readings_[i].pose = tools_[i].pose();
+    readings_[i].hand_m = tools_[i].hand_m();
   }
 }
 
@@ -60,6 +61,7 @@ void World::read_tools() {
     const model::ToolModel& tool = model_->tools[i];
     ToolReading& reading = readings_[i];
     reading.pose = tools_[i].pose();
+    reading.hand_m = reading.pose.position_m;
     reading.retired = tools_[i].retired();
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
@@ -73,6 +75,12 @@ void World::read_tools() {
       const Vec3<double> normal = pressing / force;
       reading.stiffness_n_per_m = physics::hertz_tangent_stiffness(force, tool.plane_strain_modulus_pa, tool.radius_m) *
                                   normal * normal.transpose();
+    }
+    if (tools_[i].has_mass()) {
+      tools_[i].feel(reading.force_n, reading.stiffness_n_per_m);
+      reading.hand_m = tools_[i].hand_m();
+      reading.force_n = tools_[i].force_on_hand_n();
+      reading.stiffness_n_per_m = in_series(tool.coupling_stiffness_n_per_m, reading.stiffness_n_per_m);
     }
   }
 }

@@ -12,6 +12,7 @@
 #include "haptic/loop.h"
 #include "haptic/run_device.h"
 #include "haptic/simulated_device.h"
+#include "world/coupling.h"
 
 namespace tensormass::haptic {
 namespace {
@@ -152,16 +153,47 @@ class SimulatedServer final : public Link {
   Feedback answer(const OutgoingPose& pose) {
     Feedback feedback = answer_to(pose, ++step_);
     feedback.valid_for_s = std::max(kValidSteps * period_s_, kMinValidForS);
-    const double depth_m = -pose.pose.position_m.z();
-    const double force_n = force_at(std::max(depth_m, 0.0));
-    if (depth_m <= 0.0 || force_n <= 0.0) return feedback;
-    feedback.force_n.z() = force_n;
-    if (sends_stiffness_) {
-      const double share = case_.tissue == Tissue::kOrgan ? kReportedShare : 1.0;
-      feedback.largest_stiffness_n_per_m = share * case_.stiffness_n_per_m;
-      feedback.stiffness_n_per_m(2, 2) = feedback.largest_stiffness_n_per_m;
+    if (case_.tool_mass_kg > 0.0) {
+      move_tool(pose.pose.position_m);
+      feedback.force_n = tool_.force_n;
+      if (sends_stiffness_) set_stiffness(feedback, tool_.stiffness_n_per_m);
+      return feedback;
     }
+    const world::FeltContact contact = touch(pose.pose.position_m);
+    feedback.force_n = contact.force_n;
+    if (sends_stiffness_) set_stiffness(feedback, contact.stiffness_n_per_m);
     return feedback;
+  }
+
+  static void set_stiffness(Feedback& feedback, const Eigen::Matrix3d& stiffness_n_per_m) {
+    feedback.stiffness_n_per_m = stiffness_n_per_m;
+    feedback.largest_stiffness_n_per_m = stiffness_n_per_m(2, 2);
+  }
+
+  /// Steps the tissue with a tool at this place. Returns its force, and the stiffness that the server knows of it.
+  world::FeltContact touch(const Eigen::Vector3d& tool_m) {
+    world::FeltContact contact{.position_m = tool_m};
+    const double force_n = force_at(std::max(-tool_m.z(), 0.0));
+    if (tool_m.z() >= 0.0 || force_n <= 0.0) return contact;
+    contact.force_n.z() = force_n;
+    contact.stiffness_n_per_m(2, 2) = (case_.tissue == Tissue::kOrgan ? kReportedShare : 1.0) * case_.stiffness_n_per_m;
+    return contact;
+  }
+
+  /// Steps the tool with a mass and its coupling to the hand's new place, as the server does.
+  void move_tool(const Eigen::Vector3d& hand_m) {
+    const double k = case_.coupling_n_per_m;
+    const world::Coupling coupling{case_.tool_mass_kg, k, 2.0 * std::sqrt(k * case_.tool_mass_kg)};
+    if (step_ == 1) felt_.position_m = hand_m_ = hand_m;
+    const Eigen::Vector3d hand_m_per_s = (hand_m - hand_m_) / period_s_;
+    hand_m_ = hand_m;
+    tool_m_per_s_ =
+        world::coupled_velocity(coupling, felt_.position_m, tool_m_per_s_, hand_m, hand_m_per_s, felt_, period_s_);
+    const world::FeltContact before = felt_;
+    felt_ = touch(before.position_m + period_s_ * tool_m_per_s_);
+    tool_.force_n = k * (felt_.position_m - hand_m) + coupling.damping_n_s_per_m * (tool_m_per_s_ - hand_m_per_s);
+    tool_.stiffness_n_per_m = world::in_series(k, felt_.stiffness_n_per_m);
+    world::raise(felt_, before, std::numeric_limits<double>::infinity());
   }
 
   /// Steps the tissue to a depth.
@@ -186,6 +218,11 @@ class SimulatedServer final : public Link {
   std::uint64_t step_ = 0;
   std::optional<OutgoingPose> taken_;
   double relaxed_m_ = 0.0;
+  // Only for a tool with a mass.
+  Eigen::Vector3d hand_m_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d tool_m_per_s_ = Eigen::Vector3d::Zero();
+  world::FeltContact felt_;  // at the tool's place
+  world::FeltContact tool_;  // what the hand feels
 };
 
 /// Passes everything on to a device and records its motion.

@@ -58,6 +58,10 @@ struct Case {
   double loss = 0.0;
   Hand hand = Hand::kSoft;
   std::uint32_t seed = 1;
+  /// Mass of the tool and stiffness of its critically damped coupling, which are the server's (world/coupling.h).
+  /// Without a mass the tool is at the hand's place.
+  double tool_mass_kg = 0.0;
+  double coupling_n_per_m = 1000.0;
 };
 
 /// The press from first contact to the end of the hold.

@@ -52,6 +52,29 @@ TEST(Feedback, IsValidForNoTimeWithoutALocalModel) {
   EXPECT_TRUE(feedback.stiffness_n_per_m.isZero(0.0));
 }
 
+// A tool with a mass is elsewhere than the hand, and the local model belongs to the hand.
+TEST(Feedback, TheLocalModelIsAtItsAnchorIfItHasOne) {
+  v1::ToolFeedback message = good();
+  message.mutable_local_model()->mutable_anchor_m()->set_y(0.3);
+  EXPECT_EQ(decode_feedback(message.SerializeAsString(), 0)->position_m, Eigen::Vector3d(0.0, 0.3, 0.0));
+  message.mutable_local_model()->mutable_anchor_m()->set_y(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_NE(refusal(message).find("position"), std::string::npos);
+}
+
+TEST(Pose, HasTheAngleOfTheJawsIfTheDeviceHasOne) {
+  OutgoingPose pose;
+  std::string bytes;
+  encode_pose(pose, bytes);
+  v1::ToolPose message;
+  ASSERT_TRUE(message.ParseFromString(bytes));
+  EXPECT_EQ(message.joint_values_size(), 0);
+  pose.pose.jaw_angle_rad = 0.4;
+  encode_pose(pose, bytes);
+  ASSERT_TRUE(message.ParseFromString(bytes));
+  ASSERT_EQ(message.joint_values_size(), 1);
+  EXPECT_EQ(message.joint_values(0), 0.4);
+}
+
 TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto with = [](auto change) {

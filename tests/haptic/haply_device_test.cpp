@@ -65,9 +65,9 @@ TEST(HaplyDevice, WithoutAServiceNamesTheUrlAndTheRemedy) {
 
 TEST(HaplyDevice, RefusesOptionsWithoutMeaning) {
   HaplyOptions flat, nowhere, twisted;
-  flat.scale = 0.0;
-  nowhere.scene_center_m.x() = std::numeric_limits<double>::quiet_NaN();
-  twisted.rotation.coeffs().setZero();
+  flat.workspace.scale = 0.0;
+  nowhere.workspace.scene_center_m.x() = std::numeric_limits<double>::quiet_NaN();
+  twisted.workspace.rotation.coeffs().setZero();
   for (const HaplyOptions& options : {flat, nowhere, twisted}) {
     const auto opened = HaplyDevice(options).open();
     ASSERT_FALSE(opened);

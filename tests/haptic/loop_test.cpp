@@ -247,7 +247,9 @@ TEST(Loop, AnInvalidPoseHasNoForceForItsTickOnly) {
        {DevicePose{{0.1, kNan, 0.3}, upright}, DevicePose{{std::numeric_limits<double>::infinity(), 0.0, 0.0}, upright},
         DevicePose{{0.0, 0.0, -1.1e6}, upright}, DevicePose{good.position_m, Eigen::Quaterniond(1.01, 0.0, 0.0, 0.0)},
         DevicePose{good.position_m, Eigen::Quaterniond(0.0, 0.0, 0.0, 0.0)},
-        DevicePose{good.position_m, Eigen::Quaterniond(1.0, kNan, 0.0, 0.0)}}) {
+        DevicePose{good.position_m, Eigen::Quaterniond(1.0, kNan, 0.0, 0.0)},
+        DevicePose{good.position_m, upright, kNan}, DevicePose{good.position_m, upright, 2.6},
+        DevicePose{good.position_m, upright, -0.1}}) {
     Bench bench;
     bench.answer_with({0.0, 0.0, 1.0});
     int reads = 0;

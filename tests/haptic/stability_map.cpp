@@ -1,8 +1,12 @@
 // tensormass-haptic-stability-map: presses the haptic client against walls over bad networks, and prints one line of
 // JSON for each case and chain. stability_map.py runs it and draws the map; closed_loop.h says what a case is.
+//
+// `tensormass-haptic-stability-map coupling` prints results/coupling.csv instead: what a tool with a mass changes.
 
+#include <algorithm>
 #include <array>
 #include <cstdio>
+#include <string_view>
 
 #include <spdlog/fmt/fmt.h>
 
@@ -41,9 +45,43 @@ void run(const Case& c) {
   for (std::size_t i = 0; i < kChainCount; ++i) print(c, Chain(i), run_seeds(c, Chain(i), is_random ? kSeeds : 1));
 }
 
+/// Presses against 5000 N/m at 60 Hz, over four delays and with three hands for each row.
+void print_couplings() {
+  fmt::print("chain,tissue,mass_kg,coupling_n_per_m,rests,shakes,grows,kinetic_energy_mj,generated_energy_mj\n");
+  for (const Chain chain : {Chain::kFull, Chain::kTransmittedWithController, Chain::kTransmitted}) {
+    for (const Tissue tissue : kTissues) {
+      for (const auto& [mass_kg, coupling] : {std::pair{0.0, 0.0}, std::pair{0.01, 500.0}, std::pair{0.05, 500.0},
+                                              std::pair{0.2, 500.0}, std::pair{0.05, 1000.0}}) {
+        std::array<int, 3> motions{};
+        double kinetic_j = 0.0, generated_j = 0.0;
+        for (const double delay_ms : {0.0, 5.0, 20.0, 50.0}) {
+          for (const Hand hand : kHands) {
+            const Outcome o = run_case({.tissue = tissue,
+                                        .stiffness_n_per_m = 5000.0,
+                                        .delay_s = delay_ms * kSPerMs,
+                                        .hand = hand,
+                                        .tool_mass_kg = mass_kg,
+                                        .coupling_n_per_m = coupling},
+                                       chain);
+            ++motions[static_cast<std::size_t>(o.motion)];
+            kinetic_j = std::max(kinetic_j, o.kinetic_energy_j[2]);
+            generated_j = std::max(generated_j, o.generated_energy_j);
+          }
+        }
+        fmt::print("{},{},{},{},{},{},{},{:.3g},{:.3g}\n", name_of(chain), name_of(tissue), mass_kg, coupling,
+                   motions[0], motions[1], motions[2], 1e3 * kinetic_j, 1e3 * generated_j);
+      }
+    }
+  }
+}
+
 }  // namespace
 
-int main() {
+int main(int argc, char** argv) {
+  if (argc > 1 && std::string_view(argv[1]) == "coupling") {
+    print_couplings();
+    return 0;
+  }
   Case c;
   for (const double stiffness : kStiffnesses) {
     c.stiffness_n_per_m = stiffness;

@@ -97,5 +97,30 @@ TEST(StabilityMap, ACaseRepeatsExactly) {
   EXPECT_EQ(first.amplitude_m, second.amplitude_m);
 }
 
+// A hand that falls into 5000 N/m before the force arrives is thrown out by a spring of 500 N/m instead. Fails if the
+// coupling passes the tissue's own force on.
+TEST(StabilityMap, ACouplingSoftensTheContactOfALateForce) {
+  for (const Chain chain : {Chain::kFull, Chain::kTransmittedWithController}) {
+    std::array<int, 2> rests{};
+    std::array<double, 2> generated_j{};
+    for (const double delay_s : {0.0, 0.005, 0.02, 0.05}) {
+      for (const Hand hand : {Hand::kSoft, Hand::kStiff, Hand::kNone}) {
+        Case c{.stiffness_n_per_m = 5000.0, .delay_s = delay_s, .hand = hand, .coupling_n_per_m = 500.0};
+        for (const std::size_t coupled : {0, 1}) {
+          c.tool_mass_kg = coupled == 1 ? 0.05 : 0.0;
+          const Outcome outcome = run_case(c, chain);
+          EXPECT_NE(outcome.motion, Motion::kGrows) << name_of(chain) << " " << delay_s << " s, " << name_of(hand);
+          rests[coupled] += outcome.motion == Motion::kRests;
+          generated_j[coupled] = std::max(generated_j[coupled], outcome.generated_energy_j);
+        }
+      }
+    }
+    EXPECT_LT(generated_j[1], generated_j[0] / 2) << name_of(chain);
+    if (chain == Chain::kTransmittedWithController) {
+      EXPECT_GT(rests[1], rests[0] + 6) << "it replaces a local model";
+    }
+  }
+}
+
 }  // namespace
 }  // namespace tensormass::haptic

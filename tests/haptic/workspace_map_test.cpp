@@ -44,6 +44,11 @@ TEST(WorkspaceMap, KeepsTheSignOfWork) {
   EXPECT_NEAR(map.force_to_device(force).dot(to - from), force.dot(in_scene) / map.scale, 1e-12);
 }
 
+TEST(WorkspaceMap, LeavesTheJawsAsTheyAre) {
+  const DevicePose pose{Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(), 0.4};
+  EXPECT_EQ(turned_and_scaled().to_scene(pose).jaw_angle_rad, 0.4);
+}
+
 // A hand that moves 1 mm moves 2 mm in the scene, so a spring of 100 N/m there is 200 N/m in the hand.
 TEST(WorkspaceMap, DividesTheLimitsOfStiffnessAndDampingByTheScale) {
   const DeviceInfo scene = turned_and_scaled().to_scene(DeviceInfo{"device", 3.0, 200.0, 5.0});

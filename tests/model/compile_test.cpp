@@ -1,5 +1,6 @@
 #include "model/compile.h"
 
+#include <limits>
 #include <numeric>
 
 #include <gtest/gtest.h>
@@ -41,6 +42,46 @@ TEST(Compile, TakesTheDefaultsThatTheProtocolNames) {
   EXPECT_NEAR(tool.penalty_pa_per_m, 20 * 5e3 / 0.01, 1e-6);
   EXPECT_EQ(tool.initial_pose.orientation, (std::array<double, 4>{1, 0, 0, 0}));
   EXPECT_NEAR(tool.plane_strain_modulus_pa, 5e3 / (1 - 0.4 * 0.4), 1e-9);
+}
+
+TEST(Compile, ACouplingIsCriticallyDampedByDefault) {
+  v1::Scene scene = tests::block_with_probe();
+  EXPECT_EQ(compiled(scene).tools.at(0).mass_kg, 0) << "without a mass the tool is at its pose";
+  scene.mutable_tools(0)->set_mass_kg(0.1);
+  const Model model = compiled(scene);
+  EXPECT_EQ(model.tools.at(0).mass_kg, 0.1);
+  EXPECT_EQ(model.tools.at(0).coupling_stiffness_n_per_m, 1000);
+  EXPECT_NEAR(model.tools.at(0).coupling_damping_n_s_per_m, 20, 1e-12) << "2 sqrt(k m)";
+}
+
+TEST(Compile, RefusesACouplingThatCannotMoveItsTool) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  struct Wrong {
+    double mass_kg, stiffness, damping;
+    bool fixed;
+    const char* words;
+  };
+  for (const Wrong& wrong :
+       {Wrong{0, 1, 1, false, "tool 'probe'.mass_kg"}, Wrong{nan, 1, 1, false, "tool 'probe'.mass_kg"},
+        Wrong{1e4, 1, 1, false, "tool 'probe'.mass_kg"}, Wrong{1, 0, 1, false, "coupling_stiffness_n_per_m"},
+        Wrong{1, 1, -1, false, "coupling_damping_n_s_per_m"}, Wrong{1, 1, nan, false, "coupling_damping_n_s_per_m"},
+        Wrong{1, 1, 1, true, "a fixed tool does not move"}}) {
+    v1::Scene scene = tests::block_with_probe();
+    v1::Tool& tool = *scene.mutable_tools(0);
+    tool.set_mass_kg(wrong.mass_kg);
+    tool.set_coupling_stiffness_n_per_m(wrong.stiffness);
+    tool.set_coupling_damping_n_s_per_m(wrong.damping);
+    tool.set_fixed(wrong.fixed);
+    const auto model = compile(scene, {});
+    ASSERT_FALSE(model) << wrong.words;
+    EXPECT_EQ(model.error().code, ErrorCode::kInvalidArgument);
+    EXPECT_NE(model.error().message.find(wrong.words), std::string::npos) << model.error().message;
+  }
+  v1::Scene scene = tests::block_with_probe();
+  scene.mutable_tools(0)->set_coupling_damping_n_s_per_m(1);
+  const auto model = compile(scene, {});
+  ASSERT_FALSE(model);
+  EXPECT_NE(model.error().message.find("a coupling needs mass_kg"), std::string::npos) << model.error().message;
 }
 
 TEST(Compile, PenaltyFollowsTheStiffestLawOfTheScene) {

@@ -288,8 +288,12 @@ def test_tools_of_any_kind_are_added_by_name() -> None:
         length_m=0.2,
         tip_offset_m=(0, 0, -0.1),
         joint_values=[0.5],
+        mass_kg=0.1,
+        coupling_stiffness_n_per_m=500,
     )
     assert tool.joint_values == [0.5]
+    assert (tool.mass_kg, tool.coupling_stiffness_n_per_m) == (0.1, 500)
+    assert not tool.HasField("coupling_damping_n_s_per_m")
     assert tool.orientation == scene_pb2.Quaternion(x=1)
     assert tool.capsule == scene_pb2.Capsule(radius_m=0.005, length_m=0.2, tip_offset_m=scene_pb2.Vector3(z=-0.1))
     with pytest.raises(tm.InvalidArgumentError, match=r"hook: there is no kind 'capsul'.*capsule"):

@@ -70,6 +70,19 @@ TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {
   EXPECT_EQ(feedback.local_model().valid_for_s(), local_model_validity_s(model));
 }
 
+/// The local model of a tool with a mass belongs to the place of the hand, and the tool is elsewhere.
+TEST(Messages, FeedbackOfAToolWithAMassHasAnAnchor) {
+  model::Model model = two_bodies_and_a_probe();
+  ToolReading reading;
+  reading.hand_m = {1, 2, 3};
+  v1::ToolFeedback feedback;
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_FALSE(feedback.local_model().has_anchor_m());
+  model.tools[0].mass_kg = 0.1;
+  fill_feedback(model, {}, 0, reading, feedback);
+  EXPECT_EQ(feedback.local_model().anchor_m().y(), 2);
+}
+
 /// The times are those of the server's clock, so a client that adds transport needs no common clock.
 TEST(Messages, FeedbackSaysWhereItsTimeWent) {
   using std::chrono::milliseconds;

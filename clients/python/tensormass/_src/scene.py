@@ -339,6 +339,9 @@ class Scene:
         friction_coefficient: float = 0.0,
         joint_values: Vector = (),
         fixed: bool = False,
+        mass_kg: float | None = None,
+        coupling_stiffness_n_per_m: float | None = None,
+        coupling_damping_n_s_per_m: float | None = None,
         **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -349,6 +352,9 @@ class Scene:
             friction_coefficient: Coulomb's coefficient between the tool and tissue; 0 for a smooth tool.
             joint_values: one for each joint [rad or m]; empty: the least of each.
             fixed: whether it is an obstacle, for which poses are refused.
+            mass_kg: makes the tool a rigid body that a spring and a damper pull towards its pose; the hand feels those.
+            coupling_stiffness_n_per_m: of that spring; None: 1000.
+            coupling_damping_n_s_per_m: of that damper; None: critical.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
@@ -365,6 +371,9 @@ class Scene:
                 friction_coefficient=friction_coefficient,
                 joint_values=joint_values,
                 fixed=fixed,
+                mass_kg=mass_kg,
+                coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
+                coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
                 shape=shape,
             )
         )

@@ -68,6 +68,9 @@ def make_tool(
     friction_coefficient: float,
     joint_values: Vector,
     fixed: bool,
+    mass_kg: float | None,
+    coupling_stiffness_n_per_m: float | None,
+    coupling_damping_n_s_per_m: float | None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -81,6 +84,9 @@ def make_tool(
         friction_coefficient=friction_coefficient,
         joint_values=finite_numbers(joint_values, f"{name}.joint_values"),
         fixed=fixed,
+        mass_kg=mass_kg,
+        coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
+        coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
     )
     message = getattr(tool, kind)
     message.SetInParent()

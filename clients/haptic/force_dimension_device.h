@@ -1,0 +1,74 @@
+#pragma once
+
+// A device of Force Dimension (omega, delta, sigma, lambda) or a Novint Falcon, through the maker's library libdhd.
+//
+// Reasons:
+// 1. The library is loaded when the device opens. This client is thus built and distributed without the maker's kit.
+// 2. The library exchanges with the controller on its own and each call returns at once, so the loop's thread calls it.
+// 3. The force is taken off by a zero force and then by switching forces off. The controller's brakes then damp a grip
+//    that was let go.
+//
+// Functions, constants, units and axes are declared from the maker's public reference, "DHD - Haptic SDK Documentation"
+// of SDK 3.17 (forcedimension.com): chapters "Axis Convention", "Device Modes" and the pages of the functions below.
+// SDK 3.6 of 2015 already has them all.
+//
+// Units: m, N, in the scene's frame. Untested on hardware: tests/haptic has a library that stands for the maker's.
+
+#include <memory>
+#include <string>
+
+#include <Eigen/Core>
+
+#include "haptic/device.h"
+#include "haptic/workspace_map.h"
+
+namespace tensormass::haptic {
+
+/// Limits of all devices of the library, because it does not tell those of the one that is open.
+///
+/// Force 8 N: less than a Falcon's 9 N, the weakest of them. Stiffness 2000 N/m: an omega's data sheet states 14 500
+/// N/m at the controller's own rate of 4 kHz or more; the loop runs at 1 kHz and its force waits for the next exchange.
+/// Damping 5 N s/m: as for the other devices, because the velocity is a difference of sampled positions.
+inline const DeviceInfo kForceDimensionLimits{"Force Dimension", 8.0, 2000.0, 5.0};
+
+struct ForceDimensionOptions {
+  /// The maker's library: a path, or a name that the system's loader finds.
+  std::string library = "libdhd.so.3";
+  /// Serial number of the device; empty: the first that is free.
+  std::string serial;
+  Workspace workspace;
+  /// The tool has jaws, which follow the angle of the device's gripper.
+  bool moves_jaws = false;
+};
+
+class ForceDimensionDevice final : public Device {
+ public:
+  explicit ForceDimensionDevice(ForceDimensionOptions options);
+  ~ForceDimensionDevice() override;
+  ForceDimensionDevice(const ForceDimensionDevice&) = delete;
+  ForceDimensionDevice& operator=(const ForceDimensionDevice&) = delete;
+
+  Result<void> open() override;
+  const DeviceInfo& info() const override { return info_; }
+  Result<DevicePose> read() override;
+  Result<void> write_force(const Eigen::Vector3d& force_n) override;
+  void close() noexcept override;
+
+ private:
+  struct Functions;
+
+  /// The pose in the device's frame.
+  Result<DevicePose> read_device() const;
+  /// The library's words for what failed, with the remedy.
+  tl::unexpected<Error> failed(const char* what) const;
+
+  ForceDimensionOptions options_;
+  DeviceInfo info_;
+  WorkspaceMap map_;
+  std::unique_ptr<Functions> functions_;
+  bool open_ = false;
+  bool has_gripper_ = false;
+  char id_ = -1;
+};
+
+}  // namespace tensormass::haptic

@@ -1,0 +1,78 @@
+#include "fake_dhd.h"
+
+#include <memory>
+
+// The functions of libdhd.so.3 that the client uses, with the types of the maker's reference.
+
+namespace {
+
+using tensormass::haptic::FakeDhd;
+
+constexpr char kId = 3;
+
+std::unique_ptr<FakeDhd> device = std::make_unique<FakeDhd>();
+
+int result_of(const char* function) {
+  const auto found = device->results.find(function);
+  return found == device->results.end() ? 0 : found->second;
+}
+
+int call(const char* function, char id) {
+  device->calls.emplace_back(function);
+  if (id != kId) device->misuse.push_back(std::string(function) + " of an unknown device");
+  return result_of(function);
+}
+
+}  // namespace
+
+extern "C" {
+
+FakeDhd* fake_dhd() {
+  device = std::make_unique<FakeDhd>();
+  return device.get();
+}
+
+int dhdOpen() { return call("dhdOpen", kId) < 0 ? -1 : kId; }
+
+int dhdOpenSerial(int serial) {
+  device->serial = serial;
+  return call("dhdOpenSerial", kId) < 0 ? -1 : kId;
+}
+
+int dhdClose(char id) { return call("dhdClose", id); }
+const char* dhdGetSystemName(char) { return "omega.7 fake"; }
+bool dhdHasGripper(char) { return device->has_gripper; }
+int dhdEnableForce(unsigned char on, char id) { return call(on == 1 ? "forces on" : "forces off", id); }
+
+int dhdGetPosition(double* x, double* y, double* z, char id) {
+  if (id != kId) return -1;
+  *x = device->position_m[0];
+  *y = device->position_m[1];
+  *z = device->position_m[2];
+  return result_of("dhdGetPosition");
+}
+
+int dhdGetOrientationFrame(double rotation[3][3], char) {
+  for (int i = 0; i < 9; ++i) rotation[i / 3][i % 3] = device->rotation[i / 3][i % 3];
+  return result_of("dhdGetOrientationFrame");
+}
+
+int dhdGetGripperAngleRad(double* angle_rad, char) {
+  *angle_rad = device->gripper_angle_rad;
+  return result_of("dhdGetGripperAngleRad");
+}
+
+int dhdSetForceAndTorqueAndGripperForce(double x, double y, double z, double a, double b, double g, double grip,
+                                        char id) {
+  if (a != 0 || b != 0 || g != 0 || grip != 0) device->misuse.emplace_back("a torque or a force of the gripper");
+  device->force_n = {x, y, z};
+  const bool zero = x == 0 && y == 0 && z == 0;
+  static_cast<void>(call(zero ? "zero" : "force", id));
+  return result_of("dhdSetForceAndTorqueAndGripperForce");
+}
+
+#ifndef WITHOUT_ERRORS
+const char* dhdErrorGetLastStr() { return "words of the maker"; }
+#endif
+
+}  // extern "C"
