@@ -49,11 +49,19 @@ class Daemon:
         )
         self.control = control_pb2_grpc.ControlStub(self._channel)
         self._feeds: dict[str, Feed] = {}
+        # Answers must be taken in the order of their questions: an old list of scenes would hide a new scene.
+        self._asking = asyncio.Lock()
         self._pose_socket: zmq.Socket[bytes] | None = None
 
     async def follow(self) -> None:
         """Keeps `version` and `scenes` up to date until cancelled."""
         while True:
+            await self.refresh()
+            await asyncio.sleep(self._poll_interval_s)
+
+    async def refresh(self) -> None:
+        """Asks the daemon for its version and scenes now."""
+        async with self._asking:
             try:
                 answer = await self.control.GetVersion(control_pb2.GetVersionRequest(), timeout=RPC_TIMEOUT_S)
                 version = reached_endpoints(answer, self._address)
@@ -65,7 +73,6 @@ class Daemon:
                     self._find(version, {status.scene for status in reply.scenes})
                 else:
                     self._lose(f"the daemon on {self._address} publishes nothing over ZeroMQ (--zeromq-publish)")
-            await asyncio.sleep(self._poll_interval_s)
 
     async def close(self) -> None:
         """Closes every feed and connection."""

@@ -142,7 +142,7 @@ async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gat
             raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, running)
-        _say(args, f"\n  viewer: {running.url}\n")
+        _say(args, f"\n  viewer: {running.url}\n  to look only: {running.look_url}\n")
         yield running
 
 
