@@ -68,6 +68,9 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self.topologies: dict[str, stream_pb2.Topology] = {}
         self.frames: dict[str, stream_pb2.Frame] = {}
         self.publishes = True
+        #: Answer to GetFields, and its requests.
+        self.fields = control_pb2.GetFieldsResponse()
+        self.asked_fields: list[control_pb2.GetFieldsRequest] = []
         #: Calls that change a scene, in their order.
         self.commands: list[Message] = []
         #: Makes every call that changes a scene fail with this text; empty: they succeed.
@@ -160,6 +163,12 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         if request.scene not in self.frames:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no frame of {request.scene!r}")
         return control_pb2.GetFrameResponse(frame=self.frames[request.scene])
+
+    async def GetFields(  # noqa: N802
+        self, request: control_pb2.GetFieldsRequest, context: Call
+    ) -> control_pb2.GetFieldsResponse:
+        self.asked_fields.append(request)
+        return self.fields
 
     async def _command(self, request: Message, context: Call) -> None:
         self.commands.append(request)

@@ -22,6 +22,7 @@ from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.feed import BUS_STREAMS
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
 from tensormass_gateway.outbox import Stream
@@ -254,7 +255,7 @@ async def test_garbage_on_the_bus_is_counted_and_survived(viewer: Path) -> None:
         topology = load(daemon)
         async with browse(gateway, "liver") as page:
             await page.take(Stream.TOPOLOGY)
-            for count, stream in enumerate(Stream, start=1):
+            for count, stream in enumerate(BUS_STREAMS, start=1):
                 await daemon.wait_subscribed("liver", stream)
                 await daemon.publish("liver", stream, b"\xff\xff\xff")
                 while gateway.stats()["malformed_messages"] < count:

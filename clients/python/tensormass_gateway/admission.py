@@ -1,9 +1,9 @@
 """Admission of browsers by token, Origin header and number; and the headers of every answer.
 
-There are two tokens: one to look, one for operators, who also control scenes. Whoever knows one of them may connect from
-a page of this gateway or of an --origin, up to a number of browsers. The Origin header names the page; a program that is
-not a browser sends the gateway's own, http://host:port. A browser hides from its page why a WebSocket was refused; POST
-on the same address tells.
+There are two tokens: one to look, one for operators, who also control scenes. Whoever knows one of them may connect
+from a page of this gateway or of an --origin, up to a number of browsers. The Origin header names the page; a program
+that is not a browser sends the gateway's own, http://host:port. A browser hides from its page why a WebSocket was
+refused; POST on the same address tells.
 """
 
 from __future__ import annotations

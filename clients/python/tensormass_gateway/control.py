@@ -120,6 +120,7 @@ class Control:
         if command.lockstep:
             scene.stepping.lockstep = True
         await self._daemon.control.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=LOAD_TIMEOUT_S)
+        self._daemon.learn(scene)
         return scene.name
 
 

@@ -1,29 +1,32 @@
 """The gateway between a daemon and browsers: serves the viewer and forwards the messages of the bus.
 
 A browser speaks neither ZeroMQ nor gRPC. Nothing that a browser does may slow the daemon's step loop or fill memory
-here. Each browser therefore has one slot for each stream, which holds the newest message. The next message of a stream
-leaves only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
+here. Each browser therefore has one slot for each stream, which holds the newest message. The next message of a
+stream leaves only after the browser has acknowledged the one before. A browser that stops costs a message of memory
+for each stream.
 
     daemon --ZeroMQ--> one SUB socket (CONFLATE) per stream --> a slot per browser and stream --WebSocket--> browser
            <--gRPC--   which scenes there are, their topology
 
-On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged.
-Text messages are JSON objects with a `type`:
+On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged. Two
+streams are made here, of scenes that this gateway or its program loaded: `rest`, a Frame with the rest positions, and
+`field`, an element field on the surface (fields.py). Text messages are JSON objects with a `type`:
 
     gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
-                                  operator (whether this browser may control), poses_allowed
+                                  field_scenes, operator (whether this browser may control), poses_allowed
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
                          result   id, action, scene of a command; error (empty: it succeeded)
     browser -> gateway   watch    scene
                          ack      stream
                          clock    client_time_ms
+                         field    name: von_mises, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
                          control  id, action, scene; steps (1), lockstep (false)   (operators)
 
-The actions are pause, resume, step, reset, load and unload (control.py). `load` takes the name of a built-in scene. Its
-result has the name under which the scene runs. A pose's orientation is a quaternion of any length but zero. Without it,
-the tool turns back to its own axes. Numbers are finite. A browser that breaks this protocol is closed with code 1008 and
-the reason.
+The actions are pause, resume, step, reset, load and unload (control.py). `load` takes the name of a built-in scene.
+Its result has the name under which the scene runs. A pose's orientation is a quaternion of any length but zero.
+Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this protocol is closed
+with code 1008 and the reason.
 
 admission.py says who may connect.
 """
@@ -34,12 +37,13 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from tensormass._src import demo
+from tensormass.v1 import scene_pb2
 from tensormass_gateway.admission import Admission, secure_headers
 from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, read_command
 from tensormass_gateway.daemon import Daemon
@@ -53,6 +57,7 @@ from tensormass_gateway.requests import (
     read_request,
     rotation,
 )
+from tensormass_gateway.surface import FIELDS
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -95,7 +100,7 @@ class Browser(Watcher):
 class Gateway:
     """HTTP server: the viewer's files, and one WebSocket for each browser. Use `serve`."""
 
-    def __init__(self, options: GatewayOptions) -> None:
+    def __init__(self, options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> None:
         if not (options.viewer / "index.html").is_file():
             raise FileNotFoundError(
                 f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web, "
@@ -110,7 +115,7 @@ class Gateway:
         self._browsers: set[Browser] = set()
         if not options.operator_token:
             raise ValueError("the operators' token is empty; anybody would be an operator")
-        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce)
+        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known)
         self._control = Control(self._daemon)
         self._runner: web.AppRunner | None = None
         self._follower: asyncio.Task[None] | None = None
@@ -247,6 +252,10 @@ class Gateway:
                 task = background(self._execute(browser, read_command(request), crowded=crowded))
                 browser.commands.add(task)
                 task.add_done_callback(browser.commands.discard)
+            case {"type": "field", "name": str(name)}:
+                if name and name not in FIELDS:
+                    raise ProtocolError(f"a field is one of {', '.join(FIELDS)}")
+                self._daemon.show_field(browser, name)
             case {"type": "pose", "tool": str(tool), "position_m": position_m}:
                 if not self.options.allow_poses:
                     raise ProtocolError("this gateway takes no poses (--allow-poses)")
@@ -292,12 +301,16 @@ class Gateway:
 
 
 @contextlib.asynccontextmanager
-async def serve(options: GatewayOptions) -> AsyncIterator[Gateway]:
+async def serve(options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> AsyncIterator[Gateway]:
     """Runs a gateway: `async with serve(options) as gateway: print(gateway.url)`.
+
+    Args:
+        options: the gateway's address, and who may connect.
+        known: messages of scenes that are loaded, by name. Of these the gateway can show element fields.
 
     Raises FileNotFoundError if the viewer is not built, OSError if the address is taken.
     """
-    gateway = Gateway(options)
+    gateway = Gateway(options, known)
     try:
         await gateway.start()
         yield gateway

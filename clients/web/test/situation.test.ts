@@ -13,6 +13,9 @@ const DAEMON = {
   backend: "cpu",
   device: "d",
   posesAllowed: false,
+  operator: false,
+  builtinScenes: [],
+  fieldScenes: [],
   scenes: ["liver"],
 };
 const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null, unshown: null };
