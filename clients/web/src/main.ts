@@ -113,6 +113,7 @@ Object.assign(window, {
       scene: watched,
       topologyVersion: store.topology?.version.toString() ?? null,
       vertexCount: store.topology?.vertexCount ?? 0,
+      step: store.frame === null ? null : Number(store.frame.step),
       tools: store.frame?.tools ?? [],
       ...store.counters,
     }),

@@ -36,9 +36,10 @@ export class Display {
       box.addEventListener("change", () => this.change({ [name]: box.checked }));
     }
     // A small window shows the organ first.
-    const roomy = window.innerWidth > 760 && window.innerHeight > 560;
+    const { innerWidth: width, innerHeight: height } = window;
+    const roomy = { readings: width > 760, plots: width > 1080 && height > 700 };
     for (const [name, fold] of Object.entries(this.#folds) as ["readings" | "plots", HTMLDetailsElement][]) {
-      fold.open = this.#settings[name] ?? roomy;
+      fold.open = this.#settings[name] ?? roomy[name];
       fold.querySelector("summary")?.addEventListener("click", () => {
         // The browser toggles it after this event.
         this.change({ [name]: !fold.open });
