@@ -21,11 +21,11 @@ export class Studio {
   readonly #scene = new THREE.Scene();
   readonly #floor = new THREE.Group();
   #radiusM = 1;
-  /** What is framed, to frame it again in a window of another size. */
+  /** Bounds and upward direction of the framed scene, to frame it again in a window of another size. */
   #framed: { bounds: THREE.Box3; up: Vector } | null = null;
   /** Whether the user has moved the camera since the scene was framed. */
   #moved = false;
-  /** Part of the canvas that nothing covers, from its top and bottom [CSS pixels]. */
+  /** Panels cover so much of the canvas from its top and from its bottom [CSS pixels]. */
   #covered = { top: 0, bottom: 0 };
 
   constructor(canvas: HTMLCanvasElement, quality: Quality) {
