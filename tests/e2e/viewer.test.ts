@@ -317,18 +317,22 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   it("shows that a tool can be dragged", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "turned", cells: 2, turned_tool: true })) as number;
     const page = await open("scene=turned");
+    await page.page.setViewportSize({ width: 1200, height: 640 });
     await page.shows(vertexCount);
     await page.draws(2);
     const [x, y, z] = (await page.state()).tools[0]!.positionM;
     const at = await page.project([x, y - 0.4, z]);
     await page.page.mouse.move(at!.x, at!.y);
-    const cursor = () => page.page.locator("#view").evaluate((view) => getComputedStyle(view).cursor);
-    expect(await cursor()).toBe("grab");
+    // The browser hands pointer events to the page with its next picture.
+    const showsCursor = (cursor: string) =>
+      page.page.waitForFunction((name) => getComputedStyle(document.querySelector("#view")!).cursor === name, cursor);
+    await showsCursor("grab");
+    await page.says("#hint", /Drag to move this tool/);
     await page.page.mouse.down();
-    expect(await cursor()).toBe("grabbing");
+    await showsCursor("grabbing");
     await page.page.mouse.up();
     await page.page.mouse.move(at!.x, 100);
-    expect(await cursor()).toBe("auto");
+    await showsCursor("auto");
     await stack.ask("unload", { name: "turned" });
   });
 

@@ -93,7 +93,9 @@ class Control:
         except grpc.aio.AioRpcError as error:
             raise CommandError(error.details() or f"the daemon answered {error.code().name}") from error
         finally:
-            await self._daemon.refresh()
+            # Browsers hear of the change before the answer, not only after the next poll.
+            if command.action in (Action.LOAD, Action.UNLOAD):
+                await self._daemon.refresh()
         return command.scene
 
     async def _call(self, command: Command) -> None:

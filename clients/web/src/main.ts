@@ -2,6 +2,7 @@
 //
 // Parameters of the address: ?token= as the gateway prints it; ?scene= names the scene to show (default: the first that
 // runs); ?quality=high|low (default: high with a GPU, low without).
+import "./panel/panel.css";
 import "./style.css";
 
 import { find } from "./dom";
@@ -47,7 +48,7 @@ let wanted = address.searchParams.get("scene");
 let watched: string | null = null;
 let daemon: DaemonState | null = null;
 let watchedSinceMs = 0;
-/** The command that is not answered yet, in words. */
+/** The load or unload that is not answered yet, in words. */
 let busy: string | null = null;
 /** The element field that the gateway was asked for. */
 let field: string | null = null;
@@ -310,7 +311,9 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
   if (scene === null) {
     return;
   }
-  busy = `${action} ${scene}`;
+  // The other commands take a step's time. Keys that follow each other quickly must not get lost.
+  const slow = action === "load" || action === "unload";
+  busy = slow ? `${action} ${scene}` : busy;
   showState();
   if (action === "load") {
     toast.show(`Loading ${scene} …`, "quiet");
@@ -319,7 +322,7 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
     const { lockstep = false } = options;
     const name = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : {}) });
     toast.hide();
-    if (action === "load" || action === "unload") {
+    if (slow) {
       wanted = action === "load" ? name : null;
       writeWanted();
       chooseScene();
@@ -327,7 +330,7 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
   } catch (error) {
     toast.show(`${action} ${scene}: ${error instanceof Error ? error.message : String(error)}`, "bad");
   }
-  busy = null;
+  busy = slow ? null : busy;
   showState();
 }
 

@@ -23,7 +23,7 @@ const LOOK_ONLY = "This address only lets you look. The operator's address contr
 
 /**
  * @param watched Name of the scene on show; null if there is none.
- * @param busy Name of the command that is not answered yet; null if there is none.
+ * @param busy The load or unload that is not answered yet, in words; null if there is none.
  */
 export function controlState(
   daemon: DaemonState | null,
