@@ -61,7 +61,7 @@ test: setup-test ## Run every test: C++, Python, web, and the real page in Chrom
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
 pictures: build ## Take the pictures of docs/images again, in headless Chromium
-	@node tests/e2e/pictures.mjs retract grasp table
+	@node tests/e2e/pictures.mjs
 
 test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)

@@ -31,11 +31,11 @@ export class Stack {
     this.#lines = createInterface(this.#process.stdout)[Symbol.asyncIterator]();
   }
 
-  /** The stack and the address of its viewer. */
-  static async start(): Promise<{ stack: Stack; url: string }> {
+  /** The stack and the addresses of its viewer: for operators, and to look only. */
+  static async start(): Promise<{ stack: Stack; url: string; lookUrl: string }> {
     const stack = new Stack();
-    const { url } = (await stack.#answer()) as { url: string };
-    return { stack, url };
+    const { url, look_url } = (await stack.#answer()) as { url: string; look_url: string };
+    return { stack, url, lookUrl: look_url };
   }
 
   /** Calls a method of stack.py's Stack. */
@@ -87,6 +87,8 @@ export class Browser {
         "--disable-quic",
       ],
     });
+    // The limit of each test holds. A second one would only fail earlier on a busy machine.
+    this.#context.setDefaultTimeout(0);
     const page = await this.#context.newPage();
     const viewer = new ViewerPage(page);
     await page.goto(url);
@@ -103,6 +105,8 @@ export class Browser {
 export interface ViewerState {
   readonly scene: string | null;
   readonly vertexCount: number;
+  /** Step of the newest frame; null before the first. */
+  readonly step: number | null;
   readonly tools: readonly { readonly name: string; readonly positionM: readonly [number, number, number]; readonly orientationWxyz: readonly number[] }[];
   readonly drawn: number;
   readonly refused: number;
@@ -175,7 +179,7 @@ export class ViewerPage {
   // Hides elements one by one: the page's content policy forbids the style sheet that a screenshot could inject.
   #setReadings(visibility: string): Promise<void> {
     return this.page.evaluate(async (value) => {
-      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #labels, #notice")) {
+      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #labels, #notice, #scales, #toast")) {
         element.style.visibility = value;
       }
       await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));

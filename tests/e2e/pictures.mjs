@@ -1,19 +1,26 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs retract grasp table
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [viewer]        (default: all)
 //
-// It needs a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture is taken when
-// the force on the tool has been steady for a second.
+// `viewer` takes those of docs/viewer.md, one for each state of the page. It needs a built daemon, the built viewer and
+// Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand is taken when the force on the tool has been
+// steady for a second.
 import { spawn } from "node:child_process";
+import { statSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
-const LONGEST_WAIT_S = 60;
+const HANDS = ["retract", "grasp", "table"];
+const LONGEST_WAIT_S = 180;
 const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
+const MAX_PICTURE_BYTES = 100_000;
+const WIDE = { width: 960, height: 640 };
+const ROOMY = { width: 1280, height: 800 };
+const PHONE = { width: 390, height: 844 };
 
 /** Runs a scene until `visit` is done with the viewer's address. */
 async function withScene(name, visit) {
@@ -33,6 +40,34 @@ async function withScene(name, visit) {
     run.kill("SIGINT");
     await ended;
   }
+}
+
+/** Opens the page in a window of its own, with the display options `settings`. */
+async function open(url, size, settings = {}) {
+  const context = await browser.newContext({ viewport: size });
+  context.setDefaultTimeout(LONGEST_WAIT_S * 1000);
+  const page = await context.newPage();
+  await page.addInitScript((text) => window.localStorage.setItem("tensormass.display", text), JSON.stringify(settings));
+  // A given quality does not adapt the resolution to the software renderer.
+  await page.goto(`${url}&quality=low`);
+  return page;
+}
+
+/** Waits until an element of the page shows a text. */
+function says(page, selector, text) {
+  return page.locator(selector).filter({ hasText: text, visible: true }).waitFor();
+}
+
+/** Saves the picture and closes the page. */
+async function save(page, name) {
+  const path = join(ROOT, "docs", "images", `${name}.jpg`);
+  await page.screenshot({ path, type: "jpeg", quality: 80 });
+  await page.context().close();
+  const bytes = statSync(path).size;
+  if (bytes > MAX_PICTURE_BYTES) {
+    throw new Error(`${path} has ${bytes} bytes, the limit is ${MAX_PICTURE_BYTES}`);
+  }
+  console.log(path);
 }
 
 /** Hides the readings: they are those of a browser that draws in software. */
@@ -60,22 +95,65 @@ async function steady(page) {
   throw new Error(`no steady force above ${LEAST_FORCE_N} N within ${LONGEST_WAIT_S} s`);
 }
 
+async function takeHand(name) {
+  await withScene(name, async (url) => {
+    const page = await open(url, WIDE);
+    await steady(page);
+    await hideReadings(page);
+    await save(page, name);
+  });
+}
+
+/** One picture for each state of the page. */
+async function takeViewer() {
+  await withScene("retract", async (url) => {
+    const empty = await open(`${url}&scene=kidney`, WIDE);
+    await says(empty, "#notice", "no scene");
+    await empty.locator("#scenes > summary").click();
+    await save(empty, "viewer-empty");
+
+    // Without help this beam inverts, and its guard stops it.
+    const stopped = await open(`${url}&scene=beam`, WIDE, { readings: false });
+    await says(stopped, "#notice", "no scene");
+    await stopped.locator("#scenes > summary").click();
+    await stopped.locator("#builtin").selectOption("beam");
+    await stopped.locator("#load").click();
+    await says(stopped, "#notice", "Scene stopped");
+    await says(stopped, "#display > summary", "Display");
+    await save(stopped, "viewer-error");
+
+    const colours = { colouring: "displacement", rulers: true, readings: false, plots: true };
+    const coloured = await open(url, ROOMY, colours);
+    await says(coloured, "#legend-title", "from rest");
+    await steady(coloured);
+    await coloured.locator("#display > summary").click();
+    await save(coloured, "viewer-coloured");
+
+    const clipped = await open(url, WIDE, { colouring: "von_mises", clipAxis: "x", clipShare: 0.6, readings: false });
+    await says(clipped, "#legend-title", "Von Mises");
+    await steady(clipped);
+    await save(clipped, "viewer-clip");
+
+    const phone = await open(url, PHONE);
+    await steady(phone);
+    await save(phone, "viewer-phone");
+
+    const paused = await open(url, WIDE, { readings: false });
+    await steady(paused);
+    await paused.locator("#pause").click();
+    await says(paused, "#link", "Paused");
+    await save(paused, "viewer-paused");
+  });
+}
+
 const browser = await chromium.launch({
   executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
   args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking"],
 });
 try {
-  for (const name of process.argv.slice(2)) {
-    await withScene(name, async (url) => {
-      const page = await browser.newPage({ viewport: { width: 960, height: 640 } });
-      await page.goto(url);
-      await steady(page);
-      await hideReadings(page);
-      const path = join(ROOT, "docs", "images", `${name}.jpg`);
-      await page.screenshot({ path, type: "jpeg", quality: 85 });
-      await page.close();
-      console.log(path);
-    });
+  const wanted = process.argv.length > 2 ? process.argv.slice(2) : [...HANDS, "viewer"];
+  for (const name of wanted) {
+    await (name === "viewer" ? takeViewer() : takeHand(name));
   }
 } finally {
   await browser.close();

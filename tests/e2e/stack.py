@@ -1,7 +1,7 @@
 """Runs a daemon, its scenes and the gateway for the browser's test, controlled over stdin and stdout.
 
 Each line on stdin is a JSON request {"do": name, ...}; each gets one line on stdout, {"result": ...} or {"error": ...}.
-The first line on stdout is {"url": ...}. The end of stdin ends everything.
+The first line on stdout is {"url": ..., "look_url": ...}. The end of stdin ends everything.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ async def main() -> None:
             max_browsers=MAX_BROWSERS,
         )
         async with serve(options) as gateway:
-            answer({"url": gateway.url})
+            answer({"url": gateway.url, "look_url": gateway.look_url})
             while line := await asyncio.to_thread(sys.stdin.readline):
                 request = json.loads(line)
                 work: Callable[..., Any] = getattr(stack, request.pop("do"))

@@ -22,6 +22,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   const browser = new Browser();
   let stack: Stack;
   let url: string;
+  let lookUrl: string;
   let viewer: ViewerPage | null = null;
 
   const open = async (parameters: string) => {
@@ -30,7 +31,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
   };
 
   beforeAll(async () => {
-    ({ stack, url } = await Stack.start());
+    ({ stack, url, lookUrl } = await Stack.start());
   });
 
   afterEach(async () => {
@@ -217,6 +218,124 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "turned" });
   });
 
+  it("pauses, resumes and resets a scene for an operator", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
+    const page = await open("scene=cube");
+    await page.shows(vertexCount);
+    await page.says("#link", /Live/);
+    expect(await page.page.locator("#step").getAttribute("title")).toMatch(/Only a scene in lockstep/);
+    await page.page.locator("#pause").click();
+    await page.says("#link", /Paused/);
+    const paused = (await page.state()).step!;
+    expect(paused).toBeGreaterThan(0);
+
+    await page.page.keyboard.press("Home");
+    await page.page.waitForFunction(() => window.tensormass.state().step === 0);
+    await page.says("#link", /Paused/);
+    await page.page.locator("#pause").click();
+    await page.says("#link", /Live/);
+    await page.page.waitForFunction(() => window.tensormass.state().step! > 0);
+    await stack.ask("unload", { name: "cube" });
+  });
+
+  it("loads a built-in scene to step by hand, colours it by displacement and stress, and unloads it", async () => {
+    const page = await open("scene=nothing");
+    await page.says("#notice", /no scene "nothing".*Load one with \+/s);
+    await page.page.locator("#scenes > summary").click();
+    await page.page.locator("#builtin").selectOption("cantilever");
+    await page.page.locator("#lockstep").check();
+    await page.page.locator("#load").click();
+    await page.says("#link", /^Lockstep$/);
+    expect(new URL(page.page.url()).searchParams.get("scene")).toBe("cantilever");
+    await page.page.waitForFunction(() => window.tensormass.state().step === 0);
+    const before = await page.picture();
+
+    await page.page.keyboard.press("c");
+    await page.says("#legend-title", /^Displacement from rest$/);
+    const unmoved = await page.picture();
+    await page.page.locator("#step").click();
+    await page.page.waitForFunction(() => window.tensormass.state().step === 1);
+    await page.says("#legend-ticks", /mm$/);
+    const bent = await page.picture();
+    const inside = (x: number, y: number) => x > 250 && y < 560;
+    expect(difference(before, unmoved, inside)).toBeGreaterThan(1);
+    expect(difference(unmoved, bent, inside)).toBeGreaterThan(1);
+
+    await page.page.locator("#display > summary").click();
+    await page.page.locator("#colouring").selectOption("von_mises");
+    await page.says("#legend-title", /^Von Mises stress$/);
+    await page.says("#legend-ticks", /Pa$/);
+    await page.page.locator("#clip-axis").selectOption("x");
+    expect(difference(bent, await page.picture(), inside)).toBeGreaterThan(1);
+    const [saved] = await Promise.all([page.page.waitForEvent("download"), page.page.locator("#picture").click()]);
+    expect(saved.suggestedFilename()).toMatch(/^tensormass-cantilever-[\d.]+s\.png$/);
+
+    // The page remembers its display.
+    await page.page.reload();
+    await page.says("#legend-title", /^Von Mises stress$/);
+    expect(await page.page.locator("#clip-axis").inputValue()).toBe("x");
+    await page.page.evaluate(() => window.localStorage.clear());
+
+    await page.page.keyboard.press("Escape");
+    await page.page.locator("#scenes > summary").click();
+    await page.page.locator("#unload").click();
+    await page.says("#notice", /The daemon has no scene/);
+  });
+
+  it("shows an operator why a command failed", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
+    const page = await open("scene=cube");
+    await page.shows(vertexCount);
+    await page.says("#link", /Live/);
+    // A list that is older than the gateway.
+    await page.page.evaluate(() => {
+      Object.defineProperty(document.querySelector("#builtin"), "value", { value: "missing" });
+    });
+    await page.page.locator("#scenes > summary").click();
+    await page.page.locator("#load").click();
+    await page.says("#toast", /load missing: there is no built-in scene 'missing'/);
+    await page.page.keyboard.press("Escape");
+    await page.page.locator("#toast").waitFor({ state: "hidden" });
+    await stack.ask("unload", { name: "cube" });
+  });
+
+  it("disables the controls, with a reason, for who only looks", async () => {
+    await stack.ask("load_grid", { name: "cube", cells: 2, turned_tool: true });
+    viewer = await browser.open(`${lookUrl}&quality=low&scene=cube`);
+    await viewer.says("#link", /Live/);
+    for (const id of ["pause", "step", "restart", "load", "unload"]) {
+      const button = viewer.page.locator(`#${id}`);
+      expect(await button.isDisabled()).toBe(true);
+      expect(await button.getAttribute("title")).toMatch(/only lets you look/);
+    }
+    await viewer.page.keyboard.press(" ");
+    await viewer.draws(2);
+    await viewer.says("#link", /Live/);
+    await stack.ask("unload", { name: "cube" });
+  });
+
+  it("shows that a tool can be dragged", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "turned", cells: 2, turned_tool: true })) as number;
+    const page = await open("scene=turned");
+    await page.page.setViewportSize({ width: 1200, height: 640 });
+    await page.shows(vertexCount);
+    await page.draws(2);
+    const [x, y, z] = (await page.state()).tools[0]!.positionM;
+    const at = await page.project([x, y - 0.4, z]);
+    await page.page.mouse.move(at!.x, at!.y);
+    // The browser hands pointer events to the page with its next picture.
+    const showsCursor = (cursor: string) =>
+      page.page.waitForFunction((name) => getComputedStyle(document.querySelector("#view")!).cursor === name, cursor);
+    await showsCursor("grab");
+    await page.says("#hint", /Drag to move this tool/);
+    await page.page.mouse.down();
+    await showsCursor("grabbing");
+    await page.page.mouse.up();
+    await page.page.mouse.move(at!.x, 100);
+    await showsCursor("auto");
+    await stack.ask("unload", { name: "turned" });
+  });
+
   it("lets the user close a notice and open it again", async () => {
     await stack.ask("load", { scene: "beam", name: "broken" }); // faults without help
     const page = await open("scene=broken");
@@ -274,7 +393,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
         link: box("#link"),
         picker: box("#scene"),
         panel: box("aside"),
-        tools: box("#tools"),
+        tools: box("#display > summary"),
         notice: box("#notice"),
         close: box("#notice-close"),
         scrolls: shown.scrollHeight > shown.clientHeight,

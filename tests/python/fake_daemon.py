@@ -15,6 +15,7 @@ import grpc
 import numpy as np
 import zmq
 import zmq.asyncio
+from google.protobuf.message import Message
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
@@ -67,6 +68,16 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         self.topologies: dict[str, stream_pb2.Topology] = {}
         self.frames: dict[str, stream_pb2.Frame] = {}
         self.publishes = True
+        #: Answer to GetFields, and its requests.
+        self.fields = control_pb2.GetFieldsResponse()
+        self.asked_fields: list[control_pb2.GetFieldsRequest] = []
+        #: Calls that change a scene, in their order.
+        self.commands: list[Message] = []
+        #: Makes every call that changes a scene fail with this text; empty: they succeed.
+        self.refusal = ""
+        #: Holds every call that changes a scene until it is set.
+        self.released = asyncio.Event()
+        self.released.set()
         self._subscriptions: dict[bytes, int] = {}
         self._changed = asyncio.Condition()
         self._context = zmq.asyncio.Context()
@@ -152,6 +163,56 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         if request.scene not in self.frames:
             await context.abort(grpc.StatusCode.NOT_FOUND, f"no frame of {request.scene!r}")
         return control_pb2.GetFrameResponse(frame=self.frames[request.scene])
+
+    async def GetFields(  # noqa: N802
+        self, request: control_pb2.GetFieldsRequest, context: Call
+    ) -> control_pb2.GetFieldsResponse:
+        self.asked_fields.append(request)
+        return self.fields
+
+    async def _command(self, request: Message, context: Call) -> None:
+        self.commands.append(request)
+        await self.released.wait()
+        if self.refusal:
+            await context.abort(grpc.StatusCode.FAILED_PRECONDITION, self.refusal)
+
+    async def PauseScene(  # noqa: N802
+        self, request: control_pb2.PauseSceneRequest, context: Call
+    ) -> control_pb2.PauseSceneResponse:
+        await self._command(request, context)
+        return control_pb2.PauseSceneResponse()
+
+    async def ResumeScene(  # noqa: N802
+        self, request: control_pb2.ResumeSceneRequest, context: Call
+    ) -> control_pb2.ResumeSceneResponse:
+        await self._command(request, context)
+        return control_pb2.ResumeSceneResponse()
+
+    async def StepScene(  # noqa: N802
+        self, request: control_pb2.StepSceneRequest, context: Call
+    ) -> control_pb2.StepSceneResponse:
+        await self._command(request, context)
+        return control_pb2.StepSceneResponse()
+
+    async def ResetScene(  # noqa: N802
+        self, request: control_pb2.ResetSceneRequest, context: Call
+    ) -> control_pb2.ResetSceneResponse:
+        await self._command(request, context)
+        return control_pb2.ResetSceneResponse()
+
+    async def LoadScene(  # noqa: N802
+        self, request: control_pb2.LoadSceneRequest, context: Call
+    ) -> control_pb2.LoadSceneResponse:
+        await self._command(request, context)
+        self.topologies[request.scene.name] = triangle_topology(request.scene.name)
+        return control_pb2.LoadSceneResponse()
+
+    async def UnloadScene(  # noqa: N802
+        self, request: control_pb2.UnloadSceneRequest, context: Call
+    ) -> control_pb2.UnloadSceneResponse:
+        await self._command(request, context)
+        del self.topologies[request.scene]
+        return control_pb2.UnloadSceneResponse()
 
 
 def _bind(socket: zmq.asyncio.Socket, port: int) -> int:

@@ -17,10 +17,12 @@ from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream
 
 TOKEN = "a-token"
+OPERATOR_TOKEN = "an-operators-token"
 
 
 def options(viewer: Path, control: str = "127.0.0.1:1", **change: object) -> GatewayOptions:
-    return GatewayOptions(control=control, token=TOKEN, viewer=viewer, poll_interval_s=0.05, **change)
+    given = {"token": TOKEN, "operator_token": OPERATOR_TOKEN, "poll_interval_s": 0.05, **change}
+    return GatewayOptions(control=control, viewer=viewer, **given)
 
 
 class Page:
@@ -28,11 +30,18 @@ class Page:
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
+        self.daemon: dict[str, Any] = {}
+        """First message about a daemon that answers."""
         self._texts: list[dict[str, Any]] = []
         self._binaries: list[bytes] = []
 
     async def send(self, **message: object) -> None:
         await self.socket.send_json(message)
+
+    async def command(self, action: str, scene: str, **fields: object) -> dict[str, Any]:
+        """Sends a command and returns its result."""
+        await self.send(type="control", id=7, action=action, scene=scene, **fields)
+        return await self.text(lambda message: message["type"] == "result")
 
     async def text(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The next text message that is `wanted`; others before it are dropped."""
@@ -92,13 +101,13 @@ def origin(gateway: Gateway) -> str:
 
 
 @contextlib.asynccontextmanager
-async def browse(gateway: Gateway, scene: str | None = None) -> AsyncIterator[Page]:
+async def browse(gateway: Gateway, scene: str | None = None, token: str = OPERATOR_TOKEN) -> AsyncIterator[Page]:
     async with (
         aiohttp.ClientSession() as session,
-        session.ws_connect(f"{origin(gateway)}/stream?token={TOKEN}", origin=origin(gateway)) as socket,
+        session.ws_connect(f"{origin(gateway)}/stream?token={token}", origin=origin(gateway)) as socket,
     ):
         page = Page(socket)
-        await page.text(lambda message: message["type"] == "daemon" and not message["problem"])
+        page.daemon = await page.text(lambda message: message["type"] == "daemon" and not message["problem"])
         if scene is not None:
             await page.send(type="watch", scene=scene)
         yield page

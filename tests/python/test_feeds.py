@@ -34,7 +34,7 @@ class Control:
 
 def feed_of(control: Control) -> tuple[Feed, Outbox]:
     """A feed and what waits for the one who watches it."""
-    daemon: Any = SimpleNamespace(control=control, version=control_pb2.GetVersionResponse(server="s"))
+    daemon: Any = SimpleNamespace(control=control, known={}, version=control_pb2.GetVersionResponse(server="s"))
     feed, watcher = Feed("liver", daemon), Watcher()
     feed.add(watcher)
     return feed, watcher.outbox

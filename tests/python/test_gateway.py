@@ -22,6 +22,7 @@ from fake_daemon import Endpoints, fake_daemon, frame_of, triangle_topology
 from gateway_parts import browse, load, options, origin, publish
 
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.feed import BUS_STREAMS
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import GatewayOptions, add_arguments, options_from
 from tensormass_gateway.outbox import Stream
@@ -254,7 +255,7 @@ async def test_garbage_on_the_bus_is_counted_and_survived(viewer: Path) -> None:
         topology = load(daemon)
         async with browse(gateway, "liver") as page:
             await page.take(Stream.TOPOLOGY)
-            for count, stream in enumerate(Stream, start=1):
+            for count, stream in enumerate(BUS_STREAMS, start=1):
                 await daemon.wait_subscribed("liver", stream)
                 await daemon.publish("liver", stream, b"\xff\xff\xff")
                 while gateway.stats()["malformed_messages"] < count:
@@ -467,13 +468,26 @@ def test_arguments_stay_on_loopback_unless_told_otherwise() -> None:
 def test_arguments_reach_the_gateway(viewer: Path) -> None:
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    given = ["--host", "::1", "--port", "8000", "--token", "t", "--max-browsers", "3", "--allow-poses"]
+    given = [
+        "--host",
+        "::1",
+        "--port",
+        "8000",
+        "--token",
+        "t",
+        "--operator-token",
+        "o",
+        "--max-browsers",
+        "3",
+        "--allow-poses",
+    ]
     given += ["--viewer", str(viewer), "--origin", "http://a:1", "--origin", "http://b"]
     wanted = GatewayOptions(
         control="c:1",
         host="::1",
         port=8000,
         token="t",
+        operator_token="o",
         max_browsers=3,
         origins=("http://a:1", "http://b"),
         allow_poses=True,
@@ -485,7 +499,7 @@ def test_arguments_reach_the_gateway(viewer: Path) -> None:
 @asynchronous
 async def test_address_of_ipv6_has_brackets(viewer: Path) -> None:
     gateway = Gateway(options(viewer, host="::1", port=8000))
-    assert gateway.url == "http://[::1]:8000/?token=a-token"
+    assert gateway.look_url == "http://[::1]:8000/?token=a-token"
     await gateway.stop()
 
 
@@ -502,8 +516,11 @@ def test_program_prints_its_address_writes_the_ready_file_and_ends_on_sigterm(vi
             line = process.stdout.readline()
             said = json.loads(ready.read_text())
             assert line == f"viewer: {said['url']}\n"
-            assert said["url"] == f"http://127.0.0.1:{said['port']}/?token={said['token']}"
+            address = f"http://127.0.0.1:{said['port']}/?token="
+            assert said["url"] == address + said["operator_token"]
+            assert process.stdout.readline() == f"to look only: {address}{said['token']}\n"
             assert len(said["token"]) >= 32
+            assert len(said["operator_token"]) >= 32
             assert stat.S_IMODE(ready.stat().st_mode) == 0o600
             assert said["pid"] == process.pid
             os.kill(process.pid, signal.SIGTERM)

@@ -1,8 +1,9 @@
 """Admission of browsers by token, Origin header and number; and the headers of every answer.
 
-Whoever knows the token may connect from a page of this gateway or of an --origin, up to a number of browsers. The
-Origin header names the page; a program that is not a browser sends the gateway's own, http://host:port. A browser hides
-from its page why a WebSocket was refused; POST on the same address tells.
+There are two tokens: one to look, one for operators, who also control scenes. Whoever knows one of them may connect
+from a page of this gateway or of an --origin, up to a number of browsers. The Origin header names the page; a program
+that is not a browser sends the gateway's own, http://host:port. A browser hides from its page why a WebSocket was
+refused; POST on the same address tells.
 """
 
 from __future__ import annotations
@@ -83,13 +84,22 @@ class Admission:
 
     def check_token(self, request: web.Request) -> None:
         """Refuses a request without the token."""
-        given = request.query.get("token", "")
-        if not hmac.compare_digest(given.encode(), self._options.token.encode()):
+        looks = _same(request.query.get("token", ""), self._options.token)
+        if not looks and not self.is_operator(request):
             self._refuse(web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n"))
+
+    def is_operator(self, request: web.Request) -> bool:
+        """Tells whether a request has the operators' token."""
+        return _same(request.query.get("token", ""), self._options.operator_token)
 
     def _refuse(self, error: web.HTTPException) -> None:
         self.refused_connections += 1
         raise error
+
+
+def _same(given: str, token: str) -> bool:
+    """Compares in a time that does not depend on the given text."""
+    return hmac.compare_digest(given.encode(), token.encode())
 
 
 @web.middleware

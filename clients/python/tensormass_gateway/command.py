@@ -16,12 +16,13 @@ from tensormass_gateway.options import options_from
 
 
 def write_ready_file(path: Path, gateway: Gateway) -> None:
-    """Writes the ready file in one step, readable by its owner only, because it holds the token."""
+    """Writes the ready file in one step, readable by its owner only, because it holds the tokens."""
     content = {
         "url": gateway.url,
         "host": gateway.options.host,
         "port": gateway.port,
         "token": gateway.options.token,
+        "operator_token": gateway.options.operator_token,
         "pid": os.getpid(),
     }
     with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=path.name, delete=False) as file:
@@ -47,7 +48,7 @@ async def _run(args: argparse.Namespace) -> None:
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, gateway)
         if getattr(args, "json", False):
-            print(json.dumps({"url": gateway.url, "server": args.server}), flush=True)
+            print(json.dumps({"url": gateway.url, "look_url": gateway.look_url, "server": args.server}), flush=True)
         else:
-            print(f"viewer: {gateway.url}\ndaemon: {args.server}", flush=True)
+            print(f"viewer: {gateway.url}\nto look only: {gateway.look_url}\ndaemon: {args.server}", flush=True)
         await stopped.wait()

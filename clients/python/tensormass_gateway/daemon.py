@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import grpc
@@ -27,7 +27,13 @@ log = logging.getLogger(__name__)
 class Daemon:
     """The connection to a daemon: found over gRPC, followed over ZeroMQ, lost and found again."""
 
-    def __init__(self, control: str, poll_interval_s: float, on_change: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        control: str,
+        poll_interval_s: float,
+        on_change: Callable[[], None],
+        known: Mapping[str, scene_pb2.Scene] | None = None,
+    ) -> None:
         self.zeromq = zmq.asyncio.Context()
         self.version = control_pb2.GetVersionResponse()
         self.scenes: set[str] = set()
@@ -35,6 +41,8 @@ class Daemon:
         """Reason why there are no streams; empty while the daemon answers."""
         self.malformed = 0
         """Number of messages from the bus that were not protobuf."""
+        self.known = dict(known or {})
+        """Messages of loaded scenes, by name. They have meshes, which the bus does not carry."""
         self._address = control
         self._poll_interval_s = poll_interval_s
         self._on_change = on_change
@@ -49,11 +57,19 @@ class Daemon:
         )
         self.control = control_pb2_grpc.ControlStub(self._channel)
         self._feeds: dict[str, Feed] = {}
+        # Answers must be taken in the order of their questions: an old list of scenes would hide a new scene.
+        self._asking = asyncio.Lock()
         self._pose_socket: zmq.Socket[bytes] | None = None
 
     async def follow(self) -> None:
         """Keeps `version` and `scenes` up to date until cancelled."""
         while True:
+            await self.refresh()
+            await asyncio.sleep(self._poll_interval_s)
+
+    async def refresh(self) -> None:
+        """Asks the daemon for its version and scenes now."""
+        async with self._asking:
             try:
                 answer = await self.control.GetVersion(control_pb2.GetVersionRequest(), timeout=RPC_TIMEOUT_S)
                 version = reached_endpoints(answer, self._address)
@@ -65,7 +81,6 @@ class Daemon:
                     self._find(version, {status.scene for status in reply.scenes})
                 else:
                     self._lose(f"the daemon on {self._address} publishes nothing over ZeroMQ (--zeromq-publish)")
-            await asyncio.sleep(self._poll_interval_s)
 
     async def close(self) -> None:
         """Closes every feed and connection."""
@@ -79,7 +94,7 @@ class Daemon:
         """Moves `watcher` to `scene`, which may be loaded later."""
         self.leave(watcher)
         watcher.outbox.clear()
-        watcher.scene = scene
+        watcher.scene, watcher.field = scene, ""
         feed = self._feeds.get(scene)
         if feed is None:
             feed = self._feeds[scene] = Feed(scene, self)
@@ -95,6 +110,19 @@ class Daemon:
             if not feed.watchers:
                 feed.close()
                 del self._feeds[feed.scene]
+
+    def show_field(self, watcher: Watcher, name: str) -> None:
+        """Sends `watcher` the element field `name` of its scene from now on; empty: none."""
+        feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
+        if feed is not None:
+            feed.show_field(watcher, name)
+
+    def learn(self, scene: scene_pb2.Scene) -> None:
+        """Takes the message of a scene that was loaded."""
+        self.known[scene.name] = scene
+        if scene.name in self._feeds:
+            self._feeds[scene.name].learn()
+        self._on_change()
 
     def move_tool(
         self, watcher: Watcher, tool: str, position_m: Sequence[float], orientation_wxyz: Sequence[float] | None
@@ -139,6 +167,7 @@ class Daemon:
             "backend": self.version.backend,
             "device": self.version.device,
             "scenes": sorted(self.scenes),
+            "field_scenes": sorted(self.scenes & self.known.keys()),
         }
 
     def _find(self, version: control_pb2.GetVersionResponse, present: set[str]) -> None:
@@ -152,6 +181,7 @@ class Daemon:
             elif feed.scene in self.scenes - present:
                 feed.close()
         self.scenes = present
+        self.known = {name: scene for name, scene in self.known.items() if name in present}
         if self.state() != before:
             self._on_change()
 
@@ -165,6 +195,8 @@ class Daemon:
     def _forget(self) -> None:
         # A daemon that comes back is another one, with other scenes and endpoints, whatever its name.
         self.scenes = set()
+        if self.version.server:
+            self.known = {}
         for feed in self._feeds.values():
             feed.close()
         self._close_pose_socket()

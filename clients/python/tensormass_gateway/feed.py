@@ -15,8 +15,10 @@ import zmq
 import zmq.asyncio
 from google.protobuf.message import DecodeError, Message
 
-from tensormass.v1 import control_pb2, control_pb2_grpc, stream_pb2
+from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass_gateway.fields import FieldPoll
 from tensormass_gateway.outbox import Stream, Watcher
+from tensormass_gateway.surface import MismatchError, rest_positions
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -27,6 +29,9 @@ MAX_BUS_MESSAGE_BYTES = 512 << 20
 
 RPC_TIMEOUT_S = 5.0
 
+BUS_STREAMS = (Stream.TOPOLOGY, Stream.STATUS, Stream.FRAME)
+"""Streams that come from the bus. The gateway makes the others."""
+
 
 class Bus(Protocol):
     """The parts of `daemon.Daemon` that a feed needs."""
@@ -35,6 +40,7 @@ class Bus(Protocol):
     version: control_pb2.GetVersionResponse
     control: control_pb2_grpc.ControlStub
     malformed: int
+    known: dict[str, scene_pb2.Scene]
 
 
 class Feed:
@@ -44,10 +50,13 @@ class Feed:
         self.scene = scene
         self.watchers: set[Watcher] = set()
         self.topology: stream_pb2.Topology | None = None
+        self.step: int | None = None
+        """Step of the newest frame or status; None before the first."""
         self._daemon = daemon
         self._latest: dict[Stream, bytes] = {}
         self._last_sequence = 0
         self._tasks: list[asyncio.Task[None]] = []
+        self._fields = FieldPoll(self)
 
     def open(self) -> None:
         """Subscribes again and forgets what was received, which may come from a daemon that has ended."""
@@ -59,6 +68,7 @@ class Feed:
         }
         self._tasks = [background(self._receive(stream, handler)) for stream, handler in receivers.items()]
         self._tasks.append(background(self._fetch_first()))
+        self._tasks.append(background(self._fields.run()))
 
     def close(self) -> None:
         for task in self._tasks:
@@ -66,6 +76,7 @@ class Feed:
         self._tasks = []
         self._latest.clear()
         self.topology = None
+        self.step = None
         self._last_sequence = 0
 
     def add(self, watcher: Watcher) -> None:
@@ -74,9 +85,40 @@ class Feed:
         for stream in Stream:
             if stream in self._latest:
                 watcher.outbox.offer(stream, self._latest[stream])
+        self._fields.wake()
+
+    def show_field(self, watcher: Watcher, name: str) -> None:
+        """Sends `watcher` the element field `name` from now on; empty: none."""
+        watcher.field = name
+        self._fields.wake()
+
+    @property
+    def control(self) -> control_pb2_grpc.ControlStub:
+        return self._daemon.control
+
+    @property
+    def known(self) -> scene_pb2.Scene | None:
+        """Returns the scene's message, if this gateway or its program loaded it."""
+        return self._daemon.known.get(self.scene)
+
+    def learn(self) -> None:
+        """Computes what the scene's message tells, which has become known."""
+        if self.topology is not None and self.known is not None:
+            self._tasks.append(background(self._publish_rest(self.topology, self.known)))
+        self._fields.wake()
+
+    async def _publish_rest(self, topology: stream_pb2.Topology, scene: scene_pb2.Scene) -> None:
+        try:
+            positions = await asyncio.to_thread(rest_positions, scene, topology)
+        except MismatchError as error:
+            log.info("scene %s: no rest positions: %s", self.scene, error)
+            return
+        if self.topology is topology and len(positions):
+            rest = stream_pb2.Frame(topology_version=topology.version, positions=positions.tobytes())
+            self._publish(Stream.REST, self._message(Stream.REST, rest))
 
     async def _receive(self, stream: Stream, handler: Callable[[bytes], Coroutine[Any, Any, None]]) -> None:
-        prefix = self._key(stream)
+        prefix = self.key(stream)
         with self._daemon.zeromq.socket(zmq.SUB) as socket:
             # CONFLATE keeps one message for each socket, so every stream has its own socket.
             socket.setsockopt(zmq.CONFLATE, 1)
@@ -118,14 +160,16 @@ class Feed:
         if topology != self.topology:
             self.topology = topology
             self._latest.pop(Stream.FRAME, None)
+            self._latest.pop(Stream.REST, None)
             self._publish(Stream.TOPOLOGY, self._message(Stream.TOPOLOGY, topology))
+            self.learn()
 
     async def _on_topology(self, payload: bytes) -> None:
         self._set_topology(stream_pb2.Topology.FromString(payload))
 
     async def _on_status(self, payload: bytes) -> None:
-        stream_pb2.SceneStatus.FromString(payload)
-        self._publish(Stream.STATUS, self._key(Stream.STATUS) + payload)
+        self.step = stream_pb2.SceneStatus.FromString(payload).step
+        self._publish(Stream.STATUS, self.key(Stream.STATUS) + payload)
 
     async def _on_frame(self, payload: bytes) -> None:
         frame = stream_pb2.Frame.FromString(payload)
@@ -136,15 +180,17 @@ class Feed:
         if not known or frame.sequence <= self._last_sequence:
             await self._fetch_topology()
         self._last_sequence = frame.sequence
-        self._publish(Stream.FRAME, self._key(Stream.FRAME) + payload)
+        self.step = frame.step
+        self._publish(Stream.FRAME, self.key(Stream.FRAME) + payload)
 
     def _publish(self, stream: Stream, message: bytes) -> None:
         self._latest[stream] = message
         for watcher in self.watchers:
             watcher.outbox.offer(stream, message)
 
-    def _key(self, stream: Stream) -> bytes:
+    def key(self, stream: Stream) -> bytes:
+        """Returns the key of a stream, with its zero byte."""
         return f"tensormass/{self._daemon.version.server}/{self.scene}/{stream}\0".encode()
 
     def _message(self, stream: Stream, message: Message) -> bytes:
-        return self._key(stream) + message.SerializeToString()
+        return self.key(stream) + message.SerializeToString()

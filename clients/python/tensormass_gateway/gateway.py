@@ -1,24 +1,32 @@
 """The gateway between a daemon and browsers: serves the viewer and forwards the messages of the bus.
 
 A browser speaks neither ZeroMQ nor gRPC. Nothing that a browser does may slow the daemon's step loop or fill memory
-here. Each browser therefore has one slot for each stream, which holds the newest message. The next message of a stream
-leaves only after the browser has acknowledged the one before. A browser that stops costs three messages of memory.
+here. Each browser therefore has one slot for each stream, which holds the newest message. The next message of a
+stream leaves only after the browser has acknowledged the one before. A browser that stops costs a message of memory
+for each stream.
 
     daemon --ZeroMQ--> one SUB socket (CONFLATE) per stream --> a slot per browser and stream --WebSocket--> browser
            <--gRPC--   which scenes there are, their topology
 
-On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged.
-Text messages are JSON objects with a `type`:
+On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged. Two
+streams are made here, of scenes that this gateway or its program loaded: `rest`, a Frame with the rest positions, and
+`field`, an element field on the surface (fields.py). Text messages are JSON objects with a `type`:
 
-    gateway -> browser   daemon  problem (empty: none), server, backend, device, version, scenes, poses_allowed
-                         clock   client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
-    browser -> gateway   watch   scene
-                         ack     stream
-                         clock   client_time_ms
-                         pose    tool, position_m [3], orientation [w, x, y, z]     (only with --allow-poses)
+    gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
+                                  field_scenes, operator (whether this browser may control), poses_allowed
+                         clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
+                         result   id, action, scene of a command; error (empty: it succeeded)
+    browser -> gateway   watch    scene
+                         ack      stream
+                         clock    client_time_ms
+                         field    name: von_mises, pressure, volume_ratio; empty: no field
+                         pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
+                         control  id, action, scene; steps (1), lockstep (false)   (operators)
 
-A pose's orientation is a quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers
-are finite. A browser that breaks this protocol is closed with code 1008 and the reason.
+The actions are pause, resume, step, reset, load and unload (control.py). `load` takes the name of a built-in scene.
+Its result has the name under which the scene runs. A pose's orientation is a quaternion of any length but zero.
+Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this protocol is closed
+with code 1008 and the reason.
 
 admission.py says who may connect.
 """
@@ -29,12 +37,15 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from tensormass._src import demo
+from tensormass.v1 import scene_pb2
 from tensormass_gateway.admission import Admission, secure_headers
+from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, read_command
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import ProtocolError, Stream, Watcher
@@ -46,6 +57,7 @@ from tensormass_gateway.requests import (
     read_request,
     rotation,
 )
+from tensormass_gateway.surface import FIELDS
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -60,9 +72,12 @@ HEARTBEAT_S = 15.0
 class Browser(Watcher):
     """One connected viewer."""
 
-    def __init__(self, socket: web.WebSocketResponse) -> None:
+    def __init__(self, socket: web.WebSocketResponse, *, operator: bool) -> None:
         super().__init__()
         self.socket = socket
+        self.operator = operator
+        self.commands: set[asyncio.Task[None]] = set()
+        """Commands that are not answered yet."""
         self._daemon_state: dict[str, Any] | None = None
         self._wake = asyncio.Event()
 
@@ -85,7 +100,7 @@ class Browser(Watcher):
 class Gateway:
     """HTTP server: the viewer's files, and one WebSocket for each browser. Use `serve`."""
 
-    def __init__(self, options: GatewayOptions) -> None:
+    def __init__(self, options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> None:
         if not (options.viewer / "index.html").is_file():
             raise FileNotFoundError(
                 f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web, "
@@ -98,15 +113,22 @@ class Gateway:
         self.port = options.port
         self.closed_for_errors = 0
         self._browsers: set[Browser] = set()
-        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce)
+        if not options.operator_token:
+            raise ValueError("the operators' token is empty; anybody would be an operator")
+        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known)
+        self._control = Control(self._daemon)
         self._runner: web.AppRunner | None = None
         self._follower: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
-        """Returns the address to open, with the token."""
-        host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
-        return f"http://{host}:{self.port}/?token={self.options.token}"
+        """Returns the address to open, with the operators' token."""
+        return self._address(self.options.operator_token)
+
+    @property
+    def look_url(self) -> str:
+        """Returns the address for those who only look."""
+        return self._address(self.options.token)
 
     @property
     def browser_count(self) -> int:
@@ -124,6 +146,10 @@ class Gateway:
             "closed_for_errors": self.closed_for_errors,
             "malformed_messages": self._daemon.malformed,
         }
+
+    def _address(self, token: str) -> str:
+        host = f"[{self.options.host}]" if ":" in self.options.host else self.options.host
+        return f"http://{host}:{self.port}/?token={token}"
 
     async def start(self) -> None:
         """Starts to listen. Raises OSError if the address is taken."""
@@ -148,6 +174,8 @@ class Gateway:
         if self._follower is not None:
             self._follower.cancel()
         for browser in list(self._browsers):
+            for command in browser.commands:
+                command.cancel()
             await browser.socket.close(code=WSCloseCode.GOING_AWAY, message=b"the gateway stops")
         if self._runner is not None:
             await self._runner.cleanup()
@@ -167,13 +195,13 @@ class Gateway:
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         self._admission.check(request, len(self._browsers))
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
-        browser = Browser(socket)
+        browser = Browser(socket, operator=self._admission.is_operator(request))
         # Counts the browser before the handshake, so that no burst passes the limit.
         self._browsers.add(browser)
         senders: list[asyncio.Task[None]] = []
         try:
             await socket.prepare(request)
-            browser.tell_daemon_state(self._daemon_state())
+            browser.tell_daemon_state(self._daemon_state(browser))
             senders = [background(browser.send_messages()), background(browser.send_daemon_states())]
             await self._listen(browser)
         except ProtocolError as error:
@@ -218,9 +246,21 @@ class Gateway:
                 if not is_name(scene):
                     raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
                 self._daemon.watch(browser, scene)
+            case {"type": "control"}:
+                # Counted here: a burst is read before its first command starts.
+                crowded = len(browser.commands) >= MAX_WAITING
+                task = background(self._execute(browser, read_command(request), crowded=crowded))
+                browser.commands.add(task)
+                task.add_done_callback(browser.commands.discard)
+            case {"type": "field", "name": str(name)}:
+                if name and name not in FIELDS:
+                    raise ProtocolError(f"a field is one of {', '.join(FIELDS)}")
+                self._daemon.show_field(browser, name)
             case {"type": "pose", "tool": str(tool), "position_m": position_m}:
                 if not self.options.allow_poses:
                     raise ProtocolError("this gateway takes no poses (--allow-poses)")
+                if not browser.operator:
+                    raise ProtocolError("only an operator moves tools")
                 position = finite_numbers(position_m, 3)
                 if position is None or max(map(abs, position)) > MAX_COORDINATE_M:
                     raise ProtocolError("position_m is not three finite numbers [m]")
@@ -229,21 +269,48 @@ class Gateway:
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
-    def _daemon_state(self) -> dict[str, Any]:
-        return {"type": "daemon", **self._daemon.state(), "poses_allowed": self.options.allow_poses}
+    async def _execute(self, browser: Browser, command: Command, *, crowded: bool) -> None:
+        """Executes a command and answers it. Frames keep flowing meanwhile, because a load takes long."""
+        error, scene = "", command.scene
+        try:
+            if not browser.operator:
+                raise CommandError("this address only lets you look; open the operator's address")
+            if crowded:
+                raise CommandError(f"{MAX_WAITING} commands wait for an answer; wait for them")
+            scene = await self._control.execute(command)
+        except CommandError as failure:
+            error = str(failure)
+        except Exception:  # an error of our own; the operator still gets an answer
+            log.exception("%s of scene %s failed", command.action, command.scene)
+            error = "the gateway failed; its log says why"
+        result = {"type": "result", "id": command.id, "action": command.action, "scene": scene, "error": error}
+        await browser.socket.send_json(result)
+
+    def _daemon_state(self, browser: Browser) -> dict[str, Any]:
+        return {
+            "type": "daemon",
+            **self._daemon.state(),
+            "builtin_scenes": demo.builtin_scenes(),
+            "operator": browser.operator,
+            "poses_allowed": self.options.allow_poses and browser.operator,
+        }
 
     def _announce(self) -> None:
         for browser in self._browsers:
-            browser.tell_daemon_state(self._daemon_state())
+            browser.tell_daemon_state(self._daemon_state(browser))
 
 
 @contextlib.asynccontextmanager
-async def serve(options: GatewayOptions) -> AsyncIterator[Gateway]:
+async def serve(options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> AsyncIterator[Gateway]:
     """Runs a gateway: `async with serve(options) as gateway: print(gateway.url)`.
+
+    Args:
+        options: the gateway's address, and who may connect.
+        known: messages of scenes that are loaded, by name. Of these the gateway can show element fields.
 
     Raises FileNotFoundError if the viewer is not built, OSError if the address is taken.
     """
-    gateway = Gateway(options)
+    gateway = Gateway(options, known)
     try:
         await gateway.start()
         yield gateway

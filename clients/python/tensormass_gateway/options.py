@@ -30,10 +30,14 @@ class GatewayOptions:
     port: int = 0
     """0 takes a free port."""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    """Token of those who look."""
+    operator_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    """Token of those who also control scenes."""
     max_browsers: int = 16
     origins: tuple[str, ...] = ()
     """Origins that may connect in addition to the gateway's own pages."""
     allow_poses: bool = False
+    """Whether operators may move tools."""
     viewer: Path = DEFAULT_VIEWER
     poll_interval_s: float = 1.0
     """Period at which the daemon is asked for its scenes. A restarted daemon is found as soon."""
@@ -43,7 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the gateway's options, for `tensormass view` and `tensormass run`."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s, loopback)")
     parser.add_argument("--port", type=int, default=0, help="port to listen on; 0: a free one (default)")
-    parser.add_argument("--token", default=None, help="what a browser must know (default: random)")
+    parser.add_argument("--token", default=None, help="what a browser must know to look (default: random)")
+    parser.add_argument(
+        "--operator-token", default=None, help="what a browser must know to control scenes (default: random)"
+    )
     parser.add_argument("--max-browsers", type=int, default=16, help="browsers at once (default: %(default)s)")
     parser.add_argument(
         "--origin",
@@ -54,20 +61,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="let in pages of this origin too, such as http://viewer.example:8000: needed where a page's address is a "
         "name other than localhost and this machine's (repeatable)",
     )
-    parser.add_argument("--allow-poses", action="store_true", help="let browsers move tools (default: they only look)")
+    parser.add_argument(
+        "--allow-poses", action="store_true", help="let operators move tools with the pointer (default: they do not)"
+    )
     parser.add_argument("--viewer", type=Path, default=DEFAULT_VIEWER, help="folder of the built viewer")
     parser.add_argument(
         "--gateway-ready-file",
         type=Path,
         default=None,
         metavar="PATH",
-        help="write {url, host, port, token, pid} as JSON when listening",
+        help="write {url, host, port, token, operator_token, pid} as JSON when listening",
     )
 
 
 def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
     """Makes options of the arguments of `add_arguments`, for the daemon at `control` (host:port)."""
-    optional = {} if args.token is None else {"token": args.token}
+    tokens = {"token": args.token, "operator_token": args.operator_token}
     return GatewayOptions(
         control=control,
         host=args.host,
@@ -76,7 +85,7 @@ def options_from(args: argparse.Namespace, control: str) -> GatewayOptions:
         origins=tuple(args.origin),
         allow_poses=args.allow_poses,
         viewer=args.viewer,
-        **optional,
+        **{name: token for name, token in tokens.items() if token is not None},
     )
 
 

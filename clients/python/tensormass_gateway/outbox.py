@@ -11,8 +11,14 @@ class Stream(enum.StrEnum):
     """Streams that a browser gets, in the order in which they leave: a frame needs its topology."""
 
     TOPOLOGY = "topology"
+    REST = "rest"
     STATUS = "status"
     FRAME = "frame"
+    FIELD = "field"
+
+
+OF_THE_TOPOLOGY = frozenset({Stream.REST, Stream.FRAME, Stream.FIELD})
+"""Streams whose messages have a value for each vertex."""
 
 
 class ProtocolError(Exception):
@@ -39,7 +45,7 @@ class Outbox:
     def offer(self, stream: Stream, message: bytes) -> None:
         """Puts `message` into its slot and replaces the one that waited there."""
         if stream is Stream.TOPOLOGY:
-            self._drop_frame()
+            self._drop_values()
         if stream is Stream.FRAME and stream in self._waiting:
             self._replaced_since_frame += 1
         self._waiting[stream] = message
@@ -48,7 +54,7 @@ class Outbox:
     def clear(self) -> None:
         """Forgets messages and counts, when the browser turns to another scene."""
         self._waiting.clear()
-        self._drop_frame()
+        self._drop_values()
         self.replaced = 0
 
     def acknowledge(self, stream: Stream) -> None:
@@ -71,8 +77,8 @@ class Outbox:
             await self._changed.wait()
 
     def _may_leave(self, stream: Stream) -> bool:
-        # Frames wait while their topology has not left.
-        held_back = stream is Stream.FRAME and Stream.TOPOLOGY in self._waiting
+        # A browser must not get values that do not fit what it draws.
+        held_back = stream in OF_THE_TOPOLOGY and Stream.TOPOLOGY in self._waiting
         return stream in self._waiting and stream not in self._on_the_way and not held_back
 
     def _count_frame(self) -> None:
@@ -81,9 +87,10 @@ class Outbox:
         self._replaced_since_frame = 0
         self._frame_left = True
 
-    def _drop_frame(self) -> None:
-        """Drops the waiting frame and the count before it, because both belong to the previous topology."""
-        self._waiting.pop(Stream.FRAME, None)
+    def _drop_values(self) -> None:
+        """Drops the values that wait and the count of frames, because they belong to the previous topology."""
+        for stream in OF_THE_TOPOLOGY:
+            self._waiting.pop(stream, None)
         self._replaced_since_frame = 0
         self._frame_left = False
 
@@ -94,5 +101,7 @@ class Watcher:
     def __init__(self) -> None:
         self.outbox = Outbox()
         self.scene: str | None = None
+        self.field = ""
+        """Element field that it shows as colours; empty: none."""
         self.client_id = secrets.randbits(63) | 1
         self.pose_sequence = 0

@@ -32,6 +32,7 @@ from tensormass._src.processes import ChildProcess, end_explained, find_program,
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server
+from tensormass.v1 import scene_pb2
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
 from tensormass_tools import hand, presets
@@ -123,7 +124,11 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
         if args.verbose and handle.report is not None:
             _say(args, report_text(handle.report, scene.message))
-        viewer = None if args.no_viewer else await parts.enter_async_context(_viewer(args, server))
+        viewer = (
+            None
+            if args.no_viewer
+            else await parts.enter_async_context(_viewer(args, server, {handle.name: scene.message}))
+        )
         if args.json:
             print_json({"control": server.address, **({"viewer": viewer.url} if viewer is not None else {})})
         hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
@@ -134,13 +139,15 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
 
 
 @contextlib.asynccontextmanager
-async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gateway]:
+async def _viewer(
+    args: argparse.Namespace, server: Server, known: dict[str, scene_pb2.Scene]
+) -> AsyncIterator[Gateway]:
     from tensormass_gateway.command import write_ready_file
     from tensormass_gateway.gateway import serve
 
     async with contextlib.AsyncExitStack() as parts:
         try:
-            running = await parts.enter_async_context(serve(options_from(args, server.address)))
+            running = await parts.enter_async_context(serve(options_from(args, server.address), known))
         except FileNotFoundError as error:
             raise UnavailableError(f"{error}; or run with --no-viewer") from error
         except (OSError, UnicodeError) as error:  # UnicodeError: an impossible host name
@@ -149,7 +156,7 @@ async def _viewer(args: argparse.Namespace, server: Server) -> AsyncIterator[Gat
             raise UnavailableError(f"{where}: no viewer can be served: {reason}") from error
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, running)
-        _say(args, f"\n  viewer: {running.url}\n")
+        _say(args, f"\n  viewer: {running.url}\n  to look only: {running.look_url}\n")
         yield running
 
 

@@ -20,7 +20,6 @@ export interface Readings {
 export interface Actions {
   readonly pickScene: (scene: string) => void;
   readonly resetView: () => void;
-  readonly toggleTools: () => void;
 }
 
 const UNKNOWN = "–";
@@ -38,21 +37,12 @@ export class Hud {
   constructor(actions: Actions) {
     this.#picker.addEventListener("change", () => actions.pickScene(this.#picker.value));
     element("reset").addEventListener("click", actions.resetView);
-    element("tools").addEventListener("click", actions.toggleTools);
     element("notice-close").addEventListener("click", () => this.#setNoticeClosed(true));
     this.#pill.addEventListener("click", () => this.#setNoticeClosed(!this.#noticeClosed));
-    window.addEventListener("keydown", (event) => {
-      if (event.ctrlKey || event.metaKey || event.altKey) {
-        return;
-      }
-      if (event.key === "r") {
-        actions.resetView();
-      } else if (event.key === "t") {
-        actions.toggleTools();
-      } else if (event.key === "Escape") {
-        this.#setNoticeClosed(true);
-      }
-    });
+  }
+
+  hideNotice(): void {
+    this.#setNoticeClosed(true);
   }
 
   showScenes(daemon: DaemonState, chosen: string | null): void {
@@ -84,6 +74,7 @@ export class Hud {
     write("step-time", status ? (1e3 * status.stepTimeP99S).toFixed(1) : UNKNOWN);
     write("missed", status ? String(status.missedDeadlines) : UNKNOWN);
     write("iterations", status ? String(status.cgIterations) : UNKNOWN);
+    write("summary", status ? `${trim(status.reachedRateHz)} Hz · step ${(1e3 * status.stepTimeP50S).toFixed(1)} ms` : "Readings");
     write("residual", status ? `res. ${status.cgRelativeResidual.toExponential(0)}` : "");
     const lawRangeUsed = status?.lawRangeUsed ?? 0;
     element("law-range-row").hidden = lawRangeUsed === 0;

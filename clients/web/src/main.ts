@@ -2,15 +2,33 @@
 //
 // Parameters of the address: ?token= as the gateway prints it; ?scene= names the scene to show (default: the first that
 // runs); ?quality=high|low (default: high with a GPU, low without).
+import "./panel/panel.css";
 import "./style.css";
 
 import { find } from "./dom";
 import { Hud } from "./hud";
+import { Controls, controlState, type Action } from "./panel/controls";
+import { Display } from "./panel/display";
+import { listenToKeys } from "./panel/keys";
+import { LegendPanel, Toast } from "./panel/legend";
+import { savePicture } from "./panel/picture";
+import { Plots } from "./panel/plots";
+import { loadSettings, type Settings } from "./panel/settings";
 import { linkSituation, sceneSituation, type Situation } from "./situation";
 import { GatewayClock } from "./stream/clock";
 import { Connection, type ClockReply, type DaemonState, type Diagnosis, type LinkState } from "./stream/connection";
-import { decodeFrame, decodeStatus, decodeTopology, splitMessage, type StreamName, type Vector } from "./stream/decode";
+import {
+  decodeField,
+  decodeFrame,
+  decodeStatus,
+  decodeTopology,
+  splitMessage,
+  type StreamName,
+  type Vector,
+} from "./stream/decode";
 import { SceneStore } from "./stream/store";
+import { colourTable } from "./view/colouring";
+import type { Hand } from "./view/drag";
 import { chooseQuality } from "./view/quality";
 import { originFor } from "./view/tip";
 import { Viewer } from "./view/viewer";
@@ -22,26 +40,33 @@ const address = new URL(window.location.href);
 const token = address.searchParams.get("token") ?? "";
 const quality = chooseQuality(address.searchParams.get("quality"));
 const store = new SceneStore();
+const plots = new Plots();
+const legend = new LegendPanel();
+const toast = new Toast();
 const clock = new GatewayClock();
 let wanted = address.searchParams.get("scene");
 let watched: string | null = null;
 let daemon: DaemonState | null = null;
 let watchedSinceMs = 0;
+/** The load or unload that is not answered yet, in words. */
+let busy: string | null = null;
+/** The element field that the gateway was asked for. */
+let field: string | null = null;
+let valuesRevision = 0;
 let replaced = 0;
 let drawn: { atMs: number; ageMs: number | null }[] = [];
 
 const hud = new Hud({
   pickScene(scene) {
     wanted = scene;
-    address.searchParams.set("scene", scene);
-    window.history.replaceState(null, "", address);
+    writeWanted();
     chooseScene();
   },
   resetView: () => viewer.resetView(),
-  toggleTools: () => viewer.toggleTools(),
 });
 
 const viewer = openViewer();
+const controls = new Controls({ command: (action, options) => void command(action, options) });
 
 const streamAddress = `//${address.host}/stream?token=${encodeURIComponent(token)}`;
 const connection = new Connection({
@@ -49,6 +74,34 @@ const connection = new Connection({
   events: { onLink, onDaemon, onMessage, onClock },
   diagnose,
 });
+
+const display = new Display({ change: changeDisplay, setZero: () => store.setZero(), takePicture });
+const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
+listenToKeys({
+  " ": () => controls.press("pause"),
+  s: () => controls.press("step"),
+  Home: () => controls.press("restart"),
+  r: () => viewer.resetView(),
+  t: () => display.change({ tools: !display.settings.tools }),
+  w: () => display.change({ wireframe: !display.settings.wireframe }),
+  a: () => display.change({ rulers: !display.settings.rulers }),
+  c: () => display.nextColouring(),
+  p: takePicture,
+  d: () => find("#display", HTMLDetailsElement).toggleAttribute("open"),
+  Escape: () => {
+    hud.hideNotice();
+    toast.hide();
+    menus.forEach((menu) => (menu.open = false));
+  },
+});
+// A click beside a menu closes it.
+document.addEventListener("pointerdown", (event) => {
+  for (const menu of menus) {
+    menu.open &&= event.target instanceof Node && menu.contains(event.target);
+  }
+});
+new ResizeObserver(coverView).observe(find("#bottom", HTMLElement));
+window.addEventListener("resize", coverView);
 
 document.addEventListener("visibilitychange", () => connection.setPaused(document.hidden));
 connection.setPaused(document.hidden);
@@ -61,6 +114,7 @@ Object.assign(window, {
       scene: watched,
       topologyVersion: store.topology?.version.toString() ?? null,
       vertexCount: store.topology?.vertexCount ?? 0,
+      step: store.frame === null ? null : Number(store.frame.step),
       tools: store.frame?.tools ?? [],
       ...store.counters,
     }),
@@ -70,12 +124,14 @@ Object.assign(window, {
 
 function openViewer(): Viewer {
   try {
-    return new Viewer(find("canvas", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, {
+    return new Viewer(find("#view", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, loadSettings(), {
       onDrawn(serverTimeNs) {
         const atMs = performance.now();
         drawn.push({ atMs, ageMs: store.followsAnother ? clock.ageMs(serverTimeNs, atMs) : null });
       },
       onToolMoved: moveTool,
+      onHand: showHand,
+      onLegend: (meaning) => legend.show(meaning),
     });
   } catch (error) {
     const detail = "This browser has no WebGL 2; enable hardware acceleration or use another browser.";
@@ -101,6 +157,7 @@ function onDaemon(state: DaemonState): void {
   if (state.posesAllowed) {
     viewer.enableDrag();
   }
+  showHand("away");
   chooseScene();
 }
 
@@ -119,8 +176,12 @@ function chooseScene(): void {
     watched = target;
     watchedSinceMs = performance.now();
     connection.watch(target);
+    field = null;
   }
+  askForField();
   hud.showScenes(daemon, watched ?? wanted);
+  const known = watched !== null && daemon.fieldScenes.includes(watched);
+  display.offerFields(known ? null : "Stress needs the elements, which this gateway knows only of scenes that it loaded.");
   showState();
 }
 
@@ -129,12 +190,14 @@ function forget(): void {
   watched = null;
   replaced = 0;
   store.clear();
+  plots.clear();
 }
 
 function showState(): void {
   if (daemon !== null) {
     show(sceneSituation(daemon, wanted, watched, store));
   }
+  controls.show(controlState(daemon, watched, store.status, busy), daemon, watched);
 }
 
 function show(situation: Situation): void {
@@ -154,9 +217,18 @@ function onMessage(data: ArrayBuffer): void {
           break;
         case "frame":
           store.setFrame(decodeFrame(message.payload));
+          plotForces();
+          break;
+        case "rest":
+          store.setRest(decodeFrame(message.payload));
+          break;
+        case "field":
+          store.setField(decodeField(message.payload));
           break;
         case "status":
           store.setStatus(decodeStatus(message.payload));
+          plotStatus();
+          showState();
           break;
       }
     }
@@ -167,6 +239,10 @@ function onMessage(data: ArrayBuffer): void {
   }
   if (stream !== null) {
     connection.acknowledge(stream);
+  }
+  if (valuesRevision !== store.valuesRevision) {
+    valuesRevision = store.valuesRevision;
+    viewer.recolour();
   }
 }
 
@@ -206,7 +282,102 @@ function showReadings(): void {
     // The gateway may have replaced frames before one that is not drawn yet, so the count is bounded by `dropped`.
     replaced: Math.min(replaced, store.counters.dropped),
   });
+  plots.draw();
   showState();
+}
+
+function plotForces(): void {
+  const { frame, topology } = store;
+  if (frame !== null && topology !== null) {
+    const moving = new Set(topology.tools.filter((tool) => !tool.fixed).map((tool) => tool.name));
+    const forces = frame.tools.filter((tool) => moving.has(tool.name));
+    plots.addForces(
+      frame.simulatedTimeS,
+      forces.map((tool) => ({ name: tool.name, magnitudeN: Math.hypot(...tool.forceN) })),
+    );
+  }
+}
+
+function plotStatus(): void {
+  const { status } = store;
+  if (status !== null) {
+    plots.addStatus(Number(status.serverTimeNs) / 1e9, 1e3 * status.stepTimeP50S, status.reachedRateHz);
+  }
+}
+
+/** Sends a command of the operator and shows its failure. */
+async function command(action: Action, options: { builtin?: string; lockstep?: boolean } = {}): Promise<void> {
+  const scene = options.builtin ?? watched;
+  if (scene === null) {
+    return;
+  }
+  // The other commands take a step's time. Keys that follow each other quickly must not get lost.
+  const slow = action === "load" || action === "unload";
+  busy = slow ? `${action} ${scene}` : busy;
+  showState();
+  if (action === "load") {
+    toast.show(`Loading ${scene} …`, "quiet");
+  }
+  try {
+    const { lockstep = false } = options;
+    const name = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : {}) });
+    toast.hide();
+    if (slow) {
+      wanted = action === "load" ? name : null;
+      writeWanted();
+      chooseScene();
+    }
+  } catch (error) {
+    toast.show(`${action} ${scene}: ${error instanceof Error ? error.message : String(error)}`, "bad");
+  }
+  busy = slow ? null : busy;
+  showState();
+}
+
+/** Keeps the chosen scene in the address, so that a reload shows it again. */
+function writeWanted(): void {
+  if (wanted === null) {
+    address.searchParams.delete("scene");
+  } else {
+    address.searchParams.set("scene", wanted);
+  }
+  window.history.replaceState(null, "", address);
+}
+
+function changeDisplay(settings: Settings): void {
+  viewer.setDisplay(settings);
+  askForField(settings);
+}
+
+/** Asks the gateway for the element field that is shown as colours, and for none if none is. */
+function askForField(settings: Settings = display.settings): void {
+  const known = daemon !== null && watched !== null && daemon.fieldScenes.includes(watched);
+  const { colouring } = settings;
+  const next = known && colouring !== "tissue" && colouring !== "displacement" ? colouring : null;
+  if (next !== field) {
+    field = next;
+    connection.showField(next);
+  }
+}
+
+function takePicture(): void {
+  const time = store.frame === null ? "" : `-${store.frame.simulatedTimeS.toFixed(2)}s`;
+  savePicture(viewer.drawForPicture(), colourTable(), `tensormass-${watched ?? "empty"}${time}`);
+}
+
+/** Shows what the pointer can do with the tool below it. */
+function showHand(hand: Hand): void {
+  find("#view", HTMLElement).dataset.hand = hand;
+  const orbit = "Drag to orbit · right-drag to pan · wheel to zoom";
+  const drag = daemon?.posesAllowed === true ? `Drag a tool to move it · ${orbit.toLowerCase()}` : orbit;
+  find("#hint", HTMLElement).textContent = hand === "over" ? "Drag to move this tool" : hand === "holds" ? "The tool follows the pointer" : drag;
+}
+
+/** Keeps the organ out from under the panels of a narrow window. */
+function coverView(): void {
+  const narrow = window.innerWidth <= 760;
+  const { top } = find("#bottom", HTMLElement).getBoundingClientRect();
+  viewer.cover(narrow ? 64 : 0, narrow ? Math.min(window.innerHeight - top, window.innerHeight / 2) : 0);
 }
 
 /** Sends the pose that brings the tool's sphere to `centerM` and keeps the tool's orientation. */

@@ -54,7 +54,13 @@ export function sceneSituation(
     return { tone: "bad", text: "No daemon", notice };
   }
   if (watched === null) {
-    const detail = wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`;
+    const detail = [
+      wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`,
+      daemon.scenes.length > 0 ? `It has ${daemon.scenes.map((name) => `"${name}"`).join(", ")}.` : "",
+      daemon.operator ? "Load one with + in the header." : "",
+    ]
+      .filter(Boolean)
+      .join(" ");
     return { tone: "waiting", text: "No scene", notice: { tone: "quiet", title: "Waiting for a scene", detail } };
   }
   if (status?.state === SceneState.FAULTED) {

@@ -177,6 +177,37 @@ describe("Connection", () => {
     ]);
   });
 
+  it("returns the scene of a command, or fails with the gateway's reason", async () => {
+    FakeSocket.last.open();
+    const loaded = connection.control({ action: "load", scene: "beam", lockstep: true });
+    const refused = connection.control({ action: "step", scene: "beam" });
+    expect(FakeSocket.last.of("control")).toEqual([
+      { type: "control", id: 1, action: "load", scene: "beam", lockstep: true },
+      { type: "control", id: 2, action: "step", scene: "beam" },
+    ]);
+    const answer = (fields: object) => FakeSocket.last.onmessage?.({ data: JSON.stringify({ type: "result", ...fields }) });
+    answer({ id: 2, action: "step", scene: "beam", error: "it runs by the clock" });
+    answer({ id: 1, action: "load", scene: "beam-2", error: "" });
+    answer({ id: 9, action: "load", scene: "beam-2", error: "" }); // nobody asked
+    await expect(refused).rejects.toThrow("it runs by the clock");
+    expect(await loaded).toBe("beam-2");
+  });
+
+  it("fails a command that the connection does not outlive, or that it never had", async () => {
+    await expect(connection.control({ action: "pause", scene: "liver" })).rejects.toThrow("no connection");
+    FakeSocket.last.open();
+    const waiting = connection.control({ action: "pause", scene: "liver" });
+    FakeSocket.last.fail("bye");
+    await expect(waiting).rejects.toThrow("connection was lost");
+  });
+
+  it("asks for a field, and for none any more", () => {
+    FakeSocket.last.open();
+    connection.showField("von_mises");
+    connection.showField(null);
+    expect(FakeSocket.last.of("field").map(({ name }) => name)).toEqual(["von_mises", ""]);
+  });
+
   it("stays closed when closed", async () => {
     FakeSocket.last.open();
     connection.close();
@@ -254,7 +285,12 @@ describe("parseText", () => {
     expect(parseText(text)).toEqual({ type: "clock", reply: { clientTimeMs: 1, gatewayTimeMs: 2, replaced: 3 } });
   });
 
-  it.each(["", "null", "[]", '{"type":"clock"}', '{"type":"daemon","scenes":1}', '{"type":"other"}'])(
+  it.each([false, undefined, "yes"])("is not an operator's where operator is %s", (operator) => {
+    const text = JSON.stringify({ ...(JSON.parse(DAEMON) as object), operator });
+    expect(parseText(text)).toMatchObject({ state: { operator: false, builtinScenes: [], fieldScenes: [] } });
+  });
+
+  it.each(["", "null", "[]", '{"type":"result","id":"1","scene":"","error":""}', '{"type":"clock"}', '{"type":"daemon","scenes":1}', '{"type":"other"}'])(
     "knows nothing of %s",
     (text) => {
       expect(parseText(text)).toBeNull();

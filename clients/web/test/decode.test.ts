@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 
-import { decodeFrame, decodeStatus, decodeTopology, splitMessage } from "../src/stream/decode";
+import { decodeField, decodeFrame, decodeStatus, decodeTopology, splitMessage } from "../src/stream/decode";
 import { POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
 
 describe("splitMessage", () => {
@@ -18,6 +18,34 @@ describe("splitMessage", () => {
     ["an empty scene", busMessage("tensormass/host//frame", new Uint8Array())],
   ])("refuses %s", (_, data) => {
     expect(() => splitMessage(data)).toThrow(/key/);
+  });
+});
+
+describe("decodeField", () => {
+  const field = (head: string, ...values: number[]) => {
+    const line = new TextEncoder().encode(head);
+    return Uint8Array.from([...line, ...f32(...values)]);
+  };
+  const HEAD = '{"field": "pressure", "topology_version": "1800000000000000001", "step": 3}\n';
+
+  it("reads the name, the topology and the values", () => {
+    expect(decodeField(field(HEAD, 1.5, -2))).toEqual({
+      name: "pressure",
+      topologyVersion: 1_800_000_000_000_000_001n,
+      values: Float32Array.of(1.5, -2),
+    });
+  });
+
+  it.each([
+    ["nothing", new Uint8Array()],
+    ["no line", field("{}", 1)],
+    ["no JSON", field("pressure\n", 1)],
+    ["no object", field("null\n", 1)],
+    ["a version that is not a whole number", field('{"field":"pressure","topology_version":"1e3"}\n', 1)],
+    ["half a value", field(HEAD, 1).subarray(0, HEAD.length + 3)],
+    ["a value that is not finite", field(HEAD, 1, NaN)],
+  ])("refuses %s", (_, payload) => {
+    expect(() => decodeField(payload)).toThrow(/field/);
   });
 });
 

@@ -25,6 +25,7 @@ function probe(): THREE.Object3D {
 /** A tenth of the picture at the distance of the sphere. */
 const TENTH = 0.2 * 5 * Math.tan(Math.PI / 8);
 const onMove = vi.fn();
+const onHand = vi.fn();
 const controls = { enabled: true };
 let shapes: THREE.Object3D[];
 let world: THREE.Group;
@@ -32,6 +33,7 @@ let target: HTMLCanvasElement;
 
 beforeEach(() => {
   onMove.mockClear();
+  onHand.mockClear();
   shapes = [probe()];
   target = canvas();
   const camera = new THREE.PerspectiveCamera(45, 1);
@@ -40,7 +42,7 @@ beforeEach(() => {
   world = new THREE.Group();
   controls.enabled = true;
   const studio = { camera, controls, world } as unknown as Studio;
-  enableDrag(target, studio, { shapes: () => shapes, onMove });
+  enableDrag(target, studio, { shapes: () => shapes, onMove, onHand });
   target.dispatchEvent(pointer("pointerdown", 50));
 });
 
@@ -60,6 +62,15 @@ it("reports positions in the scene's frame, also if the scene is rotated", () =>
   world.updateMatrixWorld(true);
   target.dispatchEvent(pointer("pointermove", 50, 40));
   expect(onMove).toHaveBeenCalledWith("probe", [expect.closeTo(0), expect.closeTo(0), expect.closeTo(TENTH)]);
+});
+
+it("says whether the pointer is over a tool or holds one", () => {
+  const move = (x: number) => target.dispatchEvent(Object.assign(pointer("pointermove", x), { buttons: 0 }));
+  target.dispatchEvent(pointer("pointerup", 50));
+  move(50);
+  move(51);
+  move(90);
+  expect(onHand.mock.calls).toEqual([["holds"], ["away"], ["over"], ["away"]]);
 });
 
 it("releases the tool when the pointer is cancelled", () => {

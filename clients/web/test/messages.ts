@@ -2,6 +2,21 @@
 import { create, toBinary, type DescMessage, type Message, type MessageInitShape } from "@bufbuild/protobuf";
 
 import { FrameSchema, TopologySchema } from "../src/generated/tensormass/v1/stream_pb";
+import type { DaemonState } from "../src/stream/connection";
+
+/** What the gateway tells about a daemon, to a page that only looks. */
+export const DAEMON: DaemonState = {
+  problem: "",
+  server: "s",
+  version: "1",
+  backend: "cpu",
+  device: "d",
+  posesAllowed: false,
+  operator: false,
+  builtinScenes: ["beam", "demo"],
+  fieldScenes: [],
+  scenes: ["liver"],
+};
 
 /** Fields of a message to set. */
 type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;

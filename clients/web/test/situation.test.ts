@@ -4,17 +4,8 @@ import { describe, expect, it } from "vitest";
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { linkSituation, sceneSituation, type Scene } from "../src/situation";
 import { SceneState, decodeFrame, decodeTopology } from "../src/stream/decode";
-import { frameBytes, topologyBytes } from "./messages";
+import { DAEMON, frameBytes, topologyBytes } from "./messages";
 
-const DAEMON = {
-  problem: "",
-  server: "s",
-  version: "1",
-  backend: "cpu",
-  device: "d",
-  posesAllowed: false,
-  scenes: ["liver"],
-};
 const SHOWN: Scene = { topology: decodeTopology(topologyBytes()), frame: decodeFrame(frameBytes()), status: null, unshown: null };
 
 function inState(state: SceneState, scene: Partial<Scene> = {}) {
@@ -68,7 +59,10 @@ describe("sceneSituation", () => {
   });
 
   it("names the missing daemon or scene", () => {
-    expect(sceneSituation(DAEMON, "kidney", null, SHOWN).notice?.detail).toMatch(/no scene "kidney"/);
+    const detail = (change: object, wanted: string | null) =>
+      sceneSituation({ ...DAEMON, ...change }, wanted, null, SHOWN).notice?.detail;
+    expect(detail({ scenes: ["liver", "vein"] }, "kidney")).toBe('The daemon has no scene "kidney". It has "liver", "vein".');
+    expect(detail({ scenes: [], operator: true }, null)).toBe("The daemon has no scene. Load one with + in the header.");
     expect(sceneSituation({ ...DAEMON, problem: "gone" }, null, null, SHOWN).notice?.detail).toBe("gone");
   });
 });

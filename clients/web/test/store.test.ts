@@ -37,6 +37,46 @@ describe("SceneStore", () => {
     expect(store.counters).toMatchObject({ drawn: 4, dropped: 3 });
   });
 
+  it("counts displacements from rest if it is known, else from the start or the first frame", () => {
+    const at = (step: bigint, x: number, simulatedTimeS = 0) => {
+      const positions = Float32Array.from({ length: 21 }, () => x);
+      return decodeFrame(frameBytes({ step, simulatedTimeS, positions: f32(...positions) }));
+    };
+    expect(store.reference).toBeNull();
+    store.setFrame(at(120n, 1, 2));
+    expect(store.reference).toMatchObject({ since: "since 2.0 s", kind: "first frame" });
+    store.setFrame(at(121n, 2, 2.1));
+    expect(store.reference!.positions[0]).toBe(1);
+    store.setFrame(at(0n, 3)); // a reset
+    expect(store.reference).toMatchObject({ since: "since the start", kind: "start" });
+    store.setRest(at(0n, 4));
+    store.setFrame(at(0n, 5));
+    expect(store.reference).toMatchObject({ since: "from rest", kind: "rest" });
+    expect(store.reference!.positions[0]).toBe(4);
+    store.setZero();
+    expect(store.reference).toMatchObject({ kind: "chosen" });
+    expect(store.reference!.positions[0]).toBe(5);
+    store.setTopology(topology(7n)); // the same again
+    expect(store.reference).not.toBeNull();
+    store.setTopology(topology(8n));
+    expect(store.reference).toBeNull();
+  });
+
+  it("keeps values of a field that fit the topology", () => {
+    const values = new Float32Array(7);
+    const revision = store.valuesRevision;
+    store.setField({ name: "pressure", topologyVersion: 7n, values });
+    expect(store.fieldValues("pressure")).toBe(values);
+    expect(store.fieldValues("von_mises")).toBeNull();
+    expect(store.valuesRevision).toBeGreaterThan(revision);
+    const other = { name: "pressure", topologyVersion: 8n, values };
+    expect(() => store.setField(other)).toThrow(/field pressure belongs to topology 8/);
+    expect(() => store.setField({ ...other, topologyVersion: 7n, values: new Float32Array(6) })).toThrow(/6 vertices/);
+    expect(() => store.setRest(decodeFrame(frameBytes({ positions: f32(0, 0, 0) })))).toThrow(/the rest state has 1 vertices/);
+    store.setTopology(topology(8n));
+    expect(store.fieldValues("pressure")).toBeNull();
+  });
+
   it("treats a falling sequence as a restarted source", () => {
     for (const sequence of [100n, 1n, 2n]) {
       store.setFrame(frame(sequence));

@@ -32,3 +32,31 @@ it("paints a body in its colour, or in one of the palette", () => {
   expect([srgb.r, srgb.g, srgb.b]).toEqual([0.1, 0.2, 0.9].map((value) => expect.closeTo(value, 4) as unknown));
   expect(liver!.equals(vein!)).toBe(false);
 });
+
+it("shows values as colours, edges and a cut, and takes them back", () => {
+  const { positions } = decodeFrame(frameBytes());
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const meshes = meshesOf(tissue);
+  const looks = meshes.map(({ material }) => material);
+  tissue.colour(Float32Array.of(0, 1, 2, 3, 4, 5, 6), 0, 5);
+  expect(meshes.map((mesh) => [...mesh.geometry.getAttribute("value").array])).toEqual([
+    [0, 1, 2, 3],
+    [4, 5, 6],
+  ]);
+  for (const { material } of meshes as unknown as THREE.Mesh<THREE.BufferGeometry, THREE.ShaderMaterial>[]) {
+    expect([material.uniforms.least!.value, material.uniforms.most!.value]).toEqual([0, 5]);
+  }
+  const plane = new THREE.Plane(new THREE.Vector3(-1, 0, 0), 0.5);
+  tissue.clip(plane);
+  expect(meshes.map(({ material }) => material.clippingPlanes)).toEqual([[plane], [plane]]);
+  expect(meshes.map(({ material }) => material.side)).toEqual([THREE.DoubleSide, THREE.DoubleSide]);
+  tissue.showEdges(true);
+  expect(meshes.map((mesh) => mesh.children[0]!.visible)).toEqual([true, true]);
+
+  tissue.colour(null, 0, 1);
+  tissue.clip(null);
+  tissue.showEdges(false);
+  expect(meshes.map(({ material }) => material)).toEqual(looks);
+  expect(meshes.map(({ material }) => material.clippingPlanes)).toEqual([null, null]);
+  expect(meshes.map((mesh) => mesh.children[0]!.visible)).toEqual([false, false]);
+});

@@ -10,6 +10,12 @@ export interface DaemonState {
   readonly backend: string;
   readonly device: string;
   readonly posesAllowed: boolean;
+  /** Whether this page may control scenes. */
+  readonly operator: boolean;
+  /** Names of the scenes that an operator can load. */
+  readonly builtinScenes: readonly string[];
+  /** Loaded scenes whose element fields the gateway can show. */
+  readonly fieldScenes: readonly string[];
   readonly scenes: readonly string[];
 }
 
@@ -18,6 +24,24 @@ export interface ClockReply {
   readonly gatewayTimeMs: number;
   /** Frames of the watched scene that the gateway replaced by newer ones. */
   readonly replaced: number;
+}
+
+export interface CommandResult {
+  readonly id: number;
+  readonly scene: string;
+  /** Empty: the command succeeded. */
+  readonly error: string;
+}
+
+export interface Command {
+  readonly action: string;
+  readonly scene: string;
+  readonly lockstep?: boolean;
+}
+
+interface Waiting {
+  readonly done: (scene: string) => void;
+  readonly fail: (error: Error) => void;
 }
 
 export type LinkState =
@@ -64,6 +88,8 @@ export class Connection {
   #everOpened = false;
   #paused = false;
   readonly #owed = new Set<StreamName>();
+  #lastCommand = 0;
+  readonly #waiting = new Map<number, Waiting>();
 
   constructor(options: ConnectionOptions) {
     this.#options = options;
@@ -101,6 +127,21 @@ export class Connection {
     this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
   }
 
+  /** Sends a command. Returns the name of its scene; fails with the reason of the gateway or the daemon. */
+  control(command: Command): Promise<string> {
+    if (this.#socket?.readyState !== 1) {
+      return Promise.reject(new Error("there is no connection to the gateway"));
+    }
+    const id = (this.#lastCommand += 1);
+    this.#send({ type: "control", id, ...command });
+    return new Promise((done, fail) => this.#waiting.set(id, { done, fail }));
+  }
+
+  /** Asks for the values of an element field of the watched scene, a few times a second. null: no field any more. */
+  showField(name: string | null): void {
+    this.#send({ type: "field", name: name ?? "" });
+  }
+
   close(): void {
     clearTimeout(this.#retry);
     clearInterval(this.#clock);
@@ -126,6 +167,10 @@ export class Connection {
     socket.onmessage = (event: MessageEvent<ArrayBuffer | string>) => this.#receive(event.data);
     socket.onclose = (event) => {
       clearInterval(this.#clock);
+      for (const { fail } of this.#waiting.values()) {
+        fail(new Error("the connection was lost before the gateway answered"));
+      }
+      this.#waiting.clear();
       if (this.#socket === socket) {
         this.#socket = null;
         this.#retryLater();
@@ -174,8 +219,20 @@ export class Connection {
     } else if (message.type === "daemon") {
       this.#retryMs = FIRST_RETRY_MS;
       this.#options.events.onDaemon(message.state);
+    } else if (message.type === "result") {
+      this.#settle(message.result);
     } else {
       this.#options.events.onClock(message.reply, performance.now());
+    }
+  }
+
+  #settle({ id, scene, error }: CommandResult): void {
+    const waiting = this.#waiting.get(id);
+    this.#waiting.delete(id);
+    if (error === "") {
+      waiting?.done(scene);
+    } else {
+      waiting?.fail(new Error(error));
     }
   }
 
@@ -193,6 +250,7 @@ export class Connection {
 
 type TextMessage =
   | { readonly type: "daemon"; readonly state: DaemonState }
+  | { readonly type: "result"; readonly result: CommandResult }
   | { readonly type: "clock"; readonly reply: ClockReply };
 
 /** Parses a text message of the gateway. null if it is not one. */
@@ -213,6 +271,12 @@ export function parseText(text: string): TextMessage | null {
       ? { type, reply: { clientTimeMs: client_time_ms, gatewayTimeMs: gateway_time_ms, replaced } }
       : null;
   }
+  if (type === "result") {
+    const { id, scene, error } = fields;
+    return typeof id === "number" && typeof scene === "string" && typeof error === "string"
+      ? { type, result: { id, scene, error } }
+      : null;
+  }
   if (type === "daemon" && Array.isArray(fields.scenes)) {
     return {
       type,
@@ -223,9 +287,16 @@ export function parseText(text: string): TextMessage | null {
         backend: String(fields.backend),
         device: String(fields.device),
         posesAllowed: fields.poses_allowed === true,
+        operator: fields.operator === true,
+        builtinScenes: names(fields.builtin_scenes),
+        fieldScenes: names(fields.field_scenes),
         scenes: fields.scenes.map(String),
       },
     };
   }
   return null;
+}
+
+function names(value: unknown): string[] {
+  return Array.isArray(value) ? value.map(String) : [];
 }

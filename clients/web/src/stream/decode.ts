@@ -14,8 +14,8 @@ import {
 
 export type Vector = readonly [x: number, y: number, z: number];
 
-export type StreamName = "topology" | "frame" | "status";
-const STREAM_NAMES: readonly string[] = ["topology", "frame", "status"] satisfies StreamName[];
+export type StreamName = "topology" | "rest" | "frame" | "status" | "field";
+const STREAM_NAMES: readonly string[] = ["topology", "rest", "frame", "status", "field"] satisfies StreamName[];
 
 /** One message of the bus: `key`, a zero byte, the protobuf message. */
 export interface BusMessage {
@@ -90,6 +90,14 @@ export interface Frame {
   /** [vertex_count, 3] m */
   readonly positions: Float32Array;
   readonly tools: readonly ToolState[];
+}
+
+/** Values of an element field on the surface, which the gateway computes. */
+export interface Field {
+  readonly name: string;
+  readonly topologyVersion: bigint;
+  /** [vertex_count] */
+  readonly values: Float32Array;
 }
 
 export type Status = SceneStatus;
@@ -262,6 +270,30 @@ export function decodeFrame(payload: Uint8Array): Frame {
 
 export function decodeStatus(payload: Uint8Array): Status {
   return parse("status", () => fromBinary(SceneStatusSchema, payload));
+}
+
+/** Decodes a field: a line of JSON, then float32 values. Throws DecodeError on other data and on values that are not finite. */
+export function decodeField(payload: Uint8Array): Field {
+  const end = payload.indexOf(10);
+  let head: unknown;
+  try {
+    head = JSON.parse(new TextDecoder().decode(payload.subarray(0, Math.max(end, 0))));
+  } catch {
+    head = null;
+  }
+  const { field, topology_version } = (head ?? {}) as Record<string, unknown>;
+  if (typeof field !== "string" || typeof topology_version !== "string" || !/^\d{1,20}$/.test(topology_version)) {
+    throw new DecodeError("a field message does not begin with its name and topology");
+  }
+  const bytes = payload.subarray(end + 1);
+  if (bytes.length % 4 !== 0) {
+    throw new DecodeError(`field ${field}: ${bytes.length} bytes of values are not a multiple of 4`);
+  }
+  const values = new Float32Array(aligned(bytes));
+  if (!values.every(Number.isFinite)) {
+    throw new DecodeError(`field ${field}: a value is not finite`);
+  }
+  return { name: field, topologyVersion: BigInt(topology_version), values };
 }
 
 function toolState(where: string, tool: ToolFeedback): ToolState {

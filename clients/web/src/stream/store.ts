@@ -1,6 +1,6 @@
 // State of the scene on show: topology, newest frame and status, and counts of losses. Refuses frames that do not match
 // the topology, so that drawing needs no checks.
-import { DecodeError, type Frame, type Status, type StreamName, type Topology } from "./decode";
+import { DecodeError, type Field, type Frame, type Status, type StreamName, type Topology } from "./decode";
 import { Warnings } from "./warnings";
 
 export interface Counters {
@@ -11,6 +11,14 @@ export interface Counters {
   refused: number;
   /** Reason for the last refusal. */
   lastRefusal: string | null;
+}
+
+/** Positions from which displacements count. */
+export interface Reference {
+  readonly positions: Float32Array;
+  /** In words, behind "Displacement": "from rest". */
+  readonly since: string;
+  readonly kind: "rest" | "start" | "chosen" | "first frame";
 }
 
 /** A status is current for frames that are at most this much newer [ns on the server's clock]. */
@@ -25,11 +33,16 @@ export class SceneStore {
   /** Whether the last frame taken followed another of its topology. The first frame may be of any age, because the
    * gateway requests it from a scene that stands still. */
   followsAnother = false;
+  /** Positions from which displacements count; null before the first frame. */
+  reference: Reference | null = null;
+  /** Rises with each change of `reference` and of the values of a field. */
+  valuesRevision = 0;
   readonly warnings = new Warnings();
   /** Rises with each change of the set of objects to draw. */
   topologyRevision = 0;
   readonly counters: Counters = { drawn: 0, dropped: 0, refused: 0, lastRefusal: null };
 
+  #field: Field | null = null;
   #fresh = false;
   #lastDrawnSequence: bigint | null = null;
 
@@ -53,21 +66,40 @@ export class SceneStore {
 
   /** Takes a frame. Throws DecodeError if it belongs to another topology than the one on show. */
   setFrame(frame: Frame): void {
-    const topology = this.topology;
-    if (topology?.version !== frame.topologyVersion) {
-      throw new DecodeError(
-        `frame ${frame.sequence} belongs to topology ${frame.topologyVersion}, on show is ${topology?.version ?? "none"}`,
-      );
-    }
-    if (frame.positions.length !== 3 * topology.vertexCount) {
-      throw new DecodeError(
-        `frame ${frame.sequence} has ${frame.positions.length / 3} vertices, topology ${topology.version} has ` +
-          `${topology.vertexCount}`,
-      );
-    }
+    this.#check(`frame ${frame.sequence}`, frame.topologyVersion, frame.positions.length / 3);
     this.frame = frame;
+    if (this.reference === null) {
+      this.#refer(frame, frame.step === 0n ? "start" : "first frame");
+    } else if (this.reference.kind === "first frame" && frame.step === 0n) {
+      this.#refer(frame, "start"); // the scene was reset
+    }
     this.unshown = null;
     this.#fresh = true;
+  }
+
+  /** Takes the rest positions, as a frame in which nothing has moved. Throws DecodeError like `setFrame`. */
+  setRest(frame: Frame): void {
+    this.#check("the rest state", frame.topologyVersion, frame.positions.length / 3);
+    this.#refer(frame, "rest");
+  }
+
+  /** Takes a field. Throws DecodeError like `setFrame`. */
+  setField(field: Field): void {
+    this.#check(`field ${field.name}`, field.topologyVersion, field.values.length);
+    this.#field = field;
+    this.valuesRevision += 1;
+  }
+
+  /** Values of the field `name` on the surface; null before they have arrived. */
+  fieldValues(name: string): Float32Array | null {
+    return this.#field?.name === name ? this.#field.values : null;
+  }
+
+  /** Lets displacements count from the newest frame on. */
+  setZero(): void {
+    if (this.frame !== null) {
+      this.#refer(this.frame, "chosen");
+    }
   }
 
   /** Takes a status. Drops it if it is of a previous scene. */
@@ -115,7 +147,33 @@ export class SceneStore {
     return this.frame;
   }
 
+  #refer(frame: Frame, kind: Reference["kind"]): void {
+    const at = `since ${frame.simulatedTimeS.toFixed(1)} s`;
+    const since = { rest: "from rest", start: "since the start", chosen: at, "first frame": at }[kind];
+    this.reference = { positions: frame.positions, since, kind };
+    this.valuesRevision += 1;
+  }
+
+  /** Throws DecodeError if a message does not fit the topology on show. */
+  #check(what: string, version: bigint, vertexCount: number): void {
+    const topology = this.topology;
+    if (topology?.version !== version) {
+      throw new DecodeError(`${what} belongs to topology ${version}, on show is ${topology?.version ?? "none"}`);
+    }
+    if (vertexCount !== topology.vertexCount) {
+      throw new DecodeError(
+        `${what} has ${vertexCount} vertices, topology ${topology.version} has ${topology.vertexCount}`,
+      );
+    }
+  }
+
   #replaceTopology(topology: Topology | null): void {
+    // The same topology may come again. What the user chose as zero then stays.
+    if (topology?.version !== this.topology?.version) {
+      this.reference = null;
+      this.#field = null;
+      this.valuesRevision += 1;
+    }
     this.topology = topology;
     this.frame = null;
     this.unshown = null;

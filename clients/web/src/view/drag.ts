@@ -5,11 +5,16 @@ import * as THREE from "three";
 import type { Vector } from "../stream/decode";
 import type { Studio } from "./studio";
 
+/** What the pointer does with tools: nothing, it is over one, or it drags one. */
+export type Hand = "away" | "over" | "holds";
+
 export interface DragTarget {
   /** Shapes that can be dragged; `name` is the tool's name. A dragged shape that is no longer listed is released. */
   shapes(): THREE.Object3D[];
   /** Called for each move with the new centre of the sphere at the tip [m]. */
   onMove(tool: string, centerM: Vector): void;
+  /** Called when the pointer comes over a tool, takes it, or leaves it. */
+  onHand(hand: Hand): void;
 }
 
 /** Listens to the canvas from now on. There is no way to stop. */
@@ -20,6 +25,13 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
   /** From the pointer to the tip, in the plane. A capsule that is taken at its far end must not jump to the pointer. */
   const grip = new THREE.Vector3();
   let held: THREE.Object3D | null = null;
+  let shown: Hand = "away";
+  const show = (hand: Hand) => {
+    if (hand !== shown) {
+      shown = hand;
+      target.onHand(hand);
+    }
+  };
 
   const aim = (event: PointerEvent) => {
     const box = canvas.getBoundingClientRect();
@@ -40,6 +52,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
         grip.sub(caster.ray.intersectPlane(plane, hit) ?? grip);
         studio.controls.enabled = false;
         canvas.setPointerCapture(event.pointerId);
+        show("holds");
       }
     },
     // Handled before the orbit controls.
@@ -48,8 +61,16 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
   const release = () => {
     held = null;
     studio.controls.enabled = true;
+    show("away");
+  };
+  const hover = (event: PointerEvent) => {
+    aim(event);
+    show(caster.intersectObjects(target.shapes(), false).length > 0 ? "over" : "away");
   };
   canvas.addEventListener("pointermove", (event) => {
+    if (held === null && event.buttons === 0) {
+      hover(event);
+    }
     if (held !== null && !target.shapes().includes(held)) {
       release();
     }

@@ -20,12 +20,20 @@ export class Studio {
   readonly #renderer: THREE.WebGLRenderer;
   readonly #scene = new THREE.Scene();
   readonly #floor = new THREE.Group();
+  #radiusM = 1;
+  /** Bounds and upward direction of the framed scene, to frame it again in a window of another size. */
+  #framed: { bounds: THREE.Box3; up: Vector } | null = null;
+  /** Whether the user has moved the camera since the scene was framed. */
+  #moved = false;
+  /** Panels cover so much of the canvas from its top and from its bottom [CSS pixels]. */
+  #covered = { top: 0, bottom: 0 };
 
   constructor(canvas: HTMLCanvasElement, quality: Quality) {
     const high = quality.level === "high";
     this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: high, powerPreference: "high-performance" });
     this.#renderer.toneMapping = THREE.ACESFilmicToneMapping;
     this.#renderer.toneMappingExposure = 1.0;
+    this.#renderer.localClippingEnabled = true;
     this.#renderer.shadowMap.enabled = high;
     this.#renderer.shadowMap.type = THREE.VSMShadowMap;
 
@@ -39,23 +47,42 @@ export class Studio {
     this.#floor.visible = false;
 
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.enableDamping = true;
+    // Damping lets the picture glide on after the hand has stopped.
+    this.controls.enableDamping = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.controls.dampingFactor = 0.12;
     this.controls.minDistance = 0.4;
     this.controls.maxDistance = 20;
     this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(5);
+    this.controls.addEventListener("start", () => (this.#moved = true));
   }
 
   resize(width: number, height: number, pixelRatio: number): void {
     this.#renderer.setPixelRatio(pixelRatio);
     this.#renderer.setSize(width, height, false);
+    const reshaped = this.camera.aspect !== width / height;
     this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.#shiftView(width, height);
+    if (reshaped) {
+      this.#frameAgain();
+    }
+  }
+
+  /** Keeps the scene in the part of the canvas that panels leave free [CSS pixels from the top and from the bottom]. */
+  cover(top: number, bottom: number): void {
+    if (top !== this.#covered.top || bottom !== this.#covered.bottom) {
+      this.#covered = { top, bottom };
+      const { clientWidth, clientHeight } = this.#renderer.domElement;
+      this.#shiftView(clientWidth, clientHeight);
+      this.#frameAgain();
+    }
   }
 
   /** Centres a scene of these bounds [m] in the room, turns `up` upwards and moves the camera in front of it. */
   frame(bounds: THREE.Box3, up: Vector): void {
     const radius = Math.max(bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
+    this.#radiusM = radius;
+    this.#framed = { bounds: bounds.clone(), up };
+    this.#moved = false;
     const rotation = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(...up), new THREE.Vector3(0, 1, 0));
     const center = bounds.getCenter(new THREE.Vector3()).applyQuaternion(rotation);
     this.world.quaternion.copy(rotation);
@@ -66,7 +93,7 @@ export class Studio {
     this.#floor.visible = true;
 
     const fitting = 1.04 / Math.sin(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
-    const distance = fitting * Math.max(1, 0.85 / this.camera.aspect);
+    const distance = fitting * Math.max(1 / this.#freeShare(), 0.85 / this.camera.aspect);
     const target = new THREE.Vector3(0, HEAD_ROOM, 0);
     this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(distance).add(target);
     this.controls.target.copy(target);
@@ -80,8 +107,38 @@ export class Studio {
     return clip.z > 1 ? null : { x: (0.5 + 0.5 * clip.x) * clientWidth, y: (0.5 - 0.5 * clip.y) * clientHeight };
   }
 
+  /** Length of a CSS pixel in the scene, at the point that the view turns around. */
+  metresPerPx(): number {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const height = 2 * distance * Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW_DEG / 2));
+    return (height * this.#radiusM) / this.#renderer.domElement.clientHeight;
+  }
+
+  /** Rotation from the scene's frame to the camera's. */
+  turn(): THREE.Quaternion {
+    return this.camera.quaternion.clone().invert().multiply(this.world.quaternion);
+  }
+
   render(): void {
     this.#renderer.render(this.#scene, this.camera);
+  }
+
+  #frameAgain(): void {
+    if (this.#framed !== null && !this.#moved) {
+      this.frame(this.#framed.bounds, this.#framed.up);
+    }
+  }
+
+  /** Share of the canvas's height that panels leave free. */
+  #freeShare(): number {
+    const height = Math.max(this.#renderer.domElement.clientHeight, 1);
+    return Math.max(0.3, 1 - (this.#covered.top + this.#covered.bottom) / height);
+  }
+
+  #shiftView(width: number, height: number): void {
+    const shift = (this.#covered.bottom - this.#covered.top) / 2;
+    this.camera.setViewOffset(width, height, 0, shift, width, height);
+    this.camera.updateProjectionMatrix();
   }
 }
 

@@ -4,6 +4,7 @@ import * as THREE from "three";
 import type { Surface, Topology } from "../stream/decode";
 import type { Quality } from "./quality";
 import { vertexNormals } from "./normals";
+import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
 const PALETTE: readonly string[] = ["#82291f", "#a8493f", "#6f7a3c", "#6d2f45", "#c9a25a"];
@@ -28,17 +29,41 @@ export class Tissue {
     }
   }
 
+  /** Shows values as colours. @param values One for each vertex; null: the tissue as it looks. */
+  colour(values: Float32Array | null, least: number, most: number): void {
+    for (const body of this.#bodies) {
+      body.colour(values, least, most);
+    }
+  }
+
+  /** Shows the edges of the triangles over the surface, or hides them. */
+  showEdges(shown: boolean): void {
+    for (const body of this.#bodies) {
+      body.showEdges(shown);
+    }
+  }
+
+  /** Hides everything behind `plane`, in the room's frame. null: shows everything. */
+  clip(plane: THREE.Plane | null): void {
+    for (const body of this.#bodies) {
+      body.clip(plane);
+    }
+  }
+
   dispose(): void {
     for (const body of this.#bodies) {
-      body.mesh.geometry.dispose();
-      body.mesh.material.dispose();
+      body.dispose();
     }
   }
 }
 
 class Body {
-  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial>;
+  readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.Material>;
   readonly #surface: Surface;
+  readonly #look: THREE.MeshStandardMaterial;
+  readonly #colours = valueMaterial();
+  readonly #edges: THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
+  readonly #values: THREE.BufferAttribute;
   readonly #positions: THREE.BufferAttribute;
   readonly #normals: THREE.BufferAttribute;
 
@@ -56,7 +81,22 @@ class Body {
     const color = surface.colorSrgb
       ? new THREE.Color().setRGB(...surface.colorSrgb, THREE.SRGBColorSpace)
       : new THREE.Color(fallbackColor);
-    this.mesh = new THREE.Mesh(geometry, quality.level === "high" ? tissueMaterial(color) : plainMaterial(color));
+    this.#values = new THREE.BufferAttribute(new Float32Array(surface.vertexCount), 1);
+    this.#values.setUsage(THREE.DynamicDrawUsage);
+    geometry.setAttribute("value", this.#values);
+    this.#look = quality.level === "high" ? tissueMaterial(color) : plainMaterial(color);
+    this.mesh = new THREE.Mesh(geometry, this.#look);
+    this.#edges = new THREE.Mesh(
+      geometry,
+      new THREE.MeshBasicMaterial({ color: "#f2f6f8", wireframe: true, transparent: true, opacity: 0.22, toneMapped: false }),
+    );
+    this.#edges.frustumCulled = false;
+    this.#edges.visible = false;
+    this.mesh.add(this.#edges);
+    for (const material of [this.#look, this.#colours]) {
+      // Keeps the edges in front of the surface that they lie on.
+      Object.assign(material, { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+    }
     this.mesh.name = surface.name;
     this.mesh.castShadow = true;
     this.mesh.receiveShadow = true;
@@ -73,6 +113,36 @@ class Body {
     );
     this.#positions.needsUpdate = true;
     this.#normals.needsUpdate = true;
+  }
+
+  colour(values: Float32Array | null, least: number, most: number): void {
+    this.mesh.material = values === null ? this.#look : this.#colours;
+    if (values !== null) {
+      const { firstVertex, vertexCount } = this.#surface;
+      this.#values.array.set(values.subarray(firstVertex, firstVertex + vertexCount));
+      this.#values.needsUpdate = true;
+      setRange(this.#colours, least, most);
+    }
+  }
+
+  showEdges(shown: boolean): void {
+    this.#edges.visible = shown;
+  }
+
+  clip(plane: THREE.Plane | null): void {
+    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+      material.clippingPlanes = plane === null ? null : [plane];
+      // A cut surface shows its inner side.
+      material.side = plane === null ? THREE.FrontSide : THREE.DoubleSide;
+    }
+  }
+
+  dispose(): void {
+    this.mesh.geometry.dispose();
+    (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
+    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+      material.dispose();
+    }
   }
 
   #slice(positions: Float32Array): Float32Array {

@@ -4,10 +4,13 @@ import * as THREE from "three";
 
 import type { SceneStore } from "../stream/store";
 import type { Frame, Vector } from "../stream/decode";
+import type { Settings } from "../panel/settings";
 import { sceneBounds } from "./bounds";
-import { enableDrag } from "./drag";
+import { KINDS, displacements, fitRange, legendOf, type Legend, type Range } from "./colouring";
+import { enableDrag, type Hand } from "./drag";
 import { Instruments, type ForceLabel } from "./instruments";
 import type { Quality } from "./quality";
+import { Rulers } from "./rulers";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
 
@@ -21,6 +24,10 @@ export interface ViewerEvents {
   onDrawn(serverTimeNs: bigint): void;
   /** Called while the pointer drags a tool: new centre of its sphere [m]. */
   onToolMoved(tool: string, positionM: Vector): void;
+  /** Called when the pointer comes over a tool, takes it, or leaves it. */
+  onHand(hand: Hand): void;
+  /** Called when the colours mean something else; null: they are those of the tissue. */
+  onLegend(legend: Legend | null): void;
 }
 
 export class Viewer {
@@ -39,7 +46,13 @@ export class Viewer {
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
   #dirty = true;
-  #toolsShown = true;
+  #settings: Settings;
+  readonly #rulers = new Rulers();
+  /** Values of the vertices that are shown as colours. */
+  #values = new Float32Array(0);
+  #range: Range | null = null;
+  /** Tissue in the first frame [m]. The clip plane moves between its ends. */
+  readonly #bounds = new THREE.Box3();
   #dragEnabled = false;
 
   constructor(
@@ -47,8 +60,10 @@ export class Viewer {
     labels: HTMLElement,
     store: SceneStore,
     quality: Quality,
+    settings: Settings,
     events: ViewerEvents,
   ) {
+    this.#settings = settings;
     this.#canvas = canvas;
     this.#labels = labels;
     this.#store = store;
@@ -77,10 +92,43 @@ export class Viewer {
     }
   }
 
-  /** Hides the tools and their forces, so that the tissue below is visible, or shows them again. */
-  toggleTools(): void {
-    this.#toolsShown = !this.#toolsShown;
+  /** Takes changed display options. */
+  setDisplay(settings: Settings): void {
+    if (settings.colouring !== this.#settings.colouring) {
+      this.#range = null;
+    }
+    this.#settings = settings;
+    this.#rulers.show(settings.rulers);
+    this.#decorate();
     this.#dirty = true;
+  }
+
+  /** Colours again, after the values or their reference have changed. */
+  recolour(): void {
+    this.#range = null;
+    this.#colour();
+    this.#dirty = true;
+  }
+
+  /** Keeps the scene in the part of the canvas that panels leave free [CSS pixels from the top and from the bottom]. */
+  cover(top: number, bottom: number): void {
+    this.#studio.cover(top, bottom);
+    this.#dirty = true;
+  }
+
+  /** Draws at full resolution and returns the canvas, which is valid until the next picture. */
+  drawForPicture(): HTMLCanvasElement {
+    const ratio = this.#pixelRatio;
+    this.#pixelRatio = this.#pixelRatioLimit;
+    this.#resize();
+    this.#studio.render();
+    this.#pixelRatio = ratio;
+    const copy = document.createElement("canvas");
+    copy.width = this.#canvas.width;
+    copy.height = this.#canvas.height;
+    copy.getContext("2d")!.drawImage(this.#canvas, 0, 0);
+    this.#resize();
+    return copy;
   }
 
   /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
@@ -95,6 +143,7 @@ export class Viewer {
       enableDrag(this.#canvas, this.#studio, {
         shapes: () => this.#shapes(),
         onMove: (tool, center) => this.#events.onToolMoved(tool, center),
+        onHand: (hand) => this.#events.onHand(hand),
       });
     }
   }
@@ -117,6 +166,7 @@ export class Viewer {
         this.#build(frame);
       }
       this.#tissue?.update(frame.positions);
+      this.#colour();
       this.#forces = this.#instruments?.update(frame) ?? [];
       this.#dirty = true;
     }
@@ -127,9 +177,10 @@ export class Viewer {
     this.#dirty = false;
     this.#adapt(nowMs);
     if (this.#instruments !== null) {
-      this.#instruments.group.visible = this.#toolsShown;
+      this.#instruments.group.visible = this.#settings.tools;
     }
     this.#studio.render();
+    this.#rulers.draw(this.#studio.metresPerPx(), this.#studio.turn());
     this.#writeLabels();
     if (frame !== null) {
       this.#events.onDrawn(frame.serverTimeNs);
@@ -144,6 +195,60 @@ export class Viewer {
     this.#instruments = new Instruments(topology, radiusM, this.#quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     this.#studio.frame(sceneBounds(topology, frame), topology.up);
+    this.#bounds.copy(tissue);
+    this.#decorate();
+  }
+
+  /** Applies the display options to the tissue. */
+  #decorate(): void {
+    this.#tissue?.showEdges(this.#settings.wireframe);
+    this.#tissue?.clip(this.#clipPlane());
+    this.#colour();
+  }
+
+  /** The plane that hides what lies beyond it, in the room's frame; null: nothing is hidden. */
+  #clipPlane(): THREE.Plane | null {
+    const { clipAxis, clipShare } = this.#settings;
+    if (clipAxis === "none") {
+      return null;
+    }
+    const normal = new THREE.Vector3();
+    normal[clipAxis] = -1;
+    // A little wider than the tissue at the start, so that both ends of the slider show all and nothing.
+    const bounds = this.#bounds.clone().expandByScalar(0.02 * this.#bounds.getSize(new THREE.Vector3()).length());
+    const place = bounds.min[clipAxis] + clipShare * (bounds.max[clipAxis] - bounds.min[clipAxis]);
+    return new THREE.Plane(normal, place).applyMatrix4(this.#studio.world.matrixWorld);
+  }
+
+  /** Shows the chosen values as colours. Without values the tissue keeps its own. */
+  #colour(): void {
+    const { colouring } = this.#settings;
+    const { frame, reference } = this.#store;
+    if (this.#tissue === null) {
+      return;
+    }
+    const values = colouring === "displacement" ? this.#displacements() : colouring === "tissue" ? null : this.#store.fieldValues(colouring);
+    if (colouring === "tissue" || values === null || frame === null) {
+      this.#tissue.colour(null, 0, 1);
+      this.#events.onLegend(null);
+      return;
+    }
+    this.#range = fitRange(values, KINDS[colouring].center, this.#range);
+    this.#tissue.colour(values, this.#range.least, this.#range.most);
+    const since = colouring === "displacement" ? (reference?.since ?? "") : "";
+    this.#events.onLegend(legendOf(colouring, this.#range, since));
+  }
+
+  #displacements(): Float32Array | null {
+    const { frame, reference } = this.#store;
+    if (frame?.positions.length !== reference?.positions.length || frame === null || reference === null) {
+      return null;
+    }
+    if (3 * this.#values.length !== frame.positions.length) {
+      this.#values = new Float32Array(frame.positions.length / 3);
+    }
+    displacements(frame.positions, reference.positions, this.#values);
+    return this.#values;
   }
 
   #clear(): void {
@@ -153,12 +258,14 @@ export class Viewer {
     this.#tissue = null;
     this.#instruments = null;
     this.#forces = [];
+    this.#range = null;
+    this.#events.onLegend(null);
     this.#dirty = true;
   }
 
   #writeLabels(): void {
     this.#labels.replaceChildren(
-      ...(this.#toolsShown ? this.#forces : []).flatMap(({ tool, magnitudeN, tipM }) => {
+      ...(this.#settings.tools ? this.#forces : []).flatMap(({ tool, magnitudeN, tipM }) => {
         const at = this.#studio.project(tipM);
         if (at === null) {
           return [];

@@ -1,0 +1,148 @@
+"""Commands of an operator: pause, resume, step and reset a scene, load a built-in one, unload one."""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+
+from tensormass._src import demo
+from tensormass._src.errors import TensormassError
+from tensormass._src.scene_file import SceneFile
+from tensormass.v1 import control_pb2, scene_pb2
+from tensormass_gateway.daemon import Daemon
+from tensormass_gateway.outbox import ProtocolError
+from tensormass_gateway.requests import is_name
+
+MAX_STEPS = 1000
+"""Largest number of steps of one command."""
+
+MAX_WAITING = 8
+"""Commands of one browser that are not answered yet. A further one is refused."""
+
+COMMAND_TIMEOUT_S = 30.0
+LOAD_TIMEOUT_S = 300.0
+
+
+class Action(enum.StrEnum):
+    PAUSE = "pause"
+    RESUME = "resume"
+    STEP = "step"
+    RESET = "reset"
+    LOAD = "load"
+    UNLOAD = "unload"
+
+
+class CommandError(Exception):
+    """A command failed. The text is for the operator."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A checked command of a browser."""
+
+    id: int
+    """Number by which the browser finds the answer."""
+    action: Action
+    scene: str
+    """Name of a loaded scene; for `load` that of a built-in one."""
+    steps: int = 1
+    lockstep: bool = False
+
+
+def read_command(request: dict[str, Any]) -> Command:
+    """Checks a request of type `control`. Raises ProtocolError if a field is missing, wrong or unknown."""
+    given = {key: value for key, value in request.items() if key != "type"}
+    number, action, scene = given.pop("id", None), given.pop("action", None), given.pop("scene", None)
+    if not _is_whole(number, 0, 2**53):
+        raise ProtocolError("id is not a whole number from 0 to 2^53")
+    if not isinstance(action, str) or action not in set(Action):
+        raise ProtocolError(f"action is not one of {', '.join(Action)}")
+    if not isinstance(scene, str) or not is_name(scene):
+        raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
+    command = Command(number, Action(action), scene, given.pop("steps", 1), given.pop("lockstep", False))
+    if not _is_whole(command.steps, 1, MAX_STEPS):
+        raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
+    if not isinstance(command.lockstep, bool):
+        raise ProtocolError("lockstep is not true or false")
+    if given:
+        raise ProtocolError("a command has unknown fields")
+    return command
+
+
+class Control:
+    """Executes commands on a daemon."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        # A load reads meshes and sends them, which takes much memory.
+        self._loading = asyncio.Lock()
+
+    async def execute(self, command: Command) -> str:
+        """Executes `command` and returns the name of its scene. Raises CommandError with the reason of a failure."""
+        if self._daemon.problem:
+            raise CommandError(self._daemon.problem)
+        try:
+            if command.action is Action.LOAD:
+                async with self._loading:
+                    return await self._load(command)
+            await self._call(command)
+        except grpc.aio.AioRpcError as error:
+            raise CommandError(error.details() or f"the daemon answered {error.code().name}") from error
+        finally:
+            # Browsers hear of the change before the answer, not only after the next poll.
+            if command.action in (Action.LOAD, Action.UNLOAD):
+                await self._daemon.refresh()
+        return command.scene
+
+    async def _call(self, command: Command) -> None:
+        control, scene = self._daemon.control, command.scene
+        match command.action:
+            case Action.PAUSE:
+                await control.PauseScene(control_pb2.PauseSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
+            case Action.RESUME:
+                await control.ResumeScene(control_pb2.ResumeSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
+            case Action.STEP:
+                request = control_pb2.StepSceneRequest(scene=scene, count=command.steps)
+                await control.StepScene(request, timeout=COMMAND_TIMEOUT_S)
+            case Action.RESET:
+                await control.ResetScene(control_pb2.ResetSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
+            case Action.UNLOAD:
+                await control.UnloadScene(control_pb2.UnloadSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
+
+    async def _load(self, command: Command) -> str:
+        try:
+            scene = await asyncio.to_thread(_read_builtin, command.scene)
+        except (TensormassError, OSError) as error:
+            raise CommandError(str(error)) from error
+        scene.name = _free_name(command.scene, self._daemon.scenes)
+        if command.lockstep:
+            scene.stepping.lockstep = True
+        await self._daemon.control.LoadScene(control_pb2.LoadSceneRequest(scene=scene), timeout=LOAD_TIMEOUT_S)
+        self._daemon.learn(scene)
+        return scene.name
+
+
+def _read_builtin(name: str) -> scene_pb2.Scene:
+    """Reads a built-in scene and its meshes. Never reads another file, whatever the browser sends."""
+    found = demo.builtin_scene(name)
+    if found is None:
+        raise CommandError(f"there is no built-in scene {name!r}, only {', '.join(demo.builtin_scenes())}")
+    path, folder = found
+    return SceneFile.parse(path.read_text("utf-8"), folder, str(path)).message()
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Returns `name`, or the first of name-2, name-3, ... that is not taken."""
+    candidate, number = name, 1
+    while candidate in taken:
+        number += 1
+        candidate = f"{name}-{number}"
+    return candidate
+
+
+def _is_whole(value: object, least: int, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most

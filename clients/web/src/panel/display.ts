@@ -1,0 +1,92 @@
+// The panel of display options. Each change is remembered and given to the page.
+import { find } from "../dom";
+import { CLIP_AXES, COLOURINGS, loadSettings, saveSettings, type Settings } from "./settings";
+
+export interface DisplayActions {
+  /** Called once at the start and after each change. */
+  readonly change: (settings: Settings) => void;
+  /** Displacements count from the present positions on. */
+  readonly setZero: () => void;
+  readonly takePicture: () => void;
+}
+
+export class Display {
+  readonly #actions: DisplayActions;
+  readonly #colouring = find("#colouring", HTMLSelectElement);
+  readonly #clipAxis = find("#clip-axis", HTMLSelectElement);
+  readonly #clipShare = find("#clip-share", HTMLInputElement);
+  readonly #zero = find("#zero", HTMLButtonElement);
+  readonly #flags = {
+    wireframe: find("#wireframe", HTMLInputElement),
+    rulers: find("#rulers-on", HTMLInputElement),
+    tools: find("#tools", HTMLInputElement),
+  };
+  readonly #folds = { readings: find("#readings", HTMLDetailsElement), plots: find("#plots", HTMLDetailsElement) };
+  #settings = loadSettings();
+
+  constructor(actions: DisplayActions) {
+    this.#actions = actions;
+    const pick = (text: string) => COLOURINGS.find((name) => name === text) ?? "tissue";
+    this.#colouring.addEventListener("change", () => this.change({ colouring: pick(this.#colouring.value) }));
+    this.#clipAxis.addEventListener("change", () => {
+      this.change({ clipAxis: CLIP_AXES.find((axis) => axis === this.#clipAxis.value) ?? "none" });
+    });
+    this.#clipShare.addEventListener("input", () => this.change({ clipShare: Number(this.#clipShare.value) / 100 }));
+    for (const [name, box] of Object.entries(this.#flags)) {
+      box.addEventListener("change", () => this.change({ [name]: box.checked }));
+    }
+    // A small window shows the organ first.
+    const { innerWidth: width, innerHeight: height } = window;
+    const roomy = { readings: width > 760, plots: width > 1080 && height > 700 };
+    for (const [name, fold] of Object.entries(this.#folds) as ["readings" | "plots", HTMLDetailsElement][]) {
+      fold.open = this.#settings[name] ?? roomy[name];
+      fold.querySelector("summary")?.addEventListener("click", () => {
+        // The browser toggles it after this event.
+        this.change({ [name]: !fold.open });
+      });
+    }
+    this.#zero.addEventListener("click", actions.setZero);
+    find("#picture", HTMLButtonElement).addEventListener("click", actions.takePicture);
+    this.change({});
+  }
+
+  get settings(): Settings {
+    return this.#settings;
+  }
+
+  /** Changes some settings, from a control or from a key. */
+  change(some: Partial<Settings>): void {
+    const settings = { ...this.#settings, ...some };
+    this.#settings = settings;
+    saveSettings(settings);
+    this.#colouring.value = settings.colouring;
+    this.#clipAxis.value = settings.clipAxis;
+    this.#clipShare.value = String(Math.round(100 * settings.clipShare));
+    this.#clipShare.disabled = settings.clipAxis === "none";
+    this.#zero.hidden = settings.colouring !== "displacement";
+    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "rulers" | "tools", HTMLInputElement][]) {
+      box.checked = settings[name];
+    }
+    this.#actions.change(settings);
+  }
+
+  /** Takes the next way to colour, as a key does. */
+  nextColouring(): void {
+    const usable = [...this.#colouring.options].filter((option) => !option.disabled).map((option) => option.value);
+    const next = usable[(usable.indexOf(this.#settings.colouring) + 1) % usable.length];
+    this.change({ colouring: COLOURINGS.find((name) => name === next) ?? "tissue" });
+  }
+
+  /** Offers the colours of element fields, or says why they are missing. */
+  offerFields(reason: string | null): void {
+    for (const option of this.#colouring.options) {
+      if (option.value !== "tissue" && option.value !== "displacement") {
+        option.disabled = reason !== null;
+        option.title = reason ?? "";
+      }
+    }
+    const note = find("#fields-note", HTMLElement);
+    note.hidden = reason === null;
+    note.textContent = reason ?? "";
+  }
+}

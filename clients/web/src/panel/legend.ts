@@ -1,0 +1,48 @@
+// The legend of the colours, and short messages to the user.
+import { find } from "../dom";
+import { cssGradient, type Legend } from "../view/colouring";
+
+const TOAST_MS = 8000;
+
+export class LegendPanel {
+  readonly #block = find("#legend", HTMLElement);
+  readonly #title = find("#legend-title", HTMLElement);
+  readonly #ticks = [...document.querySelectorAll("#legend-ticks span")];
+
+  constructor() {
+    find("#legend-colours", HTMLElement).style.background = cssGradient();
+  }
+
+  show(legend: Legend | null): void {
+    this.#block.hidden = legend === null;
+    if (legend !== null) {
+      write(this.#title, legend.title);
+      this.#ticks.forEach((tick, index) => write(tick, legend.ticks[index] ?? ""));
+    }
+  }
+}
+
+export class Toast {
+  readonly #line = find("#toast", HTMLElement);
+  #timer: ReturnType<typeof setTimeout> | undefined;
+
+  /** Shows a message until the next one, or for a while. */
+  show(text: string, tone: "quiet" | "bad"): void {
+    this.#line.textContent = text;
+    this.#line.dataset.tone = tone;
+    this.#line.hidden = false;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.hide(), TOAST_MS);
+  }
+
+  hide(): void {
+    clearTimeout(this.#timer);
+    this.#line.hidden = true;
+  }
+}
+
+function write(target: Element, text: string): void {
+  if (target.textContent !== text) {
+    target.textContent = text;
+  }
+}

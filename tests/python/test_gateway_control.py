@@ -1,0 +1,158 @@
+"""What operators do to scenes from a browser, and what the gateway refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from asynchronous import asynchronous
+from fake_daemon import fake_daemon
+from gateway_parts import TOKEN, browse, load, options
+
+from tensormass._src import demo
+from tensormass.v1 import control_pb2
+from tensormass_gateway.control import MAX_STEPS, MAX_WAITING
+from tensormass_gateway.gateway import Gateway, serve
+
+
+@pytest.mark.parametrize(
+    ("action", "fields", "call"),
+    [
+        ("pause", {}, control_pb2.PauseSceneRequest(scene="liver")),
+        ("resume", {}, control_pb2.ResumeSceneRequest(scene="liver")),
+        ("step", {}, control_pb2.StepSceneRequest(scene="liver", count=1)),
+        ("step", {"steps": 5}, control_pb2.StepSceneRequest(scene="liver", count=5)),
+        ("reset", {}, control_pb2.ResetSceneRequest(scene="liver")),
+        ("unload", {}, control_pb2.UnloadSceneRequest(scene="liver")),
+    ],
+)
+@asynchronous
+async def test_command_of_an_operator_reaches_the_daemon(
+    viewer: Path, action: str, fields: dict[str, object], call: object
+) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            assert page.daemon["operator"] is True
+            result = await page.command(action, "liver", **fields)
+            assert result == {"type": "result", "id": 7, "action": action, "scene": "liver", "error": ""}
+            assert daemon.commands == [call]
+
+
+@asynchronous
+async def test_refusal_of_the_daemon_reaches_the_operator(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        daemon.refusal = "scene 'liver' runs by the clock"
+        assert (await page.command("step", "liver"))["error"] == "scene 'liver' runs by the clock"
+
+
+@pytest.mark.parametrize("action", ["pause", "resume", "step", "reset", "load", "unload"])
+@asynchronous
+async def test_who_only_looks_controls_nothing(viewer: Path, action: str) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver", token=TOKEN) as page:
+            assert (page.daemon["operator"], page.daemon["poses_allowed"]) == (False, False)
+            assert "only lets you look" in (await page.command(action, "beam"))["error"]
+            assert daemon.commands == []
+            await page.send(type="pose", tool="probe", position_m=[0, 0, 0])
+            assert await page.closed() == (1008, "only an operator moves tools")
+
+
+@asynchronous
+async def test_builtin_scene_is_loaded_under_a_free_name_and_announced_at_once(viewer: Path) -> None:
+    async with (
+        fake_daemon() as daemon,
+        serve(options(viewer, daemon.control, poll_interval_s=1000)) as gateway,
+        browse(gateway) as page,
+    ):
+        assert page.daemon["builtin_scenes"] == demo.builtin_scenes()
+        for name, lockstep in (("beam", False), ("beam-2", True)):
+            result = await page.command("load", "beam", lockstep=lockstep)
+            assert (result["scene"], result["error"]) == (name, "")
+            loaded = daemon.commands[-1].scene
+            assert (loaded.name, loaded.stepping.lockstep) == (name, lockstep)
+            assert len(loaded.bodies) == 1
+        told = await page.text(lambda message: message["type"] == "daemon" and len(message["scenes"]) == 2)
+        assert told["scenes"] == ["beam", "beam-2"]
+        await page.command("unload", "beam")
+        await page.text(lambda message: message["type"] == "daemon" and message["scenes"] == ["beam-2"])
+
+
+@asynchronous
+async def test_file_of_the_gateways_folder_is_not_a_builtin_scene(
+    viewer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("secret", "beam"):
+        (tmp_path / name).write_text("name: stolen")
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        error = (await page.command("load", "secret"))["error"]
+        assert error.startswith("there is no built-in scene 'secret', only beam, ")
+        assert daemon.commands == []
+        assert (await page.command("load", "beam"))["scene"] == "beam"
+        assert daemon.commands[0].scene.name == "beam"
+
+
+@asynchronous
+async def test_frames_flow_while_a_command_waits_and_further_commands_are_bounded(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            daemon.released.clear()
+            for number in range(MAX_WAITING + 1):
+                await page.send(type="control", id=number, action="pause", scene="liver")
+            refused = await page.text(lambda message: message["type"] == "result")
+            assert refused["id"] == MAX_WAITING
+            assert f"{MAX_WAITING} commands wait" in refused["error"]
+            await page.nothing_pending()
+            daemon.released.set()
+            for _ in range(MAX_WAITING):
+                assert (await page.text(lambda message: message["type"] == "result"))["error"] == ""
+
+
+@asynchronous
+async def test_lost_daemon_is_named(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        await daemon.stop()
+        assert (await page.command("pause", "liver"))["error"] != ""
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"action": "explode"}, "action is not one of pause, resume"),
+        ({"action": ["pause"]}, "action is not one of"),
+        ({"scene": "../x"}, "64 characters"),
+        ({"scene": None}, "64 characters"),
+        ({"id": -1}, "id is not"),
+        ({"id": True}, "id is not"),
+        ({"id": "1"}, "id is not"),
+        ({"steps": 0}, "steps is not"),
+        ({"steps": MAX_STEPS + 1}, "steps is not"),
+        ({"steps": 1.5}, "steps is not"),
+        ({"lockstep": "yes"}, "lockstep is not"),
+        ({"sudo": 1}, "unknown fields"),
+    ],
+)
+@asynchronous
+async def test_malformed_command_closes_the_connection(viewer: Path, fields: dict[str, object], reason: str) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway, browse(gateway) as page:
+        await page.send(**{"type": "control", "id": 1, "action": "pause", "scene": "liver", **fields})
+        code, why = await page.closed()
+        assert code == 1008
+        assert reason in why
+        assert daemon.commands == []
+
+
+@asynchronous
+async def test_two_addresses_are_for_two_roles(viewer: Path) -> None:
+    gateway = Gateway(options(viewer, port=8000))
+    assert gateway.url == "http://127.0.0.1:8000/?token=an-operators-token"
+    assert gateway.look_url == "http://127.0.0.1:8000/?token=a-token"
+    await gateway.stop()
+
+
+def test_empty_token_makes_nobody_an_operator(viewer: Path) -> None:
+    with pytest.raises(ValueError, match="operators' token is empty"):
+        Gateway(options(viewer, operator_token=""))
