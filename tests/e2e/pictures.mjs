@@ -122,23 +122,24 @@ async function takeViewer() {
     await says(stopped, "#display > summary", "Display");
     await save(stopped, "viewer-error");
 
+    const shown = `${url}&scene=retract`;
     const colours = { colouring: "displacement", rulers: true, readings: false, plots: true };
-    const coloured = await open(url, ROOMY, colours);
+    const coloured = await open(shown, ROOMY, colours);
     await says(coloured, "#legend-title", "from rest");
     await steady(coloured);
     await coloured.locator("#display > summary").click();
     await save(coloured, "viewer-coloured");
 
-    const clipped = await open(url, WIDE, { colouring: "von_mises", clipAxis: "x", clipShare: 0.6, readings: false });
+    const clipped = await open(shown, WIDE, { colouring: "von_mises", clipAxis: "x", clipShare: 0.6, readings: false });
     await says(clipped, "#legend-title", "Von Mises");
     await steady(clipped);
     await save(clipped, "viewer-clip");
 
-    const phone = await open(url, PHONE);
+    const phone = await open(shown, PHONE);
     await steady(phone);
     await save(phone, "viewer-phone");
 
-    const paused = await open(url, WIDE, { readings: false });
+    const paused = await open(shown, WIDE, { readings: false });
     await steady(paused);
     await paused.locator("#pause").click();
     await says(paused, "#link", "Paused");
