@@ -78,6 +78,19 @@ struct RowState {
   double internal_dt_s = 0;
 };
 
+/// The part of past steps that the next step needs, besides RowState. Without it, a state starts a new sequence of
+/// steps. Arrays that the model does not use are empty.
+struct StepHistory {
+  std::vector<double> previous_displacement;  ///< [row_count, 4] m, at the end of the step before the last
+  std::vector<double> previous_velocity;      ///< [row_count, 4] m/s
+  std::vector<double> slips;                  ///< view::ContactView::slips
+  std::vector<double> tie_slips;              ///< view::TiesView::slips
+  std::vector<double> broken;                 ///< view::TiesView::broken
+  std::vector<double> solution;               ///< [row_count, 4] of the last linear solve
+  double last_dt_s = 0;                       ///< length of the last step; 0: there was none
+  double largest_force_squared = 0;           ///< see solver::newton_step
+};
+
 /// The state of one scene on one device. Not thread-safe. A step allocates nothing.
 class SceneState {
  public:
@@ -98,6 +111,11 @@ class SceneState {
   virtual RowState read() = 0;
   /// Replaces the state; slow.
   virtual void write(const RowState& state) = 0;
+  /// Copies the history to the host; slow.
+  virtual StepHistory read_history() = 0;
+  /// Replaces the history, in arrays of the same sizes as those of `read_history`; slow. Call it after `write`, which
+  /// starts a new history.
+  virtual void write_history(const StepHistory& history) = 0;
 };
 
 /// A kind of device.

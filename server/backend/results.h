@@ -189,6 +189,12 @@ class Checkpoint {
   }
   /// Call after fields were written from outside.
   void start_anew(double internal_dt_s) { past_ = {.internal_dt_s = internal_dt_s}; }
+  /// Call after a history was written from outside; see write_history.
+  void go_on(const StepHistory& history) {
+    past_.dt_s = history.last_dt_s;
+    past_.largest_force_squared = history.largest_force_squared;
+    past_.solution = 0;
+  }
   /// Implements SceneState::restore.
   ///
   ///   copy(from, count, to)   copies reals within the device; may return before the copy has ended
@@ -222,6 +228,7 @@ class Checkpoint {
     past_.internal_dt_s = 0;
   }
 
+  const StepRecord& past() const { return past_; }
   double internal_dt_s() const { return past_.internal_dt_s; }
   double& largest_force_squared() { return past_.largest_force_squared; }
 
@@ -267,6 +274,43 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
     upload(groups[g].internal_variables, histories.first(count));
     histories = histories.subspan(count);
   }
+}
+
+/// Reads the history of the steps. download: as in read_state.
+template <class Real, class Download>
+StepHistory read_history(const view::SceneView<Real>& view, const StepRecord& past, const Download& download) {
+  const std::size_t reals = 4 * std::size_t{view.patches.row_count};
+  StepHistory history;
+  history.last_dt_s = past.dt_s;
+  history.largest_force_squared = past.largest_force_squared;
+  if (view.state.previous_displacement != nullptr) {
+    history.previous_displacement = download(view.state.previous_displacement, reals);
+    history.previous_velocity = download(view.state.previous_velocity, reals);
+  }
+  if (view.contact.slips != nullptr) history.slips = download(view.contact.slips, slip_reals(view.contact));
+  history.tie_slips = download(view.ties.slips, slip_reals(view.ties));
+  history.broken = download(view.ties.broken, view.ties.spring_count);
+  if (view.solve.kept != nullptr) history.solution = download(view.solve.kept + past.solution * reals, reals);
+  return history;
+}
+
+/// Writes the history of the steps; the last solution goes to the first place of SolveView::kept. upload: as in
+/// write_state.
+template <class Real, class Upload>
+void write_history(const view::SceneView<Real>& view, const StepHistory& history, const Upload& upload) {
+  if (view.state.previous_displacement != nullptr) {
+    upload(view.state.previous_displacement, history.previous_displacement);
+    upload(view.state.previous_velocity, history.previous_velocity);
+  }
+  if (view.contact.slips != nullptr) {
+    TM_ASSERT(history.slips.size() == slip_reals(view.contact), "a history is of the same model");
+    upload(view.contact.slips, history.slips);
+  }
+  TM_ASSERT(history.tie_slips.size() == slip_reals(view.ties) && history.broken.size() == view.ties.spring_count,
+            "a history is of the same model");
+  upload(view.ties.slips, history.tie_slips);
+  upload(view.ties.broken, history.broken);
+  if (view.solve.kept != nullptr) upload(view.solve.kept, history.solution);
 }
 
 }  // namespace tensormass::backend

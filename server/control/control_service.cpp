@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <memory>
+#include <thread>
 #include <utility>
 
 #include <fmt/format.h>
@@ -14,6 +16,8 @@ namespace {
 
 /// Target length of a turn of StepScene: after a cancellation or an unload the call runs that long, or one step.
 constexpr std::chrono::milliseconds kStepTurn{25};
+/// Time after which RecordScene looks again for steps. The loop must not wake it: a step signals nobody.
+constexpr std::chrono::milliseconds kRecordingPause{10};
 
 /// Moves the value of `result` to `field` of the response, or returns its error.
 template <class T>
@@ -185,6 +189,55 @@ grpc::Status ControlService::GetFeedback(grpc::ServerContext*, const v1::GetFeed
     return runner->feedback(request->tool());
   }),
                 response->mutable_feedback());
+}
+
+grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1::RecordSceneRequest* request,
+                                         grpc::ServerWriter<v1::RecordSceneResponse>* writer) {
+  auto runner = registry_.find(request->scene());
+  if (!runner) return to_status(runner.error());
+  const std::weak_ptr<world::Runner> scene = *runner;
+  auto started = (*runner)->record({.check_every_steps = request->check_every_steps(), .reset = request->reset()});
+  // A reader that is stuck in Write must not keep the loop of an unloaded scene alive.
+  runner->reset();
+  if (!started) return to_status(started.error());
+  world::Recording& recording = *started->recording;
+  started->start.set_server_version(identity_.version());
+  v1::RecordSceneResponse response;
+  *response.mutable_start() = std::move(started->start);
+  bool reads = writer->Write(response);
+  while (reads && !context->IsCancelled()) {
+    const bool ended = recording.closed();
+    if (recording.take(response)) {
+      reads = writer->Write(response);
+    } else if (ended) {
+      break;
+    } else {
+      std::this_thread::sleep_for(kRecordingPause);
+    }
+  }
+  if (const RunnerPtr still = scene.lock()) still->stop_recording(started->recording);
+  return grpc::Status::OK;
+}
+
+grpc::Status ControlService::ReplayScene(grpc::ServerContext*, const v1::ReplaySceneRequest* request,
+                                         v1::ReplaySceneResponse* response) {
+  return answer(
+      registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) { return runner->replay(*request); }),
+      response);
+}
+
+grpc::Status ControlService::SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest* request,
+                                           v1::SnapshotSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([](const RunnerPtr& runner) { return runner->snapshot(); }),
+                response);
+}
+
+grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest* request,
+                                          v1::RestoreSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return runner->restore(request->snapshot());
+  }),
+                response->mutable_status());
 }
 
 }  // namespace tensormass::control

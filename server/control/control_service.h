@@ -38,6 +38,12 @@ class ControlService final : public v1::Control::Service {
   grpc::Status GetStatus(grpc::ServerContext*, const v1::GetStatusRequest*, v1::GetStatusResponse*) override;
   grpc::Status MoveTool(grpc::ServerContext*, const v1::MoveToolRequest*, v1::MoveToolResponse*) override;
   grpc::Status GetFeedback(grpc::ServerContext*, const v1::GetFeedbackRequest*, v1::GetFeedbackResponse*) override;
+  grpc::Status RecordScene(grpc::ServerContext*, const v1::RecordSceneRequest*,
+                           grpc::ServerWriter<v1::RecordSceneResponse>*) override;
+  grpc::Status ReplayScene(grpc::ServerContext*, const v1::ReplaySceneRequest*, v1::ReplaySceneResponse*) override;
+  grpc::Status SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest*,
+                             v1::SnapshotSceneResponse*) override;
+  grpc::Status RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest*, v1::RestoreSceneResponse*) override;
 
  private:
   SceneRegistry& registry_;

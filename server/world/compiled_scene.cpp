@@ -2,6 +2,7 @@
 
 #include "model/compile.h"
 #include "step/plan.h"
+#include "world/hashes.h"
 
 namespace tensormass::world {
 
@@ -22,7 +23,8 @@ Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions&
   TM_ASSIGN_OR_RETURN(backend, make_backend(options));
   TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend->patch_policy(scene), progress));
   v1::SceneReport report = step::make_report(model, backend->rates(scene));
-  return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report)};
+  return CompiledScene{std::move(backend), std::make_unique<const model::Model>(std::move(model)), std::move(report),
+                       hash_of(scene)};
 }
 
 Result<BackendDescription> describe_backend(BackendChoice choice) {

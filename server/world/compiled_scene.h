@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 
 #include "backend/backend.h"
@@ -12,6 +13,7 @@ struct CompiledScene {
   std::unique_ptr<backend::Backend> backend;
   std::unique_ptr<const model::Model> model;
   v1::SceneReport report;
+  std::uint64_t scene_hash = 0;  ///< hashes.h
 };
 
 /// Selects the backend and compiles the scene for it. Errors name the body, the element and the remedy.

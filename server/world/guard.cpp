@@ -141,6 +141,14 @@ void EnergyBalance::take_elastic(double elastic_j) {
   dissipated_j_ = work_j_ - available_j_;
 }
 
+void EnergyBalance::set_entries(const Entries& entries) {
+  kinetic_j_ = entries.kinetic_j;
+  elastic_j_ = entries.elastic_j;
+  work_j_ = entries.work_j;
+  dissipated_j_ = entries.dissipated_j;
+  available_j_ = entries.available_j;
+}
+
 void EnergyBalance::start(double kinetic_j, double elastic_j) {
   kinetic_j_ = kinetic_j;
   elastic_j_ = elastic_j;

@@ -62,6 +62,14 @@ class EnergyBalance {
  public:
   explicit EnergyBalance(const model::Model& model);
 
+  /// The entries of the books [J].
+  struct Entries {
+    double kinetic_j = 0, elastic_j = 0, work_j = 0, dissipated_j = 0, available_j = 0;
+  };
+  Entries entries() const { return {kinetic_j_, elastic_j_, work_j_, dissipated_j_, available_j_}; }
+  /// Goes on with the books of another time.
+  void set_entries(const Entries& entries);
+
   /// Adds a published step: its kinetic energy, and the work of loads and tools since the step before [J].
   void add_step(double kinetic_j, double loads_work_j, double tools_work_j);
   /// Takes the elastic energy that diagnostics found after the last step, and closes the books up to it.

@@ -31,6 +31,7 @@ Loop::~Loop() {
   }
   wake_.notify_one();
   thread_.join();
+  if (recording_) recording_->close();
   TM_ASSERT(commands_.empty(), "nobody waits for a loop that ends");
 }
 
@@ -98,22 +99,37 @@ bool Loop::frame_due() {
   return true;
 }
 
-/// Makes one step and publishes its results. Returns false if the scene stopped: state() is STATE_FAULTED then.
-/// with_diagnostics: checks the elements even if that is not due yet.
-bool Loop::step_once(bool with_frame, bool with_diagnostics) {
+/// Gives the newest poses to the world.
+void Loop::take_poses() {
   for (std::size_t i = 0; i < inboxes_.size(); ++i) {
-    if (const ReceivedPose* received = inboxes_[i].take()) {
-      Pose target = received->pose;
-      if (!received->has_joints) target.joint_values = world_->tool_target(i).joint_values;
-      world_->set_tool_target(i, target, received->stamp, received->valid_for_s);
-    }
+    const ReceivedPose* newest = inboxes_[i].take();
+    if (newest == nullptr) continue;
+    ReceivedPose received = *newest;
+    if (!received.has_joints) received.pose.joint_values = world_->tool_target(i).joint_values;
+    world_->set_tool_target(i, received.pose, received.stamp, received.valid_for_s);
+    if (recording_) recording_->take_pose(i, received);
   }
+}
+
+/// Makes one step with the newest poses. Returns false if the scene stopped: state() is STATE_FAULTED then.
+bool Loop::step_once(bool with_frame, Diagnostics diagnostics) {
+  take_poses();
+  return make_step(with_frame, diagnostics);
+}
+
+/// Makes one step and publishes its results. Returns false if the scene stopped: state() is STATE_FAULTED then.
+bool Loop::make_step(bool with_frame, Diagnostics diagnostics) {
   const Clock::time_point began = Clock::now();
-  bool good = false;
+  const std::uint64_t step = world_->step_count() + 1;
+  const std::uint32_t cg_limit = world_->cg_limit();
+  bool good = false, diagnosed = false;
   try {
     good = world_->step(with_frame && outputs_.has_frames());
     if (!good) outputs_.gather_frame();
-    if (good && (with_diagnostics || world_->step_count() >= next_diagnostics_)) diagnose();
+    diagnosed = good && (diagnostics == Diagnostics::kNow ||
+                         (diagnostics == Diagnostics::kIfDue && world_->step_count() >= next_diagnostics_));
+    if (diagnosed) diagnose();
+    if (recording_) record_step(step, cg_limit, diagnosed, !good);
   } catch (const std::exception& failure) {
     stop_for_device(failure);
     return false;
@@ -202,11 +218,8 @@ Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
                   fmt::format("scene '{}' is being unloaded; {} of {} steps were done", model_.name, i, count));
     }
     const Clock::time_point begin = Clock::now();
-    // The caller asks for the last step's frame next. Frames before it go out at the stream's rate.
     const bool last = i + 1 == count;
-    const bool with_frame = last || begin - last_lockstep_frame_ >= lockstep_frame_interval();
-    if (with_frame) last_lockstep_frame_ = begin;
-    if (!step_once(with_frame, last)) {
+    if (!step_once(lockstep_frame_due(begin, last), last ? Diagnostics::kNow : Diagnostics::kIfDue)) {
       const Result<void> fault = status_.require_not_faulted();
       TM_ASSERT(!fault, "a step that failed stopped the scene");
       return tl::make_unexpected(fault.error());
@@ -217,6 +230,14 @@ Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
   return status_.make();
 }
 
+/// Says whether a step of a call brings a frame. The caller asks for the last step's frame next. Frames before it go
+/// out at the stream's rate.
+bool Loop::lockstep_frame_due(Clock::time_point now, bool last) {
+  if (!last && now - last_lockstep_frame_ < lockstep_frame_interval()) return false;
+  last_lockstep_frame_ = now;
+  return true;
+}
+
 Clock::duration Loop::lockstep_frame_interval() const {
   if (!(model_.frame_rate_hz > 0)) return Clock::duration::max();
   return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / model_.frame_rate_hz));
@@ -224,19 +245,25 @@ Clock::duration Loop::lockstep_frame_interval() const {
 
 Result<v1::SceneStatus> Loop::do_reset() {
   world_->reset();
+  budget_.clear();
+  world_->set_cg_limit(budget_.limit());
+  next_diagnostics_ = 0;
+  if (recording_) recording_->take_reset();
+  go_on_from_new_state();
+  return status_.make();
+}
+
+/// Clears what was said about the state before, and publishes the new one.
+void Loop::go_on_from_new_state() {
   device_failed_ = false;
   status_.clear();
   if (status_.state() == v1::SceneStatus::STATE_FAULTED) {
     set_state(model_.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING);
   }
-  budget_.clear();
-  world_->set_cg_limit(budget_.limit());
-  next_diagnostics_ = 0;
-  for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before the reset
+  for (PoseInbox& inbox : inboxes_) inbox.take();  // drops poses that were sent before
   outputs_.take_step(Clock::now());
   status_.take_stamp(outputs_.stamp());
   outputs_.publish(true);
-  return status_.make();
 }
 
 Result<v1::Frame> Loop::do_frame(std::uint64_t topology_version) {

@@ -8,6 +8,7 @@
 #include <future>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string_view>
 #include <thread>
 
@@ -20,6 +21,9 @@
 #include "world/loop_outputs.h"
 #include "world/loop_status.h"
 #include "world/pose_inbox.h"
+#include "world/recording.h"
+#include "world/replay.h"
+#include "world/snapshot.h"
 #include "world/step_clock.h"
 #include "world/world.h"
 
@@ -35,6 +39,8 @@
 ///     control (Runner)   queue of commands, mutex    the loop     the caller, for a result  nothing
 ///     the loop           LoopOutputs, mailboxes      publisher    nobody                    all but the newest frame
 ///     the loop           LoopStatus, atomics         anyone       nobody                    -
+///     the loop           Recording, rings            one reader   nobody                    steps, and the reader sees
+///     it
 ///
 /// The loop waits for no client, no publisher and no caller: it holds the queue's mutex only to take a command out.
 /// Only the loop's thread touches the world, so the world needs no lock. A step allocates nothing.
@@ -90,6 +96,22 @@ class Loop {
   Result<v1::ToolFeedback> do_feedback(std::size_t tool) { return outputs_.feedback(tool); }
   Result<void> do_set_signal(std::function<void()> signal);
 
+  // Commands of recordings and snapshots, in loop_recording.cpp.
+
+  struct StartedRecording {
+    std::shared_ptr<Recording> recording;
+    std::uint64_t step = 0;
+    std::optional<LoopState> state;  ///< before the first recorded step; no value: it is the scene's start
+  };
+  /// Records from the next step on.
+  Result<StartedRecording> do_record(const RecordingOptions& options);
+  /// Ends a recording, if it is still this one.
+  Result<void> do_stop_recording(const std::shared_ptr<Recording>& recording);
+  /// Makes recorded steps; see ReplayScene.
+  Result<v1::ReplaySceneResponse> do_replay(const Replay& replay);
+  Result<LoopState> do_save();
+  Result<v1::SceneStatus> do_restore(const LoopState& state);
+
  private:
   using State = LoopStatus::State;
 
@@ -98,7 +120,13 @@ class Loop {
   void run_commands();
   void enqueue(std::function<void()> command);
   bool frame_due();
-  bool step_once(bool with_frame, bool with_diagnostics = false);
+  enum class Diagnostics : std::uint8_t { kIfDue, kNow, kNever };
+  bool step_once(bool with_frame, Diagnostics diagnostics = Diagnostics::kIfDue);
+  bool make_step(bool with_frame, Diagnostics diagnostics);
+  void take_poses();
+  void record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected);
+  void go_on_from_new_state();
+  bool lockstep_frame_due(Clock::time_point now, bool last);
   void diagnose();
   void set_state(State next);
   void come_to_rest(bool with_frame);
@@ -128,6 +156,7 @@ class Loop {
   Clock::time_point last_lockstep_frame_{};
   std::uint64_t next_diagnostics_ = 0;  // step
   bool device_failed_ = false;
+  std::shared_ptr<Recording> recording_;  // nullptr: nobody records
 
   std::thread thread_;  // last: uses all of the above
 };

@@ -7,8 +7,10 @@
 #include "core/limits.h"
 #include "world/compiled_scene.h"
 #include "world/fields.h"
+#include "world/hashes.h"
 #include "world/loop.h"
 #include "world/messages.h"
+#include "world/snapshot.h"
 
 namespace tensormass::world {
 
@@ -16,6 +18,8 @@ namespace tensormass::world {
 struct Runner::Impl {
   Impl(CompiledScene compiled, std::unique_ptr<World> world)
       : report(std::move(compiled.report)),
+        backend{compiled.backend->name(), compiled.backend->device()},
+        scene_hash(compiled.scene_hash),
         loop(compiled.backend->name(), std::move(world)),
         topology(make_topology(loop.model(), unix_time_ns())) {
     for (std::size_t i = 0; i < loop.model().tools.size(); ++i) tool_index.emplace(loop.model().tools[i].name, i);
@@ -30,6 +34,8 @@ struct Runner::Impl {
   }
 
   const v1::SceneReport report;
+  const BackendDescription backend;
+  const std::uint64_t scene_hash;
   Loop loop;
   const v1::Topology topology;
   std::map<std::string, std::size_t, std::less<>> tool_index;
@@ -104,6 +110,51 @@ Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
   TM_ASSIGN_OR_RETURN(index, impl_->find_tool(tool));
   Loop& loop = impl_->loop;
   return loop.call([&loop, i = index] { return loop.do_feedback(i); });
+}
+
+Result<StartedRecording> Runner::record(const RecordingOptions& options) {
+  Loop& loop = impl_->loop;
+  TM_ASSIGN_OR_RETURN(started, loop.call([&] { return loop.do_record(options); }));
+  const model::Model& model = loop.model();
+  StartedRecording out{started.recording, {}};
+  out.start.set_scene(model.name);
+  out.start.set_backend(impl_->backend.backend);
+  out.start.set_device(impl_->backend.device);
+  out.start.set_scene_hash(impl_->scene_hash);
+  out.start.set_layout_hash(hash_of_layout(model));
+  out.start.set_patch_count(model.layout.patch_count);
+  out.start.set_check_every_steps(options.check_every_steps);
+  out.start.set_step(started.step);
+  if (started.state) out.start.set_snapshot(write_snapshot(model, impl_->scene_hash, *started.state));
+  out.start.set_server_time_ns(unix_time_ns());
+  return out;
+}
+void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
+  Loop& loop = impl_->loop;
+  (void)loop.call([&] { return loop.do_stop_recording(recording); });
+}
+Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
+  Loop& loop = impl_->loop;
+  TM_ASSIGN_OR_RETURN(replay, read_replay(loop.model(), impl_->scene_hash, request));
+  TM_ASSIGN_OR_RETURN(response, loop.call([&] { return loop.do_replay(replay); }));
+  response.set_layout_hash(hash_of_layout(loop.model()));
+  return std::move(response);
+}
+Result<v1::SnapshotSceneResponse> Runner::snapshot() {
+  Loop& loop = impl_->loop;
+  TM_ASSIGN_OR_RETURN(state, loop.call([&] { return loop.do_save(); }));
+  v1::SnapshotSceneResponse response;
+  response.set_step(state.world.step_count);
+  response.set_snapshot(write_snapshot(loop.model(), impl_->scene_hash, state));
+  return response;
+}
+Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
+  Loop& loop = impl_->loop;
+  // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
+  // with.
+  TM_ASSIGN_OR_RETURN(present, loop.call([&] { return loop.do_save(); }));
+  TM_ASSIGN_OR_RETURN(state, read_snapshot(loop.model(), impl_->scene_hash, present.world.history, snapshot));
+  return loop.call([&] { return loop.do_restore(state); });
 }
 
 Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose) {

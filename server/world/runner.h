@@ -12,6 +12,7 @@
 #include "tensormass/v1/control.pb.h"
 #include "tensormass/v1/scene.pb.h"
 #include "tensormass/v1/stream.pb.h"
+#include "world/recording.h"
 
 namespace tensormass::world {
 
@@ -23,6 +24,12 @@ struct RunnerOptions {
   BackendChoice backend = BackendChoice::kAuto;
   std::uint32_t cpu_threads = 1;  ///< threads of a scene that does not set its own
   std::uint32_t gpu_scenes = 1;   ///< number of scenes that step on the GPU at the same time
+};
+
+/// A recording, and the message with which its stream begins.
+struct StartedRecording {
+  std::shared_ptr<Recording> recording;
+  v1::RecordingStart start;
 };
 
 /// One scene that steps on a thread of its own. All methods may be called from any thread.
@@ -69,6 +76,15 @@ class Runner {
   Result<v1::GetPositionsResponse> positions(std::string_view body);
   Result<v1::GetFieldsResponse> fields(const v1::GetFieldsRequest& request);
   Result<v1::ToolFeedback> feedback(std::string_view tool) const;
+
+  /// Starts a recording for one reader. It ends by `stop_recording`, or is closed when the scene ends.
+  Result<StartedRecording> record(const RecordingOptions& options);
+  void stop_recording(const std::shared_ptr<Recording>& recording);
+  /// Makes recorded steps again; for a scene in lockstep.
+  Result<v1::ReplaySceneResponse> replay(const v1::ReplaySceneRequest& request);
+  /// The whole state between two steps (snapshot.h), and going on from it.
+  Result<v1::SnapshotSceneResponse> snapshot();
+  Result<v1::SceneStatus> restore(std::string_view snapshot);
 
   /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for
   /// an unknown tool.

@@ -86,6 +86,36 @@ class ToolMotion {
   /// Takes the last `move` back: its step failed.
   void take_back() { current_ = before_; }
 
+  /// The motion between two steps.
+  struct Saved {
+    Pose pose, target;
+    double valid_for_s = kUntilTheNext;
+    double fade = 1;          ///< fourth root of the presence
+    double target_age_s = 0;  ///< time since the target was set
+    // Of a tool with a mass.
+    Vec3<double> hand_m = Vec3<double>::Zero();
+    Vec3<double> hand_m_per_s = Vec3<double>::Zero();
+    Vec3<double> velocity_m_per_s = Vec3<double>::Zero();
+    FeltContact felt;
+  };
+  Saved save() const {
+    return {current_.pose,
+            target_,
+            valid_for_s_,
+            current_.fade,
+            current_.target_age_s,
+            current_.hand_m,
+            current_.hand_m_per_s,
+            current_.velocity_m_per_s,
+            felt_};
+  }
+  void restore(const Saved& saved) {
+    target_ = saved.target;
+    valid_for_s_ = saved.valid_for_s;
+    current_ = {saved.pose, saved.hand_m, saved.hand_m_per_s, saved.velocity_m_per_s, saved.fade, saved.target_age_s};
+    felt_ = saved.felt;
+  }
+
   const Pose& pose() const { return current_.pose; }
   bool has_mass() const { return tool_->mass_kg > 0; }
   const Vec3<double>& hand_m() const { return current_.hand_m; }

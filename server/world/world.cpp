@@ -237,6 +237,42 @@ void World::reset() {
   if (model_->visible.count() > 0) state_->gather_visible();
 }
 
+World::Saved World::save() {
+  Saved out{.step_count = step_count_,
+            .rows = state_->read(),
+            .history = state_->read_history(),
+            .energy = energy_.entries(),
+            .cg_limit = cg_limit_};
+  projection_.save(out);
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
+  }
+  return out;
+}
+
+void World::restore(const Saved& saved) {
+  TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of an equal model");
+  state_->write(saved.rows);
+  state_->write_history(saved.history);
+  std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
+  step_count_ = saved.step_count;
+  last_ = {};
+  has_event_ = false;
+  projection_.restore(saved);
+  energy_.set_entries(saved.energy);
+  set_cg_limit(saved.cg_limit);
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    tools_[i].restore(saved.tools[i].motion);
+    forces_[i] = saved.tools[i].force;
+    readings_[i] = {};
+    readings_[i].newest = saved.tools[i].newest;
+  }
+  read_tools();
+  // Reading them has made tools with a mass feel their contact a second time.
+  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].restore(saved.tools[i].motion);
+  if (model_->visible.count() > 0) state_->gather_visible();
+}
+
 std::vector<double> World::positions(const model::BodyModel& body) {
   const backend::RowState state = state_->read();
   TM_ASSERT(body.node_begin + body.node_count <= model_->layout.row_of_node.size(), "a body of this model");

@@ -50,6 +50,28 @@ class World {
     readings_[tool].newest = stamp;
   }
 
+  /// Everything that the next step depends on, besides the inputs of that step.
+  struct Saved {
+    struct Tool {
+      ToolMotion::Saved motion;
+      PoseStamp newest;          ///< stamp of the newest pose, without its arrival
+      backend::ToolForce force;  ///< at the end of the last step
+    };
+    std::uint64_t step_count = 0;
+    backend::RowState rows;
+    backend::StepHistory history;
+    std::vector<Tool> tools;
+    EnergyBalance::Entries energy;
+    std::uint32_t projection_left = 0, projection_length = 0, projection_good = 0;  ///< see Projection
+    std::uint32_t cg_limit = 0;
+  };
+  /// Copies the state. Allocates; for requests.
+  Saved save();
+  /// Goes on from a state that a world of an equal model saved.
+  void restore(const Saved& saved);
+
+  std::uint32_t cg_limit() const { return cg_limit_; }
+
   /// Makes a step. Returns false if no retry stayed within the guard's bounds: the world is then as before the call.
   bool step(bool gather_visible);
   /// Limits the iterations of a solve from the next step on, to at most the model's. Retries ignore the limit.
@@ -115,6 +137,17 @@ class World {
       if (!consistent || ++good_ < length_) return;
       length_ = std::max(length_ / 2, kLeast / 2);
       good_ = 0;
+    }
+
+    void save(Saved& to) const {
+      to.projection_left = left_;
+      to.projection_length = length_;
+      to.projection_good = good_;
+    }
+    void restore(const Saved& from) {
+      left_ = std::min(from.projection_left, kMost);
+      length_ = std::clamp(from.projection_length, kLeast / 2, kMost);
+      good_ = std::min(from.projection_good, kMost);
     }
 
    private:

@@ -221,6 +221,69 @@ TEST_F(ServiceTest, InspectsWithoutLoading) {
   EXPECT_EQ(code(&Stub::InspectScene, request), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
+v1::RecordSceneRequest recording_of(const std::string& scene) {
+  v1::RecordSceneRequest request;
+  request.set_scene(scene);
+  request.set_check_every_steps(10);
+  request.set_reset(true);
+  return request;
+}
+
+TEST_F(ServiceTest, ARecordingStreamsStepsUntilItsSceneIsUnloaded) {
+  load(tests::block_with_probe(false, 4));
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+  const auto reader = stub->RecordScene(&context, recording_of("block"));
+  v1::RecordSceneResponse message;
+  ASSERT_TRUE(reader->Read(&message));
+  EXPECT_EQ(message.start().scene(), "block");
+  EXPECT_EQ(message.start().backend(), "cpu");
+  EXPECT_NE(message.start().scene_hash(), 0u);
+  auto request = of_scene<v1::StepSceneRequest>("block");
+  request.set_count(30);
+  v1::StepSceneResponse stepped;
+  ASSERT_TRUE(call(&Stub::StepScene, request, stepped).ok());
+  ASSERT_TRUE(registry.unload("block"));
+  std::uint64_t steps = 0, checks = 0;
+  while (reader->Read(&message)) {
+    EXPECT_FALSE(message.has_start());
+    EXPECT_EQ(message.lost_size(), 0);
+    for (const v1::RecordedStep& step : message.steps()) EXPECT_EQ(step.index(), ++steps);
+    checks += static_cast<std::uint64_t>(message.checks_size());
+  }
+  EXPECT_TRUE(reader->Finish().ok());
+  EXPECT_EQ(steps, 30u);
+  EXPECT_EQ(checks, 3u);
+}
+
+TEST_F(ServiceTest, ARecordingEndsWhenItsClientCancels) {
+  load(tests::block_with_probe(false, 4));
+  {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+    const auto reader = stub->RecordScene(&context, recording_of("block"));
+    v1::RecordSceneResponse message;
+    ASSERT_TRUE(reader->Read(&message));
+    context.TryCancel();
+    EXPECT_EQ(reader->Finish().error_code(), grpc::StatusCode::CANCELLED);
+  }
+  // The call notices the cancellation when it looks again.
+  const auto deadline = std::chrono::steady_clock::now() + kDeadline;
+  bool again = false;
+  while (!again && std::chrono::steady_clock::now() < deadline) {
+    grpc::ClientContext context;
+    context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+    const auto reader = stub->RecordScene(&context, recording_of("block"));
+    v1::RecordSceneResponse message;
+    again = reader->Read(&message);
+    context.TryCancel();
+    const grpc::Status status = reader->Finish();
+    if (!again) EXPECT_EQ(status.error_code(), grpc::StatusCode::FAILED_PRECONDITION) << status.error_message();
+    std::this_thread::yield();
+  }
+  EXPECT_TRUE(again);
+}
+
 TEST_F(ServiceTest, EveryCallReportsAnUnknownScene) {
   using grpc::StatusCode;
   v1::StepSceneRequest step = of_scene<v1::StepSceneRequest>("none");
@@ -236,6 +299,12 @@ TEST_F(ServiceTest, EveryCallReportsAnUnknownScene) {
   EXPECT_EQ(code(&Stub::GetStatus, of_scene<v1::GetStatusRequest>("none")), StatusCode::NOT_FOUND);
   EXPECT_EQ(code(&Stub::MoveTool, of_scene<v1::MoveToolRequest>("none")), StatusCode::NOT_FOUND);
   EXPECT_EQ(code(&Stub::GetFeedback, of_scene<v1::GetFeedbackRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::ReplayScene, of_scene<v1::ReplaySceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::SnapshotScene, of_scene<v1::SnapshotSceneRequest>("none")), StatusCode::NOT_FOUND);
+  EXPECT_EQ(code(&Stub::RestoreScene, of_scene<v1::RestoreSceneRequest>("none")), StatusCode::NOT_FOUND);
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() + kDeadline);
+  EXPECT_EQ(stub->RecordScene(&context, recording_of("none"))->Finish().error_code(), StatusCode::NOT_FOUND);
 }
 
 TEST_F(ServiceTest, RefusesInvalidRequests) {

@@ -71,6 +71,8 @@ class FaultyState final : public backend::SceneState {
   void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }
   void write(const backend::RowState& state) override { sound_->write(state); }
+  backend::StepHistory read_history() override { return sound_->read_history(); }
+  void write_history(const backend::StepHistory& history) override { sound_->write_history(history); }
 
  private:
   const std::unique_ptr<backend::SceneState> sound_;

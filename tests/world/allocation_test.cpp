@@ -9,6 +9,7 @@
 #include "support/backends.h"
 #include "support/laws.h"
 #include "support/scenes.h"
+#include "world/recording.h"
 
 /// The step loop allocates nothing. This program counts every call of operator new, in every thread.
 namespace {
@@ -149,6 +150,21 @@ TEST_P(StepLoop, AllocatesNothingWhileLoadsGrowInParts) {
 }
 
 TM_ON_EACH_BACKEND(StepLoop);
+
+TEST(ARecording, AllocatesNothingForAStep) {
+  const auto backend = backend::make_cpu_backend(1);
+  const v1::Scene scene = tests::block_with_probe(false, 4);
+  const auto model = model::compile(scene, backend->patch_policy(scene));
+  ASSERT_TRUE(model);
+  Recording recording(*model, {.room_for_steps = 16});
+  const std::uint64_t before = allocations.load();
+  for (int i = 0; i < 40; ++i) {  // the last ones find no room
+    if (i == 10) recording.take_reset();
+    recording.take_pose(0, {});
+    recording.end_step({});
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+}
 
 TEST(Counting, SeesAnAllocation) {
   const std::uint64_t before = allocations.load();

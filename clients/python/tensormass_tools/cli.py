@@ -1,7 +1,7 @@
 """The command `tensormass`.
 
 Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 130 after Ctrl-C and 143 after SIGTERM.
-`run` and `view` end with 0 after both signals, because that is how they are ended.
+`run`, `view` and `record` end with 0 after both signals, because that is how they are ended.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import export, hand, load_test, modes, run, solve
+from tensormass_tools import export, hand, load_test, modes, recording, run, solve
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
@@ -152,6 +152,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_trade_arguments(sub, _SCENE_HELP)
     sub.set_defaults(command=trade.run)
+
+    sub = commands.add_parser(
+        "record", parents=[json_option], help="record the inputs of a scene and checks of its state to an MCAP file"
+    )
+    recording.add_record_arguments(sub, _SCENE_HELP)
+    sub.set_defaults(command=recording.run_record)
+
+    sub = commands.add_parser(
+        "replay", parents=[json_option], help="make the steps of a recording again and compare the state"
+    )
+    recording.add_replay_arguments(sub)
+    sub.set_defaults(command=recording.run_replay)
 
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)

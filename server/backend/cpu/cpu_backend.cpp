@@ -110,6 +110,17 @@ class CpuState final : public SceneState {
                 });
     checkpoint_.start_anew(state.internal_dt_s);
   }
+  StepHistory read_history() override {
+    return backend::read_history(view_, checkpoint_.past(), [](const Real* from, std::size_t count) {
+      return std::vector<double>(from, from + count);
+    });
+  }
+  void write_history(const StepHistory& history) override {
+    backend::write_history(view_, history, [](Real* to, std::span<const double> from) {
+      std::transform(from.begin(), from.end(), to, [](double value) { return static_cast<Real>(value); });
+    });
+    checkpoint_.go_on(history);
+  }
 
   // solver::newton_step calls these.
   void begin() { run(step::Phase::kBegin); }

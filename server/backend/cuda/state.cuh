@@ -153,6 +153,15 @@ class CudaState final : public SceneState {
     checkpoint_.start_anew(state.internal_dt_s);
     finish_copies("write");
   }
+  StepHistory read_history() override {
+    return backend::read_history(view_, checkpoint_.past(),
+                                 [&](const Real* from, std::size_t count) { return download(from, count); });
+  }
+  void write_history(const StepHistory& history) override {
+    backend::write_history(view_, history, [&](Real* to, std::span<const double> from) { upload(to, from); });
+    checkpoint_.go_on(history);
+    finish_copies("write");
+  }
 
   // solver::newton_step calls these.
   void begin() { run(step::Phase::kBegin); }

@@ -179,6 +179,30 @@ class SceneHandle:
         """Subscribes to the status of the scene."""
         return self._connection.data_plane.subscribe(self.name, "status", stream_pb2.SceneStatus, transport)
 
+    def snapshot(self) -> bytes:
+        """Returns the whole state between two steps: what `restore` takes, and what a file may keep as it is.
+
+        Raises:
+            FailedPreconditionError: the device failed, so its state cannot be trusted.
+        """
+        request = control_pb2.SnapshotSceneRequest(scene=self.name)
+        return bytes(self._connection.call("SnapshotScene", request, timeout_s=LOAD_TIMEOUT_S).snapshot)
+
+    def restore(self, snapshot: bytes | str | Path) -> stream_pb2.SceneStatus:
+        """Goes on from a snapshot: state, time and tools. Clears a fault.
+
+        Args:
+            snapshot: what `snapshot` returned, or the path of a file with it.
+
+        Raises:
+            NotFoundError: no such file.
+            InvalidArgumentError: it is not a snapshot, damaged, or of another version.
+            FailedPreconditionError: it is of another scene, backend or number of threads, or the scene is recorded.
+        """
+        content = snapshot if isinstance(snapshot, bytes) else _read(Path(snapshot))
+        request = control_pb2.RestoreSceneRequest(scene=self.name, snapshot=content)
+        return self._connection.call("RestoreScene", request, timeout_s=LOAD_TIMEOUT_S).status
+
     # --- tools --------------------------------------------------------------------------------------------------------
 
     def move_tool(
@@ -239,6 +263,13 @@ class SceneHandle:
         ):
             topology = self.topology()
         return Frame.from_message(frame, topology) if topology.version <= frame.topology_version else None
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise NotFoundError(f"{path}: {error.strerror}") from error
 
 
 class FrameStream(Closing, Iterator[Frame]):

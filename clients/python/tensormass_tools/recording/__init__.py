@@ -1,0 +1,97 @@
+"""Recordings of scenes in MCAP files, and their replay. Needs the packages of the extra `record`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tensormass._src.errors import NotFoundError
+from tensormass_tools import presets
+
+#: Steps from one check of the state to the next.
+CHECK_EVERY = 100
+#: Allowed difference of a sampled node on another backend, relative to the largest displacement in the recording.
+TOLERANCE = 1e-2
+
+
+def add_record_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
+    """Adds the options of `tensormass record`."""
+    parser.add_argument("scene", help=scene_help)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.mcap")
+    parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
+    parser.add_argument("--lockstep", action="store_true", default=None, help="step as fast as possible; needs --steps")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--steps", type=int, metavar="N", help="end after N steps")
+    length.add_argument("--seconds", type=float, metavar="T", help="end after T s; default: until Ctrl-C")
+    parser.add_argument(
+        "--check-every",
+        type=int,
+        default=CHECK_EVERY,
+        metavar="N",
+        help="hash the state every N steps; default: %(default)s",
+    )
+    parser.add_argument("--frames", action="store_true", help="record the surfaces too")
+    parser.add_argument(
+        "--attach", metavar="NAME", help="record the scene that is loaded under this name; SCENE is what was loaded"
+    )
+    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
+    parser.add_argument(
+        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
+    )
+    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    parser.description = (
+        "Loads a scene and records what its steps take from outside: poses of tools, resets, and what the daemon "
+        "decides by its clock. Move its tools from other terminals (tensormass hand, tensormass view). "
+        "`tensormass replay` makes the same steps again and compares the state. Needs mcap: pip install "
+        "'tensormass[record]'."
+    )
+
+
+def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of `tensormass replay`."""
+    parser.add_argument("file", type=Path, help="a recording of `tensormass record` (.mcap)")
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=TOLERANCE,
+        metavar="SHARE",
+        help="allowed difference on another backend, device or number of threads, as a share of the largest "
+        f"displacement; default: {TOLERANCE:g}",
+    )
+    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
+    parser.add_argument(
+        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="auto, the default: the one of the recording"
+    )
+    parser.add_argument("--cpu-threads", type=int, metavar="N", help="default: as many as when it was recorded")
+    parser.description = (
+        "Makes the steps of a recording again, with the same inputs, and compares the state. On the same backend, "
+        "device and number of threads every hash must be equal. Exit status 1 if a check fails, if steps were lost "
+        "in the recording, or if it has no checks."
+    )
+
+
+def run_record(args: argparse.Namespace) -> int:
+    """Runs `tensormass record`."""
+    _require_packages()
+    from tensormass_tools.recording.record import run
+
+    return run(args)
+
+
+def run_replay(args: argparse.Namespace) -> int:
+    """Runs `tensormass replay`."""
+    _require_packages()
+    from tensormass_tools.recording.replay import run
+
+    return run(args)
+
+
+def _require_packages() -> None:
+    try:
+        import mcap.writer  # noqa: F401
+        import mcap_protobuf.schema  # noqa: F401
+        import zstandard  # noqa: F401
+    except ImportError as error:
+        raise NotFoundError(
+            f"recordings need mcap ({error}); install it with: pip install 'tensormass[record]'"
+        ) from error

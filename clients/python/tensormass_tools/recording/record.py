@@ -1,0 +1,257 @@
+"""`tensormass record`: records the inputs of a scene and checks of its state to an MCAP file.
+
+    daemon ──RecordScene──> thread ──> queue ──> main thread ──> file
+           ──frames───────> thread ──┘             │ a status each second
+
+If the disk is too slow, the queue fills, gRPC stops reading, and the daemon counts the steps that are lost. The file
+then says which.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import grpc
+
+from tensormass._src import errors
+from tensormass._src.launching import launch
+from tensormass._src.processes import end_explained
+from tensormass._src.scene_handle import SceneHandle
+from tensormass._src.server import Server, connect
+from tensormass.v1 import control_pb2, recording_pb2, stream_pb2
+from tensormass_tools import presets
+from tensormass_tools.output import check_writable, load_line, print_json
+from tensormass_tools.recording.file import RecordingWriter
+from tensormass_tools.running import announced
+
+# Messages that wait for the disk.
+_QUEUED = 64
+_STATUS_S = 1.0
+_WAIT_S = 0.1
+# Larger numbers are mistakes.
+_MOST_STEPS = 10**9
+# Steps of one call in lockstep, so that the recorder keeps up.
+_STEPS_A_CALL = 1000
+
+
+def run(args: argparse.Namespace) -> int:
+    """Records. Returns 0 if no step was lost."""
+    if args.output.suffix != ".mcap":
+        raise errors.InvalidArgumentError(f"--output {args.output}: must end in .mcap")
+    check_writable("--output", args.output)
+    if args.steps is not None and not 0 < args.steps <= _MOST_STEPS:
+        raise errors.InvalidArgumentError(f"--steps {args.steps}: must be 1 to {_MOST_STEPS}")
+    if args.seconds is not None and not 0 < args.seconds <= _MOST_STEPS:
+        raise errors.InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive")
+    if not 0 <= args.check_every < 2**32:
+        raise errors.InvalidArgumentError(f"--check-every {args.check_every}: must be 0 or more")
+    if args.attach is not None and args.server is None:
+        raise errors.InvalidArgumentError("--attach needs --server: which daemon has the scene?")
+    scene = presets.read_scene(args.scene, args.preset)
+    lockstep = args.lockstep or scene.message.stepping.lockstep
+    if lockstep and args.steps is None and args.attach is None and args.server is None:
+        raise errors.InvalidArgumentError(f"scene {scene.name!r} steps only when asked: give --steps")
+    with _server(args) as server, end_explained(server.process, server.log_file):
+        if args.attach is not None:
+            handle = server.scene(args.attach)
+            handle.message = scene.message
+        else:
+            handle = server.load(scene, lockstep=args.lockstep, progress=load_line(quiet=args.json))
+        try:
+            with contextlib.nullcontext() if args.server else announced(server.address, handle.name):
+                if not args.json:
+                    print(f"recording {handle.name} to {args.output}, control {server.address}", flush=True)
+                recorder = Recorder(args, server, handle)
+                recorder.record()
+        finally:
+            if args.attach is None:
+                with contextlib.suppress(errors.TensormassError):
+                    handle.unload()
+    summary = recorder.summary()
+    if args.json:
+        print_json(summary)
+    else:
+        print(f"wrote {args.output}: {summary['steps']} steps, {summary['checks']} checks")
+        if recorder.lost:
+            print(f"{recorder.lost} steps were lost, because the file was written too slowly: a replay ends there")
+    return 1 if recorder.lost else 0
+
+
+class Recorder:
+    """One recording."""
+
+    def __init__(self, args: argparse.Namespace, server: Server, handle: SceneHandle) -> None:
+        self._args = args
+        self._server = server
+        self._handle = handle
+        self._queue: queue.Queue[Any] = queue.Queue(_QUEUED)
+        self._ends = threading.Event()
+        self.steps = self.checks = self.frames = self.lost = self.lost_checks = 0
+
+    def summary(self) -> dict[str, Any]:
+        """Returns counts of the recording, for people and JSON."""
+        return {
+            "scene": self._handle.name,
+            "output": str(self._args.output),
+            "steps": self.steps,
+            "checks": self.checks,
+            "frames": self.frames,
+            "lost_steps": self.lost,
+            "lost_checks": self.lost_checks,
+        }
+
+    def record(self) -> None:
+        """Records until told to end, or until the scene is unloaded."""
+        request = control_pb2.RecordSceneRequest(
+            scene=self._handle.name, check_every_steps=self._args.check_every, reset=self._args.attach is None
+        )
+        stream = self._server.call("RecordScene", request, timeout_s=None)
+        with _explained():
+            start = next(stream).start
+        # Now, because a file that is there must not be lost to a call that fails.
+        with RecordingWriter(self._args.output) as writer:
+            threads = [threading.Thread(target=self._read, args=(stream,), name="record")]
+            if self._args.frames:
+                threads.append(threading.Thread(target=self._read_frames, name="record frames"))
+            try:
+                self._begin(writer, start)
+                for thread in threads:
+                    thread.start()
+                self._write(writer)
+            except KeyboardInterrupt:
+                pass  # this is how a recording ends
+            finally:
+                self._ends.set()
+                stream.cancel()
+                for thread in threads:
+                    if thread.ident is not None:
+                        thread.join()
+                        self._drain(writer)
+
+    def _begin(self, writer: RecordingWriter, start: recording_pb2.RecordingStart) -> None:
+        assert self._handle.message is not None
+        writer.add("/scene", self._handle.message, start.server_time_ns)
+        writer.add("/start", start)
+        if self._args.frames:
+            writer.add("/topology", self._handle.topology())
+        writer.flush()
+
+    def _write(self, writer: RecordingWriter) -> None:
+        begin = next_status_s = time.monotonic()
+        self._start_steps()
+        while not self._is_over(begin):
+            with contextlib.suppress(queue.Empty):
+                self._add(writer, self._queue.get(timeout=_WAIT_S))
+            if time.monotonic() >= next_status_s:
+                with contextlib.suppress(errors.NotFoundError):  # unloaded: the stream ends too
+                    status = self._handle.status()
+                    writer.add("/status", status, status.server_time_ns)
+                next_status_s = time.monotonic() + _STATUS_S
+            writer.flush_if_due()
+
+    def _is_over(self, begin: float) -> bool:
+        args = self._args
+        if self._ends.is_set() and self._queue.empty():
+            return True
+        if args.seconds is not None and time.monotonic() - begin >= args.seconds:
+            return True
+        return args.steps is not None and self.steps + self.lost >= args.steps
+
+    def _start_steps(self) -> None:
+        """Steps a scene in lockstep, on a thread of its own."""
+        if self._args.steps is None or self._handle.status().state != stream_pb2.SceneStatus.STATE_LOCKSTEP:
+            return
+
+        def steps() -> None:
+            left = self._args.steps
+            while left > 0 and not self._ends.is_set():
+                count = min(left, _STEPS_A_CALL)
+                self._handle.step(count)
+                left -= count
+
+        threading.Thread(target=self._guarded, args=(steps,), name="steps", daemon=True).start()
+
+    def _guarded(self, work: Any) -> None:  # noqa: ANN401
+        """Runs the work of a thread. Its error ends the recording, and `_add` raises it."""
+        try:
+            work()
+        except errors.TensormassError as error:
+            self._put(error)
+
+    def _read(self, stream: Any) -> None:  # noqa: ANN401
+        try:
+            for response in stream:
+                self._put(response)
+        except grpc.RpcError as error:
+            if not self._ends.is_set():
+                self._put(errors.from_rpc_error(error))
+        finally:
+            self._ends.set()
+
+    def _read_frames(self) -> None:
+        def frames() -> None:
+            plane = self._server.data_plane
+            with plane.subscribe(self._handle.name, "frame", stream_pb2.Frame, "zeromq") as frames:
+                while not self._ends.is_set():
+                    with contextlib.suppress(errors.DeadlineExceededError):
+                        self._put(frames.receive(_WAIT_S))
+
+        self._guarded(frames)
+
+    def _put(self, item: Any) -> None:  # noqa: ANN401
+        """Waits while the disk is behind. Drops the item once the main thread writes no more."""
+        while True:
+            with contextlib.suppress(queue.Full):
+                self._queue.put(item, timeout=_WAIT_S)
+                return
+            if self._ends.is_set():
+                return
+
+    def _drain(self, writer: RecordingWriter) -> None:
+        with contextlib.suppress(queue.Empty, errors.TensormassError):
+            while True:
+                self._add(writer, self._queue.get_nowait())
+
+    def _add(self, writer: RecordingWriter, item: Any) -> None:  # noqa: ANN401
+        if isinstance(item, errors.TensormassError):
+            raise item
+        if isinstance(item, stream_pb2.Frame):
+            writer.add("/frames", item, item.server_time_ns)
+            self.frames += 1
+            return
+        for gap in item.lost:
+            writer.add("/lost", gap)
+            self.lost += gap.count
+        for step in item.steps:
+            writer.add("/inputs", step, step.server_time_ns)
+        for check in item.checks:
+            writer.add("/checks", check)
+        self.steps += len(item.steps)
+        self.checks += len(item.checks)
+        self.lost_checks = item.lost_checks
+
+
+@contextlib.contextmanager
+def _explained() -> Iterator[None]:
+    try:
+        yield
+    except grpc.RpcError as error:
+        raise errors.from_rpc_error(error) from error
+
+
+def _server(args: argparse.Namespace) -> Server:
+    if args.server:
+        return connect(args.server)
+    return launch(backend=args.backend, cpu_threads=args.cpu_threads)
+
+
+def unique_name(scene: str) -> str:
+    """Returns a name for a scene in a daemon that others use."""
+    return f"{scene[:40]}-replay-{os.getpid()}"

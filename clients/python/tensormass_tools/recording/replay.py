@@ -1,0 +1,191 @@
+"""`tensormass replay`: makes the steps of a recording again and compares the state.
+
+On the same backend, device and layout of nodes every hash must be the same. Elsewhere sums are rounded in another
+order, so displacements of sampled nodes are compared within a tolerance.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tensormass._src.connection import LOAD_TIMEOUT_S
+from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.launching import launch
+from tensormass._src.meshes import FloatArray
+from tensormass._src.processes import end_explained
+from tensormass._src.scene_handle import SceneHandle
+from tensormass._src.server import Server, connect
+from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
+from tensormass_tools.output import load_line, print_json
+from tensormass_tools.recording.file import RecordingReader
+from tensormass_tools.recording.record import unique_name
+
+# The daemon's own limit is 1000 (server/core/recording_limits.h).
+_STEPS_A_CALL = 250
+
+
+@dataclass
+class Comparison:
+    """What the checks of a replay found."""
+
+    #: Every hash must be equal.
+    exact: bool = True
+    steps: int = 0
+    equal_hashes: int = 0
+    checks: int = 0
+    #: Largest difference of a sampled node [m], and the scene's step at which it was.
+    worst_m: float = 0.0
+    worst_step: int = 0
+    #: Steps of the scene at which a check failed; the first ones.
+    failed: list[int] = field(default_factory=list)
+
+    def take(self, recorded: recording_pb2.StateCheck, now: recording_pb2.StateCheck, tolerance_m: float) -> None:
+        """Compares two checks of one step."""
+        self.checks += 1
+        equal = recorded.hash == now.hash
+        self.equal_hashes += equal
+        before, after = _samples(recorded), _samples(now)
+        if before.shape != after.shape:
+            raise InvalidArgumentError("the recording's checks have other nodes than the loaded scene")
+        if not equal and len(before):
+            worst_m = float(np.sqrt(np.square(after - before).sum(axis=1)).max())
+            if not worst_m <= self.worst_m:
+                self.worst_m, self.worst_step = worst_m, recorded.step
+        else:
+            worst_m = 0.0
+        if not (equal if self.exact else worst_m <= tolerance_m):
+            self.failed.append(recorded.step)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replays and compares. Returns 0 if every check agrees."""
+    if not 0 < args.tolerance < 1:
+        raise InvalidArgumentError(f"--tolerance {args.tolerance:g}: must be between 0 and 1")
+    recording = RecordingReader(args.file)
+    checks: dict[int, recording_pb2.StateCheck] = {
+        entry.message.index: entry.message for entry in recording.entries() if entry.channel == "/checks"
+    }
+    largest_m = max((check.largest_displacement_m for check in checks.values()), default=0.0)
+    scene = scene_pb2.Scene()
+    scene.CopyFrom(recording.scene)
+    scene.stepping.lockstep = True
+    if args.cpu_threads is not None:
+        scene.solver.cpu_threads = args.cpu_threads
+    elif recording.start.backend == "cpu":
+        scene.solver.cpu_threads = max(recording.start.patch_count, 1)
+    with _server(args, recording) as server, end_explained(server.process, server.log_file):
+        name = unique_name(scene.name) if args.server else None
+        handle = server.load(scene, name=name, progress=load_line(quiet=args.json))
+        try:
+            if recording.start.snapshot:
+                handle.restore(recording.start.snapshot)
+            found, ended = _replay(args, recording, server, handle, checks, args.tolerance * largest_m)
+        finally:
+            handle.unload()
+    summary = {
+        "file": str(args.file),
+        "scene": scene.name,
+        "steps": found.steps,
+        "checks": found.checks,
+        "equal_hashes": found.equal_hashes,
+        "exact": found.exact,
+        "failed_steps": found.failed[:10],
+        "worst_m": found.worst_m,
+        "worst_step": found.worst_step,
+        "largest_displacement_m": largest_m,
+        "tolerance": None if found.exact else args.tolerance,
+        "cut_off": recording.cut_off or recording.damaged,
+        "lost": ended,
+    }
+    if args.json:
+        print_json(summary)
+    else:
+        print("\n".join(_lines(summary)))
+    return 0 if found.checks > 0 and not found.failed and ended is None else 1
+
+
+def _replay(
+    args: argparse.Namespace,
+    recording: RecordingReader,
+    server: Server,
+    handle: SceneHandle,
+    checks: dict[int, recording_pb2.StateCheck],
+    tolerance_m: float,
+) -> tuple[Comparison, str | None]:
+    """Returns the comparison, and why it ended early if it did."""
+    version = server.version()
+    start = recording.start
+    same = version.backend == start.backend and version.device == start.device
+    found = Comparison()
+    for steps in _batches(recording):
+        if steps[0].index != found.steps + 1:
+            return found, f"step {found.steps + 1} and others up to {steps[0].index - 1} are lost in the recording"
+        request = control_pb2.ReplaySceneRequest(
+            scene=handle.name,
+            scene_hash=start.scene_hash,
+            steps=steps,
+            check_indices=[step.index for step in steps if step.index in checks],
+        )
+        response = server.call("ReplayScene", request, timeout_s=LOAD_TIMEOUT_S)
+        found.exact = same and response.layout_hash == start.layout_hash
+        found.steps += len(steps)
+        for check in response.checks:
+            found.take(checks[check.index], check, tolerance_m)
+        if found.exact and found.failed:
+            return found, None  # every later hash differs too
+    return found, None
+
+
+def _batches(recording: RecordingReader) -> Iterator[list[recording_pb2.RecordedStep]]:
+    """Yields the steps of a recording in parts without gaps."""
+    steps: list[recording_pb2.RecordedStep] = []
+    for entry in recording.entries():
+        if entry.channel != "/inputs":
+            continue
+        if steps and (len(steps) == _STEPS_A_CALL or entry.message.index != steps[-1].index + 1):
+            yield steps
+            steps = []
+        steps.append(entry.message)
+    if steps:
+        yield steps
+
+
+def _lines(summary: dict[str, Any]) -> list[str]:
+    out = [f"replayed {summary['steps']} steps of {summary['scene']}: {summary['checks']} checks"]
+    if summary["exact"]:
+        out[0] += f", {summary['equal_hashes']} hashes equal"
+        if summary["failed_steps"]:
+            out.append(f"the state differs from the recording at step {summary['failed_steps'][0]}")
+    else:
+        out[0] += " (another backend, device or number of threads: compared within a tolerance)"
+        out.append(
+            f"largest difference {summary['worst_m']:.3g} m at step {summary['worst_step']}; largest displacement "
+            f"{summary['largest_displacement_m']:.3g} m, tolerance {summary['tolerance']:g} of it"
+        )
+        if summary["failed_steps"]:
+            out.append(f"beyond the tolerance at step {summary['failed_steps'][0]}")
+    if summary["checks"] == 0:
+        out.append("nothing was compared: the recording has no checks")
+    if summary["cut_off"]:
+        out.append("the recording was cut off; it was read up to its last whole chunk")
+    if summary["lost"]:
+        out.append(f"the replay ended early: {summary['lost']}")
+    return out
+
+
+def _samples(check: recording_pb2.StateCheck) -> FloatArray:
+    return np.frombuffer(check.sample_displacements, dtype="<f8").reshape(-1, 3)
+
+
+def _server(args: argparse.Namespace, recording: RecordingReader) -> Server:
+    if args.server:
+        return connect(args.server)
+    backend = args.backend
+    if backend == "auto" and recording.start.backend in ("cpu", "cuda"):
+        backend = recording.start.backend
+    return launch(backend=backend, zenoh=False)

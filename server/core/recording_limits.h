@@ -1,0 +1,19 @@
+#pragma once
+
+#include <cstddef>
+
+/// Limits of recordings, with their unit and what happens beyond them. A file of their own, because limits.h is part of
+/// every kernel.
+namespace tensormass::limits {
+
+/// Steps that one ReplayScene call may make; a call for more is refused.
+inline constexpr int kMaxReplayedSteps = 1000;
+/// Steps of a recording that may wait for its reader: eight seconds at 1 kHz. A further step is lost, and the stream
+/// says so.
+inline constexpr std::size_t kRecordedSteps = 8192;
+/// Checks of a recording that may wait for its reader; each holds a copy of the scene's state. A further check is lost.
+inline constexpr std::size_t kRecordedChecks = 8;
+/// Nodes whose displacement a check of a recording contains.
+inline constexpr std::size_t kSampledNodes = 256;
+
+}  // namespace tensormass::limits

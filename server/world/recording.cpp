@@ -1,0 +1,176 @@
+#include "world/recording.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include "core/assert.h"
+#include "core/limits.h"
+#include "model/scene_input.h"
+#include "world/hashes.h"
+
+namespace tensormass::world {
+
+Recording::Recording(const model::Model& model, const RecordingOptions& options)
+    : check_every_(options.check_every_steps),
+      row_of_node_(model.layout.row_of_node),
+      coming_(model.tools.size()),
+      has_coming_(model.tools.size(), false),
+      steps_(options.room_for_steps),
+      // A client seldom sends more than one pose a step and tool.
+      poses_(std::max<std::size_t>(1, model.tools.size()) * options.room_for_steps),
+      checks_(options.room_for_checks) {
+  for (const model::ToolModel& tool : model.tools) {
+    tool_names_.push_back(tool.name);
+    tool_joints_.push_back(tool.joints.size());
+  }
+}
+
+void Recording::take_pose(std::size_t tool, const ReceivedPose& received) {
+  TM_ASSERT(tool < coming_.size(), "a pose is for a tool of the scene");
+  coming_[tool] = received;
+  has_coming_[tool] = true;
+}
+
+void Recording::take_reset() {
+  coming_reset_ = true;
+  std::fill(has_coming_.begin(), has_coming_.end(), false);
+}
+
+void Recording::end_step(const StepEnd& end) {
+  const std::uint64_t index = index_.load(std::memory_order_relaxed) + 1;
+  const auto poses = static_cast<std::size_t>(std::count(has_coming_.begin(), has_coming_.end(), true));
+  if (steps_.room() > 0 && poses_.room() >= poses) {
+    for (std::size_t tool = 0; tool < coming_.size(); ++tool) {
+      if (!has_coming_[tool]) continue;
+      poses_.back() = {tool, coming_[tool]};
+      poses_.push();
+    }
+    steps_.back() = {end, index, static_cast<std::uint32_t>(poses), coming_reset_};
+    steps_.push();
+  }
+  std::fill(has_coming_.begin(), has_coming_.end(), false);
+  coming_reset_ = false;
+  index_.store(index, std::memory_order_release);
+}
+
+void Recording::take_check(std::uint64_t step, backend::RowState state) {
+  if (checks_.room() == 0) {
+    lost_checks_.fetch_add(1, std::memory_order_relaxed);
+    return;
+  }
+  checks_.back() = {index_.load(std::memory_order_relaxed), step, std::move(state)};
+  checks_.push();
+}
+
+/// Adds a gap if steps before `next` did not come.
+void Recording::add_lost(std::uint64_t next, v1::RecordSceneResponse& response) {
+  TM_ASSERT(next > read_index_, "indices ascend");
+  const std::uint64_t count = next - read_index_ - 1;
+  if (count == 0) return;
+  v1::LostSteps& lost = *response.add_lost();
+  lost.set_first_index(read_index_ + 1);
+  lost.set_count(count);
+}
+
+bool Recording::take(v1::RecordSceneResponse& response) {
+  response.Clear();
+  // Before the rings: what the loop did before it closed is in them then.
+  const bool ended = closed();
+  while (const Step* step = steps_.front()) {
+    if (response.steps_size() == kMostSteps) break;
+    add_lost(step->index, response);
+    read_index_ = step->index;
+    v1::RecordedStep& out = *response.add_steps();
+    out.set_index(step->index);
+    out.set_step(step->end.step);
+    out.set_reset(step->reset);
+    out.set_cg_iteration_limit(step->end.cg_limit);
+    out.set_diagnosed(step->end.diagnosed);
+    out.set_rejected(step->end.rejected);
+    out.set_server_time_ns(step->end.server_time_ns);
+    for (std::uint32_t i = 0; i < step->poses; ++i) {
+      const TakenPose* pose = poses_.front();
+      TM_ASSERT(pose != nullptr, "poses are pushed before their step");
+      write_pose(tool_names_[pose->tool], pose->received, tool_joints_[pose->tool], *out.add_poses());
+      poses_.pop();
+    }
+    steps_.pop();
+  }
+  if (ended && steps_.front() == nullptr) {
+    const std::uint64_t last = index_.load(std::memory_order_acquire);
+    add_lost(last + 1, response);
+    read_index_ = last;
+  }
+  if (const Check* check = checks_.front()) {
+    *response.add_checks() = make_check(check->index, check->step, check->state, row_of_node_);
+    checks_.pop();
+  }
+  response.set_lost_checks(lost_checks_.load(std::memory_order_relaxed));
+  return response.steps_size() > 0 || response.checks_size() > 0 || response.lost_size() > 0;
+}
+
+v1::StateCheck make_check(std::uint64_t index, std::uint64_t step, const backend::RowState& state,
+                          std::span<const std::uint32_t> row_of_node) {
+  v1::StateCheck check;
+  check.set_index(index);
+  check.set_step(step);
+  check.set_hash(hash_of(state, row_of_node));
+  const auto displacement = [&](std::uint32_t row) { return state.displacement.data() + 4 * std::size_t{row}; };
+  double largest_squared = 0;
+  for (const std::uint32_t row : row_of_node) {
+    const double* u = displacement(row);
+    largest_squared = std::max(largest_squared, u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+  }
+  check.set_largest_displacement_m(std::sqrt(largest_squared));
+  const std::size_t count = std::min(row_of_node.size(), limits::kSampledNodes);
+  std::vector<double> samples;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* u = displacement(row_of_node[i * row_of_node.size() / count]);
+    samples.insert(samples.end(), u, u + 3);
+  }
+  check.set_sample_displacements(samples.data(), samples.size() * sizeof(double));
+  return check;
+}
+
+void write_pose(const std::string& tool, const ReceivedPose& received, std::size_t joints, v1::RecordedPose& out) {
+  const Pose& pose = received.pose;
+  out.set_tool(tool);
+  out.mutable_position_m()->set_x(pose.position_m[0]);
+  out.mutable_position_m()->set_y(pose.position_m[1]);
+  out.mutable_position_m()->set_z(pose.position_m[2]);
+  out.mutable_orientation()->set_w(pose.orientation[0]);
+  out.mutable_orientation()->set_x(pose.orientation[1]);
+  out.mutable_orientation()->set_y(pose.orientation[2]);
+  out.mutable_orientation()->set_z(pose.orientation[3]);
+  for (std::size_t i = 0; i < joints; ++i) out.add_joint_values(pose.joint_values[i]);
+  if (std::isfinite(received.valid_for_s)) out.set_valid_for_s(received.valid_for_s);
+  out.set_sequence(received.stamp.sequence);
+  out.set_client_time_ns(received.stamp.client_time_ns);
+  out.set_client_id(received.stamp.client_id);
+}
+
+Result<ReceivedPose> read_pose(const v1::RecordedPose& message, const model::ToolModel& tool, std::string_view where) {
+  TM_ASSIGN_OR_RETURN(position, model::read_vector(message.position_m(), fmt::format("{}.position_m", where)));
+  // Checked, but not normalized again: that could change the last bit.
+  TM_RETURN_IF_ERROR(model::read_orientation(message.orientation(), fmt::format("{}.orientation", where)));
+  const v1::Quaternion& q = message.orientation();
+  if (q.w() == 0 && q.x() == 0 && q.y() == 0 && q.z() == 0) {
+    return invalid(fmt::format("{}.orientation: all zero; a recorded pose has a unit quaternion", where));
+  }
+  TM_ASSIGN_OR_RETURN(joints,
+                      model::read_joints(message.joint_values(), tool.joints, fmt::format("{}.joint_values", where)));
+  ReceivedPose out;
+  out.pose = {position, {q.w(), q.x(), q.y(), q.z()}, joints};
+  out.stamp = {message.sequence(), message.client_time_ns(), message.client_id(), {}};
+  if (message.has_valid_for_s()) {
+    TM_ASSIGN_OR_RETURN(valid_for_s,
+                        model::read_number(message.valid_for_s(), limits::kMinPoseValidForS, limits::kMaxPoseValidForS,
+                                           fmt::format("{}.valid_for_s", where)));
+    out.valid_for_s = valid_for_s;
+  }
+  return out;
+}
+
+}  // namespace tensormass::world

@@ -1,0 +1,119 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "backend/backend.h"
+#include "core/recording_limits.h"
+#include "model/model.h"
+#include "tensormass/v1/control.pb.h"
+#include "tensormass/v1/recording.pb.h"
+#include "world/ring.h"
+#include "world/tool.h"
+
+/// The recording of a scene: what its steps take from outside, from the loop to one reader.
+///
+///     loop's thread                              rings                     reader (a thread of gRPC)
+///
+///     take_pose, take_reset ─> end_step ───────> steps, poses   ───┐
+///     check_due ─> copy of the state ──────────> checks         ───┴──> take: messages, hashes
+///
+/// The loop never waits. A step that finds no room in a ring is lost, and the reader learns it from the gap in the
+/// indices. The loop allocates nothing for a step. For a check it copies the state, as GetFields does; the reader
+/// hashes the copy.
+namespace tensormass::world {
+
+struct RecordingOptions {
+  std::uint32_t check_every_steps = 0;  ///< 0: no checks
+  bool reset = false;                   ///< resets the scene first
+  std::size_t room_for_steps = limits::kRecordedSteps;
+  std::size_t room_for_checks = limits::kRecordedChecks;
+};
+
+/// A step as it ended.
+struct StepEnd {
+  std::uint64_t step = 0;  ///< its number, also if it was rejected
+  std::uint64_t server_time_ns = 0;
+  std::uint32_t cg_limit = 0;
+  bool diagnosed = false, rejected = false;
+};
+
+class Recording {
+ public:
+  Recording(const model::Model& model, const RecordingOptions& options);
+
+  // -- the loop's thread ----------------------------------------------------------------------------------------------
+
+  /// Takes a target that the coming step takes. The last one for a tool counts.
+  void take_pose(std::size_t tool, const ReceivedPose& received);
+  /// The scene was reset; poses of steps that did not come are dropped.
+  void take_reset();
+  void end_step(const StepEnd& end);
+  /// Says whether the state after the last step must be checked.
+  bool check_due() const { return check_every_ > 0 && index_.load(std::memory_order_relaxed) % check_every_ == 0; }
+  /// Takes a copy of the state after the last step.
+  void take_check(std::uint64_t step, backend::RowState state);
+  /// No step follows.
+  void close() { closed_.store(true, std::memory_order_release); }
+
+  // -- the reader's thread --------------------------------------------------------------------------------------------
+
+  bool closed() const { return closed_.load(std::memory_order_acquire); }
+  /// Fills `response` with what came since the last call, at most kMostSteps steps. Returns false if there is nothing.
+  /// After `close`, one more false means the end.
+  bool take(v1::RecordSceneResponse& response);
+
+  /// Steps in one message.
+  static constexpr int kMostSteps = 1000;
+
+ private:
+  struct Step {
+    StepEnd end;
+    std::uint64_t index = 0;
+    std::uint32_t poses = 0;
+    bool reset = false;
+  };
+  struct TakenPose {
+    std::size_t tool = 0;
+    ReceivedPose received;
+  };
+  struct Check {
+    std::uint64_t index = 0, step = 0;
+    backend::RowState state;
+  };
+  void add_lost(std::uint64_t next, v1::RecordSceneResponse& response);
+
+  const std::uint32_t check_every_;
+  // Copies, because the reader may outlive the scene.
+  std::vector<std::string> tool_names_;
+  std::vector<std::size_t> tool_joints_;
+  std::vector<std::uint32_t> row_of_node_;
+
+  // The loop's own.
+  std::vector<ReceivedPose> coming_;  // [tool]
+  std::vector<bool> has_coming_;      // [tool]
+  bool coming_reset_ = false;
+
+  Ring<Step> steps_;
+  Ring<TakenPose> poses_;
+  Ring<Check> checks_;
+  std::atomic<std::uint64_t> index_{0};  // index of the last step, also if it was lost
+  std::atomic<std::uint64_t> lost_checks_{0};
+  std::atomic<bool> closed_{false};
+
+  std::uint64_t read_index_ = 0;  // the reader's: of the last step that it knows of
+};
+
+/// Makes the check of a state. row_of_node: matrix::Layout::row_of_node.
+v1::StateCheck make_check(std::uint64_t index, std::uint64_t step, const backend::RowState& state,
+                          std::span<const std::uint32_t> row_of_node);
+
+/// Converts a pose of a tool with so many joints, and back. Reading refuses what a step must not see.
+void write_pose(const std::string& tool, const ReceivedPose& received, std::size_t joints, v1::RecordedPose& out);
+Result<ReceivedPose> read_pose(const v1::RecordedPose& message, const model::ToolModel& tool, std::string_view where);
+
+}  // namespace tensormass::world

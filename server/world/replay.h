@@ -1,0 +1,29 @@
+#pragma once
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "core/result.h"
+#include "model/model.h"
+#include "tensormass/v1/control.pb.h"
+#include "world/tool.h"
+
+namespace tensormass::world {
+
+/// Recorded steps that were checked for the scene that repeats them.
+struct Replay {
+  struct Step {
+    std::uint64_t index = 0, step = 0;
+    std::uint32_t cg_limit = 0;
+    bool reset = false, diagnosed = false, rejected = false;
+    bool checks = false;                                      ///< the caller wants a check after it
+    std::vector<std::pair<std::size_t, ReceivedPose>> poses;  ///< tool, target
+  };
+  std::vector<Step> steps;
+};
+
+/// Checks the steps of a request. scene_hash: of the loaded scene. Errors name the step and the field.
+Result<Replay> read_replay(const model::Model& model, std::uint64_t scene_hash, const v1::ReplaySceneRequest& request);
+
+}  // namespace tensormass::world

@@ -1,0 +1,286 @@
+#include "world/snapshot.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "core/limits.h"
+#include "model/scene_input.h"
+#include "tensormass/v1/recording.pb.h"
+#include "world/hashes.h"
+#include "world/recording.h"
+
+namespace tensormass::world {
+
+namespace {
+
+/// The first byte is not text, and a transfer that changes ends of lines damages the last one.
+constexpr std::array<char, 8> kMagic{'\x89', 'T', 'M', 'S', 'N', 'A', 'P', '\n'};
+constexpr std::uint32_t kVersion = 1;
+
+struct Header {
+  std::array<char, 8> magic = kMagic;
+  std::uint32_t version = kVersion;
+  std::uint32_t reserved = 0;
+  std::uint64_t size = 0;
+  std::uint64_t checksum = 0;
+};
+static_assert(sizeof(Header) == 32, "recording.proto states the header");
+
+std::uint64_t checksum_of(std::string_view bytes) {
+  Hash hash;
+  hash.add(bytes);
+  return hash.value();
+}
+
+void write_doubles(const std::vector<double>& values, std::string& out) {
+  out.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(double));
+}
+
+void write_vector(const Vec3<double>& vector, v1::Vector3& out) {
+  out.set_x(vector[0]);
+  out.set_y(vector[1]);
+  out.set_z(vector[2]);
+}
+
+/// Reads `count` finite numbers.
+Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t count, std::string_view where) {
+  if (bytes.size() != count * sizeof(double)) {
+    return invalid(
+        fmt::format("snapshot.{}: {} bytes, but this scene has {}", where, bytes.size(), count * sizeof(double)));
+  }
+  std::vector<double> out(count);
+  std::memcpy(out.data(), bytes.data(), bytes.size());
+  if (!std::all_of(out.begin(), out.end(), [](double value) { return std::isfinite(value); })) {
+    return invalid(fmt::format("snapshot.{}: has numbers that are not finite", where));
+  }
+  return out;
+}
+
+Result<double> read_finite(double value, std::string_view where) {
+  if (std::isfinite(value)) return value;
+  return invalid(fmt::format("snapshot.{}: is not finite", where));
+}
+
+void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v1::SnapshotTool& out) {
+  const ToolMotion::Saved& motion = tool.motion;
+  write_pose(model.name, {motion.pose, true, {}, kUntilTheNext}, model.joints.size(), *out.mutable_pose());
+  write_pose(model.name, {motion.target, true, tool.newest, motion.valid_for_s}, model.joints.size(),
+             *out.mutable_target());
+  out.set_fade(motion.fade);
+  out.set_target_age_s(motion.target_age_s);
+  write_vector(tool.force.force_n, *out.mutable_force_n());
+  write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
+  write_vector(tool.force.friction_n, *out.mutable_friction_n());
+  for (std::size_t i = 0; i < model.joints.size(); ++i) out.add_joint_loads(tool.force.joints[i]);
+  if (!(model.mass_kg > 0)) return;
+  write_vector(motion.hand_m, *out.mutable_hand_m());
+  write_vector(motion.hand_m_per_s, *out.mutable_hand_m_per_s());
+  write_vector(motion.velocity_m_per_s, *out.mutable_velocity_m_per_s());
+  write_vector(motion.felt.position_m, *out.mutable_felt_position_m());
+  write_vector(motion.felt.force_n, *out.mutable_felt_force_n());
+  for (int i = 0; i < 9; ++i) out.add_felt_stiffness_n_per_m(motion.felt.stiffness_n_per_m(i / 3, i % 3));
+}
+
+/// Reads what a snapshot has of a tool with a mass only.
+Result<void> read_coupling(const v1::SnapshotTool& message, const std::string& where, ToolMotion::Saved& out) {
+  TM_ASSIGN_OR_RETURN(hand, model::read_vector(message.hand_m(), where + ".hand_m"));
+  TM_ASSIGN_OR_RETURN(hand_speed, model::read_vector(message.hand_m_per_s(), where + ".hand_m_per_s"));
+  TM_ASSIGN_OR_RETURN(speed, model::read_vector(message.velocity_m_per_s(), where + ".velocity_m_per_s"));
+  TM_ASSIGN_OR_RETURN(position, model::read_vector(message.felt_position_m(), where + ".felt_position_m"));
+  TM_ASSIGN_OR_RETURN(force, model::read_vector(message.felt_force_n(), where + ".felt_force_n", limits::kMaxForceN));
+  if (message.felt_stiffness_n_per_m_size() != 9) {
+    return invalid(
+        fmt::format("{}.felt_stiffness_n_per_m: {} values, not 9", where, message.felt_stiffness_n_per_m_size()));
+  }
+  out.hand_m = hand;
+  out.hand_m_per_s = hand_speed;
+  out.velocity_m_per_s = speed;
+  out.felt.position_m = position;
+  out.felt.force_n = force;
+  for (int i = 0; i < 9; ++i) {
+    TM_ASSIGN_OR_RETURN(one, read_finite(message.felt_stiffness_n_per_m(i), where + ".felt_stiffness_n_per_m"));
+    out.felt.stiffness_n_per_m(i / 3, i % 3) = one;
+  }
+  return {};
+}
+
+Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const model::ToolModel& model) {
+  const std::string where = fmt::format("snapshot.tools ({})", model.name);
+  for (const std::string& tool : {message.pose().tool(), message.target().tool()}) {
+    if (tool != model.name) return invalid(fmt::format("{}: the snapshot has tool '{}' in this place", where, tool));
+  }
+  TM_ASSIGN_OR_RETURN(pose, read_pose(message.pose(), model, where + ".pose"));
+  TM_ASSIGN_OR_RETURN(target, read_pose(message.target(), model, where + ".target"));
+  World::Saved::Tool out;
+  out.newest = target.stamp;
+  out.motion.pose = pose.pose;
+  out.motion.target = target.pose;
+  out.motion.valid_for_s = target.valid_for_s;
+  out.motion.hand_m = pose.pose.position_m;
+  out.motion.felt.position_m = pose.pose.position_m;
+  if (model.mass_kg > 0) TM_RETURN_IF_ERROR(read_coupling(message, where, out.motion));
+  TM_ASSIGN_OR_RETURN(fade, model::read_number(message.fade(), 0, 1, where + ".fade"));
+  out.motion.fade = fade;
+  TM_ASSIGN_OR_RETURN(age, read_finite(message.target_age_s(), where + ".target_age_s"));
+  out.motion.target_age_s = age;
+  TM_ASSIGN_OR_RETURN(force, model::read_vector(message.force_n(), where + ".force_n", limits::kMaxForceN));
+  TM_ASSIGN_OR_RETURN(torque, model::read_vector(message.torque_n_m(), where + ".torque_n_m", limits::kMaxForceN));
+  TM_ASSIGN_OR_RETURN(friction, model::read_vector(message.friction_n(), where + ".friction_n", limits::kMaxForceN));
+  out.force = {force, torque, friction, {}};
+  if (static_cast<std::size_t>(message.joint_loads_size()) != model.joints.size()) {
+    return invalid(fmt::format("{}.joint_loads: {} values", where, message.joint_loads_size()));
+  }
+  for (std::size_t i = 0; i < model.joints.size(); ++i) {
+    TM_ASSIGN_OR_RETURN(load, read_finite(message.joint_loads(static_cast<int>(i)), where + ".joint_loads"));
+    out.force.joints[i] = load;
+  }
+  return out;
+}
+
+Result<backend::StepHistory> read_history(const v1::SnapshotState& message, const backend::StepHistory& present) {
+  backend::StepHistory out;
+  TM_ASSIGN_OR_RETURN(displacement, read_doubles(message.previous_displacement(), present.previous_displacement.size(),
+                                                 "previous_displacement"));
+  TM_ASSIGN_OR_RETURN(velocity,
+                      read_doubles(message.previous_velocity(), present.previous_velocity.size(), "previous_velocity"));
+  TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), present.slips.size(), "slips"));
+  TM_ASSIGN_OR_RETURN(tie_slips, read_doubles(message.tie_slips(), present.tie_slips.size(), "tie_slips"));
+  TM_ASSIGN_OR_RETURN(broken, read_doubles(message.broken_springs(), present.broken.size(), "broken_springs"));
+  TM_ASSIGN_OR_RETURN(solution, read_doubles(message.solution(), present.solution.size(), "solution"));
+  TM_ASSIGN_OR_RETURN(last_dt_s, read_finite(message.last_dt_s(), "last_dt_s"));
+  TM_ASSIGN_OR_RETURN(largest, read_finite(message.largest_force_squared(), "largest_force_squared"));
+  out.previous_displacement = std::move(displacement);
+  out.previous_velocity = std::move(velocity);
+  out.slips = std::move(slips);
+  out.tie_slips = std::move(tie_slips);
+  out.broken = std::move(broken);
+  out.solution = std::move(solution);
+  out.last_dt_s = last_dt_s;
+  out.largest_force_squared = largest;
+  return out;
+}
+
+/// Checks the header and returns the bytes behind it.
+Result<std::string_view> open_snapshot(std::string_view bytes) {
+  Header header;
+  if (bytes.size() < sizeof(header)) {
+    return invalid(fmt::format("snapshot: {} bytes are too few; it is cut off, or no snapshot", bytes.size()));
+  }
+  std::memcpy(&header, bytes.data(), sizeof(header));
+  if (header.magic != kMagic) return invalid("snapshot: these bytes are not a snapshot of a scene");
+  if (header.version != kVersion) {
+    return invalid(fmt::format("snapshot: version {}, but this server reads version {}; take it again with this server",
+                               header.version, kVersion));
+  }
+  bytes.remove_prefix(sizeof(header));
+  if (bytes.size() != header.size) {
+    return invalid(fmt::format("snapshot: {} bytes of {}; it is cut off or damaged", bytes.size(), header.size));
+  }
+  if (checksum_of(bytes) != header.checksum) return invalid("snapshot: its checksum is wrong; it is damaged");
+  return bytes;
+}
+
+}  // namespace
+
+std::string seal_snapshot(const std::string& content) {
+  const Header header{.size = content.size(), .checksum = checksum_of(content)};
+  std::string out(reinterpret_cast<const char*>(&header), sizeof(header));
+  return out += content;
+}
+
+std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, const LoopState& state) {
+  const World::Saved& world = state.world;
+  v1::SnapshotState message;
+  message.set_scene(model.name);
+  message.set_scene_hash(scene_hash);
+  message.set_layout_hash(hash_of_layout(model));
+  message.set_step(world.step_count);
+  write_doubles(world.rows.displacement, *message.mutable_displacement());
+  write_doubles(world.rows.velocity, *message.mutable_velocity());
+  write_doubles(world.rows.internal_variables, *message.mutable_internal_variables());
+  message.set_internal_dt_s(world.rows.internal_dt_s);
+  write_doubles(world.history.previous_displacement, *message.mutable_previous_displacement());
+  write_doubles(world.history.previous_velocity, *message.mutable_previous_velocity());
+  write_doubles(world.history.slips, *message.mutable_slips());
+  write_doubles(world.history.tie_slips, *message.mutable_tie_slips());
+  write_doubles(world.history.broken, *message.mutable_broken_springs());
+  write_doubles(world.history.solution, *message.mutable_solution());
+  message.set_last_dt_s(world.history.last_dt_s);
+  message.set_largest_force_squared(world.history.largest_force_squared);
+  for (std::size_t i = 0; i < world.tools.size(); ++i) {
+    write_tool(world.tools[i], model.tools[i], *message.add_tools());
+  }
+  message.set_kinetic_energy_j(world.energy.kinetic_j);
+  message.set_elastic_energy_j(world.energy.elastic_j);
+  message.set_work_j(world.energy.work_j);
+  message.set_dissipated_energy_j(world.energy.dissipated_j);
+  message.set_available_energy_j(world.energy.available_j);
+  message.set_projection_left(world.projection_left);
+  message.set_projection_length(world.projection_length);
+  message.set_projection_good(world.projection_good);
+  message.set_cg_iteration_limit(world.cg_limit);
+  message.set_next_diagnostics(state.next_diagnostics);
+  return seal_snapshot(message.SerializeAsString());
+}
+
+Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_hash,
+                                const backend::StepHistory& present, std::string_view bytes) {
+  TM_ASSIGN_OR_RETURN(content, open_snapshot(bytes));
+  v1::SnapshotState message;
+  if (content.size() > limits::kMaxControlMessageBytes ||
+      !message.ParseFromArray(content.data(), static_cast<int>(content.size()))) {
+    return invalid("snapshot: its content cannot be read");
+  }
+  if (message.scene_hash() != scene_hash) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("snapshot: it is of another scene ('{}') than the loaded '{}'; load that scene first",
+                            message.scene(), model.name));
+  }
+  if (message.layout_hash() != hash_of_layout(model)) {
+    return fail(ErrorCode::kFailedPrecondition,
+                "snapshot: its nodes are in another order; take the backend and the number of threads (cpu_threads) "
+                "with which it was made");
+  }
+  LoopState out;
+  World::Saved& world = out.world;
+  world.step_count = message.step();
+  const std::size_t reals = 4 * std::size_t{model.layout.row_count};
+  std::size_t histories = 0;
+  for (const model::ElementGroup& group : model.groups) histories += group.internal_variable_reals();
+  TM_ASSIGN_OR_RETURN(displacement, read_doubles(message.displacement(), reals, "displacement"));
+  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.velocity(), reals, "velocity"));
+  TM_ASSIGN_OR_RETURN(internal, read_doubles(message.internal_variables(), histories, "internal_variables"));
+  TM_ASSIGN_OR_RETURN(internal_dt_s, read_finite(message.internal_dt_s(), "internal_dt_s"));
+  world.rows = {std::move(displacement), std::move(velocity), std::move(internal), internal_dt_s};
+  TM_ASSIGN_OR_RETURN(history, read_history(message, present));
+  world.history = std::move(history);
+  if (static_cast<std::size_t>(message.tools_size()) != model.tools.size()) {
+    return invalid(
+        fmt::format("snapshot.tools: {} tools, but this scene has {}", message.tools_size(), model.tools.size()));
+  }
+  for (std::size_t i = 0; i < model.tools.size(); ++i) {
+    TM_ASSIGN_OR_RETURN(tool, read_tool(message.tools(static_cast<int>(i)), model.tools[i]));
+    world.tools.push_back(tool);
+  }
+  for (const double energy : {message.kinetic_energy_j(), message.elastic_energy_j(), message.work_j(),
+                              message.dissipated_energy_j(), message.available_energy_j()}) {
+    TM_RETURN_IF_ERROR(read_finite(energy, "energies"));
+  }
+  world.energy = {message.kinetic_energy_j(), message.elastic_energy_j(), message.work_j(),
+                  message.dissipated_energy_j(), message.available_energy_j()};
+  world.projection_left = message.projection_left();
+  world.projection_length = message.projection_length();
+  world.projection_good = message.projection_good();
+  TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), model.floor_cg_iterations,
+                                                model.cg_max_iterations, "snapshot.cg_iteration_limit"));
+  world.cg_limit = static_cast<std::uint32_t>(limit);
+  out.next_diagnostics = message.next_diagnostics();
+  return out;
+}
+
+}  // namespace tensormass::world

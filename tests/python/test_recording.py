@@ -1,0 +1,261 @@
+"""Recording and replaying a scene of a real daemon, and its snapshots."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from service_parts import BLOCK, DEADLINE_S, block
+
+import tensormass as tm
+from tensormass_tools.cli import main
+from tensormass_tools.recording.file import RecordingReader, RecordingWriter
+
+# Two threads share it: see kMinNodesPerThread in cpu_backend.cpp.
+LARGE = BLOCK.replace("cells_x: 5, cells_y: 5, cells_z: 3", "cells_x: 12, cells_y: 12, cells_z: 8")
+
+
+@contextlib.contextmanager
+def recording(path: Path, *args: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs `tensormass record` in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tensormass", "record", str(path.parent / "block.yaml"), "-o", str(path), *args],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def command(*args: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    capsys.readouterr()
+    status = main([*args, "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def wait_for_steps(path: Path, count: int) -> None:
+    deadline = time.monotonic() + 3 * DEADLINE_S
+    while time.monotonic() < deadline:
+        with contextlib.suppress(tm.TensormassError):
+            if sum(entry.channel == "/inputs" for entry in RecordingReader(path).entries()) >= count:
+                return
+        time.sleep(0.05)
+    pytest.fail(f"{path} has not got {count} steps")
+
+
+def address_of(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline().rpartition("control ")[2].strip()
+
+
+def move_at_random(address: str, seed: int, ends: threading.Event) -> None:
+    """A client that presses and drags the probe."""
+    random = np.random.default_rng(seed)
+    with tm.connect(address) as server:
+        scene = server.scene("block")
+        with scene.tool_stream("probe", valid_for_s=0.1) as poses:
+            while not ends.is_set():
+                poses.send(random.uniform([0.03, 0.03, 0.05], [0.07, 0.07, 0.07]))
+                time.sleep(0.004)
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "block.yaml"
+    path.write_text(BLOCK)
+    return path
+
+
+def test_a_scene_in_lockstep_is_repeated_to_the_last_bit(scene_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = scene_file.with_name("block.mcap")
+    record = ["record", str(scene_file), "-o", str(path), "--lockstep", "--steps", "1200", "--backend", "cpu"]
+    status, said = command(*record, "--check-every", "50", capsys=capsys)
+    assert (status, said["steps"], said["checks"], said["lost_steps"]) == (0, 1200, 24, 0)
+    status, said = command("replay", str(path), capsys=capsys)
+    assert (status, said["steps"], said["checks"], said["equal_hashes"]) == (0, 1200, 24, 24)
+    assert said["exact"]
+    assert not said["cut_off"]
+
+
+def test_two_clients_and_a_kill_leave_a_recording_that_replays(
+    scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scene_file.with_name("block.mcap")
+    ends = threading.Event()
+    with recording(path, "--backend", "cpu", "--check-every", "20", "--frames") as process:
+        address = address_of(process)
+        clients = [threading.Thread(target=move_at_random, args=(address, seed, ends)) for seed in (1, 2)]
+        for client in clients:
+            client.start()
+        try:
+            wait_for_steps(path, 400)
+        finally:
+            ends.set()
+            for client in clients:
+                client.join()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    reader = RecordingReader(path)
+    assert reader.cut_off
+    kinds = {entry.channel for entry in reader.entries()}
+    assert kinds >= {"/scene", "/start", "/inputs", "/checks", "/status", "/topology", "/frames"}
+    clients_seen = {
+        pose.client_id for entry in reader.entries() if entry.channel == "/inputs" for pose in entry.message.poses
+    }
+    assert len(clients_seen) == 2
+    status, said = command("replay", str(path), capsys=capsys)
+    assert status == 0
+    assert said["steps"] >= 400
+    assert said["checks"] == said["equal_hashes"] >= 15
+    assert said["cut_off"]
+
+
+def test_ctrl_c_ends_a_recording_properly(scene_file: Path) -> None:
+    path = scene_file.with_name("block.mcap")
+    with recording(path, "--backend", "cpu", "--json") as process:
+        wait_for_steps(path, 20)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=DEADLINE_S)
+    assert (process.returncode, err) == (0, "")
+    assert not RecordingReader(path).cut_off
+    with path.open("rb") as file:
+        assert json.loads(out)["steps"] == len(list(make_reader(file).iter_messages(topics=["/inputs"])))
+
+
+def test_a_loaded_scene_is_recorded_from_where_it_is(
+    server: tm.Server, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scene_file.with_name("block.mcap")
+    with server.load(block(), name="running") as scene:
+        scene.move_tool("probe", (0.05, 0.05, 0.055))
+        while scene.status().step < 50:
+            time.sleep(0.01)
+        attach = ["--attach", "running", "--server", server.address, "--steps", "200", "--check-every", "40"]
+        status, said = command("record", str(scene_file), "-o", str(path), *attach, capsys=capsys)
+        assert (status, said["lost_steps"]) == (0, 0)
+        assert scene.status().step >= 250, "it goes on"
+    assert RecordingReader(path).start.step >= 50
+    status, said = command("replay", str(path), "--server", server.address, capsys=capsys)
+    assert status == 0
+    assert said["checks"] == said["equal_hashes"] >= 5
+    assert server.scenes() == []
+
+
+def test_another_layout_is_compared_within_a_tolerance(
+    tmp_path: Path, scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene_file.write_text(LARGE)
+    path = scene_file.with_name("block.mcap")
+    record = ["record", str(scene_file), "-o", str(path), "--lockstep", "--steps", "200", "--backend", "cpu"]
+    assert main([*record, "--cpu-threads", "1"]) == 0
+    status, said = command("replay", str(path), "--cpu-threads", "2", capsys=capsys)
+    assert (status, said["exact"], said["checks"]) == (0, False, 2)
+    assert said["equal_hashes"] == 0, "sums are rounded in another order"
+    assert 0 < said["worst_m"] < said["tolerance"] * said["largest_displacement_m"]
+    status, said = command("replay", str(path), "--cpu-threads", "2", "--tolerance", "1e-12", capsys=capsys)
+    assert status == 1
+    assert said["failed_steps"] == [100, 200]
+
+
+def changed(path: Path, change: Any) -> Path:  # noqa: ANN401
+    """Copies a recording message by message. change: (channel, message) -> whether the message stays."""
+    copy = path.with_name("changed.mcap")
+    with RecordingWriter(copy) as writer:
+        for entry in RecordingReader(path).entries():
+            if change(entry.channel, entry.message):
+                writer.add(entry.channel, entry.message)
+    return copy
+
+
+def test_what_differs_is_found(scene_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = scene_file.with_name("block.mcap")
+    record = ["record", str(scene_file), "-o", str(path), "--lockstep", "--steps", "300", "--backend", "cpu"]
+    assert main(record) == 0
+
+    def flip(channel: str, message: Any) -> bool:  # noqa: ANN401
+        if channel == "/checks" and message.index == 200:
+            message.hash ^= 1
+        return True
+
+    status, said = command("replay", str(changed(path, flip)), capsys=capsys)
+    assert (status, said["failed_steps"]) == (1, [200])
+
+    def lose(channel: str, message: Any) -> bool:  # noqa: ANN401
+        return not (channel == "/inputs" and message.index == 150)
+
+    status, said = command("replay", str(changed(path, lose)), capsys=capsys)
+    assert (status, said["steps"]) == (1, 149)
+    assert said["lost"] == "step 150 and others up to 150 are lost in the recording"
+
+    def soften(channel: str, message: Any) -> bool:  # noqa: ANN401
+        if channel == "/scene":
+            message.bodies[0].law.st_venant_kirchhoff.young_modulus_pa = 7000
+        return True
+
+    status, said = command("replay", str(changed(path, soften)), capsys=capsys)
+    assert status == 1
+    assert "the recording is of another scene than the loaded 'block'" in said["error"]
+
+    status, said = command("replay", str(changed(path, lambda channel, _: channel != "/checks")), capsys=capsys)
+    assert (status, said["checks"]) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["-o", "out.txt"], "must end in .mcap"),
+        (["-o", "out.mcap", "--steps", "0"], "--steps 0"),
+        (["-o", "out.mcap", "--seconds", "nan"], "--seconds nan"),
+        (["-o", "out.mcap", "--check-every", "-1"], "--check-every -1"),
+        (["-o", "out.mcap", "--attach", "x"], "--attach needs --server"),
+    ],
+)
+def test_bad_options_are_refused(
+    args: list[str], says: str, scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(scene_file.parent)
+    status, said = command("record", str(scene_file), *args, capsys=capsys)
+    assert status == 1
+    assert says in said["error"]
+
+
+def test_a_snapshot_goes_on_from_bytes_and_from_a_file(server: tm.Server, tmp_path: Path) -> None:
+    path = tmp_path / "block.tmsnap"
+    with server.load(block(), lockstep=True) as scene:
+        scene.move_tool("probe", (0.05, 0.05, 0.055))
+        scene.step(40)
+        path.write_bytes(scene.snapshot())
+        scene.step(40)
+        once = scene.positions("tissue")
+        assert scene.restore(path).step == 40
+        scene.step(40)
+        np.testing.assert_array_equal(scene.positions("tissue"), once)
+        assert scene.restore(path.read_bytes()).step == 40
+        with pytest.raises(tm.InvalidArgumentError, match="cut off or damaged"):
+            scene.restore(path.read_bytes()[:-1])
+        with pytest.raises(tm.NotFoundError, match=r"none\.tmsnap: No such file"):
+            scene.restore(tmp_path / "none.tmsnap")
+    softer = block()
+    softer.message.bodies[0].density_kg_per_m3 = 900
+    with (
+        server.load(softer, lockstep=True) as other,
+        pytest.raises(tm.FailedPreconditionError, match="it is of another scene"),
+    ):
+        other.restore(path)

@@ -1,0 +1,144 @@
+#include "world/recording.h"
+
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "backend/backend.h"
+#include "model/compile.h"
+#include "support/scenes.h"
+#include "world/ring.h"
+
+namespace tensormass::world {
+namespace {
+
+TEST(ARing, HandsOverInOrderAndKnowsItsRoom) {
+  Ring<int> ring(3);
+  EXPECT_EQ(ring.front(), nullptr);
+  int next_in = 0, next_out = 0;
+  for (int round = 0; round < 10; ++round) {
+    while (ring.room() > 0) {
+      ring.back() = next_in++;
+      ring.push();
+    }
+    EXPECT_EQ(next_in - next_out, 3);
+    for (int i = 0; i < 2; ++i) {
+      ASSERT_NE(ring.front(), nullptr);
+      EXPECT_EQ(*ring.front(), next_out++);
+      ring.pop();
+    }
+    EXPECT_EQ(ring.room(), 2u);
+  }
+}
+
+class ARecording : public testing::Test {
+ protected:
+  ARecording() {
+    const auto backend = backend::make_cpu_backend(1);
+    const v1::Scene scene = tests::block_with_probe(false, 4);
+    auto compiled = model::compile(scene, backend->patch_policy(scene));
+    if (!compiled) throw std::runtime_error(compiled.error().message);
+    model = std::make_unique<model::Model>(std::move(*compiled));
+  }
+
+  static void end_steps(Recording& recording, std::uint64_t count) {
+    for (std::uint64_t i = 0; i < count; ++i) recording.end_step({.step = i + 1, .cg_limit = 7});
+  }
+
+  std::unique_ptr<model::Model> model;
+  v1::RecordSceneResponse response;
+};
+
+TEST_F(ARecording, KeepsThePoseThatAStepTook) {
+  Recording recording(*model, {});
+  ReceivedPose received;
+  received.pose = {{0.1, 0.2, 0.3}, {0.6, 0, 0.8, 0}, {}};
+  received.stamp.sequence = 5;
+  received.valid_for_s = 0.25;
+  recording.take_pose(0, {});
+  recording.take_pose(0, received);  // the newer one counts
+  end_steps(recording, 2);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.steps_size(), 2);
+  ASSERT_EQ(response.steps(0).poses_size(), 1);
+  const v1::RecordedPose& pose = response.steps(0).poses(0);
+  EXPECT_EQ(pose.tool(), "probe");
+  EXPECT_EQ(pose.sequence(), 5u);
+  EXPECT_EQ(response.steps(0).cg_iteration_limit(), 7u);
+  EXPECT_EQ(response.steps(1).poses_size(), 0) << "a pose belongs to one step";
+  const auto read = read_pose(pose, model->tools[0], "pose");
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_EQ(read->pose.position_m, received.pose.position_m);
+  EXPECT_EQ(read->pose.orientation, received.pose.orientation);
+  EXPECT_EQ(read->valid_for_s, 0.25);
+  EXPECT_FALSE(recording.take(response));
+}
+
+TEST_F(ARecording, SaysWhichStepsFoundNoRoom) {
+  Recording recording(*model, {.room_for_steps = 4});
+  end_steps(recording, 10);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.steps_size(), 4);
+  EXPECT_EQ(response.lost_size(), 0) << "nobody knows yet how many are lost";
+  end_steps(recording, 1);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.lost_size(), 1);
+  EXPECT_EQ(response.lost(0).first_index(), 5u);
+  EXPECT_EQ(response.lost(0).count(), 6u);
+  ASSERT_EQ(response.steps_size(), 1);
+  EXPECT_EQ(response.steps(0).index(), 11u);
+}
+
+TEST_F(ARecording, SaysAtItsEndWhichLastStepsWereLost) {
+  Recording recording(*model, {.room_for_steps = 4});
+  end_steps(recording, 6);
+  recording.close();
+  ASSERT_TRUE(recording.take(response));
+  EXPECT_EQ(response.steps_size(), 4);
+  ASSERT_EQ(response.lost_size(), 1);
+  EXPECT_EQ(response.lost(0).first_index(), 5u);
+  EXPECT_EQ(response.lost(0).count(), 2u);
+  EXPECT_FALSE(recording.take(response)) << "once is enough";
+}
+
+TEST_F(ARecording, AStepIsLostWithItsPosesIfThoseFindNoRoom) {
+  Recording recording(*model, {.room_for_steps = 2});
+  for (int i = 0; i < 3; ++i) {
+    recording.take_pose(0, {});
+    end_steps(recording, 1);
+  }
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.steps_size(), 2);
+  for (const v1::RecordedStep& step : response.steps()) EXPECT_EQ(step.poses_size(), 1);
+}
+
+TEST_F(ARecording, CountsChecksThatFindNoRoom) {
+  Recording recording(*model, {.check_every_steps = 2, .room_for_checks = 1});
+  const std::vector<double> zeros(4 * std::size_t{model->layout.row_count});
+  int due = 0;
+  for (int i = 0; i < 6; ++i) {
+    end_steps(recording, 1);
+    if (!recording.check_due()) continue;
+    ++due;
+    recording.take_check(i + 1, {zeros, zeros, {}, 0});
+  }
+  EXPECT_EQ(due, 3);
+  ASSERT_TRUE(recording.take(response));
+  ASSERT_EQ(response.checks_size(), 1);
+  EXPECT_EQ(response.checks(0).index(), 2u);
+  EXPECT_EQ(response.lost_checks(), 2u);
+}
+
+TEST_F(ARecording, AResetDropsThePosesOfAStepThatDidNotCome) {
+  Recording recording(*model, {});
+  recording.take_pose(0, {});
+  recording.take_reset();
+  end_steps(recording, 2);
+  ASSERT_TRUE(recording.take(response));
+  EXPECT_TRUE(response.steps(0).reset());
+  EXPECT_EQ(response.steps(0).poses_size(), 0);
+  EXPECT_FALSE(response.steps(1).reset());
+}
+
+}  // namespace
+}  // namespace tensormass::world

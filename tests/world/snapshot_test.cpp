@@ -1,0 +1,254 @@
+#include "world/snapshot.h"
+
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "core/limits.h"
+#include "support/backends.h"
+#include "support/laws.h"
+#include "support/scenes.h"
+#include "tensormass/v1/recording.pb.h"
+#include "world/runner.h"
+
+/// A restored scene goes on as if nothing had happened, and other bytes are refused.
+namespace tensormass::world {
+namespace {
+
+struct Kind {
+  const char* name;
+  std::function<void(v1::Scene&)> change;
+};
+
+v1::Scene scene_of(const Kind& kind) {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  scene.mutable_solver()->set_cg_tolerance(1e-3);
+  kind.change(scene);
+  return scene;
+}
+
+const std::vector<Kind>& kinds() {
+  static const std::vector<Kind> all{
+      {"euler", [](v1::Scene&) {}},
+      {"friction", [](v1::Scene& s) { s.mutable_tools(0)->set_friction_coefficient(0.5); }},
+      {"bdf2", [](v1::Scene& s) { s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_BDF2); }},
+      {"double_midpoint",
+       [](v1::Scene& s) {
+         s.mutable_solver()->set_precision(v1::Solver::PRECISION_DOUBLE);
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_IMPLICIT_MIDPOINT);
+       }},
+      {"prony",
+       [](v1::Scene& s) {
+         v1::Law& law = *s.mutable_bodies(0)->mutable_law();
+         law = tests::law("neo_hookean", 5e3, 0.4);
+         v1::PronyTerm& term = *law.add_prony();
+         term.set_share(0.4);
+         term.set_relaxation_time_s(0.1);
+       }},
+      {"mass", [](v1::Scene& s) { s.mutable_tools(0)->set_mass_kg(0.05); }},
+      {"ties",
+       [](v1::Scene& s) {
+         v1::Body& above = *s.add_bodies();
+         above = s.bodies(0);
+         above.set_name("above");
+         above.clear_fixed();
+         tests::set(*above.mutable_mesh()->mutable_translation_m(), 0.01, 0.052, 0.02);
+         v1::BodyContact& contact = *s.add_body_contacts();
+         contact.set_body("above");
+         contact.set_other(s.bodies(0).name());
+         contact.set_friction_coefficient(0.3);
+         v1::Attachment& spring = *s.add_attachments();
+         spring.set_name("spring");
+         spring.set_body("above");
+         spring.set_other(s.bodies(0).name());
+         for (std::uint32_t node = 0; node < 5; ++node) {
+           spring.mutable_region()->mutable_nodes()->add_indices(node);
+           spring.mutable_other_region()->mutable_nodes()->add_indices(node);
+         }
+         spring.set_stiffness_n_per_m(100);
+         spring.set_breaking_force_n(0.1);
+       }},
+      {"newton", [](v1::Scene& s) { s.mutable_solver()->set_newton_max_iterations(4); }},
+      {"two_threads",
+       [](v1::Scene& s) {
+         s = tests::block_with_probe(false, 14);
+         s.mutable_solver()->set_cpu_threads(2);
+       }},
+  };
+  return all;
+}
+
+class Snapshots : public tests::OnBackend {
+ protected:
+  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
+    const bool cpu = std::string(GetParam()) == "cpu";
+    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
+    if (!runner) throw std::runtime_error(runner.error().message);
+    return std::move(*runner);
+  }
+
+  /// Presses and drags the probe. Returns the positions, the force and the time at the end.
+  static std::string drag(Runner& runner, int from, int to) {
+    for (int i = from; i < to; ++i) {
+      v1::ToolPose pose;
+      tests::set(*pose.mutable_position_m(), 0.05 + 0.0003 * i, 0.058 - 0.0002 * i, 0.05);
+      if (i % 10 != 3) EXPECT_TRUE(runner.submit_pose("probe", pose));
+      const auto stepped = runner.step(1);
+      EXPECT_TRUE(stepped) << stepped.error().message;
+    }
+    auto positions = runner.positions(runner.topology().bodies(0).name());
+    auto feedback = runner.feedback("probe");
+    if (!positions || !feedback) throw std::runtime_error("no state");
+    const v1::SceneStatus status = runner.status();
+    return positions->positions() + feedback->force_n().SerializeAsString() +
+           feedback->friction_n().SerializeAsString() + std::to_string(status.simulated_time_s()) + " " +
+           std::to_string(status.work_j());
+  }
+
+  static std::string take(Runner& runner) {
+    auto snapshot = runner.snapshot();
+    if (!snapshot) throw std::runtime_error(snapshot.error().message);
+    return snapshot->snapshot();
+  }
+
+  static void expect_refused(Runner& runner, const std::string& snapshot, const std::string& part) {
+    const auto restored = runner.restore(snapshot);
+    ASSERT_FALSE(restored) << part;
+    EXPECT_NE(restored.error().message.find(part), std::string::npos) << restored.error().message;
+  }
+};
+
+TEST_P(Snapshots, GoOnToTheLastBit) {
+  for (const Kind& kind : kinds()) {
+    SCOPED_TRACE(kind.name);
+    const auto runner = load(scene_of(kind));
+    drag(*runner, 0, 20);
+    const std::string snapshot = take(*runner);
+    const std::string once = drag(*runner, 20, 35);
+    const auto restored = runner->restore(snapshot);
+    ASSERT_TRUE(restored) << restored.error().message;
+    EXPECT_EQ(restored->step(), 20u);
+    EXPECT_EQ(take(*runner), snapshot) << "a snapshot of what was restored is the same";
+    EXPECT_EQ(drag(*runner, 20, 35), once);
+    const auto another = load(scene_of(kind));
+    ASSERT_TRUE(another->restore(snapshot));
+    EXPECT_EQ(drag(*another, 20, 35), once) << "in a scene that was loaded anew";
+    EXPECT_GT(runner->feedback("probe")->force_n().y(), 0) << "the probe touched";
+  }
+}
+
+TEST_P(Snapshots, OfAnotherSceneOrLayoutAreRefused) {
+  const auto runner = load(scene_of(kinds()[0]));
+  ASSERT_TRUE(runner->step(2));
+  v1::Scene stiffer = scene_of(kinds()[0]);
+  stiffer.mutable_bodies(0)->set_rayleigh_mass_per_s(0.1);
+  expect_refused(*runner, take(*load(stiffer)), "another scene");
+  v1::Scene renamed = scene_of(kinds()[0]);
+  renamed.set_name("renamed");
+  renamed.mutable_streams()->set_frame_rate_hz(5);
+  EXPECT_TRUE(runner->restore(take(*load(renamed)))) << "the state has neither its name nor its streams";
+  v1::Scene wide = scene_of(kinds().back());
+  const std::string of_two = take(*load(wide));
+  wide.mutable_solver()->set_cpu_threads(1);
+  if (std::string(GetParam()) == "cpu") expect_refused(*load(wide), of_two, "cpu_threads");
+}
+
+TEST_P(Snapshots, DamagedOnesAreRefusedAndChangeNothing) {
+  const auto runner = load(scene_of(kinds()[1]));
+  drag(*runner, 0, 5);
+  const std::string snapshot = take(*runner);
+  ASSERT_TRUE(runner->step(1));
+  for (std::size_t size = 0; size < snapshot.size(); size += 1 + size / 2) {
+    expect_refused(*runner, snapshot.substr(0, size), "snapshot: ");
+  }
+  for (std::size_t at = 0; at < snapshot.size(); at += 1 + at / 3) {
+    std::string flipped = snapshot;
+    flipped[at] = static_cast<char>(flipped[at] ^ 4);
+    // Only bytes 12 to 15 are reserved.
+    if (at < 12 || at > 15) expect_refused(*runner, flipped, "snapshot: ");
+  }
+  std::string newer = snapshot;
+  newer[8] = 2;
+  expect_refused(*runner, newer, "version 2, but this server reads version 1");
+  expect_refused(*runner, "a text", "too few");
+  expect_refused(*runner, std::string(64, 'x'), "not a snapshot");
+  EXPECT_EQ(runner->status().step(), 6u);
+}
+
+TEST_P(Snapshots, AreRefusedWhileTheSceneIsRecorded) {
+  const auto runner = load(scene_of(kinds()[0]));
+  const std::string snapshot = take(*runner);
+  const auto started = runner->record({.reset = true});
+  ASSERT_TRUE(started);
+  expect_refused(*runner, snapshot, "is being recorded");
+  runner->stop_recording(started->recording);
+  EXPECT_TRUE(runner->restore(snapshot));
+}
+
+TM_ON_EACH_BACKEND(Snapshots);
+
+/// A content that a correct checksum protects may still be wrong: it comes from outside.
+class SnapshotContent : public testing::Test {
+ protected:
+  SnapshotContent() {
+    auto runner = Runner::start(scene_of(kinds()[1]), {BackendChoice::kCpu, 1});
+    if (!runner) throw std::runtime_error(runner.error().message);
+    loaded = std::move(*runner);
+    const std::string snapshot = loaded->snapshot()->snapshot();
+    EXPECT_TRUE(good.ParseFromString(snapshot.substr(32)));
+  }
+
+  void expect_refused(const v1::SnapshotState& content, const std::string& part) const {
+    const auto restored = loaded->restore(seal_snapshot(content.SerializeAsString()));
+    ASSERT_FALSE(restored) << part;
+    EXPECT_NE(restored.error().message.find(part), std::string::npos) << restored.error().message;
+  }
+
+  std::unique_ptr<Runner> loaded;
+  v1::SnapshotState good;
+};
+
+TEST_F(SnapshotContent, IsChecked) {
+  EXPECT_TRUE(loaded->restore(seal_snapshot(good.SerializeAsString())));
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  v1::SnapshotState bad = good;
+  bad.mutable_displacement()->append(8, '\0');
+  expect_refused(bad, "displacement");
+  bad = good;
+  bad.mutable_velocity()->replace(0, 8, reinterpret_cast<const char*>(&nan), 8);
+  expect_refused(bad, "velocity: has numbers that are not finite");
+  bad = good;
+  bad.clear_slips();
+  expect_refused(bad, "slips");
+  bad = good;
+  bad.clear_solution();
+  expect_refused(bad, "solution");
+  bad = good;
+  bad.mutable_previous_displacement()->assign(good.displacement());
+  bad.mutable_previous_velocity()->assign(good.velocity());
+  expect_refused(bad, "previous_displacement");
+  bad = good;
+  bad.clear_tools();
+  expect_refused(bad, "tools");
+  bad = good;
+  bad.mutable_tools(0)->mutable_target()->set_tool("knife");
+  expect_refused(bad, "knife");
+  bad = good;
+  bad.mutable_tools(0)->set_fade(2);
+  expect_refused(bad, "fade");
+  bad = good;
+  bad.mutable_tools(0)->mutable_pose()->mutable_position_m()->set_x(2 * limits::kMaxLength);
+  expect_refused(bad, "position_m");
+  bad = good;
+  bad.set_work_j(nan);
+  expect_refused(bad, "energies");
+  bad = good;
+  bad.set_cg_iteration_limit(0);
+  expect_refused(bad, "cg_iteration_limit");
+}
+
+}  // namespace
+}  // namespace tensormass::world
