@@ -57,7 +57,7 @@ struct ReadBodyContact {
 /// Springs between two bodies.
 struct ReadAttachment {
   std::vector<std::array<std::uint32_t, 2>> springs;  ///< nodes of the scene
-  double stiffness_n_per_m, breaking_force_n;         ///< of one spring
+  double stiffness_n_per_m, breaking_force_n;         ///< one spring's
 };
 
 /// A model that is being compiled.

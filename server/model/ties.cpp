@@ -38,8 +38,8 @@ class TieMaker {
     std::array<double, 3> numbers;
   };
   struct Surface {
-    std::vector<std::uint32_t> vertices, triangles;  ///< of ContactSurface
-    std::array<std::uint32_t, 2> groups{0, 0};       ///< of boxes
+    std::vector<std::uint32_t> vertices, triangles;  ///< places in ContactSurface
+    std::array<std::uint32_t, 2> groups{0, 0};       ///< groups of boxes
   };
 
   std::size_t body_of_row(std::uint32_t row) const {

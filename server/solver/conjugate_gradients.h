@@ -26,9 +26,8 @@
 ///    no second exchange.
 /// 4. r·r itself is summed afresh in every iteration, which keeps the recurrence from drifting (Saad 1985; Meurant
 ///    1987).
-/// 5. Ties couple rows of patches that are no neighbours (tie_product.h). A scene with ties has a second barrier in
-/// each
-///    iteration, before p of other patches is read.
+/// 5. Ties couple rows of patches that need not be neighbours (tie_product.h). A scene with ties has a second barrier
+///    in each iteration, before p of other patches is read.
 /// 6. Sums run in a fixed order: results repeat bitwise for the same number of patches.
 /// 7. The first iteration searches along the last step's solution, with α = p·r / p·q and β = 0. Successive steps
 ///    resemble each other, so it brings the solve as far as many iterations do. Then conjugate gradients start at

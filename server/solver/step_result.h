@@ -32,7 +32,7 @@ struct StepResult {
   double newton_residual = 0;        ///< relative to the acting forces; 0 in a step that is linearized once
   std::uint32_t touching_nodes = 0;  ///< nodes that touch a body
   double deepest_contact_m = 0;      ///< largest penetration of one body into another
-  std::uint32_t broken_springs = 0;  ///< of attachments, since the start
+  std::uint32_t broken_springs = 0;  ///< springs of attachments that have broken since the start
   /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;
 

@@ -92,7 +92,7 @@ class ToolMotion {
     double valid_for_s = kUntilTheNext;
     double fade = 1;          ///< fourth root of the presence
     double target_age_s = 0;  ///< time since the target was set
-    // Of a tool with a mass.
+    // Only for a tool with a mass.
     Vec3<double> hand_m = Vec3<double>::Zero();
     Vec3<double> hand_m_per_s = Vec3<double>::Zero();
     Vec3<double> velocity_m_per_s = Vec3<double>::Zero();
