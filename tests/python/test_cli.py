@@ -376,7 +376,7 @@ def test_run_says_where_no_viewer_can_be_served(
     run.add_arguments(parser)
 
     async def serve(options: list[str]) -> None:
-        async with run._viewer(parser.parse_args(["--viewer", str(tmp_path), *options]), recorder[1]):
+        async with run._viewer(parser.parse_args(["--viewer", str(tmp_path), *options]), recorder[1], {}):
             pytest.fail("it listens")
 
     with socket.create_server(("127.0.0.1", 0)) as taken:
