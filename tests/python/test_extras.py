@@ -124,6 +124,8 @@ except tm.NotFoundError as error:
         ("viewer", ["run"]),
         ("meshes", ["run", "--no-viewer"]),
         ("modes", ["modes", "cantilever"]),
+        ("record", ["record", "cantilever", "-o", "cantilever.mcap"]),
+        ("record", ["replay", "cantilever.mcap"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tensormass._src.errors import NotFoundError
+from tensormass._src.extras import require
 from tensormass_tools import presets
 
 #: Steps from one check of the state to the next.
@@ -72,7 +72,7 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_record(args: argparse.Namespace) -> int:
     """Runs `tensormass record`."""
-    _require_packages()
+    require("record", "a recording")
     from tensormass_tools.recording.record import run
 
     return run(args)
@@ -80,18 +80,7 @@ def run_record(args: argparse.Namespace) -> int:
 
 def run_replay(args: argparse.Namespace) -> int:
     """Runs `tensormass replay`."""
-    _require_packages()
+    require("record", "a replay")
     from tensormass_tools.recording.replay import run
 
     return run(args)
-
-
-def _require_packages() -> None:
-    try:
-        import mcap.writer  # noqa: F401
-        import mcap_protobuf.schema  # noqa: F401
-        import zstandard  # noqa: F401
-    except ImportError as error:
-        raise NotFoundError(
-            f"recordings need mcap ({error}); install it with: pip install 'tensormass[record]'"
-        ) from error
