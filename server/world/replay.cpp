@@ -14,11 +14,12 @@ namespace tensormass::world {
 namespace {
 
 Result<Replay::Step> read_step(const model::Model& model, const v1::RecordedStep& message, const std::string& where) {
-  Replay::Step out{.index = message.index(),
-                   .step = message.step(),
-                   .reset = message.reset(),
-                   .diagnosed = message.diagnosed(),
-                   .rejected = message.rejected()};
+  Replay::Step out;
+  out.index = message.index();
+  out.step = message.step();
+  out.reset = message.reset();
+  out.diagnosed = message.diagnosed();
+  out.rejected = message.rejected();
   TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), 1, model.cg_max_iterations,
                                                 where + ".cg_iteration_limit"));
   out.cg_limit = static_cast<std::uint32_t>(limit);

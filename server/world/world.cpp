@@ -238,11 +238,12 @@ void World::reset() {
 }
 
 World::Saved World::save() {
-  Saved out{.step_count = step_count_,
-            .rows = state_->read(),
-            .history = state_->read_history(),
-            .energy = energy_.entries(),
-            .cg_limit = cg_limit_};
+  Saved out;
+  out.step_count = step_count_;
+  out.rows = state_->read();
+  out.history = state_->read_history();
+  out.energy = energy_.entries();
+  out.cg_limit = cg_limit_;
   projection_.save(out);
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});

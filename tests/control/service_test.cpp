@@ -278,7 +278,9 @@ TEST_F(ServiceTest, ARecordingEndsWhenItsClientCancels) {
     again = reader->Read(&message);
     context.TryCancel();
     const grpc::Status status = reader->Finish();
-    if (!again) EXPECT_EQ(status.error_code(), grpc::StatusCode::FAILED_PRECONDITION) << status.error_message();
+    if (!again) {
+      EXPECT_EQ(status.error_code(), grpc::StatusCode::FAILED_PRECONDITION) << status.error_message();
+    }
     std::this_thread::yield();
   }
   EXPECT_TRUE(again);

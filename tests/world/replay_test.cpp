@@ -109,7 +109,9 @@ TEST_P(Replaying, RepeatsALockstepSceneToTheLastBit) {
   for (std::uint64_t i = 1; i <= 1500; ++i) {
     ASSERT_TRUE(runner->submit_pose("probe", random_pose(random, 5, i)));
     ASSERT_TRUE(runner->step(1 + i % 3));
-    if (i == 700) ASSERT_TRUE(runner->reset());
+    if (i == 700) {
+      ASSERT_TRUE(runner->reset());
+    }
     recorded.take_from(*started.recording);
   }
   EXPECT_EQ(recorded.lost, 0u);

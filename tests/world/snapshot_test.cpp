@@ -95,7 +95,9 @@ class Snapshots : public tests::OnBackend {
     for (int i = from; i < to; ++i) {
       v1::ToolPose pose;
       tests::set(*pose.mutable_position_m(), 0.05 + 0.0003 * i, 0.058 - 0.0002 * i, 0.05);
-      if (i % 10 != 3) EXPECT_TRUE(runner.submit_pose("probe", pose));
+      if (i % 10 != 3) {
+        EXPECT_TRUE(runner.submit_pose("probe", pose));
+      }
       const auto stepped = runner.step(1);
       EXPECT_TRUE(stepped) << stepped.error().message;
     }
