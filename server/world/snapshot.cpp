@@ -276,7 +276,7 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.projection_left = message.projection_left();
   world.projection_length = message.projection_length();
   world.projection_good = message.projection_good();
-  TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), model.floor_cg_iterations,
+  TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), std::max(model.floor_cg_iterations, 1u),
                                                 model.cg_max_iterations, "snapshot.cg_iteration_limit"));
   world.cg_limit = static_cast<std::uint32_t>(limit);
   out.next_diagnostics = message.next_diagnostics();

@@ -94,7 +94,7 @@ class Snapshots : public tests::OnBackend {
   static std::string drag(Runner& runner, int from, int to) {
     for (int i = from; i < to; ++i) {
       v1::ToolPose pose;
-      tests::set(*pose.mutable_position_m(), 0.05 + 0.0003 * i, 0.058 - 0.0002 * i, 0.05);
+      tests::set(*pose.mutable_position_m(), 0.05 + 0.0002 * i, 0.0595 - 0.0001 * i, 0.05);
       if (i % 10 != 3) {
         EXPECT_TRUE(runner.submit_pose("probe", pose));
       }
