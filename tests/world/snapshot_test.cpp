@@ -55,7 +55,8 @@ const std::vector<Kind>& kinds() {
          above = s.bodies(0);
          above.set_name("above");
          above.clear_fixed();
-         tests::set(*above.mutable_mesh()->mutable_translation_m(), 0.01, 0.052, 0.02);
+         above.mutable_mesh()->set_scale(0.3);  // beside the probe
+         tests::set(*above.mutable_mesh()->mutable_translation_m(), 0, 0.051, 0);
          v1::BodyContact& contact = *s.add_body_contacts();
          contact.set_body("above");
          contact.set_other(s.bodies(0).name());
