@@ -23,7 +23,9 @@
 ///     ((m / dt + c + dt k) I + dt K) v = (m / dt) v0 + k (h − x0) + c h' + F
 ///
 /// Spring and damper are then stable for every mass, stiffness and step. Contact is stable as long as K is at least
-/// half of what the tissue shows within a step; `raise` sees to that.
+/// half of what the tissue shows within a step. A formula of contact is often softer than that: Hertz's is, for a thin
+/// organ or a coarse mesh. `feel` therefore raises K along the way of the tool to what the last step showed. It forgets
+/// that only slowly, because a tool that bounces off would otherwise fall back into the same contact, for ever.
 namespace tensormass::world {
 
 struct Coupling {
@@ -34,8 +36,12 @@ struct Coupling {
 struct FeltContact {
   Vec3<double> position_m = Vec3<double>::Zero();  ///< the tool's
   Vec3<double> force_n = Vec3<double>::Zero();
-  Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
+  Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();  ///< K
+  Mat3<double> shown_n_per_m = Mat3<double>::Zero();      ///< the part of K that steps have shown
 };
+
+/// Share of `shown_n_per_m` that is left after a step.
+inline constexpr double kShownKept = 0.8;
 
 /// Returns the velocity of the tool at the end of a step [m/s].
 /// hand_m, hand_m_per_s: place of the hand at the end of the step, and its velocity within it.
@@ -54,15 +60,20 @@ inline Mat3<double> in_series(double coupling_n_per_m, const Mat3<double>& tissu
   return (series + series.transpose()) / 2;
 }
 
-/// Raises the stiffness of `now` to what the way from `before` showed along it, up to a bound. A formula of contact may
-/// be too soft: Hertz's is, for a thin organ.
-inline void raise(FeltContact& now, const FeltContact& before, double most_n_per_m) {
-  const Vec3<double> way = now.position_m - before.position_m;
+/// Returns the contact at the end of a step. stiffness_n_per_m: what a formula says about it.
+/// before: the contact a step ago. most_n_per_m: bound of what a step may show.
+inline FeltContact feel(const FeltContact& before, const Vec3<double>& position_m, const Vec3<double>& force_n,
+                        const Mat3<double>& stiffness_n_per_m, double most_n_per_m) {
+  FeltContact now{position_m, force_n, stiffness_n_per_m, kShownKept * before.shown_n_per_m};
+  const Vec3<double> way = position_m - before.position_m;
   const double way2 = way.squaredNorm();
-  if (!(way2 > 0) || now.force_n.isZero(0)) return;
-  const double shown = std::min(-(now.force_n - before.force_n).dot(way) / way2, most_n_per_m);
-  const double known = way.dot(now.stiffness_n_per_m * way) / way2;
-  if (shown > known) now.stiffness_n_per_m += (shown - known) / way2 * way * way.transpose();
+  if (way2 > 0 && !force_n.isZero(0)) {
+    const double shown = std::min(-(force_n - before.force_n).dot(way) / way2, most_n_per_m);
+    const double known = way.dot((stiffness_n_per_m + now.shown_n_per_m) * way) / way2;
+    if (shown > known) now.shown_n_per_m += (shown - known) / way2 * way * way.transpose();
+  }
+  now.stiffness_n_per_m += now.shown_n_per_m;
+  return now;
 }
 
 }  // namespace tensormass::world

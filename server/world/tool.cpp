@@ -84,9 +84,7 @@ void ToolMotion::pull(const Pose& hand, double dt_s) {
 void ToolMotion::feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m) {
   // A sphere of the tool's radius cannot press on more than its cross-section.
   const double most_n_per_m = tool_->penalty_pa_per_m * EIGEN_PI * tool_->radius_m * tool_->radius_m;
-  const FeltContact before = felt_;
-  felt_ = {current_.pose.position_m, force_n, stiffness_n_per_m};
-  raise(felt_, before, most_n_per_m);
+  felt_ = world::feel(felt_, current_.pose.position_m, force_n, stiffness_n_per_m, most_n_per_m);
 }
 
 }  // namespace tensormass::world

@@ -189,11 +189,11 @@ class SimulatedServer final : public Link {
     hand_m_ = hand_m;
     tool_m_per_s_ =
         world::coupled_velocity(coupling, felt_.position_m, tool_m_per_s_, hand_m, hand_m_per_s, felt_, period_s_);
-    const world::FeltContact before = felt_;
-    felt_ = touch(before.position_m + period_s_ * tool_m_per_s_);
+    const world::FeltContact touched = touch(felt_.position_m + period_s_ * tool_m_per_s_);
+    felt_ = world::feel(felt_, touched.position_m, touched.force_n, touched.stiffness_n_per_m,
+                        std::numeric_limits<double>::infinity());
     tool_.force_n = k * (felt_.position_m - hand_m) + coupling.damping_n_s_per_m * (tool_m_per_s_ - hand_m_per_s);
-    tool_.stiffness_n_per_m = world::in_series(k, felt_.stiffness_n_per_m);
-    world::raise(felt_, before, std::numeric_limits<double>::infinity());
+    tool_.stiffness_n_per_m = world::in_series(k, touched.stiffness_n_per_m);
   }
 
   /// Steps the tissue to a depth.
