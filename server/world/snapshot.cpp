@@ -83,7 +83,21 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   write_vector(motion.velocity_m_per_s, *out.mutable_velocity_m_per_s());
   write_vector(motion.felt.position_m, *out.mutable_felt_position_m());
   write_vector(motion.felt.force_n, *out.mutable_felt_force_n());
-  for (int i = 0; i < 9; ++i) out.add_felt_stiffness_n_per_m(motion.felt.stiffness_n_per_m(i / 3, i % 3));
+  for (int i = 0; i < 9; ++i) {
+    out.add_felt_stiffness_n_per_m(motion.felt.stiffness_n_per_m(i / 3, i % 3));
+    out.add_shown_stiffness_n_per_m(motion.felt.shown_n_per_m(i / 3, i % 3));
+  }
+}
+
+/// Reads a matrix of nine finite numbers, row by row.
+Result<Mat3<double>> read_matrix(const google::protobuf::RepeatedField<double>& values, const std::string& where) {
+  if (values.size() != 9) return invalid(fmt::format("{}: {} values, not 9", where, values.size()));
+  Mat3<double> out;
+  for (int i = 0; i < 9; ++i) {
+    TM_ASSIGN_OR_RETURN(value, read_finite(values[i], where));
+    out(i / 3, i % 3) = value;
+  }
+  return out;
 }
 
 /// Reads what a snapshot has of a tool with a mass only.
@@ -93,19 +107,12 @@ Result<void> read_coupling(const v1::SnapshotTool& message, const std::string& w
   TM_ASSIGN_OR_RETURN(speed, model::read_vector(message.velocity_m_per_s(), where + ".velocity_m_per_s"));
   TM_ASSIGN_OR_RETURN(position, model::read_vector(message.felt_position_m(), where + ".felt_position_m"));
   TM_ASSIGN_OR_RETURN(force, model::read_vector(message.felt_force_n(), where + ".felt_force_n", limits::kMaxForceN));
-  if (message.felt_stiffness_n_per_m_size() != 9) {
-    return invalid(
-        fmt::format("{}.felt_stiffness_n_per_m: {} values, not 9", where, message.felt_stiffness_n_per_m_size()));
-  }
+  TM_ASSIGN_OR_RETURN(stiffness, read_matrix(message.felt_stiffness_n_per_m(), where + ".felt_stiffness_n_per_m"));
+  TM_ASSIGN_OR_RETURN(shown, read_matrix(message.shown_stiffness_n_per_m(), where + ".shown_stiffness_n_per_m"));
   out.hand_m = hand;
   out.hand_m_per_s = hand_speed;
   out.velocity_m_per_s = speed;
-  out.felt.position_m = position;
-  out.felt.force_n = force;
-  for (int i = 0; i < 9; ++i) {
-    TM_ASSIGN_OR_RETURN(one, read_finite(message.felt_stiffness_n_per_m(i), where + ".felt_stiffness_n_per_m"));
-    out.felt.stiffness_n_per_m(i / 3, i % 3) = one;
-  }
+  out.felt = {position, force, stiffness, shown};
   return {};
 }
 
