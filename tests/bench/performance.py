@@ -327,7 +327,7 @@ TABLES = {
         "sources": sources,
     },
     REPOSITORY / "docs" / "comparison.md": {"engines": engines},
-    REPOSITORY / "docs" / "decisions" / "contact.md": {"contacts": contacts},
+    REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
     REPOSITORY / "README.md": {"summary": summary},
 }
 
