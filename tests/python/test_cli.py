@@ -225,9 +225,9 @@ def test_run_refuses_a_wrong_scene_before_anything_starts(
 ) -> None:
     monkeypatch.setenv("TENSORMASSD", "/nonexistent")
     scene = tmp_path / "scene.yaml"
-    scene.write_text("name: s\nbody: []\n")
+    scene.write_text("name: s\nbodys: []\n")
     assert main(["run", str(scene)]) == 1
-    assert "Scene has no field 'body'; did you mean 'bodies'?" in capsys.readouterr().err
+    assert "Scene has no field 'bodys'; did you mean 'bodies'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "view"])

@@ -102,6 +102,13 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     triangle = mesh.nodes[:3]
     first.skin.packed.vertex_positions = packed(triangle)
     first.skin.packed.triangles = np.array([0, 1, 2], "<u4").tobytes()
+    scene.body_contacts.add(
+        body=first.name, distance_m=1e-3, penalty_stiffness_pa_per_m=1e6, friction_coefficient=0.1, reach_m=0.01
+    )
+    ligament = scene.attachments.add(name="ligament", body=first.name, other=first.name)
+    ligament.region.nodes.indices.append(end[0])
+    ligament.other_region.nodes.indices.append(end[1])
+    ligament.stiffness_n_per_m, ligament.breaking_force_n = 1, 1e6
     for law in LAWS:
         body = scene.bodies.add(name=law, density_kg_per_m3=1000, law=tissue(law).message)
         grid = body.mesh.grid
@@ -116,6 +123,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
             body.element_fields.fibre_directions = packed([[1, 0, 0]])
     for kind in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields:
         tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
+        tool.mass_kg, tool.coupling_stiffness_n_per_m, tool.coupling_damping_n_s_per_m = 0.05, 500, 1
         shape = getattr(tool, kind.name)
         for field in kind.message_type.fields:
             if field.type == FieldDescriptor.TYPE_DOUBLE:
