@@ -20,13 +20,13 @@ from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
 from tensormass._src.demo import builtin_scenes
 from tensormass._src.errors import TensormassError
 from tensormass._src.extras import require
-from tensormass._src.launching import launch
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import export, hand, load_test, modes, recording, run, solve
+from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
 from tensormass_tools.running import find_server
@@ -191,10 +191,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = commands.add_parser("inspect", parents=[json_option], help="check a scene and print its plan and cost")
     sub.add_argument("scene", help=_SCENE_HELP)
-    sub.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    sub.add_argument(
-        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
-    )
+    add_daemon_arguments(sub, threads_help=None)
     sub.set_defaults(command=_inspect)
 
     sub = commands.add_parser(
@@ -306,7 +303,7 @@ def _report(args: argparse.Namespace) -> int:
 def _inspect(args: argparse.Namespace) -> int:
     scene = Scene.from_file(args.scene)
     with (
-        connect(args.server) if args.server else launch(backend=args.backend, zenoh=False) as server,
+        daemon_of(args) as server,
         end_explained(server.process, server.log_file),
     ):
         report = server.inspect(scene)

@@ -19,12 +19,11 @@ from pathlib import Path
 
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.fields import FIELD_NAMES, field_numbers
-from tensormass._src.launching import launch
 from tensormass._src.packing import volume_mesh
 from tensormass._src.processes import end_explained
-from tensormass._src.server import Server, connect
 from tensormass.v1 import scene_pb2
 from tensormass_tools import presets
+from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.output import check_writable, load_line, load_silently, print_json
 from tensormass_tools.solve_files import Writer
 from tensormass_tools.solve_steps import (
@@ -66,11 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help="replaces the scene's choice; default: double if the scene has none",
     )
     parser.add_argument("--allow-unconverged", action="store_true", help="write results of steps that did not converge")
-    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    parser.add_argument(
-        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
-    )
-    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    add_daemon_arguments(parser)
     parser.description = (
         "Computes a scene in lockstep and writes displacements, forces and stresses. A quasi-static scene makes one "
         "step, or as many as its schedules take; a dynamic one goes on until it is at rest (kinetic energy below "
@@ -106,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         solver.allow_unconverged = True  # the daemon would stop at such a step; Solution judges it
     if not solver.HasField("cg_max_iterations"):
         solver.cg_max_iterations = _CG_LIMIT
-    with _server(args) as server, end_explained(server.process, server.log_file):
+    with daemon_of(args) as server, end_explained(server.process, server.log_file):
         # A shared daemon may have a scene of this name.
         name = f"{scene.name[:40]}-solve-{os.getpid()}" if args.server else None
         progress = load_line(quiet=args.json) or load_silently
@@ -123,9 +118,3 @@ def run(args: argparse.Namespace) -> int:
         summary = {"scene": scene.name, "backend": version.backend, "device": version.device, **summary}
     print_json(summary) if args.json else print(text(summary))
     return 0 if solution.at_rest or args.allow_unconverged else 1
-
-
-def _server(args: argparse.Namespace) -> Server:
-    if args.server:
-        return connect(args.server)
-    return launch(backend=args.backend, cpu_threads=args.cpu_threads, zenoh=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tensormass._src.extras import require
 from tensormass_tools import presets
+from tensormass_tools.daemon_arguments import add_daemon_arguments
 
 #: Steps from one check of the state to the next.
 CHECK_EVERY = 100
@@ -34,11 +35,7 @@ def add_record_arguments(parser: argparse.ArgumentParser, scene_help: str) -> No
     parser.add_argument(
         "--attach", metavar="NAME", help="record the scene that is loaded under this name; SCENE is what was loaded"
     )
-    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    parser.add_argument(
-        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="backend of the daemon to start"
-    )
-    parser.add_argument("--cpu-threads", type=int, metavar="N", help="threads of the scene on the CPU")
+    add_daemon_arguments(parser)
     parser.description = (
         "Loads a scene and records what its steps take from outside: poses of tools, resets, and what the daemon "
         "decides by its clock. Move its tools from other terminals (tensormass hand, tensormass view). "
@@ -58,11 +55,11 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
         help="allowed difference on another backend, device or number of threads, as a share of the largest "
         f"displacement; default: {TOLERANCE:g}",
     )
-    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
-    parser.add_argument(
-        "--backend", choices=("auto", "cpu", "cuda"), default="auto", help="auto, the default: the one of the recording"
+    add_daemon_arguments(
+        parser,
+        backend_help="auto, the default: the one of the recording",
+        threads_help="default: as many as when it was recorded",
     )
-    parser.add_argument("--cpu-threads", type=int, metavar="N", help="default: as many as when it was recorded")
     parser.description = (
         "Makes the steps of a recording again, with the same inputs, and compares the state. On the same backend, "
         "device and number of threads every hash must be equal. Exit status 1 if a check fails, if steps were lost "

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import os
 import queue
 import threading
 import time
@@ -21,12 +20,12 @@ from typing import Any
 import grpc
 
 from tensormass._src import errors
-from tensormass._src.launching import launch
 from tensormass._src.processes import end_explained
 from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server, connect
+from tensormass._src.server import Server
 from tensormass.v1 import control_pb2, recording_pb2, stream_pb2
 from tensormass_tools import presets
+from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import check_writable, load_line, print_json
 from tensormass_tools.recording.file import RecordingWriter
 from tensormass_tools.running import announced
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     lockstep = args.lockstep or scene.message.stepping.lockstep
     if lockstep and args.steps is None and args.attach is None and args.server is None:
         raise errors.InvalidArgumentError(f"scene {scene.name!r} steps only when asked: give --steps")
-    with _server(args) as server, end_explained(server.process, server.log_file):
+    with daemon_of(args, zenoh=True) as server, end_explained(server.process, server.log_file):
         if args.attach is not None:
             handle = server.scene(args.attach)
             handle.message = scene.message
@@ -94,6 +93,7 @@ class Recorder:
         self._queue: queue.Queue[Any] = queue.Queue(_QUEUED)
         self._ends = threading.Event()
         self.steps = self.checks = self.frames = self.lost = self.lost_checks = 0
+        self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
     def summary(self) -> dict[str, Any]:
         """Returns counts of the recording, for people and JSON."""
@@ -162,7 +162,11 @@ class Recorder:
             return True
         if args.seconds is not None and time.monotonic() - begin >= args.seconds:
             return True
-        return args.steps is not None and self.steps + self.lost >= args.steps
+        return (
+            args.steps is not None
+            and self.steps + self.lost >= args.steps
+            and self.checks + self.lost_checks >= self._due_checks
+        )
 
     def _start_steps(self) -> None:
         """Steps a scene in lockstep, on a thread of its own."""
@@ -231,11 +235,16 @@ class Recorder:
             self.lost += gap.count
         for step in item.steps:
             writer.add("/inputs", step, step.server_time_ns)
+            self._due_checks += self._has_check(step)
         for check in item.checks:
             writer.add("/checks", check)
         self.steps += len(item.steps)
         self.checks += len(item.checks)
         self.lost_checks = item.lost_checks
+
+    def _has_check(self, step: recording_pb2.RecordedStep) -> bool:
+        every = self._args.check_every
+        return every > 0 and step.index % every == 0 and not step.rejected
 
 
 @contextlib.contextmanager
@@ -244,14 +253,3 @@ def _explained() -> Iterator[None]:
         yield
     except grpc.RpcError as error:
         raise errors.from_rpc_error(error) from error
-
-
-def _server(args: argparse.Namespace) -> Server:
-    if args.server:
-        return connect(args.server)
-    return launch(backend=args.backend, cpu_threads=args.cpu_threads)
-
-
-def unique_name(scene: str) -> str:
-    """Returns a name for a scene in a daemon that others use."""
-    return f"{scene[:40]}-replay-{os.getpid()}"

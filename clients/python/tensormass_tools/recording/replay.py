@@ -7,6 +7,7 @@ order, so displacements of sampled nodes are compared within a tolerance.
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,15 +16,14 @@ import numpy as np
 
 from tensormass._src.connection import LOAD_TIMEOUT_S
 from tensormass._src.errors import InvalidArgumentError
-from tensormass._src.launching import launch
 from tensormass._src.meshes import FloatArray
 from tensormass._src.processes import end_explained
 from tensormass._src.scene_handle import SceneHandle
-from tensormass._src.server import Server, connect
+from tensormass._src.server import Server
 from tensormass.v1 import control_pb2, recording_pb2, scene_pb2
+from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import load_line, print_json
 from tensormass_tools.recording.file import RecordingReader
-from tensormass_tools.recording.record import unique_name
 
 # The daemon's own limit is 1000 (server/core/recording_limits.h).
 _STEPS_A_CALL = 250
@@ -78,8 +78,8 @@ def run(args: argparse.Namespace) -> int:
         scene.solver.cpu_threads = args.cpu_threads
     elif recording.start.backend == "cpu":
         scene.solver.cpu_threads = max(recording.start.patch_count, 1)
-    with _server(args, recording) as server, end_explained(server.process, server.log_file):
-        name = unique_name(scene.name) if args.server else None
+    with daemon_of(args, backend=_backend(args, recording)) as server, end_explained(server.process, server.log_file):
+        name = _unique_name(scene.name) if args.server else None
         handle = server.load(scene, name=name, progress=load_line(quiet=args.json))
         try:
             if recording.start.snapshot:
@@ -182,10 +182,12 @@ def _samples(check: recording_pb2.StateCheck) -> FloatArray:
     return np.frombuffer(check.sample_displacements, dtype="<f8").reshape(-1, 3)
 
 
-def _server(args: argparse.Namespace, recording: RecordingReader) -> Server:
-    if args.server:
-        return connect(args.server)
-    backend = args.backend
-    if backend == "auto" and recording.start.backend in ("cpu", "cuda"):
-        backend = recording.start.backend
-    return launch(backend=backend, zenoh=False)
+def _backend(args: argparse.Namespace, recording: RecordingReader) -> str:
+    """Returns the backend of a daemon to start: without --backend that of the recording."""
+    recorded = str(recording.start.backend)
+    return recorded if args.backend == "auto" and recorded in ("cpu", "cuda") else str(args.backend)
+
+
+def _unique_name(scene: str) -> str:
+    """Returns a name for a scene in a daemon that others use."""
+    return f"{scene[:40]}-replay-{os.getpid()}"

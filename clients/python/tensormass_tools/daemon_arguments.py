@@ -1,0 +1,32 @@
+"""The options of commands that use a running daemon, or start one for themselves.
+
+`tensormass` refuses those that contradict each other (cli.py).
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from tensormass._src.launching import launch
+from tensormass._src.server import Server, connect
+
+
+def add_daemon_arguments(
+    parser: argparse.ArgumentParser,
+    *,
+    backend_help: str = "backend of the daemon to start",
+    threads_help: str | None = "threads of the scene on the CPU",
+) -> None:
+    """Adds --server, --backend and --cpu-threads. Without `threads_help` the command has no --cpu-threads."""
+    parser.add_argument("--server", metavar="HOST:PORT", help="a running daemon; without it one is started for this")
+    parser.add_argument("--backend", choices=("auto", "cpu", "cuda"), default="auto", help=backend_help)
+    if threads_help is not None:
+        parser.add_argument("--cpu-threads", type=int, metavar="N", help=threads_help)
+
+
+def daemon_of(args: argparse.Namespace, *, backend: str | None = None, zenoh: bool = False) -> Server:
+    """Connects to the daemon at --server, or starts one. `backend` stands for --backend, if given."""
+    if args.server:
+        return connect(args.server)
+    threads = getattr(args, "cpu_threads", None)
+    return launch(backend=args.backend if backend is None else backend, cpu_threads=threads, zenoh=zenoh)
