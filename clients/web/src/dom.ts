@@ -6,3 +6,10 @@ export function find<Type extends Element>(selector: string, type: new () => Typ
   }
   return found;
 }
+
+/** Changes the text of an element. The same text again costs no layout. */
+export function setText(target: Element, text: string): void {
+  if (target.textContent !== text) {
+    target.textContent = text;
+  }
+}

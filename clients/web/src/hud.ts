@@ -1,5 +1,5 @@
 // The readings beside the picture. They are written four times a second; faster digits cannot be read.
-import { find } from "./dom";
+import { find, setText } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
 import { SceneState, type Status } from "./stream/decode";
@@ -29,7 +29,7 @@ export class Hud {
   readonly #pill = find("#link", HTMLButtonElement);
   readonly #notice = element("notice");
   readonly #device = element("device");
-  /** The notice on show or hidden; null if there is none. */
+  /** The notice, shown or hidden; null if the page has no notice. */
   #said: Notice = null;
   /** Whether the user closed the notice. A new notice opens again. */
   #noticeClosed = false;
@@ -133,10 +133,7 @@ function trim(value: number): string {
 }
 
 function write(id: string, text: string): void {
-  const target = element(id);
-  if (target.textContent !== text) {
-    target.textContent = text;
-  }
+  setText(element(id), text);
 }
 
 function listItem(text: string): HTMLElement {

@@ -22,8 +22,8 @@ export interface ControlState {
 const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
 
 /**
- * @param watched Name of the scene on show; null if there is none.
- * @param busy The load or unload that is not answered yet, in words; null if there is none.
+ * @param watched Name of the scene on show; null while the page shows no scene.
+ * @param busy Text about the load or unload that the daemon has not answered yet; null if it has answered all.
  */
 export function controlState(
   daemon: DaemonState | null,

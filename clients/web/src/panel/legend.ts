@@ -1,5 +1,5 @@
 // The legend of the colours, and short messages to the user.
-import { find } from "../dom";
+import { find, setText } from "../dom";
 import { cssGradient, type Legend } from "../view/colouring";
 
 const TOAST_MS = 8000;
@@ -16,8 +16,8 @@ export class LegendPanel {
   show(legend: Legend | null): void {
     this.#block.hidden = legend === null;
     if (legend !== null) {
-      write(this.#title, legend.title);
-      this.#ticks.forEach((tick, index) => write(tick, legend.ticks[index] ?? ""));
+      setText(this.#title, legend.title);
+      this.#ticks.forEach((tick, index) => setText(tick, legend.ticks[index] ?? ""));
     }
   }
 }
@@ -38,11 +38,5 @@ export class Toast {
   hide(): void {
     clearTimeout(this.#timer);
     this.#line.hidden = true;
-  }
-}
-
-function write(target: Element, text: string): void {
-  if (target.textContent !== text) {
-    target.textContent = text;
   }
 }
