@@ -229,7 +229,7 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
   return tie;
 }
 
-/// Takes a contact's spring of friction to the end of the step, as end_friction does for tools.
+/// Takes a contact's spring of friction to the end of the step, as end_contact does for tools.
 /// pressure: normal force at the end of the step; not positive: the contact has ended, and its stretch is forgotten.
 template <class Real>
 TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::TiesView<Real>& ties,

@@ -79,16 +79,16 @@ TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<
   return out;
 }
 
-/// Stores the stretch with which the next step starts, and the normal force. Saves those of this step if it makes the
+/// Stores the stretch and the normal force with which the next step starts. Saves those of this step if it makes the
 /// checkpoint.
 ///
 ///   stretch    ξ at the time for which the step solves
 ///   pressure   N there; zero: the contact has ended, and its stretch is forgotten
 ///   place      index of the contact
 template <class Real>
-TM_HOST_DEVICE void end_friction(const ContactPoint<Real>& at, const view::ContactView<Real>& contact,
-                                 const physics::PlacedTool<Real>& tool, const Vec3<Real>& stretch, Real pressure,
-                                 std::size_t place) {
+TM_HOST_DEVICE void end_contact(const ContactPoint<Real>& at, const view::ContactView<Real>& contact,
+                                const physics::PlacedTool<Real>& tool, const Vec3<Real>& stretch, Real pressure,
+                                std::size_t place) {
   Real* slip = contact.slips + 4 * place;
   if (at.state.control->saves_checkpoint != 0) {
     for (std::size_t c = 0; c < 4; ++c) contact.checkpoint_slips[4 * place + c] = slip[c];

@@ -172,7 +172,7 @@ class TieReader {
   }
 
   Compilation& c_;
-  std::map<std::size_t, BodySurface> surfaces_;  // of the bodies that touch
+  std::map<std::size_t, BodySurface> surfaces_;  // by body
   std::set<std::pair<std::size_t, std::size_t>> pairs_;
   std::set<std::string> names_;
 };

@@ -327,7 +327,7 @@ inline constexpr StageInfo kStages[] = {
    "measure contact", "contacts, friction, velocity", "force on each tool, friction slips", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) {
-     const double slips = s.m.has_friction() ? 4 + 4 : 0;  // reads and writes
+     const double slips = s.m.contacts_remember() ? 4 + 4 : 0;  // reads and writes
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
   {StageKind::kMeasureTies, Phase::kEnd, Scope::kScene, Communication::kReduces,

@@ -19,7 +19,7 @@ streams are made here, of scenes that this gateway or its program loaded: `rest`
     browser -> gateway   watch    scene
                          ack      stream
                          clock    client_time_ms
-                         field    name: von_mises, pressure, volume_ratio; empty: no field
+                         field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
                          control  id, action, scene; steps (1), lockstep (false)   (operators)
 

@@ -84,6 +84,7 @@ listenToKeys({
   r: () => viewer.resetView(),
   t: () => display.change({ tools: !display.settings.tools }),
   w: () => display.change({ wireframe: !display.settings.wireframe }),
+  n: () => display.change({ fixedNodes: !display.settings.fixedNodes }),
   a: () => display.change({ rulers: !display.settings.rulers }),
   c: () => display.nextColouring(),
   p: takePicture,

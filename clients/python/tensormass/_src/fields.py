@@ -19,6 +19,7 @@ FieldName = Literal[
     "reaction_force",
     "cauchy_stress",
     "von_mises_stress",
+    "largest_strain",
     "det_f",
     "elastic_energy",
 ]
@@ -36,7 +37,7 @@ class Fields:
     simulated_time_s: float
     #: float64 [node or element count, components]; one-component fields have no second dimension:
     #: displacement [m], velocity [m/s], reaction_force [N], cauchy_stress [Pa] (xx yy zz yz xz xy),
-    #: von_mises_stress [Pa], det_f, elastic_energy [J].
+    #: von_mises_stress [Pa], largest_strain, det_f, elastic_energy [J].
     values: dict[FieldName, FloatArray]
     #: Energies [J] and smallest det F of the whole body, whatever fields were asked for.
     elastic_energy_j: float

@@ -18,6 +18,7 @@ export class Display {
   readonly #zero = find("#zero", HTMLButtonElement);
   readonly #flags = {
     wireframe: find("#wireframe", HTMLInputElement),
+    fixedNodes: find("#fixed-nodes", HTMLInputElement),
     rulers: find("#rulers-on", HTMLInputElement),
     tools: find("#tools", HTMLInputElement),
   };
@@ -64,7 +65,7 @@ export class Display {
     this.#clipShare.value = String(Math.round(100 * settings.clipShare));
     this.#clipShare.disabled = settings.clipAxis === "none";
     this.#zero.hidden = settings.colouring !== "displacement";
-    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "rulers" | "tools", HTMLInputElement][]) {
+    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "fixedNodes" | "rulers" | "tools", HTMLInputElement][]) {
       box.checked = settings[name];
     }
     this.#actions.change(settings);

@@ -30,6 +30,8 @@ export interface Surface {
   readonly vertexCount: number;
   /** [triangle_count, 3], relative to `firstVertex`. */
   readonly triangles: Uint32Array;
+  /** Vertices whose node is held or prescribed, relative to `firstVertex`. */
+  readonly fixedVertices: Uint32Array;
   /** sRGB in [0, 1]; null: the viewer chooses. */
   readonly colorSrgb: Vector | null;
 }
@@ -125,6 +127,19 @@ export function splitMessage(data: ArrayBuffer): BusMessage {
   return { scene, stream: stream as StreamName, payload: bytes.subarray(end + 1) };
 }
 
+/** Reads vertices of a body. Throws DecodeError if one is outside its range. @param perItem Vertices of each item. */
+function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number): Uint32Array {
+  if (bytes.length % (4 * perItem) !== 0) {
+    throw new DecodeError(`${where}: ${bytes.length} bytes are not a multiple of ${4 * perItem}`);
+  }
+  const numbers = new Uint32Array(aligned(bytes));
+  const outside = numbers.findIndex((vertex) => vertex >= vertexCount);
+  if (outside >= 0) {
+    throw new DecodeError(`${where} ${Math.floor(outside / perItem)} names vertex ${numbers[outside]} of ${vertexCount}`);
+  }
+  return numbers;
+}
+
 /** Decodes a Topology. Throws DecodeError if a body's vertices or triangles are outside its range. */
 export function decodeTopology(payload: Uint8Array): Topology {
   const message = parse("topology", () => fromBinary(TopologySchema, payload));
@@ -135,21 +150,12 @@ export function decodeTopology(payload: Uint8Array): Topology {
       throw new DecodeError(`${where}: first_vertex is ${body.firstVertex}, the bodies before it end at ${vertexCount}`);
     }
     vertexCount += body.vertexCount;
-    if (body.triangles.length % 12 !== 0) {
-      throw new DecodeError(`${where}: ${body.triangles.length} bytes of triangles are not a multiple of 12`);
-    }
-    const triangles = new Uint32Array(aligned(body.triangles));
-    const outside = triangles.findIndex((vertex) => vertex >= body.vertexCount);
-    if (outside >= 0) {
-      throw new DecodeError(
-        `${where}: triangle ${Math.floor(outside / 3)} names vertex ${triangles[outside]} of ${body.vertexCount}`,
-      );
-    }
     return {
       name: body.name,
       firstVertex: body.firstVertex,
       vertexCount: body.vertexCount,
-      triangles,
+      triangles: vertices(`${where}: triangle`, body.triangles, 3, body.vertexCount),
+      fixedVertices: vertices(`${where}: fixed vertex`, body.fixedVertices, 1, body.vertexCount),
       colorSrgb: body.colorSrgb ? vector(`${where}, color_srgb`, body.colorSrgb) : null,
     };
   });

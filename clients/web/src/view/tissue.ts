@@ -43,6 +43,13 @@ export class Tissue {
     }
   }
 
+  /** Marks the nodes that are held or prescribed, or not. */
+  showFixed(shown: boolean): void {
+    for (const body of this.#bodies) {
+      body.showFixed(shown);
+    }
+  }
+
   /** Hides everything behind `plane`, in the room's frame. null: shows everything. */
   clip(plane: THREE.Plane | null): void {
     for (const body of this.#bodies) {
@@ -63,6 +70,7 @@ class Body {
   readonly #look: THREE.MeshStandardMaterial;
   readonly #colours = valueMaterial();
   readonly #edges: THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
+  readonly #fixed: THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial>;
   readonly #values: THREE.BufferAttribute;
   readonly #positions: THREE.BufferAttribute;
   readonly #normals: THREE.BufferAttribute;
@@ -92,7 +100,8 @@ class Body {
     );
     this.#edges.frustumCulled = false;
     this.#edges.visible = false;
-    this.mesh.add(this.#edges);
+    this.#fixed = fixedPoints(this.#positions, surface.fixedVertices);
+    this.mesh.add(this.#edges, this.#fixed);
     for (const material of [this.#look, this.#colours]) {
       // Keeps the edges in front of the surface that they lie on.
       Object.assign(material, { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
@@ -129,8 +138,12 @@ class Body {
     this.#edges.visible = shown;
   }
 
+  showFixed(shown: boolean): void {
+    this.#fixed.visible = shown;
+  }
+
   clip(plane: THREE.Plane | null): void {
-    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+    for (const material of this.#materials) {
       material.clippingPlanes = plane === null ? null : [plane];
       // A cut surface shows its inner side.
       material.side = plane === null ? THREE.FrontSide : THREE.DoubleSide;
@@ -140,15 +153,34 @@ class Body {
   dispose(): void {
     this.mesh.geometry.dispose();
     (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
-    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+    this.#fixed.geometry.dispose();
+    for (const material of this.#materials) {
       material.dispose();
     }
+  }
+
+  get #materials(): readonly THREE.Material[] {
+    return [this.#look, this.#colours, this.#edges.material, this.#fixed.material];
   }
 
   #slice(positions: Float32Array): Float32Array {
     const first = 3 * this.#surface.firstVertex;
     return positions.subarray(first, first + 3 * this.#surface.vertexCount);
   }
+}
+
+/** Dots at some vertices, which move with the surface. */
+function fixedPoints(positions: THREE.BufferAttribute, vertices: Uint32Array): THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial> {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", positions);
+  geometry.setIndex(new THREE.BufferAttribute(vertices, 1));
+  const points = new THREE.Points(
+    geometry,
+    new THREE.PointsMaterial({ color: "#4fb4ff", size: 5, sizeAttenuation: false, toneMapped: false }),
+  );
+  points.frustumCulled = false;
+  points.visible = false;
+  return points;
 }
 
 function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {

@@ -202,6 +202,7 @@ export class Viewer {
   /** Applies the display options to the tissue. */
   #decorate(): void {
     this.#tissue?.showEdges(this.#settings.wireframe);
+    this.#tissue?.showFixed(this.#settings.fixedNodes);
     this.#tissue?.clip(this.#clipPlane());
     this.#colour();
   }
