@@ -7,7 +7,8 @@ import asyncio
 import pytest
 from asynchronous import asynchronous
 
-from tensormass_gateway.outbox import Outbox, ProtocolError, Stream
+from tensormass_gateway.outbox import Outbox, Stream
+from tensormass_gateway.requests import ProtocolError
 
 
 @asynchronous
