@@ -174,6 +174,10 @@ def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, he
     """Writes the differences of a frame to a keyframe, and tells whether they are worth it."""
     if held.cells.shape[1] != frame.vertex_count:
         return False
+    # On an axis along which the keyframe had no extent, its grid has one place only.
+    flat = held.grid.cell_m == 0
+    if (frame.box_m[:, flat] != held.grid.origin_m[flat]).any():
+        return False
     differences = held.grid.nearest(frame.planes)
     differences -= held.cells
     sizes = np.abs(differences)
