@@ -24,8 +24,12 @@ class Triangles:
                 raise ValueError(f"a triangle of body {body.name!r} names a vertex that it does not have")
             parts.append(triangles + self.vertex_count)
             self.vertex_count += body.vertex_count
-        corners = np.concatenate(parts).T
-        self._corners = [np.ascontiguousarray(corner) for corner in corners]
+        triangles = np.concatenate(parts)
+        self._corners = [np.ascontiguousarray(corner) for corner in triangles.T]
+        # The triangles around each vertex, one vertex after the other: sums over them are then sums of a run.
+        order = np.argsort(triangles.ravel(), kind="stable")
+        self._around = order // 3
+        self._vertices, self._runs = np.unique(triangles.ravel()[order], return_index=True)
 
     def normals(self, planes: npt.NDArray[np.float32]) -> npt.NDArray[np.int8]:
         """Returns the normals [vertex_count, 3] in units of 1 / SCALE.
@@ -37,12 +41,13 @@ class Triangles:
         u, v = planes[:, b] - planes[:, a], planes[:, c] - planes[:, a]
         # A cross product of two edges is the triangle's normal, weighted by twice its area.
         faces = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-        sums = np.zeros((3, self.vertex_count))
-        for axis, face in enumerate(faces):
-            for corner in self._corners:
-                sums[axis] += np.bincount(corner, face, self.vertex_count)
+        packed = np.zeros((self.vertex_count, 3), np.int8)
+        if len(self._runs) == 0:
+            return packed
+        sums = np.stack([np.add.reduceat(face.take(self._around), self._runs) for face in faces])
         # Scales first, because squares of very small areas leave the range of floats.
-        sums /= max(float(np.abs(sums).max(initial=0)), np.finfo(float).tiny)
+        sums /= max(float(np.abs(sums).max()), float(np.finfo(np.float32).tiny))
         lengths = np.sqrt((sums * sums).sum(axis=0))
         unit = np.divide(SCALE * sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
-        return np.rint(unit).astype(np.int8).T
+        packed[self._vertices] = np.rint(unit).T
+        return packed
