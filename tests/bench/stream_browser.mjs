@@ -1,7 +1,7 @@
 // Measures what a frame costs the viewer in a headless Chromium that draws in software, by codec. Prints a line of JSON
 // for each codec. tests/bench/streams.py --browser runs it:
 //
-//     node tests/bench/stream_browser.mjs PYTHON CASE
+//     node tests/bench/stream_browser.mjs PYTHON FILE CASE
 //
 // decode: message to positions. prepare: copy to the GPU's arrays, and normals. render: the calls to WebGL. frame: from
 // one new frame on the screen to the next. upload: positions and normals of the surface to a buffer of WebGL, until the
@@ -19,7 +19,7 @@ const WARM_FRAMES = 15;
 const FRAMES = 60;
 const UPLOADS = 30;
 
-const [python, scene] = process.argv.slice(2);
+const [python, recorded, name] = process.argv.slice(2);
 
 function median(values) {
   return values.sort((a, b) => a - b)[Math.floor(values.length / 2)];
@@ -76,7 +76,7 @@ async function measure(context, url, codec) {
   };
 }
 
-const served = spawn(python, [join(ROOT, "tests", "bench", "streams.py"), "--serve", scene], { stdio: ["pipe", "pipe", "inherit"] });
+const served = spawn(python, [join(ROOT, "tests", "bench", "streams.py"), "--serve", recorded], { stdio: ["pipe", "pipe", "inherit"] });
 const ended = new Promise((resolve) => served.once("exit", resolve));
 const line = await createInterface(served.stdout)[Symbol.asyncIterator]().next();
 const browser = await chromium.launch({
@@ -88,7 +88,7 @@ try {
   context.setDefaultTimeout(300_000);
   for (const codec of Object.keys(CODECS)) {
     const result = await measure(context, JSON.parse(line.value).url, codec);
-    console.log(JSON.stringify({ case: `browser: ${scene}, ${codec}`, ...result }));
+    console.log(JSON.stringify({ case: `browser: ${name}, ${codec}`, ...result }));
   }
 } finally {
   await browser.close();

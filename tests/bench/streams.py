@@ -1,7 +1,7 @@
 """What a frame costs by codec: bytes, encoding and decoding, and in a browser decoding, upload and drawing.
 
     python tests/bench/streams.py [--browser] [--commit HASH] >> tests/bench/results/streams.jsonl
-    python tests/bench/streams.py --serve CASE          for stream_browser.mjs: a gateway that repeats the frames
+    python tests/bench/streams.py --serve FILE          for stream_browser.mjs: a gateway that repeats recorded frames
 
 Two scenes run on the CPU, in lockstep, for SECONDS in which a probe presses them, and give frames at 60 Hz:
 
@@ -9,8 +9,8 @@ Two scenes run on the CPU, in lockstep, for SECONDS in which a probe presses the
     100000      a torus of 100,000 vertices as the skin of a soft block
 
 Every frame is encoded for one viewer, decoded in Python and acknowledged. The times are CPU time of the thread, so that
-other programs on the machine do not count. `--browser` also shows the frames in a
-headless Chromium that draws in software. It needs the built viewer.
+other programs on the machine do not count. `--browser` also shows the larger scene in a headless Chromium that draws in
+software. It needs the built viewer.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import json
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -168,20 +169,41 @@ def _split(message: bytes) -> tuple[str, bytes]:
     return key.decode().rpartition("/")[2], payload
 
 
-async def _serve(run: Recorded) -> None:
+def in_browser(run: Recorded, case: str) -> list[dict[str, Any]]:
+    """Measures the frames of a run in Chromium."""
+    with tempfile.NamedTemporaryFile() as file:
+        for message in (run.topology, *run.frames):
+            packed = message.SerializeToString()
+            file.write(len(packed).to_bytes(8, "little") + packed)
+        file.flush()
+        shown = ["node", str(HERE / "stream_browser.mjs"), sys.executable, file.name, case]
+        done = subprocess.run(shown, check=True, stdout=subprocess.PIPE, text=True)
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def _read(path: Path) -> tuple[stream_pb2.Topology, list[stream_pb2.Frame]]:
+    """Reads what `in_browser` wrote."""
+    packed: list[bytes] = []
+    with path.open("rb") as file:
+        while size := file.read(8):
+            packed.append(file.read(int.from_bytes(size, "little")))
+    return stream_pb2.Topology.FromString(packed[0]), [stream_pb2.Frame.FromString(each) for each in packed[1:]]
+
+
+async def _serve(topology: stream_pb2.Topology, frames: list[stream_pb2.Frame]) -> None:
     """Shows the frames to browsers, forwards and backwards, until standard input ends."""
     sys.path.insert(0, str(HERE.parent / "python"))
     from fake_daemon import fake_daemon  # in tests/python
 
     async with fake_daemon() as daemon:
-        scene = run.topology.scene
-        daemon.topologies[scene] = run.topology
+        scene = topology.scene
+        daemon.topologies[scene] = topology
         options = GatewayOptions(control=daemon.control, viewer=DEFAULT_VIEWER)
         async with serve(options) as gateway:
             print(json.dumps({"url": gateway.url}), flush=True)
             ended = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
-            for sequence, frame in enumerate(_back_and_forth(run.frames), start=1):
-                frame.topology_version, frame.sequence, frame.step = run.topology.version, sequence, sequence
+            for sequence, frame in enumerate(_back_and_forth(frames), start=1):
+                frame.topology_version, frame.sequence, frame.step = topology.version, sequence, sequence
                 frame.server_time_ns = time.time_ns()
                 await daemon.publish(scene, "frame", frame.SerializeToString())
                 if (await asyncio.wait([ended], timeout=1 / RATE_HZ))[0]:
@@ -197,11 +219,11 @@ def _back_and_forth(frames: list[stream_pb2.Frame]) -> Iterator[stream_pb2.Frame
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--browser", action="store_true", help="measure in a headless Chromium as well")
-    parser.add_argument("--serve", choices=("demo", "100000"), help="only show the frames of a case to browsers")
+    parser.add_argument("--serve", type=Path, help="only show recorded frames to browsers")
     parser.add_argument("--commit", default="", help="commit, for the result")
     args = parser.parse_args()
     if args.serve is not None:
-        asyncio.run(_serve(record(args.serve)))
+        asyncio.run(_serve(*_read(args.serve)))
         return
     command = "python tests/bench/streams.py" + (" --browser" if args.browser else "")
     for case in ("demo", "100000"):
@@ -209,10 +231,9 @@ def main() -> None:
         where = {"backend": "cpu", "device": run.device, "commit": args.commit, "command": command}
         for name, choice in CHOICES.items():
             print(json.dumps({"case": f"stream: {case}, {name}", **measure(run, choice), **where}), flush=True)
-        if args.browser:
-            shown = ["node", str(HERE / "stream_browser.mjs"), sys.executable, case]
-            for line in subprocess.run(shown, check=True, capture_output=True, text=True).stdout.splitlines():
-                print(json.dumps({**json.loads(line), **where}), flush=True)
+        if args.browser and case != "demo":
+            for row in in_browser(run, case):
+                print(json.dumps({**row, **where}), flush=True)
 
 
 if __name__ == "__main__":

@@ -130,7 +130,7 @@ async def test_a_viewer_that_lost_its_keyframe_gets_one_by_itself() -> None:
     viewer = Viewer(DELTA)
     await viewer.see(CLOUD)
     viewer.decoder = FrameDecoder()  # as after a reload of the page
-    with pytest.raises(FrameError, match="refers to keyframe 1, kept is none"):
+    with pytest.raises(FrameError, match="refers to keyframe 1, but none was kept"):
         await viewer.see(CLOUD)
     decoded = await viewer.see(CLOUD)
     assert (error_of(decoded, CLOUD) <= decoded.error_m).all()
@@ -175,7 +175,7 @@ async def test_a_codec_may_change_between_two_frames() -> None:
         ({"normals": b"1"}, "1 bytes of normals"),
         ({"cell_m": {"x": np.inf}}, "not finite or too large"),
         ({"origin_m": {"x": np.nan}}, "not finite or too large"),
-        ({"codec": gateway_pb2.EncodedFrame.CODEC_DELTA, "keyframe": 1}, "refers to keyframe 1, kept is none"),
+        ({"codec": gateway_pb2.EncodedFrame.CODEC_DELTA, "keyframe": 1}, "refers to keyframe 1, but none was kept"),
     ],
 )
 @asynchronous

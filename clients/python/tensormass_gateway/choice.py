@@ -81,7 +81,7 @@ class Choice:
 
 
 def choice_of(query: Mapping[str, str]) -> Choice:
-    """Returns the choice in the address of a connection; parameters that are no part of it are left alone.
+    """Returns the choice in the address of a connection; other parameters are left alone.
 
     Raises:
         ChoiceError: a value is unknown.

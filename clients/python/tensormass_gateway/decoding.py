@@ -98,7 +98,7 @@ class FrameDecoder:
 
     def _moved(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.int32]:
         if message.keyframe != self._number or self._number == 0:
-            raise FrameError(f"a frame refers to keyframe {message.keyframe}, kept is {self._number or 'none'}")
+            raise FrameError(f"a frame refers to keyframe {message.keyframe}, but {self._number or 'none'} was kept")
         differences = _integers(message.positions, "i1").astype(np.int32)
         wide = differences == WIDE_MARK
         if len(message.wide_differences) != 2 * np.count_nonzero(wide):

@@ -39,7 +39,7 @@ import { Viewer } from "./view/viewer";
 
 const READINGS_INTERVAL_MS = 250;
 const RATE_WINDOW_MS = 2000;
-/** Frames of which the page remembers what they cost. */
+/** Number of frames whose costs the page remembers. */
 const COSTS_KEPT = 300;
 
 /** What a frame cost this page [ms]. */

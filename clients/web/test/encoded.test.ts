@@ -84,8 +84,8 @@ describe("FrameDecoder", () => {
   });
 
   it.each<[string, RegExp, Fields<typeof EncodedFrameSchema>]>([
-    ["an unknown codec", /codec 9 is unknown/, { ...KEYFRAME, codec: 9 as Codec }],
-    ["another keyframe", /refers to keyframe 5, kept is 4/, { ...DIFFERENCES, keyframe: 5n }],
+    ["an unknown codec", /codec 0 is unknown/, { ...KEYFRAME, codec: Codec.UNSPECIFIED }],
+    ["another keyframe", /refers to keyframe 5, but 4 was kept/, { ...DIFFERENCES, keyframe: 5n }],
     ["other vertices than the keyframe", /1 vertices differ from 2/, { ...DIFFERENCES, positions: new Uint8Array(3) }],
     ["half a wide difference", /half a wide difference/, { ...DIFFERENCES, wideDifferences: Uint8Array.of(1) }],
     ["a wide difference too few", /0 wide differences for 1 marks/, { ...DIFFERENCES, wideDifferences: u16() }],
@@ -108,7 +108,7 @@ describe("FrameDecoder", () => {
     const decoder = new FrameDecoder();
     decoder.decode("encoded_frame", encoded(KEYFRAME));
     decoder.reset();
-    expect(() => decoder.decode("encoded_frame", encoded(DIFFERENCES))).toThrow(/kept is none/);
+    expect(() => decoder.decode("encoded_frame", encoded(DIFFERENCES))).toThrow(/none was kept/);
   });
 });
 

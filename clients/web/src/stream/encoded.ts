@@ -95,7 +95,7 @@ export class FrameDecoder {
 
   #moved(where: string, message: EncodedFrame): Float32Array {
     if (this.#number === 0n || message.keyframe !== this.#number) {
-      throw new DecodeError(`${where} refers to keyframe ${message.keyframe}, kept is ${this.keyframe ?? "none"}`);
+      throw new DecodeError(`${where} refers to keyframe ${message.keyframe}, but ${this.keyframe ?? "none"} was kept`);
     }
     const keyframe = this.#cells;
     const { buffer, byteOffset, length } = message.positions;
