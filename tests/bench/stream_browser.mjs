@@ -16,7 +16,7 @@ const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))
 const CODECS = { float32: "codec=float32", q16: "codec=q16", delta: "codec=delta", "q16, normals": "codec=q16&normals=true" };
 // The first frames are slower: they build the scene, and the compiler has not seen them yet.
 const WARM_FRAMES = 15;
-const FRAMES = 60;
+const FRAMES = 40;
 const UPLOADS = 30;
 
 const [python, recorded, name] = process.argv.slice(2);

@@ -118,6 +118,17 @@ async def test_a_frame_far_from_its_keyframe_becomes_one() -> None:
 
 
 @asynchronous
+async def test_one_vertex_beyond_sixteen_bits_makes_a_keyframe() -> None:
+    viewer = Viewer(DELTA)
+    await viewer.see(CLOUD)
+    torn = CLOUD.copy()
+    torn[3] += 1
+    decoded = await viewer.see(torn)
+    assert (error_of(decoded, torn) <= decoded.error_m).all()
+    assert viewer.decoder.keyframe == 2
+
+
+@asynchronous
 async def test_another_number_of_vertices_starts_with_a_keyframe() -> None:
     viewer = Viewer(DELTA)
     await viewer.see(CLOUD)
