@@ -1,6 +1,6 @@
 """What a frame costs by codec: bytes, encoding and decoding, and in a browser decoding, upload and drawing.
 
-    python tests/bench/streams.py [--browser] [--commit HASH] >> tests/bench/results/streams.jsonl
+    python tests/bench/streams.py [--browser] [--case CASE] [--commit HASH] >> tests/bench/results/streams.jsonl
     python tests/bench/streams.py --serve FILE          for stream_browser.mjs: a gateway that repeats recorded frames
 
 Two scenes run on the CPU, in lockstep, for SECONDS in which a probe presses them, and give frames at 60 Hz:
@@ -219,6 +219,7 @@ def _back_and_forth(frames: list[stream_pb2.Frame]) -> Iterator[stream_pb2.Frame
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--browser", action="store_true", help="measure in a headless Chromium as well")
+    parser.add_argument("--case", choices=("demo", "100000"), help="measure one scene (default: both)")
     parser.add_argument("--serve", type=Path, help="only show recorded frames to browsers")
     parser.add_argument("--commit", default="", help="commit, for the result")
     args = parser.parse_args()
@@ -226,7 +227,8 @@ def main() -> None:
         asyncio.run(_serve(*_read(args.serve)))
         return
     command = "python tests/bench/streams.py" + (" --browser" if args.browser else "")
-    for case in ("demo", "100000"):
+    command += f" --case {args.case}" if args.case else ""
+    for case in [args.case] if args.case else ["demo", "100000"]:
         run = record(case)
         where = {"backend": "cpu", "device": run.device, "commit": args.commit, "command": command}
         for name, choice in CHOICES.items():
