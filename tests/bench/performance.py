@@ -248,7 +248,7 @@ def streams() -> Iterator[str]:
 def browser() -> Iterator[str]:
     """What a frame costs the viewer in a browser that draws in software, by codec."""
     found = newest("streams.jsonl")
-    yield "| vertices, codec | decode, fastest | decode | prepare, fastest | prepare | upload | calls to WebGL | frame to frame |"
+    yield "| vertices, codec | decode: least | median | prepare: least | median | upload | WebGL calls | whole frame |"
     yield "|---|---|---|---|---|---|---|---|"
     parts = ("decode_ms_least", "decode_ms_median", "prepare_ms_least", "prepare_ms_median")
     parts += ("upload_ms_median", "render_ms_median", "frame_ms_median")
