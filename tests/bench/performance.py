@@ -248,6 +248,9 @@ def streams() -> Iterator[str]:
 def browser() -> Iterator[str]:
     """What a frame costs the viewer in a browser that draws in software, by codec."""
     found = newest("streams.jsonl")
+    if not any(case.startswith("browser: ") for case in found):
+        yield "Not measured yet: `python tests/bench/streams.py --browser` on a machine with nothing else to do."
+        return
     yield "| vertices, codec | decode: least | median | prepare: least | median | upload | WebGL calls | whole frame |"
     yield "|---|---|---|---|---|---|---|---|"
     parts = ("decode_ms_least", "decode_ms_median", "prepare_ms_least", "prepare_ms_median")
