@@ -115,6 +115,21 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "cube" });
   });
 
+  it("shows frames in each codec, and says why a choice of frames is refused", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "coded", cells: 3 })) as number;
+    for (const choice of ["codec=float32", "codec=q16", "codec=delta&normals=true&rate_hz=30"]) {
+      const page = await open(`scene=coded&${choice}`);
+      await page.shows(vertexCount);
+      await page.draws(3);
+      expect((await page.state()).refused).toBe(0);
+      expect(page.errors).toEqual([]);
+      await page.close();
+    }
+    const page = await open("scene=coded&codec=h264");
+    await page.says("#notice", /codec 'h264' is unknown; take one of float32, q16, delta/);
+    await stack.ask("unload", { name: "coded" });
+  });
+
   it("reconnects after a crash of the daemon", async () => {
     const before = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");

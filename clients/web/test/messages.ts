@@ -19,7 +19,7 @@ export const DAEMON: DaemonState = {
 };
 
 /** Fields of a message to set. */
-type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
+export type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
 
 export function u32(...values: number[]): Uint8Array {
   return new Uint8Array(Uint32Array.from(values).buffer);

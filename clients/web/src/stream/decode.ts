@@ -5,6 +5,7 @@ import { fromBinary } from "@bufbuild/protobuf";
 import type { Tool, Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
 import {
   FrameSchema,
+  type Frame as FrameMessage,
   SceneStatusSchema,
   SceneStatus_State,
   TopologySchema,
@@ -14,8 +15,15 @@ import {
 
 export type Vector = readonly [x: number, y: number, z: number];
 
-export type StreamName = "topology" | "rest" | "frame" | "status" | "field";
-const STREAM_NAMES: readonly string[] = ["topology", "rest", "frame", "status", "field"] satisfies StreamName[];
+export type StreamName = "topology" | "rest" | "frame" | "encoded_frame" | "status" | "field";
+const STREAM_NAMES: readonly string[] = [
+  "topology",
+  "rest",
+  "frame",
+  "encoded_frame",
+  "status",
+  "field",
+] satisfies StreamName[];
 
 /** One message of the bus: `key`, a zero byte, the protobuf message. */
 export interface BusMessage {
@@ -91,6 +99,8 @@ export interface Frame {
   readonly serverTimeNs: bigint;
   /** [vertex_count, 3] m */
   readonly positions: Float32Array;
+  /** [vertex_count, 3], unit vectors times 127; null: the page computes them. */
+  readonly normals: Int8Array | null;
   readonly tools: readonly ToolState[];
 }
 
@@ -251,10 +261,15 @@ function coreOf(where: string, tool: Tool | undefined): ToolCore {
 export function decodeFrame(payload: Uint8Array): Frame {
   const message = parse("frame", () => fromBinary(FrameSchema, payload));
   const where = `frame ${message.sequence}`;
-  if (message.positions.length % 12 !== 0) {
-    throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are not a multiple of 12`);
+  return frameOf(where, message, finiteFloats(where, message.positions));
+}
+
+/** Reads float32 positions. Throws DecodeError like `decodeFrame`. */
+export function finiteFloats(where: string, bytes: Uint8Array): Float32Array {
+  if (bytes.length % 12 !== 0) {
+    throw new DecodeError(`${where}: ${bytes.length} bytes of positions are not a multiple of 12`);
   }
-  const positions = new Float32Array(aligned(message.positions));
+  const positions = new Float32Array(aligned(bytes));
   // NaN · 0 and infinity · 0 are NaN, so the sum shows any of them without a branch.
   let probe = 0;
   for (const coordinate of positions) {
@@ -263,6 +278,11 @@ export function decodeFrame(payload: Uint8Array): Frame {
   if (probe !== 0) {
     throw new DecodeError(`${where}: a position is not finite`);
   }
+  return positions;
+}
+
+/** A frame of the decoded positions and of the other fields of its message. */
+export function frameOf(where: string, message: FrameMessage, positions: Float32Array): Frame {
   return {
     topologyVersion: message.topologyVersion,
     sequence: message.sequence,
@@ -270,6 +290,7 @@ export function decodeFrame(payload: Uint8Array): Frame {
     simulatedTimeS: message.simulatedTimeS,
     serverTimeNs: message.serverTimeNs,
     positions,
+    normals: null,
     tools: message.tools.map((tool) => toolState(where, tool)),
   };
 }
@@ -345,7 +366,7 @@ function vector(where: string, value: ProtoVector3 | undefined, limit = MAX_LENG
   return [x, y, z];
 }
 
-function parse<Message>(what: string, decode: () => Message): Message {
+export function parse<Message>(what: string, decode: () => Message): Message {
   try {
     return decode();
   } catch (error) {

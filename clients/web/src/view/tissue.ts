@@ -3,7 +3,7 @@ import * as THREE from "three";
 
 import type { Surface, Topology } from "../stream/decode";
 import type { Quality } from "./quality";
-import { vertexNormals } from "./normals";
+import { unpackNormals, vertexNormals } from "./normals";
 import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
@@ -22,10 +22,13 @@ export class Tissue {
     this.update(positions);
   }
 
-  /** @param positions [vertex_count, 3] m */
-  update(positions: Float32Array): void {
+  /**
+   * @param positions [vertex_count, 3] m
+   * @param normals [vertex_count, 3], unit vectors times 127; null: computes them
+   */
+  update(positions: Float32Array, normals: Int8Array | null = null): void {
     for (const body of this.#bodies) {
-      body.update(positions);
+      body.update(positions, normals);
     }
   }
 
@@ -113,13 +116,13 @@ class Body {
     this.mesh.frustumCulled = false;
   }
 
-  update(positions: Float32Array): void {
+  update(positions: Float32Array, normals: Int8Array | null): void {
     (this.#positions.array as Float32Array).set(this.#slice(positions));
-    vertexNormals(
-      this.#positions.array as Float32Array,
-      this.#surface.triangles,
-      this.#normals.array as Float32Array,
-    );
+    if (normals === null) {
+      vertexNormals(this.#positions.array as Float32Array, this.#surface.triangles, this.#normals.array as Float32Array);
+    } else {
+      unpackNormals(this.#slice(normals), this.#normals.array as Float32Array);
+    }
     this.#positions.needsUpdate = true;
     this.#normals.needsUpdate = true;
   }
@@ -163,9 +166,10 @@ class Body {
     return [this.#look, this.#colours, this.#edges.material, this.#fixed.material];
   }
 
-  #slice(positions: Float32Array): Float32Array {
+  /** The part of `values` [vertex_count, 3] that belongs to this body. */
+  #slice<Values extends Float32Array | Int8Array>(values: Values): Values {
     const first = 3 * this.#surface.firstVertex;
-    return positions.subarray(first, first + 3 * this.#surface.vertexCount);
+    return values.subarray(first, first + 3 * this.#surface.vertexCount) as Values;
   }
 }
 

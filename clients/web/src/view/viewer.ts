@@ -20,8 +20,13 @@ const FAST_PICTURE_MS = 20;
 const LEAST_PIXEL_RATIO = 0.5;
 
 export interface ViewerEvents {
-  /** Called when a new frame was drawn. */
-  onDrawn(serverTimeNs: bigint): void;
+  /**
+   * Called when a new frame was drawn.
+   *
+   * @param prepareMs Time to copy positions, and to compute normals and colours
+   * @param renderMs Time of the calls to WebGL. The GPU draws after them.
+   */
+  onDrawn(serverTimeNs: bigint, prepareMs: number, renderMs: number): void;
   /** Called while the pointer drags a tool: new centre of its sphere [m]. */
   onToolMoved(tool: string, positionM: Vector): void;
   /** Called when the pointer comes over a tool, takes it, or leaves it. */
@@ -161,11 +166,12 @@ export class Viewer {
       this.#clear();
     }
     const frame = this.#store.takeFrame();
+    const beganMs = performance.now();
     if (frame !== null && this.#store.topology !== null) {
       if (this.#tissue === null) {
         this.#build(frame);
       }
-      this.#tissue?.update(frame.positions);
+      this.#tissue?.update(frame.positions, frame.normals);
       this.#colour();
       this.#forces = this.#instruments?.update(frame) ?? [];
       this.#dirty = true;
@@ -175,15 +181,17 @@ export class Viewer {
       return;
     }
     this.#dirty = false;
+    const preparedMs = performance.now();
     this.#adapt(nowMs);
     if (this.#instruments !== null) {
       this.#instruments.group.visible = this.#settings.tools;
     }
     this.#studio.render();
+    const renderedMs = performance.now();
     this.#rulers.draw(this.#studio.metresPerPx(), this.#studio.turn());
     this.#writeLabels();
     if (frame !== null) {
-      this.#events.onDrawn(frame.serverTimeNs);
+      this.#events.onDrawn(frame.serverTimeNs, preparedMs - beganMs, renderedMs - preparedMs);
     }
   }
 
