@@ -165,6 +165,12 @@ def _parser() -> argparse.ArgumentParser:
     recording.add_replay_arguments(sub)
     sub.set_defaults(command=recording.run_replay)
 
+    sub = commands.add_parser(
+        "plot", parents=[json_option], help="draw forces, step time and rate of a recording over time"
+    )
+    recording.add_plot_arguments(sub)
+    sub.set_defaults(command=recording.run_plot)
+
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)
     sub.add_argument("--name", help="name that replaces the scene's own")

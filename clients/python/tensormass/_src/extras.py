@@ -10,6 +10,7 @@ from tensormass._src.errors import NotFoundError
 EXTRAS = {
     "meshes": {"meshio": "meshio"},
     "modes": {"scikit-fem": "skfem", "SciPy": "scipy"},
+    "plot": {"matplotlib": "matplotlib"},
     "record": {"mcap": "mcap", "mcap-protobuf-support": "mcap_protobuf", "zstandard": "zstandard"},
     "tetrahedra": {"pytetwild": "pytetwild"},
     "viewer": {"aiohttp": "aiohttp"},
