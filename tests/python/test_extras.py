@@ -121,6 +121,7 @@ except tm.NotFoundError as error:
     ("extra", "arguments"),
     [
         ("viewer", ["view"]),
+        ("desktop", ["view", "--desktop"]),
         ("viewer", ["run"]),
         ("meshes", ["run", "--no-viewer"]),
         ("modes", ["modes", "cantilever"]),

@@ -8,6 +8,7 @@ from tensormass._src.errors import NotFoundError
 
 #: [extra of pyproject.toml]: its packages, [name in messages]: name of its module.
 EXTRAS = {
+    "desktop": {"pyvista": "pyvista"},
     "meshes": {"meshio": "meshio"},
     "modes": {"scikit-fem": "skfem", "SciPy": "scipy"},
     "plot": {"matplotlib": "matplotlib"},
