@@ -10,6 +10,8 @@ import { find } from "./dom";
 import { Hud } from "./hud";
 import { Controls, controlState, type Action } from "./panel/controls";
 import { Display } from "./panel/display";
+import { download } from "./panel/download";
+import { filmOf } from "./panel/film";
 import { listenToKeys } from "./panel/keys";
 import { LegendPanel, Toast } from "./panel/legend";
 import { savePicture } from "./panel/picture";
@@ -93,7 +95,16 @@ const connection = new Connection({
   diagnose,
 });
 
-const display = new Display({ change: changeDisplay, setZero: () => store.setZero(), takePicture });
+const display = new Display({ change: changeDisplay, setZero: () => store.setZero(), takePicture, film: toggleFilm });
+const film = filmOf(find("#view", HTMLCanvasElement), {
+  onRunning(running) {
+    viewer.holdSize(running);
+    display.showFilm(running);
+  },
+  onFilm: download,
+  onError: (text) => toast.show(text, "bad"),
+});
+display.showFilm(film.possible ? false : null);
 const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
 listenToKeys({
   " ": () => controls.press("pause"),
@@ -106,6 +117,7 @@ listenToKeys({
   a: () => display.change({ rulers: !display.settings.rulers }),
   c: () => display.nextColouring(),
   p: takePicture,
+  f: toggleFilm,
   d: () => find("#display", HTMLDetailsElement).toggleAttribute("open"),
   Escape: () => {
     hud.hideNotice();
@@ -405,8 +417,17 @@ function askForField(settings: Settings = display.settings): void {
 }
 
 function takePicture(): void {
+  savePicture(viewer.drawForPicture(), colourTable(), nameOfFile());
+}
+
+function toggleFilm(): void {
+  film.toggle(nameOfFile());
+}
+
+/** The name of a picture or film without its ending: the scene and its time. */
+function nameOfFile(): string {
   const time = store.frame === null ? "" : `-${store.frame.simulatedTimeS.toFixed(2)}s`;
-  savePicture(viewer.drawForPicture(), colourTable(), `tensormass-${watched ?? "empty"}${time}`);
+  return `tensormass-${watched ?? "empty"}${time}`;
 }
 
 /** Shows what the pointer can do with the tool below it. */

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes, node_conditions
+from tensormass._src import mesh_files, meshes, node_conditions, notebook
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, naming
@@ -38,6 +38,9 @@ class Scene:
     def __repr__(self) -> str:
         bodies = ", ".join(body.name for body in self.message.bodies)
         return f"Scene({self.message.name!r}, bodies: {bodies or 'none'})"
+
+    def _repr_html_(self) -> str:
+        return notebook.scene_html(self.message)
 
     @property
     def name(self) -> str:

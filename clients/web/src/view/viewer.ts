@@ -59,6 +59,7 @@ export class Viewer {
   /** Tissue in the first frame [m]. The clip plane moves between its ends. */
   readonly #bounds = new THREE.Box3();
   #dragEnabled = false;
+  #holdsSize = false;
 
   constructor(
     canvas: HTMLCanvasElement,
@@ -134,6 +135,11 @@ export class Viewer {
     copy.getContext("2d")!.drawImage(this.#canvas, 0, 0);
     this.#resize();
     return copy;
+  }
+
+  /** Keeps the resolution while a film runs, because some players show only its first size. */
+  holdSize(holds: boolean): void {
+    this.#holdsSize = holds;
   }
 
   /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
@@ -304,7 +310,7 @@ export class Viewer {
   #adapt(nowMs: number): void {
     const last = this.#lastPictureMs;
     this.#lastPictureMs = nowMs;
-    if (last === null || !this.#quality.adaptive) {
+    if (last === null || !this.#quality.adaptive || this.#holdsSize) {
       return;
     }
     this.#pictureMs += 0.1 * (nowMs - last - this.#pictureMs);
