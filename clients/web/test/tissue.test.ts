@@ -36,7 +36,7 @@ it("paints a body in its colour, or in one of the palette", () => {
 it("marks fixed vertices, which move with the surface", () => {
   const { positions } = decodeFrame(frameBytes());
   const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
-  const points = meshesOf(tissue).map((mesh) => mesh.children[1] as THREE.Points<THREE.BufferGeometry>);
+  const points = meshesOf(tissue).map((mesh) => mesh.children[1] as THREE.Points);
   const shown = () => points.map(({ visible }) => visible);
   expect(shown()).toEqual([false, false]);
   tissue.showFixed(true);
