@@ -1,4 +1,6 @@
 // Runs Chromium on the built page, with a daemon and the gateway behind it.
+import { stat } from "node:fs/promises";
+
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
 import { Browser, Stack, difference, missing, type ViewerPage } from "./harness";
@@ -253,6 +255,20 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.locator("#pause").click();
     await page.says("#link", /Live/);
     await page.page.waitForFunction(() => window.tensormass.state().step! > 0);
+    await stack.ask("unload", { name: "cube" });
+  });
+
+  it("films a running scene", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
+    const page = await open("scene=cube");
+    await page.shows(vertexCount);
+    await page.page.locator("#display > summary").click();
+    await page.page.locator("#film").click();
+    const { step } = await page.state();
+    await page.page.waitForFunction((from) => window.tensormass.state().step! > from + 60, step!);
+    const [film] = await Promise.all([page.page.waitForEvent("download"), page.page.locator("#film").click()]);
+    expect(film.suggestedFilename()).toMatch(/^tensormass-cube-[\d.]+s\.webm$/);
+    expect((await stat(await film.path())).size).toBeGreaterThan(10_000);
     await stack.ask("unload", { name: "cube" });
   });
 
