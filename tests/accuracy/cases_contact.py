@@ -13,8 +13,8 @@ HERTZ_GROUP = Group(
     "hertz",
     "Sphere on a half-space (Hertz)",
     "A rigid sphere of 20 mm, pressed 0.02 mm into a half ball of linear tissue (E 5 kPa, ν 0.35) whose round side is "
-    "fixed, 400 contact radii away. Contact radius a = √(radius · depth) = 0.63 mm. Cells are even within 1.5 a and grow "
-    "outwards. The contact's stiffness is 100 E / a. Reference: Hertz 1882, F = 4/3 E* √radius depth^1.5, "
+    "fixed, 400 contact radii away. Contact radius a = √(radius · depth) = 0.63 mm. Cells are even within 1.25 a and "
+    "grow outwards. The contact's stiffness is 100 E / a. Reference: Hertz 1882, F = 4/3 E* √radius depth^1.5, "
     "E* = E / (1 − ν²), depth measured at the sphere. Value: force on the sphere on the finest mesh. Error: relative. "
     "docs/decisions/contact.md says what the error is made of.",
 )

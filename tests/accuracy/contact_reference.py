@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,12 +26,12 @@ from .sphere_contact import DEEP, HERTZ
 
 if TYPE_CHECKING:
     import scipy.sparse
+    import skfem
 
 #: Names of the answers, and what is added for a coarser mesh.
 DEEP_PRESS, HALF_BALL, COARSER = "deep press", "half ball", ", coarser mesh"
 #: Newton's method ends at this residual, relative to the force on the sphere.
 TOLERANCE = 1e-7
-TRACE=True
 #: The same on the way to a depth.
 LOOSE = 0.03
 #: Augmentations end when the force changes by less, relative.
@@ -156,7 +156,6 @@ def _equilibrium(tissue: Tissue, start: _State, centre: Floats, radius_m: float,
     for _ in range(MOST_ITERATIONS):
         distance, normal, pressure, push = contact(u)
         force_n = -float(push[:, -1].sum())
-        if TRACE: print('  it',force_n,np.linalg.norm(rest),flush=True)
         if force_n > 0 and np.linalg.norm(rest) <= tolerance * force_n:
             return _State(u, pressure, force_n)
         at = np.flatnonzero(pressure > 0)
@@ -186,8 +185,8 @@ def _equilibrium(tissue: Tissue, start: _State, centre: Floats, radius_m: float,
 
 def _tissue(
     law: Law,
-    mesh: Any,
-    element: Any,
+    mesh: skfem.Mesh,
+    element: skfem.Element,
     order: int,
     free: Callable[[Floats], np.ndarray],
     gradient: Callable[[Floats, Floats, Floats], Floats],
@@ -204,7 +203,7 @@ def _tissue(
 
     inside = skfem.Basis(mesh, element, intorder=order)
     dimension = mesh.dim()
-    top = skfem.FacetBasis(mesh, element, facets="top", quadrature=_simpson(dimension - 1))
+    top = skfem.FacetBasis(mesh, element, facets="top", quadrature=_at_nodes(dimension - 1, order > 3))
     places = inside.global_coordinates().value
     slopes = np.stack(
         [gradient(field[0].value, field[0].grad, places) for field in inside.basis], axis=0
@@ -229,9 +228,11 @@ def _tissue(
     )
 
 
-def _simpson(dimension: int) -> tuple[Floats, Floats]:
-    """Simpson's rule on [0, 1]^dimension: points [dimension, point] and weights."""
-    points, weights = np.array([0, 0.5, 1]), np.array([1, 4, 1]) / 6
+def _at_nodes(dimension: int, quadratic: bool) -> tuple[Floats, Floats]:
+    """Simpson's rule on [0, 1]^dimension, or the trapezoidal rule: points [dimension, point] and weights."""
+    points, weights = np.array([0.0, 1]), np.array([0.5, 0.5])
+    if quadratic:
+        points, weights = np.array([0, 0.5, 1]), np.array([1, 4, 1]) / 6
     grid = np.stack(np.meshgrid(*[points] * dimension, indexing="ij")).reshape(dimension, -1)
     shares = np.stack(np.meshgrid(*[weights] * dimension, indexing="ij")).reshape(dimension, -1)
     return grid, shares.prod(axis=0)
@@ -243,15 +244,17 @@ def graded(cells: int, fine_cells: int, fine_m: float, length_m: float) -> Float
     low, high = 1.0, 10.0
     for _ in range(100):
         ratio = (low + high) / 2
-        low, high = (ratio, high) if fine_m + size * sum(ratio**i for i in range(1, rest + 1)) < length_m else (low, ratio)
+        low, high = (
+            (ratio, high) if fine_m + size * sum(ratio**i for i in range(1, rest + 1)) < length_m else (low, ratio)
+        )
     steps = [size] * fine_cells + [size * low**i for i in range(1, rest + 1)]
     out = np.concatenate([[0], np.cumsum(steps)])
     out[-1] = length_m
     return out
 
 
-def block_quarter(law: Law, x_m: Floats, z_m: Floats) -> Tissue:
-    """A quarter of a block with its bottom fixed, in quadratic hexahedra of 27 nodes, on two planes of symmetry.
+def block_quarter(law: Law, x_m: Floats, z_m: Floats, quadratic: bool = True) -> Tissue:
+    """A quarter of a block with its bottom fixed, in hexahedra of 27 nodes or of 8, on two planes of symmetry.
 
     x_m: coordinates of the grid from the axis to a side. z_m: depths of the grid below the top, which is at 0.
     """
@@ -270,7 +273,8 @@ def block_quarter(law: Law, x_m: Floats, z_m: Floats) -> Tissue:
             out[i, ..., i, :] = np.moveaxis(slope, 0, -1)
         return out.reshape(*out.shape[:-2], 9)
 
-    return _tissue(law, mesh, skfem.ElementHex2(), 5, free, gradient, lambda x: np.ones(x.shape[1:]))
+    element, order = (skfem.ElementHex2(), 5) if quadratic else (skfem.ElementHex1(), 3)
+    return _tissue(law, mesh, element, order, free, gradient, lambda x: np.ones(x.shape[1:]))
 
 
 def half_ball_section(law: Law, cells: int, layers: int, inner_m: float, outer_m: float) -> Tissue:
@@ -292,11 +296,26 @@ def half_ball_section(law: Law, cells: int, layers: int, inner_m: float, outer_m
     index = np.arange(len(points)).reshape(len(rim), -1)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]]).reshape(4, -1)
     mesh = square + skfem.MeshQuad(points.T, quads)
-    mesh = mesh.with_boundaries({"top": lambda x: x[1] > -1e-9 * outer_m})
+    return _section(law, mesh, lambda x: np.hypot(*x) > outer_m * (1 - 0.2 / len(rim) ** 2))
+
+
+def cylinder_section(law: Law, r_m: Floats, z_m: Floats) -> Tissue:
+    """The same for a cylinder with its bottom fixed. r_m, z_m: as x_m and z_m of block_quarter."""
+    import skfem
+
+    mesh = skfem.MeshQuad.init_tensor(r_m, -z_m[::-1])
+    return _section(law, mesh, lambda x: x[1] < -z_m[-1] + 1e-9)
+
+
+def _section(law: Law, mesh: skfem.Mesh, fixed: Callable[[Floats], np.ndarray]) -> Tissue:
+    """fixed: positions (r, z) of nodes to a mask; called once."""
+    import skfem
+
+    size_m = float(np.abs(mesh.p).max())
+    mesh = mesh.with_boundaries({"top": lambda x: x[1] > -1e-9 * size_m})
 
     def free(x: Floats) -> np.ndarray:
-        inside = np.hypot(*x) < outer_m * (1 - 0.2 / len(rim) ** 2)
-        return np.array([inside & (x[0] > 1e-9 * outer_m), inside])
+        return np.array([~fixed(x) & (x[0] > 1e-9 * size_m), ~fixed(x)])
 
     def gradient(value: Floats, slope: Floats, places: Floats) -> Floats:
         """F has the axes r, z, θ."""

@@ -19,7 +19,13 @@ from .problem import Problem
 
 FOLDER = Path(__file__).parent / "references"
 COMMAND = "python -m accuracy.references"
-SOLVERS = {"scikit-fem": "skfem_fem", "numpy": "numpy_fem", "calculix": "calculix", "cook": "cook_reference", "contact": "contact_reference"}
+SOLVERS = {
+    "scikit-fem": "skfem_fem",
+    "numpy": "numpy_fem",
+    "calculix": "calculix",
+    "cook": "cook_reference",
+    "contact": "contact_reference",
+}
 # Displacements are stored as whole multiples of this length, two decimal digits below the tightest bound.
 UNIT_M = 1e-11
 

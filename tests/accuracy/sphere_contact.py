@@ -1,8 +1,8 @@
 """A rigid sphere pressed into tissue by the server: slightly into a half ball (Hertz), and deep into a block.
 
-    a       radius of the contact by Hertz, √(radius · depth) [m]
-    E*      E / (1 − ν²) [Pa]
-    d       depth [m]
+a       radius of the contact by Hertz, √(radius · depth) [m]
+E*      E / (1 − ν²) [Pa]
+d       depth [m]
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ NEWTON_ITERATIONS = 100
 
 @dataclass(frozen=True)
 class Contact:
-    """How a scene resolves contact; another method is another setting here. penalty_pa_per_m: None means the default."""
+    """How a scene resolves contact; another method is another setting here.
+
+    penalty_pa_per_m: None means the default.
+    """
 
     penalty_pa_per_m: float | None = None
 
@@ -48,7 +51,7 @@ class Hertz:
     poisson_ratio: float = 0.35
     radius_m: float = 0.02
     depth_m: float = 2e-5
-    inner: float = 1.5
+    inner: float = 1.25
     outer: float = 400.0
 
     @property
@@ -62,8 +65,10 @@ class Hertz:
         return float(4 / 3 * modulus_pa * np.sqrt(self.radius_m) * self.depth_m**1.5)
 
     def stiff(self, times: float) -> Contact:
-        """A penalty of `times` E / a. It loses about 0.72 / times of the force: the mean pressure is 0.42 E* a / radius,
-        and the force goes with depth^1.5."""
+        """A penalty of `times` E / a. It loses about 0.72 / times of the force.
+
+        The mean pressure is 0.42 E* a / radius, and the force goes with depth^1.5.
+        """
         return Contact(times * self.young_modulus_pa / self.contact_radius_m)
 
     def elements_per_contact_radius(self, cells: int) -> float:
