@@ -23,7 +23,7 @@ def half_ball(shape: str, cells: int, layers: int, inner_m: float, outer_m: floa
     shells = [inner_m * rim + share * (far - inner_m * rim) for share in out[1:]]
     place = np.full(len(unit), -1)
     place[on_rim] = np.arange(len(rim))
-    quads = place[_rim_faces(block, unit)]
+    quads = _smallest_first(place[_rim_faces(block, unit)])
     before = on_rim[quads]
     cells_of = [block]
     for layer in range(layers):
@@ -42,6 +42,12 @@ def _rim_faces(block: Integers, unit: Floats) -> Integers:
         faces = block[:, list(corners)]
         found.append(faces[(np.abs(unit[faces, axis] - sign) < 1e-9).all(axis=1)])
     return np.vstack(found)
+
+
+def _smallest_first(quads: Integers) -> Integers:
+    """Turns each quadrilateral so that shapes that cut it take the diagonal that its other neighbour takes."""
+    first = quads.argmin(axis=1)
+    return np.take_along_axis(quads, (first[:, None] + np.arange(4)) % 4, axis=1)
 
 
 def growing(count: int, first: float) -> Floats:
