@@ -34,9 +34,9 @@ Kind = tuple[str, int]
 NAMES = {FULL: "full", SELECTIVE: "selective"}
 #: By shape and quadrature: cells along half the width of the fine block, and the bound.
 HERTZ_SERIES: dict[Kind, tuple[tuple[int, ...], float]] = {
-    ("hexahedron", FULL): ((4, 8), 0.03),
-    ("tetrahedron", SELECTIVE): ((4, 8), 0.03),
-    ("quadratic_tetrahedron", FULL): ((2, 4), 0.03),
+    ("quadratic_tetrahedron", FULL): ((1, 2, 4), 0.03),
+    ("hexahedron", FULL): ((2, 4, 8), 0.03),
+    ("tetrahedron", SELECTIVE): ((2, 4, 8), 0.03),
 }
 #: By shape and quadrature: the bound with 13 cells a side; None where linear shapes lock.
 DEEP_BOUNDS: dict[Kind, float | None] = {
