@@ -65,9 +65,9 @@ class Hertz:
         return float(4 / 3 * modulus_pa * np.sqrt(self.radius_m) * self.depth_m**1.5)
 
     def stiff(self, times: float) -> Contact:
-        """A penalty of `times` E / a. The mean pressure lets one expect a loss of 0.72 / times; 0.5 / times is measured.
+        """A penalty of `times` E / a. It loses 0.5 / times of the force (measured).
 
-        That pressure is 0.42 E* a / radius, and the force goes with depth^1.5.
+        The mean pressure, 0.42 E* a / radius, lets one expect 0.72 / times.
         """
         return Contact(times * self.young_modulus_pa / self.contact_radius_m)
 
