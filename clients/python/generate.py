@@ -35,7 +35,7 @@ def main() -> int:
         ]
     )
     if code == 0:
-        for name in ("recording", "scene", "stream"):  # no services there: the generator leaves stubs without content
+        for name in ("gateway", "recording", "scene", "stream"):  # without services, so the stubs have no content
             (OUTPUT / f"{name}_pb2_grpc.py").unlink(missing_ok=True)
         marker.write_text('"""The protocol, generated from proto/tensormass/v1 by generate.py."""\n')
     return int(code)

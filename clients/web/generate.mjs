@@ -16,6 +16,7 @@ try {
       "--es_opt=target=ts,import_extension=none",
       "tensormass/v1/scene.proto",
       "tensormass/v1/stream.proto",
+      "tensormass/v1/gateway.proto",
     ],
     {
       stdio: "inherit",

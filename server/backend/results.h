@@ -124,13 +124,11 @@ class LoadFactors {
   std::vector<double> factors_;  // [schedule] of the last step
 };
 
-/// Number of reals in ContactView::slips.
+/// Number of reals in ContactView::slips and in TiesView::slips; 0 without friction.
 template <class Real>
 std::size_t slip_reals(const view::ContactView<Real>& contact) {
-  return 4 * std::size_t{contact.contact_points} * contact.triangle_count;
+  return contact.slips == nullptr ? 0 : 4 * std::size_t{contact.contact_points} * contact.triangle_count;
 }
-
-/// Number of reals in TiesView::slips.
 template <class Real>
 std::size_t slip_reals(const view::TiesView<Real>& ties) {
   return ties.slips == nullptr ? 0 : 4 * std::size_t{ties.candidate_count};
@@ -208,9 +206,7 @@ class Checkpoint {
       copy(view.guard.checkpoint_previous_displacement, reals, view.state.previous_displacement);
       copy(view.guard.checkpoint_previous_velocity, reals, view.state.previous_velocity);
     }
-    if (view.contact.slips != nullptr) {
-      copy(view.contact.checkpoint_slips, slip_reals(view.contact), view.contact.slips);
-    }
+    copy(view.contact.checkpoint_slips, slip_reals(view.contact), view.contact.slips);
     copy(view.ties.checkpoint_slips, slip_reals(view.ties), view.ties.slips);
     copy(view.ties.checkpoint_broken, view.ties.spring_count, view.ties.broken);
     // The step that is taken back has advanced the internal variables to the checkpoint's stress, and a retry needs
@@ -265,7 +261,7 @@ void write_state(const model::Model& m, const view::SceneView<Real>& view,
     upload(view.state.previous_velocity, state.velocity);
   }
   // Friction starts anew and attachments are whole: a state from outside says nothing about them.
-  if (view.contact.slips != nullptr) upload(view.contact.slips, std::vector<double>(slip_reals(view.contact), 0.0));
+  upload(view.contact.slips, std::vector<double>(slip_reals(view.contact), 0.0));
   upload(view.ties.slips, std::vector<double>(slip_reals(view.ties), 0.0));
   upload(view.ties.broken, std::vector<double>(view.ties.spring_count, 0.0));
   std::span<const double> histories = state.internal_variables;
@@ -287,7 +283,7 @@ StepHistory read_history(const view::SceneView<Real>& view, const StepRecord& pa
     history.previous_displacement = download(view.state.previous_displacement, reals);
     history.previous_velocity = download(view.state.previous_velocity, reals);
   }
-  if (view.contact.slips != nullptr) history.slips = download(view.contact.slips, slip_reals(view.contact));
+  history.slips = download(view.contact.slips, slip_reals(view.contact));
   history.tie_slips = download(view.ties.slips, slip_reals(view.ties));
   history.broken = download(view.ties.broken, view.ties.spring_count);
   if (view.solve.kept != nullptr) history.solution = download(view.solve.kept + past.solution * reals, reals);
@@ -302,12 +298,10 @@ void write_history(const view::SceneView<Real>& view, const StepHistory& history
     upload(view.state.previous_displacement, history.previous_displacement);
     upload(view.state.previous_velocity, history.previous_velocity);
   }
-  if (view.contact.slips != nullptr) {
-    TM_ASSERT(history.slips.size() == slip_reals(view.contact), "a history is of the same model");
-    upload(view.contact.slips, history.slips);
-  }
-  TM_ASSERT(history.tie_slips.size() == slip_reals(view.ties) && history.broken.size() == view.ties.spring_count,
+  TM_ASSERT(history.slips.size() == slip_reals(view.contact) && history.tie_slips.size() == slip_reals(view.ties) &&
+                history.broken.size() == view.ties.spring_count,
             "a history is of the same model");
+  upload(view.contact.slips, history.slips);
   upload(view.ties.slips, history.tie_slips);
   upload(view.ties.broken, history.broken);
   if (view.solve.kept != nullptr) upload(view.solve.kept, history.solution);

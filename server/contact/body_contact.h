@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "contact/friction.h"
 #include "contact/surface.h"
 #include "contact/tie.h"
 #include "view/scene.h"
@@ -180,7 +181,6 @@ TM_HOST_DEVICE Vec3<Real> contact_stretch(const view::StateView<Real>& state, co
 template <class Real>
 TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coefficient, const Real* slip,
                                  view::Tie<Real>& tie) {
-  using std::sqrt;
   const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
   const Vec3<Real> ahead = relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead(state, row); });
   const Vec3<Real> depth_force(tie.force[0], tie.force[1], tie.force[2]);
@@ -188,8 +188,7 @@ TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coeffi
   const Real most = coefficient * (state.base_displacement == nullptr ? slip[3] : predicted);
   if (!(most > 0)) return;
   const Vec3<Real> stretch = contact_stretch(state, tie, slip);
-  const Real spring = tie.stiffness * sqrt(stretch.dot(stretch));
-  tie.across = tie.stiffness * (spring > most ? most / spring : Real(1));
+  tie.across = tie.stiffness * yield_factor(tie.stiffness, stretch, most);
   // The force of a tie is counted from where the rows are now, the stretch to where they will be.
   const Vec3<Real> now = stretch + (ahead - n * n.dot(ahead));
   for (int c = 0; c < 3; ++c) tie.force[c] += tie.across * now[c];
@@ -230,12 +229,11 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
   return tie;
 }
 
-/// Takes a contact's spring of friction to the end of the step, as end_friction does for tools.
+/// Takes a contact's spring of friction to the end of the step, as end_contact does for tools.
 /// pressure: normal force at the end of the step; not positive: the contact has ended, and its stretch is forgotten.
 template <class Real>
 TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
                                          std::uint32_t candidate, Real pressure) {
-  using std::sqrt;
   const view::Tie<Real>& tie = ties.ties[candidate];
   Real* slip = ties.slips + std::size_t{4} * candidate;
   if (state.control->saves_checkpoint != 0) {
@@ -245,11 +243,8 @@ TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, con
   const Real friction = ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
   Vec3<Real> next = Vec3<Real>::Zero();
   if (pressure > 0 && friction > 0) {
-    const Vec3<Real> start(slip[0], slip[1], slip[2]), stretch = contact_stretch(state, tie, slip);
-    const Real reach = state.control->scheme.reach;  // the midpoint rule solves for the middle of the step
-    const Vec3<Real> end = stretch + (stretch - start) * (reach - 1);
-    const Real spring = tie.stiffness * sqrt(end.dot(end)), most = friction * pressure;
-    next = spring > most ? Vec3<Real>(end * (most / spring)) : end;
+    const Vec3<Real> start(slip[0], slip[1], slip[2]);
+    next = yielded_at_end<Real>(state, tie.stiffness, start, contact_stretch(state, tie, slip), friction * pressure);
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
   slip[3] = maximum(pressure, Real(0));

@@ -26,6 +26,27 @@
 ///    is kept in the frame of the tool's shape, and turns with the tool, though not with a joint.
 namespace tensormass::contact {
 
+/// Returns the factor that takes a spring's force to Coulomb's limit: 1 where it sticks, most / (k |ξ|) where it
+/// slides. most: μ N [N].
+template <class Real>
+TM_HOST_DEVICE Real yield_factor(Real stiffness, const Vec3<Real>& stretch, Real most) {
+  using std::sqrt;
+  const Real spring = stiffness * sqrt(stretch.dot(stretch));
+  return spring > most ? most / spring : Real(1);
+}
+
+/// Returns ξ at the end of the step, returned to Coulomb's limit. The midpoint rule solves for the middle of the step.
+///
+///   start     ξ₀ in the scene's frame
+///   stretch   ξ at the time for which the step solves
+///   most      μ N there [N]
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> yielded_at_end(const view::StateView<Real>& state, Real stiffness, const Vec3<Real>& start,
+                                         const Vec3<Real>& stretch, Real most) {
+  const Vec3<Real> end = stretch + (stretch - start) * (state.control->scheme.reach - 1);
+  return end * yield_factor(stiffness, end, most);
+}
+
 /// Returns ξ at the velocities as they are stored.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> stretch_of(const ContactPoint<Real>& at, const view::TriangleFriction<Real>& friction) {
@@ -50,37 +71,32 @@ TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<
                                                              const physics::PlacedTool<Real>& tool,
                                                              const Vec3<Real>& tool_motion, Real predicted_n,
                                                              const Real* slip) {
-  using std::sqrt;
   const Vec3<Real> ahead = old_stretch(at, tool, slip) + at.tangential(tool_motion);
   view::TriangleFriction<Real> out{{ahead[0], ahead[1], ahead[2]}, 0};
   const Vec3<Real> stretch = stretch_of(at, out);
   const Real most = tool.friction * (at.state.base_displacement == nullptr ? slip[3] : predicted_n);
-  const Real spring = at.touch.stiffness * sqrt(stretch.dot(stretch));
-  if (most > 0) out.stiffness = at.touch.stiffness * (spring > most ? most / spring : Real(1));
+  if (most > 0) out.stiffness = at.touch.stiffness * yield_factor(at.touch.stiffness, stretch, most);
   return out;
 }
 
-/// Stores the stretch with which the next step starts, and the normal force. Saves those of this step if it makes the
+/// Stores the stretch and the normal force with which the next step starts. Saves those of this step if it makes the
 /// checkpoint.
 ///
 ///   stretch    ξ at the time for which the step solves
 ///   pressure   N there; zero: the contact has ended, and its stretch is forgotten
 ///   place      index of the contact
 template <class Real>
-TM_HOST_DEVICE void end_friction(const ContactPoint<Real>& at, const view::ContactView<Real>& contact,
-                                 const physics::PlacedTool<Real>& tool, const Vec3<Real>& stretch, Real pressure,
-                                 std::size_t place) {
-  using std::sqrt;
+TM_HOST_DEVICE void end_contact(const ContactPoint<Real>& at, const view::ContactView<Real>& contact,
+                                const physics::PlacedTool<Real>& tool, const Vec3<Real>& stretch, Real pressure,
+                                std::size_t place) {
   Real* slip = contact.slips + 4 * place;
   if (at.state.control->saves_checkpoint != 0) {
     for (std::size_t c = 0; c < 4; ++c) contact.checkpoint_slips[4 * place + c] = slip[c];
   }
   Vec3<Real> next = Vec3<Real>::Zero();  // in the frame of the tool's shape
   if (pressure > 0) {
-    const Real reach = at.state.control->scheme.reach;  // the midpoint rule solves for the middle of the step
-    const Vec3<Real> end = stretch + (stretch - old_stretch(at, tool, slip)) * (reach - 1);
-    const Real spring = at.touch.stiffness * sqrt(end.dot(end)), most = tool.friction * pressure;
-    next = tool.to_shape(spring > most ? Vec3<Real>(end * (most / spring)) : end);
+    next = tool.to_shape(yielded_at_end<Real>(at.state, at.touch.stiffness, old_stretch(at, tool, slip), stretch,
+                                              tool.friction * pressure));
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
   slip[3] = pressure;

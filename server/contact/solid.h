@@ -69,10 +69,11 @@ TM_HOST_DEVICE Vec3<Real> nearest_to_middle(const physics::PlacedTool<Real>& too
 
 /// Visits the contact points of a solid on a triangle.
 ///
+///   kept(point)           depth by which a contact with all of the triangle's area counts as deeper than it is [m]
 ///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is zero where it does not touch
-template <class Kind, class Real, class Visit>
+template <class Kind, class Real, class Kept, class Visit>
 TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners,
-                                            const Visit& visit) {
+                                            const Kept& kept, const Visit& visit) {
   using std::sqrt;
   static_assert(Kind::kContactPoints == 4);
   const Vec3<Real> centroid = corners.at(Vec3<Real>::Constant(Real(1) / 3));
@@ -81,25 +82,26 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
   // A distance changes by at most the way.
   const bool far = Kind::distance(tool, centroid) > sqrt(size_squared);
   const Vec3<Real> facing = far ? Vec3<Real>(Vec3<Real>::Zero()) : unit<Real>(corners.normal());
-  const auto touch_at = [&](const Vec3<Real>& weights) {
+  const auto touch_at = [&](std::uint32_t point, const Vec3<Real>& weights) {
     Touch<Real> touch;
     if (far) return touch;
     const Vec3<Real> x = corners.at(weights);
-    const Real depth = -Kind::distance(tool, x);
-    if (!(depth > 0)) return touch;
+    const Real depth = -Kind::distance(tool, x), kept_m = kept(point);
+    if (!(depth > 0 || kept_m > 0)) return touch;
     touch.normal = way_out<Kind>(tool, x);
     touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
     if (!(touch.share > 0)) return touch;
-    touch.depth_m = depth;
+    touch.depth_m = maximum(depth + kept_m / touch.share, Real(0));
     touch.weights = weights;
     return touch;
   };
   for (int c = 0; c < 3; ++c) {
     Vec3<Real> corner = Vec3<Real>::Zero();
     corner[c] = 1;
-    visit(static_cast<std::uint32_t>(c), touch_at(corner));
+    const auto point = static_cast<std::uint32_t>(c);
+    visit(point, touch_at(point, corner));
   }
-  visit(std::uint32_t{3}, far ? Touch<Real>{} : touch_at(nearest_to_middle<Kind>(tool, corners)));
+  visit(std::uint32_t{3}, far ? Touch<Real>{} : touch_at(3, nearest_to_middle<Kind>(tool, corners)));
 }
 
 }  // namespace tensormass::contact

@@ -10,7 +10,7 @@
 #include "physics/lists.h"
 #include "view/scene.h"
 
-/// Rigid tools against the tissue's surface: penalty pressure, implicit in time, with friction if a tool has it
+/// Rigid tools against the tissue's surface: pressure by a penalty, implicit in time, with friction if a tool has it
 /// (friction.h).
 ///
 ///                   ___
@@ -31,6 +31,9 @@
 ///    up to where the core crosses the surface (CoreDepths).
 /// 4. A c inside pushes the tissue back over itself: n is reversed, and the depth grows by twice the depth of c. This
 ///    concerns only triangles that face away from c. Another body beside the one that contains c is pushed as usual.
+/// 5. With the augmented Lagrangian method (Wriggers 2006, section 5.3) a contact keeps its force λ from the end of the
+///    last step, and the force is λ + k (depth − n·Σ w_a d_a). It then counts as deeper by λ / k. Tissue at rest has no
+///    penetration, because λ carries the load.
 ///
 /// Interpolating the distance between core points is not enough. A shaft may lie across a body with both ends beside
 /// it. If it sinks in by more than its radius, its middle is inside although both ends are outside. Taken for outside,
@@ -183,9 +186,11 @@ struct CoreDepths {
 };
 
 /// Returns where a triangle touches a thin tool.
+/// kept_m: depth by which the contact counts as deeper than it is.
 template <class Kind, class Real>
 TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
-                                         const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners) {
+                                         const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners,
+                                         Real kept_m) {
   using std::sqrt;
   Touch<Real> deepest;
   const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
@@ -194,7 +199,7 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
     // No point of the core is deeper than its distance to any triangle.
     const Real inside = minimum(core_depths.at(core.place), distance);
     const bool behind = inside > 0 && corners.normal().dot(away) > 0;
-    const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance;
+    const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance + kept_m;
     if (!(depth > deepest.depth_m)) return;
     deepest.depth_m = depth;
     deepest.lever_m = behind ? Real(0) : distance;
@@ -211,6 +216,16 @@ template <class Real>
 TM_HOST_DEVICE std::size_t contact_place(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
                                          std::uint32_t point, std::uint32_t triangle) {
   return std::size_t{tool.first_contact_point + point} * contact.triangle_count + triangle;
+}
+
+/// Returns the depth by which a contact counts as deeper than it is, λ / k if it carries all of its triangle [m].
+template <class Real>
+TM_HOST_DEVICE Real kept_depth(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                               std::uint32_t point, std::uint32_t triangle) {
+  if (tool.keeps_force == 0) return 0;
+  const Real stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+  const Real kept_n = tool.presence * contact.slips[4 * contact_place(contact, tool, point, triangle) + 3];
+  return kept_n > 0 && stiffness > 0 ? kept_n / stiffness : Real(0);
 }
 
 /// Computes each triangle's contacts with one tool.
@@ -241,7 +256,8 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
   if constexpr (Kind::kIsSolid) {
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      for_each_touch_of_solid<Kind>(tool, corners, [&](std::uint32_t point, const Touch<Real>& touch) {
+      const auto kept = [&](std::uint32_t point) { return kept_depth(contact, tool, point, triangle); };
+      for_each_touch_of_solid<Kind>(tool, corners, kept, [&](std::uint32_t point, const Touch<Real>& touch) {
         store(triangle, point, corners, touch);
       });
     });
@@ -249,7 +265,7 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      store(triangle, 0, corners, touch_of_thin(tool, core_depths, corners));
+      store(triangle, 0, corners, touch_of_thin(tool, core_depths, corners, kept_depth(contact, tool, 0, triangle)));
     });
   }
 }
@@ -331,12 +347,12 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
   });
 }
 
-/// Measures the load on tool t, and takes its springs of friction to the end of the step.
+/// Measures the load on tool t, and takes what its contacts remember to the end of the step.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
                                     const view::ContactView<Real>& contact, std::uint32_t t) {
   const physics::PlacedTool<Real> tool = contact.tools[t];
-  const bool has_friction = tool.friction > 0;
+  const bool has_friction = tool.friction > 0, remembers = has_friction || tool.keeps_force != 0;
   constexpr std::size_t kJoints = Kind::kJoints.size();
   // Force, torque, friction, joints. Summed over the patch together.
   Real sums[9 + kJoints]{};
@@ -345,7 +361,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
     const std::size_t place = contact_place(contact, tool, contact_point, triangle);
     const view::TriangleContact<Real>& touch = contact.contacts[place];
     const bool touches = touch.depth_m > 0;
-    if (!touches && !has_friction) return;
+    if (!touches && !remembers) return;
     const ContactPoint<Real> at(state, contact, triangle, touch);
     Real pressure = 0;
     Vec3<Real> stretch = Vec3<Real>::Zero();
@@ -379,7 +395,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
         sums[9 + j] -= Kind::joint_motion(tool, j, core, core).dot(aside);
       }
     }
-    if (has_friction) end_friction(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
+    if (remembers) end_contact(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
   };
   team.for_each(contact.patch_triangles[team.patch()], contact.patch_triangles[team.patch() + 1],
                 [&](std::uint32_t triangle) {
@@ -398,8 +414,8 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   }
 }
 
-/// Stage 4, after the solve: measures the load of the tissue on each tool at the end of the step, and takes the springs
-/// of friction to it.
+/// Stage 4, after the solve: measures the load of the tissue on each tool at the end of the step, and takes to it what
+/// contacts remember: springs of friction and kept forces.
 /// Reads contacts, frictions, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,

@@ -175,8 +175,9 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.samples = arena.template constant<float>("tool samples", m.tool_samples);
   const std::size_t frictions = only_if(m.has_friction(), m.contact_points() * triangles);
   s.contact.frictions = arena.template zeros<view::TriangleFriction<Real>>("friction", frictions);
-  s.contact.slips = arena.template zeros<Real>("friction slips", 4 * frictions);
-  s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", 4 * frictions);
+  const std::size_t slips = 4 * only_if(m.contacts_remember(), m.contact_points() * triangles);
+  s.contact.slips = arena.template zeros<Real>("friction slips", slips);
+  s.contact.checkpoint_slips = arena.template zeros<Real>("checkpoint friction slips", slips);
 
   const Ties& ties = m.ties;
   s.ties.candidate_count = ties.candidate_count();

@@ -201,7 +201,8 @@ struct ToolModel {
   physics::ToolParameters parameters{};
   Vec3<double> tip_offset_m = Vec3<double>::Zero();  ///< origin of the shape's frame in the tool's frame
   double penalty_pa_per_m = 0;
-  double friction = 0;  ///< Coulomb's coefficient
+  double friction = 0;       ///< Coulomb's coefficient
+  bool keeps_force = false;  ///< augmented Lagrangian method (contact/tools.h)
   double max_speed_m_per_s = 0;
   /// Virtual coupling (world/coupling.h) [kg, N/m, N s/m]. Without a mass the tool is at its pose.
   double mass_kg = 0, coupling_stiffness_n_per_m = 0, coupling_damping_n_s_per_m = 0;
@@ -229,7 +230,9 @@ struct ToolModel {
     for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = static_cast<Real>(parameters[i]);
     out.radius_m = static_cast<Real>(radius_m);
     out.penalty_pa_per_m = static_cast<Real>(presence * penalty_pa_per_m);
+    out.presence = static_cast<Real>(presence);
     out.friction = static_cast<Real>(friction);
+    out.keeps_force = keeps_force ? 1 : 0;
     out.kind = kind;
     out.first_core_point = first_core_point;
     out.contact_points = contact_points;
@@ -317,6 +320,11 @@ struct Model {
   /// Returns whether a tool has friction.
   bool has_friction() const {
     return std::any_of(tools.begin(), tools.end(), [](const ToolModel& tool) { return tool.friction > 0; });
+  }
+  /// Returns whether contacts of tools remember something from step to step (view::ContactView::slips).
+  bool contacts_remember() const {
+    return has_friction() ||
+           std::any_of(tools.begin(), tools.end(), [](const ToolModel& tool) { return tool.keeps_force; });
   }
   bool checks_volume() const {
     return std::any_of(groups.begin(), groups.end(), [](const ElementGroup& group) { return group.checks_volume; });

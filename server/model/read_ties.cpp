@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <limits>
 #include <map>
-#include <optional>
 #include <set>
 
 #include <fmt/format.h>
@@ -76,9 +75,8 @@ class TieReader {
   }
 
   const BodySurface& surface(std::size_t body) {
-    std::optional<BodySurface>& known = surfaces_[body];
-    if (!known) known = surface_of(c_.bodies[body]);
-    return *known;
+    if (const auto known = surfaces_.find(body); known != surfaces_.end()) return known->second;
+    return surfaces_.emplace(body, surface_of(c_.bodies[body])).first->second;
   }
 
   Result<void> read_contact(const v1::BodyContact& contact, const std::string& where) {
@@ -174,7 +172,7 @@ class TieReader {
   }
 
   Compilation& c_;
-  std::map<std::size_t, std::optional<BodySurface>> surfaces_;
+  std::map<std::size_t, BodySurface> surfaces_;  // by body
   std::set<std::pair<std::size_t, std::size_t>> pairs_;
   std::set<std::string> names_;
 };

@@ -179,6 +179,8 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
   TM_ASSIGN_OR_RETURN(
       friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));
   out.friction = friction;
+  TM_ASSIGN_OR_RETURN(keeps, keeps_force(tool.contact_method(), where + ".contact_method"));
+  out.keeps_force = keeps;
   TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));

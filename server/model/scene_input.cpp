@@ -191,6 +191,18 @@ Result<double> read_number(double value, double low, double high, std::string_vi
   return invalid(fmt::format("{}: {} is not within [{:g}, {:g}]", where, value, low, high));
 }
 
+Result<bool> keeps_force(v1::ContactMethod method, std::string_view where) {
+  switch (method) {
+    case v1::CONTACT_METHOD_UNSPECIFIED:
+    case v1::CONTACT_METHOD_PENALTY:
+      return false;
+    case v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN:
+      return true;
+    default:
+      return invalid(fmt::format("{}: {} is unknown", where, static_cast<int>(method)));
+  }
+}
+
 Result<Schedule> read_schedule(const v1::Schedule& schedule, std::string_view where) {
   if (schedule.time_s_size() > limits::kMaxSchedulePoints) {
     return invalid(fmt::format("{}: {} points exceed limits::kMaxSchedulePoints = {}", where, schedule.time_s_size(),

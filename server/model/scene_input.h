@@ -38,6 +38,8 @@ Result<std::array<double, limits::kMaxToolJoints>> read_joints(const google::pro
 
 /// Reads a number in [low, high]. Refuses NaN.
 Result<double> read_number(double value, double low, double high, std::string_view where);
+/// Reads a method of contact. Returns whether contacts keep their force from step to step.
+Result<bool> keeps_force(v1::ContactMethod method, std::string_view where);
 /// Reads a factor over time. A schedule without points is empty.
 Result<Schedule> read_schedule(const v1::Schedule& schedule, std::string_view where);
 /// Reads the rate of a stream [Hz]; 0 switches it off.

@@ -107,6 +107,7 @@ struct StageSizes {
         edges(model.layout.storage == matrix::Storage::kEdges) {}
 
   bool has_tools() const { return !m.tools.empty(); }
+  bool has_ties() const { return m.ties.count() > 0; }
   bool fused() const { return m.solve != model::SolveKind::kStages; }
   double nodes_of_element() const { return static_cast<double>(group->rows.size()) / group->stride; }
   double points() const { return static_cast<double>(group->stride) * group->point_count; }
@@ -187,7 +188,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kBeginTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "begin ties", "displacement", "empty lists of ties, boxes around surfaces",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) { return s.has_ties(); },
    [](const StageSizes& s) {
      const double places = static_cast<double>(s.m.ties.leaf_triangles.size());  // leaves and groups both read them
      return Cost{places * 2 * (4 + 12 + 3 * 8 * s.real), places * 2 * 18};
@@ -195,7 +196,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kFindTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "find ties", "displacement, velocity, boxes, friction slips, broken springs", "ties, their lists",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) { return s.has_ties(); },
    [](const StageSizes& s) { return s.find_ties(); }},
   {StageKind::kBeginEdges, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble constant part", "constant tensors, velocity", "matrix, right-hand side",
@@ -267,7 +268,7 @@ inline constexpr StageInfo kStages[] = {
   {StageKind::kAssembleTies, Phase::kEvaluate, Scope::kScene, Communication::kNone,
    "assemble ties", "ties, velocity", "matrix diagonal, right-hand side",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) { return s.has_ties(); },
    [](const StageSizes& s) {
      const double ties = s.m.ties.count();
      return Cost{ties * (4 * 4 + 4 * (4 + 15 * s.real)), ties * 4 * 100};
@@ -326,13 +327,13 @@ inline constexpr StageInfo kStages[] = {
    "measure contact", "contacts, friction, velocity", "force on each tool, friction slips", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },
    [](const StageSizes& s) {
-     const double slips = s.m.has_friction() ? 4 + 4 : 0;  // reads and writes
+     const double slips = s.m.contacts_remember() ? 4 + 4 : 0;  // reads and writes
      return Cost{s.contacts * s.real * (1 + slips), s.contacts};
    }},
   {StageKind::kMeasureTies, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "measure ties", "ties, velocity", "broken springs, friction slips, report",
    "bodies touch each other or are attached to each other",
-   [](const StageSizes& s) { return s.m.ties.count() > 0; },
+   [](const StageSizes& s) { return s.has_ties(); },
    [](const StageSizes& s) {
      const double ties = s.m.ties.count();
      return Cost{ties * (4 * 4 + 24 * s.real), ties * 100};

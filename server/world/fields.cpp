@@ -10,6 +10,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <Eigen/Eigenvalues>
 
 #include "model/loads.h"
 #include "physics/element/element.h"
@@ -20,16 +21,17 @@ namespace tensormass::world {
 
 namespace {
 
-/// Forces, stresses and energies of a body, summed over its elements.
+/// Forces, stresses, strains and energies of a body, summed over its elements.
 struct Measured {
   std::vector<Vec3<double>> force;            // [row] internal and pressure forces, N
   std::vector<std::array<double, 6>> cauchy;  // [element] Pa, xx yy zz yz xz xy
+  std::vector<Mat3<double>> strain;           // [element] as the law defines it
   std::vector<double> det_f, energy;          // [element] det F, energy in J
 };
 
-/// Adds force, stress, det F and energy of element `e` to `measured`, summed over its quadrature points. A cluster adds
-/// its sums to all of its elements. history: the group's viscoelastic internal variables. first_element: index of the
-/// body's first element, which is entry 0 of `measured`.
+/// Adds force, stress, strain, det F and energy of element `e` to `measured`, summed over its quadrature points. A
+/// cluster adds its sums to all of its elements. history: the group's viscoelastic internal variables. first_element:
+/// index of the body's first element, which is entry 0 of `measured`.
 template <class Shape, class Law>
 void measure_element(const model::ElementGroup& group, std::span<const double> history, double internal_dt_s,
                      std::uint32_t e, const std::vector<double>& displacement, std::uint32_t first_element,
@@ -44,7 +46,8 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     u[k] = view::load3<double>(displacement.data(), rows[k]);
   }
   physics::ModuliWeights volume{0, 0};
-  Mat3<double> cauchy = Mat3<double>::Zero();
+  double weight = 0;
+  Mat3<double> cauchy = Mat3<double>::Zero(), strain = Mat3<double>::Zero();
   double det_f = std::numeric_limits<double>::infinity(), energy = 0;
   for (std::uint32_t q = 0; q < group.point_count; ++q) {
     const auto gradients = physics::PointGradients<Shape, double>::read([&](int c) {
@@ -80,6 +83,10 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     // A linear law does not distinguish Cauchy stress from the first Piola-Kirchhoff stress.
     const Mat3<double> true_stress = Law::kConstantStiffness ? stress : Mat3<double>(stress * f.transpose() / j);
     cauchy += true_stress * gradients.weight;
+    const Mat3<double> identity = Mat3<double>::Identity();
+    strain += Law::kConstantStiffness ? Mat3<double>(((f + f.transpose()) / 2 - identity) * gradients.weight)
+                                      : Mat3<double>((f.transpose() * f - identity) * (gradients.weight / 2));
+    weight += gradients.weight;
     // Selective reduced integration covers the volume once for each kind of moduli, or for one kind only.
     volume.deviatoric += shares.deviatoric * gradients.weight;
     volume.volumetric += shares.volumetric * gradients.weight;
@@ -95,7 +102,10 @@ void measure_element(const model::ElementGroup& group, std::span<const double> h
     measured.det_f[out] = std::min(measured.det_f[out], det_f);
     measured.energy[out] += part * energy;
   };
-  if (!group.has_clusters()) add(group.elements[e], 1);
+  if (!group.has_clusters()) {
+    add(group.elements[e], 1);
+    measured.strain[group.elements[e] - first_element] = strain / weight;
+  }
   for (std::size_t i = e; i < group.members.size(); i += group.stride) {
     if (group.members[i] != mesh::kNone) add(group.members[i], group.member_parts[i]);
   }
@@ -121,6 +131,7 @@ Measured measure(const model::Model& m, const backend::RowState& state,
   Measured measured;
   measured.force.assign(m.layout.row_count, Vec3<double>::Zero());
   measured.cauchy.assign(body.element_count, {});
+  measured.strain.assign(body.element_count, Mat3<double>::Zero());
   measured.det_f.assign(body.element_count, std::numeric_limits<double>::infinity());
   measured.energy.assign(body.element_count, 0);
   std::span<const double> histories = state.internal_variables;
@@ -231,6 +242,12 @@ Result<v1::GetFieldsResponse> measure_fields(const model::Model& m, const backen
         break;
       case v1::FIELD_VON_MISES_STRESS:
         for (const auto& stress : measured.cauchy) values.push_back(von_mises(stress));
+        break;
+      case v1::FIELD_LARGEST_STRAIN:
+        for (const Mat3<double>& strain : measured.strain) {
+          values.push_back(
+              Eigen::SelfAdjointEigenSolver<Mat3<double>>(strain, Eigen::EigenvaluesOnly).eigenvalues()[2]);
+        }
         break;
       case v1::FIELD_DET_F:
         values = measured.det_f;

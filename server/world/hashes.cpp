@@ -1,6 +1,7 @@
 #include "world/hashes.h"
 
 #include <cstring>
+#include <vector>
 
 namespace tensormass::world {
 
@@ -20,16 +21,27 @@ std::uint64_t hash_of(const v1::Scene& scene) {
   // Part by part, because a copy of all meshes would double the memory of a load. No message has a map, so equal
   // messages have equal bytes.
   const auto add = [&hash](const google::protobuf::MessageLite& part) { hash.add(part.SerializeAsString()); };
-  hash.add(std::uint64_t{static_cast<std::uint32_t>(scene.bodies_size())});
-  for (const v1::Body& body : scene.bodies()) add(body);
-  hash.add(std::uint64_t{static_cast<std::uint32_t>(scene.tools_size())});
-  for (const v1::Tool& tool : scene.tools()) add(tool);
-  hash.add(std::uint64_t{static_cast<std::uint32_t>(scene.body_contacts_size())});
-  for (const v1::BodyContact& contact : scene.body_contacts()) add(contact);
-  hash.add(std::uint64_t{static_cast<std::uint32_t>(scene.attachments_size())});
-  for (const v1::Attachment& attachment : scene.attachments()) add(attachment);
-  add(scene.gravity_m_per_s2());
-  hash.add(std::uint64_t{scene.has_gravity_m_per_s2()});
+  const google::protobuf::Reflection& reflection = *scene.GetReflection();
+  std::vector<const google::protobuf::FieldDescriptor*> given;
+  reflection.ListFields(scene, &given);
+  for (const google::protobuf::FieldDescriptor* field : given) {
+    switch (field->number()) {
+      case v1::Scene::kNameFieldNumber:
+      case v1::Scene::kStreamsFieldNumber:
+      case v1::Scene::kSteppingFieldNumber:
+      case v1::Scene::kSolverFieldNumber:
+        continue;  // the first two do not matter, the others follow
+      default:
+        break;
+    }
+    hash.add(std::uint64_t{static_cast<std::uint32_t>(field->number())});
+    if (!field->is_repeated()) {
+      add(reflection.GetMessage(scene, field));
+      continue;
+    }
+    hash.add(std::uint64_t{static_cast<std::uint32_t>(reflection.FieldSize(scene, field))});
+    for (int i = 0; i < reflection.FieldSize(scene, field); ++i) add(reflection.GetRepeatedMessage(scene, field, i));
+  }
   v1::Stepping stepping = scene.stepping();
   stepping.clear_rate_hz();
   stepping.clear_lockstep();
@@ -38,8 +50,6 @@ std::uint64_t hash_of(const v1::Scene& scene) {
   solver.clear_cpu_threads();
   solver.clear_budget_s();
   add(solver);
-  add(scene.guard());
-  add(scene.gravity_schedule());
   return hash.value();
 }
 

@@ -207,10 +207,11 @@ Result<v1::SceneStatus> Loop::do_resume() {
 
 Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
   TM_RETURN_IF_ERROR(status_.require_not_faulted());
-  if (status_.state() != v1::SceneStatus::STATE_LOCKSTEP) {
-    return fail(
-        ErrorCode::kFailedPrecondition,
-        fmt::format("scene '{}' runs by the clock; load it with stepping.lockstep to step it by hand", model_.name));
+  if (status_.state() == v1::SceneStatus::STATE_RUNNING) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("scene '{}' runs by the clock; pause it, or load it with stepping.lockstep, to step it by "
+                            "hand",
+                            model_.name));
   }
   for (std::uint32_t i = 0; i < count; ++i) {
     if (cancelled_.load(std::memory_order_relaxed)) {
@@ -227,6 +228,7 @@ Result<v1::SceneStatus> Loop::do_step(std::uint32_t count) {
     const Clock::time_point end = Clock::now();
     status_.take_time(begin, end, true);
   }
+  if (status_.state() == v1::SceneStatus::STATE_PAUSED) come_to_rest(true);
   return status_.make();
 }
 

@@ -87,7 +87,7 @@ class Loop {
 
   Result<v1::SceneStatus> do_pause();
   Result<v1::SceneStatus> do_resume();
-  /// Makes `count` steps in lockstep; the last one brings a frame and diagnostics.
+  /// Makes `count` steps of a scene in lockstep or paused; the last one brings a frame and diagnostics.
   Result<v1::SceneStatus> do_step(std::uint32_t count);
   Result<v1::SceneStatus> do_reset();
   Result<v1::Frame> do_frame(std::uint64_t topology_version);

@@ -18,6 +18,19 @@ std::string packed(std::span<const Item> items) {
   return {reinterpret_cast<const char*>(items.data()), items.size_bytes()};
 }
 
+/// Returns the vertices of a body whose node is held or prescribed in some direction; none if it has a skin.
+std::vector<std::uint32_t> fixed_vertices(const model::Model& model, const model::BodyModel& body) {
+  constexpr std::uint32_t kAllFree = 7;
+  std::vector<std::uint32_t> fixed;
+  for (std::size_t vertex = 0; vertex < body.vertex_nodes.size(); ++vertex) {
+    const std::size_t row = model.layout.row_of_node[body.node_begin + body.vertex_nodes[vertex]];
+    if (static_cast<std::uint32_t>(model.rest[4 * row + 3]) != kAllFree) {
+      fixed.push_back(static_cast<std::uint32_t>(vertex));
+    }
+  }
+  return fixed;
+}
+
 }  // namespace
 
 std::uint64_t unix_time_ns() {
@@ -38,6 +51,7 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_vertex_count(body.vertex_count);
     out.set_triangles(packed(std::span<const mesh::Triangle>(body.triangles)));
     out.set_nodes(packed(std::span<const std::uint32_t>(body.vertex_nodes)));
+    out.set_fixed_vertices(packed(std::span<const std::uint32_t>(fixed_vertices(model, body))));
     if (body.has_color) fill(body.color_srgb, *out.mutable_color_srgb());
   }
   for (const model::ToolModel& tool : model.tools) {

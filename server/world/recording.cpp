@@ -18,7 +18,7 @@ Recording::Recording(const model::Model& model, const RecordingOptions& options)
       coming_(model.tools.size()),
       has_coming_(model.tools.size(), false),
       steps_(options.room_for_steps),
-      // A client seldom sends more than one pose a step and tool.
+      // A step has at most one pose a tool, so where a step has room its poses have it too.
       poses_(std::max<std::size_t>(1, model.tools.size()) * options.room_for_steps),
       checks_(options.room_for_checks) {
   for (const model::ToolModel& tool : model.tools) {
@@ -41,7 +41,7 @@ void Recording::take_reset() {
 void Recording::end_step(const StepEnd& end) {
   const std::uint64_t index = index_.load(std::memory_order_relaxed) + 1;
   const auto poses = static_cast<std::size_t>(std::count(has_coming_.begin(), has_coming_.end(), true));
-  if (steps_.room() > 0 && poses_.room() >= poses) {
+  if (steps_.room() > 0) {
     for (std::size_t tool = 0; tool < coming_.size(); ++tool) {
       if (!has_coming_[tool]) continue;
       poses_.back() = {tool, coming_[tool]};

@@ -36,7 +36,7 @@ class Ring {
 
   // -- the reading thread ---------------------------------------------------------------------------------------------
 
-  /// The oldest value, or nullptr if there is none. Valid until `pop`.
+  /// Returns the oldest value, valid until `pop`. An empty ring returns nullptr.
   T* front() {
     const std::size_t popped = popped_.load(kRelaxed);
     return popped == pushed_.load(std::memory_order_acquire) ? nullptr : &slots_[popped % slots_.size()];

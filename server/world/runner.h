@@ -65,7 +65,7 @@ class Runner {
 
   Result<v1::SceneStatus> pause();
   Result<v1::SceneStatus> resume();
-  /// Makes `count` steps of a lockstep scene and returns when they are done.
+  /// Makes `count` steps of a scene in lockstep or paused, and returns when they are done.
   Result<v1::SceneStatus> step(std::uint32_t count);
   Result<v1::SceneStatus> reset();
   v1::SceneStatus status() const;

@@ -3,8 +3,8 @@
 python -m accuracy.press_parts [--group meshes|contacts|steps]    one group leaves the rows of the others as they are
 
 *meshes*: equilibria of the demo organ under the probe at the two depths of press.py, against a graded mesh of quadratic
-tetrahedra. Each row changes one thing. *contacts*: the same on the demo's mesh, against its equilibria with the default
-penalty. *steps*: the script of press.py on the demo's mesh, against steps of 1/1920 s.
+tetrahedra. Each row changes one thing. *contacts*: the same on the demo's mesh, against its equilibria without
+penetration. *steps*: the script of press.py on the demo's mesh, against steps of 1/1920 s.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ FILE = press.FOLDER / "press-parts.json"
 PENALTY_PA_PER_M = 20 * 5000 / 0.012
 #: Poses on the way to each depth, so that Newton's method converges.
 LOAD_STEPS = 4
+#: Further steps at each depth, in which kept forces take over the load.
+HELD_STEPS = 12
 #: Of the step that serves as the limit in time.
 SHORTEST_S = 1 / 1920
 QUADRATIC: Values = {"element_order": "quadratic", "quadrature": "full"}
@@ -53,12 +55,13 @@ QUADRATIC: Values = {"element_order": "quadratic", "quadrature": "full"}
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh and a contact. penalty: times the default."""
+    """A mesh and a contact. penalty: times the default. rigid: by the augmented Lagrangian method."""
 
     name: str
     values: Values = field(default_factory=dict)
     fitted: bool = True
     penalty: float = 1
+    rigid: bool = False
 
 
 REFERENCE = Part("limit", {**QUADRATIC, "resolution": 1.5})
@@ -71,7 +74,13 @@ MESHES = (
     DEMO,
     Part("the demo's mesh, quadratic tetrahedra", QUADRATIC),
 )
-CONTACTS = (Part("penalty times 10", penalty=10), Part("penalty divided by 10", penalty=0.1))
+RIGID = Part("augmented Lagrangian", rigid=True)
+CONTACTS = (
+    Part("penalty divided by 10", penalty=0.1),
+    Part("penalty, the default"),
+    Part("penalty times 10", penalty=10),
+    Part("augmented Lagrangian, penalty divided by 10", penalty=0.1, rigid=True),
+)
 #: Steps of time, by name.
 STEPS: dict[str, Values] = {
     "1/960 s": {"dt_s": 1 / 960},
@@ -108,7 +117,7 @@ def main() -> int:
         if group in (None, "meshes"):
             rows += _equilibria("meshes", server, knobs, MESHES, REFERENCE)
         if group in (None, "contacts"):
-            rows += _equilibria("contacts", server, knobs, CONTACTS, DEMO)
+            rows += _equilibria("contacts", server, knobs, CONTACTS, RIGID)
         if group in (None, "steps"):
             rows += _of_time(server, knobs)
         head = record.Head.of_run(server.version(), "accuracy.press_parts", began)
@@ -173,6 +182,7 @@ def _press(server: Server, knobs: Knobs, part: Part) -> Pressed:
             for share in way:
                 run.move_tool(script.tool or "", start + share * travel)
                 run.step(1)
+            run.step(HELD_STEPS)
             force = run.feedback(script.tool or "").force_n
             forces.append(float(np.linalg.norm(force)))
             displacements.append(at_points(run.positions(body.name) - rest))
@@ -191,6 +201,8 @@ def _scene(knobs: Knobs, part: Part) -> scene_pb2.Scene:
         fields["bodies"][0]["mesh"]["file"] = str(path)
     scene = replace(file, fields=fields).message()
     scene.tools[0].spherical_probe.penalty_stiffness_pa_per_m = part.penalty * PENALTY_PA_PER_M
+    if part.rigid:
+        scene.tools[0].contact_method = scene_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN
     scene.solver.Clear()
     scene.solver.integrator = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
     scene.solver.precision = scene_pb2.Solver.PRECISION_DOUBLE

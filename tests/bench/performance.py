@@ -230,6 +230,46 @@ def contacts() -> Iterator[str]:
         yield f"| {case} | {' | '.join(of_device.get(device, '') for device in devices)} |"
 
 
+def streams() -> Iterator[str]:
+    """What a frame costs the gateway and a viewer in Python, by codec."""
+    found = newest("streams.jsonl")
+    yield "| scene, codec | bytes a frame | at 60 Hz | encode | decode in Python | largest error (stated) | keyframes |"
+    yield "|---|---|---|---|---|---|---|"
+    for case, row in found.items():
+        if case.startswith("stream: "):
+            yield (
+                f"| {_thousands(case.removeprefix('stream: '))} | {row['bytes_per_frame']:,} "
+                f"| {row['bytes_per_s'] / 1e6:.1f} MB/s | {row['encode_ms_median']:.2f} ms "
+                f"| {row['decode_ms_median']:.2f} ms | {row['error_um']:.2g} ({row['stated_error_um']:.2g}) µm "
+                f"| {row['keyframes']} of {row['frames']} |"
+            )
+
+
+def browser() -> Iterator[str]:
+    """What a frame costs the viewer in a browser that draws in software, by codec."""
+    found = newest("streams.jsonl")
+    if not any(case.startswith("browser: ") for case in found):
+        yield "Not measured yet: `python tests/bench/streams.py --browser` on a machine with nothing else to do."
+        return
+    yield "| vertices, codec | decode: least | median | prepare: least | median | upload | WebGL calls | whole frame |"
+    yield "|---|---|---|---|---|---|---|---|"
+    parts = ("decode_ms_least", "decode_ms_median", "prepare_ms_least", "prepare_ms_median")
+    parts += ("upload_ms_median", "render_ms_median", "frame_ms_median")
+    for case, row in found.items():
+        if case.startswith("browser: "):
+            times = (f"{row[part]:.1f} ms" for part in parts)
+            yield f"| {_thousands(case.removeprefix('browser: '))} | {' | '.join(times)} |"
+
+
+def stream_sources() -> Iterator[str]:
+    """Device, commit and command of the streams' last row."""
+    row = rows("streams.jsonl")[-1]
+    yield "| file | device | commit | command |"
+    yield "|---|---|---|---|"
+    link = "[`streams.jsonl`](../../tests/bench/results/streams.jsonl)"
+    yield f"| {link} | {row['device']} | `{row['commit']}` | `{row['command']}` |"
+
+
 def engines() -> Iterator[str]:
     """One beam in several engines: step time and error of each setting, by the size of the mesh."""
     found = newest("two-cores-others.jsonl").values()
@@ -328,6 +368,11 @@ TABLES = {
     },
     REPOSITORY / "docs" / "comparison.md": {"engines": engines},
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
+    REPOSITORY / "docs" / "decisions" / "stream-codecs.md": {
+        "streams": streams,
+        "browser": browser,
+        "sources": stream_sources,
+    },
     REPOSITORY / "README.md": {"summary": summary},
 }
 

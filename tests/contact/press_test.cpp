@@ -130,6 +130,28 @@ TEST_P(Press, NewtonConvergesInEveryStep) {
   }
 }
 
+/// With the augmented Lagrangian method the force does not depend on the penalty, and ends when the tool leaves.
+TEST_P(Press, AKeptForceNeedsNoStiffPenalty) {
+  const auto held_n = [&](v1::ContactMethod method, double penalty_pa_per_m) {
+    v1::Scene scene = soft_block(9);
+    v1::Tool& tool = *scene.mutable_tools(0);
+    tool.set_contact_method(method);
+    tool.mutable_spherical_probe()->set_penalty_stiffness_pa_per_m(penalty_pa_per_m);
+    const auto world = start(scene);
+    world->set_tool_target(0, {{0.031, 0.037, 0.029}, {1, 0, 0, 0}});
+    for (int i = 0; i < 300; ++i) EXPECT_TRUE(world->step(false));
+    const double held = world->readings()[0].force_n[1];
+    world->set_tool_target(0, {{0.031, 0.044, 0.029}, {1, 0, 0, 0}});
+    for (int i = 0; i < 60; ++i) EXPECT_TRUE(world->step(false));
+    EXPECT_EQ(world->readings()[0].force_n, Vec3<double>(0, 0, 0)) << "nothing holds the tissue to the tool";
+    return held;
+  };
+  const double soft = 2e6, stiff = 2e8;  // the default is 8e6
+  const double exact = held_n(v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN, stiff);
+  EXPECT_NEAR(held_n(v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN, soft), exact, 1e-3 * exact);
+  EXPECT_LT(held_n(v1::CONTACT_METHOD_PENALTY, soft), 0.9 * exact);
+}
+
 /// The torque is about the tool's own origin: lever × force.
 TEST_P(Press, TorqueIsAboutTheToolsPosition) {
   v1::Scene scene = tests::block_with_probe(true, 6);

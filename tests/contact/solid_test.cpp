@@ -213,31 +213,48 @@ class SolidScene : public tests::OnBackend {
   }
 };
 
-/// A block between a table and a platen is compressed uniformly: F = E A ε, and both feel the same force.
-TEST_P(SolidScene, CompressesABlockUniformly) {
-  constexpr double kStiff = 1e9, kAreaM2 = 0.04 * 0.04, kYoungPa = 1e5, kPressM = 1e-3;
+class ByMethod : public SolidScene {
+ protected:
+  /// Presses a block between a table and a platen. It is compressed uniformly: F = E A ε, and both feel the same force.
+  ///
+  ///   gives_way_m_per_n   by which each of the two contacts gives way
+  void compress(v1::ContactMethod method, double penalty_pa_per_m, double gives_way_m_per_n);
+};
+
+void ByMethod::compress(v1::ContactMethod method, double penalty_pa_per_m, double gives_way_m_per_n) {
+  constexpr double kAreaM2 = 0.04 * 0.04, kYoungPa = 1e5, kPressM = 1e-3;
   for (const char* platen : {"box", "plane", "mesh"}) {
     v1::Scene scene = free_block(0);
     scene.mutable_bodies(0)->mutable_law()->mutable_hooke()->set_young_modulus_pa(kYoungPa);
-    add_solid(scene, "plane", {1, 0.02, 1}, {0.02, -0.01, 0.02}, kStiff, true).set_name("table");
-    add_solid(scene, platen, {0.1, 0.02, 0.1}, {0.02, 0.05 - kPressM, 0.02}, kStiff).set_name("platen");
+    add_solid(scene, "plane", {1, 0.02, 1}, {0.02, -0.01, 0.02}, penalty_pa_per_m, true).set_name("table");
+    add_solid(scene, platen, {0.1, 0.02, 0.1}, {0.02, 0.05 - kPressM, 0.02}, penalty_pa_per_m).set_name("platen");
+    for (v1::Tool& tool : *scene.mutable_tools()) tool.set_contact_method(method);
     const auto world = start(scene);
     for (int i = 0; i < 500; ++i) ASSERT_TRUE(world->step(false));
     const auto& readings = world->readings();
-    // The penalty gives way by F / (k A) on both sides.
-    const double spring = kYoungPa * kAreaM2 / 0.04, gap = kStiff * kAreaM2;
-    const double expected = kPressM / (1 / spring + 2 / gap);
+    const double spring = kYoungPa * kAreaM2 / 0.04;
+    const double expected = kPressM / (1 / spring + 2 * gives_way_m_per_n);
     const double slack = std::string(platen) == "mesh" ? 2e-3 : 1e-4;
     EXPECT_NEAR(readings[1].force_n[1], expected, slack * expected) << platen;
     EXPECT_NEAR(readings[0].force_n[1], -expected, slack * expected) << platen;
     const auto positions = world->positions(world->model().bodies[0]);
     for (std::size_t i = 0; i < positions.size(); i += 3) {
       const double rest = world->model().rest[4 * world->model().layout.row_of_node[i / 3] + 1];
-      const double share = expected / gap;  // the lower penalty gives way by this
+      const double share = expected * gives_way_m_per_n;  // by which the block sinks into the table
       EXPECT_NEAR(positions[i + 1], -share + rest * (1 - expected / (kYoungPa * kAreaM2)), 1e-2 * kPressM);
     }
   }
 }
+
+TEST_P(ByMethod, APenaltyGivesWayByItsStiffness) {
+  constexpr double kPenalty = 1e9, kAreaM2 = 0.04 * 0.04;
+  compress(v1::CONTACT_METHOD_PENALTY, kPenalty, 1 / (kPenalty * kAreaM2));
+}
+
+/// With a penalty that would give way by 40 % of the motion.
+TEST_P(ByMethod, AKeptForceGivesNoWay) { compress(v1::CONTACT_METHOD_AUGMENTED_LAGRANGIAN, 1e7, 0); }
+
+TM_ON_EACH_BACKEND(ByMethod);
 
 /// A block on a tilted table rests if μ is larger than the slope; else it slides with g (sin θ − μ cos θ).
 TEST_P(SolidScene, ABlockOnATableRestsOrSlides) {

@@ -115,6 +115,21 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "cube" });
   });
 
+  it("shows frames in each codec, and says why a choice of frames is refused", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "coded", cells: 3 })) as number;
+    for (const choice of ["codec=float32", "codec=q16", "codec=delta&normals=true&rate_hz=30"]) {
+      const page = await open(`scene=coded&${choice}`);
+      await page.shows(vertexCount);
+      await page.draws(3);
+      expect((await page.state()).refused).toBe(0);
+      expect(page.errors).toEqual([]);
+      await page.close();
+    }
+    const page = await open("scene=coded&codec=h264");
+    await page.says("#notice", /codec 'h264' is unknown; take one of float32, q16, delta/);
+    await stack.ask("unload", { name: "coded" });
+  });
+
   it("reconnects after a crash of the daemon", async () => {
     const before = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");
@@ -218,16 +233,19 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "turned" });
   });
 
-  it("pauses, resumes and resets a scene for an operator", async () => {
+  it("pauses, steps, resumes and resets a scene for an operator", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");
     await page.shows(vertexCount);
     await page.says("#link", /Live/);
-    expect(await page.page.locator("#step").getAttribute("title")).toMatch(/Only a scene in lockstep/);
+    expect(await page.page.locator("#step").getAttribute("title")).toMatch(/A scene that runs does not step/);
     await page.page.locator("#pause").click();
     await page.says("#link", /Paused/);
     const paused = (await page.state()).step!;
     expect(paused).toBeGreaterThan(0);
+    await page.page.locator("#step").click();
+    await page.page.waitForFunction((step) => window.tensormass.state().step === step + 1, paused);
+    await page.says("#link", /Paused/);
 
     await page.page.keyboard.press("Home");
     await page.page.waitForFunction(() => window.tensormass.state().step === 0);
@@ -260,6 +278,9 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const inside = (x: number, y: number) => x > 250 && y < 560;
     expect(difference(before, unmoved, inside)).toBeGreaterThan(1);
     expect(difference(unmoved, bent, inside)).toBeGreaterThan(1);
+    await page.page.keyboard.press("n");
+    expect(difference(bent, await page.picture(), inside)).toBeGreaterThan(0.01); // dots at the fixed nodes
+    await page.page.keyboard.press("n");
 
     await page.page.locator("#display > summary").click();
     await page.page.locator("#colouring").selectOption("von_mises");

@@ -310,6 +310,30 @@ class EveryPair : public ::testing::Test {
     });
   }
 
+  /// Runs a check of derivatives at u along random directions, which all components of u have a part in.
+  ///
+  ///   check(direction, derivative)   derivative(function) is (function(u + h d) − function(u − h d)) / 2h
+  template <std::size_t count, class Check>
+  void for_each_direction(const Vec3<double> (&u)[count], const Check& check) {
+    for (int i = 0; i < kDirections; ++i) {
+      std::uniform_real_distribution<double> uniform(-1, 1);
+      Eigen::VectorXd direction(3 * count);
+      for (double& component : direction) component = uniform(random_);
+      check(direction, [&](const auto& function) {
+        constexpr double kStep = 1e-7;
+        Vec3<double> above[count], below[count];
+        for (std::size_t k = 0; k < count; ++k) {
+          const Vec3<double> change = kStep * direction.segment<3>(static_cast<Eigen::Index>(3 * k));
+          above[k] = u[k] + change;
+          below[k] = u[k] - change;
+        }
+        const auto high = function(above), low = function(below);
+        return std::decay_t<decltype(high)>((high - low) / (2 * kStep));
+      });
+    }
+  }
+
+  static constexpr int kDirections = 6;
   const std::array<double, Law::kParameterCount> parameters_ = testing::parameters<Law>();
   std::mt19937 random_{11};
 };
@@ -317,27 +341,19 @@ TYPED_TEST_SUITE(EveryPair, testing::AllLaws, testing::LawNames);
 
 TYPED_TEST(EveryPair, ForceAndStiffnessAreDerivativesOfTheEnergy) {
   using Law = TypeParam;
-  this->for_each_shape(1.5e-3, [&](auto tag, const auto&, const auto& rest, auto& u) {
-    using Shape = typename decltype(tag)::Type;
+  this->for_each_shape(1.5e-3, [&](auto, const auto&, const auto& rest, auto& u) {
     const double* p = this->parameters_.data();
     const auto tensors = element_tensors<Law>(rest, u, p, Stiffness::kConsistent);
     const Eigen::VectorXd f = force(tensors);
     const Eigen::MatrixXd k = stiffness(tensors);
     EXPECT_LT((k - k.transpose()).norm(), 1e-12 * k.norm());
-    const double h = 1e-7;
-    for (int i = 0; i < 3 * Shape::kNodes; ++i) {
-      double& component = u[i / 3][i % 3];
-      const double at = component;
-      component = at + h;
-      const double energy_above = element_energy<Law>(rest, u, p);
-      const Eigen::VectorXd above = force(element_tensors<Law>(rest, u, p, Stiffness::kConsistent));
-      component = at - h;
-      const double energy_below = element_energy<Law>(rest, u, p);
-      const Eigen::VectorXd below = force(element_tensors<Law>(rest, u, p, Stiffness::kConsistent));
-      component = at;
-      ASSERT_NEAR(f[i], -(energy_above - energy_below) / (2 * h), 1e-6 * f.norm()) << "component " << i;
-      ASSERT_LT((k.col(i) + (above - below) / (2 * h)).norm(), 1e-6 * k.norm()) << "column " << i;
-    }
+    this->for_each_direction(u, [&](const Eigen::VectorXd& direction, const auto& derivative) {
+      const double energy = derivative([&](const auto& at) { return element_energy<Law>(rest, at, p); });
+      const Eigen::VectorXd change =
+          derivative([&](const auto& at) { return force(element_tensors<Law>(rest, at, p, Stiffness::kConsistent)); });
+      EXPECT_NEAR(f.dot(direction), -energy, 1e-6 * f.norm());
+      EXPECT_LT((k * direction + change).norm(), 1e-6 * k.norm());
+    });
   });
 }
 
@@ -400,21 +416,21 @@ TYPED_TEST(EveryPair, InternalVariablesAddAConstantStress) {
   const Viscous<double> viscous{0.7, memory};
   this->for_each_shape(1.5e-3, [&](auto tag, const auto&, const auto& rest, auto& u) {
     using Shape = typename decltype(tag)::Type;
-    const auto evaluate = [&] {
+    const auto evaluate = [&](const Nodes<Shape>& at) {
       ElementTensors<Shape, double> out;
       bool first = true;
       rest.template for_each_point<Law>(
-          u, this->parameters_.data(), [&](const auto& gradients, const Mat3<double>& f, const double* p) {
+          at, this->parameters_.data(), [&](const auto& gradients, const Mat3<double>& f, const double* p) {
             auto point = Law::at(f, p);
             add_point<Shape, Law>(gradients, f, point, &viscous, Stiffness::kConsistent, first, out);
             first = false;
           });
       return out;
     };
-    const auto energy = [&] {
+    const auto energy_at = [&](const Nodes<Shape>& at) {
       double sum = 0;
       rest.template for_each_point<Law>(
-          u, this->parameters_.data(), [&](const auto& gradients, const Mat3<double>& f, const double* p) {
+          at, this->parameters_.data(), [&](const auto& gradients, const Mat3<double>& f, const double* p) {
             const Mat3<double> identity = Mat3<double>::Identity();
             const Mat3<double> strain = Law::kConstantStiffness ? Mat3<double>((f + f.transpose()) / 2 - identity)
                                                                 : Mat3<double>((f.transpose() * f - identity) / 2);
@@ -422,23 +438,14 @@ TYPED_TEST(EveryPair, InternalVariablesAddAConstantStress) {
           });
       return sum;
     };
-    const auto tensors = evaluate();
+    const auto tensors = evaluate(u);
     const Eigen::VectorXd f = force(tensors);
     const Eigen::MatrixXd k = stiffness(tensors);
-    const double h = 1e-7;
-    for (int i = 0; i < 3 * Shape::kNodes; ++i) {
-      double& component = u[i / 3][i % 3];
-      const double at = component;
-      component = at + h;
-      const double energy_above = energy();
-      const Eigen::VectorXd above = force(evaluate());
-      component = at - h;
-      const double energy_below = energy();
-      const Eigen::VectorXd below = force(evaluate());
-      component = at;
-      ASSERT_NEAR(f[i], -(energy_above - energy_below) / (2 * h), 1e-6 * f.norm());
-      ASSERT_LT((k.col(i) + (above - below) / (2 * h)).norm(), 1e-6 * k.norm());
-    }
+    this->for_each_direction(u, [&](const Eigen::VectorXd& direction, const auto& derivative) {
+      EXPECT_NEAR(f.dot(direction), -derivative(energy_at), 1e-6 * f.norm());
+      const Eigen::VectorXd change = derivative([&](const auto& at) { return force(evaluate(at)); });
+      EXPECT_LT((k * direction + change).norm(), 1e-6 * k.norm());
+    });
   });
 }
 

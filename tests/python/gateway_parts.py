@@ -101,10 +101,13 @@ def origin(gateway: Gateway) -> str:
 
 
 @contextlib.asynccontextmanager
-async def browse(gateway: Gateway, scene: str | None = None, token: str = OPERATOR_TOKEN) -> AsyncIterator[Page]:
+async def browse(
+    gateway: Gateway, scene: str | None = None, token: str = OPERATOR_TOKEN, choice: str = ""
+) -> AsyncIterator[Page]:
+    """A browser that watches `scene`. `choice` is what its address says of its frames, such as `codec=q16`."""
     async with (
         aiohttp.ClientSession() as session,
-        session.ws_connect(f"{origin(gateway)}/stream?token={token}", origin=origin(gateway)) as socket,
+        session.ws_connect(f"{origin(gateway)}/stream?token={token}&{choice}", origin=origin(gateway)) as socket,
     ):
         page = Page(socket)
         page.daemon = await page.text(lambda message: message["type"] == "daemon" and not message["problem"])

@@ -61,7 +61,7 @@ def run(python: Path, *arguments: str, folder: Path) -> subprocess.CompletedProc
 
 def test_the_list_of_extras_is_that_of_the_project() -> None:
     extras = PROJECT["optional-dependencies"]
-    assert set(EXTRAS) == set(extras) - {"dev", "plot"}
+    assert set(EXTRAS) == set(extras) - {"dev"}
     for extra, packages in EXTRAS.items():
         assert {name.lower() for name in packages} == {name_of(requirement) for requirement in extras[extra]}
 
@@ -121,11 +121,13 @@ except tm.NotFoundError as error:
     ("extra", "arguments"),
     [
         ("viewer", ["view"]),
+        ("desktop", ["view", "--desktop"]),
         ("viewer", ["run"]),
         ("meshes", ["run", "--no-viewer"]),
         ("modes", ["modes", "cantilever"]),
         ("record", ["record", "cantilever", "-o", "cantilever.mcap"]),
         ("record", ["replay", "cantilever.mcap"]),
+        ("record", ["plot", "cantilever.mcap", "-o", "cantilever.png"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else value,
 )

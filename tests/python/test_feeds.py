@@ -44,7 +44,8 @@ async def taken(outbox: Outbox) -> list[tuple[str, bytes]]:
     """All that waits, as (stream, payload)."""
     found = []
     while outbox._waiting:
-        key, payload = (await outbox.take()).split(b"\0", 1)
+        message = await outbox.take()
+        key, payload = (message if isinstance(message, bytes) else message.message).split(b"\0", 1)
         stream = key.decode().rpartition("/")[2]
         outbox.acknowledge(Stream(stream))
         found.append((stream, payload))

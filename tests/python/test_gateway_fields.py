@@ -162,7 +162,7 @@ async def test_unknown_scene_has_no_fields_and_an_unknown_field_is_refused(viewe
             assert await page.nothing_pending()
             assert daemon.asked_fields == []
             await page.send(type="field", name="temperature")
-            assert await page.closed() == (1008, "a field is one of von_mises, pressure, volume_ratio")
+            assert await page.closed() == (1008, "a field is one of von_mises, largest_strain, pressure, volume_ratio")
 
 
 @pytest.mark.parametrize("name", ["cantilever", "two_organs"])

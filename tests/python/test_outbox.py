@@ -7,7 +7,8 @@ import asyncio
 import pytest
 from asynchronous import asynchronous
 
-from tensormass_gateway.outbox import Outbox, ProtocolError, Stream
+from tensormass_gateway.outbox import Outbox, Pace, Stream
+from tensormass_gateway.requests import ProtocolError
 
 
 @asynchronous
@@ -81,3 +82,37 @@ async def test_outbox_counts_the_frames_that_its_browser_misses() -> None:
 async def test_outbox_refuses_an_acknowledgement_of_nothing() -> None:
     with pytest.raises(ProtocolError, match="none is on its way"):
         Outbox().acknowledge(Stream.FRAME)
+
+
+@asynchronous
+async def test_a_frame_waits_for_its_turn_and_is_then_the_newest() -> None:
+    now_s = 0.0
+    outbox = Outbox()
+    outbox.pace = Pace(lambda: now_s)
+    outbox.set_rate(100.0)
+    outbox.offer(Stream.FRAME, b"1")
+    assert await outbox.take() == b"1"
+    outbox.acknowledge(Stream.FRAME)
+    outbox.offer(Stream.FRAME, b"2")
+    waiting = asyncio.ensure_future(outbox.take())
+    # The outbox looks again after 10 ms of real time, but its own clock stands still.
+    assert not (await asyncio.wait([waiting], timeout=0.05))[0]
+    outbox.offer(Stream.FRAME, b"3")
+    now_s = 0.02
+    assert await waiting == b"3"
+
+
+@asynchronous
+async def test_other_streams_do_not_wait_for_the_rate_of_frames() -> None:
+    outbox = Outbox()
+    outbox.pace = Pace(lambda: 0.0)
+    outbox.set_rate(0.1)
+    outbox.offer(Stream.FRAME, b"1")
+    assert await outbox.take() == b"1"
+    outbox.acknowledge(Stream.FRAME)
+    outbox.offer(Stream.FRAME, b"2")
+    outbox.offer(Stream.STATUS, b"status")
+    assert await outbox.take() == b"status"
+    # Without a rate, the frame that waits leaves at once.
+    outbox.set_rate(None)
+    assert await outbox.take() == b"2"

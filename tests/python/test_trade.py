@@ -35,7 +35,7 @@ ORDERS = ("as_given", "quadratic")
 def test_a_grid_has_every_knob_and_the_scene_is_unchanged(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
     assert knobs.knobs.keys() >= {"resolution", "shape", "quadrature", "law", "dt_s", "integrator", "precision"}
-    assert knobs.without.keys() >= {"preconditioner", "contact", "stream codec"}
+    assert knobs.without.keys() >= {"preconditioner", "stream codec"}
     changed = knobs.apply({"resolution": 0.5, "law": "hencky", "dt_s": 0.01, "cg_tolerance": 0.1}).message()
     grid = changed.bodies[0].mesh.grid
     assert (grid.cells_x, grid.cells_y, grid.cells_z) == (2, 2, 2)
@@ -44,6 +44,15 @@ def test_a_grid_has_every_knob_and_the_scene_is_unchanged(tmp_path: Path) -> Non
     assert changed.stepping.dt_s == 0.01
     assert changed.solver.cg_tolerance == 0.1
     assert knobs.apply({}).fields == yaml.safe_load(BLOCK)
+
+
+def test_tools_take_the_contact_method(tmp_path: Path) -> None:
+    knobs = knobs_of(BLOCK, tmp_path)
+    assert knobs.knobs["contact_method"].own == "penalty"
+    changed = knobs.apply({"contact_method": "augmented_lagrangian"}).message()
+    assert [tool.contact_method for tool in changed.tools] == [scene_pb2.CONTACT_METHOD_AUGMENTED_LAGRANGIAN]
+    nothing = BLOCK[: BLOCK.index("tools:")] + BLOCK[BLOCK.index("solver:") :]
+    assert knobs_of(nothing, tmp_path).without["contact_method"] == "the scene has no tools"
 
 
 @pytest.mark.parametrize(

@@ -177,6 +177,11 @@ TEST_P(Analysis, PatchTest) {
     const Eigen::MatrixXd stress = one(*world, v1::FIELD_CAUCHY_STRESS);
     EXPECT_LT((stress.rowwise() - stress.row(0)).norm(), 1e-8 * stress.norm())
         << what << ": the stress is the same all over";
+    const Mat3<double> small = (gradient + gradient.transpose()) / 2;
+    const Mat3<double> strain =
+        body.law().has_hooke() ? small : Mat3<double>(small + gradient.transpose() * gradient / 2);
+    const double largest = Eigen::SelfAdjointEigenSolver<Mat3<double>>(strain).eigenvalues()[2];
+    EXPECT_LT((one(*world, v1::FIELD_LARGEST_STRAIN).array() - largest).abs().maxCoeff(), 1e-9) << what;
   };
   for (const v1::Shape shape : tests::shapes()) {
     for (const auto quadrature : {v1::QUADRATURE_FULL, v1::QUADRATURE_SELECTIVE}) {

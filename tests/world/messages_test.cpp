@@ -1,5 +1,6 @@
 #include "world/messages.h"
 
+#include <algorithm>
 #include <cstring>
 
 #include <gtest/gtest.h>
@@ -43,6 +44,25 @@ TEST(Messages, TopologyNamesEachBodysShareOfTheFrame) {
   EXPECT_EQ(topology.tools(0).name(), "probe");
   EXPECT_EQ(topology.tools(0).radius_m(), 0.01);
   EXPECT_EQ(topology.tools(0).tool().spherical_probe().radius_m(), 0.01) << "as the scene describes it";
+}
+
+/// The block's bottom is fixed: 3 × 3 nodes of a grid of 2 × 2 cells across.
+TEST(Messages, TopologyNamesFixedVertices) {
+  const model::Model model = two_bodies_and_a_probe();
+  const v1::Topology topology = make_topology(model, 1);
+  for (int b = 0; b < 2; ++b) {
+    const model::BodyModel& body = model.bodies[static_cast<std::size_t>(b)];
+    const std::string& bytes = topology.bodies(b).fixed_vertices();
+    std::vector<std::uint32_t> fixed(bytes.size() / 4);
+    std::memcpy(fixed.data(), bytes.data(), bytes.size());
+    EXPECT_EQ(fixed.size(), 9u);
+    EXPECT_TRUE(std::is_sorted(fixed.begin(), fixed.end()));
+    for (const std::uint32_t vertex : fixed) {
+      ASSERT_LT(vertex, body.vertex_count);
+      const std::uint32_t row = model.layout.row_of_node[body.node_begin + body.vertex_nodes[vertex]];
+      EXPECT_EQ(model.rest[4 * std::size_t{row} + 1], 0) << "at the bottom";
+    }
+  }
 }
 
 TEST(Messages, FeedbackEchoesThePoseAndCarriesTheLocalModel) {

@@ -101,7 +101,7 @@ TEST_F(ARecording, SaysAtItsEndWhichLastStepsWereLost) {
   EXPECT_FALSE(recording.take(response)) << "once is enough";
 }
 
-TEST_F(ARecording, AStepIsLostWithItsPosesIfThoseFindNoRoom) {
+TEST_F(ARecording, AStepIsLostTogetherWithItsPoses) {
   Recording recording(*model, {.room_for_steps = 2});
   for (int i = 0; i < 3; ++i) {
     recording.take_pose(0, {});

@@ -178,6 +178,24 @@ TEST_P(Running, StepsByTheClockUntilPausedAndAgainWhenResumed) {
   EXPECT_TRUE(eventually([&] { return runner->status().step() >= paused->step() + 5; }));
 }
 
+TEST_P(Running, APausedSceneStepsByHandAndStaysPaused) {
+  v1::Scene scene = running_scene(200);
+  tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
+  const auto runner = load(scene);
+  const auto paused = runner->pause();
+  ASSERT_TRUE(paused);
+  const auto stepped = runner->step(3);
+  ASSERT_TRUE(stepped);
+  EXPECT_EQ(stepped->step(), paused->step() + 3);
+  EXPECT_EQ(stepped->state(), v1::SceneStatus::STATE_PAUSED);
+  EXPECT_EQ(norm(runner->feedback("probe")->force_n()), 0) << "a paused scene pushes nobody";
+  v1::Frame frame;
+  ASSERT_TRUE(runner->take_frame(frame));
+  EXPECT_EQ(frame.step(), stepped->step());
+  ASSERT_TRUE(runner->resume());
+  EXPECT_TRUE(eventually([&] { return runner->status().step() >= stepped->step() + 5; }));
+}
+
 TEST_P(Running, PausePublishesZeroForces) {
   v1::Scene scene = running_scene(200);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);

@@ -33,6 +33,7 @@ from tensormass._src.laws import law_message
 from tensormass._src.mesh_files import read_mesh, read_surface, write_mesh
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
 from tensormass._src.node_conditions import schedule_message
+from tensormass._src.notebook import show_messages as _show_messages
 from tensormass._src.poses import PoseSender
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import FrameStream, SceneHandle
@@ -79,3 +80,5 @@ __all__ = [
     "write_mesh",
     "young_poisson",
 ]
+
+_show_messages()

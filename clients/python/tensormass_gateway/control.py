@@ -14,8 +14,7 @@ from tensormass._src.errors import TensormassError
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2
 from tensormass_gateway.daemon import Daemon
-from tensormass_gateway.outbox import ProtocolError
-from tensormass_gateway.requests import is_name
+from tensormass_gateway.requests import ProtocolError, is_name
 
 MAX_STEPS = 1000
 """Largest number of steps of one command."""

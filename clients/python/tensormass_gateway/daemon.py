@@ -19,7 +19,8 @@ import zmq.asyncio
 from tensormass._src.endpoints import reached_endpoints
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.feed import MAX_BUS_MESSAGE_BYTES, RPC_TIMEOUT_S, Feed
-from tensormass_gateway.outbox import ProtocolError, Watcher
+from tensormass_gateway.outbox import Watcher
+from tensormass_gateway.requests import ProtocolError
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,10 @@ import zmq.asyncio
 from google.protobuf.message import DecodeError, Message
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
+from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.fields import FieldPoll
+from tensormass_gateway.normals import Triangles
+from tensormass_gateway.outbox import Message as Outgoing
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.surface import MismatchError, rest_positions
 from tensormass_gateway.tasks import background
@@ -31,6 +34,9 @@ RPC_TIMEOUT_S = 5.0
 
 BUS_STREAMS = (Stream.TOPOLOGY, Stream.STATUS, Stream.FRAME)
 """Streams that come from the bus. The gateway makes the others."""
+
+ENCODED_FRAME = "encoded_frame"
+"""Name in the key of a frame that is not the bus's own. In the outbox it is a frame like others."""
 
 
 class Bus(Protocol):
@@ -53,7 +59,8 @@ class Feed:
         self.step: int | None = None
         """Step of the newest frame or status; None before the first."""
         self._daemon = daemon
-        self._latest: dict[Stream, bytes] = {}
+        self._latest: dict[Stream, Outgoing] = {}
+        self._triangles: Triangles | None = None
         self._last_sequence = 0
         self._tasks: list[asyncio.Task[None]] = []
         self._fields = FieldPoll(self)
@@ -145,7 +152,7 @@ class Feed:
                     control_pb2.GetFrameRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
                 )
                 if Stream.FRAME not in self._latest and reply.frame.positions:
-                    self._publish(Stream.FRAME, self._message(Stream.FRAME, reply.frame))
+                    self._publish(Stream.FRAME, self._shared(self._message(Stream.FRAME, reply.frame), reply.frame))
         except grpc.aio.AioRpcError as error:
             # Scene or daemon ended meanwhile; the next poll finds out.
             log.info("scene %s: %s", self.scene, error.details())
@@ -159,6 +166,7 @@ class Feed:
     def _set_topology(self, topology: stream_pb2.Topology) -> None:
         if topology != self.topology:
             self.topology = topology
+            self._triangles = self._read_triangles(topology)
             self._latest.pop(Stream.FRAME, None)
             self._latest.pop(Stream.REST, None)
             self._publish(Stream.TOPOLOGY, self._message(Stream.TOPOLOGY, topology))
@@ -181,14 +189,24 @@ class Feed:
             await self._fetch_topology()
         self._last_sequence = frame.sequence
         self.step = frame.step
-        self._publish(Stream.FRAME, self.key(Stream.FRAME) + payload)
+        self._publish(Stream.FRAME, self._shared(self.key(Stream.FRAME) + payload, frame))
 
-    def _publish(self, stream: Stream, message: bytes) -> None:
+    def _shared(self, message: bytes, frame: stream_pb2.Frame) -> SharedFrame:
+        return SharedFrame(message, self.key(ENCODED_FRAME), frame, self._triangles)
+
+    def _read_triangles(self, topology: stream_pb2.Topology) -> Triangles | None:
+        try:
+            return Triangles(topology)
+        except ValueError as error:
+            log.warning("scene %s: its frames get no normals: %s", self.scene, error)
+            return None
+
+    def _publish(self, stream: Stream, message: Outgoing) -> None:
         self._latest[stream] = message
         for watcher in self.watchers:
             watcher.outbox.offer(stream, message)
 
-    def key(self, stream: Stream) -> bytes:
+    def key(self, stream: str) -> bytes:
         """Returns the key of a stream, with its zero byte."""
         return f"tensormass/{self._daemon.version.server}/{self.scene}/{stream}\0".encode()
 

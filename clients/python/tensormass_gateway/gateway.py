@@ -10,23 +10,28 @@ for each stream.
 
 On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged. Two
 streams are made here, of scenes that this gateway or its program loaded: `rest`, a Frame with the rest positions, and
-`field`, an element field on the surface (fields.py). Text messages are JSON objects with a `type`:
+`field`, an element field on the surface (fields.py). A browser may choose a codec, a rate and normals for its frames,
+in the address or by a message `frames` (choice.py). Frames of a chosen codec have the key `encoded_frame` in place of
+`frame`, and are acknowledged as `frame` too (gateway.proto). Text messages are JSON objects with a `type`:
 
     gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
                                   field_scenes, operator (whether this browser may control), poses_allowed
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
                          result   id, action, scene of a command; error (empty: it succeeded)
+                         frames   codec, rate_hz, normals that hold now; error (empty: as asked)
     browser -> gateway   watch    scene
-                         ack      stream
+                         ack      stream; keyframe (codec delta): the one that the browser has
                          clock    client_time_ms
-                         field    name: von_mises, pressure, volume_ratio; empty: no field
+                         frames   codec: float32, q16, delta; rate_hz (null: every frame); normals
+                         field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
                          control  id, action, scene; steps (1), lockstep (false)   (operators)
 
 The actions are pause, resume, step, reset, load and unload (control.py). `load` takes the name of a built-in scene.
 Its result has the name under which the scene runs. A pose's orientation is a quaternion of any length but zero.
 Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this protocol is closed
-with code 1008 and the reason.
+with code 1008 and the reason. A choice that there is not is answered with its error instead, and the choice before
+holds.
 
 admission.py says who may connect.
 """
@@ -45,12 +50,15 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from tensormass._src import demo
 from tensormass.v1 import scene_pb2
 from tensormass_gateway.admission import Admission, secure_headers
+from tensormass_gateway.choice import Choice, ChoiceError, choice_of
 from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, read_command
 from tensormass_gateway.daemon import Daemon
+from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.options import GatewayOptions
-from tensormass_gateway.outbox import ProtocolError, Stream, Watcher
+from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.requests import (
     MAX_COORDINATE_M,
+    ProtocolError,
     finite_number,
     finite_numbers,
     is_name,
@@ -72,14 +80,20 @@ HEARTBEAT_S = 15.0
 class Browser(Watcher):
     """One connected viewer."""
 
-    def __init__(self, socket: web.WebSocketResponse, *, operator: bool) -> None:
+    def __init__(self, socket: web.WebSocketResponse, choice: Choice, *, operator: bool) -> None:
         super().__init__()
+        self.choose(choice)
         self.socket = socket
         self.operator = operator
         self.commands: set[asyncio.Task[None]] = set()
         """Commands that are not answered yet."""
         self._daemon_state: dict[str, Any] | None = None
         self._wake = asyncio.Event()
+
+    def choose(self, choice: Choice) -> None:
+        """Takes a choice of frames, from the next frame on."""
+        self.encoder.choice = choice
+        self.outbox.set_rate(choice.rate_hz)
 
     def tell_daemon_state(self, state: dict[str, Any]) -> None:
         """Sends the state of the daemon as soon as the socket takes it. A newer state replaces a waiting one."""
@@ -94,7 +108,10 @@ class Browser(Watcher):
 
     async def send_messages(self) -> None:
         while True:
-            await self.socket.send_bytes(await self.outbox.take())
+            message = await self.outbox.take()
+            if isinstance(message, SharedFrame):
+                message = await self.encoder.encode(message)
+            await self.socket.send_bytes(message)
 
 
 class Gateway:
@@ -139,7 +156,7 @@ class Gateway:
         return {
             "daemon": self._daemon.state(),
             "browsers": [
-                {"scene": browser.scene, "replaced": browser.outbox.replaced}
+                {"scene": browser.scene, "codec": browser.encoder.choice.codec, "replaced": browser.outbox.replaced}
                 for browser in sorted(self._browsers, key=lambda browser: browser.client_id)
             ],
             "refused_connections": self._admission.refused_connections,
@@ -190,12 +207,14 @@ class Gateway:
 
     async def _ask_admission(self, request: web.Request) -> web.Response:
         self._admission.check(request, len(self._browsers))
+        _choice_of(request)
         return web.Response(status=204)
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         self._admission.check(request, len(self._browsers))
+        choice = _choice_of(request)
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
-        browser = Browser(socket, operator=self._admission.is_operator(request))
+        browser = Browser(socket, choice, operator=self._admission.is_operator(request))
         # Counts the browser before the handshake, so that no burst passes the limit.
         self._browsers.add(browser)
         senders: list[asyncio.Task[None]] = []
@@ -231,6 +250,10 @@ class Gateway:
                 if stream not in set(Stream):
                     raise ProtocolError(f"acknowledged {stream!r}, which is not a stream")
                 browser.outbox.acknowledge(Stream(stream))
+                if stream == Stream.FRAME:
+                    await self._take_keyframe(browser, request.get("keyframe"))
+            case {"type": "frames"}:
+                await self._choose(browser, {key: value for key, value in request.items() if key != "type"})
             case {"type": "clock", "client_time_ms": client_time_ms}:
                 if finite_number(client_time_ms) is None:
                     raise ProtocolError("client_time_ms is not a finite number")
@@ -269,6 +292,20 @@ class Gateway:
             case _:
                 raise ProtocolError("a message's type or fields are unknown")
 
+    async def _choose(self, browser: Browser, request: dict[str, Any]) -> None:
+        error = ""
+        try:
+            browser.choose(browser.encoder.choice.changed(request))
+        except ChoiceError as refusal:
+            error = str(refusal)
+        await browser.socket.send_json(browser.encoder.choice.message(error))
+
+    async def _take_keyframe(self, browser: Browser, keyframe: object) -> None:
+        try:
+            browser.encoder.acknowledge(keyframe)
+        except ChoiceError as refusal:
+            await browser.socket.send_json(browser.encoder.choice.message(str(refusal)))
+
     async def _execute(self, browser: Browser, command: Command, *, crowded: bool) -> None:
         """Executes a command and answers it. Frames keep flowing meanwhile, because a load takes long."""
         error, scene = "", command.scene
@@ -298,6 +335,14 @@ class Gateway:
     def _announce(self) -> None:
         for browser in self._browsers:
             browser.tell_daemon_state(self._daemon_state(browser))
+
+
+def _choice_of(request: web.Request) -> Choice:
+    """Returns the choice in the address of a request, or refuses it with the reason."""
+    try:
+        return choice_of(request.query)
+    except ChoiceError as error:
+        raise web.HTTPBadRequest(text=f"{error}\n") from error
 
 
 @contextlib.asynccontextmanager

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import enum
 import secrets
+import time
+from collections.abc import Callable
+from typing import TypeAlias
+
+from tensormass_gateway.encoding import FrameEncoder, SharedFrame
+from tensormass_gateway.requests import ProtocolError
 
 
 class Stream(enum.StrEnum):
@@ -21,19 +28,44 @@ OF_THE_TOPOLOGY = frozenset({Stream.REST, Stream.FRAME, Stream.FIELD})
 """Streams whose messages have a value for each vertex."""
 
 
-class ProtocolError(Exception):
-    """A browser broke the protocol. The text is sent back as the reason for closing."""
+Message: TypeAlias = bytes | SharedFrame
+"""Bytes as they leave, or a frame that each browser gets in its own codec."""
+
+
+class Pace:
+    """Limits how many frames leave in a second. Frames that come irregularly still reach the rate on average."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._period_s = 0.0
+        self._due_s = clock()
+
+    def set_rate(self, rate_hz: float | None) -> None:
+        """Limits the rate from now on; None: no limit."""
+        self._period_s = 0.0 if rate_hz is None else 1 / rate_hz
+        self._due_s = min(self._due_s, self._clock() + self._period_s)
+
+    def wait_s(self) -> float:
+        """Returns the time until the next frame may leave; zero: now."""
+        return max(0.0, self._due_s - self._clock()) if self._period_s > 0 else 0.0
+
+    def leave(self) -> None:
+        """Takes note that a frame leaves now."""
+        now_s = self._clock()
+        late = now_s - self._due_s >= self._period_s
+        self._due_s = (now_s if late else self._due_s) + self._period_s
 
 
 class Outbox:
     """Messages for one browser: the newest of each stream waits, and at most one of each is not yet acknowledged."""
 
     def __init__(self) -> None:
+        self.pace = Pace()
         self.replaced = 0
         """Number of frames of this scene that the browser missed, because newer ones replaced them here."""
         self._replaced_since_frame = 0
         self._frame_left = False
-        self._waiting: dict[Stream, bytes] = {}
+        self._waiting: dict[Stream, Message] = {}
         self._on_the_way: set[Stream] = set()
         self._changed = asyncio.Event()
 
@@ -42,7 +74,7 @@ class Outbox:
         """Tells whether the browser has acknowledged the newest topology."""
         return Stream.TOPOLOGY not in self._waiting and Stream.TOPOLOGY not in self._on_the_way
 
-    def offer(self, stream: Stream, message: bytes) -> None:
+    def offer(self, stream: Stream, message: Message) -> None:
         """Puts `message` into its slot and replaces the one that waited there."""
         if stream is Stream.TOPOLOGY:
             self._drop_values()
@@ -64,7 +96,12 @@ class Outbox:
         self._on_the_way.remove(stream)
         self._changed.set()
 
-    async def take(self) -> bytes:
+    def set_rate(self, rate_hz: float | None) -> None:
+        """Limits the rate of frames; None: every frame leaves."""
+        self.pace.set_rate(rate_hz)
+        self._changed.set()
+
+    async def take(self) -> Message:
         """Waits for a message that may leave."""
         while True:
             for stream in Stream:
@@ -72,14 +109,26 @@ class Outbox:
                     self._on_the_way.add(stream)
                     if stream is Stream.FRAME:
                         self._count_frame()
+                        self.pace.leave()
                     return self._waiting.pop(stream)
             self._changed.clear()
-            await self._changed.wait()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._frame_due_in_s()):
+                    await self._changed.wait()
 
     def _may_leave(self, stream: Stream) -> bool:
+        if stream is Stream.FRAME and self.pace.wait_s() > 0:
+            return False
+        return self._has_way(stream)
+
+    def _has_way(self, stream: Stream) -> bool:
         # A browser must not get values that do not fit what it draws.
         held_back = stream in OF_THE_TOPOLOGY and Stream.TOPOLOGY in self._waiting
         return stream in self._waiting and stream not in self._on_the_way and not held_back
+
+    def _frame_due_in_s(self) -> float | None:
+        """Returns the time until the frame may leave that only the rate holds back; None: there is none."""
+        return self.pace.wait_s() if self._has_way(Stream.FRAME) else None
 
     def _count_frame(self) -> None:
         if self._frame_left:
@@ -100,6 +149,7 @@ class Watcher:
 
     def __init__(self) -> None:
         self.outbox = Outbox()
+        self.encoder = FrameEncoder()
         self.scene: str | None = None
         self.field = ""
         """Element field that it shows as colours; empty: none."""

@@ -6,10 +6,12 @@ import json
 import math
 from typing import Any
 
-from tensormass_gateway.outbox import ProtocolError
-
 MAX_COORDINATE_M = 1e6
 """Largest coordinate of a pose. The daemon has the same limit."""
+
+
+class ProtocolError(Exception):
+    """A browser broke the protocol. The text is sent back as the reason for closing."""
 
 
 def is_name(text: str) -> bool:

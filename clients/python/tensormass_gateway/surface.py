@@ -86,6 +86,7 @@ class SurfaceMap:
 
 FIELDS = {
     "von_mises": control_pb2.FIELD_VON_MISES_STRESS,
+    "largest_strain": control_pb2.FIELD_LARGEST_STRAIN,
     "pressure": control_pb2.FIELD_CAUCHY_STRESS,
     "volume_ratio": control_pb2.FIELD_DET_F,
 }

@@ -18,14 +18,14 @@ from types import FrameType
 
 from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
 from tensormass._src.demo import builtin_scenes
-from tensormass._src.errors import TensormassError
+from tensormass._src.errors import InvalidArgumentError, TensormassError
 from tensormass._src.extras import require
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import export, hand, load_test, modes, recording, run, solve
+from tensormass_tools import desktop, export, hand, load_test, modes, recording, run, solve
 from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
@@ -165,6 +165,12 @@ def _parser() -> argparse.ArgumentParser:
     recording.add_replay_arguments(sub)
     sub.set_defaults(command=recording.run_replay)
 
+    sub = commands.add_parser(
+        "plot", parents=[json_option], help="draw forces, step time and rate of a recording over time"
+    )
+    recording.add_plot_arguments(sub)
+    sub.set_defaults(command=recording.run_plot)
+
     sub = commands.add_parser("load", parents=[server, json_option], help="load a scene into a running daemon")
     sub.add_argument("scene", help=_SCENE_HELP)
     sub.add_argument("--name", help="name that replaces the scene's own")
@@ -215,7 +221,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.set_defaults(command=_mesh)
 
-    sub = commands.add_parser("view", parents=[server, json_option], help="viewer for a running daemon")
+    sub = commands.add_parser(
+        "view", parents=[server, json_option], help="viewer for a running daemon, in a browser or a window"
+    )
+    desktop.add_arguments(sub)
     add_gateway_arguments(sub)
     sub.set_defaults(command=_view)
 
@@ -312,6 +321,11 @@ def _inspect(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
+    if args.desktop:
+        return desktop.run(args)
+    for option, value in (("scene", args.scene), ("--screenshot", args.screenshot)):
+        if value is not None:
+            raise InvalidArgumentError(f"{option} {value}: needs --desktop")
     require("viewer", "view")
     from tensormass_gateway import command
 

@@ -1,7 +1,8 @@
 // Connects the gateway's stream to the store, and the store to the picture and the readings.
 //
 // Parameters of the address: ?token= as the gateway prints it; ?scene= names the scene to show (default: the first that
-// runs); ?quality=high|low (default: high with a GPU, low without).
+// runs); ?quality=high|low (default: high with a GPU, low without); ?codec=float32|q16|delta (default: q16), ?rate_hz= and
+// ?normals= choose the frames that the gateway sends (docs/protocol.md).
 import "./panel/panel.css";
 import "./style.css";
 
@@ -9,6 +10,8 @@ import { find } from "./dom";
 import { Hud } from "./hud";
 import { Controls, controlState, type Action } from "./panel/controls";
 import { Display } from "./panel/display";
+import { download } from "./panel/download";
+import { filmOf } from "./panel/film";
 import { listenToKeys } from "./panel/keys";
 import { LegendPanel, Toast } from "./panel/legend";
 import { savePicture } from "./panel/picture";
@@ -23,9 +26,12 @@ import {
   decodeStatus,
   decodeTopology,
   splitMessage,
+  type BusMessage,
+  type Frame,
   type StreamName,
   type Vector,
 } from "./stream/decode";
+import { FrameDecoder } from "./stream/encoded";
 import { SceneStore } from "./stream/store";
 import { colourTable } from "./view/colouring";
 import type { Hand } from "./view/drag";
@@ -35,6 +41,17 @@ import { Viewer } from "./view/viewer";
 
 const READINGS_INTERVAL_MS = 250;
 const RATE_WINDOW_MS = 2000;
+/** Number of frames whose costs the page remembers. */
+const COSTS_KEPT = 300;
+
+/** What a frame cost this page [ms]. */
+interface Costs {
+  readonly atMs: number;
+  readonly bytes: number;
+  readonly decodeMs: number;
+  readonly prepareMs: number;
+  readonly renderMs: number;
+}
 
 const address = new URL(window.location.href);
 const token = address.searchParams.get("token") ?? "";
@@ -55,6 +72,8 @@ let field: string | null = null;
 let valuesRevision = 0;
 let replaced = 0;
 let drawn: { atMs: number; ageMs: number | null }[] = [];
+let decoded = { bytes: 0, decodeMs: 0 };
+const costs: Costs[] = [];
 
 const hud = new Hud({
   pickScene(scene) {
@@ -68,14 +87,24 @@ const hud = new Hud({
 const viewer = openViewer();
 const controls = new Controls({ command: (action, options) => void command(action, options) });
 
-const streamAddress = `//${address.host}/stream?token=${encodeURIComponent(token)}`;
+const frameDecoder = new FrameDecoder();
+const streamAddress = `//${address.host}/stream?${streamQuery().toString()}`;
 const connection = new Connection({
   url: `${address.protocol === "https:" ? "wss:" : "ws:"}${streamAddress}`,
   events: { onLink, onDaemon, onMessage, onClock },
   diagnose,
 });
 
-const display = new Display({ change: changeDisplay, setZero: () => store.setZero(), takePicture });
+const display = new Display({ change: changeDisplay, setZero: () => store.setZero(), takePicture, film: toggleFilm });
+const film = filmOf(find("#view", HTMLCanvasElement), {
+  onRunning(running) {
+    viewer.holdSize(running);
+    display.showFilm(running);
+  },
+  onFilm: download,
+  onError: (text) => toast.show(text, "bad"),
+});
+display.showFilm(film.possible ? false : null);
 const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
 listenToKeys({
   " ": () => controls.press("pause"),
@@ -84,9 +113,11 @@ listenToKeys({
   r: () => viewer.resetView(),
   t: () => display.change({ tools: !display.settings.tools }),
   w: () => display.change({ wireframe: !display.settings.wireframe }),
+  n: () => display.change({ fixedNodes: !display.settings.fixedNodes }),
   a: () => display.change({ rulers: !display.settings.rulers }),
   c: () => display.nextColouring(),
   p: takePicture,
+  f: toggleFilm,
   d: () => find("#display", HTMLDetailsElement).toggleAttribute("open"),
   Escape: () => {
     hud.hideNotice();
@@ -119,14 +150,17 @@ Object.assign(window, {
       ...store.counters,
     }),
     project: (point: Vector) => viewer.project(point),
+    costs: () => costs,
   },
 });
 
 function openViewer(): Viewer {
   try {
     return new Viewer(find("#view", HTMLCanvasElement), find("#labels", HTMLElement), store, quality, loadSettings(), {
-      onDrawn(serverTimeNs) {
+      onDrawn(serverTimeNs, prepareMs, renderMs) {
         const atMs = performance.now();
+        costs.push({ atMs, ...decoded, prepareMs, renderMs });
+        costs.splice(0, costs.length - COSTS_KEPT);
         drawn.push({ atMs, ageMs: store.followsAnother ? clock.ageMs(serverTimeNs, atMs) : null });
       },
       onToolMoved: moveTool,
@@ -141,7 +175,20 @@ function openViewer(): Viewer {
   }
 }
 
+/** The token, and what this page chooses of its frames. The gateway refuses a choice that there is not, in words. */
+function streamQuery(): URLSearchParams {
+  const query = new URLSearchParams({ token, codec: "q16" });
+  for (const name of ["codec", "rate_hz", "normals"]) {
+    const value = address.searchParams.get(name);
+    if (value !== null) {
+      query.set(name, value);
+    }
+  }
+  return query;
+}
+
 function onLink(state: LinkState): void {
+  frameDecoder.reset();
   if (state.kind === "lost" || state.kind === "refused") {
     forget();
     daemon = null;
@@ -216,7 +263,8 @@ function onMessage(data: ArrayBuffer): void {
           store.setTopology(decodeTopology(message.payload));
           break;
         case "frame":
-          store.setFrame(decodeFrame(message.payload));
+        case "encoded_frame":
+          store.setFrame(decodeAndTime(message));
           plotForces();
           break;
         case "rest":
@@ -238,12 +286,20 @@ function onMessage(data: ArrayBuffer): void {
     store.refuse(reason, stream);
   }
   if (stream !== null) {
-    connection.acknowledge(stream);
+    const isFrame = stream === "frame" || stream === "encoded_frame";
+    connection.acknowledge(stream, isFrame ? frameDecoder.keyframe : null);
   }
   if (valuesRevision !== store.valuesRevision) {
     valuesRevision = store.valuesRevision;
     viewer.recolour();
   }
+}
+
+function decodeAndTime({ stream, payload }: BusMessage): Frame {
+  const beganMs = performance.now();
+  const frame = frameDecoder.decode(stream, payload);
+  decoded = { bytes: payload.length, decodeMs: performance.now() - beganMs };
+  return frame;
 }
 
 function onClock(reply: ClockReply, receivedMs: number): void {
@@ -261,7 +317,7 @@ async function diagnose(): Promise<Diagnosis> {
     if (reply.ok) {
       return { reason: "the gateway answers, but no WebSocket gets through to it", final: false };
     }
-    return { reason: await reply.text(), final: reply.status === 403 };
+    return { reason: await reply.text(), final: reply.status === 403 || reply.status === 400 };
   } catch {
     return { reason: "the gateway does not answer", final: false };
   }
@@ -361,8 +417,17 @@ function askForField(settings: Settings = display.settings): void {
 }
 
 function takePicture(): void {
+  savePicture(viewer.drawForPicture(), colourTable(), nameOfFile());
+}
+
+function toggleFilm(): void {
+  film.toggle(nameOfFile());
+}
+
+/** The name of a picture or film without its ending: the scene and its time. */
+function nameOfFile(): string {
   const time = store.frame === null ? "" : `-${store.frame.simulatedTimeS.toFixed(2)}s`;
-  savePicture(viewer.drawForPicture(), colourTable(), `tensormass-${watched ?? "empty"}${time}`);
+  return `tensormass-${watched ?? "empty"}${time}`;
 }
 
 /** Shows what the pointer can do with the tool below it. */

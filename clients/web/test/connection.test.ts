@@ -158,6 +158,29 @@ describe("Connection", () => {
     expect(FakeSocket.last.of("ack")).toHaveLength(3);
   });
 
+  it("acknowledges an encoded frame as a frame, with the keyframe that the page has", () => {
+    FakeSocket.last.open();
+    connection.acknowledge("encoded_frame", 3);
+    connection.acknowledge("frame", null);
+    connection.setPaused(true);
+    connection.acknowledge("encoded_frame", 4);
+    connection.setPaused(false);
+    expect(FakeSocket.last.of("ack")).toEqual([
+      { type: "ack", stream: "frame", keyframe: 3 },
+      { type: "ack", stream: "frame" },
+      { type: "ack", stream: "frame", keyframe: 4 },
+    ]);
+  });
+
+  it("warns when the gateway refuses a choice of frames", () => {
+    const warn = vi.spyOn(console, "warn").mockReturnValue();
+    FakeSocket.last.open();
+    FakeSocket.last.onmessage?.({ data: '{"type":"frames","codec":"q16","rate_hz":null,"normals":false,"error":""}' });
+    expect(warn).not.toHaveBeenCalled();
+    FakeSocket.last.onmessage?.({ data: '{"type":"frames","error":"keyframe 7 was never sent"}' });
+    expect(warn).toHaveBeenCalledWith(expect.stringContaining("keyframe 7 was never sent"));
+  });
+
   it("owes a new connection no acknowledgements", async () => {
     FakeSocket.last.open();
     connection.setPaused(true);

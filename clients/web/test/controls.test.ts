@@ -15,10 +15,11 @@ describe("controlState", () => {
     expect(inState(SceneState.PAUSED)).toMatchObject({ pauses: false, pause: null, reset: null });
   });
 
-  it("steps only a scene in lockstep, which it does not pause", () => {
+  it("steps a scene that stands, and does not pause one in lockstep", () => {
     expect(inState(SceneState.LOCKSTEP)).toMatchObject({ step: null, pause: expect.stringMatching(/lockstep/) as string });
-    for (const state of [SceneState.RUNNING, SceneState.PAUSED, SceneState.FAULTED]) {
-      expect(inState(state).step).toMatch(/lockstep/);
+    expect(inState(SceneState.PAUSED).step).toBeNull();
+    for (const state of [SceneState.RUNNING, SceneState.FAULTED]) {
+      expect(inState(state).step).toMatch(/by hand/);
     }
   });
 

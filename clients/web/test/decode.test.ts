@@ -73,6 +73,11 @@ describe("decodeTopology", () => {
     expect(() => decodeTopology(topologyBytes({ bodies }))).toThrow(/body "liver": triangle 1 names vertex 3 of 3/);
   });
 
+  it("names the fixed vertex that its body does not have", () => {
+    const bodies = [{ name: "liver", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2), fixedVertices: u32(2, 0, 4) }];
+    expect(() => decodeTopology(topologyBytes({ bodies }))).toThrow(/body "liver": fixed vertex 2 names vertex 4 of 3/);
+  });
+
   it("refuses bodies that overlap", () => {
     const body = { name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2) };
     expect(() => decodeTopology(topologyBytes({ bodies: [body, { ...body, name: "b", firstVertex: 2 }] }))).toThrow(
@@ -82,7 +87,7 @@ describe("decodeTopology", () => {
 
   it("refuses an incomplete triangle, a tool without size and a colour that is not finite", () => {
     const torn = [{ name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2).subarray(0, 11) }];
-    expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/11 bytes of triangles/);
+    expect(() => decodeTopology(topologyBytes({ bodies: torn }))).toThrow(/triangle: 11 bytes are not a multiple of 12/);
     for (const radiusM of [0, -1, NaN, 1e6]) {
       expect(() => decodeTopology(topologyBytes({ tools: [{ name: "p", radiusM }] }))).toThrow(`radius_m is ${radiusM}`);
     }

@@ -19,7 +19,7 @@ export const DAEMON: DaemonState = {
 };
 
 /** Fields of a message to set. */
-type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
+export type Fields<Schema extends DescMessage> = Exclude<MessageInitShape<Schema>, Message>;
 
 export function u32(...values: number[]): Uint8Array {
   return new Uint8Array(Uint32Array.from(values).buffer);
@@ -37,7 +37,7 @@ export function topologyBytes(change: Fields<typeof TopologySchema> = {}): Uint8
       scene: "liver",
       version: 7n,
       bodies: [
-        { name: "liver", firstVertex: 0, vertexCount: 4, triangles: u32(0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2) },
+        { name: "liver", firstVertex: 0, vertexCount: 4, triangles: u32(0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2), fixedVertices: u32(1, 3) },
         { name: "vein", firstVertex: 4, vertexCount: 3, triangles: u32(0, 1, 2), colorSrgb: { x: 0.1, y: 0.2, z: 0.9 } },
       ],
       tools: [{ name: "probe", radiusM: 0.005, tipOffsetM: { x: 0, y: 0, z: -0.1 } }],

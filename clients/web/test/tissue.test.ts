@@ -33,6 +33,19 @@ it("paints a body in its colour, or in one of the palette", () => {
   expect(liver!.equals(vein!)).toBe(false);
 });
 
+it("marks fixed vertices, which move with the surface", () => {
+  const { positions } = decodeFrame(frameBytes());
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const points = meshesOf(tissue).map((mesh) => mesh.children[1] as THREE.Points);
+  const shown = () => points.map(({ visible }) => visible);
+  expect(shown()).toEqual([false, false]);
+  tissue.showFixed(true);
+  expect(shown()).toEqual([true, true]);
+  expect(points.map(({ geometry }) => [...geometry.getIndex()!.array])).toEqual([[1, 3], []]);
+  tissue.update(new Float32Array(positions.length).fill(2));
+  expect([...points[0]!.geometry.getAttribute("position").array.subarray(3, 6)]).toEqual([2, 2, 2]);
+});
+
 it("shows values as colours, edges and a cut, and takes them back", () => {
   const { positions } = decodeFrame(frameBytes());
   const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });

@@ -88,6 +88,7 @@ struct PlacedTool {
   const float* samples;                         // distances of mesh_solid.h; others do not read it
   Real parameters[limits::kMaxToolParameters];  // as kParameters lists them
   Real penalty_pa_per_m;
+  Real presence;    // share of the tool that is there while it is retired, 0 to 1; penalty_pa_per_m contains it
   Real friction;    // Coulomb's coefficient μ; 0: none
   Real moved_m[3];  // motion of position_m in this step
   Real turned[9];   // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
@@ -96,6 +97,7 @@ struct PlacedTool {
   std::uint32_t first_core_point;             // its core points among those of all tools
   std::uint32_t contact_points;               // kContactPoints of the kind
   std::uint32_t first_contact_point;          // its contact points among those of all tools
+  std::uint32_t keeps_force;                  // 1: augmented Lagrangian method (contact/tools.h)
 
   TM_HOST_DEVICE Vec3<Real> position() const { return {position_m[0], position_m[1], position_m[2]}; }
   TM_HOST_DEVICE Vec3<Real> axis(int c) const { return {rotation[c], rotation[3 + c], rotation[6 + c]}; }

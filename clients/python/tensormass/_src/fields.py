@@ -8,6 +8,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
+from tensormass._src import notebook
 from tensormass._src.errors import InternalError, InvalidArgumentError
 from tensormass._src.meshes import FloatArray
 from tensormass._src.names import suggestion
@@ -19,12 +20,21 @@ FieldName = Literal[
     "reaction_force",
     "cauchy_stress",
     "von_mises_stress",
+    "largest_strain",
     "det_f",
     "elastic_energy",
 ]
 FIELD_NAMES: tuple[FieldName, ...] = get_args(FieldName)
 #: Fields with a value at each node. The others have one in each element.
 NODE_FIELDS: frozenset[FieldName] = frozenset({"displacement", "velocity", "reaction_force"})
+_UNITS: dict[FieldName, str] = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "reaction_force": "N",
+    "cauchy_stress": "Pa",
+    "von_mises_stress": "Pa",
+    "elastic_energy": "J",
+}
 _PREFIX = "FIELD_"
 
 
@@ -36,7 +46,7 @@ class Fields:
     simulated_time_s: float
     #: float64 [node or element count, components]; one-component fields have no second dimension:
     #: displacement [m], velocity [m/s], reaction_force [N], cauchy_stress [Pa] (xx yy zz yz xz xy),
-    #: von_mises_stress [Pa], det_f, elastic_energy [J].
+    #: von_mises_stress [Pa], largest_strain, det_f, elastic_energy [J].
     values: dict[FieldName, FloatArray]
     #: Energies [J] and smallest det F of the whole body, whatever fields were asked for.
     elastic_energy_j: float
@@ -45,6 +55,22 @@ class Fields:
 
     def __getitem__(self, name: FieldName) -> FloatArray:
         return self.values[name]
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, values in self.values.items():
+            unit = _UNITS.get(name, "")
+            size = np.linalg.norm(values, axis=1) if values.ndim == 2 and values.shape[1] == 3 else values
+            ends = [notebook.quantity(float(end), unit) for end in (size.min(), size.max())] if size.size else ["", ""]
+            rows.append([name, " × ".join(str(count) for count in values.shape), *ends])
+        rows += [
+            ["elastic energy", "", "", notebook.quantity(self.elastic_energy_j, "J")],
+            ["kinetic energy", "", "", notebook.quantity(self.kinetic_energy_j, "J")],
+            ["smallest det F", "", notebook.quantity(self.min_det_f), ""],
+        ]
+        time = notebook.quantity(self.simulated_time_s, "s")
+        title = f"fields at step {self.step:,}, {time}; vectors by their lengths"
+        return notebook.table(title, rows, ["field", "shape", "least", "largest"])
 
     @staticmethod
     def from_message(message: control_pb2.GetFieldsResponse) -> Fields:

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src import notebook
 from tensormass._src.errors import (
     InternalError,
     NotFoundError,
@@ -49,6 +50,21 @@ class Feedback:
     #: The tool touches nothing, because its newest pose was valid for a time that has passed.
     retired: bool
 
+    def _repr_html_(self) -> str:
+        size = notebook.quantity(float(np.linalg.norm(self.force_n)), "N")
+        rows = [
+            ["step", f"{self.step:,}"],
+            ["position", notebook.vector(self.position_m, "m")],
+            ["orientation w, x, y, z", notebook.vector(self.orientation)],
+            ["force", f"{notebook.vector(self.force_n, 'N')}, {size}"],
+            ["torque", notebook.vector(self.torque_n_m, "N m")],
+        ]
+        if self.joint_values.size:
+            rows.append(["joints", notebook.vector(self.joint_values, "rad or m")])
+        if self.retired:
+            rows.append(["retired", "it touches nothing"])
+        return notebook.table(f"tool {self.tool}", rows)
+
     @staticmethod
     def from_message(message: stream_pb2.ToolFeedback) -> Feedback:
         stiffness = np.array(message.local_model.stiffness_n_per_m, dtype=np.float64)
@@ -86,6 +102,15 @@ class Frame:
     #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
     positions: npt.NDArray[np.float32]
     tools: dict[str, Feedback]
+
+    def _repr_html_(self) -> str:
+        rows = [["step", f"{self.step:,} at {notebook.quantity(self.simulated_time_s, 's')}"]]
+        rows += [
+            [f"body {body.name}", f"{body.vertex_count:,} vertices, {len(body.triangles) // 12:,} triangles"]
+            for body in self.topology.bodies
+        ]
+        rows += [[f"force on {name}", notebook.vector(tool.force_n, "N")] for name, tool in self.tools.items()]
+        return notebook.table(f"frame {self.sequence} of {self.topology.scene}", rows)
 
     def vertices(self, body: str) -> npt.NDArray[np.float32]:
         """Returns the part of `positions` that belongs to a body, [vertex_count, 3] m."""

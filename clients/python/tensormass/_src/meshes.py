@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src import notebook
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.names import suggestion
 from tensormass._src.shapes import SHAPES, Shape
@@ -42,6 +43,14 @@ class VolumeMesh:
     sets: Mapping[str, IndexArray] = field(default_factory=dict)
     #: Parameters of single elements by the names of `ELEMENT_FIELDS`, float64 [element_count] or [element_count, 3].
     element_fields: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        rows = [["nodes", f"{len(self.nodes):,}"]]
+        rows += [[f"shape {block.shape.name.replace('_', ' ')}", f"{len(block.nodes):,}"] for block in self.blocks]
+        rows += _extent(self.nodes)
+        rows += [[f"set {name}", f"{len(nodes):,} nodes"] for name, nodes in self.sets.items()]
+        rows += [[f"field {name}", "of each element"] for name in self.element_fields]
+        return notebook.table("volume mesh", rows)
 
     @staticmethod
     def from_arrays(
@@ -106,11 +115,22 @@ class TriangleSurface:
     vertices: FloatArray
     triangles: IndexArray
 
+    def _repr_html_(self) -> str:
+        counts = [["vertices", f"{len(self.vertices):,}"], ["triangles", f"{len(self.triangles):,}"]]
+        return notebook.table("triangle surface", [*counts, *_extent(self.vertices)])
+
     @staticmethod
     def from_arrays(vertices: npt.ArrayLike, triangles: npt.ArrayLike, where: str = "surface") -> TriangleSurface:
         """Makes a surface. Checks and errors of `VolumeMesh.from_arrays`."""
         points = _checked_points(vertices, f"{where}.vertices")
         return TriangleSurface(points, _checked_indices(triangles, 3, len(points), f"{where}.triangles"))
+
+
+def _extent(points: FloatArray) -> list[list[str]]:
+    """Returns rows of a table without a unit, because only its user knows the mesh's unit of length."""
+    if not len(points):
+        return []
+    return [["from", notebook.vector(points.min(axis=0))], ["to", notebook.vector(points.max(axis=0))]]
 
 
 def _checked_points(values: npt.ArrayLike, where: str) -> FloatArray:

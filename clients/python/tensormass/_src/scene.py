@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes, node_conditions
+from tensormass._src import mesh_files, meshes, node_conditions, notebook
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, naming
@@ -38,6 +38,9 @@ class Scene:
     def __repr__(self) -> str:
         bodies = ", ".join(body.name for body in self.message.bodies)
         return f"Scene({self.message.name!r}, bodies: {bodies or 'none'})"
+
+    def _repr_html_(self) -> str:
+        return notebook.scene_html(self.message)
 
     @property
     def name(self) -> str:
@@ -342,6 +345,7 @@ class Scene:
         mass_kg: float | None = None,
         coupling_stiffness_n_per_m: float | None = None,
         coupling_damping_n_s_per_m: float | None = None,
+        contact_method: str | None = None,
         **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -355,6 +359,7 @@ class Scene:
             mass_kg: makes the tool a rigid body that a spring and a damper pull towards its pose; the hand feels those.
             coupling_stiffness_n_per_m: of that spring; None: 1000.
             coupling_damping_n_s_per_m: of that damper; None: critical.
+            contact_method: "penalty" (default) or "augmented_lagrangian", which leaves no penetration.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
@@ -374,6 +379,7 @@ class Scene:
                 mass_kg=mass_kg,
                 coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
                 coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
+                contact_method=contact_method,
                 shape=shape,
             )
         )

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src import notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.errors import InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
@@ -49,6 +50,13 @@ class SceneHandle:
 
     def __repr__(self) -> str:
         return f"SceneHandle({self.name!r} on {self._connection.address})"
+
+    def _repr_html_(self) -> str:
+        plan = notebook.report_html(self.report) if self.report is not None else ""
+        try:
+            return plan + notebook.status_html(self.status())
+        except TensormassError as error:
+            return plan + notebook.table(repr(self), [["no status", str(error)]])
 
     def __enter__(self) -> Self:
         return self

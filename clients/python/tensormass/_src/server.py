@@ -7,7 +7,7 @@ from pathlib import Path
 
 import grpc
 
-from tensormass._src import errors
+from tensormass._src import errors, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.processes import ChildProcess
 from tensormass._src.scene import Scene
@@ -46,6 +46,16 @@ class Server(Connection):
 
     def __repr__(self) -> str:
         return f"Server({self.address!r})"
+
+    def _repr_html_(self) -> str:
+        try:
+            version = self.version()
+            scenes = self.scenes()
+        except errors.TensormassError as error:
+            return notebook.table(repr(self), [["no answer", str(error)]])
+        rows = [["version", version.version], ["backend", f"{version.backend} ({version.device})"]]
+        rows += [[f"scene {status.scene}", f"{notebook.state_name(status)}, step {status.step:,}"] for status in scenes]
+        return notebook.table(repr(self), rows)
 
     def load(
         self,

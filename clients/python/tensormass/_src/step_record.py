@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tensormass._src import defaults
+from tensormass._src import defaults, notebook
 from tensormass.v1 import scene_pb2, stream_pb2
 
 
@@ -36,6 +36,9 @@ class StepRecord:
     #: Everything that the daemon reports. Its elastic energy, smallest det F and rates are of their last check, which
     #: may lie some steps back.
     status: stream_pb2.SceneStatus
+
+    def _repr_html_(self) -> str:
+        return notebook.status_html(self.status)
 
     @staticmethod
     def between(

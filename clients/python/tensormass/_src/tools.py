@@ -7,6 +7,7 @@ from typing import Protocol, cast
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 
+from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.meshes import TriangleSurface
 from tensormass._src.names import suggestion
@@ -71,6 +72,7 @@ def make_tool(
     mass_kg: float | None,
     coupling_stiffness_n_per_m: float | None,
     coupling_damping_n_s_per_m: float | None,
+    contact_method: str | None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -88,6 +90,11 @@ def make_tool(
         coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
         coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
     )
+    if contact_method is not None:
+        where = f"{name}.contact_method"
+        tool.contact_method = cast(
+            "scene_pb2.ContactMethod", enum_number(scene_pb2.ContactMethod.DESCRIPTOR, contact_method, where)
+        )
     message = getattr(tool, kind)
     message.SetInParent()
     for field, value in shape.items():

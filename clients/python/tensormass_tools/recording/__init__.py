@@ -1,4 +1,4 @@
-"""Recordings of scenes in MCAP files, and their replay. Needs the packages of the extra `record`."""
+"""Recordings of scenes in MCAP files, their replay and their plots. Needs the packages of the extra `record`."""
 
 from __future__ import annotations
 
@@ -67,6 +67,17 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_plot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of `tensormass plot`."""
+    parser.add_argument("file", type=Path, help="a recording of `tensormass record` (.mcap)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=".png, .svg or .pdf")
+    parser.description = (
+        "Draws the force on each tool, step time, rate, residuals and missed deadlines of a recording over time. "
+        "Forces and step times are those of each frame if it was recorded with --frames, otherwise those of a status a "
+        "second. Needs mcap and matplotlib: pip install 'tensormass[record,plot]'."
+    )
+
+
 def run_record(args: argparse.Namespace) -> int:
     """Runs `tensormass record`."""
     require("record", "a recording")
@@ -79,5 +90,14 @@ def run_replay(args: argparse.Namespace) -> int:
     """Runs `tensormass replay`."""
     require("record", "a replay")
     from tensormass_tools.recording.replay import run
+
+    return run(args)
+
+
+def run_plot(args: argparse.Namespace) -> int:
+    """Runs `tensormass plot`."""
+    require("record", "a plot")
+    require("plot", "a plot")
+    from tensormass_tools.recording.plot import run
 
     return run(args)

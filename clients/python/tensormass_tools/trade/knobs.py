@@ -24,7 +24,15 @@ from tensormass._src.organ import HELD, ORGANS
 from tensormass._src.scene_file import SceneFile
 from tensormass._src.shapes import BY_NUMBER, SHAPES
 from tensormass.v1 import scene_pb2
-from tensormass_tools.trade.scene_edits import Value, each_body, set_dt, set_integrator, solver_setter, with_numbers
+from tensormass_tools.trade.scene_edits import (
+    Value,
+    each_body,
+    set_contact_method,
+    set_dt,
+    set_integrator,
+    solver_setter,
+    with_numbers,
+)
 from tensormass_tools.trade.small_strain import ISOTROPIC_LAWS, small_strain
 
 #: Values by the names of knobs. Knobs that are missing keep the value of the scene.
@@ -32,7 +40,6 @@ Setting = Mapping[str, Value]
 #: Parts of the engine that exist once, so that there is nothing to choose or measure.
 ONE_CHOICE = {
     "preconditioner": "block-Jacobi",
-    "contact": "penalty at the closest point of each triangle",
     "stream codec": "32-bit floats",
 }
 #: Quadratures that are the same for linear tetrahedra.
@@ -96,11 +103,13 @@ class Knobs:
             "dt_s": set_dt,
             **{name: solver_setter(name) for name in SOLVE_KNOBS},
             "integrator": set_integrator,
+            "contact_method": set_contact_method,
         }
         self._find_mesh_knobs()
         self._find_law_knob()
         self._find_time_knobs()
         self._find_solver_knobs()
+        self._find_contact_knob()
         #: Knobs of the mesh that a reference may refine, even if `choose` drops them.
         self.refinable = {"resolution", "grading", "shape", "element_order"} & set(self.knobs)
 
@@ -306,6 +315,14 @@ class Knobs:
         precision = "double" if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else "float"
         self._add("precision", "of the numbers", precision, ("float", "double"))
 
+    def _find_contact_knob(self) -> None:
+        methods = {tool.contact_method or scene_pb2.CONTACT_METHOD_PENALTY for tool in self.message.tools}
+        if len(methods) != 1:
+            self.without["contact_method"] = "the tools differ" if methods else "the scene has no tools"
+        else:
+            own = short_name(scene_pb2.ContactMethod.DESCRIPTOR, methods.pop())
+            self._add("contact_method", "how contacts of tools carry their load", own, _CONTACT_METHODS)
+
     # --- edits of the file --------------------------------------------------------------------------------------------
 
     def _set_resolution(self, fields: dict[str, Any], value: Value) -> None:
@@ -371,6 +388,7 @@ class Knobs:
 
 _MASSES = ("lumped", "consistent")
 _ORDERS = ("as_given", "quadratic")
+_CONTACT_METHODS = ("penalty", "augmented_lagrangian")
 _SOLVER_FIELDS = ("integrator", *SOLVE_KNOBS)
 
 

@@ -61,3 +61,8 @@ def set_dt(fields: dict[str, Any], value: Value) -> None:
 def each_body(fields: dict[str, Any], edit: Callable[[dict[str, Any]], None]) -> None:
     for body in fields["bodies"]:
         edit(body)
+
+
+def set_contact_method(fields: dict[str, Any], value: Value) -> None:
+    for tool in fields["tools"]:
+        tool["contact_method"] = value

@@ -36,7 +36,8 @@ export function controlState(
   const load = reasonToWait(daemon, busy);
   const scene = load ?? (watched === null ? "There is no scene." : null);
   const pause = scene ?? (status === null ? "The state of the scene is not known yet." : clockReason(state));
-  const step = scene ?? (state === SceneState.LOCKSTEP ? null : "Only a scene in lockstep steps by hand. Load it with “Step by hand”.");
+  const stands = state === SceneState.LOCKSTEP || state === SceneState.PAUSED;
+  const step = scene ?? (stands ? null : "A scene that runs does not step by hand. Pause it.");
   return { pauses, pause, step, reset: scene, unload: scene, load };
 }
 

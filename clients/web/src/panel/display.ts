@@ -8,6 +8,8 @@ export interface DisplayActions {
   /** Displacements count from the present positions on. */
   readonly setZero: () => void;
   readonly takePicture: () => void;
+  /** Starts a film, or ends the one that runs. */
+  readonly film: () => void;
 }
 
 export class Display {
@@ -16,8 +18,10 @@ export class Display {
   readonly #clipAxis = find("#clip-axis", HTMLSelectElement);
   readonly #clipShare = find("#clip-share", HTMLInputElement);
   readonly #zero = find("#zero", HTMLButtonElement);
+  readonly #film = find("#film", HTMLButtonElement);
   readonly #flags = {
     wireframe: find("#wireframe", HTMLInputElement),
+    fixedNodes: find("#fixed-nodes", HTMLInputElement),
     rulers: find("#rulers-on", HTMLInputElement),
     tools: find("#tools", HTMLInputElement),
   };
@@ -47,6 +51,7 @@ export class Display {
     }
     this.#zero.addEventListener("click", actions.setZero);
     find("#picture", HTMLButtonElement).addEventListener("click", actions.takePicture);
+    this.#film.addEventListener("click", actions.film);
     this.change({});
   }
 
@@ -64,10 +69,18 @@ export class Display {
     this.#clipShare.value = String(Math.round(100 * settings.clipShare));
     this.#clipShare.disabled = settings.clipAxis === "none";
     this.#zero.hidden = settings.colouring !== "displacement";
-    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "rulers" | "tools", HTMLInputElement][]) {
+    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "fixedNodes" | "rulers" | "tools", HTMLInputElement][]) {
       box.checked = settings[name];
     }
     this.#actions.change(settings);
+  }
+
+  /** Shows whether a film runs; null: this browser cannot film. */
+  showFilm(running: boolean | null): void {
+    this.#film.disabled = running === null;
+    this.#film.title = running === null ? "This browser cannot record films" : "Film the scene (F)";
+    this.#film.textContent = running === true ? "End the film and save it" : "Film the scene";
+    this.#film.setAttribute("aria-pressed", String(running === true));
   }
 
   /** Takes the next way to colour, as a key does. */

@@ -1,5 +1,6 @@
 // Saves what is on the screen as a PNG: the scene, the forces and the legend.
 import { find } from "../dom";
+import { download } from "./download";
 
 const MARGIN_PX = 22;
 const LEGEND_PX = { width: 220, height: 10 };
@@ -23,11 +24,7 @@ export function savePicture(drawn: HTMLCanvasElement, colours: Uint8Array, name:
   }
   drawn.toBlob((blob) => {
     if (blob !== null) {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob);
-      link.download = `${name}.png`;
-      link.click();
-      URL.revokeObjectURL(link.href);
+      download(blob, `${name}.png`);
     }
   }, "image/png");
 }

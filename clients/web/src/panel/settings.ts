@@ -1,6 +1,6 @@
 // What the page remembers about its display. Anything may stand in the browser's storage, so it is checked.
 
-export const COLOURINGS = ["tissue", "displacement", "von_mises", "pressure", "volume_ratio"] as const;
+export const COLOURINGS = ["tissue", "displacement", "von_mises", "largest_strain", "pressure", "volume_ratio"] as const;
 export type Colouring = (typeof COLOURINGS)[number];
 
 export const CLIP_AXES = ["none", "x", "y", "z"] as const;
@@ -9,6 +9,8 @@ export type ClipAxis = (typeof CLIP_AXES)[number];
 export interface Settings {
   readonly colouring: Colouring;
   readonly wireframe: boolean;
+  /** Marks the nodes that are held or prescribed. */
+  readonly fixedNodes: boolean;
   readonly clipAxis: ClipAxis;
   /** Place of the clip plane, as a share of the scene's extent along its axis. */
   readonly clipShare: number;
@@ -23,6 +25,7 @@ export interface Settings {
 export const DEFAULTS: Settings = {
   colouring: "tissue",
   wireframe: false,
+  fixedNodes: false,
   clipAxis: "none",
   clipShare: 0.5,
   rulers: false,
@@ -47,6 +50,7 @@ export function parseSettings(text: string | null): Settings {
   return {
     colouring: COLOURINGS.find((name) => name === given.colouring) ?? DEFAULTS.colouring,
     wireframe: flag(given.wireframe, DEFAULTS.wireframe),
+    fixedNodes: flag(given.fixedNodes, DEFAULTS.fixedNodes),
     clipAxis: CLIP_AXES.find((name) => name === given.clipAxis) ?? DEFAULTS.clipAxis,
     clipShare: typeof share === "number" && share >= 0 && share <= 1 ? share : DEFAULTS.clipShare,
     rulers: flag(given.rulers, DEFAULTS.rulers),

@@ -87,7 +87,8 @@ export class Connection {
   #clock: ReturnType<typeof setInterval> | undefined;
   #everOpened = false;
   #paused = false;
-  readonly #owed = new Set<StreamName>();
+  /** Acknowledgements that a paused page owes, and the keyframe of each. */
+  readonly #owed = new Map<StreamName, number | null>();
   #lastCommand = 0;
   readonly #waiting = new Map<number, Waiting>();
 
@@ -102,12 +103,18 @@ export class Connection {
     this.#send({ type: "watch", scene });
   }
 
-  /** Lets the gateway send the next message of `stream`. */
-  acknowledge(stream: StreamName): void {
+  /**
+   * Lets the gateway send the next message of `stream`.
+   *
+   * @param keyframe The keyframe that the page has, to which the next frame may refer; null: none.
+   */
+  acknowledge(stream: StreamName, keyframe: number | null = null): void {
+    // Both kinds of frames take the same slot in the gateway.
+    const slot = stream === "encoded_frame" ? "frame" : stream;
     if (this.#paused) {
-      this.#owed.add(stream);
+      this.#owed.set(slot, keyframe);
     } else {
-      this.#send({ type: "ack", stream });
+      this.#sendAcknowledgement(slot, keyframe);
     }
   }
 
@@ -115,8 +122,8 @@ export class Connection {
   setPaused(paused: boolean): void {
     this.#paused = paused;
     if (!paused) {
-      for (const stream of this.#owed) {
-        this.#send({ type: "ack", stream });
+      for (const [stream, keyframe] of this.#owed) {
+        this.#sendAcknowledgement(stream, keyframe);
       }
       this.#owed.clear();
     }
@@ -221,6 +228,10 @@ export class Connection {
       this.#options.events.onDaemon(message.state);
     } else if (message.type === "result") {
       this.#settle(message.result);
+    } else if (message.type === "frames") {
+      if (message.error !== "") {
+        console.warn(`the gateway keeps its frames as they are: ${message.error}`);
+      }
     } else {
       this.#options.events.onClock(message.reply, performance.now());
     }
@@ -234,6 +245,10 @@ export class Connection {
     } else {
       waiting?.fail(new Error(error));
     }
+  }
+
+  #sendAcknowledgement(stream: StreamName, keyframe: number | null): void {
+    this.#send({ type: "ack", stream, ...(keyframe === null ? {} : { keyframe }) });
   }
 
   #askClock(): void {
@@ -251,6 +266,8 @@ export class Connection {
 type TextMessage =
   | { readonly type: "daemon"; readonly state: DaemonState }
   | { readonly type: "result"; readonly result: CommandResult }
+  /** An answer about the choice of frames. This page chooses in its address, so only an error is news. */
+  | { readonly type: "frames"; readonly error: string }
   | { readonly type: "clock"; readonly reply: ClockReply };
 
 /** Parses a text message of the gateway. null if it is not one. */
@@ -276,6 +293,9 @@ export function parseText(text: string): TextMessage | null {
     return typeof id === "number" && typeof scene === "string" && typeof error === "string"
       ? { type, result: { id, scene, error } }
       : null;
+  }
+  if (type === "frames") {
+    return typeof fields.error === "string" ? { type, error: fields.error } : null;
   }
   if (type === "daemon" && Array.isArray(fields.scenes)) {
     return {

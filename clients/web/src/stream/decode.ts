@@ -5,6 +5,7 @@ import { fromBinary } from "@bufbuild/protobuf";
 import type { Tool, Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
 import {
   FrameSchema,
+  type Frame as FrameMessage,
   SceneStatusSchema,
   SceneStatus_State,
   TopologySchema,
@@ -14,8 +15,15 @@ import {
 
 export type Vector = readonly [x: number, y: number, z: number];
 
-export type StreamName = "topology" | "rest" | "frame" | "status" | "field";
-const STREAM_NAMES: readonly string[] = ["topology", "rest", "frame", "status", "field"] satisfies StreamName[];
+export type StreamName = "topology" | "rest" | "frame" | "encoded_frame" | "status" | "field";
+const STREAM_NAMES: readonly string[] = [
+  "topology",
+  "rest",
+  "frame",
+  "encoded_frame",
+  "status",
+  "field",
+] satisfies StreamName[];
 
 /** One message of the bus: `key`, a zero byte, the protobuf message. */
 export interface BusMessage {
@@ -30,6 +38,8 @@ export interface Surface {
   readonly vertexCount: number;
   /** [triangle_count, 3], relative to `firstVertex`. */
   readonly triangles: Uint32Array;
+  /** Vertices whose node is held or prescribed, relative to `firstVertex`. */
+  readonly fixedVertices: Uint32Array;
   /** sRGB in [0, 1]; null: the viewer chooses. */
   readonly colorSrgb: Vector | null;
 }
@@ -89,6 +99,8 @@ export interface Frame {
   readonly serverTimeNs: bigint;
   /** [vertex_count, 3] m */
   readonly positions: Float32Array;
+  /** [vertex_count, 3], unit vectors times 127; null: the page computes them. */
+  readonly normals: Int8Array | null;
   readonly tools: readonly ToolState[];
 }
 
@@ -125,6 +137,19 @@ export function splitMessage(data: ArrayBuffer): BusMessage {
   return { scene, stream: stream as StreamName, payload: bytes.subarray(end + 1) };
 }
 
+/** Reads vertices of a body. Throws DecodeError if one is outside its range. @param perItem Vertices of each item. */
+function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number): Uint32Array {
+  if (bytes.length % (4 * perItem) !== 0) {
+    throw new DecodeError(`${where}: ${bytes.length} bytes are not a multiple of ${4 * perItem}`);
+  }
+  const numbers = new Uint32Array(aligned(bytes));
+  const outside = numbers.findIndex((vertex) => vertex >= vertexCount);
+  if (outside >= 0) {
+    throw new DecodeError(`${where} ${Math.floor(outside / perItem)} names vertex ${numbers[outside]} of ${vertexCount}`);
+  }
+  return numbers;
+}
+
 /** Decodes a Topology. Throws DecodeError if a body's vertices or triangles are outside its range. */
 export function decodeTopology(payload: Uint8Array): Topology {
   const message = parse("topology", () => fromBinary(TopologySchema, payload));
@@ -135,21 +160,12 @@ export function decodeTopology(payload: Uint8Array): Topology {
       throw new DecodeError(`${where}: first_vertex is ${body.firstVertex}, the bodies before it end at ${vertexCount}`);
     }
     vertexCount += body.vertexCount;
-    if (body.triangles.length % 12 !== 0) {
-      throw new DecodeError(`${where}: ${body.triangles.length} bytes of triangles are not a multiple of 12`);
-    }
-    const triangles = new Uint32Array(aligned(body.triangles));
-    const outside = triangles.findIndex((vertex) => vertex >= body.vertexCount);
-    if (outside >= 0) {
-      throw new DecodeError(
-        `${where}: triangle ${Math.floor(outside / 3)} names vertex ${triangles[outside]} of ${body.vertexCount}`,
-      );
-    }
     return {
       name: body.name,
       firstVertex: body.firstVertex,
       vertexCount: body.vertexCount,
-      triangles,
+      triangles: vertices(`${where}: triangle`, body.triangles, 3, body.vertexCount),
+      fixedVertices: vertices(`${where}: fixed vertex`, body.fixedVertices, 1, body.vertexCount),
       colorSrgb: body.colorSrgb ? vector(`${where}, color_srgb`, body.colorSrgb) : null,
     };
   });
@@ -245,10 +261,15 @@ function coreOf(where: string, tool: Tool | undefined): ToolCore {
 export function decodeFrame(payload: Uint8Array): Frame {
   const message = parse("frame", () => fromBinary(FrameSchema, payload));
   const where = `frame ${message.sequence}`;
-  if (message.positions.length % 12 !== 0) {
-    throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are not a multiple of 12`);
+  return frameOf(where, message, finiteFloats(where, message.positions));
+}
+
+/** Reads float32 positions. Throws DecodeError like `decodeFrame`. */
+export function finiteFloats(where: string, bytes: Uint8Array): Float32Array {
+  if (bytes.length % 12 !== 0) {
+    throw new DecodeError(`${where}: ${bytes.length} bytes of positions are not a multiple of 12`);
   }
-  const positions = new Float32Array(aligned(message.positions));
+  const positions = new Float32Array(aligned(bytes));
   // NaN · 0 and infinity · 0 are NaN, so the sum shows any of them without a branch.
   let probe = 0;
   for (const coordinate of positions) {
@@ -257,6 +278,11 @@ export function decodeFrame(payload: Uint8Array): Frame {
   if (probe !== 0) {
     throw new DecodeError(`${where}: a position is not finite`);
   }
+  return positions;
+}
+
+/** A frame of the decoded positions and of the other fields of its message. */
+export function frameOf(where: string, message: FrameMessage, positions: Float32Array): Frame {
   return {
     topologyVersion: message.topologyVersion,
     sequence: message.sequence,
@@ -264,6 +290,7 @@ export function decodeFrame(payload: Uint8Array): Frame {
     simulatedTimeS: message.simulatedTimeS,
     serverTimeNs: message.serverTimeNs,
     positions,
+    normals: null,
     tools: message.tools.map((tool) => toolState(where, tool)),
   };
 }
@@ -339,7 +366,7 @@ function vector(where: string, value: ProtoVector3 | undefined, limit = MAX_LENG
   return [x, y, z];
 }
 
-function parse<Message>(what: string, decode: () => Message): Message {
+export function parse<Message>(what: string, decode: () => Message): Message {
   try {
     return decode();
   } catch (error) {

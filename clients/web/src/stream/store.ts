@@ -123,7 +123,7 @@ export class SceneStore {
   refuse(reason: string, stream: StreamName | null): void {
     this.counters.refused += 1;
     this.counters.lastRefusal = reason;
-    if (stream === "topology" || stream === "frame") {
+    if (stream === "topology" || stream === "frame" || stream === "encoded_frame") {
       // Keep the first reason. Later frames are refused because their topology is missing, which would hide the cause.
       this.unshown ??= reason;
     }

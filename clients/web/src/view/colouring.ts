@@ -76,6 +76,7 @@ interface Kind {
 export const KINDS: Readonly<Record<Exclude<Colouring, "tissue">, Kind>> = {
   displacement: { title: "Displacement", unit: "m", center: null },
   von_mises: { title: "Von Mises stress", unit: "Pa", center: null },
+  largest_strain: { title: "Largest strain", unit: "", center: null },
   pressure: { title: "Pressure", unit: "Pa", center: 0 },
   volume_ratio: { title: "Volume ratio", unit: "", center: 1 },
 };

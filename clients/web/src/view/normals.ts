@@ -45,3 +45,13 @@ export function vertexNormals(positions: Float32Array, triangles: Uint32Array, n
     normals[v + 2] = z * scale;
   }
 }
+
+/** Size of a unit normal as the gateway sends it. */
+const PACKED_UNIT = 127;
+
+/** Reads normals of the gateway. @param packed [vertex_count, 3] @param normals [vertex_count, 3], overwritten */
+export function unpackNormals(packed: Int8Array, normals: Float32Array): void {
+  for (let i = 0; i < normals.length; i += 1) {
+    normals[i] = packed[i]! / PACKED_UNIT;
+  }
+}

@@ -3,7 +3,7 @@ import * as THREE from "three";
 
 import type { Surface, Topology } from "../stream/decode";
 import type { Quality } from "./quality";
-import { vertexNormals } from "./normals";
+import { unpackNormals, vertexNormals } from "./normals";
 import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
@@ -22,10 +22,13 @@ export class Tissue {
     this.update(positions);
   }
 
-  /** @param positions [vertex_count, 3] m */
-  update(positions: Float32Array): void {
+  /**
+   * @param positions [vertex_count, 3] m
+   * @param normals [vertex_count, 3], unit vectors times 127; null: computes them
+   */
+  update(positions: Float32Array, normals: Int8Array | null = null): void {
     for (const body of this.#bodies) {
-      body.update(positions);
+      body.update(positions, normals);
     }
   }
 
@@ -40,6 +43,13 @@ export class Tissue {
   showEdges(shown: boolean): void {
     for (const body of this.#bodies) {
       body.showEdges(shown);
+    }
+  }
+
+  /** Marks the nodes that are held or prescribed, or not. */
+  showFixed(shown: boolean): void {
+    for (const body of this.#bodies) {
+      body.showFixed(shown);
     }
   }
 
@@ -63,6 +73,7 @@ class Body {
   readonly #look: THREE.MeshStandardMaterial;
   readonly #colours = valueMaterial();
   readonly #edges: THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
+  readonly #fixed: THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial>;
   readonly #values: THREE.BufferAttribute;
   readonly #positions: THREE.BufferAttribute;
   readonly #normals: THREE.BufferAttribute;
@@ -92,7 +103,8 @@ class Body {
     );
     this.#edges.frustumCulled = false;
     this.#edges.visible = false;
-    this.mesh.add(this.#edges);
+    this.#fixed = fixedPoints(this.#positions, surface.fixedVertices);
+    this.mesh.add(this.#edges, this.#fixed);
     for (const material of [this.#look, this.#colours]) {
       // Keeps the edges in front of the surface that they lie on.
       Object.assign(material, { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
@@ -104,13 +116,13 @@ class Body {
     this.mesh.frustumCulled = false;
   }
 
-  update(positions: Float32Array): void {
+  update(positions: Float32Array, normals: Int8Array | null): void {
     (this.#positions.array as Float32Array).set(this.#slice(positions));
-    vertexNormals(
-      this.#positions.array as Float32Array,
-      this.#surface.triangles,
-      this.#normals.array as Float32Array,
-    );
+    if (normals === null) {
+      vertexNormals(this.#positions.array as Float32Array, this.#surface.triangles, this.#normals.array as Float32Array);
+    } else {
+      unpackNormals(this.#slice(normals), this.#normals.array as Float32Array);
+    }
     this.#positions.needsUpdate = true;
     this.#normals.needsUpdate = true;
   }
@@ -129,8 +141,12 @@ class Body {
     this.#edges.visible = shown;
   }
 
+  showFixed(shown: boolean): void {
+    this.#fixed.visible = shown;
+  }
+
   clip(plane: THREE.Plane | null): void {
-    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+    for (const material of this.#materials) {
       material.clippingPlanes = plane === null ? null : [plane];
       // A cut surface shows its inner side.
       material.side = plane === null ? THREE.FrontSide : THREE.DoubleSide;
@@ -140,15 +156,35 @@ class Body {
   dispose(): void {
     this.mesh.geometry.dispose();
     (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
-    for (const material of [this.#look, this.#colours, this.#edges.material]) {
+    this.#fixed.geometry.dispose();
+    for (const material of this.#materials) {
       material.dispose();
     }
   }
 
-  #slice(positions: Float32Array): Float32Array {
-    const first = 3 * this.#surface.firstVertex;
-    return positions.subarray(first, first + 3 * this.#surface.vertexCount);
+  get #materials(): readonly THREE.Material[] {
+    return [this.#look, this.#colours, this.#edges.material, this.#fixed.material];
   }
+
+  /** The part of `values` [vertex_count, 3] that belongs to this body. */
+  #slice<Values extends Float32Array | Int8Array>(values: Values): Values {
+    const first = 3 * this.#surface.firstVertex;
+    return values.subarray(first, first + 3 * this.#surface.vertexCount) as Values;
+  }
+}
+
+/** Dots at some vertices, which move with the surface. */
+function fixedPoints(positions: THREE.BufferAttribute, vertices: Uint32Array): THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial> {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", positions);
+  geometry.setIndex(new THREE.BufferAttribute(vertices, 1));
+  const points = new THREE.Points(
+    geometry,
+    new THREE.PointsMaterial({ color: "#4fb4ff", size: 5, sizeAttenuation: false, toneMapped: false }),
+  );
+  points.frustumCulled = false;
+  points.visible = false;
+  return points;
 }
 
 function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {

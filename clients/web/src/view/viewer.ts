@@ -20,8 +20,13 @@ const FAST_PICTURE_MS = 20;
 const LEAST_PIXEL_RATIO = 0.5;
 
 export interface ViewerEvents {
-  /** Called when a new frame was drawn. */
-  onDrawn(serverTimeNs: bigint): void;
+  /**
+   * Called when a new frame was drawn.
+   *
+   * @param prepareMs Time to copy positions, and to compute normals and colours
+   * @param renderMs Time of the calls to WebGL. The GPU draws after them.
+   */
+  onDrawn(serverTimeNs: bigint, prepareMs: number, renderMs: number): void;
   /** Called while the pointer drags a tool: new centre of its sphere [m]. */
   onToolMoved(tool: string, positionM: Vector): void;
   /** Called when the pointer comes over a tool, takes it, or leaves it. */
@@ -54,6 +59,7 @@ export class Viewer {
   /** Tissue in the first frame [m]. The clip plane moves between its ends. */
   readonly #bounds = new THREE.Box3();
   #dragEnabled = false;
+  #holdsSize = false;
 
   constructor(
     canvas: HTMLCanvasElement,
@@ -131,6 +137,11 @@ export class Viewer {
     return copy;
   }
 
+  /** Keeps the resolution while a film runs, because some players show only its first size. */
+  holdSize(holds: boolean): void {
+    this.#holdsSize = holds;
+  }
+
   /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
   project(point: Vector): { x: number; y: number } | null {
     return this.#studio.project(point);
@@ -161,11 +172,12 @@ export class Viewer {
       this.#clear();
     }
     const frame = this.#store.takeFrame();
+    const beganMs = performance.now();
     if (frame !== null && this.#store.topology !== null) {
       if (this.#tissue === null) {
         this.#build(frame);
       }
-      this.#tissue?.update(frame.positions);
+      this.#tissue?.update(frame.positions, frame.normals);
       this.#colour();
       this.#forces = this.#instruments?.update(frame) ?? [];
       this.#dirty = true;
@@ -175,15 +187,17 @@ export class Viewer {
       return;
     }
     this.#dirty = false;
+    const preparedMs = performance.now();
     this.#adapt(nowMs);
     if (this.#instruments !== null) {
       this.#instruments.group.visible = this.#settings.tools;
     }
     this.#studio.render();
+    const renderedMs = performance.now();
     this.#rulers.draw(this.#studio.metresPerPx(), this.#studio.turn());
     this.#writeLabels();
     if (frame !== null) {
-      this.#events.onDrawn(frame.serverTimeNs);
+      this.#events.onDrawn(frame.serverTimeNs, preparedMs - beganMs, renderedMs - preparedMs);
     }
   }
 
@@ -202,6 +216,7 @@ export class Viewer {
   /** Applies the display options to the tissue. */
   #decorate(): void {
     this.#tissue?.showEdges(this.#settings.wireframe);
+    this.#tissue?.showFixed(this.#settings.fixedNodes);
     this.#tissue?.clip(this.#clipPlane());
     this.#colour();
   }
@@ -295,7 +310,7 @@ export class Viewer {
   #adapt(nowMs: number): void {
     const last = this.#lastPictureMs;
     this.#lastPictureMs = nowMs;
-    if (last === null || !this.#quality.adaptive) {
+    if (last === null || !this.#quality.adaptive || this.#holdsSize) {
       return;
     }
     this.#pictureMs += 0.1 * (nowMs - last - this.#pictureMs);

@@ -1,0 +1,101 @@
+"""What a viewer may choose about its frames: codec, rate and normals.
+
+A viewer chooses in the address with which it connects, `/stream?token=...&codec=q16&rate_hz=30&normals=true`, or later
+by a message of type `frames`. gateway.proto describes the codecs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tensormass_gateway.requests import finite_number
+
+MIN_RATE_HZ = 0.1
+"""A viewer that wants fewer frames than this disconnects in between."""
+
+MAX_RATE_HZ = 1000.0
+"""No screen shows more frames. Without a rate, every frame that the daemon publishes leaves."""
+
+
+class Codec(enum.StrEnum):
+    """Codecs of the positions in a frame."""
+
+    FLOAT32 = "float32"
+    """The bus's own bytes."""
+    Q16 = "q16"
+    """16-bit integers on a grid in the bounding box of the frame."""
+    DELTA = "delta"
+    """Differences, of 8 bits where they fit, to the last keyframe that the viewer acknowledged."""
+
+
+class ChoiceError(Exception):
+    """A viewer asked for something that there is not. The text is for the viewer; its choice stays as it was."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The frames that a viewer gets."""
+
+    codec: Codec = Codec.FLOAT32
+    rate_hz: float | None = None
+    """Most frames a second; None: every frame."""
+    normals: bool = False
+    """Whether a frame has the normals of its vertices."""
+
+    @property
+    def is_bus(self) -> bool:
+        """Tells whether frames leave as they come from the bus."""
+        return self.codec is Codec.FLOAT32 and not self.normals
+
+    def changed(self, request: Mapping[str, Any]) -> Choice:
+        """Returns this choice with the fields of `request`: codec, rate_hz (None: every frame), normals.
+
+        Raises:
+            ChoiceError: a field is unknown, or its value is.
+        """
+        fields = dict(request)
+        if "codec" in fields and (not isinstance(fields["codec"], str) or fields["codec"] not in set(Codec)):
+            raise ChoiceError(f"codec {_shown(fields['codec'])} is unknown; take one of {', '.join(Codec)}")
+        if fields.get("rate_hz") is not None:
+            rate_hz = finite_number(fields["rate_hz"])
+            if rate_hz is None or not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+                limits = f"from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}"
+                raise ChoiceError(f"rate_hz {_shown(fields['rate_hz'])} is not a number {limits}")
+            fields["rate_hz"] = rate_hz
+        if not isinstance(fields.get("normals", False), bool):
+            raise ChoiceError(f"normals {_shown(fields['normals'])} is not true or false")
+        if unknown := fields.keys() - {"codec", "rate_hz", "normals"}:
+            raise ChoiceError(f"{_shown(min(unknown))} is unknown; a viewer chooses codec, rate_hz and normals")
+        if "codec" in fields:
+            fields["codec"] = Codec(fields["codec"])
+        return replace(self, **fields)
+
+    def message(self, error: str = "") -> dict[str, Any]:
+        """Returns the answer to a viewer: the choice that holds now, and why it did not change."""
+        fields = {"codec": str(self.codec), "rate_hz": self.rate_hz, "normals": self.normals}
+        return {"type": "frames", **fields, "error": error}
+
+
+def choice_of(query: Mapping[str, str]) -> Choice:
+    """Returns the choice in the address of a connection; other parameters are left alone.
+
+    Raises:
+        ChoiceError: a value is unknown.
+    """
+    request: dict[str, Any] = {name: query[name] for name in ("codec", "rate_hz", "normals") if name in query}
+    if "rate_hz" in request:
+        with contextlib.suppress(ValueError):  # `changed` refuses the text
+            request["rate_hz"] = float(request["rate_hz"])
+    if request.get("normals") in ("true", "false"):
+        request["normals"] = request["normals"] == "true"
+    return Choice().changed(request)
+
+
+def _shown(value: object) -> str:
+    """Returns a value for a message. A viewer may send a text of any length."""
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."

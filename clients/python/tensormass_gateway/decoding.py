@@ -1,0 +1,136 @@
+"""Decodes the frames of the gateway, for viewers in Python and as the reference for others.
+
+clients/web/src/stream/encoded.ts is the same in TypeScript. Both decode tests/proto/encoded_frames.json to the same
+bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from google.protobuf.message import DecodeError
+
+from tensormass.v1 import gateway_pb2, scene_pb2, stream_pb2
+from tensormass_gateway.encoding import WIDE_MARK
+from tensormass_gateway.normals import SCALE
+
+_MAX_ABSOLUTE = float(np.finfo(np.float32).max)
+_MAX_CELLS = 1 << 17
+"""No q is larger: 16 bits of a keyframe and 16 bits of a difference."""
+
+
+class FrameError(Exception):
+    """A message is not a frame, or its keyframe is missing. The text says which."""
+
+
+@dataclass(frozen=True)
+class DecodedFrame:
+    """A frame as a viewer draws it."""
+
+    head: stream_pb2.Frame
+    """The frame without its positions."""
+    positions: npt.NDArray[np.float32]
+    """[vertex_count, 3] m"""
+    error_m: npt.NDArray[np.float64]
+    """Largest error of a coordinate, [3]; zeros if positions are exact."""
+    normals: npt.NDArray[np.float32] | None
+    """[vertex_count, 3], unit vectors rounded to 1 / 127; None: not asked for."""
+
+
+class FrameDecoder:
+    """Decodes the frames of one connection. Acknowledge each with `keyframe`, also one that could not be decoded."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._cells = np.empty((0, 3), np.int32)
+
+    @property
+    def keyframe(self) -> int | None:
+        """Returns the number of the keyframe that is kept, for the acknowledgement; None: none."""
+        return self._number or None
+
+    def decode(self, stream: str, payload: bytes) -> DecodedFrame:
+        """Decodes a message of the stream `frame` or `encoded_frame`, without its key.
+
+        Raises:
+            FrameError: the message is damaged, or its keyframe is not the one that is kept. The decoder then keeps no
+                keyframe, so the next acknowledgement asks for one.
+        """
+        try:
+            return self._decode(stream, payload)
+        except FrameError:
+            self._number = 0
+            raise
+
+    def _decode(self, stream: str, payload: bytes) -> DecodedFrame:
+        try:
+            if stream == "frame":
+                head = stream_pb2.Frame.FromString(payload)
+                positions = _floats(head.positions)
+                head.ClearField("positions")
+                return DecodedFrame(head, positions, np.zeros(3), None)
+            message = gateway_pb2.EncodedFrame.FromString(payload)
+        except DecodeError as error:
+            raise FrameError(f"a message of {stream} is not protobuf: {error}") from error
+        positions = self._positions(message)
+        if len(positions) != message.vertex_count:
+            raise FrameError(f"{len(positions)} positions of {message.vertex_count} vertices")
+        return DecodedFrame(message.frame, positions, _vector(message.error_m), _normals(message))
+
+    def _positions(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.float32]:
+        match message.codec:
+            case gateway_pb2.EncodedFrame.CODEC_FLOAT32:
+                return _floats(message.positions)
+            case gateway_pb2.EncodedFrame.CODEC_Q16:
+                cells = _integers(message.positions, "<u2").astype(np.int32)
+                if message.keyframe:
+                    self._number, self._cells = message.keyframe, cells
+            case gateway_pb2.EncodedFrame.CODEC_DELTA:
+                cells = self._moved(message)
+            case _:
+                raise FrameError(f"codec {message.codec} is unknown")
+        origin, cell = _vector(message.origin_m), _vector(message.cell_m)
+        if not (np.abs(origin) + _MAX_CELLS * np.abs(cell) < _MAX_ABSOLUTE).all():
+            raise FrameError("the grid of a frame is not finite or too large")
+        return np.asarray((origin + cell * cells).astype(np.float32))
+
+    def _moved(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.int32]:
+        if message.keyframe != self._number or self._number == 0:
+            raise FrameError(f"a frame refers to keyframe {message.keyframe}, but {self._number or 'none'} was kept")
+        differences = _integers(message.positions, "i1").astype(np.int32)
+        wide = differences == WIDE_MARK
+        if len(message.wide_differences) != 2 * np.count_nonzero(wide):
+            raise FrameError(f"{len(message.wide_differences)} bytes of wide differences do not fit their marks")
+        if len(differences) != len(self._cells):
+            raise FrameError(f"{len(differences)} vertices differ from {len(self._cells)} of the keyframe")
+        differences[wide] = np.frombuffer(message.wide_differences, "<i2")
+        return self._cells + differences
+
+
+def _integers(packed: bytes, kind: str) -> npt.NDArray[np.integer]:
+    if len(packed) % (3 * np.dtype(kind).itemsize):
+        raise FrameError(f"{len(packed)} bytes of positions are a fraction of a vertex")
+    return np.frombuffer(packed, kind).reshape(-1, 3)
+
+
+def _floats(packed: bytes) -> npt.NDArray[np.float32]:
+    if len(packed) % 12:
+        raise FrameError(f"{len(packed)} bytes of positions are a fraction of a vertex")
+    positions = np.frombuffer(packed, "<f4").reshape(-1, 3)
+    if not np.isfinite(positions).all():
+        raise FrameError("a position is not finite")
+    return positions
+
+
+def _normals(message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.float32] | None:
+    if not message.normals:
+        return None
+    if len(message.normals) != 3 * message.vertex_count:
+        raise FrameError(f"{len(message.normals)} bytes of normals for {message.vertex_count} vertices")
+    return np.frombuffer(message.normals, np.int8).reshape(-1, 3).astype(np.float32) / np.float32(SCALE)
+
+
+def _vector(value: scene_pb2.Vector3) -> npt.NDArray[np.float64]:
+    return np.array([value.x, value.y, value.z])

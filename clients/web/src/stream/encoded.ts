@@ -1,0 +1,147 @@
+// Decodes frames in the codecs of gateway.proto. tests/proto/encoded_frames.json has messages that this decoder and
+// the one in Python (tensormass_gateway/decoding.py) decode to the same bits.
+import { fromBinary } from "@bufbuild/protobuf";
+
+import { EncodedFrameSchema, EncodedFrame_Codec as Codec, type EncodedFrame } from "../generated/tensormass/v1/gateway_pb";
+import type { Vector3 } from "../generated/tensormass/v1/scene_pb";
+import { DecodeError, decodeFrame, finiteFloats, frameOf, parse, type Frame, type StreamName } from "./decode";
+
+const WIDE_MARK = -128;
+/** No integer of the grid is larger: 16 bits of a keyframe and 16 bits of a difference. */
+const MAX_CELLS = 2 ** 17;
+const MAX_FLOAT32 = 3.4e38;
+
+/** Decodes the frames of one connection, and keeps the keyframe to which later ones refer. */
+export class FrameDecoder {
+  #number = 0n;
+  /** Integers of the keyframe, [vertex_count, 3]. */
+  #cells = new Uint16Array(0);
+
+  /** Number of the kept keyframe, for the acknowledgement of a frame; null: none. */
+  get keyframe(): number | null {
+    return this.#number === 0n ? null : Number(this.#number);
+  }
+
+  /** Forgets the keyframe, because a new connection counts from the start. */
+  reset(): void {
+    this.#number = 0n;
+  }
+
+  /**
+   * Decodes a message of the stream `frame` or `encoded_frame`. Throws DecodeError if it is damaged or its keyframe is
+   * missing. The decoder then keeps no keyframe, so the next acknowledgement asks for one.
+   */
+  decode(stream: StreamName, payload: Uint8Array): Frame {
+    try {
+      return stream === "encoded_frame" ? this.#decode(payload) : decodeFrame(payload);
+    } catch (error) {
+      this.reset();
+      throw error;
+    }
+  }
+
+  #decode(payload: Uint8Array): Frame {
+    const message = parse("encoded_frame", () => fromBinary(EncodedFrameSchema, payload));
+    const where = `encoded frame ${message.frame?.sequence ?? "without its head"}`;
+    if (message.frame === undefined) {
+      throw new DecodeError(where);
+    }
+    const positions = this.#positions(where, message);
+    if (positions.length !== 3 * message.vertexCount) {
+      throw new DecodeError(`${where}: ${positions.length / 3} positions of ${message.vertexCount} vertices`);
+    }
+    if (message.normals.length !== 0 && message.normals.length !== positions.length) {
+      throw new DecodeError(`${where}: ${message.normals.length} bytes of normals for ${message.vertexCount} vertices`);
+    }
+    const { buffer, byteOffset, length } = message.normals;
+    return {
+      ...frameOf(where, message.frame, positions),
+      normals: length === 0 ? null : new Int8Array(buffer, byteOffset, length),
+    };
+  }
+
+  #positions(where: string, message: EncodedFrame): Float32Array {
+    switch (message.codec) {
+      case Codec.FLOAT32:
+        return finiteFloats(where, message.positions);
+      case Codec.Q16:
+        return this.#absolute(where, message);
+      case Codec.DELTA:
+        return this.#moved(where, message);
+      default:
+        throw new DecodeError(`${where}: codec ${message.codec} is unknown`);
+    }
+  }
+
+  #absolute(where: string, message: EncodedFrame): Float32Array {
+    if (message.positions.length % 6 !== 0) {
+      throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are a fraction of a vertex`);
+    }
+    // Copies to a word boundary, which protobuf's view does not guarantee.
+    const cells = new Uint16Array(message.positions.slice().buffer);
+    if (message.keyframe !== 0n) {
+      this.#number = message.keyframe;
+      this.#cells = cells;
+    }
+    const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
+    const positions = new Float32Array(cells.length);
+    for (let i = 0; i < positions.length; i += 3) {
+      positions[i] = x + cellX * cells[i]!;
+      positions[i + 1] = y + cellY * cells[i + 1]!;
+      positions[i + 2] = z + cellZ * cells[i + 2]!;
+    }
+    return positions;
+  }
+
+  #moved(where: string, message: EncodedFrame): Float32Array {
+    if (this.#number === 0n || message.keyframe !== this.#number) {
+      throw new DecodeError(`${where} refers to keyframe ${message.keyframe}, but ${this.keyframe ?? "none"} was kept`);
+    }
+    const keyframe = this.#cells;
+    const { buffer, byteOffset, length } = message.positions;
+    const differences = new Int8Array(buffer, byteOffset, length);
+    if (length !== keyframe.length) {
+      throw new DecodeError(`${where}: ${length / 3} vertices differ from ${keyframe.length / 3} of the keyframe`);
+    }
+    if (message.wideDifferences.length % 2 !== 0) {
+      throw new DecodeError(`${where}: half a wide difference`);
+    }
+    const wide = new Int16Array(message.wideDifferences.slice().buffer);
+    let taken = 0;
+    const next = (index: number): number => {
+      const narrow = differences[index]!;
+      return keyframe[index]! + (narrow === WIDE_MARK ? (wide[taken++] ?? 0) : narrow);
+    };
+    const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
+    const positions = new Float32Array(length);
+    for (let i = 0; i < length; i += 3) {
+      positions[i] = x + cellX * next(i);
+      positions[i + 1] = y + cellY * next(i + 1);
+      positions[i + 2] = z + cellZ * next(i + 2);
+    }
+    if (taken !== wide.length) {
+      throw new DecodeError(`${where}: ${wide.length} wide differences for ${taken} marks`);
+    }
+    return positions;
+  }
+}
+
+interface Grid {
+  readonly x: number;
+  readonly y: number;
+  readonly z: number;
+  readonly cellX: number;
+  readonly cellY: number;
+  readonly cellZ: number;
+}
+
+/** The grid of a message, on which every position is finite. */
+function gridOf(where: string, origin: Vector3 | undefined, cell: Vector3 | undefined): Grid {
+  const { x, y, z } = origin ?? { x: 0, y: 0, z: 0 };
+  const { x: cellX, y: cellY, z: cellZ } = cell ?? { x: 0, y: 0, z: 0 };
+  const reach = (start: number, size: number) => Math.abs(start) + MAX_CELLS * Math.abs(size);
+  if (!(reach(x, cellX) < MAX_FLOAT32 && reach(y, cellY) < MAX_FLOAT32 && reach(z, cellZ) < MAX_FLOAT32)) {
+    throw new DecodeError(`${where}: its grid is not finite or too large`);
+  }
+  return { x, y, z, cellX, cellY, cellZ };
+}

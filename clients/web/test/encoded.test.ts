@@ -1,0 +1,119 @@
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+
+import { create, toBinary } from "@bufbuild/protobuf";
+import { describe, expect, it } from "vitest";
+
+import { EncodedFrameSchema, EncodedFrame_Codec as Codec } from "../src/generated/tensormass/v1/gateway_pb";
+import type { StreamName } from "../src/stream/decode";
+import { FrameDecoder } from "../src/stream/encoded";
+import { unpackNormals } from "../src/view/normals";
+import type { Fields } from "./messages";
+import { f32 } from "./messages";
+
+interface Golden {
+  readonly name: string;
+  readonly stream: StreamName;
+  readonly payload: string;
+  readonly sequence?: number;
+  readonly positions?: string;
+  readonly normals?: string | null;
+  readonly keyframe: number | null;
+  /** The message must be refused. */
+  readonly refusal?: string;
+}
+
+const GOLDEN = join(import.meta.dirname, "..", "..", "..", "tests", "proto", "encoded_frames.json");
+const ORIGIN = { x: 1, y: 2, z: 3 };
+const CELL = { x: 0.5, y: 0.25, z: 0 };
+
+function bytes(base64: string): Uint8Array {
+  return Uint8Array.from(Buffer.from(base64, "base64"));
+}
+
+function encoded(fields: Fields<typeof EncodedFrameSchema>): Uint8Array {
+  return toBinary(EncodedFrameSchema, create(EncodedFrameSchema, { frame: { sequence: 1n }, ...fields }));
+}
+
+function u16(...values: number[]): Uint8Array {
+  return new Uint8Array(Uint16Array.from(values).buffer);
+}
+
+const KEYFRAME = {
+  codec: Codec.Q16,
+  keyframe: 4n,
+  vertexCount: 2,
+  positions: u16(0, 1, 2, 65535, 4, 0),
+  originM: ORIGIN,
+  cellM: CELL,
+};
+const DIFFERENCES = { ...KEYFRAME, codec: Codec.DELTA, positions: Uint8Array.of(1, 255, 0, 128, 127, 0), wideDifferences: u16(300) };
+
+describe("FrameDecoder", () => {
+  it("decodes the golden messages to the bits of the decoder in Python", () => {
+    const { messages } = JSON.parse(readFileSync(GOLDEN, "utf8")) as { messages: Golden[] };
+    const decoder = new FrameDecoder();
+    for (const { name, stream, payload, sequence, positions, normals, keyframe, refusal } of messages) {
+      if (refusal !== undefined) {
+        expect(() => decoder.decode(stream, bytes(payload)), name).toThrow();
+      } else {
+        const frame = decoder.decode(stream, bytes(payload));
+        expect(frame.sequence, name).toBe(BigInt(sequence!));
+        expect(frame.tools[0]?.forceN, name).toEqual([0, 1.5, 0]);
+        expect(new Uint8Array(frame.positions.buffer), name).toEqual(bytes(positions!));
+        expect(frame.normals, name).toEqual(normals ? new Int8Array(bytes(normals).buffer) : null);
+      }
+      expect(decoder.keyframe, name).toBe(keyframe);
+    }
+    expect(messages.filter(({ refusal }) => refusal !== undefined)).toHaveLength(2);
+  });
+
+  it("adds narrow and wide differences to the keyframe", () => {
+    const decoder = new FrameDecoder();
+    const first = decoder.decode("encoded_frame", encoded(KEYFRAME));
+    expect([...first.positions]).toEqual([1, 2.25, 3, 1 + 0.5 * 65535, 3, 3]);
+    const moved = decoder.decode("encoded_frame", encoded(DIFFERENCES));
+    expect([...moved.positions]).toEqual([1.5, 2, 3, 1 + 0.5 * 65835, 2 + 0.25 * 131, 3]);
+    expect(decoder.keyframe).toBe(4);
+  });
+
+  it("keeps no keyframe of plain q16", () => {
+    const decoder = new FrameDecoder();
+    decoder.decode("encoded_frame", encoded({ ...KEYFRAME, keyframe: 0n }));
+    expect(decoder.keyframe).toBeNull();
+  });
+
+  it.each<[string, RegExp, Fields<typeof EncodedFrameSchema>]>([
+    ["an unknown codec", /codec 0 is unknown/, { ...KEYFRAME, codec: Codec.UNSPECIFIED }],
+    ["another keyframe", /refers to keyframe 5, but 4 was kept/, { ...DIFFERENCES, keyframe: 5n }],
+    ["other vertices than the keyframe", /1 vertices differ from 2/, { ...DIFFERENCES, positions: new Uint8Array(3) }],
+    ["half a wide difference", /half a wide difference/, { ...DIFFERENCES, wideDifferences: Uint8Array.of(1) }],
+    ["a wide difference too few", /0 wide differences for 1 marks/, { ...DIFFERENCES, wideDifferences: u16() }],
+    ["a wide difference too many", /2 wide differences for 1 marks/, { ...DIFFERENCES, wideDifferences: u16(1, 2) }],
+    ["a fraction of a vertex", /5 bytes of positions/, { ...KEYFRAME, positions: new Uint8Array(5) }],
+    ["another number of vertices", /2 positions of 3 vertices/, { ...KEYFRAME, vertexCount: 3 }],
+    ["normals of other vertices", /1 bytes of normals/, { ...KEYFRAME, normals: new Uint8Array(1) }],
+    ["a grid that is not finite", /grid is not finite/, { ...KEYFRAME, cellM: { x: 0, y: NaN, z: 0 } }],
+    ["a grid that is too large", /grid is not finite or too large/, { ...KEYFRAME, originM: { x: 0, y: 0, z: 1e39 } }],
+    ["a position that is not finite", /not finite/, { codec: Codec.FLOAT32, vertexCount: 1, positions: f32(0, NaN, 0) }],
+    ["a message without its head", /without its head/, { ...KEYFRAME, frame: undefined }],
+  ])("refuses %s and keeps no keyframe", (_, said, damaged) => {
+    const decoder = new FrameDecoder();
+    decoder.decode("encoded_frame", encoded(KEYFRAME));
+    expect(() => decoder.decode("encoded_frame", encoded(damaged))).toThrow(said);
+    expect(decoder.keyframe).toBeNull();
+  });
+
+  it("starts without a keyframe after a reset", () => {
+    const decoder = new FrameDecoder();
+    decoder.decode("encoded_frame", encoded(KEYFRAME));
+    decoder.reset();
+    expect(() => decoder.decode("encoded_frame", encoded(DIFFERENCES))).toThrow(/none was kept/);
+  });
+});
+
+it("unpackNormals reads unit vectors", () => {
+  const normals = new Float32Array(3);
+  unpackNormals(Int8Array.of(127, 0, -127), normals);
+  expect([...normals]).toEqual([1, 0, -1]);
+});

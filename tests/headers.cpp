@@ -1,0 +1,1 @@
+// Nothing: CMake precompiles headers of targets that have a source.
