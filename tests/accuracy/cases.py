@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from .case import Case
-from .cases_contact import contact_cases
 from .cases_convergence import convergence_cases
 from .cases_equilibrium import equilibrium_cases
 from .cases_homogeneous import homogeneous_cases
@@ -11,4 +10,4 @@ from .cases_time import time_cases
 
 
 def all_cases() -> list[Case]:
-    return [*homogeneous_cases(), *equilibrium_cases(), *convergence_cases(), *contact_cases(), *time_cases()]
+    return [*homogeneous_cases(), *equilibrium_cases(), *convergence_cases(), *time_cases()]

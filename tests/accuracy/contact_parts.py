@@ -22,10 +22,9 @@ import numpy as np
 from tensormass._src.launching import launch
 
 from . import contact_reference, record, references
-from .cases_contact import CELLS, DEEP_BOUNDS, DEFAULT, HERTZ_SERIES, NAMES, STIFF
 from .engine import Engine
 from .laws import stable_neo_hookean
-from .sphere_contact import DEEP, FULL, HERTZ, press_block, press_half_ball
+from .sphere_contact import DEEP, FULL, HERTZ, SELECTIVE, Contact, press_block, press_half_ball
 from .tables import markdown
 
 FILE = record.HERE / "results" / "contact-parts.json"
@@ -34,7 +33,19 @@ PAGE = Path(__file__).parents[2] / "docs" / "decisions" / "contact.md"
 COMMON_CELLS = 14
 #: Times the default.
 PENALTIES = (1.0, 10.0, 100.0)
-KINDS = (*DEEP_BOUNDS, ("quadratic_tetrahedron", FULL))
+KINDS = (
+    ("tetrahedron", FULL),
+    ("tetrahedron", SELECTIVE),
+    ("hexahedron", FULL),
+    ("hexahedron", SELECTIVE),
+    ("quadratic_tetrahedron", FULL),
+)
+#: Cells a side of the block.
+CELLS = (9, 13)
+#: By shape: cells along half the width of the fine block in the half ball.
+HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2), "hexahedron": (2, 4)}
+STIFF = HERTZ.stiff(100)
+NAMES = {FULL: "full", SELECTIVE: "selective"}
 #: In E / a.
 HERTZ_PENALTIES = (10.0, 30.0, 100.0, 300.0)
 HERTZ_CELLS = 4
@@ -104,7 +115,7 @@ def _kinds(engine: Engine) -> Iterator[Row]:
     for shape, quadrature in KINDS:
         for cells in CELLS:
             for times in PENALTIES[:2]:
-                contact = DEFAULT if times == 1 else DEEP.stiff(times)
+                contact = Contact() if times == 1 else DEEP.stiff(times)
                 force_n = press_block(engine, shape, cells, contact, quadrature)
                 yield _row(_kind(shape, quadrature), cells, times, force_n, exact)
 
@@ -124,10 +135,10 @@ def _sampling(engine: Engine) -> Iterator[Row]:
 
 
 def _hertz(engine: Engine) -> Iterator[Row]:
-    for (shape, quadrature), (series, _) in HERTZ_SERIES.items():
+    for shape, series in HERTZ_SERIES.items():
         for cells in series:
-            force_n = press_half_ball(engine, shape, cells, STIFF, quadrature)
-            yield _row(_kind(shape, quadrature), cells, 100, force_n, HERTZ.force_n)
+            force_n = press_half_ball(engine, shape, cells, STIFF)
+            yield _row(_kind(shape, FULL), cells, 100, force_n, HERTZ.force_n)
 
 
 def _stiffness(engine: Engine) -> Iterator[Row]:
