@@ -19,7 +19,13 @@ from .problem import Problem
 
 FOLDER = Path(__file__).parent / "references"
 COMMAND = "python -m accuracy.references"
-SOLVERS = {"scikit-fem": "skfem_fem", "numpy": "numpy_fem", "calculix": "calculix", "cook": "cook_reference"}
+SOLVERS = {
+    "scikit-fem": "skfem_fem",
+    "numpy": "numpy_fem",
+    "calculix": "calculix",
+    "cook": "cook_reference",
+    "contact": "contact_reference",
+}
 # Displacements are stored as whole multiples of this length, two decimal digits below the tightest bound.
 UNIT_M = 1e-11
 
@@ -73,7 +79,7 @@ def write(solver: str, answers: dict[str, Any], source: str) -> None:
 
 
 def main() -> int:
-    from . import cases_equilibrium, cook_reference
+    from . import cases_equilibrium, contact_reference, cook_reference
 
     made: dict[str, dict[str, Any]] = {}
     for solver, name, shape, law in cases_equilibrium.pairs():
@@ -90,6 +96,8 @@ def main() -> int:
     if cook_reference.available():
         print("Cook's membrane", flush=True)
         made["cook"] = cook_reference.solve_all()
+        print("sphere against tissue", flush=True)
+        made["contact"] = contact_reference.solve_all()
     for solver, answers in made.items():
         write(solver, answers, importlib.import_module(f".{SOLVERS[solver]}", __package__).source())
     return 0
