@@ -43,7 +43,7 @@ KINDS = (
 #: Cells a side of the block.
 CELLS = (9, 13)
 #: By shape: cells along half the width of the fine block in the half ball.
-HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2), "hexahedron": (2, 4)}
+HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2), "hexahedron": (2, 4, 8)}
 STIFF = HERTZ.stiff(100)
 NAMES = {FULL: "full", SELECTIVE: "selective"}
 #: In E / a.
