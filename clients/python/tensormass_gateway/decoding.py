@@ -48,7 +48,7 @@ class FrameDecoder:
 
     @property
     def keyframe(self) -> int | None:
-        """Returns the number of the keyframe that is kept, for the acknowledgement; None: none."""
+        """Returns the number of the keyframe that it keeps, for the acknowledgement; None if it keeps no keyframe."""
         return self._number or None
 
     def decode(self, stream: str, payload: bytes) -> DecodedFrame:

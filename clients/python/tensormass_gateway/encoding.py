@@ -148,7 +148,7 @@ def encode(
     """Returns the message of a frame, and the keyframe that it is, if it is one.
 
     Args:
-        held: the keyframe that the viewer has; None: none.
+        held: the keyframe that the viewer has; None if it has no keyframe.
         next_number: number of the next keyframe.
     """
     if choice.is_bus or not frame.is_encodable:
@@ -226,7 +226,7 @@ class FrameEncoder:
         return message
 
     def acknowledge(self, keyframe: object) -> None:
-        """Takes the number of the keyframe that the viewer has; None: none, so the next frame is a keyframe.
+        """Takes the number of the keyframe that the viewer has. Without one, the next frame is a keyframe.
 
         Raises:
             ChoiceError: there was no such keyframe. The next frame is then a keyframe, too.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 
@@ -24,12 +26,19 @@ class Triangles:
                 raise ValueError(f"a triangle of body {body.name!r} names a vertex that it does not have")
             parts.append(triangles + self.vertex_count)
             self.vertex_count += body.vertex_count
-        triangles = np.concatenate(parts)
-        self._corners = [np.ascontiguousarray(corner) for corner in triangles.T]
-        # The triangles around each vertex, one vertex after the other: sums over them are then sums of a run.
-        order = np.argsort(triangles.ravel(), kind="stable")
-        self._around = order // 3
-        self._vertices, self._runs = np.unique(triangles.ravel()[order], return_index=True)
+        self._corners = np.ascontiguousarray(np.concatenate(parts).T)
+
+    @cached_property
+    def _runs(self) -> tuple[npt.NDArray[np.int64], ...]:
+        """The triangles around each vertex, one vertex after the other: sums over them are then sums of a run.
+
+        Returns the triangles, the vertices that have some, and where the run of each begins. Sorting takes longer than
+        the normals of a frame, and most viewers ask for none.
+        """
+        corners = self._corners.T.ravel()
+        order = np.argsort(corners, kind="stable")
+        vertices, begins = np.unique(corners[order], return_index=True)
+        return order // 3, vertices, begins
 
     def normals(self, planes: npt.NDArray[np.float32]) -> npt.NDArray[np.int8]:
         """Returns the normals [vertex_count, 3] in units of 1 / SCALE.
@@ -37,17 +46,25 @@ class Triangles:
         Args:
             planes: [3, vertex_count] m, one row for each axis.
         """
+        return np.rint(self.directions(planes, SCALE)).astype(np.int8)
+
+    def directions(self, planes: npt.NDArray[np.float32], length: float = 1) -> npt.NDArray[np.float32]:
+        """Returns vectors of this length along the normals, [vertex_count, 3]. Zero where no triangle has an area.
+
+        Args:
+            planes: [3, vertex_count] m, one row for each axis.
+        """
+        around, vertices, begins = self._runs
         (a, b, c) = self._corners
         u, v = planes[:, b] - planes[:, a], planes[:, c] - planes[:, a]
         # A cross product of two edges is the triangle's normal, weighted by twice its area.
         faces = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-        packed = np.zeros((self.vertex_count, 3), np.int8)
-        if len(self._runs) == 0:
-            return packed
-        sums = np.stack([np.add.reduceat(face.take(self._around), self._runs) for face in faces])
+        out = np.zeros((self.vertex_count, 3), np.float32)
+        if len(begins) == 0:
+            return out
+        sums = np.stack([np.add.reduceat(face.take(around), begins) for face in faces])
         # Scales first, because squares of very small areas leave the range of floats.
         sums /= max(float(np.abs(sums).max()), float(np.finfo(np.float32).tiny))
         lengths = np.sqrt((sums * sums).sum(axis=0))
-        unit = np.divide(SCALE * sums, lengths, out=np.zeros_like(sums), where=lengths > 0)
-        packed[self._vertices] = np.rint(unit).T
-        return packed
+        out[vertices] = np.divide(length * sums, lengths, out=np.zeros_like(sums), where=lengths > 0).T
+        return out

@@ -127,7 +127,7 @@ class Outbox:
         return stream in self._waiting and stream not in self._on_the_way and not held_back
 
     def _frame_due_in_s(self) -> float | None:
-        """Returns the time until the frame may leave that only the rate holds back; None: there is none."""
+        """Returns the time after which the rate lets the waiting frame leave [s]; None if it holds back no frame."""
         return self.pace.wait_s() if self._has_way(Stream.FRAME) else None
 
     def _count_frame(self) -> None:

@@ -10,6 +10,7 @@ import pyvista as pv
 
 from tensormass._src.frames import Feedback, Frame
 from tensormass.v1 import stream_pb2
+from tensormass_gateway.normals import Triangles
 from tensormass_tools.desktop.shapes import pose_matrix, surface_mesh, tool_mesh
 
 _COLORS = "viridis"
@@ -43,6 +44,7 @@ class Picture:
         corner = self._rest_m.max(axis=0) - self._rest_m.min(axis=0) if len(self._rest_m) else np.ones(3)
         self._radius_m = max(0.5 * float(np.linalg.norm(corner)), 1e-6)
         self._bodies = [self._add_body(body, first) for body in first.topology.bodies]
+        self._triangles = Triangles(first.topology)
         self._tools = {shape.name: _Tool(plotter, shape, self._radius_m) for shape in first.topology.tools}
         self._text = plotter.add_text("", position="upper_left", font_size=10, color="black", name="state")
         self._look()
@@ -59,11 +61,12 @@ class Picture:
             self._rest_m = frame.positions
         self._step = frame.step
         distances_mm = 1e3 * np.linalg.norm(frame.positions.astype(np.float64) - self._rest_m, axis=1)
+        normals = self._triangles.directions(np.ascontiguousarray(frame.positions.T))
         for body, (mesh, _) in zip(self._topology.bodies, self._bodies, strict=True):
             part = slice(body.first_vertex, body.first_vertex + body.vertex_count)
             mesh.points = frame.positions[part]
             mesh["displacement"] = distances_mm[part]
-            _renew_normals(mesh)
+            mesh.point_data.active_normals = normals[part]
         self._range_mm = max(self._range_mm, float(distances_mm.max(initial=0)))
         for _, actor in self._bodies:
             actor.mapper.scalar_range = (0.0, self._range_mm)
@@ -78,7 +81,6 @@ class Picture:
         points = frame.vertices(body.name)
         mesh = surface_mesh(points, body.triangles, f"body {body.name!r}")
         mesh["displacement"] = np.zeros(len(points))
-        _renew_normals(mesh)
         since = "rest" if self._is_rest_known else "the first frame"
         actor = self._plotter.add_mesh(
             mesh,
@@ -150,15 +152,3 @@ def _arrow_matrix(start_m: npt.NDArray[Any], direction: npt.NDArray[Any], length
     matrix[:3, :3] = length_m * np.column_stack([direction, across, np.cross(direction, across)])
     matrix[:3, 3] = start_m
     return matrix
-
-
-def _renew_normals(mesh: pv.PolyData) -> None:
-    """Computes the normals of the vertices in place. The triangles are oriented already."""
-    faces = mesh.regular_faces
-    corners = np.asarray(mesh.points, np.float64)[faces]
-    of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.column_stack(
-        [np.bincount(faces.ravel(), np.repeat(of_faces[:, axis], 3), mesh.n_points) for axis in range(3)]
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    mesh.point_data.active_normals = (normals / np.maximum(lengths, 1e-300)).astype(np.float32)
