@@ -25,6 +25,7 @@ import {
   decodeFrame,
   decodeStatus,
   decodeTopology,
+  slotOf,
   splitMessage,
   type BusMessage,
   type Frame,
@@ -286,8 +287,7 @@ function onMessage(data: ArrayBuffer): void {
     store.refuse(reason, stream);
   }
   if (stream !== null) {
-    const isFrame = stream === "frame" || stream === "encoded_frame";
-    connection.acknowledge(stream, isFrame ? frameDecoder.keyframe : null);
+    connection.acknowledge(stream, slotOf(stream) === "frame" ? frameDecoder.keyframe : null);
   }
   if (valuesRevision !== store.valuesRevision) {
     valuesRevision = store.valuesRevision;

@@ -1,5 +1,5 @@
 // The WebSocket to the gateway: opens, watches a scene, acknowledges, asks for the clock, and reconnects after a loss.
-import type { StreamName, ToolState } from "./decode";
+import { slotOf, type StreamName, type ToolState } from "./decode";
 
 /** The gateway's view of the daemon. */
 export interface DaemonState {
@@ -106,11 +106,10 @@ export class Connection {
   /**
    * Lets the gateway send the next message of `stream`.
    *
-   * @param keyframe The keyframe that the page has, to which the next frame may refer; null: none.
+   * @param keyframe The keyframe that the page has, to which the next frame may refer; null if it has no keyframe.
    */
   acknowledge(stream: StreamName, keyframe: number | null = null): void {
-    // Both kinds of frames take the same slot in the gateway.
-    const slot = stream === "encoded_frame" ? "frame" : stream;
+    const slot = slotOf(stream);
     if (this.#paused) {
       this.#owed.set(slot, keyframe);
     } else {

@@ -25,6 +25,11 @@ const STREAM_NAMES: readonly string[] = [
   "field",
 ] satisfies StreamName[];
 
+/** The slot of a stream in the gateway, which takes both kinds of frames as frames. */
+export function slotOf(stream: StreamName): Exclude<StreamName, "encoded_frame"> {
+  return stream === "encoded_frame" ? "frame" : stream;
+}
+
 /** One message of the bus: `key`, a zero byte, the protobuf message. */
 export interface BusMessage {
   readonly scene: string;

@@ -17,7 +17,7 @@ export class FrameDecoder {
   /** Integers of the keyframe, [vertex_count, 3]. */
   #cells = new Uint16Array(0);
 
-  /** Number of the kept keyframe, for the acknowledgement of a frame; null: none. */
+  /** Number of the kept keyframe, for the acknowledgement of a frame; null if there is no keyframe. */
   get keyframe(): number | null {
     return this.#number === 0n ? null : Number(this.#number);
   }

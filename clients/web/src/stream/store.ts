@@ -1,6 +1,6 @@
 // State of the scene on show: topology, newest frame and status, and counts of losses. Refuses frames that do not match
 // the topology, so that drawing needs no checks.
-import { DecodeError, type Field, type Frame, type Status, type StreamName, type Topology } from "./decode";
+import { DecodeError, slotOf, type Field, type Frame, type Status, type StreamName, type Topology } from "./decode";
 import { Warnings } from "./warnings";
 
 export interface Counters {
@@ -123,7 +123,8 @@ export class SceneStore {
   refuse(reason: string, stream: StreamName | null): void {
     this.counters.refused += 1;
     this.counters.lastRefusal = reason;
-    if (stream === "topology" || stream === "frame" || stream === "encoded_frame") {
+    const slot = stream === null ? null : slotOf(stream);
+    if (slot === "topology" || slot === "frame") {
       // Keep the first reason. Later frames are refused because their topology is missing, which would hide the cause.
       this.unshown ??= reason;
     }
