@@ -19,12 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from tensormass._src.enums import short_name
 from tensormass._src.launching import launch
+from tensormass.v1 import scene_pb2
 
 from . import contact_reference, record, references
 from .engine import Engine
 from .laws import stable_neo_hookean
-from .sphere_contact import DEEP, FULL, HERTZ, SELECTIVE, Contact, press_block, press_half_ball
+from .sphere_contact import DEEP, FULL, HERTZ, SELECTIVE, press_block, press_half_ball
 from .tables import markdown
 
 FILE = record.HERE / "results" / "contact-parts.json"
@@ -44,8 +46,7 @@ KINDS = (
 CELLS = (9, 13)
 #: By shape: cells along half the width of the fine block in the half ball.
 HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2), "hexahedron": (2, 4, 8)}
-STIFF = HERTZ.stiff(100)
-NAMES = {FULL: "full", SELECTIVE: "selective"}
+STIFF = HERTZ.penalty_pa_per_m(100)
 #: In E / a.
 HERTZ_PENALTIES = (10.0, 30.0, 100.0, 300.0)
 HERTZ_CELLS = 4
@@ -115,8 +116,7 @@ def _kinds(engine: Engine) -> Iterator[Row]:
     for shape, quadrature in KINDS:
         for cells in CELLS:
             for times in PENALTIES[:2]:
-                contact = Contact() if times == 1 else DEEP.stiff(times)
-                force_n = press_block(engine, shape, cells, contact, quadrature)
+                force_n = press_block(engine, shape, cells, DEEP.penalty_pa_per_m(times), quadrature)
                 yield _row(_kind(shape, quadrature), cells, times, force_n, exact)
 
 
@@ -130,7 +130,7 @@ def _sampling(engine: Engine) -> Iterator[Row]:
     exact = references.numbers("contact")[contact_reference.DEEP_PRESS]
     yield _row("multipliers at nodes", COMMON_CELLS, 0, at_nodes, exact)
     for times in PENALTIES:
-        force_n = press_block(engine, "hexahedron", COMMON_CELLS, DEEP.stiff(times), FULL)
+        force_n = press_block(engine, "hexahedron", COMMON_CELLS, DEEP.penalty_pa_per_m(times), FULL)
         yield _row("penalty at the deepest point", COMMON_CELLS, times, force_n, exact)
 
 
@@ -143,7 +143,7 @@ def _hertz(engine: Engine) -> Iterator[Row]:
 
 def _stiffness(engine: Engine) -> Iterator[Row]:
     for times in HERTZ_PENALTIES:
-        force_n = press_half_ball(engine, "hexahedron", HERTZ_CELLS, HERTZ.stiff(times))
+        force_n = press_half_ball(engine, "hexahedron", HERTZ_CELLS, HERTZ.penalty_pa_per_m(times))
         yield _row("hexahedron, full", HERTZ_CELLS, times, force_n, HERTZ.force_n)
 
 
@@ -156,7 +156,7 @@ GROUPS: dict[str, Callable[[Engine], Iterator[Row]]] = {
 
 
 def _kind(shape: str, quadrature: int) -> str:
-    return f"{shape.replace('_', ' ')}, {NAMES[quadrature]}"
+    return f"{shape.replace('_', ' ')}, {short_name(scene_pb2.Quadrature.DESCRIPTOR, quadrature)}"
 
 
 def _row(name: str, cells: int, penalty: float, force_n: float, exact_n: float) -> Row:

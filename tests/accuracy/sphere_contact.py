@@ -29,20 +29,6 @@ NEWTON_ITERATIONS = 100
 
 
 @dataclass(frozen=True)
-class Contact:
-    """How a scene resolves contact; another method is another setting here.
-
-    penalty_pa_per_m: None means the default.
-    """
-
-    penalty_pa_per_m: float | None = None
-
-    def apply(self, tool: scene_pb2.Tool) -> None:
-        if self.penalty_pa_per_m is not None:
-            tool.spherical_probe.penalty_stiffness_pa_per_m = self.penalty_pa_per_m
-
-
-@dataclass(frozen=True)
 class Hertz:
     """A small depth in linear tissue. inner: half the width of the fine cells; outer: radius of the half ball; both
     in contact radii."""
@@ -64,12 +50,12 @@ class Hertz:
         modulus_pa = self.young_modulus_pa / (1 - self.poisson_ratio**2)
         return float(4 / 3 * modulus_pa * np.sqrt(self.radius_m) * self.depth_m**1.5)
 
-    def stiff(self, times: float) -> Contact:
+    def penalty_pa_per_m(self, times: float) -> float:
         """A penalty of `times` E / a. It loses 0.5 / times of the force (measured).
 
         The mean pressure, 0.42 E* a / radius, lets one expect 0.72 / times.
         """
-        return Contact(times * self.young_modulus_pa / self.contact_radius_m)
+        return times * self.young_modulus_pa / self.contact_radius_m
 
     def elements_per_contact_radius(self, cells: int) -> float:
         return cells / self.inner
@@ -86,9 +72,9 @@ class Deep:
     thickness_m: float = 0.03
     depth_m: float = 0.006
 
-    def stiff(self, times: float) -> Contact:
+    def penalty_pa_per_m(self, times: float) -> float:
         """A penalty of `times` the default."""
-        return Contact(times * DEFAULT_PENALTY * self.young_modulus_pa / self.radius_m)
+        return times * DEFAULT_PENALTY * self.young_modulus_pa / self.radius_m
 
 
 HERTZ, DEEP = Hertz(), Deep()
@@ -100,7 +86,7 @@ def layers(cells: int) -> int:
 
 
 def press_half_ball(
-    engine: Engine, shape: str, cells: int, contact: Contact, quadrature: int = FULL, given: Hertz = HERTZ
+    engine: Engine, shape: str, cells: int, penalty_pa_per_m: float, quadrature: int = FULL, given: Hertz = HERTZ
 ) -> float:
     """Force on the sphere [N]. cells: along half the width of the fine block."""
     a = given.contact_radius_m
@@ -112,11 +98,11 @@ def press_half_ball(
         [Prescribed(np.intersect1d(np.flatnonzero(ends), mesh.boundary()), np.zeros(3))],
         quadrature=quadrature,
     )
-    return _press(engine, problem, given, np.zeros(3), contact, (0.5, 1))
+    return _press(engine, problem, given, np.zeros(3), penalty_pa_per_m, (0.5, 1))
 
 
 def press_block(
-    engine: Engine, shape: str, cells: int, contact: Contact, quadrature: int = FULL, given: Deep = DEEP
+    engine: Engine, shape: str, cells: int, penalty_pa_per_m: float, quadrature: int = FULL, given: Deep = DEEP
 ) -> float:
     """Force on the sphere [N]. cells: along a side; half as many, rounded up, through the thickness."""
     mesh = box(shape, (cells, cells, (cells + 1) // 2), (given.side_m, given.side_m, given.thickness_m))
@@ -127,11 +113,16 @@ def press_block(
         quadrature=quadrature,
     )
     top = np.array([given.side_m / 2, given.side_m / 2, given.thickness_m])
-    return _press(engine, problem, given, top, contact, (0.25, 0.5, 0.75, 1))
+    return _press(engine, problem, given, top, penalty_pa_per_m, (0.25, 0.5, 0.75, 1))
 
 
 def _press(
-    engine: Engine, problem: Problem, given: Hertz | Deep, top_m: Floats, contact: Contact, shares: Sequence[float]
+    engine: Engine,
+    problem: Problem,
+    given: Hertz | Deep,
+    top_m: Floats,
+    penalty_pa_per_m: float,
+    shares: Sequence[float],
 ) -> float:
     """Presses down from the point top_m in equilibria at shares of the depth.
 
@@ -141,7 +132,7 @@ def _press(
     scene = engine.scene(problem)
     tool = scene.tools.add(name=TOOL, max_speed_m_per_s=1)
     tool.spherical_probe.radius_m = given.radius_m
-    contact.apply(tool)
+    tool.spherical_probe.penalty_stiffness_pa_per_m = penalty_pa_per_m
 
     def centre(depth_m: float) -> Floats:
         return top_m + np.array([0, 0, given.radius_m - depth_m])
