@@ -23,6 +23,7 @@ root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 venv=$root/.venv
 goal=${1:-build}
 cuda=${CUDA:-ON}
+cuda=${cuda/CHECK/ON}  # a check needs the same compiler
 PATH=${PATH//$venv\/bin:/}  # look for the machine's own tools, even if .venv is active
 
 # pip and Node bring their own certificates. A machine behind a proxy often has the proxy's in the system's list only.

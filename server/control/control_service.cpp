@@ -240,4 +240,12 @@ grpc::Status ControlService::RestoreScene(grpc::ServerContext*, const v1::Restor
                 response->mutable_status());
 }
 
+grpc::Status ControlService::AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest* request,
+                                         v1::AdjustSceneResponse* response) {
+  return answer(registry_.find(request->scene()).and_then([&](const RunnerPtr& runner) {
+    return runner->adjust(request->changes());
+  }),
+                response);
+}
+
 }  // namespace tensormass::control

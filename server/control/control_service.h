@@ -44,6 +44,7 @@ class ControlService final : public v1::Control::Service {
   grpc::Status SnapshotScene(grpc::ServerContext*, const v1::SnapshotSceneRequest*,
                              v1::SnapshotSceneResponse*) override;
   grpc::Status RestoreScene(grpc::ServerContext*, const v1::RestoreSceneRequest*, v1::RestoreSceneResponse*) override;
+  grpc::Status AdjustScene(grpc::ServerContext*, const v1::AdjustSceneRequest*, v1::AdjustSceneResponse*) override;
 
  private:
   SceneRegistry& registry_;

@@ -12,14 +12,19 @@ namespace {
 constexpr double kDiagnosticsRateHz = 4;
 }  // namespace
 
-Loop::Loop(std::string backend, std::unique_ptr<World> world)
+Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start)
     : world_(std::move(world)),
       model_(world_->model()),
       inboxes_(model_.tools.size()),
       budget_(model_),
-      outputs_(*world_),
+      outputs_(*world_, start.frames_published),
       status_(model_, std::move(backend), budget_, inboxes_, outputs_),
       clock_(model_.rate_hz) {
+  status_.take_stamp(outputs_.stamp());
+  if (start.paused) {
+    status_.set_state(v1::SceneStatus::STATE_PAUSED);
+    outputs_.release_tools();
+  }
   outputs_.publish(true);
   thread_ = std::thread([this] { run(); });
 }
@@ -56,7 +61,7 @@ void Loop::run() {
   clock_.restart(Clock::now());
   while (wait_for_turn()) {
     run_commands();
-    if (status_.state() != v1::SceneStatus::STATE_RUNNING || Clock::now() < clock_.begin()) continue;
+    if (!runs() || Clock::now() < clock_.begin()) continue;
     const Clock::time_point begin = Clock::now();
     if (!step_once(frame_due())) continue;
     const Clock::time_point end = Clock::now();
@@ -66,11 +71,14 @@ void Loop::run() {
   }
 }
 
+/// Whether the scene steps by the clock.
+bool Loop::runs() const { return status_.state() == v1::SceneStatus::STATE_RUNNING && !handed_over_; }
+
 /// Waits until the next step is due or a command arrives. Returns false if the loop must end.
 bool Loop::wait_for_turn() {
   std::unique_lock lock(mutex_);
   const auto called = [&] { return quit_ || !commands_.empty(); };
-  if (status_.state() == v1::SceneStatus::STATE_RUNNING) {
+  if (runs()) {
     wake_.wait_until(lock, clock_.begin(), called);
   } else {
     wake_.wait(lock, called);

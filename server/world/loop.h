@@ -55,8 +55,14 @@ class Loop {
     double simulated_time_s;
   };
 
+  /// How a loop begins, if it goes on where another one ended.
+  struct Start {
+    bool paused = false;
+    std::uint64_t frames_published = 0;
+  };
+
   /// Starts the thread. backend: its name, for the status.
-  Loop(std::string backend, std::unique_ptr<World> world);
+  Loop(std::string backend, std::unique_ptr<World> world, const Start& start);
   /// Ends the thread after the step at hand. No `call` may be under way.
   ~Loop();
   Loop(const Loop&) = delete;
@@ -96,7 +102,7 @@ class Loop {
   Result<v1::ToolFeedback> do_feedback(std::size_t tool) { return outputs_.feedback(tool); }
   Result<void> do_set_signal(std::function<void()> signal);
 
-  // Commands of recordings and snapshots, in loop_recording.cpp.
+  // Commands of recordings, snapshots and adjustments, in loop_recording.cpp.
 
   struct StartedRecording {
     std::shared_ptr<Recording> recording;
@@ -112,10 +118,20 @@ class Loop {
   Result<LoopState> do_save();
   Result<v1::SceneStatus> do_restore(const LoopState& state);
 
+  struct HandedOver {
+    LoopState state;
+    Start start;
+  };
+  /// Stops stepping and returns the state, from which another loop goes on.
+  Result<HandedOver> do_hand_over();
+  /// Steps again, because the other loop could not be made.
+  Result<void> do_go_on();
+
  private:
   using State = LoopStatus::State;
 
   void run();
+  bool runs() const;
   bool wait_for_turn();
   void run_commands();
   void enqueue(std::function<void()> command);
@@ -156,6 +172,7 @@ class Loop {
   Clock::time_point last_lockstep_frame_{};
   std::uint64_t next_diagnostics_ = 0;  // step
   bool device_failed_ = false;
+  bool handed_over_ = false;              // another loop steps this scene
   std::shared_ptr<Recording> recording_;  // nullptr: nobody records
 
   std::thread thread_;  // last: uses all of the above

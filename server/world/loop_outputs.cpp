@@ -8,13 +8,14 @@
 
 namespace tensormass::world {
 
-LoopOutputs::LoopOutputs(World& world)
+LoopOutputs::LoopOutputs(World& world, std::uint64_t frames_published)
     : world_(world),
       model_(world.model()),
       tools_(model_.tools.size()),
       frames_(FrameSlot{{}, std::vector<float>(3 * std::size_t{model_.visible.count()}), tools_}),
       feedback_(FeedbackSlot{{}, tools_}),
-      status_feedback_(FeedbackSlot{{}, tools_}) {
+      status_feedback_(FeedbackSlot{{}, tools_}),
+      frames_published_(frames_published) {
   take_step(Clock::now());
 }
 

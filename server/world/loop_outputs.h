@@ -29,7 +29,8 @@ namespace tensormass::world {
 class LoopOutputs {
  public:
   /// `world` outlives the outputs. Allocates all buffers, so that publishing allocates nothing.
-  explicit LoopOutputs(World& world);
+  /// frames_published: by an earlier loop of the same scene; the sequence of frames goes on from there.
+  explicit LoopOutputs(World& world, std::uint64_t frames_published = 0);
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
@@ -61,6 +62,7 @@ class LoopOutputs {
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
+  std::uint64_t frames_published() const { return frames_published_.load(std::memory_order_relaxed); }
   /// Adds the counts of frames and the newest feedback of all tools.
   void add_to(v1::SceneStatus& status) const;
 
@@ -81,7 +83,7 @@ class LoopOutputs {
   mutable Latest<FeedbackSlot> status_feedback_;
   mutable const FeedbackSlot* newest_status_feedback_ = nullptr;
 
-  std::atomic<std::uint64_t> frames_published_{0}, frames_replaced_{0};
+  std::atomic<std::uint64_t> frames_published_, frames_replaced_{0};
 };
 
 }  // namespace tensormass::world

@@ -1,7 +1,7 @@
 #include "world/hashes.h"
 #include "world/loop.h"
 
-/// The loop's commands for recordings, replays and snapshots. Each runs between two steps.
+/// The loop's commands for recordings, replays, snapshots and adjustments. Each runs between two steps.
 namespace tensormass::world {
 
 void Loop::record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnosed, bool rejected) {
@@ -83,6 +83,24 @@ Result<v1::ReplaySceneResponse> Loop::do_replay(const Replay& replay) {
 Result<LoopState> Loop::do_save() {
   TM_RETURN_IF_ERROR(require_state());
   return LoopState{world_->save(), next_diagnostics_};
+}
+
+Result<Loop::HandedOver> Loop::do_hand_over() {
+  if (recording_) {
+    return fail(ErrorCode::kFailedPrecondition,
+                fmt::format("scene '{}' is being recorded, and no step has a change of the scene as its input; end the "
+                            "recording first",
+                            model_.name));
+  }
+  TM_ASSIGN_OR_RETURN(state, do_save());
+  handed_over_ = true;
+  return HandedOver{std::move(state), {status_.state() == v1::SceneStatus::STATE_PAUSED, outputs_.frames_published()}};
+}
+
+Result<void> Loop::do_go_on() {
+  handed_over_ = false;
+  clock_.restart(Clock::now());
+  return {};
 }
 
 Result<v1::SceneStatus> Loop::do_restore(const LoopState& state) {

@@ -1,10 +1,13 @@
 #include "world/runner.h"
 
 #include <map>
+#include <mutex>
+#include <shared_mutex>
 
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "world/adjustments.h"
 #include "world/compiled_scene.h"
 #include "world/fields.h"
 #include "world/hashes.h"
@@ -14,43 +17,82 @@
 
 namespace tensormass::world {
 
+/// The message of a scene and how it was compiled, for `adjust`.
+struct Source {
+  v1::Scene scene;
+  RunnerOptions options;
+};
+
 /// The loop, and what stays constant while it runs.
+///
+/// `adjust` puts another loop in place of the present one. So a caller holds the loop while it uses it, and a command
+/// holds `commands` too, because a loop that has been replaced would not carry it out.
 struct Runner::Impl {
-  Impl(CompiledScene compiled, std::unique_ptr<World> world)
+  Impl(CompiledScene compiled, std::unique_ptr<World> world, std::unique_ptr<const Source> from)
       : report(std::move(compiled.report)),
         backend{compiled.backend->name(), compiled.backend->device()},
-        scene_hash(compiled.scene_hash),
-        loop(compiled.backend->name(), std::move(world)),
-        topology(make_topology(loop.model(), unix_time_ns())) {
-    for (std::size_t i = 0; i < loop.model().tools.size(); ++i) tool_index.emplace(loop.model().tools[i].name, i);
+        source(std::move(from)),
+        topology(make_topology(world->model(), unix_time_ns())),
+        scene_hash(compiled.scene_hash) {
+    for (std::size_t i = 0; i < world->model().tools.size(); ++i) tool_index.emplace(world->model().tools[i].name, i);
+    if (source) adjustments = adjustments_of(source->scene);
+    present = std::make_shared<Loop>(backend.backend, std::move(world), Loop::Start{});
   }
 
   Result<std::size_t> find_tool(std::string_view tool) const {
     const auto found = tool_index.find(tool);
     if (found == tool_index.end()) {
-      return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no tool '{}'", loop.model().name, tool));
+      return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no tool '{}'", topology.scene(), tool));
     }
     return found->second;
   }
 
+  std::shared_ptr<Loop> loop() const {
+    const std::lock_guard lock(present_mutex);
+    return present;
+  }
+
+  /// Runs a command on the loop's thread and waits for its result.
+  /// command: Result<T>(Loop&)
+  template <class Command>
+  auto call(const Command& command) {
+    const std::shared_lock lock(commands);
+    const std::shared_ptr<Loop> loop_ = loop();
+    return loop_->call([&] { return command(*loop_); });
+  }
+
+  Result<void> replace_loop(const v1::SceneAdjustments& wanted);
+
   const v1::SceneReport report;
   const BackendDescription backend;
-  const std::uint64_t scene_hash;
-  Loop loop;
+  const std::unique_ptr<const Source> source;  // nullptr: the scene cannot be adjusted
   const v1::Topology topology;
   std::map<std::string, std::size_t, std::less<>> tool_index;
+
+  std::mutex adjusting;  // one `adjust` at a time; guards adjustments
+  v1::SceneAdjustments adjustments;
+
+  std::shared_mutex commands;  // exclusive while a loop is replaced; guards scene_hash and signal
+  std::uint64_t scene_hash;
+  std::function<void()> signal;
+
+  mutable std::mutex present_mutex;
+  std::shared_ptr<Loop> present;  // guarded by present_mutex
 };
 
 Result<std::unique_ptr<Runner>> Runner::start(const v1::Scene& scene, const RunnerOptions& options,
                                               const model::Progress& progress) {
   TM_ASSIGN_OR_RETURN(compiled, compile_scene(scene, options, progress));
   TM_RETURN_IF_ERROR(progress.begin(model::LoadPart::kBuffers));
-  return start(std::move(compiled));
+  TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
+  auto source = std::make_unique<const Source>(Source{scene, options});
+  return std::unique_ptr<Runner>(
+      new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world), std::move(source))));
 }
 
 Result<std::unique_ptr<Runner>> Runner::start(CompiledScene compiled) {
   TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
-  return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world))));
+  return std::unique_ptr<Runner>(new Runner(std::make_unique<Impl>(std::move(compiled), std::move(world), nullptr)));
 }
 
 Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOptions& options,
@@ -62,60 +104,54 @@ Result<v1::SceneReport> Runner::inspect(const v1::Scene& scene, const RunnerOpti
 Runner::Runner(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 Runner::~Runner() = default;
 
-const std::string& Runner::name() const { return impl_->loop.model().name; }
+const std::string& Runner::name() const { return impl_->topology.scene(); }
 const v1::SceneReport& Runner::report() const { return impl_->report; }
 const v1::Topology& Runner::topology() const { return impl_->topology; }
 
 Result<v1::SceneStatus> Runner::pause() {
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_pause(); });
+  return impl_->call([](Loop& loop) { return loop.do_pause(); });
 }
 Result<v1::SceneStatus> Runner::resume() {
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_resume(); });
+  return impl_->call([](Loop& loop) { return loop.do_resume(); });
 }
 Result<v1::SceneStatus> Runner::step(std::uint32_t count) {
   if (count == 0 || count > limits::kMaxStepsPerCall) {
     return invalid(
         fmt::format("count: {} is not within [1, limits::kMaxStepsPerCall = {}]", count, limits::kMaxStepsPerCall));
   }
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_step(count); });
+  return impl_->call([count](Loop& loop) { return loop.do_step(count); });
 }
 Result<v1::SceneStatus> Runner::reset() {
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_reset(); });
+  return impl_->call([](Loop& loop) { return loop.do_reset(); });
 }
-v1::SceneStatus Runner::status() const { return impl_->loop.status().make(); }
-void Runner::cancel() { impl_->loop.cancel(); }
+v1::SceneStatus Runner::status() const { return impl_->loop()->status().make(); }
+void Runner::cancel() { impl_->loop()->cancel(); }
 
 Result<v1::Frame> Runner::frame() {
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_frame(impl_->topology.version()); });
+  return impl_->call([this](Loop& loop) { return loop.do_frame(impl_->topology.version()); });
 }
 Result<v1::GetPositionsResponse> Runner::positions(std::string_view body) {
-  Loop& loop = impl_->loop;
-  return loop.call([&] { return loop.do_positions(body); });
+  return impl_->call([body](Loop& loop) { return loop.do_positions(body); });
 }
 Result<v1::GetFieldsResponse> Runner::fields(const v1::GetFieldsRequest& request) {
-  Loop& loop = impl_->loop;
-  TM_ASSIGN_OR_RETURN(body, loop.find_body(request.body()));
-  TM_ASSIGN_OR_RETURN(source, loop.call([&] { return loop.do_copy_state(); }));
-  TM_ASSIGN_OR_RETURN(response, measure_fields(loop.model(), source.state, source.simulated_time_s, *body, request));
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  TM_ASSIGN_OR_RETURN(body, loop->find_body(request.body()));
+  TM_ASSIGN_OR_RETURN(source, loop->call([&] { return loop->do_copy_state(); }));
+  TM_ASSIGN_OR_RETURN(response, measure_fields(loop->model(), source.state, source.simulated_time_s, *body, request));
   response.set_step(source.step);
   response.set_simulated_time_s(source.simulated_time_s);
   return std::move(response);
 }
 Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
   TM_ASSIGN_OR_RETURN(index, impl_->find_tool(tool));
-  Loop& loop = impl_->loop;
-  return loop.call([&loop, i = index] { return loop.do_feedback(i); });
+  return impl_->call([i = index](Loop& loop) { return loop.do_feedback(i); });
 }
 
 Result<StartedRecording> Runner::record(const RecordingOptions& options) {
-  Loop& loop = impl_->loop;
-  TM_ASSIGN_OR_RETURN(started, loop.call([&] { return loop.do_record(options); }));
-  const model::Model& model = loop.model();
+  const std::shared_lock lock(impl_->commands);
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  TM_ASSIGN_OR_RETURN(started, loop->call([&] { return loop->do_record(options); }));
+  const model::Model& model = loop->model();
   StartedRecording out{started.recording, {}};
   out.start.set_scene(model.name);
   out.start.set_backend(impl_->backend.backend);
@@ -130,31 +166,70 @@ Result<StartedRecording> Runner::record(const RecordingOptions& options) {
   return out;
 }
 void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
-  Loop& loop = impl_->loop;
-  (void)loop.call([&] { return loop.do_stop_recording(recording); });
+  (void)impl_->call([&](Loop& loop) { return loop.do_stop_recording(recording); });
 }
 Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
-  Loop& loop = impl_->loop;
-  TM_ASSIGN_OR_RETURN(replay, read_replay(loop.model(), impl_->scene_hash, request));
-  TM_ASSIGN_OR_RETURN(response, loop.call([&] { return loop.do_replay(replay); }));
-  response.set_layout_hash(hash_of_layout(loop.model()));
+  const std::shared_lock lock(impl_->commands);
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  TM_ASSIGN_OR_RETURN(replay, read_replay(loop->model(), impl_->scene_hash, request));
+  TM_ASSIGN_OR_RETURN(response, loop->call([&] { return loop->do_replay(replay); }));
+  response.set_layout_hash(hash_of_layout(loop->model()));
   return std::move(response);
 }
 Result<v1::SnapshotSceneResponse> Runner::snapshot() {
-  Loop& loop = impl_->loop;
-  TM_ASSIGN_OR_RETURN(state, loop.call([&] { return loop.do_save(); }));
+  const std::shared_lock lock(impl_->commands);
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  TM_ASSIGN_OR_RETURN(state, loop->call([&] { return loop->do_save(); }));
   v1::SnapshotSceneResponse response;
   response.set_step(state.world.step_count);
-  response.set_snapshot(write_snapshot(loop.model(), impl_->scene_hash, state));
+  response.set_snapshot(write_snapshot(loop->model(), impl_->scene_hash, state));
   return response;
 }
 Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
-  Loop& loop = impl_->loop;
+  const std::shared_lock lock(impl_->commands);
+  const std::shared_ptr<Loop> loop = impl_->loop();
   // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
   // with.
-  TM_ASSIGN_OR_RETURN(present, loop.call([&] { return loop.do_save(); }));
-  TM_ASSIGN_OR_RETURN(state, read_snapshot(loop.model(), impl_->scene_hash, present.world.history, snapshot));
-  return loop.call([&] { return loop.do_restore(state); });
+  TM_ASSIGN_OR_RETURN(present, loop->call([&] { return loop->do_save(); }));
+  TM_ASSIGN_OR_RETURN(state, read_snapshot(loop->model(), impl_->scene_hash, present.world.history, snapshot));
+  return loop->call([&] { return loop->do_restore(state); });
+}
+
+Result<v1::AdjustSceneResponse> Runner::adjust(const v1::SceneAdjustments& changes) {
+  if (!impl_->source) return fail(ErrorCode::kFailedPrecondition, "the scene was not loaded from a message");
+  const std::lock_guard lock(impl_->adjusting);
+  TM_ASSIGN_OR_RETURN(wanted, with_changes(impl_->adjustments, changes));
+  if (wanted.SerializeAsString() != impl_->adjustments.SerializeAsString()) {
+    TM_RETURN_IF_ERROR(impl_->replace_loop(wanted));
+    impl_->adjustments = std::move(wanted);
+  }
+  v1::AdjustSceneResponse response;
+  *response.mutable_status() = status();
+  *response.mutable_adjustments() = impl_->adjustments;
+  return response;
+}
+
+/// Compiles the adjusted scene while the present loop steps. Then takes the present loop's state, and puts a loop that
+/// goes on from it in its place.
+Result<void> Runner::Impl::replace_loop(const v1::SceneAdjustments& wanted) {
+  TM_ASSIGN_OR_RETURN(compiled, compile_scene(adjusted(source->scene, wanted), source->options));
+  TM_ASSIGN_OR_RETURN(world, World::create(std::move(compiled.model), *compiled.backend));
+  const std::unique_lock lock(commands);
+  const std::shared_ptr<Loop> old = loop();
+  TM_ASSERT(hash_of_layout(world->model()) == hash_of_layout(old->model()), "values do not change the order of nodes");
+  TM_ASSIGN_OR_RETURN(handed_over, old->call([&] { return old->do_hand_over(); }));
+  try {
+    world->take_over(handed_over.state.world);
+  } catch (const std::exception& failure) {
+    (void)old->call([&] { return old->do_go_on(); });
+    return fail(ErrorCode::kUnavailable, fmt::format("the device failed: {}; the scene is unchanged", failure.what()));
+  }
+  const auto next = std::make_shared<Loop>(backend.backend, std::move(world), handed_over.start);
+  if (signal) (void)next->call([&] { return next->do_set_signal(signal); });
+  scene_hash = compiled.scene_hash;
+  const std::lock_guard swap(present_mutex);
+  present = next;
+  return {};
 }
 
 Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose) {
@@ -163,19 +238,23 @@ Result<void> Runner::submit_pose(std::string_view tool, const v1::ToolPose& pose
     count_malformed_pose();
     return tl::make_unexpected(index.error());
   }
-  return impl_->loop.submit_pose(*index, pose);
+  return impl_->loop()->submit_pose(*index, pose);
 }
-void Runner::count_malformed_pose() { impl_->loop.count_malformed_pose(); }
+void Runner::count_malformed_pose() { impl_->loop()->count_malformed_pose(); }
 
 void Runner::set_output_signal(std::function<void()> signal) {
-  Loop& loop = impl_->loop;
-  (void)loop.call([&] { return loop.do_set_signal(std::move(signal)); });
+  const std::unique_lock lock(impl_->commands);
+  impl_->signal = std::move(signal);
+  const std::shared_ptr<Loop> loop = impl_->loop();
+  (void)loop->call([&] { return loop->do_set_signal(impl_->signal); });
 }
 
-bool Runner::take_frame(v1::Frame& frame) { return impl_->loop.outputs().take_frame(impl_->topology.version(), frame); }
-bool Runner::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
-  return impl_->loop.outputs().take_feedback(feedback);
+bool Runner::take_frame(v1::Frame& frame) {
+  return impl_->loop()->outputs().take_frame(impl_->topology.version(), frame);
 }
-bool Runner::take_status(v1::SceneStatus& status) { return impl_->loop.take_status(status); }
+bool Runner::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
+  return impl_->loop()->outputs().take_feedback(feedback);
+}
+bool Runner::take_status(v1::SceneStatus& status) { return impl_->loop()->take_status(status); }
 
 }  // namespace tensormass::world

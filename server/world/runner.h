@@ -85,6 +85,8 @@ class Runner {
   /// The whole state between two steps (snapshot.h), and going on from it.
   Result<v1::SnapshotSceneResponse> snapshot();
   Result<v1::SceneStatus> restore(std::string_view snapshot);
+  /// Changes values of the scene and goes on from its state; see AdjustScene.
+  Result<v1::AdjustSceneResponse> adjust(const v1::SceneAdjustments& changes);
 
   /// Never waits for a step. Refuses (and counts) a pose that is not finite, not newer than the client's last, or for
   /// an unknown tool.

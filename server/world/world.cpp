@@ -274,6 +274,11 @@ void World::restore(const Saved& saved) {
   if (model_->visible.count() > 0) state_->gather_visible();
 }
 
+void World::take_over(const Saved& saved) {
+  restore(saved);
+  energy_.start(saved.energy.kinetic_j, diagnose_elastic_energy());
+}
+
 std::vector<double> World::positions(const model::BodyModel& body) {
   const backend::RowState state = state_->read();
   TM_ASSERT(body.node_begin + body.node_count <= model_->layout.row_of_node.size(), "a body of this model");

@@ -69,6 +69,9 @@ class World {
   Saved save();
   /// Goes on from a state that a world of an equal model saved.
   void restore(const Saved& saved);
+  /// Goes on from a state that a world of another material saved. Its elastic energy is another one, so the energy
+  /// balance starts anew.
+  void take_over(const Saved& saved);
 
   std::uint32_t cg_limit() const { return cg_limit_; }
 

@@ -200,6 +200,12 @@ class FakeDaemon(control_pb2_grpc.ControlServicer):
         await self._command(request, context)
         return control_pb2.ResetSceneResponse()
 
+    async def AdjustScene(  # noqa: N802
+        self, request: control_pb2.AdjustSceneRequest, context: Call
+    ) -> control_pb2.AdjustSceneResponse:
+        await self._command(request, context)
+        return control_pb2.AdjustSceneResponse(adjustments=request.changes)
+
     async def LoadScene(  # noqa: N802
         self, request: control_pb2.LoadSceneRequest, context: Call
     ) -> control_pb2.LoadSceneResponse:

@@ -46,7 +46,22 @@ async def test_refusal_of_the_daemon_reaches_the_operator(viewer: Path) -> None:
         assert (await page.command("step", "liver"))["error"] == "scene 'liver' runs by the clock"
 
 
-@pytest.mark.parametrize("action", ["pause", "resume", "step", "reset", "load", "unload"])
+@asynchronous
+async def test_values_after_an_adjustment_reach_the_operator(viewer: Path) -> None:
+    async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
+        load(daemon)
+        async with browse(gateway, "liver") as page:
+            gravity = {"x": 0.0, "y": -1.5, "z": 0.0}
+            changes = {"gravity_m_per_s2": gravity, "bodies": [{"body": "a", "stiffness_factor": 2.0}]}
+            result = await page.command("adjust", "liver", changes=changes)
+            assert result["error"] == ""
+            assert result["adjustments"] == changes
+            sent = control_pb2.SceneAdjustments(bodies=[{"body": "a", "stiffness_factor": 2}])
+            sent.gravity_m_per_s2.y = -1.5
+            assert daemon.commands == [control_pb2.AdjustSceneRequest(scene="liver", changes=sent)]
+
+
+@pytest.mark.parametrize("action", ["pause", "resume", "step", "reset", "load", "unload", "adjust"])
 @asynchronous
 async def test_who_only_looks_controls_nothing(viewer: Path, action: str) -> None:
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control, allow_poses=True)) as gateway:
@@ -133,6 +148,9 @@ async def test_lost_daemon_is_named(viewer: Path) -> None:
         ({"steps": 1.5}, "steps is not"),
         ({"lockstep": "yes"}, "lockstep is not"),
         ({"sudo": 1}, "unknown fields"),
+        ({"changes": []}, "changes is not a JSON object"),
+        ({"changes": {"mass": 1}}, "changes is not a SceneAdjustments"),
+        ({"changes": {"bodies": [{"stiffness_factor": "soft"}]}}, "changes is not a SceneAdjustments"),
     ],
 )
 @asynchronous

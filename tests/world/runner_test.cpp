@@ -14,6 +14,7 @@
 #include "support/backends.h"
 #include "support/eventually.h"
 #include "support/faulty_backend.h"
+#include "support/refused.h"
 #include "support/scenes.h"
 #include "world/compiled_scene.h"
 
@@ -91,14 +92,6 @@ class Running : public tests::OnBackend {
     return std::move(*runner);
   }
 };
-
-#define EXPECT_REFUSED(expression, expected_code, part)                                          \
-  do {                                                                                           \
-    const auto refused = (expression);                                                           \
-    ASSERT_FALSE(refused);                                                                       \
-    EXPECT_EQ(refused.error().code, expected_code);                                              \
-    EXPECT_NE(refused.error().message.find(part), std::string::npos) << refused.error().message; \
-  } while (false)
 
 TEST_P(Running, LockstepStepsWhenAskedAndOnlyThen) {
   const auto runner = load(lockstep_scene());

@@ -1,13 +1,14 @@
-"""Commands of an operator: pause, resume, step and reset a scene, load a built-in one, unload one."""
+"""Commands of an operator: pause, resume, step, reset and adjust a scene, load a built-in one, unload one."""
 
 from __future__ import annotations
 
 import asyncio
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import grpc
+from google.protobuf import json_format
 
 from tensormass._src import demo
 from tensormass._src.errors import TensormassError
@@ -33,6 +34,7 @@ class Action(enum.StrEnum):
     RESET = "reset"
     LOAD = "load"
     UNLOAD = "unload"
+    ADJUST = "adjust"
 
 
 class CommandError(Exception):
@@ -50,6 +52,16 @@ class Command:
     """Name of a loaded scene; for `load` that of a built-in one."""
     steps: int = 1
     lockstep: bool = False
+    changes: control_pb2.SceneAdjustments = field(default_factory=control_pb2.SceneAdjustments)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command did."""
+
+    scene: str
+    adjustments: dict[str, Any] | None = None
+    """All values of a scene after `adjust`, a SceneAdjustments as JSON with the names of its fields."""
 
 
 def read_command(request: dict[str, Any]) -> Command:
@@ -62,7 +74,8 @@ def read_command(request: dict[str, Any]) -> Command:
         raise ProtocolError(f"action is not one of {', '.join(Action)}")
     if not isinstance(scene, str) or not is_name(scene):
         raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
-    command = Command(number, Action(action), scene, given.pop("steps", 1), given.pop("lockstep", False))
+    steps, lockstep = given.pop("steps", 1), given.pop("lockstep", False)
+    command = Command(number, Action(action), scene, steps, lockstep, _read_changes(given.pop("changes", {})))
     if not _is_whole(command.steps, 1, MAX_STEPS):
         raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
     if not isinstance(command.lockstep, bool):
@@ -70,6 +83,15 @@ def read_command(request: dict[str, Any]) -> Command:
     if given:
         raise ProtocolError("a command has unknown fields")
     return command
+
+
+def _read_changes(changes: object) -> control_pb2.SceneAdjustments:
+    if not isinstance(changes, dict):
+        raise ProtocolError("changes is not a JSON object")
+    try:
+        return json_format.ParseDict(changes, control_pb2.SceneAdjustments())
+    except (json_format.ParseError, RecursionError) as error:
+        raise ProtocolError("changes is not a SceneAdjustments as JSON") from error
 
 
 class Control:
@@ -80,14 +102,16 @@ class Control:
         # A load reads meshes and sends them, which takes much memory.
         self._loading = asyncio.Lock()
 
-    async def execute(self, command: Command) -> str:
-        """Executes `command` and returns the name of its scene. Raises CommandError with the reason of a failure."""
+    async def execute(self, command: Command) -> Outcome:
+        """Executes `command`. Raises CommandError with the reason of a failure."""
         if self._daemon.problem:
             raise CommandError(self._daemon.problem)
         try:
             if command.action is Action.LOAD:
                 async with self._loading:
-                    return await self._load(command)
+                    return Outcome(await self._load(command))
+            if command.action is Action.ADJUST:
+                return await self._adjust(command)
             await self._call(command)
         except grpc.aio.AioRpcError as error:
             raise CommandError(error.details() or f"the daemon answered {error.code().name}") from error
@@ -95,7 +119,15 @@ class Control:
             # Browsers hear of the change before the answer, not only after the next poll.
             if command.action in (Action.LOAD, Action.UNLOAD):
                 await self._daemon.refresh()
-        return command.scene
+        return Outcome(command.scene)
+
+    async def _adjust(self, command: Command) -> Outcome:
+        request = control_pb2.AdjustSceneRequest(scene=command.scene, changes=command.changes)
+        reply = await self._daemon.control.AdjustScene(request, timeout=LOAD_TIMEOUT_S)
+        values = json_format.MessageToDict(
+            reply.adjustments, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+        )
+        return Outcome(command.scene, values)
 
     async def _call(self, command: Command) -> None:
         control, scene = self._daemon.control, command.scene

@@ -17,7 +17,7 @@ in the address or by a message `frames` (choice.py). Frames of a chosen codec ha
     gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
                                   field_scenes, operator (whether this browser may control), poses_allowed
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
-                         result   id, action, scene of a command; error (empty: it succeeded)
+                         result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust)
                          frames   codec, rate_hz, normals that hold now; error (empty: as asked)
     browser -> gateway   watch    scene
                          ack      stream; keyframe (codec delta): the one that the browser has
@@ -25,13 +25,14 @@ in the address or by a message `frames` (choice.py). Frames of a chosen codec ha
                          frames   codec: float32, q16, delta; rate_hz (null: every frame); normals
                          field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
-                         control  id, action, scene; steps (1), lockstep (false)   (operators)
+                         control  id, action, scene; steps (1), lockstep (false), changes ({})   (operators)
 
-The actions are pause, resume, step, reset, load and unload (control.py). `load` takes the name of a built-in scene.
-Its result has the name under which the scene runs. A pose's orientation is a quaternion of any length but zero.
-Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this protocol is closed
-with code 1008 and the reason. A choice that there is not is answered with its error instead, and the choice before
-holds.
+The actions are pause, resume, step, reset, load, unload and adjust (control.py). `load` takes the name of a built-in
+scene. Its result has the name under which the scene runs. `adjust` takes the changes, a SceneAdjustments of
+control.proto as JSON, and its result has all values after them in the same form. A pose's orientation is a quaternion
+of any length but zero. Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this
+protocol is closed with code 1008 and the reason. A choice that there is not is answered with its error instead, and
+the choice before holds.
 
 admission.py says who may connect.
 """
@@ -51,7 +52,7 @@ from tensormass._src import demo
 from tensormass.v1 import scene_pb2
 from tensormass_gateway.admission import Admission, secure_headers
 from tensormass_gateway.choice import Choice, ChoiceError, choice_of
-from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, read_command
+from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, Outcome, read_command
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.options import GatewayOptions
@@ -308,19 +309,21 @@ class Gateway:
 
     async def _execute(self, browser: Browser, command: Command, *, crowded: bool) -> None:
         """Executes a command and answers it. Frames keep flowing meanwhile, because a load takes long."""
-        error, scene = "", command.scene
+        error, outcome = "", Outcome(command.scene)
         try:
             if not browser.operator:
                 raise CommandError("this address only lets you look; open the operator's address")
             if crowded:
                 raise CommandError(f"{MAX_WAITING} commands wait for an answer; wait for them")
-            scene = await self._control.execute(command)
+            outcome = await self._control.execute(command)
         except CommandError as failure:
             error = str(failure)
         except Exception:  # an error of our own; the operator still gets an answer
             log.exception("%s of scene %s failed", command.action, command.scene)
             error = "the gateway failed; its log says why"
-        result = {"type": "result", "id": command.id, "action": command.action, "scene": scene, "error": error}
+        result = {"type": "result", "id": command.id, "action": command.action, "scene": outcome.scene, "error": error}
+        if outcome.adjustments is not None:
+            result["adjustments"] = outcome.adjustments
         await browser.socket.send_json(result)
 
     def _daemon_state(self, browser: Browser) -> dict[str, Any]:

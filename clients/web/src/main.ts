@@ -14,6 +14,7 @@ import { download } from "./panel/download";
 import { filmOf } from "./panel/film";
 import { listenToKeys } from "./panel/keys";
 import { LegendPanel, Toast } from "./panel/legend";
+import { MaterialPanel, type Adjustments } from "./panel/material";
 import { savePicture } from "./panel/picture";
 import { Plots } from "./panel/plots";
 import { loadSettings, type Settings } from "./panel/settings";
@@ -88,6 +89,11 @@ const hud = new Hud({
 const viewer = openViewer();
 const controls = new Controls({ command: (action, options) => void command(action, options) });
 
+const material = new MaterialPanel({
+  adjust,
+  onError: (text) => toast.show(`Adjusting the scene: ${text}`, "bad"),
+});
+
 const frameDecoder = new FrameDecoder();
 const streamAddress = `//${address.host}/stream?${streamQuery().toString()}`;
 const connection = new Connection({
@@ -120,6 +126,7 @@ listenToKeys({
   p: takePicture,
   f: toggleFilm,
   d: () => find("#display", HTMLDetailsElement).toggleAttribute("open"),
+  m: () => find("#material", HTMLDetailsElement).toggleAttribute("open"),
   Escape: () => {
     hud.hideNotice();
     toast.hide();
@@ -239,13 +246,16 @@ function forget(): void {
   replaced = 0;
   store.clear();
   plots.clear();
+  material.forget();
 }
 
 function showState(): void {
   if (daemon !== null) {
     show(sceneSituation(daemon, wanted, watched, store));
   }
-  controls.show(controlState(daemon, watched, store.status, busy), daemon, watched);
+  const state = controlState(daemon, watched, store.status, busy);
+  controls.show(state, daemon, watched);
+  material.show(state.adjust);
 }
 
 function show(situation: Situation): void {
@@ -376,10 +386,10 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
   }
   try {
     const { lockstep = false } = options;
-    const name = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : {}) });
+    const result = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : {}) });
     toast.hide();
     if (slow) {
-      wanted = action === "load" ? name : null;
+      wanted = action === "load" ? result.scene : null;
       writeWanted();
       chooseScene();
     }
@@ -388,6 +398,15 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
   }
   busy = slow ? null : busy;
   showState();
+}
+
+/** Changes values of the watched scene. The gateway checks what it answers, so its form is known. */
+async function adjust(changes: Adjustments): Promise<Adjustments> {
+  if (watched === null) {
+    return {};
+  }
+  const result = await connection.control({ action: "adjust", scene: watched, changes });
+  return result.adjustments ?? {};
 }
 
 /** Keeps the chosen scene in the address, so that a reload shows it again. */

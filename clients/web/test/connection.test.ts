@@ -200,7 +200,7 @@ describe("Connection", () => {
     ]);
   });
 
-  it("returns the scene of a command, or fails with the gateway's reason", async () => {
+  it("returns the result of a command, or fails with the gateway's reason", async () => {
     FakeSocket.last.open();
     const loaded = connection.control({ action: "load", scene: "beam", lockstep: true });
     const refused = connection.control({ action: "step", scene: "beam" });
@@ -213,7 +213,7 @@ describe("Connection", () => {
     answer({ id: 1, action: "load", scene: "beam-2", error: "" });
     answer({ id: 9, action: "load", scene: "beam-2", error: "" }); // nobody asked
     await expect(refused).rejects.toThrow("it runs by the clock");
-    expect(await loaded).toBe("beam-2");
+    expect(await loaded).toMatchObject({ scene: "beam-2" });
   });
 
   it("fails a command that the connection does not outlive, or that it never had", async () => {

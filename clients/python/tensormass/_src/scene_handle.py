@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -21,7 +21,7 @@ from tensormass._src.scene_report import REPORT_FIELDS, report_path, write_repor
 from tensormass._src.step_record import StepRecord
 from tensormass._src.streams import Closing, Transport
 from tensormass._src.subscriptions import Subscription
-from tensormass._src.vectors import Vector
+from tensormass._src.vectors import Vector, vector3
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 
@@ -210,6 +210,51 @@ class SceneHandle:
         content = snapshot if isinstance(snapshot, bytes) else _read(Path(snapshot))
         request = control_pb2.RestoreSceneRequest(scene=self.name, snapshot=content)
         return self._connection.call("RestoreScene", request, timeout_s=LOAD_TIMEOUT_S).status
+
+    def adjust(
+        self,
+        *,
+        gravity_m_per_s2: Vector | None = None,
+        stiffness_factor: Mapping[str, float] | None = None,
+        rayleigh_mass_per_s: Mapping[str, float] | None = None,
+        rayleigh_stiffness_s: Mapping[str, float] | None = None,
+    ) -> control_pb2.SceneAdjustments:
+        """Changes gravity, stiffness or damping, and goes on from the present state.
+
+            scene.adjust(stiffness_factor={"liver": 2.0})
+
+        Takes as long as a load, but the scene stops for the time of a few steps only. A reset keeps the changes.
+
+        Args:
+            gravity_m_per_s2: [3] m/s².
+            stiffness_factor: for each body by name, the factor of every modulus as it was loaded, 0.001 to 1000.
+            rayleigh_mass_per_s: for each body, α of its Rayleigh damping [1/s].
+            rayleigh_stiffness_s: for each body, β of its Rayleigh damping [s].
+
+        Returns:
+            All values after the call. Without arguments it changes nothing.
+
+        Raises:
+            NotFoundError: no such body.
+            InvalidArgumentError: a value outside its range.
+            FailedPreconditionError: the scene is being recorded.
+        """
+        changes = control_pb2.SceneAdjustments()
+        if gravity_m_per_s2 is not None:
+            changes.gravity_m_per_s2.CopyFrom(vector3(gravity_m_per_s2, "gravity_m_per_s2"))
+        given = {
+            "stiffness_factor": stiffness_factor,
+            "rayleigh_mass_per_s": rayleigh_mass_per_s,
+            "rayleigh_stiffness_s": rayleigh_stiffness_s,
+        }
+        bodies: dict[str, dict[str, float]] = {}
+        for field, values in given.items():
+            for body, value in (values or {}).items():
+                bodies.setdefault(body, {})[field] = value
+        for body, fields in bodies.items():
+            changes.bodies.add(body=body, **fields)
+        request = control_pb2.AdjustSceneRequest(scene=self.name, changes=changes)
+        return self._connection.call("AdjustScene", request, timeout_s=LOAD_TIMEOUT_S).adjustments
 
     # --- tools --------------------------------------------------------------------------------------------------------
 

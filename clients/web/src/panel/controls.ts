@@ -17,6 +17,7 @@ export interface ControlState {
   readonly reset: Reason;
   readonly unload: Reason;
   readonly load: Reason;
+  readonly adjust: Reason;
 }
 
 const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
@@ -38,7 +39,7 @@ export function controlState(
   const pause = scene ?? (status === null ? "The state of the scene is not known yet." : clockReason(state));
   const stands = state === SceneState.LOCKSTEP || state === SceneState.PAUSED;
   const step = scene ?? (stands ? null : "A scene that runs does not step by hand. Pause it.");
-  return { pauses, pause, step, reset: scene, unload: scene, load };
+  return { pauses, pause, step, reset: scene, unload: scene, load, adjust: scene };
 }
 
 function reasonToWait(daemon: DaemonState | null, busy: string | null): Reason {

@@ -31,16 +31,20 @@ export interface CommandResult {
   readonly scene: string;
   /** Empty: the command succeeded. */
   readonly error: string;
+  /** All values of a scene after `adjust`. */
+  readonly adjustments?: object;
 }
 
 export interface Command {
   readonly action: string;
   readonly scene: string;
   readonly lockstep?: boolean;
+  /** What `adjust` changes: a SceneAdjustments of control.proto as JSON. */
+  readonly changes?: object;
 }
 
 interface Waiting {
-  readonly done: (scene: string) => void;
+  readonly done: (result: CommandResult) => void;
   readonly fail: (error: Error) => void;
 }
 
@@ -133,8 +137,8 @@ export class Connection {
     this.#send({ type: "pose", tool: name, position_m: positionM, orientation: orientationWxyz });
   }
 
-  /** Sends a command. Returns the name of its scene; fails with the reason of the gateway or the daemon. */
-  control(command: Command): Promise<string> {
+  /** Sends a command. Fails with the reason of the gateway or the daemon. */
+  control(command: Command): Promise<CommandResult> {
     if (this.#socket?.readyState !== 1) {
       return Promise.reject(new Error("there is no connection to the gateway"));
     }
@@ -236,13 +240,13 @@ export class Connection {
     }
   }
 
-  #settle({ id, scene, error }: CommandResult): void {
-    const waiting = this.#waiting.get(id);
-    this.#waiting.delete(id);
-    if (error === "") {
-      waiting?.done(scene);
+  #settle(result: CommandResult): void {
+    const waiting = this.#waiting.get(result.id);
+    this.#waiting.delete(result.id);
+    if (result.error === "") {
+      waiting?.done(result);
     } else {
-      waiting?.fail(new Error(error));
+      waiting?.fail(new Error(result.error));
     }
   }
 
@@ -288,9 +292,9 @@ export function parseText(text: string): TextMessage | null {
       : null;
   }
   if (type === "result") {
-    const { id, scene, error } = fields;
+    const { id, scene, error, adjustments } = fields;
     return typeof id === "number" && typeof scene === "string" && typeof error === "string"
-      ? { type, result: { id, scene, error } }
+      ? { type, result: { id, scene, error, ...(isObject(adjustments) ? { adjustments } : {}) } }
       : null;
   }
   if (type === "frames") {
@@ -314,6 +318,10 @@ export function parseText(text: string): TextMessage | null {
     };
   }
   return null;
+}
+
+function isObject(value: unknown): value is object {
+  return typeof value === "object" && value !== null;
 }
 
 function names(value: unknown): string[] {

@@ -1,0 +1,189 @@
+// The panel that changes a running scene: gravity, and stiffness and damping of each body.
+import { find } from "../dom";
+import type { Reason } from "./controls";
+
+/** A SceneAdjustments of control.proto as JSON. */
+export interface Adjustments {
+  readonly gravity_m_per_s2?: Point;
+  readonly bodies?: readonly BodyAdjustment[];
+}
+
+export interface BodyAdjustment {
+  readonly body: string;
+  readonly stiffness_factor?: number;
+  readonly rayleigh_mass_per_s?: number;
+  readonly rayleigh_stiffness_s?: number;
+}
+
+interface Point {
+  readonly x: number;
+  readonly y: number;
+  readonly z: number;
+}
+
+/** What a slider changes: how its position, 0 to 1, becomes a value, and how the value is written. */
+interface Scale {
+  readonly label: string;
+  readonly hint: string;
+  readonly valueAt: (position: number) => number;
+  readonly positionOf: (value: number) => number;
+  readonly text: (value: number) => string;
+}
+
+const clamp = (share: number): number => Math.min(1, Math.max(0, share));
+
+/** Factors from a tenth to ten, so that the middle is 1. */
+export const STIFFNESS: Scale = {
+  label: "Stiffness",
+  hint: "Factor of every modulus of the body, as it was loaded",
+  valueAt: (position) => 10 ** (2 * position - 1),
+  positionOf: (value) => clamp((Math.log10(value) + 1) / 2),
+  text: (value) => `× ${value.toPrecision(2)}`,
+};
+
+/** The square of the position, because small damping needs finer steps. */
+function dampingScale(label: string, hint: string, most: number, unit: string): Scale {
+  return {
+    label,
+    hint,
+    valueAt: (position) => most * position ** 2,
+    positionOf: (value) => clamp(Math.sqrt(value / most)),
+    text: (value) => `${Number(value.toPrecision(2)).toString()} ${unit}`,
+  };
+}
+
+export const SLOW_DAMPING = dampingScale("Damping α", "Rayleigh damping by mass: slows every motion", 50, "1/s");
+export const FAST_DAMPING = dampingScale("Damping β", "Rayleigh damping by stiffness: calms vibrations", 0.1, "s");
+
+export const GRAVITY: Scale = {
+  label: "Gravity",
+  hint: "Along the scene's gravity; downwards if it has none",
+  valueAt: (position) => 20 * position,
+  positionOf: (value) => clamp(value / 20),
+  text: (value) => `${value.toFixed(1)} m/s²`,
+};
+
+/** Scales `gravity` to a length [m/s²]. Keeps a direction to scale again later; without any it is -y. */
+export function gravityOfLength(direction: Point, lengthMPerS2: number): Point {
+  const { x, y, z } = direction;
+  const present = Math.hypot(x, y, z);
+  const scale = present > 0 ? lengthMPerS2 / present : 0;
+  return present > 0 ? { x: scale * x, y: scale * y, z: scale * z } : { x: 0, y: -lengthMPerS2, z: 0 };
+}
+
+export interface MaterialActions {
+  /** Changes the scene and returns all values after it. Fails with the reason. */
+  readonly adjust: (changes: Adjustments) => Promise<Adjustments>;
+  readonly onError: (text: string) => void;
+}
+
+export class MaterialPanel {
+  readonly #actions: MaterialActions;
+  readonly #menu = find("#material", HTMLDetailsElement);
+  readonly #sliders = find("#material-sliders", HTMLElement);
+  readonly #note = find("#material-note", HTMLElement);
+  #direction: Point = { x: 0, y: -1, z: 0 };
+  /** The change that waits for the answer to the one before; a later one replaces it. */
+  #waiting: Adjustments | null = null;
+  #asking = false;
+
+  constructor(actions: MaterialActions) {
+    this.#actions = actions;
+    this.#menu.addEventListener("toggle", () => {
+      if (this.#menu.open) {
+        this.#send({});
+      }
+    });
+  }
+
+  /** reason: why the scene cannot be adjusted now. */
+  show(reason: Reason): void {
+    this.#note.hidden = reason === null;
+    this.#note.textContent = reason ?? "";
+    for (const input of this.#sliders.querySelectorAll("input")) {
+      input.disabled = reason !== null;
+    }
+  }
+
+  /** Closes the panel, because its values are of another scene. */
+  forget(): void {
+    this.#menu.open = false;
+    this.#sliders.replaceChildren();
+  }
+
+  #send(changes: Adjustments): void {
+    this.#waiting = changes;
+    if (!this.#asking) {
+      void this.#ask();
+    }
+  }
+
+  async #ask(): Promise<void> {
+    this.#asking = true;
+    while (this.#waiting !== null) {
+      const changes = this.#waiting;
+      this.#waiting = null;
+      try {
+        this.#build(await this.#actions.adjust(changes));
+      } catch (error) {
+        this.#actions.onError(error instanceof Error ? error.message : String(error));
+      }
+    }
+    this.#asking = false;
+  }
+
+  /** Makes the sliders anew with these values. A slider that was moved meanwhile stays: its answer follows. */
+  #build(values: Adjustments): void {
+    if (this.#waiting !== null) {
+      return;
+    }
+    const gravity = values.gravity_m_per_s2 ?? { x: 0, y: 0, z: 0 };
+    const length = Math.hypot(gravity.x, gravity.y, gravity.z);
+    this.#direction = length > 0 ? gravity : this.#direction;
+    const groups = (values.bodies ?? []).map((body) => {
+      const change = (field: keyof BodyAdjustment) => (value: number) =>
+        this.#send({ bodies: [{ body: body.body, [field]: value }] });
+      return group(body.body, [
+        slider(STIFFNESS, body.stiffness_factor ?? 1, change("stiffness_factor")),
+        slider(SLOW_DAMPING, body.rayleigh_mass_per_s ?? 0, change("rayleigh_mass_per_s")),
+        slider(FAST_DAMPING, body.rayleigh_stiffness_s ?? 0, change("rayleigh_stiffness_s")),
+      ]);
+    });
+    const weight = slider(GRAVITY, length, (value) =>
+      this.#send({ gravity_m_per_s2: gravityOfLength(this.#direction, value) }),
+    );
+    const focused = document.activeElement?.ariaLabel;
+    this.#sliders.replaceChildren(...groups, weight);
+    [...this.#sliders.querySelectorAll("input")].find((input) => input.ariaLabel === focused)?.focus();
+  }
+}
+
+function group(name: string, sliders: HTMLElement[]): HTMLElement {
+  const out = document.createElement("fieldset");
+  const legend = document.createElement("legend");
+  legend.textContent = name;
+  out.append(legend, ...sliders);
+  for (const input of out.querySelectorAll("input")) {
+    input.ariaLabel = `${input.ariaLabel ?? ""} of ${name}`;
+  }
+  return out;
+}
+
+/** Makes a slider that shows its value while it moves and reports it when it is let go. */
+function slider(scale: Scale, value: number, report: (value: number) => void): HTMLElement {
+  const label = document.createElement("label");
+  label.title = scale.hint;
+  const input = document.createElement("input");
+  const output = document.createElement("output");
+  input.type = "range";
+  input.min = "0";
+  input.max = "1";
+  input.step = "0.005";
+  input.ariaLabel = scale.label;
+  input.value = String(scale.positionOf(value));
+  output.textContent = scale.text(value);
+  input.addEventListener("input", () => (output.textContent = scale.text(scale.valueAt(Number(input.value)))));
+  input.addEventListener("change", () => report(scale.valueAt(Number(input.value))));
+  label.append(scale.label, input, output);
+  return label;
+}

@@ -1,0 +1,41 @@
+import { describe, expect, it } from "vitest";
+
+import { FAST_DAMPING, GRAVITY, gravityOfLength, SLOW_DAMPING, STIFFNESS } from "../src/panel/material";
+
+describe("scales of the material's sliders", () => {
+  it.each([STIFFNESS, SLOW_DAMPING, FAST_DAMPING, GRAVITY])("$label: a position and its value belong together", (scale) => {
+    for (const position of [0, 0.1, 0.5, 0.995, 1]) {
+      expect(scale.positionOf(scale.valueAt(position))).toBeCloseTo(position, 12);
+    }
+  });
+
+  it("has the loaded stiffness in the middle, and nothing at the low ends of the others", () => {
+    expect(STIFFNESS.valueAt(0.5)).toBe(1);
+    expect([SLOW_DAMPING, FAST_DAMPING, GRAVITY].map((scale) => scale.valueAt(0))).toEqual([0, 0, 0]);
+  });
+
+  it("stays at its end for a value beyond it", () => {
+    expect(STIFFNESS.positionOf(1000)).toBe(1);
+    expect(STIFFNESS.positionOf(0.001)).toBe(0);
+    expect(SLOW_DAMPING.positionOf(1e6)).toBe(1);
+  });
+
+  it("writes values with their units", () => {
+    expect(STIFFNESS.text(2.512)).toBe("× 2.5");
+    expect(SLOW_DAMPING.text(0)).toBe("0 1/s");
+    expect(FAST_DAMPING.text(0.00123)).toBe("0.0012 s");
+    expect(GRAVITY.text(9.81)).toBe("9.8 m/s²");
+  });
+});
+
+describe("gravityOfLength", () => {
+  it("keeps the direction", () => {
+    expect(gravityOfLength({ x: 0, y: 0, z: -9.81 }, 5)).toEqual({ x: 0, y: 0, z: -5 });
+    const { x, y } = gravityOfLength({ x: 3, y: -4, z: 0 }, 10);
+    expect([x, y]).toEqual([6, -8]);
+  });
+
+  it("points down where there is no direction", () => {
+    expect(gravityOfLength({ x: 0, y: 0, z: 0 }, 3)).toEqual({ x: 0, y: -3, z: 0 });
+  });
+});

@@ -1,0 +1,25 @@
+#pragma once
+
+#include "core/result.h"
+#include "tensormass/v1/control.pb.h"
+#include "tensormass/v1/scene.pb.h"
+
+/// What can change in a scene that steps: gravity, and stiffness and damping of each body.
+///
+/// An adjusted scene is the loaded scene's message with other values, compiled again. So nothing but this file knows
+/// which values may change, and no backend does.
+namespace tensormass::world {
+
+/// Range of a body's stiffness factor.
+inline constexpr double kMinStiffnessFactor = 1e-3;
+inline constexpr double kMaxStiffnessFactor = 1e3;
+
+/// Returns the values of a scene as it was loaded. All factors are 1.
+v1::SceneAdjustments adjustments_of(const v1::Scene& loaded);
+/// Returns `present` with the fields that `changes` has. Fails for a body that is unknown or named twice, and for a
+/// factor outside its range. The compiler of scenes checks all other values.
+Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1::SceneAdjustments& changes);
+/// Returns the loaded scene with these values.
+v1::Scene adjusted(const v1::Scene& loaded, const v1::SceneAdjustments& adjustments);
+
+}  // namespace tensormass::world

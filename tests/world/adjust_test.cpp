@@ -1,0 +1,211 @@
+#include "world/adjustments.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <thread>
+
+#include <gtest/gtest.h>
+
+#include "support/backends.h"
+#include "support/refused.h"
+#include "support/scenes.h"
+#include "world/runner.h"
+
+/// Gravity, stiffness and damping that change while a scene is loaded.
+namespace tensormass::world {
+namespace {
+
+v1::Scene sagging_beam(bool lockstep = true) {
+  v1::Scene scene = tests::beam_scene({.cells_x = 8, .cells_y = 2, .cells_z = 2, .frame_rate_hz = 60});
+  scene.mutable_stepping()->set_lockstep(lockstep);
+  scene.mutable_bodies(0)->set_rayleigh_mass_per_s(1);
+  return scene;
+}
+
+v1::SceneAdjustments stiffness(double factor) {
+  v1::SceneAdjustments out;
+  v1::BodyAdjustment& body = *out.add_bodies();
+  body.set_body("beam");
+  body.set_stiffness_factor(factor);
+  return out;
+}
+
+class Adjusting : public tests::OnBackend {
+ protected:
+  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
+    const bool cpu = std::string(GetParam()) == "cpu";
+    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
+    if (!runner) throw std::runtime_error(runner.error().message);
+    return std::move(*runner);
+  }
+  static std::string positions(Runner& runner) {
+    auto out = runner.positions("beam");
+    if (!out) throw std::runtime_error(out.error().message);
+    return out->positions();
+  }
+  /// Height of the lowest node [m].
+  static double lowest_m(Runner& runner) {
+    const std::string bytes = positions(runner);
+    double lowest = 1e9;
+    for (std::size_t at = sizeof(double); at < bytes.size(); at += 3 * sizeof(double)) {
+      double y;
+      std::memcpy(&y, bytes.data() + at, sizeof(y));
+      lowest = std::min(lowest, y);
+    }
+    return lowest;
+  }
+};
+
+TEST_P(Adjusting, GoesOnFromTheStateAndKeepsTheTopology) {
+  const auto runner = load(sagging_beam());
+  ASSERT_TRUE(runner->step(20));
+  const std::string before = positions(*runner);
+  const std::uint64_t version = runner->topology().version();
+  v1::Frame frame;
+  ASSERT_TRUE(runner->take_frame(frame));
+  const std::uint64_t sequence = frame.sequence();
+  const auto adjusted = runner->adjust(stiffness(10));
+  ASSERT_TRUE(adjusted) << adjusted.error().message;
+  EXPECT_EQ(adjusted->status().step(), 20u);
+  EXPECT_EQ(adjusted->adjustments().bodies(0).stiffness_factor(), 10);
+  EXPECT_EQ(adjusted->adjustments().bodies(0).rayleigh_mass_per_s(), 1);
+  EXPECT_EQ(positions(*runner), before);
+  EXPECT_EQ(runner->topology().version(), version);
+  ASSERT_TRUE(runner->take_frame(frame));
+  EXPECT_GT(frame.sequence(), sequence) << "viewers drop what is not newer";
+}
+
+/// An adjusted scene moves as a scene that was loaded with these values, from the same state on.
+TEST_P(Adjusting, StepsAsASceneThatWasLoadedWithTheseValues) {
+  const auto adjusted = load(sagging_beam());
+  v1::SceneAdjustments changes = stiffness(4);
+  changes.mutable_bodies(0)->set_rayleigh_stiffness_s(0.01);
+  tests::set(*changes.mutable_gravity_m_per_s2(), 1, -5, 0);
+  ASSERT_TRUE(adjusted->adjust(changes));
+
+  v1::Scene other = sagging_beam();
+  other.mutable_bodies(0)->mutable_law()->mutable_st_venant_kirchhoff()->set_young_modulus_pa(4e6);
+  other.mutable_bodies(0)->set_rayleigh_stiffness_s(0.01);
+  tests::set(*other.mutable_gravity_m_per_s2(), 1, -5, 0);
+  const auto loaded = load(other);
+  for (Runner* runner : {adjusted.get(), loaded.get()}) ASSERT_TRUE(runner->step(30));
+  EXPECT_EQ(positions(*adjusted), positions(*loaded));
+  for (Runner* runner : {adjusted.get(), loaded.get()}) ASSERT_TRUE(runner->reset());
+  for (Runner* runner : {adjusted.get(), loaded.get()}) ASSERT_TRUE(runner->step(10));
+  EXPECT_EQ(positions(*adjusted), positions(*loaded)) << "a reset keeps the values";
+}
+
+TEST_P(Adjusting, AStifferBeamRises) {
+  const auto runner = load(sagging_beam());
+  ASSERT_TRUE(runner->step(60));
+  const double sagged = lowest_m(*runner);
+  ASSERT_TRUE(runner->adjust(stiffness(20)));
+  const auto status = runner->step(60);
+  ASSERT_TRUE(status) << status.error().message;
+  EXPECT_EQ(status->step(), 120u);
+  EXPECT_GT(lowest_m(*runner), sagged + 0.1);
+}
+
+/// Every kind of law, also those of parts and of single elements, has its moduli scaled.
+TEST(Adjustments, ScaleEveryModulusAndNothingElse) {
+  v1::Scene scene = sagging_beam();
+  v1::Body& body = *scene.mutable_bodies(0);
+  v1::Ogden& ogden = *body.add_law_regions()->mutable_law()->mutable_ogden();
+  ogden.set_mu_pa(100);
+  ogden.set_alpha(3);
+  ogden.set_bulk_modulus_pa(1000);
+  const double young = 7;
+  body.mutable_element_fields()->set_young_modulus_pa(&young, sizeof(young));
+  const auto wanted = with_changes(adjustments_of(scene), stiffness(2));
+  ASSERT_TRUE(wanted);
+  const v1::Scene out = adjusted(scene, *wanted);
+  EXPECT_EQ(out.bodies(0).law().st_venant_kirchhoff().young_modulus_pa(), 2e6);
+  EXPECT_EQ(out.bodies(0).law().st_venant_kirchhoff().poisson_ratio(), 0.4);
+  EXPECT_EQ(out.bodies(0).law_regions(0).law().ogden().mu_pa(), 200);
+  EXPECT_EQ(out.bodies(0).law_regions(0).law().ogden().alpha(), 3);
+  EXPECT_EQ(out.bodies(0).law_regions(0).law().ogden().bulk_modulus_pa(), 2000);
+  double scaled;
+  std::memcpy(&scaled, out.bodies(0).element_fields().young_modulus_pa().data(), sizeof(scaled));
+  EXPECT_EQ(scaled, 14);
+}
+
+TEST_P(Adjusting, BadValuesChangeNothing) {
+  const auto runner = load(sagging_beam());
+  ASSERT_TRUE(runner->step(3));
+  const std::string before = positions(*runner);
+  EXPECT_REFUSED(runner->adjust(stiffness(0)), ErrorCode::kInvalidArgument, "stiffness_factor");
+  EXPECT_REFUSED(runner->adjust(stiffness(std::nan(""))), ErrorCode::kInvalidArgument, "stiffness_factor");
+  v1::SceneAdjustments unknown = stiffness(2);
+  unknown.mutable_bodies(0)->set_body("liver");
+  EXPECT_REFUSED(runner->adjust(unknown), ErrorCode::kNotFound, "no body 'liver'");
+  v1::SceneAdjustments twice = stiffness(2);
+  *twice.add_bodies() = twice.bodies(0);
+  EXPECT_REFUSED(runner->adjust(twice), ErrorCode::kInvalidArgument, "named twice");
+  v1::SceneAdjustments negative;
+  negative.add_bodies()->set_body("beam");
+  negative.mutable_bodies(0)->set_rayleigh_mass_per_s(-1);
+  EXPECT_REFUSED(runner->adjust(negative), ErrorCode::kInvalidArgument, "rayleigh_mass_per_s");
+  v1::SceneAdjustments up;
+  tests::set(*up.mutable_gravity_m_per_s2(), 0, std::numeric_limits<double>::infinity(), 0);
+  EXPECT_REFUSED(runner->adjust(up), ErrorCode::kInvalidArgument, "gravity_m_per_s2");
+  const auto present = runner->adjust({});
+  ASSERT_TRUE(present);
+  EXPECT_EQ(present->adjustments().bodies(0).stiffness_factor(), 1);
+  EXPECT_EQ(present->adjustments().gravity_m_per_s2().y(), -9.81);
+  EXPECT_EQ(positions(*runner), before);
+  ASSERT_TRUE(runner->step(1));
+}
+
+TEST_P(Adjusting, IsRefusedWhileTheSceneIsRecorded) {
+  const auto runner = load(sagging_beam());
+  const auto recording = runner->record({});
+  ASSERT_TRUE(recording);
+  EXPECT_REFUSED(runner->adjust(stiffness(2)), ErrorCode::kFailedPrecondition, "being recorded");
+  ASSERT_TRUE(runner->step(2));
+  runner->stop_recording(recording->recording);
+  EXPECT_TRUE(runner->adjust(stiffness(2)));
+}
+
+TEST_P(Adjusting, APausedSceneStaysPaused) {
+  const auto runner = load(sagging_beam(false));
+  ASSERT_TRUE(runner->pause());
+  const std::uint64_t step = runner->status().step();
+  const auto adjusted = runner->adjust(stiffness(3));
+  ASSERT_TRUE(adjusted);
+  EXPECT_EQ(adjusted->status().state(), v1::SceneStatus::STATE_PAUSED);
+  EXPECT_EQ(runner->status().step(), step);
+}
+
+/// No command is lost and no reader waits while loops replace each other.
+TEST_P(Adjusting, CommandsFromManyThreadsAllArrive) {
+  const auto runner = load(sagging_beam());
+  std::atomic<bool> ends{false};
+  std::thread reader([&] {
+    v1::Frame frame;
+    std::uint64_t newest = 0;
+    while (!ends) {
+      if (runner->take_frame(frame)) {
+        EXPECT_GT(frame.sequence(), newest);
+        newest = frame.sequence();
+      }
+      EXPECT_EQ(runner->status().scene(), "beam");
+    }
+  });
+  constexpr std::uint64_t kSteps = 40;
+  std::thread stepper([&] {
+    for (std::uint64_t i = 0; i < kSteps; ++i) EXPECT_TRUE(runner->step(1));
+  });
+  for (int i = 0; i < 6; ++i) EXPECT_TRUE(runner->adjust(stiffness(i % 2 == 0 ? 2 : 1)));
+  stepper.join();
+  ends = true;
+  reader.join();
+  EXPECT_EQ(runner->status().step(), kSteps);
+}
+
+TM_ON_EACH_BACKEND(Adjusting);
+
+}  // namespace
+}  // namespace tensormass::world
