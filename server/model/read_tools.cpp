@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <set>
@@ -28,6 +29,9 @@ constexpr double kPlaneRadiusInScenes = 0.1;
 /// A mesh should be thicker than so many cubes of the grid that samples its distance.
 constexpr double kLeastCubes = 3;
 constexpr double kDefaultMaxSpeedMPerS = 0.5;
+/// Largest way of a tool in a step, in its radii. A tool that moves farther may be past a thin sheet before any step
+/// has seen it touch: docs/decisions/contact.md has the measurement.
+constexpr double kMaxRadiiPerStep = 0.5;
 /// About half of what the haptic client lets a device render.
 constexpr double kDefaultCouplingNPerM = 1000;
 
@@ -172,9 +176,9 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
-  TM_ASSIGN_OR_RETURN(
-      speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : kDefaultMaxSpeedMPerS, 1e-6, 1e3,
-                         where + ".max_speed_m_per_s"));
+  const double safe_speed = std::min(kDefaultMaxSpeedMPerS, kMaxRadiiPerStep * out.radius_m / c.model.dt_s);
+  TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : safe_speed, 1e-6,
+                                         1e3, where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
   TM_ASSIGN_OR_RETURN(
       friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));

@@ -1,4 +1,8 @@
+#include <algorithm>
 #include <cmath>
+#include <stdexcept>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -10,7 +14,15 @@
 namespace tensormass::contact {
 namespace {
 
-class Press : public tests::OnBackend {};
+/// A hand that goes through a sheet of 10 × 10 cm, 2 mm thick and held at two edges.
+struct Stab {
+  double dt_s, hand_m_per_s, radius_m;
+};
+
+class Press : public tests::OnBackend {
+ protected:
+  double stab(const Stab& hand, bool limits_speed) const;
+};
 
 /// A deep block of linear tissue, 12 × 6 × 12 cm, with its bottom clamped. Elements grow from 0.6 mm at the point of
 /// contact to centimetres at the rim.
@@ -187,6 +199,57 @@ TEST_P(Press, TissueClosesAroundAToolThatStartedInside) {
   }
   EXPECT_GT(lowest, 0.007) << "no node of the top is deep inside the sphere";
 }
+
+/// Returns by how much the probe's centre stays above all nodes of the sheet near its axis [m]; negative: some are
+/// above it. limits_speed: the scene leaves the tool's speed to the server.
+double Press::stab(const Stab& hand, bool limits_speed) const {
+  constexpr double kThicknessM = 0.002, kDeepM = -0.03, kNearM = 0.004;
+  const mesh::Mesh mesh = mesh::make_grid({0, 0, 0}, {0.1, kThicknessM, 0.1}, 25, 1, 25).value();
+  v1::Scene scene = tests::packed_scene(mesh, false);
+  v1::Body& sheet = *scene.mutable_bodies(0);
+  v1::IsotropicElastic& law = *sheet.mutable_law()->mutable_stable_neo_hookean();
+  law.set_young_modulus_pa(2e4);
+  law.set_poisson_ratio(0.45);
+  sheet.set_rayleigh_mass_per_s(5);
+  sheet.set_rayleigh_stiffness_s(0.005);
+  for (const double edge_m : {0.0, 0.1}) {
+    v1::Box& held = *sheet.add_fixed()->mutable_box();
+    tests::set(*held.mutable_min_m(), edge_m - 1e-6, -1, -1);
+    tests::set(*held.mutable_max_m(), edge_m + 1e-6, 1, 1);
+  }
+  scene.mutable_stepping()->set_dt_s(hand.dt_s);
+  constexpr double kXM = 0.0507, kZM = 0.0493;  // above no node and no edge
+  Vec3<double> tip_m(kXM, kThicknessM + hand.radius_m + 0.004, kZM);
+  v1::Tool& probe = tests::add_probe(scene, "probe", hand.radius_m, tip_m[0], tip_m[1], tip_m[2]);
+  if (!limits_speed) probe.set_max_speed_m_per_s(2);
+  const auto world = start(scene);
+  for (int i = 0; i < 1500; ++i) {
+    tip_m[1] = std::max(kDeepM, tip_m[1] - hand.hand_m_per_s * hand.dt_s);
+    world->set_tool_target(0, {tip_m, {1, 0, 0, 0}});
+    if (!world->step(false)) throw std::runtime_error("a guard stopped the scene");
+    if (world->readings()[0].pose.position_m[1] <= kDeepM) break;
+  }
+  double highest_m = -1;
+  const std::vector<double> positions = world->positions(world->model().bodies[0]);
+  for (std::size_t i = 0; i < positions.size(); i += 3) {
+    if (std::hypot(positions[i] - kXM, positions[i + 2] - kZM) < kNearM) {
+      highest_m = std::max(highest_m, positions[i + 1]);
+    }
+  }
+  return world->readings()[0].pose.position_m[1] - highest_m;
+}
+
+TEST_P(Press, AFastToolDoesNotPassThroughAThinSheet) {
+  for (const auto& [dt_s, hand_m_per_s] : {std::pair(1.0 / 60, 0.3), std::pair(1e-3, 1.0)}) {
+    for (const double radius_m : {0.012, 0.006, 0.003}) {
+      SCOPED_TRACE(testing::Message() << radius_m << " m at " << 1 / dt_s << " Hz");
+      EXPECT_GT(stab({dt_s, hand_m_per_s, radius_m}, true), radius_m / 2);
+    }
+  }
+}
+
+/// The test above sees a tool that passes through: here one that may move by two radii in a step.
+TEST_P(Press, AToolWithoutThatLimitPassesThrough) { EXPECT_LT(stab({1.0 / 60, 0.3, 0.003}, false), 0); }
 
 TM_ON_EACH_BACKEND(Press);
 

@@ -38,9 +38,11 @@ TEST(Compile, TakesTheDefaultsThatTheProtocolNames) {
   EXPECT_EQ(model.frame_rate_hz, 60);
   EXPECT_EQ(model.status_rate_hz, 4);
   const ToolModel& tool = model.tools.at(0);
-  EXPECT_EQ(tool.max_speed_m_per_s, 0.5);
+  EXPECT_NEAR(tool.max_speed_m_per_s, 60 * 0.01 / 2, 1e-12) << "half of its radius in a step";
   EXPECT_NEAR(tool.penalty_pa_per_m, 20 * 5e3 / 0.01, 1e-6);
   EXPECT_EQ(tool.initial_pose.orientation, (std::array<double, 4>{1, 0, 0, 0}));
+  scene.mutable_stepping()->set_dt_s(0.001);
+  EXPECT_EQ(compiled(scene).tools.at(0).max_speed_m_per_s, 0.5);
   EXPECT_NEAR(tool.plane_strain_modulus_pa, 5e3 / (1 - 0.4 * 0.4), 1e-9);
 }
 

@@ -67,6 +67,8 @@ TEST_P(Adjusting, GoesOnFromTheStateAndKeepsTheTopology) {
   v1::Frame frame;
   ASSERT_TRUE(runner->take_frame(frame));
   const std::uint64_t sequence = frame.sequence();
+  std::atomic<int> signals{0};
+  runner->set_output_signal([&] { ++signals; });
   const auto adjusted = runner->adjust(stiffness(10));
   ASSERT_TRUE(adjusted) << adjusted.error().message;
   EXPECT_EQ(adjusted->status().step(), 20u);
@@ -76,6 +78,9 @@ TEST_P(Adjusting, GoesOnFromTheStateAndKeepsTheTopology) {
   EXPECT_EQ(runner->topology().version(), version);
   ASSERT_TRUE(runner->take_frame(frame));
   EXPECT_GT(frame.sequence(), sequence) << "viewers drop what is not newer";
+  const int signals_before = signals;
+  ASSERT_TRUE(runner->step(1));
+  EXPECT_GT(signals, signals_before) << "the publisher waits for it";
 }
 
 /// An adjusted scene moves as a scene that was loaded with these values, from the same state on.
