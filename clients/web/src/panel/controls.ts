@@ -19,7 +19,7 @@ export interface ControlState {
   readonly load: Reason;
 }
 
-const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
+export const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
 
 /**
  * @param watched Name of the scene on show; null while the page shows no scene.
