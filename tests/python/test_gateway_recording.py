@@ -20,7 +20,7 @@ from gateway_parts import TOKEN, Page, browse, load, options
 from recorded_parts import STEPS, TOPOLOGY, recorded_frame, write_recording
 
 from tensormass.v1 import stream_pb2
-from tensormass_gateway.control import MAX_SPEED
+from tensormass_gateway.control import MAX_SPEED, MIN_SPEED
 from tensormass_gateway.decoding import FrameDecoder
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.outbox import Stream
@@ -107,6 +107,16 @@ async def test_it_plays_to_its_end_and_tells_where_it_is(viewer: Path, path: Pat
 
 
 @asynchronous
+async def test_a_pause_is_told_before_the_next_frame(viewer: Path, path: Path) -> None:
+    async with playing(viewer, path) as gateway, browse(gateway, "liver") as page:
+        await page.command("speed", "liver", speed=MIN_SPEED)
+        await page.command("resume", "liver")
+        await status_of_state(page, stream_pb2.SceneStatus.STATE_RUNNING)
+        await page.command("pause", "liver")
+        await status_of_state(page, stream_pb2.SceneStatus.STATE_PAUSED)
+
+
+@asynchronous
 async def test_steps_and_pauses_stand_still(viewer: Path, path: Path) -> None:
     async with playing(viewer, path) as gateway, browse(gateway, "liver") as page:
         await page.command("step", "liver", steps=2)
@@ -159,7 +169,8 @@ async def test_all_pages_share_the_head_and_the_last_one_pauses_it(viewer: Path,
         while gateway.browser_count > 0:
             await asyncio.sleep(0)
         async with browse(gateway, "liver") as third:
-            await third.text(is_head(playing=False))
+            head = await third.text(lambda message: message["type"] == "head")
+            assert head["playing"] is False
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,11 @@ def test_times_count_simulated_time_over_pauses_and_resets(path: Path) -> None:
     assert (index.name, index.note, index.topology) == ("liver.mcap", "", TOPOLOGY)
 
 
+def test_a_reset_whose_frame_was_lost_still_takes_its_time(tmp_path: Path) -> None:
+    index = RecordingIndex(write_recording(tmp_path / "a.mcap", [100, 30, 40]))
+    assert list(index.times_s) == pytest.approx([0, 0.3, 0.4])
+
+
 def test_frames_come_as_they_were_recorded_in_any_order(path: Path) -> None:
     index = RecordingIndex(path)
     for at in (9, 0, 5, 4, 4, 1):
@@ -170,13 +175,20 @@ def test_an_invalid_name_of_the_scene_is_refused(tmp_path: Path) -> None:
         RecordingIndex(write_recording(tmp_path / "a.mcap", topology=topology))
 
 
-@pytest.mark.parametrize(
-    ("limit", "value", "says"), [("MAX_FRAMES", 9, "more than 9 frames"), ("MAX_CHUNK_BYTES", 100, "the limit is 100")]
-)
-def test_limits_are_named(path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, says: str) -> None:
-    monkeypatch.setattr(recording_index, limit, value)
-    with pytest.raises(tm.ResourceExhaustedError, match=says):
-        RecordingIndex(path)
+def test_limits_are_named(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    holds = summary.chunk_indexes[0].uncompressed_size
+    for limit, value, says in (
+        ("MAX_FRAMES", len(STEPS) - 1, "more than 9 frames"),
+        ("MAX_CHUNK_BYTES", 100, "a chunk has [0-9]+ bytes, the limit is 100"),
+        ("MAX_CHUNK_BYTES", holds - 1, f"a chunk holds {holds} bytes"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(recording_index, limit, value)
+            with pytest.raises(tm.ResourceExhaustedError, match=says):
+                RecordingIndex(path)
 
 
 def test_a_file_that_changes_under_the_index_is_noticed(path: Path) -> None:

@@ -159,14 +159,16 @@ export class Timeline {
     }
   }
 
-  /** Clicks a button, as a key does. */
+  /** Clicks a button, as a key does. A hidden time line has no keys. */
   press(button: "play" | "back" | "forward"): void {
-    ({ play: this.#play, back: this.#back, forward: this.#forward })[button].click();
+    if (!this.#section.hidden) {
+      ({ play: this.#play, back: this.#back, forward: this.#forward })[button].click();
+    }
   }
 
   /** Moves to the start. */
   toStart(): void {
-    if (!this.#handle.disabled) {
+    if (!this.#section.hidden && !this.#handle.disabled) {
       void this.#send("reset");
     }
   }
