@@ -1,6 +1,6 @@
 // Surroundings of the browser's test: the stack under test as a child process, Chromium, and pictures to compare.
 import { spawn, type ChildProcessWithoutNullStreams } from "node:child_process";
-import { existsSync, mkdtempSync, rmSync } from "node:fs";
+import { existsSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
@@ -62,6 +62,47 @@ export class Stack {
       throw new Error(`stack.py ended:\n${this.#errors}`);
     }
     return JSON.parse(line.value);
+  }
+}
+
+/** Records a scene in real time for some seconds, with frames. Returns the recording. */
+export async function record(scene: string, folder: string, seconds: number): Promise<string> {
+  const [sceneFile, recording] = [join(folder, "scene.yaml"), join(folder, "scene.mcap")];
+  writeFileSync(sceneFile, scene);
+  const options = ["--frames", "--backend", "cpu", "--seconds", String(seconds)];
+  const child = spawn(PYTHON, ["-m", "tensormass", "record", sceneFile, "-o", recording, ...options], { stdio: ["ignore", "ignore", "pipe"] });
+  let errors = "";
+  child.stderr.on("data", (chunk: Buffer) => (errors += chunk.toString()));
+  const status = await new Promise((resolve) => child.once("exit", resolve));
+  if (status !== 0) {
+    throw new Error(`tensormass record ended with ${String(status)}:\n${errors}`);
+  }
+  return recording;
+}
+
+/** `tensormass view RECORDING` as a child process, and the addresses of its viewer. */
+export class RecordingView {
+  private constructor(
+    readonly url: string,
+    readonly lookUrl: string,
+    readonly stop: () => Promise<void>,
+  ) {}
+
+  static async start(recording: string): Promise<RecordingView> {
+    const viewer = join(ROOT, "clients", "web", "dist");
+    const child = spawn(PYTHON, ["-m", "tensormass", "view", recording, "--viewer", viewer, "--json"]);
+    let errors = "";
+    child.stderr.on("data", (chunk: Buffer) => (errors += chunk.toString()));
+    const ended = new Promise((resolve) => child.once("exit", resolve));
+    const line = await createInterface(child.stdout)[Symbol.asyncIterator]().next();
+    if (line.done === true) {
+      throw new Error(`tensormass view ended:\n${errors}`);
+    }
+    const { url, look_url } = JSON.parse(line.value) as { url: string; look_url: string };
+    return new RecordingView(url, look_url, async () => {
+      child.kill("SIGINT");
+      await ended;
+    });
   }
 }
 
@@ -179,7 +220,7 @@ export class ViewerPage {
   // Hides elements one by one: the page's content policy forbids the style sheet that a screenshot could inject.
   #setReadings(visibility: string): Promise<void> {
     return this.page.evaluate(async (value) => {
-      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #labels, #notice, #scales, #toast")) {
+      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #timeline, #labels, #notice, #scales, #toast")) {
         element.style.visibility = value;
       }
       await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));

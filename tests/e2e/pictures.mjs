@@ -1,19 +1,22 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [viewer]        (default: all)
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [viewer] [timeline]        (default: all)
 //
-// `viewer` takes those of docs/viewer.md, one for each state of the page. It needs a built daemon, the built viewer and
+// `viewer` and `timeline` take those of docs/viewer.md, one for each state of the page. They need a built daemon, the built viewer and
 // Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand is taken when the force on the tool has been
 // steady for a second.
 import { spawn } from "node:child_process";
-import { statSync } from "node:fs";
+import { mkdtempSync, rmSync, statSync } from "node:fs";
 import { createRequire } from "node:module";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
 const HANDS = ["retract", "grasp", "table"];
+const PAGES = { viewer: takeViewer, timeline: takeTimeline };
+const RECORDED_S = 14;
 const LONGEST_WAIT_S = 180;
 const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
@@ -22,24 +25,41 @@ const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
 const PHONE = { width: 390, height: 844 };
 
-/** Runs a scene until `visit` is done with the viewer's address. */
-async function withScene(name, visit) {
-  const run = spawn(join(ROOT, "build", "bin", "tensormass"), ["run", name, "--backend", "cpu"]);
+/** Runs a command until `visit` is done with what `found` finds in a line of its output. Then waits for its end. */
+async function withCommand(args, found, visit) {
+  const run = spawn(join(ROOT, "build", "bin", "tensormass"), args);
   const ended = new Promise((resolve) => run.once("exit", resolve));
   try {
     let said = "";
     for await (const line of createInterface(run.stdout)) {
       said += `${line}\n`;
-      const url = /viewer: (\S+)/.exec(line)?.[1];
-      if (url !== undefined) {
-        return await visit(url);
+      const value = found.exec(line)?.[1];
+      if (value !== undefined) {
+        return await visit(value);
       }
     }
-    throw new Error(`tensormass run ${name} shows no viewer:\n${said}`);
+    throw new Error(`tensormass ${args.join(" ")} does not say ${found}:\n${said}`);
   } finally {
     run.kill("SIGINT");
     await ended;
   }
+}
+
+/** Runs a scene until `visit` is done with the viewer's address. */
+function withScene(name, visit) {
+  return withCommand(["run", name, "--backend", "cpu"], /viewer: (\S+)/, visit);
+}
+
+/** Records a scene under its scripted hand, which takes some seconds. */
+async function recordHand(name, file, seconds) {
+  const script = join(ROOT, "clients", "python", "tensormass", "scenes", "hands", `${name}.yaml`);
+  await withCommand(["record", name, "--frames", "--backend", "cpu", "-o", file], /control (\S+)/, async (control) => {
+    const hand = spawn(join(ROOT, "build", "bin", "tensormass"), ["hand", script, "--server", control, "--scene", name]);
+    const ended = new Promise((resolve) => hand.once("exit", resolve));
+    await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+    hand.kill("SIGINT");
+    await ended;
+  });
 }
 
 /** Opens the page in a window of its own, with the display options `settings`. */
@@ -147,14 +167,35 @@ async function takeViewer() {
   });
 }
 
+/** A recording, paused in its middle. */
+async function takeTimeline() {
+  const folder = mkdtempSync(join(tmpdir(), "tensormass-pictures-"));
+  try {
+    const file = join(folder, "retract.mcap");
+    await recordHand("retract", file, RECORDED_S);
+    await withCommand(["view", file], /viewer: (\S+)/, async (url) => {
+      const page = await open(url, WIDE, { readings: false, plots: false });
+      await says(page, "#link", "Paused");
+      const handle = await page.locator("#seek").boundingBox();
+      await page.mouse.click(handle.x + 0.5 * handle.width, handle.y + 0.5 * handle.height);
+      await page.waitForFunction((least) => window.tensormass.state().step > least, 0.4 * 60 * RECORDED_S);
+      await page.mouse.move(0, 0);
+      await page.locator("output.force").waitFor();
+      await save(page, "viewer-timeline");
+    });
+  } finally {
+    rmSync(folder, { recursive: true, force: true });
+  }
+}
+
 const browser = await chromium.launch({
   executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
   args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking"],
 });
 try {
-  const wanted = process.argv.length > 2 ? process.argv.slice(2) : [...HANDS, "viewer"];
+  const wanted = process.argv.length > 2 ? process.argv.slice(2) : [...HANDS, ...Object.keys(PAGES)];
   for (const name of wanted) {
-    await (name === "viewer" ? takeViewer() : takeHand(name));
+    await (PAGES[name]?.() ?? takeHand(name));
   }
 } finally {
   await browser.close();

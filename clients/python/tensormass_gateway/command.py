@@ -13,6 +13,7 @@ from pathlib import Path
 
 from tensormass_gateway.gateway import Gateway, serve
 from tensormass_gateway.options import options_from
+from tensormass_gateway.player import Recording
 
 
 def write_ready_file(path: Path, gateway: Gateway) -> None:
@@ -30,25 +31,32 @@ def write_ready_file(path: Path, gateway: Gateway) -> None:
     os.replace(file.name, path)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Serves until SIGINT or SIGTERM. `args` come from `add_arguments` and hold `server`, the control address."""
+def run(args: argparse.Namespace, recording: Recording | None = None) -> int:
+    """Serves until SIGINT or SIGTERM.
+
+    Args:
+        args: of `add_arguments`; they hold `server`, the control address.
+        recording: served in place of the daemon at `server`.
+    """
     try:
-        asyncio.run(_run(args))
+        asyncio.run(_run(args, recording))
     except (OSError, ValueError) as error:
         print(f"tensormass: gateway: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-async def _run(args: argparse.Namespace) -> None:
+async def _run(args: argparse.Namespace, recording: Recording | None) -> None:
     stopped = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stopped.set)
-    async with serve(options_from(args, args.server)) as gateway:
+    source = {"server": args.server} if recording is None else {"recording": recording.name}
+    async with serve(options_from(args, args.server or ""), recording=recording) as gateway:
         if args.gateway_ready_file is not None:
             write_ready_file(args.gateway_ready_file, gateway)
         if getattr(args, "json", False):
-            print(json.dumps({"url": gateway.url, "look_url": gateway.look_url, "server": args.server}), flush=True)
+            print(json.dumps({"url": gateway.url, "look_url": gateway.look_url, **source}), flush=True)
         else:
-            print(f"viewer: {gateway.url}\nto look only: {gateway.look_url}\ndaemon: {args.server}", flush=True)
+            what = f"daemon: {args.server}" if recording is None else f"recording: {recording.name}"
+            print(f"viewer: {gateway.url}\nto look only: {gateway.look_url}\n{what}", flush=True)
         await stopped.wait()

@@ -1,4 +1,7 @@
-"""Commands of an operator: pause, resume, step, reset and adjust a scene, load a built-in one, unload one."""
+"""Commands of an operator: pause, resume, step, reset and adjust a scene, load a built-in one, unload one.
+
+A recording is also stepped back, moved to a time and played at another speed (playback.py).
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,16 @@ from tensormass._src.errors import TensormassError
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2
 from tensormass_gateway.daemon import Daemon
-from tensormass_gateway.requests import ProtocolError, is_name
+from tensormass_gateway.requests import ProtocolError, finite_number, is_name
 
 MAX_STEPS = 1000
 """Largest number of steps of one command."""
 
 MAX_WAITING = 8
 """Commands of one browser that are not answered yet. A further one is refused."""
+
+MIN_SPEED, MAX_SPEED = 0.05, 20.0
+"""Speeds of a recording. Slower is stepping; faster skips nearly all frames."""
 
 COMMAND_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 300.0
@@ -35,6 +41,9 @@ class Action(enum.StrEnum):
     LOAD = "load"
     UNLOAD = "unload"
     ADJUST = "adjust"
+    STEP_BACK = "step_back"
+    SEEK = "seek"
+    SPEED = "speed"
 
 
 class CommandError(Exception):
@@ -52,6 +61,9 @@ class Command:
     """Name of a loaded scene; for `load` that of a built-in one."""
     steps: int = 1
     lockstep: bool = False
+    time_s: float = 0.0
+    """Time of a recording to which `seek` moves."""
+    speed: float = 1.0
     changes: control_pb2.SceneAdjustments = field(default_factory=control_pb2.SceneAdjustments)
 
 
@@ -75,7 +87,13 @@ def read_command(request: dict[str, Any]) -> Command:
     if not isinstance(scene, str) or not is_name(scene):
         raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
     steps, lockstep = given.pop("steps", 1), given.pop("lockstep", False)
-    command = Command(number, Action(action), scene, steps, lockstep, _read_changes(given.pop("changes", {})))
+    time_s, speed = finite_number(given.pop("time_s", 0)), finite_number(given.pop("speed", 1))
+    if time_s is None or time_s < 0:
+        raise ProtocolError("time_s is not a finite number from 0 on")
+    if speed is None or not MIN_SPEED <= speed <= MAX_SPEED:
+        raise ProtocolError(f"speed is not a number from {MIN_SPEED:g} to {MAX_SPEED:g}")
+    changes = _read_changes(given.pop("changes", {}))
+    command = Command(number, Action(action), scene, steps, lockstep, time_s, speed, changes)
     if not _is_whole(command.steps, 1, MAX_STEPS):
         raise ProtocolError(f"steps is not a whole number from 1 to {MAX_STEPS}")
     if not isinstance(command.lockstep, bool):
@@ -143,6 +161,8 @@ class Control:
                 await control.ResetScene(control_pb2.ResetSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
             case Action.UNLOAD:
                 await control.UnloadScene(control_pb2.UnloadSceneRequest(scene=scene), timeout=COMMAND_TIMEOUT_S)
+            case _:
+                raise CommandError(f"{command.action} is for recordings; a running scene has no time line")
 
     async def _load(self, command: Command) -> str:
         try:

@@ -1,11 +1,7 @@
-"""The streams of one scene, received once for all browsers that watch it.
-
-Every frame stays behind its topology: a browser never gets positions that do not fit what it draws.
-"""
+"""The streams of one scene on the bus, received once for all browsers that watch it."""
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, Protocol
@@ -13,15 +9,12 @@ from typing import Any, Protocol
 import grpc
 import zmq
 import zmq.asyncio
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import DecodeError
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
-from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.fields import FieldPoll
-from tensormass_gateway.normals import Triangles
-from tensormass_gateway.outbox import Message as Outgoing
 from tensormass_gateway.outbox import Stream, Watcher
-from tensormass_gateway.surface import MismatchError, rest_positions
+from tensormass_gateway.streams import SceneStreams
 from tensormass_gateway.tasks import background
 
 log = logging.getLogger(__name__)
@@ -35,9 +28,6 @@ RPC_TIMEOUT_S = 5.0
 BUS_STREAMS = (Stream.TOPOLOGY, Stream.STATUS, Stream.FRAME)
 """Streams that come from the bus. The gateway makes the others."""
 
-ENCODED_FRAME = "encoded_frame"
-"""Name in the key of a frame that is not the bus's own. In the outbox it is a frame like others."""
-
 
 class Bus(Protocol):
     """The parts of `daemon.Daemon` that a feed needs."""
@@ -49,20 +39,15 @@ class Bus(Protocol):
     known: dict[str, scene_pb2.Scene]
 
 
-class Feed:
-    """The streams of one scene, received once for all browsers that watch it."""
+class Feed(SceneStreams):
+    """The streams of one scene on the bus, received once for all browsers that watch it."""
 
     def __init__(self, scene: str, daemon: Bus) -> None:
-        self.scene = scene
-        self.watchers: set[Watcher] = set()
-        self.topology: stream_pb2.Topology | None = None
+        super().__init__(scene)
         self.step: int | None = None
         """Step of the newest frame or status; None before the first."""
         self._daemon = daemon
-        self._latest: dict[Stream, Outgoing] = {}
-        self._triangles: Triangles | None = None
         self._last_sequence = 0
-        self._tasks: list[asyncio.Task[None]] = []
         self._fields = FieldPoll(self)
 
     def open(self) -> None:
@@ -78,20 +63,13 @@ class Feed:
         self._tasks.append(background(self._fields.run()))
 
     def close(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-        self._tasks = []
-        self._latest.clear()
-        self.topology = None
+        super().close()
         self.step = None
         self._last_sequence = 0
 
     def add(self, watcher: Watcher) -> None:
         """Sends the newest messages to a watcher at once, and every new one from now on."""
-        self.watchers.add(watcher)
-        for stream in Stream:
-            if stream in self._latest:
-                watcher.outbox.offer(stream, self._latest[stream])
+        super().add(watcher)
         self._fields.wake()
 
     def show_field(self, watcher: Watcher, name: str) -> None:
@@ -104,25 +82,17 @@ class Feed:
         return self._daemon.control
 
     @property
+    def server(self) -> str:
+        return self._daemon.version.server
+
+    @property
     def known(self) -> scene_pb2.Scene | None:
         """Returns the scene's message, if this gateway or its program loaded it."""
         return self._daemon.known.get(self.scene)
 
     def learn(self) -> None:
-        """Computes what the scene's message tells, which has become known."""
-        if self.topology is not None and self.known is not None:
-            self._tasks.append(background(self._publish_rest(self.topology, self.known)))
+        super().learn()
         self._fields.wake()
-
-    async def _publish_rest(self, topology: stream_pb2.Topology, scene: scene_pb2.Scene) -> None:
-        try:
-            positions = await asyncio.to_thread(rest_positions, scene, topology)
-        except MismatchError as error:
-            log.info("scene %s: no rest positions: %s", self.scene, error)
-            return
-        if self.topology is topology and len(positions):
-            rest = stream_pb2.Frame(topology_version=topology.version, positions=positions.tobytes())
-            self._publish(Stream.REST, self._message(Stream.REST, rest))
 
     async def _receive(self, stream: Stream, handler: Callable[[bytes], Coroutine[Any, Any, None]]) -> None:
         prefix = self.key(stream)
@@ -152,7 +122,7 @@ class Feed:
                     control_pb2.GetFrameRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
                 )
                 if Stream.FRAME not in self._latest and reply.frame.positions:
-                    self._publish(Stream.FRAME, self._shared(self._message(Stream.FRAME, reply.frame), reply.frame))
+                    self.publish(Stream.FRAME, self.shared(self.message(Stream.FRAME, reply.frame), reply.frame))
         except grpc.aio.AioRpcError as error:
             # Scene or daemon ended meanwhile; the next poll finds out.
             log.info("scene %s: %s", self.scene, error.details())
@@ -161,23 +131,14 @@ class Feed:
         reply = await self._daemon.control.GetTopology(
             control_pb2.GetTopologyRequest(scene=self.scene), timeout=RPC_TIMEOUT_S
         )
-        self._set_topology(reply.topology)
-
-    def _set_topology(self, topology: stream_pb2.Topology) -> None:
-        if topology != self.topology:
-            self.topology = topology
-            self._triangles = self._read_triangles(topology)
-            self._latest.pop(Stream.FRAME, None)
-            self._latest.pop(Stream.REST, None)
-            self._publish(Stream.TOPOLOGY, self._message(Stream.TOPOLOGY, topology))
-            self.learn()
+        self.set_topology(reply.topology)
 
     async def _on_topology(self, payload: bytes) -> None:
-        self._set_topology(stream_pb2.Topology.FromString(payload))
+        self.set_topology(stream_pb2.Topology.FromString(payload))
 
     async def _on_status(self, payload: bytes) -> None:
         self.step = stream_pb2.SceneStatus.FromString(payload).step
-        self._publish(Stream.STATUS, self.key(Stream.STATUS) + payload)
+        self.publish(Stream.STATUS, self.key(Stream.STATUS) + payload)
 
     async def _on_frame(self, payload: bytes) -> None:
         frame = stream_pb2.Frame.FromString(payload)
@@ -189,26 +150,4 @@ class Feed:
             await self._fetch_topology()
         self._last_sequence = frame.sequence
         self.step = frame.step
-        self._publish(Stream.FRAME, self._shared(self.key(Stream.FRAME) + payload, frame))
-
-    def _shared(self, message: bytes, frame: stream_pb2.Frame) -> SharedFrame:
-        return SharedFrame(message, self.key(ENCODED_FRAME), frame, self._triangles)
-
-    def _read_triangles(self, topology: stream_pb2.Topology) -> Triangles | None:
-        try:
-            return Triangles(topology)
-        except ValueError as error:
-            log.warning("scene %s: its frames get no normals: %s", self.scene, error)
-            return None
-
-    def _publish(self, stream: Stream, message: Outgoing) -> None:
-        self._latest[stream] = message
-        for watcher in self.watchers:
-            watcher.outbox.offer(stream, message)
-
-    def key(self, stream: str) -> bytes:
-        """Returns the key of a stream, with its zero byte."""
-        return f"tensormass/{self._daemon.version.server}/{self.scene}/{stream}\0".encode()
-
-    def _message(self, stream: Stream, message: Message) -> bytes:
-        return self.key(stream) + message.SerializeToString()
+        self.publish(Stream.FRAME, self.shared(self.key(Stream.FRAME) + payload, frame))

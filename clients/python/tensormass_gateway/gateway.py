@@ -15,7 +15,9 @@ in the address or by a message `frames` (choice.py). Frames of a chosen codec ha
 `frame`, and are acknowledged as `frame` too (gateway.proto). Text messages are JSON objects with a `type`:
 
     gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
-                                  field_scenes, operator (whether this browser may control), poses_allowed
+                                  field_scenes, operator (whether this browser may control), poses_allowed;
+                                  recording: file, duration_s, frames, marks, note (only of a recording)
+                         head     time_s, frame, playing, speed: the play head of a recording
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
                          result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust)
                          frames   codec, rate_hz, normals that hold now; error (empty: as asked)
@@ -25,14 +27,16 @@ in the address or by a message `frames` (choice.py). Frames of a chosen codec ha
                          frames   codec: float32, q16, delta; rate_hz (null: every frame); normals
                          field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
-                         control  id, action, scene; steps (1), lockstep (false), changes ({})   (operators)
+                         control  id, action, scene; steps (1), lockstep (false), time_s (0), speed (1), changes ({})
+                                  (operators)
 
 The actions are pause, resume, step, reset, load, unload and adjust (control.py). `load` takes the name of a built-in
 scene. Its result has the name under which the scene runs. `adjust` takes the changes, a SceneAdjustments of
-control.proto as JSON, and its result has all values after them in the same form. A pose's orientation is a quaternion
-of any length but zero. Without it, the tool turns back to its own axes. Numbers are finite. A browser that breaks this
-protocol is closed with code 1008 and the reason. A choice that there is not is answered with its error instead, and
-the choice before holds.
+control.proto as JSON, and its result has all values after them in the same form. A recording in place of a daemon
+(playback.py) has no load, unload and adjust, but step_back, seek (to time_s) and speed. A pose's orientation is a
+quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers are finite. A browser that
+breaks this protocol is closed with code 1008 and the reason. A choice that there is not is answered with its error
+instead, and the choice before holds.
 
 admission.py says who may connect.
 """
@@ -57,6 +61,8 @@ from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream, Watcher
+from tensormass_gateway.playback import Playback
+from tensormass_gateway.player import Recording
 from tensormass_gateway.requests import (
     MAX_COORDINATE_M,
     ProtocolError,
@@ -88,7 +94,7 @@ class Browser(Watcher):
         self.operator = operator
         self.commands: set[asyncio.Task[None]] = set()
         """Commands that are not answered yet."""
-        self._daemon_state: dict[str, Any] | None = None
+        self._states: dict[str, dict[str, Any]] = {}
         self._wake = asyncio.Event()
 
     def choose(self, choice: Choice) -> None:
@@ -96,16 +102,18 @@ class Browser(Watcher):
         self.encoder.choice = choice
         self.outbox.set_rate(choice.rate_hz)
 
-    def tell_daemon_state(self, state: dict[str, Any]) -> None:
-        """Sends the state of the daemon as soon as the socket takes it. A newer state replaces a waiting one."""
-        self._daemon_state = state
+    def tell_state(self, state: dict[str, Any]) -> None:
+        """Sends a state as soon as the socket takes it. A newer one of the same type replaces one that waits."""
+        self._states[state["type"]] = state
         self._wake.set()
 
-    async def send_daemon_states(self) -> None:
+    async def send_states(self) -> None:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            await self.socket.send_json(self._daemon_state)
+            while self._states:
+                first = next(iter(self._states))
+                await self.socket.send_json(self._states.pop(first))
 
     async def send_messages(self) -> None:
         while True:
@@ -118,7 +126,12 @@ class Browser(Watcher):
 class Gateway:
     """HTTP server: the viewer's files, and one WebSocket for each browser. Use `serve`."""
 
-    def __init__(self, options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> None:
+    def __init__(
+        self,
+        options: GatewayOptions,
+        known: Mapping[str, scene_pb2.Scene] | None = None,
+        recording: Recording | None = None,
+    ) -> None:
         if not (options.viewer / "index.html").is_file():
             raise FileNotFoundError(
                 f"{options.viewer} holds no built viewer; build it with `npm ci && npm run build` in clients/web, "
@@ -133,8 +146,13 @@ class Gateway:
         self._browsers: set[Browser] = set()
         if not options.operator_token:
             raise ValueError("the operators' token is empty; anybody would be an operator")
-        self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known)
-        self._control = Control(self._daemon)
+        self._daemon: Daemon | Playback
+        self._control: Control | Playback
+        if recording is None:
+            self._daemon = Daemon(options.control, options.poll_interval_s, self._announce, known)
+            self._control = Control(self._daemon)
+        else:
+            self._daemon = self._control = Playback(recording, self._announce, self._announce_head)
         self._runner: web.AppRunner | None = None
         self._follower: asyncio.Task[None] | None = None
 
@@ -221,8 +239,10 @@ class Gateway:
         senders: list[asyncio.Task[None]] = []
         try:
             await socket.prepare(request)
-            browser.tell_daemon_state(self._daemon_state(browser))
-            senders = [background(browser.send_messages()), background(browser.send_daemon_states())]
+            browser.tell_state(self._daemon_state(browser))
+            if isinstance(self._daemon, Playback):
+                browser.tell_state(_head_of(self._daemon))
+            senders = [background(browser.send_messages()), background(browser.send_states())]
             await self._listen(browser)
         except ProtocolError as error:
             self.closed_for_errors += 1
@@ -337,7 +357,16 @@ class Gateway:
 
     def _announce(self) -> None:
         for browser in self._browsers:
-            browser.tell_daemon_state(self._daemon_state(browser))
+            browser.tell_state(self._daemon_state(browser))
+
+    def _announce_head(self) -> None:
+        assert isinstance(self._daemon, Playback)
+        for browser in self._browsers:
+            browser.tell_state(_head_of(self._daemon))
+
+
+def _head_of(playback: Playback) -> dict[str, Any]:
+    return {"type": "head", **playback.head()}
 
 
 def _choice_of(request: web.Request) -> Choice:
@@ -349,16 +378,21 @@ def _choice_of(request: web.Request) -> Choice:
 
 
 @contextlib.asynccontextmanager
-async def serve(options: GatewayOptions, known: Mapping[str, scene_pb2.Scene] | None = None) -> AsyncIterator[Gateway]:
+async def serve(
+    options: GatewayOptions,
+    known: Mapping[str, scene_pb2.Scene] | None = None,
+    recording: Recording | None = None,
+) -> AsyncIterator[Gateway]:
     """Runs a gateway: `async with serve(options) as gateway: print(gateway.url)`.
 
     Args:
         options: the gateway's address, and who may connect.
         known: messages of scenes that are loaded, by name. Of these the gateway can show element fields.
+        recording: served in place of the daemon; None: the daemon is served.
 
     Raises FileNotFoundError if the viewer is not built, OSError if the address is taken.
     """
-    gateway = Gateway(options, known)
+    gateway = Gateway(options, known, recording)
     try:
         await gateway.start()
         yield gateway

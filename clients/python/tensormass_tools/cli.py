@@ -222,7 +222,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.set_defaults(command=_mesh)
 
     sub = commands.add_parser(
-        "view", parents=[server, json_option], help="viewer for a running daemon, in a browser or a window"
+        "view",
+        parents=[server, json_option],
+        help="viewer for a running daemon, in a browser or a window, or for a recording",
+        description="Serves a page that shows the scenes of a running daemon, or plays a recording of `tensormass "
+        "record --frames`, which needs no daemon.",
     )
     desktop.add_arguments(sub)
     add_gateway_arguments(sub)
@@ -321,6 +325,8 @@ def _inspect(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
+    if args.scene is not None and args.scene.endswith(recording.SUFFIX):
+        return _view_recording(args)
     if args.desktop:
         return desktop.run(args)
     for option, value in (("scene", args.scene), ("--screenshot", args.screenshot)):
@@ -332,6 +338,25 @@ def _view(args: argparse.Namespace) -> int:
     run.check_gateway_options(args)
     args.server = find_server(args.server)
     return command.run(args)
+
+
+def _view_recording(args: argparse.Namespace) -> int:
+    contradicting = {
+        "--desktop": args.desktop,
+        "--screenshot": args.screenshot,
+        "--server": args.server,
+        "--allow-poses": args.allow_poses,
+    }
+    for option, given in contradicting.items():
+        if given:
+            raise InvalidArgumentError(f"{option}: is for running scenes; {args.scene} is played in a browser as it is")
+    require("viewer", "view")
+    require("record", "a recording")
+    from tensormass_gateway import command
+    from tensormass_tools.recording.index import RecordingIndex
+
+    run.check_gateway_options(args)
+    return command.run(args, RecordingIndex(Path(args.scene)))
 
 
 def _mesh(args: argparse.Namespace) -> int:

@@ -18,9 +18,10 @@ import { MaterialPanel, type Adjustments } from "./panel/material";
 import { savePicture } from "./panel/picture";
 import { Plots } from "./panel/plots";
 import { loadSettings, type Settings } from "./panel/settings";
-import { linkSituation, sceneSituation, type Situation } from "./situation";
+import { Timeline, type HeadAction, type HeadOptions } from "./panel/timeline";
+import { linkSituation, recordingSituation, sceneSituation, type Situation } from "./situation";
 import { GatewayClock } from "./stream/clock";
-import { Connection, type ClockReply, type DaemonState, type Diagnosis, type LinkState } from "./stream/connection";
+import { Connection, type ClockReply, type DaemonState, type Diagnosis, type Head, type LinkState } from "./stream/connection";
 import {
   decodeField,
   decodeFrame,
@@ -66,6 +67,8 @@ const clock = new GatewayClock();
 let wanted = address.searchParams.get("scene");
 let watched: string | null = null;
 let daemon: DaemonState | null = null;
+/** The play head of a recording; null before the first message about it. */
+let head: Head | null = null;
 let watchedSinceMs = 0;
 /** The load or unload that is not answered yet, in words. */
 let busy: string | null = null;
@@ -88,6 +91,7 @@ const hud = new Hud({
 
 const viewer = openViewer();
 const controls = new Controls({ command: (action, options) => void command(action, options) });
+const timeline = new Timeline(command);
 
 const material = new MaterialPanel({
   adjust,
@@ -98,7 +102,7 @@ const frameDecoder = new FrameDecoder();
 const streamAddress = `//${address.host}/stream?${streamQuery().toString()}`;
 const connection = new Connection({
   url: `${address.protocol === "https:" ? "wss:" : "ws:"}${streamAddress}`,
-  events: { onLink, onDaemon, onMessage, onClock },
+  events: { onLink, onDaemon, onHead, onMessage, onClock },
   diagnose,
 });
 
@@ -114,9 +118,11 @@ const film = filmOf(find("#view", HTMLCanvasElement), {
 display.showFilm(film.possible ? false : null);
 const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
 listenToKeys({
-  " ": () => controls.press("pause"),
-  s: () => controls.press("step"),
-  Home: () => controls.press("restart"),
+  " ": () => (daemon?.recording ? timeline.press("play") : controls.press("pause")),
+  s: () => (daemon?.recording ? timeline.press("forward") : controls.press("step")),
+  Home: () => (daemon?.recording ? timeline.toStart() : controls.press("restart")),
+  ArrowLeft: () => timeline.press("back"),
+  ArrowRight: () => timeline.press("forward"),
   r: () => viewer.resetView(),
   t: () => display.change({ tools: !display.settings.tools }),
   w: () => display.change({ wireframe: !display.settings.wireframe }),
@@ -169,7 +175,7 @@ function openViewer(): Viewer {
         const atMs = performance.now();
         costs.push({ atMs, ...decoded, prepareMs, renderMs });
         costs.splice(0, costs.length - COSTS_KEPT);
-        drawn.push({ atMs, ageMs: store.followsAnother ? clock.ageMs(serverTimeNs, atMs) : null });
+        drawn.push({ atMs, ageMs: store.followsAnother && daemon?.recording === null ? clock.ageMs(serverTimeNs, atMs) : null });
       },
       onToolMoved: moveTool,
       onHand: showHand,
@@ -213,7 +219,14 @@ function onDaemon(state: DaemonState): void {
     viewer.enableDrag();
   }
   showHand("away");
+  timeline.show(state.recording, state.operator);
   chooseScene();
+}
+
+function onHead(newest: Head): void {
+  head = newest;
+  timeline.showHead(newest);
+  showState();
 }
 
 /** Watches the wanted scene if the daemon has it. Without a wanted scene it keeps the present one or takes the first. */
@@ -223,7 +236,8 @@ function chooseScene(): void {
   }
   const present = daemon.scenes;
   const kept = watched !== null && present.includes(watched) ? watched : present[0];
-  const target = wanted === null ? kept : present.find((scene) => scene === wanted);
+  // A recording has one scene, so a name that is left in the address means nothing.
+  const target = wanted === null || daemon.recording !== null ? kept : present.find((scene) => scene === wanted);
   if (target === undefined) {
     forget();
   } else if (target !== watched) {
@@ -236,7 +250,9 @@ function chooseScene(): void {
   askForField();
   hud.showScenes(daemon, watched ?? wanted);
   const known = watched !== null && daemon.fieldScenes.includes(watched);
-  display.offerFields(known ? null : "Stress needs the elements, which this gateway knows only of scenes that it loaded.");
+  const unknown = "Stress needs the elements, which this gateway knows only of scenes that it loaded.";
+  const reason = daemon.recording === null ? unknown : "A recording has surfaces only. Replay it to get stresses.";
+  display.offerFields(known ? null : reason);
   showState();
 }
 
@@ -251,7 +267,8 @@ function forget(): void {
 
 function showState(): void {
   if (daemon !== null) {
-    show(sceneSituation(daemon, wanted, watched, store));
+    const { recording } = daemon;
+    show(recording === null ? sceneSituation(daemon, wanted, watched, store) : recordingSituation(recording, head, store));
   }
   const state = controlState(daemon, watched, store.status, busy);
   controls.show(state, daemon, watched);
@@ -277,6 +294,7 @@ function onMessage(data: ArrayBuffer): void {
         case "encoded_frame":
           store.setFrame(decodeAndTime(message));
           plotForces();
+          timeline.showStep(store.frame?.step ?? null);
           break;
         case "rest":
           store.setRest(decodeFrame(message.payload));
@@ -372,8 +390,12 @@ function plotStatus(): void {
 }
 
 /** Sends a command of the operator and shows its failure. */
-async function command(action: Action, options: { builtin?: string; lockstep?: boolean } = {}): Promise<void> {
-  const scene = options.builtin ?? watched;
+async function command(
+  action: Action | HeadAction,
+  options: HeadOptions & { builtin?: string; lockstep?: boolean } = {},
+): Promise<void> {
+  const { builtin, lockstep = false, ...more } = options;
+  const scene = builtin ?? watched;
   if (scene === null) {
     return;
   }
@@ -385,8 +407,7 @@ async function command(action: Action, options: { builtin?: string; lockstep?: b
     toast.show(`Loading ${scene} …`, "quiet");
   }
   try {
-    const { lockstep = false } = options;
-    const result = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : {}) });
+    const result = await connection.control({ action, scene, ...(action === "load" ? { lockstep } : more) });
     toast.hide();
     if (slow) {
       wanted = action === "load" ? result.scene : null;
@@ -460,8 +481,10 @@ function showHand(hand: Hand): void {
 /** Keeps the organ out from under the panels of a narrow window. */
 function coverView(): void {
   const narrow = window.innerWidth <= 760;
-  const { top } = find("#bottom", HTMLElement).getBoundingClientRect();
-  viewer.cover(narrow ? 64 : 0, narrow ? Math.min(window.innerHeight - top, window.innerHeight / 2) : 0);
+  const { top } = find(narrow ? "#bottom" : "#timeline", HTMLElement).getBoundingClientRect();
+  // A time line that is hidden has no place.
+  const covered = top > 0 ? Math.min(window.innerHeight - top, window.innerHeight / 2) : 0;
+  viewer.cover(narrow ? 64 : 0, covered);
 }
 
 /** Sends the pose that brings the tool's sphere to `centerM` and keeps the tool's orientation. */

@@ -1,5 +1,5 @@
 // The state of the page in words: for the pill in the header and for the notice beside the picture.
-import type { DaemonState, LinkState } from "./stream/connection";
+import type { DaemonState, Head, LinkState, Recording } from "./stream/connection";
 import { SceneState, type Frame, type Status, type Topology } from "./stream/decode";
 
 export type Tone = "good" | "waiting" | "warning" | "bad";
@@ -63,13 +63,9 @@ export function sceneSituation(
       .join(" ");
     return { tone: "waiting", text: "No scene", notice: { tone: "quiet", title: "Waiting for a scene", detail } };
   }
-  if (status?.state === SceneState.FAULTED) {
-    const notice = { tone: "warning", title: "Scene stopped", detail: status.fault } as const;
-    return { tone: "bad", text: "Stopped", notice };
-  }
-  if (unshown !== null) {
-    const notice = { tone: "warning", title: "New frames cannot be shown", detail: unshown } as const;
-    return { tone: "bad", text: frame === null ? "No picture" : "Frozen", notice };
+  const trouble = troubleOf({ topology, frame, status, unshown });
+  if (trouble !== null) {
+    return trouble;
   }
   const standing = standingSituation(status);
   // A scene without frames has a topology without vertices.
@@ -84,6 +80,37 @@ export function sceneSituation(
   return frame === null
     ? { tone: "waiting", text: "Loading", notice: null }
     : { tone: "good", text: "Live", notice: null };
+}
+
+/** The situation of a page that shows a recording. @param head null before the gateway has told it. */
+export function recordingSituation(recording: Recording, head: Head | null, scene: Scene): Situation {
+  const notice =
+    recording.note === "" ? null : ({ tone: "quiet", title: "Not the whole recording", detail: recording.note } as const);
+  const trouble = troubleOf(scene);
+  if (trouble !== null) {
+    return trouble;
+  }
+  if (head === null || scene.frame === null) {
+    return { tone: "waiting", text: "Loading", notice };
+  }
+  if (head.playing) {
+    return { tone: "good", text: "Playing", hint: recording.file, notice };
+  }
+  const ended = head.timeS >= recording.durationS;
+  return { tone: "warning", text: ended ? "Ended" : "Paused", hint: `${recording.file}: Space plays it`, notice };
+}
+
+/** The situation of a scene that a guard stopped, or whose frames cannot be drawn; null: neither. */
+function troubleOf({ frame, status, unshown }: Scene): Situation | null {
+  if (status?.state === SceneState.FAULTED) {
+    const notice = { tone: "warning", title: "Scene stopped", detail: status.fault } as const;
+    return { tone: "bad", text: "Stopped", notice };
+  }
+  if (unshown !== null) {
+    const notice = { tone: "warning", title: "New frames cannot be shown", detail: unshown } as const;
+    return { tone: "bad", text: frame === null ? "No picture" : "Frozen", notice };
+  }
+  return null;
 }
 
 /** null if the scene steps by itself. */

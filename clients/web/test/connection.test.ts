@@ -64,6 +64,7 @@ describe("Connection", () => {
   const events = {
     onLink: vi.fn<ConnectionEvents["onLink"]>(),
     onDaemon: vi.fn<ConnectionEvents["onDaemon"]>(),
+    onHead: vi.fn<ConnectionEvents["onHead"]>(),
     onMessage: vi.fn<ConnectionEvents["onMessage"]>(),
     onClock: vi.fn<ConnectionEvents["onClock"]>(),
   };
@@ -306,6 +307,19 @@ describe("parseText", () => {
   it("reads a clock", () => {
     const text = JSON.stringify({ type: "clock", client_time_ms: 1, gateway_time_ms: 2, replaced: 3 });
     expect(parseText(text)).toEqual({ type: "clock", reply: { clientTimeMs: 1, gatewayTimeMs: 2, replaced: 3 } });
+  });
+
+  it("reads a recording and its play head", () => {
+    const marks = [{ time_s: 1.5, kind: "contact", text: "probe touches." }, { kind: "reset" }];
+    const recording = { file: "a.mcap", duration_s: 12.5, frames: 700, marks, note: "" };
+    const text = JSON.stringify({ ...(JSON.parse(DAEMON) as object), recording });
+    expect(parseText(text)).toMatchObject({
+      state: { recording: { file: "a.mcap", durationS: 12.5, frames: 700, marks: [{ timeS: 1.5, kind: "contact" }], note: "" } },
+    });
+    expect(parseText(DAEMON)).toMatchObject({ state: { recording: null } });
+    const head = { type: "head", time_s: 1.25, frame: 75, playing: true, speed: 2 };
+    expect(parseText(JSON.stringify(head))).toEqual({ type: "head", head: { timeS: 1.25, frame: 75, playing: true, speed: 2 } });
+    expect(parseText(JSON.stringify({ ...head, time_s: null }))).toBeNull();
   });
 
   it.each([false, undefined, "yes"])("is not an operator's where operator is %s", (operator) => {

@@ -16,6 +16,7 @@ export const DAEMON: DaemonState = {
   builtinScenes: ["beam", "demo"],
   fieldScenes: [],
   scenes: ["liver"],
+  recording: null,
 };
 
 /** Fields of a message to set. */

@@ -2,7 +2,7 @@ import { create } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
-import { linkSituation, sceneSituation, type Scene } from "../src/situation";
+import { linkSituation, recordingSituation, sceneSituation, type Scene } from "../src/situation";
 import { SceneState, decodeFrame, decodeTopology } from "../src/stream/decode";
 import { DAEMON, frameBytes, topologyBytes } from "./messages";
 
@@ -78,5 +78,27 @@ describe("linkSituation", () => {
   it("is not live before a scene is shown", () => {
     expect(linkSituation({ kind: "connecting" })).toBeNull();
     expect(linkSituation({ kind: "open" })).toEqual({ tone: "waiting", text: "Connected", notice: null });
+  });
+});
+
+describe("recordingSituation", () => {
+  const recording = { file: "a.mcap", durationS: 10, frames: 600, marks: [], note: "" };
+  const at = (timeS: number, playing: boolean) => ({ timeS, frame: 0, playing, speed: 1 });
+
+  it("tells whether the recording plays, stands still or has ended", () => {
+    expect(recordingSituation(recording, at(4, true), SHOWN)).toMatchObject({ tone: "good", text: "Playing", notice: null });
+    expect(recordingSituation(recording, at(4, false), SHOWN)).toMatchObject({ tone: "warning", text: "Paused" });
+    expect(recordingSituation(recording, at(10, false), SHOWN).text).toBe("Ended");
+    expect(recordingSituation(recording, null, SHOWN).text).toBe("Loading");
+    expect(recordingSituation(recording, at(0, false), { ...SHOWN, frame: null }).text).toBe("Loading");
+  });
+
+  it("says that a file was cut off, and shows where a guard stopped the scene", () => {
+    const note = "The file was cut off.";
+    const notice = { tone: "quiet", detail: note };
+    expect(recordingSituation({ ...recording, note }, at(4, true), SHOWN)).toMatchObject({ text: "Playing", notice });
+    const status = create(SceneStatusSchema, { state: SceneState.FAULTED, fault: "det F is 0" });
+    const stopped = recordingSituation({ ...recording, note }, at(4, false), { ...SHOWN, status });
+    expect(stopped).toMatchObject({ text: "Stopped", notice: { detail: "det F is 0" } });
   });
 });

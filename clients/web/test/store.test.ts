@@ -157,6 +157,13 @@ describe("SceneStore", () => {
     expect(store.warnings.texts()).toEqual(["too soft"]);
   });
 
+  it("forgets warnings of later steps when a recording goes back", () => {
+    const store = new SceneStore();
+    store.setStatus(status(2_000_000_000n, "too fast"));
+    store.setStatus(status(1_000_000_000n));
+    expect(store.warnings.texts()).toEqual([]);
+  });
+
   it("keeps status and warnings when the same topology comes again", () => {
     store.setStatus(status(20n, "too fast"));
     store.setStatus(status(21n)); // a warning that comes and goes stays for a while

@@ -14,8 +14,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "scene",
         nargs="?",
-        help="with --desktop: the name of a loaded scene, or the scene file or built-in scene that was loaded, which "
-        "has the rest positions; default: the only loaded scene",
+        metavar="RECORDING",
+        help="a recording to play, made by `tensormass record --frames`; or with --desktop the name of a loaded scene, "
+        "or the scene file or built-in scene that was loaded, which has the rest positions; default: the only loaded "
+        "scene",
     )
     parser.add_argument("--desktop", action="store_true", help="a window (PyVista) instead of a page for browsers")
     parser.add_argument(

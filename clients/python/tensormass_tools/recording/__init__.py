@@ -9,6 +9,8 @@ from tensormass._src.extras import require
 from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import add_daemon_arguments
 
+#: How the name of a recording ends.
+SUFFIX = ".mcap"
 #: Steps from one check of the state to the next.
 CHECK_EVERY = 100
 #: Allowed difference of a sampled node on another backend, relative to the largest displacement in the recording.

@@ -46,8 +46,10 @@ CHUNK_BYTES = 256 << 10
 CHUNK_S = 1.0
 
 _MAGIC = b"\x89MCAP0\r\n"
-# In front of each record: an opcode and a length.
-_RECORD = struct.Struct("<BQ")
+#: The first record follows.
+MAGIC_BYTES = len(_MAGIC)
+#: In front of each record: an opcode and a length.
+RECORD = struct.Struct("<BQ")
 
 
 class _Unbuffered:
@@ -241,12 +243,12 @@ def _whole_bytes(path: Path) -> tuple[int, bool]:
                 if file.read() == _MAGIC:
                     return size, False
             at = len(_MAGIC)
-            while at + _RECORD.size <= size:
+            while at + RECORD.size <= size:
                 file.seek(at)
-                _, length = _RECORD.unpack(file.read(_RECORD.size))
-                if at + _RECORD.size + length > size:
+                _, length = RECORD.unpack(file.read(RECORD.size))
+                if at + RECORD.size + length > size:
                     break
-                at += _RECORD.size + length
+                at += RECORD.size + length
             return at, True
     except FileNotFoundError as error:
         raise NotFoundError(f"{path}: {error.strerror}") from error

@@ -20,7 +20,7 @@ export interface ControlState {
   readonly adjust: Reason;
 }
 
-const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
+export const LOOK_ONLY = "This address only lets you look. The operator's address controls scenes.";
 
 /**
  * @param watched Name of the scene on show; null while the page shows no scene.

@@ -5,7 +5,9 @@ export type KeyActions = Readonly<Record<string, () => void>>;
 /** Calls the action of a key: the event's `key`, letters in lower case. */
 export function listenToKeys(actions: KeyActions): void {
   window.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) {
+    // A held arrow goes on through the frames of a recording.
+    const repeats = event.repeat && !event.key.startsWith("Arrow");
+    if (event.ctrlKey || event.metaKey || event.altKey || repeats) {
       return;
     }
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
@@ -17,9 +19,15 @@ export function listenToKeys(actions: KeyActions): void {
   });
 }
 
-/** Space presses a button; a list or a slider takes letters and Home as well. Escape belongs to the page. */
+/**
+ * Space presses a button; a list or a slider takes letters and Home as well. Escape belongs to the page, and so do the
+ * keys of a time line, whose handle has the focus after a drag.
+ */
 function belongsToControl(target: EventTarget | null, key: string): boolean {
   if (!(target instanceof Element) || key === "Escape") {
+    return false;
+  }
+  if (target.id === "seek") {
     return false;
   }
   const takesAll = target.closest("select, input[type=range], input[type=text]") !== null;

@@ -1,6 +1,34 @@
 // The WebSocket to the gateway: opens, watches a scene, acknowledges, asks for the clock, and reconnects after a loss.
 import { slotOf, type StreamName, type ToolState } from "./decode";
 
+/** Something that happened at a time of a recording. */
+export interface Mark {
+  readonly timeS: number;
+  /** contact, guard, reset or stop */
+  readonly kind: string;
+  readonly text: string;
+}
+
+/** A recording that the gateway shows in place of a daemon. */
+export interface Recording {
+  readonly file: string;
+  readonly durationS: number;
+  /** Number of recorded frames. */
+  readonly frames: number;
+  readonly marks: readonly Mark[];
+  /** Why the recording ends early or cannot be read; empty: neither. */
+  readonly note: string;
+}
+
+/** The play head of a recording, which all pages share. */
+export interface Head {
+  readonly timeS: number;
+  /** Frame on show, counted from 0. */
+  readonly frame: number;
+  readonly playing: boolean;
+  readonly speed: number;
+}
+
 /** The gateway's view of the daemon. */
 export interface DaemonState {
   /** Why there are no streams; empty while the gateway reaches the daemon. */
@@ -17,6 +45,8 @@ export interface DaemonState {
   /** Loaded scenes whose element fields the gateway can show. */
   readonly fieldScenes: readonly string[];
   readonly scenes: readonly string[];
+  /** null: the gateway shows running scenes. */
+  readonly recording: Recording | null;
 }
 
 export interface ClockReply {
@@ -41,6 +71,9 @@ export interface Command {
   readonly lockstep?: boolean;
   /** What `adjust` changes: a SceneAdjustments of control.proto as JSON. */
   readonly changes?: object;
+  readonly time_s?: number;
+  readonly speed?: number;
+  readonly steps?: number;
 }
 
 interface Waiting {
@@ -66,6 +99,7 @@ export interface Diagnosis {
 export interface ConnectionEvents {
   onLink(state: LinkState): void;
   onDaemon(state: DaemonState): void;
+  onHead(head: Head): void;
   onMessage(data: ArrayBuffer): void;
   onClock(reply: ClockReply, receivedMs: number): void;
 }
@@ -229,6 +263,8 @@ export class Connection {
     } else if (message.type === "daemon") {
       this.#retryMs = FIRST_RETRY_MS;
       this.#options.events.onDaemon(message.state);
+    } else if (message.type === "head") {
+      this.#options.events.onHead(message.head);
     } else if (message.type === "result") {
       this.#settle(message.result);
     } else if (message.type === "frames") {
@@ -268,6 +304,7 @@ export class Connection {
 
 type TextMessage =
   | { readonly type: "daemon"; readonly state: DaemonState }
+  | { readonly type: "head"; readonly head: Head }
   | { readonly type: "result"; readonly result: CommandResult }
   /** An answer about the choice of frames. This page chooses in its address, so only an error is news. */
   | { readonly type: "frames"; readonly error: string }
@@ -297,6 +334,12 @@ export function parseText(text: string): TextMessage | null {
       ? { type, result: { id, scene, error, ...(isObject(adjustments) ? { adjustments } : {}) } }
       : null;
   }
+  if (type === "head") {
+    const { time_s, frame, playing, speed } = fields;
+    return typeof time_s === "number" && typeof frame === "number" && typeof playing === "boolean" && typeof speed === "number"
+      ? { type, head: { timeS: time_s, frame, playing, speed } }
+      : null;
+  }
   if (type === "frames") {
     return typeof fields.error === "string" ? { type, error: fields.error } : null;
   }
@@ -314,6 +357,7 @@ export function parseText(text: string): TextMessage | null {
         builtinScenes: names(fields.builtin_scenes),
         fieldScenes: names(fields.field_scenes),
         scenes: fields.scenes.map(String),
+        recording: recordingOf(fields.recording),
       },
     };
   }
@@ -322,6 +366,25 @@ export function parseText(text: string): TextMessage | null {
 
 function isObject(value: unknown): value is object {
   return typeof value === "object" && value !== null;
+}
+
+function recordingOf(value: unknown): Recording | null {
+  if (typeof value !== "object" || value === null) {
+    return null;
+  }
+  const { file, duration_s, frames, marks, note } = value as Record<string, unknown>;
+  return {
+    file: String(file),
+    durationS: Number(duration_s),
+    frames: Number(frames),
+    marks: Array.isArray(marks) ? marks.flatMap(markOf) : [],
+    note: String(note),
+  };
+}
+
+function markOf(value: unknown): Mark[] {
+  const { time_s, kind, text } = value as Record<string, unknown>;
+  return typeof time_s === "number" ? [{ timeS: time_s, kind: String(kind), text: String(text) }] : [];
 }
 
 function names(value: unknown): string[] {

@@ -108,6 +108,9 @@ export class SceneStore {
     if (this.topology !== null && status.serverTimeNs < this.topology.version) {
       return;
     }
+    if (this.status !== null && status.serverTimeNs < this.status.serverTimeNs) {
+      this.warnings.clear(); // a recording went back, to before them
+    }
     this.status = status;
     this.warnings.update(status.warnings, Number(status.serverTimeNs) / 1e6);
   }

@@ -1,0 +1,212 @@
+"""A recording in the place of a daemon: the gateway serves it as a scene, with a play head that all browsers share.
+
+    recording --frames on demand--> player --streams--> a slot per browser and stream --WebSocket--> browser
+                                      ^---- commands of operators ----------------------------------
+
+Browsers share the head as they share a running scene: who opens the page later sees what the others see. The
+recording pauses when the last browser leaves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from tensormass._src.errors import TensormassError
+from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_gateway.control import Action, Command, CommandError, Outcome
+from tensormass_gateway.outbox import Stream, Watcher
+from tensormass_gateway.player import Player, Recording
+from tensormass_gateway.requests import ProtocolError
+from tensormass_gateway.streams import SceneStreams
+
+SERVER = "recording"
+"""Name of the server in the keys of the streams."""
+
+SHORTEST_WAIT_S = 1 / 60
+"""Frames that follow each other faster are skipped."""
+
+
+class RecordedStreams(SceneStreams):
+    """The streams of the scene in a recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__(recording.topology.scene)
+        self._recording = recording
+
+    @property
+    def server(self) -> str:
+        return SERVER
+
+    @property
+    def known(self) -> scene_pb2.Scene | None:
+        return self._recording.scene
+
+
+class Playback:
+    """Plays a recording to browsers.
+
+    It has those methods of `daemon.Daemon` and `control.Control` that a gateway uses.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        on_change: Callable[[], None],
+        on_head: Callable[[], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Makes a playback that stands still at the first frame.
+
+        Args:
+            on_change: called when `state` has changed.
+            on_head: called when `head` has changed.
+        """
+        self.player = Player(recording.times_s, clock)
+        self.malformed = 0
+        self._recording = recording
+        self._streams = RecordedStreams(recording)
+        self._on_change = on_change
+        self._on_head = on_head
+        self._problem = ""
+        self._commanded = asyncio.Event()
+        self._shown: int | None = None
+        self._status: stream_pb2.SceneStatus | None = None
+        self._sent_status = b""
+        self._sequence = 0
+
+    async def follow(self) -> None:
+        """Plays until cancelled."""
+        self._streams.set_topology(self._recording.topology)
+        while True:
+            self._commanded.clear()
+            self.player.advance()
+            await self._show()
+            wait_s = self.player.wait_s()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if wait_s is None else max(wait_s, SHORTEST_WAIT_S)):
+                    await self._commanded.wait()
+
+    async def close(self) -> None:
+        self._streams.close()
+
+    def watch(self, watcher: Watcher, scene: str) -> None:
+        """Moves `watcher` to `scene`. Another scene than the recorded one has no streams."""
+        self._streams.watchers.discard(watcher)
+        watcher.outbox.clear()
+        watcher.scene, watcher.field = scene, ""
+        if scene == self._streams.scene:
+            self._streams.add(watcher)
+
+    def leave(self, watcher: Watcher) -> None:
+        """Removes `watcher`. Pauses when the last one leaves."""
+        self._streams.watchers.discard(watcher)
+        if not self._streams.watchers and self.player.playing:
+            self.player.pause()
+            self._commanded.set()
+
+    def show_field(self, watcher: Watcher, name: str) -> None:
+        """Does nothing: element fields are not recorded."""
+
+    def move_tool(
+        self, watcher: Watcher, tool: str, position_m: Sequence[float], orientation_wxyz: Sequence[float] | None
+    ) -> None:
+        raise ProtocolError("a recording takes no poses")
+
+    async def execute(self, command: Command) -> Outcome:
+        """Executes a command. Raises CommandError with the reason of a failure."""
+        if command.scene != self._streams.scene:
+            raise CommandError(f"this gateway shows a recording of {self._streams.scene!r} only")
+        match command.action:
+            case Action.PAUSE:
+                self.player.pause()
+            case Action.RESUME:
+                self.player.play()
+            case Action.STEP:
+                self.player.step(command.steps)
+            case Action.STEP_BACK:
+                self.player.step(-command.steps)
+            case Action.RESET:
+                self.player.seek(0.0)
+            case Action.SEEK:
+                self.player.seek(command.time_s)
+            case Action.SPEED:
+                self.player.set_speed(command.speed)
+            case Action.LOAD | Action.UNLOAD | Action.ADJUST:
+                raise CommandError("this gateway shows a recording; it neither loads nor adjusts scenes")
+        self._commanded.set()
+        return Outcome(command.scene)
+
+    def state(self) -> dict[str, Any]:
+        """Returns what browsers are told in place of a daemon."""
+        start = self._recording.start
+        return {
+            "problem": "",
+            "server": SERVER,
+            "version": start.server_version,
+            "backend": start.backend,
+            "device": start.device,
+            "scenes": [self._streams.scene],
+            "field_scenes": [],
+            "recording": {
+                "file": self._recording.name,
+                "duration_s": self.player.duration_s,
+                "frames": len(self._recording.times_s),
+                "marks": [mark._asdict() for mark in self._recording.marks],
+                "note": self._problem or self._recording.note,
+            },
+        }
+
+    def head(self) -> dict[str, Any]:
+        """Returns where the play head is."""
+        player = self.player
+        return {"time_s": player.time_s, "frame": player.index, "playing": player.playing, "speed": player.speed}
+
+    async def _show(self) -> None:
+        """Publishes the frame at the head, and the status that belongs to it."""
+        index, playing = self.player.index, self.player.playing
+        if index != self._shown:
+            try:
+                # Reads the disk, while browsers are served.
+                frame, status = await asyncio.to_thread(self._read, index)
+            except TensormassError as error:
+                self.player.pause()
+                self._tell(str(error))
+            else:
+                self._tell("")
+                self._publish_status(status, playing=playing)
+                self._publish_frame(frame)
+            self._shown = index
+        elif self._status is not None:
+            self._publish_status(self._status, playing=playing)
+        self._on_head()
+
+    def _read(self, index: int) -> tuple[stream_pb2.Frame, stream_pb2.SceneStatus]:
+        frame = self._recording.frame(index)
+        status = self._recording.status(index)
+        return frame, status or stream_pb2.SceneStatus(server_time_ns=frame.server_time_ns)
+
+    def _publish_frame(self, frame: stream_pb2.Frame) -> None:
+        # Counts what is sent, because a gap in the recorded sequence is not a frame that a browser has missed.
+        self._sequence += 1
+        frame.sequence = self._sequence
+        self._streams.publish(Stream.FRAME, self._streams.shared(self._streams.message(Stream.FRAME, frame), frame))
+
+    def _publish_status(self, status: stream_pb2.SceneStatus, *, playing: bool) -> None:
+        """Publishes a status, if it differs from the last one. The state of a scene that had stopped stays."""
+        if status.state != stream_pb2.SceneStatus.STATE_FAULTED:
+            playing_state, still = stream_pb2.SceneStatus.STATE_RUNNING, stream_pb2.SceneStatus.STATE_PAUSED
+            status.state = playing_state if playing else still
+        status.scene = self._streams.scene
+        message = self._streams.message(Stream.STATUS, status)
+        if message != self._sent_status:
+            self._streams.publish(Stream.STATUS, message)
+        self._status, self._sent_status = status, message
+
+    def _tell(self, problem: str) -> None:
+        if problem != self._problem:
+            self._problem = problem
+            self._on_change()

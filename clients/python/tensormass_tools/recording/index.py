@@ -1,0 +1,290 @@
+"""An index of the frames of a recording, and its frames on demand: for recordings larger than memory.
+
+    file    | chunk 0 | chunk 1 | ...
+              scene     frame, step, step, frame, status ...      compressed
+    index   for each frame: time, chunk, place in the chunk       a few bytes
+
+One pass over the file makes the index. It checks every chunk's sum and forgets its content. A frame is read by its
+chunk alone. A file that was cut off or damaged is indexed up to its last whole chunk.
+
+Times of frames count simulated time, so that playing at speed 1 shows tissue as fast as it moved. A pause of the scene
+takes no time, and after a reset the time goes on where it was.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+from array import array
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, NamedTuple, TypeVar
+
+import zstandard
+from google.protobuf.message import DecodeError, Message
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import get_chunk_data_stream
+
+from tensormass._src.errors import InvalidArgumentError, ResourceExhaustedError
+from tensormass.v1 import recording_pb2, stream_pb2
+from tensormass_gateway.player import Mark
+from tensormass_gateway.requests import is_name
+from tensormass_tools.output import force_n
+from tensormass_tools.recording.file import CHANNELS, MAGIC_BYTES, RECORD, RecordingReader
+
+#: Bytes of chunks that are held, because the next frame is often in the same one. At least one chunk is held.
+MAX_HELD_BYTES = 64 << 20
+#: A larger chunk is refused. One frame has at most 512 MiB on the bus.
+MAX_CHUNK_BYTES = 576 << 20
+#: Frames of a recording. An index of so many takes 440 MB.
+MAX_FRAMES = 10_000_000
+#: Marks of a recording. Later ones are left out.
+MAX_MARKS = 500
+#: Characters of the text of a mark.
+MAX_MARK_TEXT = 200
+#: A tool that touches again within this time makes no new mark.
+CONTACT_APART_S = 0.5
+
+# In front of the data of a message.
+_MESSAGE_HEAD_BYTES = 22
+
+Kind = TypeVar("Kind", bound=Message)
+
+# Failures of a chunk whose bytes are not those that were written. ValueError: also a wrong checksum.
+_DAMAGE = (McapError, zstandard.ZstdError, DecodeError, struct.error, ValueError)
+
+
+class _Found(NamedTuple):
+    """A message in a chunk."""
+
+    channel: str
+    at: int
+    data: bytes
+
+
+class RecordingIndex:
+    """A recording with frames, as the gateway plays it.
+
+    Raises:
+        NotFoundError: no such file.
+        InvalidArgumentError: the file is not a recording, or has no frames.
+        ResourceExhaustedError: a named limit of this file is exceeded.
+    """
+
+    def __init__(self, path: Path) -> None:
+        reader = RecordingReader(path)
+        self.name = path.name
+        self.scene, self.start = reader.scene, reader.start
+        self.topology = stream_pb2.Topology()
+        #: Time of each frame from the first one [s].
+        self.times_s = array("d")
+        self.marks: list[Mark] = []
+        #: Why the recording ends early; empty: it does not.
+        self.note = ""
+        self._path = path
+        self._whole_bytes, self._cut_off = reader.whole_bytes, reader.cut_off
+        self._held: OrderedDict[int, bytes] = OrderedDict()
+        self._frames = _Places()
+        self._statuses = _Places()
+        # Number of statuses before each frame.
+        self._statuses_before = array("I")
+        damaged = self._read()
+        if not self.times_s:
+            raise InvalidArgumentError(
+                f"{path}: has no frames to show; record them: tensormass record SCENE --frames -o FILE.mcap"
+            )
+        if not is_name(self.topology.scene):
+            raise InvalidArgumentError(f"{path}: its scene has no valid name; the file is damaged")
+        if damaged or self._cut_off:
+            how = "is damaged" if damaged else "was cut off"
+            self.note = f"The file {how}. It is shown up to its last whole chunk, at {self.times_s[-1]:.2f} s."
+
+    def frame(self, index: int) -> stream_pb2.Frame:
+        """Reads a frame. Raises InvalidArgumentError if the file has changed since it was opened."""
+        return self._message(self._frames, index, stream_pb2.Frame)
+
+    def status(self, index: int) -> stream_pb2.SceneStatus | None:
+        """Reads the last status before a frame; None if there was none. Raises like `frame`."""
+        before = self._statuses_before[index]
+        return self._message(self._statuses, before - 1, stream_pb2.SceneStatus) if before > 0 else None
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of the chunks that are held now."""
+        return sum(map(len, self._held.values()))
+
+    def _read(self) -> bool:
+        """Makes the index. Returns whether a damaged chunk ended it."""
+        timeline = _Timeline(self.times_s, self.marks)
+        channels: dict[int, str] = {}
+        schemas: dict[int, Schema] = {}
+        with self._path.open("rb") as file:
+            try:
+                for chunk_at, chunk_size in self._chunks():
+                    for found in _messages(_content(file, chunk_at, chunk_size), schemas, channels):
+                        self._take(found, chunk_at, chunk_size, timeline)
+            except _DAMAGE:
+                return True
+        return False
+
+    def _take(self, found: _Found, chunk_at: int, chunk_size: int, timeline: _Timeline) -> None:
+        message = CHANNELS[found.channel].FromString(found.data)
+        if isinstance(message, stream_pb2.Topology):
+            self.topology = message
+        elif isinstance(message, recording_pb2.RecordedStep):
+            timeline.take_step(message)
+        elif isinstance(message, stream_pb2.SceneStatus):
+            timeline.take_status(message)
+            self._statuses.add(chunk_at, chunk_size, found.at, len(found.data))
+        elif isinstance(message, stream_pb2.Frame) and message.topology_version == self.topology.version:
+            if len(message.positions) != 12 * sum(body.vertex_count for body in self.topology.bodies):
+                raise ValueError("a frame does not fit its topology")
+            if len(self.times_s) == MAX_FRAMES:
+                raise ResourceExhaustedError(f"{self._path}: has more than {MAX_FRAMES} frames")
+            timeline.take_frame(message)
+            self._frames.add(chunk_at, chunk_size, found.at, len(found.data))
+            self._statuses_before.append(len(self._statuses))
+
+    def _chunks(self) -> Iterator[tuple[int, int]]:
+        """Yields place and size of each chunk. Raises ValueError where there is something else than a record."""
+        with self._path.open("rb") as file:
+            at = MAGIC_BYTES
+            while at + RECORD.size <= self._whole_bytes:
+                file.seek(at)
+                opcode, size = RECORD.unpack(file.read(RECORD.size))
+                if Opcode(opcode) is Opcode.DATA_END:  # raises ValueError for an unknown one
+                    return
+                if opcode == Opcode.CHUNK:
+                    yield at + RECORD.size, size
+                at += RECORD.size + size
+        if not self._cut_off:
+            raise ValueError("a record is longer than the file")
+
+    def _message(self, places: _Places, index: int, kind: type[Kind]) -> Kind:
+        chunk_at, chunk_size, at, size = places.of(index)
+        try:
+            content = self._held.get(chunk_at)
+            if content is None:
+                with self._path.open("rb") as file:
+                    content = _content(file, chunk_at, chunk_size)
+                self._hold(chunk_at, content)
+            self._held.move_to_end(chunk_at)
+            return kind.FromString(content[at : at + size])
+        except OSError as error:
+            raise InvalidArgumentError(f"{self._path}: {error.strerror}") from error
+        except _DAMAGE as error:
+            raise InvalidArgumentError(f"{self._path}: has changed since it was opened; open it again") from error
+
+    def _hold(self, chunk_at: int, content: bytes) -> None:
+        self._held[chunk_at] = content
+        while len(self._held) > 1 and self.held_bytes > MAX_HELD_BYTES:
+            self._held.popitem(last=False)
+
+
+class _Places:
+    """The places of messages in the file: 32 bytes each."""
+
+    def __init__(self) -> None:
+        self._numbers = array("Q")
+
+    def __len__(self) -> int:
+        return len(self._numbers) // 4
+
+    def add(self, chunk_at: int, chunk_size: int, at: int, size: int) -> None:
+        """Adds a message: place and size of its chunk in the file, and its own in the content of the chunk."""
+        self._numbers.extend((chunk_at, chunk_size, at, size))
+
+    def of(self, index: int) -> tuple[int, int, int, int]:
+        chunk_at, chunk_size, at, size = self._numbers[4 * index : 4 * index + 4]
+        return chunk_at, chunk_size, at, size
+
+
+class _Timeline:
+    """Turns simulated times, which start again at a reset, into times that never fall. Notes what happened."""
+
+    def __init__(self, times_s: array[float], marks: list[Mark]) -> None:
+        self._times_s = times_s
+        self._marks = marks
+        self._last = stream_pb2.Frame()
+        self._touched_s: dict[str, float] = {}
+        self._guard_events: int | None = None
+
+    def take_frame(self, frame: stream_pb2.Frame) -> None:
+        if not math.isfinite(frame.simulated_time_s):
+            raise ValueError("a frame has no finite time")
+        last = self._last
+        now_s = 0.0
+        if self._times_s:
+            was_reset = frame.step < last.step
+            passed_s = frame.simulated_time_s - (0.0 if was_reset else last.simulated_time_s)
+            now_s = self._times_s[-1] + max(0.0, passed_s)
+            self._times_s.append(now_s)
+            if was_reset:
+                self._mark("reset", "The scene was reset.")
+        else:
+            self._times_s.append(now_s)
+        self._last = stream_pb2.Frame(step=frame.step, simulated_time_s=frame.simulated_time_s)
+        for tool in frame.tools:
+            if force_n(tool) > 0:
+                if not now_s - self._touched_s.get(tool.tool, -math.inf) < CONTACT_APART_S:
+                    self._mark("contact", f"{tool.tool} touches.")
+                self._touched_s[tool.tool] = now_s
+
+    def take_step(self, step: recording_pb2.RecordedStep) -> None:
+        if step.rejected:
+            self._mark("stop", "A guard stopped the scene.")
+
+    def take_status(self, status: stream_pb2.SceneStatus) -> None:
+        before, self._guard_events = self._guard_events, status.guard_events
+        if before is not None and status.guard_events > before:
+            self._mark("guard", status.guard_text)
+
+    def _mark(self, kind: str, text: str) -> None:
+        if len(self._marks) < MAX_MARKS:
+            self._marks.append(Mark(self._times_s[-1] if self._times_s else 0.0, kind, text[:MAX_MARK_TEXT]))
+
+
+def _content(file: IO[bytes], at: int, size: int) -> bytes:
+    """Reads a chunk and returns what it holds, decompressed and checked."""
+    if size > MAX_CHUNK_BYTES:
+        raise ResourceExhaustedError(f"{file.name}: a chunk has {size} bytes, the limit is {MAX_CHUNK_BYTES}")
+    file.seek(at)
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(file.read(size))))
+    holds = [chunk.uncompressed_size]
+    if chunk.compression == "zstd":
+        holds.append(zstandard.frame_content_size(chunk.data))
+    if max(holds) > MAX_CHUNK_BYTES:
+        raise ResourceExhaustedError(f"{file.name}: a chunk holds {max(holds)} bytes, the limit is {MAX_CHUNK_BYTES}")
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(length)
+
+
+def _messages(content: bytes, schemas: dict[int, Schema], channels: dict[int, str]) -> Iterator[_Found]:
+    """Yields the messages of a chunk. Learns its schemas, and the topics of its channels that are ours."""
+    stream = ReadDataStream(io.BytesIO(content))
+    while stream.count < len(content):
+        opcode, length = stream.read1(), stream.read8()
+        end = stream.count + length
+        if end > len(content) or (opcode == Opcode.MESSAGE and length <= _MESSAGE_HEAD_BYTES):
+            raise ValueError("a record is longer than its chunk, or too short")
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream)
+            kind, schema_of = CHANNELS.get(channel.topic), schemas.get(channel.schema_id)
+            if kind is not None and schema_of is not None and schema_of.name == kind.DESCRIPTOR.full_name:
+                channels[channel.id] = channel.topic
+        elif opcode == Opcode.MESSAGE:
+            message = McapMessage.read(stream, length)
+            if message.channel_id in channels:
+                yield _Found(channels[message.channel_id], end - len(message.data), message.data)
+        if stream.count > end:
+            raise ValueError("a record is longer than it says")
+        stream.read(end - stream.count)
