@@ -1,6 +1,6 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [viewer] [timeline]        (default: all)
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [viewer] [timeline]        (default: all)
 //
 // `viewer` and `timeline` take those of docs/viewer.md, one for each state of the page. They need a built daemon, the built viewer and
 // Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand is taken when the force on the tool has been
@@ -14,7 +14,7 @@ import { createInterface } from "node:readline";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
-const HANDS = ["retract", "grasp", "table"];
+const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
 const PAGES = { viewer: takeViewer, timeline: takeTimeline };
 const RECORDED_S = 14;
 const LONGEST_WAIT_S = 180;
@@ -99,12 +99,12 @@ async function hideReadings(page) {
   });
 }
 
-/** Waits until the label of the force has stayed the same for a second. */
+/** Waits until the force on the first tool has stayed the same for a second. */
 async function steady(page) {
   let last = null;
   let since = Date.now();
   for (const start = since; Date.now() - start < LONGEST_WAIT_S * 1000; await page.waitForTimeout(100)) {
-    const force = Number.parseFloat((await page.locator("output.force").allTextContents())[0] ?? "0");
+    const force = await page.evaluate(() => Math.hypot(...(window.tensormass.state().tools[0]?.forceN ?? [0])));
     if (last === null || Math.abs(force - last) > STEADY_N || force < LEAST_FORCE_N) {
       last = force;
       since = Date.now();
@@ -158,6 +158,12 @@ async function takeViewer() {
     const phone = await open(shown, PHONE);
     await steady(phone);
     await save(phone, "viewer-phone");
+
+    const material = await open(shown, WIDE, { readings: false });
+    await steady(material);
+    await material.locator("#material > summary").click();
+    await says(material, "#material-sliders output", "×");
+    await save(material, "viewer-material");
 
     const paused = await open(shown, WIDE, { readings: false });
     await steady(paused);

@@ -258,6 +258,28 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "cube" });
   });
 
+  it("changes the stiffness of a running scene by a slider", async () => {
+    const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
+    const page = await open("scene=cube");
+    await page.shows(vertexCount);
+    await page.page.keyboard.press("m");
+    const stiffness = page.page.getByRole("slider", { name: "Stiffness of" });
+    await stiffness.waitFor();
+    const { step, topologyVersion } = await page.state();
+    await stiffness.focus();
+    await page.page.keyboard.press("End");
+    await page.says("#material-sliders output", /× 10/);
+    await page.page.waitForFunction((from) => window.tensormass.state().step! > from + 60, step!);
+    expect((await page.state()).topologyVersion).toBe(topologyVersion);
+
+    // The daemon has the value, not only this page.
+    await page.page.reload();
+    await page.shows(vertexCount);
+    await page.page.locator("#material > summary").click();
+    await page.says("#material-sliders output", /× 10/);
+    await stack.ask("unload", { name: "cube" });
+  });
+
   it("films a running scene", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");
