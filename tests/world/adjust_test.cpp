@@ -9,7 +9,7 @@
 
 #include <gtest/gtest.h>
 
-#include "support/backends.h"
+#include "support/on_runner.h"
 #include "support/refused.h"
 #include "support/scenes.h"
 #include "world/runner.h"
@@ -33,14 +33,8 @@ v1::SceneAdjustments stiffness(double factor) {
   return out;
 }
 
-class Adjusting : public tests::OnBackend {
+class Adjusting : public tests::OnRunner {
  protected:
-  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
-    const bool cpu = std::string(GetParam()) == "cpu";
-    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
-    if (!runner) throw std::runtime_error(runner.error().message);
-    return std::move(*runner);
-  }
   static std::string positions(Runner& runner) {
     auto out = runner.positions("beam");
     if (!out) throw std::runtime_error(out.error().message);

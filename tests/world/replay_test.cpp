@@ -11,8 +11,8 @@
 #include <gtest/gtest.h>
 
 #include "core/recording_limits.h"
-#include "support/backends.h"
 #include "support/eventually.h"
+#include "support/on_runner.h"
 #include "support/scenes.h"
 #include "world/runner.h"
 
@@ -22,15 +22,8 @@ namespace {
 
 using namespace std::chrono_literals;
 
-class Replaying : public tests::OnBackend {
+class Replaying : public tests::OnRunner {
  protected:
-  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
-    const bool cpu = std::string(GetParam()) == "cpu";
-    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
-    if (!runner) throw std::runtime_error(runner.error().message);
-    return std::move(*runner);
-  }
-
   static StartedRecording record(Runner& runner, bool reset, std::uint32_t check_every = 50) {
     auto started = runner.record({.check_every_steps = check_every, .reset = reset});
     if (!started) throw std::runtime_error(started.error().message);

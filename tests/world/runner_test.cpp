@@ -11,9 +11,9 @@
 #include <gtest/gtest.h>
 
 #include "core/limits.h"
-#include "support/backends.h"
 #include "support/eventually.h"
 #include "support/faulty_backend.h"
+#include "support/on_runner.h"
 #include "support/refused.h"
 #include "support/scenes.h"
 #include "world/compiled_scene.h"
@@ -73,14 +73,9 @@ v1::Scene doomed(v1::Scene scene) {
   return scene;
 }
 
-class Running : public tests::OnBackend {
+class Running : public tests::OnRunner {
  protected:
-  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
-    const bool cpu = std::string(GetParam()) == "cpu";
-    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
-    if (!runner) throw std::runtime_error(runner.error().message);
-    return std::move(*runner);
-  }
+  using OnRunner::load;
   /// Loads a scene on a backend that fails at planned steps.
   std::unique_ptr<Runner> load(const v1::Scene& scene, tests::FaultPlan plan) const {
     const bool cpu = std::string(GetParam()) == "cpu";

@@ -8,8 +8,8 @@
 #include <gtest/gtest.h>
 
 #include "core/limits.h"
-#include "support/backends.h"
 #include "support/laws.h"
+#include "support/on_runner.h"
 #include "support/scenes.h"
 #include "tensormass/v1/recording.pb.h"
 #include "world/runner.h"
@@ -82,15 +82,8 @@ const std::vector<Kind>& kinds() {
   return all;
 }
 
-class Snapshots : public tests::OnBackend {
+class Snapshots : public tests::OnRunner {
  protected:
-  std::unique_ptr<Runner> load(const v1::Scene& scene) const {
-    const bool cpu = std::string(GetParam()) == "cpu";
-    auto runner = Runner::start(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
-    if (!runner) throw std::runtime_error(runner.error().message);
-    return std::move(*runner);
-  }
-
   /// Presses and drags the probe. Returns the positions, the force and the time at the end.
   static std::string drag(Runner& runner, int from, int to) {
     for (int i = from; i < to; ++i) {
