@@ -1,7 +1,7 @@
 # A newcomer needs only `make run` and `make test`; `make help` lists the rest.
 #
 #   CUDA=OFF       build without the CUDA backend
-#   CUDA=CHECK     only check that the CUDA backend compiles: half the time, ten times slower on a GPU
+#   CUDA=CHECK     only check that the CUDA backend compiles: a third of the time, ten times slower on a GPU
 #   JOBS=n         parallel compilations
 #   SCENE=path     scene for `make run` (default: the demo)
 #   BACKEND=cuda   backend for `make accuracy`, `make stability` and `make trade` (default: cpu)

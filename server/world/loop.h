@@ -149,6 +149,7 @@ class Loop {
   void stop_with_fault(std::string reason);
   void stop_for_device(const std::exception& failure);
   Result<void> require_state() const;
+  Result<void> require_not_recorded(std::string_view change) const;
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
   Clock::duration lockstep_frame_interval() const;
 

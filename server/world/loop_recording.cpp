@@ -85,13 +85,16 @@ Result<LoopState> Loop::do_save() {
   return LoopState{world_->save(), next_diagnostics_};
 }
 
+/// Refuses what a recording cannot hold. change: what no step has as its input.
+Result<void> Loop::require_not_recorded(std::string_view change) const {
+  if (!recording_) return {};
+  return fail(ErrorCode::kFailedPrecondition,
+              fmt::format("scene '{}' is being recorded, and no step has {} as its input; end the recording first",
+                          model_.name, change));
+}
+
 Result<Loop::HandedOver> Loop::do_hand_over() {
-  if (recording_) {
-    return fail(ErrorCode::kFailedPrecondition,
-                fmt::format("scene '{}' is being recorded, and no step has a change of the scene as its input; end the "
-                            "recording first",
-                            model_.name));
-  }
+  TM_RETURN_IF_ERROR(require_not_recorded("a change of the scene"));
   TM_ASSIGN_OR_RETURN(state, do_save());
   handed_over_ = true;
   return HandedOver{std::move(state), {status_.state() == v1::SceneStatus::STATE_PAUSED, outputs_.frames_published()}};
@@ -104,12 +107,7 @@ Result<void> Loop::do_go_on() {
 }
 
 Result<v1::SceneStatus> Loop::do_restore(const LoopState& state) {
-  if (recording_) {
-    return fail(ErrorCode::kFailedPrecondition,
-                fmt::format("scene '{}' is being recorded, and no step has a restored state as its input; end the "
-                            "recording first",
-                            model_.name));
-  }
+  TM_RETURN_IF_ERROR(require_not_recorded("a restored state"));
   budget_.clear();
   world_->restore(state.world);
   next_diagnostics_ = state.next_diagnostics;

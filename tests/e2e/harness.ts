@@ -144,6 +144,7 @@ export class Browser {
 
 /** The interface of main.ts for scripts. */
 export interface ViewerState {
+  readonly topologyVersion: string | null;
   readonly scene: string | null;
   readonly vertexCount: number;
   /** Step of the newest frame; null before the first. */

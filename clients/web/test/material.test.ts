@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 
-import { FAST_DAMPING, GRAVITY, gravityOfLength, SLOW_DAMPING, STIFFNESS } from "../src/panel/material";
+import { FAST_DAMPING, GRAVITY, gravityOfLength, merged, SLOW_DAMPING, STIFFNESS } from "../src/panel/material";
 
 describe("scales of the material's sliders", () => {
   it.each([STIFFNESS, SLOW_DAMPING, FAST_DAMPING, GRAVITY])("$label: a position and its value belong together", (scale) => {
@@ -37,5 +37,25 @@ describe("gravityOfLength", () => {
 
   it("points down where there is no direction", () => {
     expect(gravityOfLength({ x: 0, y: 0, z: 0 }, 3)).toEqual({ x: 0, y: -3, z: 0 });
+  });
+});
+
+describe("merged", () => {
+  it("loses no change that waits, and takes the later of two for one value", () => {
+    const gravity = { x: 0, y: 0, z: -1 };
+    const stiffer = merged({ gravity_m_per_s2: gravity }, { bodies: [{ body: "liver", stiffness_factor: 2 }] });
+    const calmer = merged(stiffer, { bodies: [{ body: "liver", rayleigh_mass_per_s: 3 }, { body: "kidney", stiffness_factor: 4 }] });
+    expect(merged(calmer, { bodies: [{ body: "liver", stiffness_factor: 5 }] })).toEqual({
+      gravity_m_per_s2: gravity,
+      bodies: [
+        { body: "liver", stiffness_factor: 5, rayleigh_mass_per_s: 3 },
+        { body: "kidney", stiffness_factor: 4 },
+      ],
+    });
+  });
+
+  it("keeps a change when the panel only asks for the values", () => {
+    const change = { bodies: [{ body: "liver", stiffness_factor: 2 }] };
+    expect(merged(change, {})).toEqual(change);
   });
 });

@@ -71,6 +71,15 @@ export function gravityOfLength(direction: Point, lengthMPerS2: number): Point {
   return present > 0 ? { x: scale * x, y: scale * y, z: scale * z } : { x: 0, y: -lengthMPerS2, z: 0 };
 }
 
+/** Returns the changes of both; of two for the same value the later one. */
+export function merged(first: Adjustments, later: Adjustments): Adjustments {
+  const bodies = new Map<string, BodyAdjustment>();
+  for (const change of [...(first.bodies ?? []), ...(later.bodies ?? [])]) {
+    bodies.set(change.body, { ...bodies.get(change.body), ...change });
+  }
+  return { ...first, ...later, bodies: [...bodies.values()] };
+}
+
 export interface MaterialActions {
   /** Changes the scene and returns all values after it. Fails with the reason. */
   readonly adjust: (changes: Adjustments) => Promise<Adjustments>;
@@ -83,7 +92,7 @@ export class MaterialPanel {
   readonly #sliders = find("#material-sliders", HTMLElement);
   readonly #note = find("#material-note", HTMLElement);
   #direction: Point = { x: 0, y: -1, z: 0 };
-  /** The change that waits for the answer to the one before; a later one replaces it. */
+  /** The changes that wait for the answer to those before. */
   #waiting: Adjustments | null = null;
   #asking = false;
 
@@ -112,7 +121,7 @@ export class MaterialPanel {
   }
 
   #send(changes: Adjustments): void {
-    this.#waiting = changes;
+    this.#waiting = merged(this.#waiting ?? {}, changes);
     if (!this.#asking) {
       void this.#ask();
     }
