@@ -21,8 +21,7 @@ struct DistanceField {
 /// Cubes along the longest side of the surface, and beyond it on each side.
 inline constexpr int kDistanceCubes = 48, kDistanceMargin = 2;
 
-/// Samples the signed distance of a surface on a grid of cubes. The sign is that of the angle-weighted pseudonormal at
-/// the closest point (Bærentzen, Aanæs 2005).
+/// Samples the signed distance of a surface (signed_distance.h) on a grid of cubes.
 ///
 /// The surface must have passed mesh::admit_skin; `what` names it in messages. Errors: it has an edge that does not
 /// belong to exactly two triangles in opposite directions; it encloses no volume, or its triangles face inwards.

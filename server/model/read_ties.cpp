@@ -1,7 +1,10 @@
 #include <algorithm>
+#include <array>
 #include <limits>
 #include <map>
 #include <set>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -9,6 +12,7 @@
 #include "mesh/surface.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "model/signed_distance.h"
 
 /// Reads contacts between bodies and attachments.
 namespace tensormass::model {
@@ -21,23 +25,52 @@ constexpr double kDefaultPenalty = 10;
 /// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
 constexpr double kDefaultDistanceInEdges = 0.1;
 
-/// What the defaults of a contact follow from.
+/// A body's surface at rest, and what the defaults of a contact follow from.
 struct BodySurface {
+  std::vector<Eigen::Vector3d> vertices;
+  std::vector<mesh::Triangle> triangles;
+  std::vector<std::array<std::uint32_t, 3>> neighbours;  // as in mesh::Surface
+  Eigen::AlignedBox3d box;
   double mean_edge_m, young_modulus_pa;
 };
 
 BodySurface surface_of(const ReadBody& body) {
-  const mesh::Surface surface = mesh::boundary(body.mesh);
-  double sum_m = 0;
-  for (const mesh::Triangle& triangle : surface.triangles) {
-    for (std::size_t i = 0; i < 3; ++i) {
-      const std::uint32_t a = surface.nodes[triangle[i]], b = surface.nodes[triangle[(i + 1) % 3]];
-      sum_m += (body.mesh.nodes[a] - body.mesh.nodes[b]).norm();
-    }
+  mesh::Surface surface = mesh::boundary(body.mesh);
+  BodySurface out{{}, std::move(surface.triangles), std::move(surface.neighbours), {}, 0, 0};
+  for (const std::uint32_t node : surface.nodes) {
+    out.vertices.push_back(body.mesh.nodes[node]);
+    out.box.extend(out.vertices.back());
   }
-  double stiffest_pa = 0;
-  for (const Material& material : body.materials) stiffest_pa = std::max(stiffest_pa, material.young_modulus_pa);
-  return {sum_m / (3 * static_cast<double>(surface.triangles.size())), stiffest_pa};
+  double sum_m = 0;
+  for (const mesh::Triangle& triangle : out.triangles) {
+    for (std::size_t i = 0; i < 3; ++i)
+      sum_m += (out.vertices[triangle[i]] - out.vertices[triangle[(i + 1) % 3]]).norm();
+  }
+  out.mean_edge_m = sum_m / (3 * static_cast<double>(out.triangles.size()));
+  for (const Material& material : body.materials) {
+    out.young_modulus_pa = std::max(out.young_modulus_pa, material.young_modulus_pa);
+  }
+  return out;
+}
+
+/// The vertices of one surface that lie inside another, by more than `least_m`.
+struct Overlap {
+  std::size_t count = 0;
+  double deepest_m = 0;
+};
+
+Overlap overlap(const BodySurface& of_vertices, const BodySurface& with, double least_m) {
+  Overlap out;
+  if (!of_vertices.box.intersects(with.box)) return out;
+  const SignedDistance distance(with.vertices, with.triangles, with.neighbours);
+  for (const Eigen::Vector3d& vertex : of_vertices.vertices) {
+    if (!with.box.contains(vertex)) continue;
+    const double depth_m = -distance.at(vertex);
+    if (!(depth_m > least_m)) continue;
+    ++out.count;
+    out.deepest_m = std::max(out.deepest_m, depth_m);
+  }
+  return out;
 }
 
 class TieReader {
@@ -89,7 +122,7 @@ class TieReader {
     if (!pairs_.insert(std::minmax(body, other)).second) {
       return invalid(fmt::format("{}: an earlier entry names the same two bodies", where));
     }
-    const BodySurface a = surface(body), b = surface(other);
+    const BodySurface &a = surface(body), &b = surface(other);
     const double largest_m = std::max(a.mean_edge_m, b.mean_edge_m);
     ReadBodyContact out{body, other, 0, 0, 0, 0};
     TM_ASSIGN_OR_RETURN(distance, read_number(contact.has_distance_m()
@@ -116,8 +149,25 @@ class TieReader {
     out.penalty_pa_per_m = penalty;
     out.friction = friction;
     out.reach_m = reach;
+    if (body != other) {
+      warn_of_overlap(out, body, other);
+      warn_of_overlap(out, other, body);
+    }
     c_.body_contacts.push_back(out);
     return {};
+  }
+
+  /// Warns if one body begins inside another.
+  void warn_of_overlap(const ReadBodyContact& contact, std::size_t of_nodes, std::size_t with) {
+    const auto [count, deepest_m] = overlap(surface(of_nodes), surface(with), contact.distance_m);
+    if (count == 0) return;
+    const char* then = deepest_m < contact.reach_m ? "Contact pushes them apart in the first steps"
+                                                   : "Nodes deeper than the contact's reach_m stay inside";
+    c_.model.warnings.push_back(
+        fmt::format("bodies '{0}' and '{1}' overlap at rest: {2} {3} of '{0}' {4} inside '{1}', the deepest by {5:.3g} "
+                    "mm. {6}; move one of the bodies.",
+                    c_.model.bodies[of_nodes].name, c_.model.bodies[with].name, count, count == 1 ? "node" : "nodes",
+                    count == 1 ? "lies" : "lie", 1e3 * deepest_m, then));
   }
 
   /// Returns the nodes of a region, numbered in the scene.
