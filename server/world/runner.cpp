@@ -52,13 +52,24 @@ struct Runner::Impl {
     return present;
   }
 
+  /// The present loop, which `adjust` does not replace as long as this lives.
+  class HeldLoop {
+   public:
+    explicit HeldLoop(Impl& impl) : lock_(impl.commands), loop_(impl.loop()) {}
+    Loop& operator*() const { return *loop_; }
+    Loop* operator->() const { return loop_.get(); }
+
+   private:
+    std::shared_lock<std::shared_mutex> lock_;
+    std::shared_ptr<Loop> loop_;
+  };
+
   /// Runs a command on the loop's thread and waits for its result.
   /// command: Result<T>(Loop&)
   template <class Command>
   auto call(const Command& command) {
-    const std::shared_lock lock(commands);
-    const std::shared_ptr<Loop> loop_ = loop();
-    return loop_->call([&] { return command(*loop_); });
+    const HeldLoop held(*this);
+    return held->call([&] { return command(*held); });
   }
 
   Result<void> replace_loop(const v1::SceneAdjustments& wanted);
@@ -148,8 +159,7 @@ Result<v1::ToolFeedback> Runner::feedback(std::string_view tool) const {
 }
 
 Result<StartedRecording> Runner::record(const RecordingOptions& options) {
-  const std::shared_lock lock(impl_->commands);
-  const std::shared_ptr<Loop> loop = impl_->loop();
+  const Impl::HeldLoop loop(*impl_);
   TM_ASSIGN_OR_RETURN(started, loop->call([&] { return loop->do_record(options); }));
   const model::Model& model = loop->model();
   StartedRecording out{started.recording, {}};
@@ -169,16 +179,14 @@ void Runner::stop_recording(const std::shared_ptr<Recording>& recording) {
   (void)impl_->call([&](Loop& loop) { return loop.do_stop_recording(recording); });
 }
 Result<v1::ReplaySceneResponse> Runner::replay(const v1::ReplaySceneRequest& request) {
-  const std::shared_lock lock(impl_->commands);
-  const std::shared_ptr<Loop> loop = impl_->loop();
+  const Impl::HeldLoop loop(*impl_);
   TM_ASSIGN_OR_RETURN(replay, read_replay(loop->model(), impl_->scene_hash, request));
   TM_ASSIGN_OR_RETURN(response, loop->call([&] { return loop->do_replay(replay); }));
   response.set_layout_hash(hash_of_layout(loop->model()));
   return std::move(response);
 }
 Result<v1::SnapshotSceneResponse> Runner::snapshot() {
-  const std::shared_lock lock(impl_->commands);
-  const std::shared_ptr<Loop> loop = impl_->loop();
+  const Impl::HeldLoop loop(*impl_);
   TM_ASSIGN_OR_RETURN(state, loop->call([&] { return loop->do_save(); }));
   v1::SnapshotSceneResponse response;
   response.set_step(state.world.step_count);
@@ -186,8 +194,7 @@ Result<v1::SnapshotSceneResponse> Runner::snapshot() {
   return response;
 }
 Result<v1::SceneStatus> Runner::restore(std::string_view snapshot) {
-  const std::shared_lock lock(impl_->commands);
-  const std::shared_ptr<Loop> loop = impl_->loop();
+  const Impl::HeldLoop loop(*impl_);
   // The scene's own arrays have the sizes that the snapshot must have. A scene whose device failed has none to compare
   // with.
   TM_ASSIGN_OR_RETURN(present, loop->call([&] { return loop->do_save(); }));
