@@ -5,13 +5,21 @@ import { defineConfig } from "vitest/config";
 
 const root = join(import.meta.dirname, "..", "..");
 const modules = join(import.meta.dirname, "node_modules");
+const entries = {
+  vitest: "dist/index.js",
+  "playwright-core": "index.mjs",
+  pngjs: "lib/png.js",
+  "@mcap/core": "dist/esm/index.js",
+  "@mcap/nodejs": "dist/cjs/src/index.js",
+  "@mcap/support": "dist/esm/index.js",
+};
 
 export default defineConfig({
   root,
   resolve: {
-    alias: ["vitest", "playwright-core", "pngjs"].map((name) => ({
+    alias: Object.entries(entries).map(([name, entry]) => ({
       find: new RegExp(`^${name}$`),
-      replacement: join(modules, name, { vitest: "dist/index.js", "playwright-core": "index.mjs", pngjs: "lib/png.js" }[name]!),
+      replacement: join(modules, name, entry),
     })),
   },
   server: { fs: { allow: [root] } },

@@ -1,8 +1,12 @@
 // Runs Chromium on a recording that `tensormass view` plays, without a daemon.
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { open as openFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 
+import { McapIndexedReader } from "@mcap/core";
+import { FileHandleReadable } from "@mcap/nodejs";
+import { loadDecompressHandlers, protobufFromBinaryDescriptor } from "@mcap/support";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
 import { Browser, RecordingView, difference, missing, record, type ViewerPage } from "./harness";
@@ -13,6 +17,8 @@ if (absent.length > 0) {
 }
 
 const SECONDS = 3;
+/** Nodes on the surface of 4 × 4 × 4 cells. */
+const CUBE_VERTICES = 5 ** 3 - 3 ** 3;
 // A soft cube with a probe pressed into it. It sags under its weight after a second, because a busy machine may miss the
 // first frames.
 const SCENE = `
@@ -103,6 +109,27 @@ describe.skipIf(absent.length > 0)("recording", () => {
     expect((await page.state()).refused).toBe(0);
     await page.page.keyboard.press("Home");
     await page.says("#timeline-time", /^0\.00 \//);
+  });
+
+  it("is read by a public library of another language, which knows nothing of its messages", async () => {
+    const handle = await openFile(recording);
+    const decompressHandlers = await loadDecompressHandlers();
+    const reader = await McapIndexedReader.Initialize({ readable: new FileHandleReadable(handle), decompressHandlers });
+    const counts = new Map<string, number>();
+    let frame: Record<string, unknown> = {};
+    for await (const message of reader.readMessages()) {
+      const { topic, schemaId } = reader.channelsById.get(message.channelId)!;
+      counts.set(topic, (counts.get(topic) ?? 0) + 1);
+      if (topic === "/frames") {
+        const { name, data } = reader.schemasById.get(schemaId)!;
+        frame = protobufFromBinaryDescriptor(data).lookupType(name).decode(message.data).toJSON();
+      }
+    }
+    await handle.close();
+    expect(counts.get("/scene")).toBe(1);
+    expect(counts.get("/inputs")).toBeGreaterThan(60);
+    expect(Number(frame.step)).toBeGreaterThan(0);
+    expect(Buffer.from(frame.positions as string, "base64").length).toBe(CUBE_VERTICES * 3 * Float32Array.BYTES_PER_ELEMENT);
   });
 
   it("says that a file was cut off, and lets lookers look only", async () => {
