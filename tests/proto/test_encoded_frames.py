@@ -40,7 +40,7 @@ def test_the_decoder_reads_the_golden_messages_to_the_last_bit() -> None:
 
 def test_the_golden_messages_have_every_codec_and_a_refusal() -> None:
     entries = {entry["name"]: entry for entry in encoded_frames.connection().messages}
-    assert sum("refusal" in entry for entry in entries.values()) == 2
+    assert sum("refusal" in entry for entry in entries.values()) == 3
     assert entries["small differences"]["keyframe"] == 1
     assert entries["two wide differences, outside of the box"]["keyframe"] == 1
     wide = gateway_pb2.EncodedFrame.FromString(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 
 import numpy as np
@@ -11,7 +12,13 @@ from asynchronous import asynchronous
 
 from tensormass.v1 import gateway_pb2, stream_pb2
 from tensormass_gateway.choice import MAX_RATE_HZ, MIN_RATE_HZ, Choice, ChoiceError, Codec, choice_of
-from tensormass_gateway.decoding import DecodedFrame, FrameDecoder, FrameError
+from tensormass_gateway.decoding import (
+    MAX_VERTICES,
+    MAX_VERTICES_PER_BYTE,
+    DecodedFrame,
+    FrameDecoder,
+    FrameError,
+)
 from tensormass_gateway.encoding import GRID_CELLS, FrameEncoder, SharedFrame
 from tensormass_gateway.normals import SCALE, Triangles
 from tensormass_gateway.outbox import Pace
@@ -217,6 +224,61 @@ def test_differences_that_do_not_fit_their_keyframe_are_refused() -> None:
         assert decoder.keyframe is None
 
 
+# --- meshopt ---------------------------------------------------------------------------------------------------------
+
+
+@asynchronous
+async def test_meshopt_is_smaller_than_q16_and_decodes_to_the_same_bits() -> None:
+    around = np.linspace(0, 2 * np.pi, 5000)
+    smooth = np.stack([np.cos(around), np.sin(around), 0.1 * np.cos(7 * around)], axis=1)
+    plain, packed = Viewer(Choice(codec=Codec.Q16)), Viewer(Choice(codec=Codec.MESHOPT))
+    expected, decoded = await plain.see(smooth), await packed.see(smooth)
+    assert decoded.positions.tobytes() == expected.positions.tobytes()
+    assert decoded.error_m.tolist() == expected.error_m.tolist()
+    assert packed.size < 0.6 * plain.size
+    assert packed.decoder.keyframe is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"vertex_count": 501}, "not in meshoptimizer's vertex codec"),
+        ({"vertex_count": 499}, "not in meshoptimizer's vertex codec"),
+        ({"vertex_count": 0}, "bytes of positions without vertices"),
+        ({"vertex_count": 2**32 - 1}, "bytes of positions claim 4294967295 vertices"),
+        (
+            {"vertex_count": MAX_VERTICES_PER_BYTE * 3 + 1, "positions": b"123"},
+            "3 bytes of positions claim 769 vertices",
+        ),
+        ({"vertex_count": MAX_VERTICES + 1, "positions": bytes(1 << 20)}, "claim 44739243 vertices"),
+        ({"positions": b""}, "0 bytes of positions claim 500 vertices"),
+        ({"positions": bytes(100)}, "not in meshoptimizer's vertex codec"),
+        ({"positions": b"\xa1" + bytes(100)}, "not in meshoptimizer's vertex codec"),
+    ],
+)
+@asynchronous
+async def test_damaged_meshopt_is_refused_before_it_takes_memory(change: dict[str, object], said: str) -> None:
+    message = await FrameEncoder(Choice(codec=Codec.MESHOPT)).encode(shared(CLOUD))
+    encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
+    for name, value in change.items():
+        setattr(encoded, name, value)
+    with pytest.raises(FrameError, match=said):
+        FrameDecoder().decode("encoded_frame", encoded.SerializeToString())
+
+
+@asynchronous
+async def test_no_flipped_bit_of_meshopt_crashes_the_decoder() -> None:
+    message = await FrameEncoder(Choice(codec=Codec.MESHOPT)).encode(shared(CLOUD))
+    encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
+    for at in RANDOM.integers(0, 8 * len(encoded.positions), 500):
+        damaged = bytearray(encoded.positions)
+        damaged[at // 8] ^= 1 << (at % 8)
+        changed = gateway_pb2.EncodedFrame(positions=bytes(damaged))
+        changed.MergeFrom(gateway_pb2.EncodedFrame(codec=encoded.codec, vertex_count=encoded.vertex_count))
+        with contextlib.suppress(FrameError):
+            assert FrameDecoder().decode("encoded_frame", changed.SerializeToString()).positions.shape == (500, 3)
+
+
 # --- normals ---------------------------------------------------------------------------------------------------------
 
 
@@ -260,7 +322,7 @@ def test_a_triangle_of_a_vertex_that_is_not_there_is_refused() -> None:
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
-        ({"codec": "draco"}, "codec 'draco' is unknown; take one of float32, q16, delta"),
+        ({"codec": "draco"}, "codec 'draco' is unknown; take one of float32, q16, delta, meshopt"),
         ({"codec": ["q16"]}, "codec ['q16'] is unknown"),
         ({"codec": None}, "codec None is unknown"),
         ({"rate_hz": 0}, "rate_hz 0 is not a number from 0.1 to 1000"),
@@ -273,7 +335,14 @@ def test_a_triangle_of_a_vertex_that_is_not_there_is_refused() -> None:
         ({"rate_hz": True}, "rate_hz True is not"),
         ({"normals": 1}, "normals 1 is not true or false"),
         ({"normals": None}, "normals None is not true or false"),
-        ({"detail": 2}, "'detail' is unknown; a viewer chooses codec, rate_hz and normals"),
+        ({"detail": 2}, "detail 2 is not a share of the triangles from 0.01 to 1"),
+        ({"detail": 0}, "detail 0 is not"),
+        ({"detail": 0.009}, "detail 0.009 is not"),
+        ({"detail": float("nan")}, "detail nan is not"),
+        ({"detail": None}, "detail None is not"),
+        ({"detail": True}, "detail True is not"),
+        ({"detail": "0.5"}, "detail '0.5' is not"),
+        ({"level": 2}, "'level' is unknown; a viewer chooses codec, rate_hz, normals and detail"),
         ({"codec": "q16", "rate_hz": 0}, "rate_hz 0"),
     ],
 )
@@ -291,12 +360,19 @@ def test_a_choice_keeps_what_it_does_not_change() -> None:
     assert choice.changed({}) == choice
 
 
+def test_only_frames_of_the_whole_surface_are_those_of_the_bus() -> None:
+    assert Choice().is_bus
+    assert Choice(detail=1.0).is_bus
+    assert not Choice(detail=0.99).is_bus
+    assert Choice().changed({"detail": 0.996}).is_bus
+
+
 def test_a_choice_in_an_address() -> None:
     assert choice_of({"token": "t"}) == Choice()
-    query = {"token": "t", "codec": "q16", "rate_hz": "30", "normals": "true"}
-    assert choice_of(query) == Choice(Codec.Q16, 30.0, normals=True)
+    query = {"token": "t", "codec": "q16", "rate_hz": "30", "normals": "true", "detail": "0.257"}
+    assert choice_of(query) == Choice(Codec.Q16, 30.0, normals=True, detail=0.26)
     assert choice_of({"normals": "false"}) == Choice()
-    for wrong in ({"codec": ""}, {"rate_hz": "nan"}, {"rate_hz": "fast"}, {"normals": "1"}):
+    for wrong in ({"codec": ""}, {"rate_hz": "nan"}, {"rate_hz": "fast"}, {"normals": "1"}, {"detail": "all"}):
         with pytest.raises(ChoiceError):
             choice_of(wrong)
 
