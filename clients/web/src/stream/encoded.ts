@@ -1,6 +1,7 @@
 // Decodes frames in the codecs of gateway.proto. tests/proto/encoded_frames.json has messages that this decoder and
 // the one in Python (tensormass_gateway/decoding.py) decode to the same bits.
 import { fromBinary } from "@bufbuild/protobuf";
+import { MeshoptDecoder } from "meshoptimizer/decoder";
 
 import { EncodedFrameSchema, EncodedFrame_Codec as Codec, type EncodedFrame } from "../generated/tensormass/v1/gateway_pb";
 import type { Vector3 } from "../generated/tensormass/v1/scene_pb";
@@ -10,6 +11,20 @@ const WIDE_MARK = -128;
 /** No integer of the grid is larger: 16 bits of a keyframe and 16 bits of a difference. */
 const MAX_CELLS = 2 ** 17;
 const MAX_FLOAT32 = 3.4e38;
+/** Vertices of the largest frame on the bus. A longer claim would only take memory. */
+const MAX_VERTICES = Math.floor(2 ** 29 / 12);
+/** More vertices in a byte than meshoptimizer's vertex codec can pack, which needs two bytes for 256. */
+const MAX_VERTICES_PER_BYTE = 256;
+/** Bytes of a row of that codec: three integers of the grid and a zero. */
+const ROW_BYTES = 8;
+
+/** Whether the page can decode meshopt: its decoder is WebAssembly, which is ready before the first frame. */
+const meshoptIsReady =
+  MeshoptDecoder.supported &&
+  (await MeshoptDecoder.ready.then(
+    () => true,
+    () => false,
+  ));
 
 /** Decodes the frames of one connection, and keeps the keyframe to which later ones refer. */
 export class FrameDecoder {
@@ -68,6 +83,8 @@ export class FrameDecoder {
         return this.#absolute(where, message);
       case Codec.DELTA:
         return this.#moved(where, message);
+      case Codec.MESHOPT:
+        return onGrid(where, message, unpackedRows(where, message), ROW_BYTES / 2);
       default:
         throw new DecodeError(`${where}: codec ${message.codec} is unknown`);
     }
@@ -83,14 +100,7 @@ export class FrameDecoder {
       this.#number = message.keyframe;
       this.#cells = cells;
     }
-    const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
-    const positions = new Float32Array(cells.length);
-    for (let i = 0; i < positions.length; i += 3) {
-      positions[i] = x + cellX * cells[i]!;
-      positions[i + 1] = y + cellY * cells[i + 1]!;
-      positions[i + 2] = z + cellZ * cells[i + 2]!;
-    }
-    return positions;
+    return onGrid(where, message, cells, 3);
   }
 
   #moved(where: string, message: EncodedFrame): Float32Array {
@@ -124,6 +134,38 @@ export class FrameDecoder {
     }
     return positions;
   }
+}
+
+/** Integers of a meshopt message, [vertex_count, 4]. Throws DecodeError on a damaged one. */
+function unpackedRows(where: string, { positions, vertexCount }: EncodedFrame): Uint16Array {
+  if (vertexCount > Math.min(MAX_VERTICES, MAX_VERTICES_PER_BYTE * positions.length)) {
+    throw new DecodeError(`${where}: ${positions.length} bytes of positions claim ${vertexCount} vertices`);
+  }
+  if (!meshoptIsReady) {
+    throw new DecodeError(`${where}: codec meshopt needs WebAssembly, which this browser does not run; take q16`);
+  }
+  const rows = new Uint16Array((ROW_BYTES / 2) * vertexCount);
+  // The codec has no form for no rows.
+  if (vertexCount > 0 || positions.length > 0) {
+    try {
+      MeshoptDecoder.decodeVertexBuffer(new Uint8Array(rows.buffer), vertexCount, ROW_BYTES, positions);
+    } catch (error) {
+      throw new DecodeError(`${where}: its positions are not in meshoptimizer's vertex codec: ${String(error)}`);
+    }
+  }
+  return rows;
+}
+
+/** Positions of integers on the grid of a message. @param stride From one vertex to the next in `cells`. */
+function onGrid(where: string, message: EncodedFrame, cells: Uint16Array, stride: number): Float32Array {
+  const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
+  const positions = new Float32Array((3 * cells.length) / stride);
+  for (let i = 0, from = 0; i < positions.length; i += 3, from += stride) {
+    positions[i] = x + cellX * cells[from]!;
+    positions[i + 1] = y + cellY * cells[from + 1]!;
+    positions[i + 2] = z + cellZ * cells[from + 2]!;
+  }
+  return positions;
 }
 
 interface Grid {
