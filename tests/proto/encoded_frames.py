@@ -101,8 +101,6 @@ def connection() -> Connection:
     made.send("float32 with normals", frame(2, CORNERS), Choice(normals=True))
     made.send("q16", frame(3, CORNERS / 3), Choice(codec=Codec.Q16, normals=True))
     made.send("q16 without extent along z", frame(4, CORNERS * [1, 1, 0]), Choice(codec=Codec.Q16))
-    made.send("meshopt", frame(5, CORNERS / 3), Choice(codec=Codec.MESHOPT, normals=True))
-    made.send("meshopt of many blocks", frame(5, LINE), Choice(codec=Codec.MESHOPT))
     made.send("the first keyframe", frame(5, CORNERS), delta)
     moved += 1e-4
     made.send("small differences", frame(6, moved), delta)
@@ -113,8 +111,16 @@ def connection() -> Connection:
     made.send("differences to a keyframe that is gone", frame(9, 2 * CORNERS), delta)
     made.held = None
     made.send("the keyframe that ends the gap", frame(10, 2 * CORNERS), delta)
+    meshopt, packed = Choice(codec=Codec.MESHOPT, normals=True), LINE.copy()
+    made.held = None
+    made.send("meshopt of one block", frame(11, CORNERS / 3), meshopt)
+    made.held = None
+    made.send("meshopt of many blocks", frame(12, packed), meshopt)
+    packed += 1e-5
+    packed[300] += [0.1, -0.01, 0]
+    made.send("meshopt of differences, two of them wide", frame(13, packed), meshopt)
     made.write("half a message", b"encoded_frame\0\xff\xff\xff")
-    made.write("meshopt without its last byte", b"encoded_frame\0" + _cut(frame(11, CORNERS)))
+    made.write("meshopt without its last byte", b"encoded_frame\0" + _cut(frame(14, CORNERS)))
     return made
 
 

@@ -47,3 +47,8 @@ def test_the_golden_messages_have_every_codec_and_a_refusal() -> None:
         base64.b64decode(entries["two wide differences, outside of the box"]["payload"])
     )
     assert len(wide.wide_differences) == 4
+    packed = gateway_pb2.EncodedFrame.FromString(
+        base64.b64decode(entries["meshopt of differences, two of them wide"]["payload"])
+    )
+    assert packed.codec == gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA
+    assert len(packed.wide_differences) == 4

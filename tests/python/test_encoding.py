@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 
+import meshopt
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -26,6 +27,7 @@ from tensormass_gateway.outbox import Pace
 RANDOM = np.random.default_rng(1)
 CLOUD = RANDOM.uniform(-0.1, 0.2, (500, 3))
 DELTA = Choice(codec=Codec.DELTA)
+WITH_KEYFRAMES = [DELTA, Choice(codec=Codec.MESHOPT)]
 
 
 def shared(positions: npt.NDArray[np.float64], triangles: Triangles | None = None) -> SharedFrame:
@@ -106,9 +108,10 @@ async def test_a_frame_that_is_not_finite_passes_as_it_came(codec: Codec, value:
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("choice", WITH_KEYFRAMES)
 @asynchronous
-async def test_small_moves_take_half_the_bytes_of_a_keyframe() -> None:
-    viewer = Viewer(DELTA)
+async def test_small_moves_take_half_the_bytes_of_a_keyframe(choice: Choice) -> None:
+    viewer = Viewer(choice)
     await viewer.see(CLOUD)
     keyframe = viewer.size
     await viewer.see(CLOUD + 1e-4)
@@ -143,9 +146,10 @@ async def test_another_number_of_vertices_starts_with_a_keyframe() -> None:
     assert viewer.decoder.keyframe == 2
 
 
+@pytest.mark.parametrize("choice", WITH_KEYFRAMES)
 @asynchronous
-async def test_a_viewer_that_lost_its_keyframe_gets_one_by_itself() -> None:
-    viewer = Viewer(DELTA)
+async def test_a_viewer_that_lost_its_keyframe_gets_one_by_itself(choice: Choice) -> None:
+    viewer = Viewer(choice)
     await viewer.see(CLOUD)
     viewer.decoder = FrameDecoder()  # as after a reload of the page
     with pytest.raises(FrameError, match="refers to keyframe 1, but none was kept"):
@@ -178,7 +182,7 @@ async def test_a_keyframe_that_was_never_sent_is_refused_and_the_next_frame_is_o
 @asynchronous
 async def test_a_codec_may_change_between_two_frames() -> None:
     viewer = Viewer(DELTA)
-    for codec in (Codec.DELTA, Codec.Q16, Codec.DELTA, Codec.FLOAT32, Codec.DELTA):
+    for codec in (Codec.DELTA, Codec.Q16, Codec.MESHOPT, Codec.FLOAT32, Codec.DELTA):
         viewer.encoder.choice = Choice(codec=codec)
         decoded = await viewer.see(CLOUD)
         assert (error_of(decoded, CLOUD) <= decoded.error_m).all()
@@ -208,19 +212,25 @@ async def test_a_damaged_message_is_refused_with_what_is_wrong(change: dict[str,
         FrameDecoder().decode("encoded_frame", encoded.SerializeToString())
 
 
-def test_differences_that_do_not_fit_their_keyframe_are_refused() -> None:
+@pytest.mark.parametrize("packed", [False, True])
+def test_differences_that_do_not_fit_their_keyframe_are_refused(packed: bool) -> None:
     codecs = gateway_pb2.EncodedFrame
     keyframe = codecs(codec=codecs.CODEC_Q16, keyframe=1, vertex_count=1, positions=bytes(6))
-    for damage, said in (
-        ({"positions": bytes(6)}, "2 vertices differ from 1"),
-        ({"positions": b"\x80\0\0"}, "0 bytes of wide differences"),
-        ({"positions": bytes(3), "wide_differences": b"12"}, "2 bytes of wide differences"),
+    for count, positions, wide, said in (
+        (2, bytes(6), b"", "2 vertices differ from 1"),
+        (1, b"\x80\0\0", b"", "0 bytes of wide differences"),
+        (1, bytes(3), b"12", "2 bytes of wide differences"),
     ):
         decoder = FrameDecoder()
         decoder.decode("encoded_frame", keyframe.SerializeToString())
-        differences = codecs(codec=codecs.CODEC_DELTA, keyframe=1, vertex_count=1, **damage)
+        codec = codecs.CODEC_DELTA
+        if packed:
+            codec, rows = codecs.CODEC_MESHOPT_DELTA, np.zeros((count, 4), np.int8)
+            rows[:, :3] = np.frombuffer(positions, np.int8).reshape(-1, 3)
+            positions = meshopt.encode_vertex_buffer(rows)
+        damage = codecs(codec=codec, keyframe=1, vertex_count=count, positions=positions, wide_differences=wide)
         with pytest.raises(FrameError, match=said):
-            decoder.decode("encoded_frame", differences.SerializeToString())
+            decoder.decode("encoded_frame", damage.SerializeToString())
         assert decoder.keyframe is None
 
 
@@ -236,7 +246,19 @@ async def test_meshopt_is_smaller_than_q16_and_decodes_to_the_same_bits() -> Non
     assert decoded.positions.tobytes() == expected.positions.tobytes()
     assert decoded.error_m.tolist() == expected.error_m.tolist()
     assert packed.size < 0.6 * plain.size
-    assert packed.decoder.keyframe is None
+
+
+@asynchronous
+async def test_meshopt_of_differences_is_smaller_than_delta_and_decodes_to_the_same_bits() -> None:
+    around = np.linspace(0, 2 * np.pi, 5000)
+    smooth = np.stack([np.cos(around), np.sin(around), 0.1 * np.cos(7 * around)], axis=1)
+    plain, packed = Viewer(DELTA), Viewer(Choice(codec=Codec.MESHOPT))
+    for moved in (smooth, smooth + 1e-3 * smooth[::-1], smooth + 2e-3 * smooth[::-1]):
+        moved[7] += 0.1  # a wide difference
+        expected, decoded = await plain.see(moved), await packed.see(moved)
+        assert decoded.positions.tobytes() == expected.positions.tobytes()
+        assert packed.decoder.keyframe == plain.decoder.keyframe == 1
+    assert packed.size < 0.3 * plain.size
 
 
 @pytest.mark.parametrize(
@@ -254,6 +276,7 @@ async def test_meshopt_is_smaller_than_q16_and_decodes_to_the_same_bits() -> Non
         ({"positions": b""}, "0 bytes of positions claim 500 vertices"),
         ({"positions": bytes(100)}, "not in meshoptimizer's vertex codec"),
         ({"positions": b"\xa1" + bytes(100)}, "not in meshoptimizer's vertex codec"),
+        ({"codec": gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA}, "not in meshoptimizer's vertex codec"),
     ],
 )
 @asynchronous

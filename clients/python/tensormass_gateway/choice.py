@@ -34,7 +34,7 @@ class Codec(enum.StrEnum):
     DELTA = "delta"
     """Differences, of 8 bits where they fit, to the last keyframe that the viewer acknowledged."""
     MESHOPT = "meshopt"
-    """The integers of q16, compressed by meshoptimizer's vertex codec."""
+    """The integers of delta, compressed by meshoptimizer's vertex codec."""
 
 
 class ChoiceError(Exception):

@@ -132,13 +132,13 @@ class FrameDecoder:
             case gateway_pb2.EncodedFrame.CODEC_FLOAT32:
                 return _floats(message.positions)
             case gateway_pb2.EncodedFrame.CODEC_Q16:
-                cells = _integers(message.positions, "<u2").astype(np.int32)
-                if message.keyframe:
-                    self._number, self._cells = message.keyframe, cells
-            case gateway_pb2.EncodedFrame.CODEC_DELTA:
-                cells = self._moved(message)
+                cells = self._kept(message, _integers(message.positions, "<u2"))
             case gateway_pb2.EncodedFrame.CODEC_MESHOPT:
-                cells = _unpacked_rows(message.positions, message.vertex_count)
+                cells = self._kept(message, _unpacked(message, "<u2"))
+            case gateway_pb2.EncodedFrame.CODEC_DELTA:
+                cells = self._moved(message, _integers(message.positions, "i1"))
+            case gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA:
+                cells = self._moved(message, _unpacked(message, "i1"))
             case _:
                 raise FrameError(f"codec {message.codec} is unknown")
         origin, cell = _vector(message.origin_m), _vector(message.cell_m)
@@ -146,10 +146,16 @@ class FrameDecoder:
             raise FrameError("the grid of a frame is not finite or too large")
         return np.asarray((origin + cell * cells).astype(np.float32))
 
-    def _moved(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.int32]:
+    def _kept(self, message: gateway_pb2.EncodedFrame, integers: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        cells = integers.astype(np.int32)
+        if message.keyframe:
+            self._number, self._cells = message.keyframe, cells
+        return cells
+
+    def _moved(self, message: gateway_pb2.EncodedFrame, narrow: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         if message.keyframe != self._number or self._number == 0:
             raise FrameError(f"a frame refers to keyframe {message.keyframe}, but {self._number or 'none'} was kept")
-        differences = _integers(message.positions, "i1").astype(np.int32)
+        differences = narrow.astype(np.int32)
         wide = differences == WIDE_MARK
         if len(message.wide_differences) != 2 * np.count_nonzero(wide):
             raise FrameError(f"{len(message.wide_differences)} bytes of wide differences do not fit their marks")
@@ -165,20 +171,21 @@ def _integers(packed: bytes, kind: str) -> npt.NDArray[np.integer]:
     return np.frombuffer(packed, kind).reshape(-1, 3)
 
 
-def _unpacked_rows(packed: bytes, vertex_count: int) -> npt.NDArray[np.int32]:
+def _unpacked(message: gateway_pb2.EncodedFrame, kind: str) -> npt.NDArray[np.integer]:
+    packed, vertex_count = message.positions, message.vertex_count
     if vertex_count > min(MAX_VERTICES, MAX_VERTICES_PER_BYTE * len(packed)):
         raise FrameError(f"{len(packed)} bytes of positions claim {vertex_count} vertices")
     if vertex_count == 0:
         if packed:
             raise FrameError(f"{len(packed)} bytes of positions without vertices")
-        return np.empty((0, 3), np.int32)
+        return np.empty((0, 3), kind)
     import meshopt
 
     try:
-        rows = meshopt.decode_vertex_buffer(packed, vertex_count, 8)
+        rows = meshopt.decode_vertex_buffer(packed, vertex_count, 4 * np.dtype(kind).itemsize)
     except ValueError as error:
         raise FrameError(f"positions are not in meshoptimizer's vertex codec: {error}") from error
-    return np.asarray(rows.view("<u2").reshape(-1, 4)[:, :3].astype(np.int32))
+    return np.asarray(rows.view(kind).reshape(-1, 4)[:, :3])
 
 
 def _floats(packed: bytes) -> npt.NDArray[np.float32]:

@@ -5,9 +5,9 @@
 A frame is encoded when it leaves, so a frame that a newer one replaces costs nothing. Viewers of one scene share the
 parts that do not depend on the viewer: the grid of a frame and its normals.
 
-The delta codec refers to the last keyframe that the viewer acknowledged. A viewer that has lost it, or never had one,
-acknowledges without a keyframe and gets one with its next frame. A frame that moved too far from its keyframe
-becomes a keyframe itself, because it would hardly be smaller otherwise.
+The codecs delta and meshopt refer to the last keyframe that the viewer acknowledged. A viewer that has lost it, or
+never had one, acknowledges without a keyframe and gets one with its next frame. A frame that moved too far from its
+keyframe becomes a keyframe itself, because it would hardly be smaller otherwise.
 
 A viewer that asked for less detail gets a SimplifiedFrame (detail.py), which is encoded in the same way.
 """
@@ -165,14 +165,7 @@ class SharedFrame:
     @cached_property
     def packed_rows(self) -> bytes:
         """q as rows of four integers, compressed by meshoptimizer's vertex codec."""
-        if self.vertex_count == 0:
-            return b""
-        # Imported here: viewers in Python that use other codecs do not need the package.
-        import meshopt
-
-        rows = np.zeros((self.vertex_count, 4), "<u2")
-        rows[:, :3] = self.own_cells.T
-        return bytes(meshopt.encode_vertex_buffer_level(rows, MESHOPT_LEVEL, MESHOPT_VERSION))
+        return _packed(self.own_cells, "<u2")
 
     @cached_property
     def normals(self) -> bytes:
@@ -203,21 +196,19 @@ def encode(
     if choice.codec is Codec.FLOAT32:
         encoded.codec = gateway_pb2.EncodedFrame.CODEC_FLOAT32
         encoded.positions = frame.packed
-    elif choice.codec is Codec.MESHOPT:
-        encoded.codec = gateway_pb2.EncodedFrame.CODEC_MESHOPT
-        encoded.positions = frame.packed_rows
+    elif choice.codec is Codec.Q16 or held is None or not _write_differences(encoded, frame, held, choice.codec):
+        if choice.codec is Codec.MESHOPT:
+            encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_MESHOPT, frame.packed_rows
+        else:
+            encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_Q16, frame.packed_cells
         _write_grid(encoded, frame.own_grid, frame.largest_m)
-    elif choice.codec is not Codec.DELTA or held is None or not _write_differences(encoded, frame, held):
-        encoded.codec = gateway_pb2.EncodedFrame.CODEC_Q16
-        encoded.positions = frame.packed_cells
-        _write_grid(encoded, frame.own_grid, frame.largest_m)
-        if choice.codec is Codec.DELTA:
+        if choice.codec is not Codec.Q16:
             keyframe = Keyframe(next_number, frame.own_grid, frame.own_cells)
             encoded.keyframe = next_number
     return frame.encoded_key + encoded.SerializeToString(), keyframe
 
 
-def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, held: Keyframe) -> bool:
+def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, held: Keyframe, codec: Codec) -> bool:
     """Writes the differences of a frame to a keyframe, and tells whether they are worth it."""
     if held.cells.shape[1] != frame.vertex_count:
         return False
@@ -236,11 +227,26 @@ def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, he
     if wide_count:
         encoded.wide_differences = narrow.T[wide.T].astype("<i2").tobytes()
         narrow[wide] = WIDE_MARK
-    encoded.codec = gateway_pb2.EncodedFrame.CODEC_DELTA
-    encoded.positions = narrow.T.astype(np.int8).tobytes()
+    if codec is Codec.MESHOPT:
+        encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA, _packed(narrow, "i1")
+    else:
+        encoded.codec = gateway_pb2.EncodedFrame.CODEC_DELTA
+        encoded.positions = narrow.T.astype(np.int8).tobytes()
     encoded.keyframe = held.number
     _write_grid(encoded, held.grid, frame.largest_m)
     return True
+
+
+def _packed(planes: npt.NDArray[np.integer], kind: str) -> bytes:
+    """Returns integers [3, vertex_count] as rows of four, compressed by meshoptimizer's vertex codec."""
+    if planes.shape[1] == 0:
+        return b""
+    # Imported here: viewers in Python that use other codecs do not need the package.
+    import meshopt
+
+    rows = np.zeros((planes.shape[1], 4), kind)
+    rows[:, :3] = planes.T
+    return bytes(meshopt.encode_vertex_buffer_level(rows, MESHOPT_LEVEL, MESHOPT_VERSION))
 
 
 def _write_grid(encoded: gateway_pb2.EncodedFrame, grid: Grid, largest_m: npt.NDArray[np.float64]) -> None:

@@ -167,8 +167,8 @@ def _round(
     candidates = np.flatnonzero(np.isfinite(least))
     if len(candidates) == 0:
         return candidates, candidates, candidates
-    # Of the cheap ones those that win a draw within two edges, so that they share no neighbour. The draw is the same in
-    # each run. A draw by cost has fewer winners, because costs rise evenly over wide parts of a surface.
+    # Cheap vertices that win a draw within two edges share no neighbour. The draw is the same in each run. A draw by
+    # cost has fewer winners, because costs rise evenly over wide parts of a surface.
     order = np.argsort(least[candidates], kind="stable")[: max(1, int(CHEAP_SHARE * len(candidates)))]
     cheap = edges.vertices[candidates[order]]
     draw = np.full(len(places), len(places))

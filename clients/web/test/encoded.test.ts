@@ -125,6 +125,24 @@ describe("FrameDecoder", () => {
     expect(() => new FrameDecoder().decode("encoded_frame", damaged)).toThrow(said);
   });
 
+  it("refuses meshopt of differences that do not fit their keyframe", () => {
+    const message = meshopt("meshopt of differences, two of them wide");
+    const decode = (keyframe: Uint8Array, change: Fields<typeof EncodedFrameSchema>) => {
+      const { frame, codec, vertexCount, positions, wideDifferences, originM, cellM } = message;
+      const decoder = new FrameDecoder();
+      const kept = { ...KEYFRAME, vertexCount: keyframe.length / 6, positions: keyframe, keyframe: message.keyframe };
+      decoder.decode("encoded_frame", encoded(kept));
+      const differences = { frame, codec, vertexCount, positions, wideDifferences, originM, cellM, keyframe: message.keyframe };
+      return decoder.decode("encoded_frame", encoded({ ...differences, ...change }));
+    };
+    expect(decode(new Uint8Array(3600), {}).positions).toHaveLength(1800);
+    expect(() => decode(new Uint8Array(3600), { keyframe: 99n })).toThrow(/refers to keyframe 99/);
+    expect(() => decode(new Uint8Array(3594), {})).toThrow(/600 vertices differ from 599 of the keyframe/);
+    expect(() => decode(new Uint8Array(3600), { wideDifferences: u16(1) })).toThrow(/1 wide differences for 2 marks/);
+    expect(() => decode(new Uint8Array(3600), { wideDifferences: u16(1, 2, 3) })).toThrow(/3 wide differences for 2 marks/);
+    expect(() => decode(new Uint8Array(3600), { codec: Codec.MESHOPT })).toThrow(/not in meshoptimizer's vertex codec/);
+  });
+
   it("decodes good meshopt after a damaged one", () => {
     const decoder = new FrameDecoder();
     const { payload, positions } = golden().find((each) => each.name === "meshopt of many blocks")!;
