@@ -245,6 +245,23 @@ def streams() -> Iterator[str]:
             )
 
 
+def details() -> Iterator[str]:
+    """What less detail saves, and how far the whole surface is from the simplified one."""
+    found = newest("streams.jsonl")
+    if not any(case.startswith("detail: ") for case in found):
+        yield "Not measured yet: `python tests/bench/streams.py` on a machine with nothing else to do."
+        return
+    yield "| scene, detail | triangles | vertices | bytes a frame | encode | surface error | simplified in |"
+    yield "|---|---|---|---|---|---|---|"
+    for case, row in found.items():
+        if case.startswith("detail: "):
+            yield (
+                f"| {_thousands(case.removeprefix('detail: '))} | {row['triangles']:,} | {row['vertices']:,} "
+                f"| {row['bytes_per_frame']:,} | {row['encode_ms_median']:.2f} ms "
+                f"| {row['surface_error_um']:.0f} µm | {row['simplify_ms'] / 1e3:.1f} s |"
+            )
+
+
 def browser() -> Iterator[str]:
     """What a frame costs the viewer in a browser that draws in software, by codec."""
     found = newest("streams.jsonl")
@@ -370,6 +387,7 @@ TABLES = {
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
     REPOSITORY / "docs" / "decisions" / "stream-codecs.md": {
         "streams": streams,
+        "details": details,
         "browser": browser,
         "sources": stream_sources,
     },

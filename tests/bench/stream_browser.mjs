@@ -13,7 +13,14 @@ import { createInterface } from "node:readline";
 
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
-const CODECS = { float32: "codec=float32", q16: "codec=q16", delta: "codec=delta", "q16, normals": "codec=q16&normals=true" };
+const CODECS = {
+  float32: "codec=float32",
+  q16: "codec=q16",
+  delta: "codec=delta",
+  meshopt: "codec=meshopt",
+  "q16, normals": "codec=q16&normals=true",
+  "q16, detail 0.25": "codec=q16&detail=0.25",
+};
 // The first frames are slower: they build the scene, and the compiler has not seen them yet.
 const WARM_FRAMES = 3;
 const FRAMES = 9;

@@ -1,4 +1,4 @@
-"""What a frame costs by codec: bytes, encoding and decoding, and in a browser decoding, upload and drawing.
+"""What a frame costs by codec and detail: bytes, encoding and decoding, and in a browser decoding, upload and drawing.
 
     python tests/bench/streams.py [--browser] [--case CASE] [--commit HASH] >> tests/bench/results/streams.jsonl
     python tests/bench/streams.py --serve FILE          for stream_browser.mjs: a gateway that repeats recorded frames
@@ -8,9 +8,9 @@ Two scenes run on the CPU, in lockstep, for SECONDS in which a probe presses the
     demo        the demo organ
     100000      a torus of 100,000 vertices as the skin of a soft block
 
-Every frame is encoded for one viewer, decoded in Python and acknowledged. The times are CPU time of the thread, so that
-other programs on the machine do not count. `--browser` also shows the larger scene in a headless Chromium that draws in
-software. It needs the built viewer.
+Every frame is encoded for one viewer, decoded in Python and acknowledged. With less detail, the surface of the first
+frame is simplified before. The times are CPU time of the thread, so that other programs on the machine do not count.
+`--browser` also shows the larger scene in a headless Chromium that draws in software. It needs the built viewer.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ import tensormass as tm
 from tensormass.v1 import stream_pb2
 from tensormass_gateway.choice import Choice, Codec
 from tensormass_gateway.decoding import FrameDecoder
+from tensormass_gateway.detail import Level
 from tensormass_gateway.encoding import Keyframe, SharedFrame, encode
 from tensormass_gateway.gateway import serve
 from tensormass_gateway.normals import Triangles
@@ -49,7 +50,14 @@ CHOICES = {
     "float32": Choice(Codec.FLOAT32),
     "q16": Choice(Codec.Q16),
     "delta": Choice(Codec.DELTA),
+    "meshopt": Choice(Codec.MESHOPT),
     "q16, normals": Choice(Codec.Q16, normals=True),
+}
+DETAILS = {
+    "0.5": Choice(Codec.Q16, detail=0.5),
+    "0.25": Choice(Codec.Q16, detail=0.25),
+    "0.1": Choice(Codec.Q16, detail=0.1),
+    "0.25, meshopt": Choice(Codec.MESHOPT, detail=0.25),
 }
 TORUS = """
 name: torus
@@ -128,18 +136,29 @@ def record(case: str) -> Recorded:
             return Recorded(topology, frames, server.version().device)
 
 
+def shared(frame: stream_pb2.Frame, triangles: Triangles) -> SharedFrame:
+    """A frame as the gateway gets it from the bus."""
+    raw = frame.SerializeToString()
+    return SharedFrame(b"frame\0" + raw, b"encoded_frame\0", stream_pb2.Frame.FromString(raw), triangles)
+
+
 def measure(run: Recorded, choice: Choice) -> dict[str, Any]:
     """Encodes and decodes every frame for one viewer."""
     decoder, triangles = FrameDecoder(), Triangles(run.topology)
     held: Keyframe | None = None
-    sizes, encode_s, decode_s, errors_m, stated_m, keyframes = [], [], [], [], [], 0
-    for frame in run.frames:
-        message = stream_pb2.Frame.FromString(frame.SerializeToString())
-        raw = b"frame\0" + message.SerializeToString()
+    sizes, encode_s, decode_s, errors_m, stated_m, details_m, keyframes = [], [], [], [], [], [], 0
+    level, vertices, simplified = None, slice(None), {}
+    if not choice.is_whole:
         began = time.thread_time()
-        encoded, keyframe = encode(
-            SharedFrame(raw, b"encoded_frame\0", message, triangles), choice, held, keyframes + 1
-        )
+        level = Level(run.topology, shared(run.frames[0], triangles), choice.detail)
+        simplified = {"simplify_ms": round(1e3 * (time.thread_time() - began))}
+        simplified["triangles"] = sum(len(body.triangles) // 12 for body in level.topology.bodies)
+        vertices = level.vertices
+    for frame in run.frames:
+        whole = shared(frame, triangles)
+        began = time.thread_time()
+        seen = whole if level is None else level.frame(whole, b"frame\0")
+        encoded, keyframe = encode(seen, choice, held, keyframes + 1)
         encoded_at = time.thread_time()
         decoded = decoder.decode(*_split(encoded))
         decode_s.append(time.thread_time() - encoded_at)
@@ -147,11 +166,14 @@ def measure(run: Recorded, choice: Choice) -> dict[str, Any]:
         if keyframe is not None:
             held, keyframes = keyframe, keyframe.number
         sizes.append(len(encoded))
-        exact = np.frombuffer(frame.positions, "<f4").reshape(-1, 3)
+        exact = np.frombuffer(frame.positions, "<f4").reshape(-1, 3)[vertices]
+        details_m.append(decoded.detail_error_m)
         errors_m.append(float(np.abs(decoded.positions.astype(float) - exact).max()))
         stated_m.append(float(decoded.error_m.max()))
     return {
-        "vertices": run.vertex_count,
+        "vertices": run.vertex_count if level is None else len(level.vertices),
+        **simplified,
+        **({} if level is None else {"surface_error_um": round(1e6 * max(details_m), 1)}),
         "bytes_per_frame": round(statistics.mean(sizes)),
         "bytes_per_s": round(RATE_HZ * statistics.mean(sizes)),
         "encode_ms_median": round(1e3 * statistics.median(encode_s), 3),
@@ -231,8 +253,9 @@ def main() -> None:
     for case in [args.case] if args.case else ["demo", "100000"]:
         run = record(case)
         where = {"backend": "cpu", "device": run.device, "commit": args.commit, "command": command}
-        for name, choice in CHOICES.items():
-            print(json.dumps({"case": f"stream: {case}, {name}", **measure(run, choice), **where}), flush=True)
+        for kind, choices in (("stream", CHOICES), ("detail", DETAILS)):
+            for name, choice in choices.items():
+                print(json.dumps({"case": f"{kind}: {case}, {name}", **measure(run, choice), **where}), flush=True)
         if args.browser and case != "demo":
             for row in in_browser(run, case):
                 print(json.dumps({**row, **where}), flush=True)

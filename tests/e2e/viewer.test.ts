@@ -119,7 +119,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
   it("shows frames in each codec, and says why a choice of frames is refused", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "coded", cells: 3 })) as number;
-    for (const choice of ["codec=float32", "codec=q16", "codec=delta&normals=true&rate_hz=30"]) {
+    for (const choice of ["codec=float32", "codec=q16", "codec=delta&normals=true&rate_hz=30", "codec=meshopt"]) {
       const page = await open(`scene=coded&${choice}`);
       await page.shows(vertexCount);
       await page.draws(3);
@@ -127,8 +127,17 @@ describe.skipIf(absent.length > 0)("viewer", () => {
       expect(page.errors).toEqual([]);
       await page.close();
     }
+    const less = await open("scene=coded&codec=meshopt&detail=0.5");
+    await less.page.waitForFunction((whole) => {
+      const { vertexCount } = window.tensormass.state();
+      return vertexCount > 0 && vertexCount < whole;
+    }, vertexCount);
+    await less.draws(3);
+    expect((await less.state()).refused).toBe(0);
+    expect(less.errors).toEqual([]);
+    await less.close();
     const page = await open("scene=coded&codec=h264");
-    await page.says("#notice", /codec 'h264' is unknown; take one of float32, q16, delta/);
+    await page.says("#notice", /codec 'h264' is unknown; take one of float32, q16, delta, meshopt/);
     await stack.ask("unload", { name: "coded" });
   });
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass.v1 import gateway_pb2, scene_pb2, stream_pb2
 from tensormass_gateway.choice import Choice, Codec
 from tensormass_gateway.decoding import FrameDecoder, FrameError
 from tensormass_gateway.encoding import Keyframe, SharedFrame, encode
@@ -28,6 +28,8 @@ GOLDEN = Path(__file__).parent / "encoded_frames.json"
 
 # Corners of a box, without functions whose last bit depends on the machine.
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * [0.3, 0.2, 0.1] + [-0.1, 0.7, 0.01]
+# More vertices than a block of meshoptimizer's vertex codec has.
+LINE = np.array([[k, k * k % 97, k % 13] for k in range(600)]) * [1e-3, 1e-3, 1e-2]
 TRIANGLES = np.array(
     [
         [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)],
@@ -77,7 +79,7 @@ class Connection:
         try:
             decoded = self.decoder.decode(key.decode(), payload)
         except FrameError as refusal:
-            entry["refusal"] = str(refusal).split(":")[0]  # what follows is protobuf's
+            entry["refusal"] = str(refusal).split(":")[0]  # what follows is of the library that refused
         else:
             normals = None
             if decoded.normals is not None:
@@ -109,8 +111,24 @@ def connection() -> Connection:
     made.send("differences to a keyframe that is gone", frame(9, 2 * CORNERS), delta)
     made.held = None
     made.send("the keyframe that ends the gap", frame(10, 2 * CORNERS), delta)
+    meshopt, packed = Choice(codec=Codec.MESHOPT, normals=True), LINE.copy()
+    made.held = None
+    made.send("meshopt of one block", frame(11, CORNERS / 3), meshopt)
+    made.held = None
+    made.send("meshopt of many blocks", frame(12, packed), meshopt)
+    packed += 1e-5
+    packed[300] += [0.1, -0.01, 0]
+    made.send("meshopt of differences, two of them wide", frame(13, packed), meshopt)
     made.write("half a message", b"encoded_frame\0\xff\xff\xff")
+    made.write("meshopt without its last byte", b"encoded_frame\0" + _cut(frame(14, CORNERS)))
     return made
+
+
+def _cut(shared: SharedFrame) -> bytes:
+    payload = encode(shared, Choice(codec=Codec.MESHOPT), None, 1)[0].split(b"\0", 1)[1]
+    damaged = gateway_pb2.EncodedFrame.FromString(payload)
+    damaged.positions = damaged.positions[:-1]
+    return damaged.SerializeToString()
 
 
 def content() -> str:

@@ -40,10 +40,15 @@ def test_the_decoder_reads_the_golden_messages_to_the_last_bit() -> None:
 
 def test_the_golden_messages_have_every_codec_and_a_refusal() -> None:
     entries = {entry["name"]: entry for entry in encoded_frames.connection().messages}
-    assert sum("refusal" in entry for entry in entries.values()) == 2
+    assert sum("refusal" in entry for entry in entries.values()) == 3
     assert entries["small differences"]["keyframe"] == 1
     assert entries["two wide differences, outside of the box"]["keyframe"] == 1
     wide = gateway_pb2.EncodedFrame.FromString(
         base64.b64decode(entries["two wide differences, outside of the box"]["payload"])
     )
     assert len(wide.wide_differences) == 4
+    packed = gateway_pb2.EncodedFrame.FromString(
+        base64.b64decode(entries["meshopt of differences, two of them wide"]["payload"])
+    )
+    assert packed.codec == gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA
+    assert len(packed.wide_differences) == 4

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 
+import meshopt
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,7 +13,13 @@ from asynchronous import asynchronous
 
 from tensormass.v1 import gateway_pb2, stream_pb2
 from tensormass_gateway.choice import MAX_RATE_HZ, MIN_RATE_HZ, Choice, ChoiceError, Codec, choice_of
-from tensormass_gateway.decoding import DecodedFrame, FrameDecoder, FrameError
+from tensormass_gateway.decoding import (
+    MAX_VERTICES,
+    MAX_VERTICES_PER_BYTE,
+    DecodedFrame,
+    FrameDecoder,
+    FrameError,
+)
 from tensormass_gateway.encoding import GRID_CELLS, FrameEncoder, SharedFrame
 from tensormass_gateway.normals import SCALE, Triangles
 from tensormass_gateway.outbox import Pace
@@ -19,6 +27,7 @@ from tensormass_gateway.outbox import Pace
 RANDOM = np.random.default_rng(1)
 CLOUD = RANDOM.uniform(-0.1, 0.2, (500, 3))
 DELTA = Choice(codec=Codec.DELTA)
+WITH_KEYFRAMES = [DELTA, Choice(codec=Codec.MESHOPT)]
 
 
 def shared(positions: npt.NDArray[np.float64], triangles: Triangles | None = None) -> SharedFrame:
@@ -99,9 +108,10 @@ async def test_a_frame_that_is_not_finite_passes_as_it_came(codec: Codec, value:
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("choice", WITH_KEYFRAMES)
 @asynchronous
-async def test_small_moves_take_half_the_bytes_of_a_keyframe() -> None:
-    viewer = Viewer(DELTA)
+async def test_small_moves_take_half_the_bytes_of_a_keyframe(choice: Choice) -> None:
+    viewer = Viewer(choice)
     await viewer.see(CLOUD)
     keyframe = viewer.size
     await viewer.see(CLOUD + 1e-4)
@@ -136,9 +146,10 @@ async def test_another_number_of_vertices_starts_with_a_keyframe() -> None:
     assert viewer.decoder.keyframe == 2
 
 
+@pytest.mark.parametrize("choice", WITH_KEYFRAMES)
 @asynchronous
-async def test_a_viewer_that_lost_its_keyframe_gets_one_by_itself() -> None:
-    viewer = Viewer(DELTA)
+async def test_a_viewer_that_lost_its_keyframe_gets_one_by_itself(choice: Choice) -> None:
+    viewer = Viewer(choice)
     await viewer.see(CLOUD)
     viewer.decoder = FrameDecoder()  # as after a reload of the page
     with pytest.raises(FrameError, match="refers to keyframe 1, but none was kept"):
@@ -171,7 +182,7 @@ async def test_a_keyframe_that_was_never_sent_is_refused_and_the_next_frame_is_o
 @asynchronous
 async def test_a_codec_may_change_between_two_frames() -> None:
     viewer = Viewer(DELTA)
-    for codec in (Codec.DELTA, Codec.Q16, Codec.DELTA, Codec.FLOAT32, Codec.DELTA):
+    for codec in (Codec.DELTA, Codec.Q16, Codec.MESHOPT, Codec.FLOAT32, Codec.DELTA):
         viewer.encoder.choice = Choice(codec=codec)
         decoded = await viewer.see(CLOUD)
         assert (error_of(decoded, CLOUD) <= decoded.error_m).all()
@@ -201,20 +212,94 @@ async def test_a_damaged_message_is_refused_with_what_is_wrong(change: dict[str,
         FrameDecoder().decode("encoded_frame", encoded.SerializeToString())
 
 
-def test_differences_that_do_not_fit_their_keyframe_are_refused() -> None:
+@pytest.mark.parametrize("packed", [False, True])
+def test_differences_that_do_not_fit_their_keyframe_are_refused(packed: bool) -> None:
     codecs = gateway_pb2.EncodedFrame
     keyframe = codecs(codec=codecs.CODEC_Q16, keyframe=1, vertex_count=1, positions=bytes(6))
-    for damage, said in (
-        ({"positions": bytes(6)}, "2 vertices differ from 1"),
-        ({"positions": b"\x80\0\0"}, "0 bytes of wide differences"),
-        ({"positions": bytes(3), "wide_differences": b"12"}, "2 bytes of wide differences"),
+    for count, positions, wide, said in (
+        (2, bytes(6), b"", "2 vertices differ from 1"),
+        (1, b"\x80\0\0", b"", "0 bytes of wide differences"),
+        (1, bytes(3), b"12", "2 bytes of wide differences"),
     ):
         decoder = FrameDecoder()
         decoder.decode("encoded_frame", keyframe.SerializeToString())
-        differences = codecs(codec=codecs.CODEC_DELTA, keyframe=1, vertex_count=1, **damage)
+        codec = codecs.CODEC_DELTA
+        if packed:
+            codec, rows = codecs.CODEC_MESHOPT_DELTA, np.zeros((count, 4), np.int8)
+            rows[:, :3] = np.frombuffer(positions, np.int8).reshape(-1, 3)
+            positions = meshopt.encode_vertex_buffer(rows)
+        damage = codecs(codec=codec, keyframe=1, vertex_count=count, positions=positions, wide_differences=wide)
         with pytest.raises(FrameError, match=said):
-            decoder.decode("encoded_frame", differences.SerializeToString())
+            decoder.decode("encoded_frame", damage.SerializeToString())
         assert decoder.keyframe is None
+
+
+# --- meshopt ---------------------------------------------------------------------------------------------------------
+
+
+@asynchronous
+async def test_meshopt_is_smaller_than_q16_and_decodes_to_the_same_bits() -> None:
+    around = np.linspace(0, 2 * np.pi, 5000)
+    smooth = np.stack([np.cos(around), np.sin(around), 0.1 * np.cos(7 * around)], axis=1)
+    plain, packed = Viewer(Choice(codec=Codec.Q16)), Viewer(Choice(codec=Codec.MESHOPT))
+    expected, decoded = await plain.see(smooth), await packed.see(smooth)
+    assert decoded.positions.tobytes() == expected.positions.tobytes()
+    assert decoded.error_m.tolist() == expected.error_m.tolist()
+    assert packed.size < 0.6 * plain.size
+
+
+@asynchronous
+async def test_meshopt_of_differences_is_smaller_than_delta_and_decodes_to_the_same_bits() -> None:
+    around = np.linspace(0, 2 * np.pi, 5000)
+    smooth = np.stack([np.cos(around), np.sin(around), 0.1 * np.cos(7 * around)], axis=1)
+    plain, packed = Viewer(DELTA), Viewer(Choice(codec=Codec.MESHOPT))
+    for moved in (smooth, smooth + 1e-3 * smooth[::-1], smooth + 2e-3 * smooth[::-1]):
+        moved[7] += 0.1  # a wide difference
+        expected, decoded = await plain.see(moved), await packed.see(moved)
+        assert decoded.positions.tobytes() == expected.positions.tobytes()
+        assert packed.decoder.keyframe == plain.decoder.keyframe == 1
+    assert packed.size < 0.3 * plain.size
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"vertex_count": 501}, "not in meshoptimizer's vertex codec"),
+        ({"vertex_count": 499}, "not in meshoptimizer's vertex codec"),
+        ({"vertex_count": 0}, "bytes of positions without vertices"),
+        ({"vertex_count": 2**32 - 1}, "bytes of positions claim 4294967295 vertices"),
+        (
+            {"vertex_count": MAX_VERTICES_PER_BYTE * 3 + 1, "positions": b"123"},
+            "3 bytes of positions claim 769 vertices",
+        ),
+        ({"vertex_count": MAX_VERTICES + 1, "positions": bytes(1 << 20)}, "claim 44739243 vertices"),
+        ({"positions": b""}, "0 bytes of positions claim 500 vertices"),
+        ({"positions": bytes(100)}, "not in meshoptimizer's vertex codec"),
+        ({"positions": b"\xa1" + bytes(100)}, "not in meshoptimizer's vertex codec"),
+        ({"codec": gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA}, "not in meshoptimizer's vertex codec"),
+    ],
+)
+@asynchronous
+async def test_damaged_meshopt_is_refused_before_it_takes_memory(change: dict[str, object], said: str) -> None:
+    message = await FrameEncoder(Choice(codec=Codec.MESHOPT)).encode(shared(CLOUD))
+    encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
+    for name, value in change.items():
+        setattr(encoded, name, value)
+    with pytest.raises(FrameError, match=said):
+        FrameDecoder().decode("encoded_frame", encoded.SerializeToString())
+
+
+@asynchronous
+async def test_no_flipped_bit_of_meshopt_crashes_the_decoder() -> None:
+    message = await FrameEncoder(Choice(codec=Codec.MESHOPT)).encode(shared(CLOUD))
+    encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
+    for at in RANDOM.integers(0, 8 * len(encoded.positions), 500):
+        damaged = bytearray(encoded.positions)
+        damaged[at // 8] ^= 1 << (at % 8)
+        changed = gateway_pb2.EncodedFrame(positions=bytes(damaged))
+        changed.MergeFrom(gateway_pb2.EncodedFrame(codec=encoded.codec, vertex_count=encoded.vertex_count))
+        with contextlib.suppress(FrameError):
+            assert FrameDecoder().decode("encoded_frame", changed.SerializeToString()).positions.shape == (500, 3)
 
 
 # --- normals ---------------------------------------------------------------------------------------------------------
@@ -260,7 +345,7 @@ def test_a_triangle_of_a_vertex_that_is_not_there_is_refused() -> None:
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
-        ({"codec": "draco"}, "codec 'draco' is unknown; take one of float32, q16, delta"),
+        ({"codec": "draco"}, "codec 'draco' is unknown; take one of float32, q16, delta, meshopt"),
         ({"codec": ["q16"]}, "codec ['q16'] is unknown"),
         ({"codec": None}, "codec None is unknown"),
         ({"rate_hz": 0}, "rate_hz 0 is not a number from 0.1 to 1000"),
@@ -273,7 +358,14 @@ def test_a_triangle_of_a_vertex_that_is_not_there_is_refused() -> None:
         ({"rate_hz": True}, "rate_hz True is not"),
         ({"normals": 1}, "normals 1 is not true or false"),
         ({"normals": None}, "normals None is not true or false"),
-        ({"detail": 2}, "'detail' is unknown; a viewer chooses codec, rate_hz and normals"),
+        ({"detail": 2}, "detail 2 is not a share of the triangles from 0.01 to 1"),
+        ({"detail": 0}, "detail 0 is not"),
+        ({"detail": 0.009}, "detail 0.009 is not"),
+        ({"detail": float("nan")}, "detail nan is not"),
+        ({"detail": None}, "detail None is not"),
+        ({"detail": True}, "detail True is not"),
+        ({"detail": "0.5"}, "detail '0.5' is not"),
+        ({"level": 2}, "'level' is unknown; a viewer chooses codec, rate_hz, normals and detail"),
         ({"codec": "q16", "rate_hz": 0}, "rate_hz 0"),
     ],
 )
@@ -291,12 +383,19 @@ def test_a_choice_keeps_what_it_does_not_change() -> None:
     assert choice.changed({}) == choice
 
 
+def test_only_frames_of_the_whole_surface_are_those_of_the_bus() -> None:
+    assert Choice().is_bus
+    assert Choice(detail=1.0).is_bus
+    assert not Choice(detail=0.99).is_bus
+    assert Choice().changed({"detail": 0.996}).is_bus
+
+
 def test_a_choice_in_an_address() -> None:
     assert choice_of({"token": "t"}) == Choice()
-    query = {"token": "t", "codec": "q16", "rate_hz": "30", "normals": "true"}
-    assert choice_of(query) == Choice(Codec.Q16, 30.0, normals=True)
+    query = {"token": "t", "codec": "q16", "rate_hz": "30", "normals": "true", "detail": "0.257"}
+    assert choice_of(query) == Choice(Codec.Q16, 30.0, normals=True, detail=0.26)
     assert choice_of({"normals": "false"}) == Choice()
-    for wrong in ({"codec": ""}, {"rate_hz": "nan"}, {"rate_hz": "fast"}, {"normals": "1"}):
+    for wrong in ({"codec": ""}, {"rate_hz": "nan"}, {"rate_hz": "fast"}, {"normals": "1"}, {"detail": "all"}):
         with pytest.raises(ChoiceError):
             choice_of(wrong)
 

@@ -134,18 +134,17 @@ async def test_field_is_sent_to_whom_it_is_shown(viewer: Path) -> None:
 async def test_daemon_is_asked_only_after_new_steps_and_for_new_watchers() -> None:
     _, topology = cube()
     first, second = Watcher(), Watcher()
-    source: Any = SimpleNamespace(scene="block", watchers={first}, topology=topology, step=5)
+    source: Any = SimpleNamespace(scene="block", watchers={first}, shown_version=lambda _: topology.version)
     poll = FieldPoll(source)
-    assert not poll._is_due("pressure", topology)
+    assert not poll._due("pressure", 5)
     first.field = "pressure"
-    assert poll._is_due("pressure", topology)
+    assert poll._due("pressure", 5)
     poll._sent[first] = ("pressure", topology.version, 5)
-    assert not poll._is_due("pressure", topology)
-    source.step = 6
-    assert poll._is_due("pressure", topology)
-    source.step, second.field = 5, "pressure"
+    assert not poll._due("pressure", 5)
+    assert poll._due("pressure", 6)
+    second.field = "pressure"
     source.watchers.add(second)
-    assert poll._is_due("pressure", topology)
+    assert [watcher for watcher, _ in poll._due("pressure", 5)] == [second]
 
 
 @asynchronous

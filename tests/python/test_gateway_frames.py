@@ -31,7 +31,9 @@ async def watching(viewer: Path, choice: str) -> AsyncIterator[tuple[FakeDaemon,
             yield daemon, gateway, topology, page
 
 
-@pytest.mark.parametrize("choice", ["codec=q16", "codec=delta&normals=true", "codec=float32&normals=true"])
+@pytest.mark.parametrize(
+    "choice", ["codec=q16", "codec=meshopt", "codec=delta&normals=true", "codec=float32&normals=true"]
+)
 @asynchronous
 async def test_browser_gets_the_codec_of_its_address(viewer: Path, choice: str) -> None:
     async with watching(viewer, choice) as (daemon, gateway, topology, page):
@@ -67,7 +69,8 @@ async def test_browser_changes_its_choice(viewer: Path) -> None:
     async with watching(viewer, "codec=q16") as (daemon, _, topology, page):
         await page.send(type="frames", codec="float32", rate_hz=500)
         told = await page.text(lambda message: message["type"] == "frames")
-        assert told == {"type": "frames", "codec": "float32", "rate_hz": 500, "normals": False, "error": ""}
+        kept = {"normals": False, "detail": 1}
+        assert told == {"type": "frames", "codec": "float32", "rate_hz": 500, **kept, "error": ""}
         sent = await publish(daemon, topology, 1)
         assert await page.take(Stream.FRAME) == sent
 
@@ -75,7 +78,7 @@ async def test_browser_changes_its_choice(viewer: Path) -> None:
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
-        ({"codec": "h264"}, "codec 'h264' is unknown; take one of float32, q16, delta"),
+        ({"codec": "h264"}, "codec 'h264' is unknown; take one of float32, q16, delta, meshopt"),
         ({"rate_hz": 0}, "rate_hz 0 is not a number from 0.1 to 1000"),
         ({"rate_hz": -1}, "rate_hz -1"),
         ({"rate_hz": float("nan")}, "rate_hz nan"),
@@ -97,7 +100,9 @@ async def test_refused_choice_is_answered_and_nothing_is_lost(
         assert gateway.closed_for_errors == 0
 
 
-@pytest.mark.parametrize("choice", ["codec=h264", "rate_hz=0", "rate_hz=nan", "rate_hz=-3", "rate_hz=1e9", "normals=2"])
+@pytest.mark.parametrize(
+    "choice", ["codec=h264", "rate_hz=0", "rate_hz=nan", "rate_hz=1e9", "normals=2", "detail=0", "detail=2"]
+)
 @asynchronous
 async def test_refused_choice_in_the_address_is_answered_in_words(viewer: Path, choice: str) -> None:
     async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:

@@ -21,8 +21,10 @@ from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.origins import origin_of
 
 _HEADERS = {
+    # WebAssembly decodes frames of the codec meshopt.
     "Content-Security-Policy": (
-        "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
+        "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' data: blob:; "
+        "object-src 'none'; base-uri 'none'; frame-ancestors 'none'"
     ),
     "Cross-Origin-Opener-Policy": "same-origin",
     # The address holds the token.

@@ -1,7 +1,7 @@
-"""What a viewer may choose about its frames: codec, rate and normals.
+"""What a viewer may choose about its frames: codec, rate, normals and detail.
 
-A viewer chooses in the address with which it connects, `/stream?token=...&codec=q16&rate_hz=30&normals=true`, or later
-by a message of type `frames`. gateway.proto describes the codecs.
+A viewer chooses in the address with which it connects, `/stream?token=...&codec=q16&rate_hz=30&detail=0.25`, or later
+by a message of type `frames`. gateway.proto describes the codecs, simplification.py what less detail means.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ MIN_RATE_HZ = 0.1
 MAX_RATE_HZ = 1000.0
 """No screen shows more frames. Without a rate, every frame that the daemon publishes leaves."""
 
+MIN_DETAIL, MAX_DETAIL = 0.01, 1.0
+"""Shares of the triangles, in hundredths. Below a hundredth an organ is a lump; 1 is the whole surface."""
+
 
 class Codec(enum.StrEnum):
     """Codecs of the positions in a frame."""
@@ -30,6 +33,8 @@ class Codec(enum.StrEnum):
     """16-bit integers on a grid in the bounding box of the frame."""
     DELTA = "delta"
     """Differences, of 8 bits where they fit, to the last keyframe that the viewer acknowledged."""
+    MESHOPT = "meshopt"
+    """The integers of delta, compressed by meshoptimizer's vertex codec."""
 
 
 class ChoiceError(Exception):
@@ -45,14 +50,21 @@ class Choice:
     """Most frames a second; None: every frame."""
     normals: bool = False
     """Whether a frame has the normals of its vertices."""
+    detail: float = MAX_DETAIL
+    """Share of the triangles, a multiple of 0.01."""
 
     @property
     def is_bus(self) -> bool:
         """Tells whether frames leave as they come from the bus."""
-        return self.codec is Codec.FLOAT32 and not self.normals
+        return self.codec is Codec.FLOAT32 and not self.normals and self.is_whole
+
+    @property
+    def is_whole(self) -> bool:
+        """Tells whether the viewer gets all triangles."""
+        return self.detail == MAX_DETAIL
 
     def changed(self, request: Mapping[str, Any]) -> Choice:
-        """Returns this choice with the fields of `request`: codec, rate_hz (None: every frame), normals.
+        """Returns this choice with the fields of `request`: codec, rate_hz (None: every frame), normals, detail.
 
         Raises:
             ChoiceError: a field is unknown, or its value is.
@@ -68,15 +80,21 @@ class Choice:
             fields["rate_hz"] = rate_hz
         if not isinstance(fields.get("normals", False), bool):
             raise ChoiceError(f"normals {_shown(fields['normals'])} is not true or false")
-        if unknown := fields.keys() - {"codec", "rate_hz", "normals"}:
-            raise ChoiceError(f"{_shown(min(unknown))} is unknown; a viewer chooses codec, rate_hz and normals")
+        if "detail" in fields:
+            detail = finite_number(fields["detail"])
+            if detail is None or not MIN_DETAIL <= detail <= MAX_DETAIL:
+                limits = f"from {MIN_DETAIL:g} to {MAX_DETAIL:g}"
+                raise ChoiceError(f"detail {_shown(fields['detail'])} is not a share of the triangles {limits}")
+            fields["detail"] = round(detail, 2)
+        if unknown := fields.keys() - {"codec", "rate_hz", "normals", "detail"}:
+            raise ChoiceError(f"{_shown(min(unknown))} is unknown; a viewer chooses codec, rate_hz, normals and detail")
         if "codec" in fields:
             fields["codec"] = Codec(fields["codec"])
         return replace(self, **fields)
 
     def message(self, error: str = "") -> dict[str, Any]:
         """Returns the answer to a viewer: the choice that holds now, and why it did not change."""
-        fields = {"codec": str(self.codec), "rate_hz": self.rate_hz, "normals": self.normals}
+        fields = {"codec": str(self.codec), "rate_hz": self.rate_hz, "normals": self.normals, "detail": self.detail}
         return {"type": "frames", **fields, "error": error}
 
 
@@ -86,10 +104,10 @@ def choice_of(query: Mapping[str, str]) -> Choice:
     Raises:
         ChoiceError: a value is unknown.
     """
-    request: dict[str, Any] = {name: query[name] for name in ("codec", "rate_hz", "normals") if name in query}
-    if "rate_hz" in request:
+    request: dict[str, Any] = {name: query[name] for name in ("codec", "rate_hz", "normals", "detail") if name in query}
+    for name in request.keys() & {"rate_hz", "detail"}:
         with contextlib.suppress(ValueError):  # `changed` refuses the text
-            request["rate_hz"] = float(request["rate_hz"])
+            request[name] = float(request[name])
     if request.get("normals") in ("true", "false"):
         request["normals"] = request["normals"] == "true"
     return Choice().changed(request)

@@ -118,6 +118,12 @@ class Daemon:
         if feed is not None:
             feed.show_field(watcher, name)
 
+    def show_detail(self, watcher: Watcher) -> None:
+        """Sends `watcher` its scene in the detail that it chose anew."""
+        feed = self._feeds.get(watcher.scene) if watcher.scene is not None else None
+        if feed is not None:
+            feed.show_detail(watcher)
+
     def learn(self, scene: scene_pb2.Scene) -> None:
         """Takes the message of a scene that was loaded."""
         self.known[scene.name] = scene

@@ -1,4 +1,4 @@
-"""Decodes the frames of the gateway, for viewers in Python and as the reference for others.
+"""Decodes frames and topologies of the gateway, for viewers in Python and as the reference for others.
 
 clients/web/src/stream/encoded.ts is the same in TypeScript. Both decode tests/proto/encoded_frames.json to the same
 bits.
@@ -20,9 +20,54 @@ _MAX_ABSOLUTE = float(np.finfo(np.float32).max)
 _MAX_CELLS = 1 << 17
 """No q is larger: 16 bits of a keyframe and 16 bits of a difference."""
 
+MAX_VERTICES = (512 << 20) // 12
+"""Vertices of the largest frame on the bus. A longer claim would only take memory."""
+
+MAX_VERTICES_PER_BYTE = 256
+"""More vertices in a byte than meshoptimizer's vertex codec can pack, which needs two bytes for 256."""
+
 
 class FrameError(Exception):
-    """A message is not a frame, or its keyframe is missing. The text says which."""
+    """A message is damaged, or its keyframe is missing. The text says which."""
+
+
+@dataclass(frozen=True)
+class DecodedTopology:
+    """A topology as a viewer draws it."""
+
+    topology: stream_pb2.Topology
+    whole_version: int
+    """Version of the bus's topology."""
+    whole_vertices: npt.NDArray[np.uint32]
+    """[vertex_count]: the place of each vertex in the frames of the bus."""
+
+
+def decode_topology(stream: str, payload: bytes) -> DecodedTopology:
+    """Decodes a message of the stream `topology` or `simplified_topology`, without its key.
+
+    Raises:
+        FrameError: the message is damaged.
+    """
+    try:
+        if stream == "topology":
+            topology = stream_pb2.Topology.FromString(payload)
+            return DecodedTopology(topology, topology.version, np.arange(_vertex_count(topology), dtype=np.uint32))
+        message = gateway_pb2.SimplifiedTopology.FromString(payload)
+    except DecodeError as error:
+        raise FrameError(f"a message of {stream} is not protobuf: {error}") from error
+    count = _vertex_count(message.topology)
+    if len(message.whole_vertices) != 4 * count:
+        raise FrameError(f"{len(message.whole_vertices)} bytes name the vertices of {count}")
+    vertices = np.frombuffer(message.whole_vertices, "<u4")
+    if vertices.max(initial=0) >= max(message.whole_vertex_count, 1):
+        raise FrameError(f"a vertex is beyond the {message.whole_vertex_count} of the whole surface")
+    if (np.diff(vertices.astype(np.int64)) <= 0).any():
+        raise FrameError("the vertices of the whole surface do not ascend")
+    return DecodedTopology(message.topology, message.whole_version, vertices)
+
+
+def _vertex_count(topology: stream_pb2.Topology) -> int:
+    return sum(body.vertex_count for body in topology.bodies)
 
 
 @dataclass(frozen=True)
@@ -37,6 +82,8 @@ class DecodedFrame:
     """Largest error of a coordinate, [3]; zeros if positions are exact."""
     normals: npt.NDArray[np.float32] | None
     """[vertex_count, 3], unit vectors rounded to 1 / 127; None: not asked for."""
+    detail_error_m: float = 0.0
+    """No vertex of the whole surface is further from this surface, before rounding; zero: it is the whole surface."""
 
 
 class FrameDecoder:
@@ -77,18 +124,21 @@ class FrameDecoder:
         positions = self._positions(message)
         if len(positions) != message.vertex_count:
             raise FrameError(f"{len(positions)} positions of {message.vertex_count} vertices")
-        return DecodedFrame(message.frame, positions, _vector(message.error_m), _normals(message))
+        normals, error_m = _normals(message), _vector(message.error_m)
+        return DecodedFrame(message.frame, positions, error_m, normals, message.detail_error_m)
 
     def _positions(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.float32]:
         match message.codec:
             case gateway_pb2.EncodedFrame.CODEC_FLOAT32:
                 return _floats(message.positions)
             case gateway_pb2.EncodedFrame.CODEC_Q16:
-                cells = _integers(message.positions, "<u2").astype(np.int32)
-                if message.keyframe:
-                    self._number, self._cells = message.keyframe, cells
+                cells = self._kept(message, _integers(message.positions, "<u2"))
+            case gateway_pb2.EncodedFrame.CODEC_MESHOPT:
+                cells = self._kept(message, _unpacked(message, "<u2"))
             case gateway_pb2.EncodedFrame.CODEC_DELTA:
-                cells = self._moved(message)
+                cells = self._moved(message, _integers(message.positions, "i1"))
+            case gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA:
+                cells = self._moved(message, _unpacked(message, "i1"))
             case _:
                 raise FrameError(f"codec {message.codec} is unknown")
         origin, cell = _vector(message.origin_m), _vector(message.cell_m)
@@ -96,10 +146,16 @@ class FrameDecoder:
             raise FrameError("the grid of a frame is not finite or too large")
         return np.asarray((origin + cell * cells).astype(np.float32))
 
-    def _moved(self, message: gateway_pb2.EncodedFrame) -> npt.NDArray[np.int32]:
+    def _kept(self, message: gateway_pb2.EncodedFrame, integers: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        cells = integers.astype(np.int32)
+        if message.keyframe:
+            self._number, self._cells = message.keyframe, cells
+        return cells
+
+    def _moved(self, message: gateway_pb2.EncodedFrame, narrow: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         if message.keyframe != self._number or self._number == 0:
             raise FrameError(f"a frame refers to keyframe {message.keyframe}, but {self._number or 'none'} was kept")
-        differences = _integers(message.positions, "i1").astype(np.int32)
+        differences = narrow.astype(np.int32)
         wide = differences == WIDE_MARK
         if len(message.wide_differences) != 2 * np.count_nonzero(wide):
             raise FrameError(f"{len(message.wide_differences)} bytes of wide differences do not fit their marks")
@@ -113,6 +169,23 @@ def _integers(packed: bytes, kind: str) -> npt.NDArray[np.integer]:
     if len(packed) % (3 * np.dtype(kind).itemsize):
         raise FrameError(f"{len(packed)} bytes of positions are a fraction of a vertex")
     return np.frombuffer(packed, kind).reshape(-1, 3)
+
+
+def _unpacked(message: gateway_pb2.EncodedFrame, kind: str) -> npt.NDArray[np.integer]:
+    packed, vertex_count = message.positions, message.vertex_count
+    if vertex_count > min(MAX_VERTICES, MAX_VERTICES_PER_BYTE * len(packed)):
+        raise FrameError(f"{len(packed)} bytes of positions claim {vertex_count} vertices")
+    if vertex_count == 0:
+        if packed:
+            raise FrameError(f"{len(packed)} bytes of positions without vertices")
+        return np.empty((0, 3), kind)
+    import meshopt
+
+    try:
+        rows = meshopt.decode_vertex_buffer(packed, vertex_count, 4 * np.dtype(kind).itemsize)
+    except ValueError as error:
+        raise FrameError(f"positions are not in meshoptimizer's vertex codec: {error}") from error
+    return np.asarray(rows.view(kind).reshape(-1, 4)[:, :3])
 
 
 def _floats(packed: bytes) -> npt.NDArray[np.float32]:

@@ -5,9 +5,11 @@
 A frame is encoded when it leaves, so a frame that a newer one replaces costs nothing. Viewers of one scene share the
 parts that do not depend on the viewer: the grid of a frame and its normals.
 
-The delta codec refers to the last keyframe that the viewer acknowledged. A viewer that has lost it, or never had one,
-acknowledges without a keyframe and gets one with its next frame. A frame that moved too far from its keyframe
-becomes a keyframe itself, because it would hardly be smaller otherwise.
+The codecs delta and meshopt refer to the last keyframe that the viewer acknowledged. A viewer that has lost it, or
+never had one, acknowledges without a keyframe and gets one with its next frame. A frame that moved too far from its
+keyframe becomes a keyframe itself, because it would hardly be smaller otherwise.
+
+A viewer that asked for less detail gets a SimplifiedFrame (detail.py), which is encoded in the same way.
 """
 
 from __future__ import annotations
@@ -36,6 +38,12 @@ MAX_WIDE_DIFFERENCE = 32767
 
 MAX_WIDE_SHARE = 1 / 8
 """A frame with a larger share of wide differences becomes a keyframe, so that the next differences are small again."""
+
+MESHOPT_VERSION = 1
+"""Version of meshoptimizer's vertex codec. Its predecessor has no differences of 16 bits, so frames are larger."""
+
+MESHOPT_LEVEL = 2
+"""Effort of the compression, 0 to 3. Level 3 takes longer and saves nothing here."""
 
 _FLOAT32_ROUNDING = 2.0**-24
 
@@ -86,12 +94,32 @@ class SharedFrame:
             frame: the same frame, parsed.
             triangles: those of its topology; None: no normals.
         """
-        self.message = message
+        self._message = message
         self.encoded_key = encoded_key
-        self.packed = frame.positions
+        self._packed = frame.positions
         frame.ClearField("positions")
         self.head = frame
         self.triangles = triangles
+
+    @property
+    def message(self) -> bytes:
+        """The frame as on the bus, key included."""
+        return self._message
+
+    @property
+    def packed(self) -> bytes:
+        """Positions as on the bus: float32 little-endian [vertex_count, 3] m."""
+        return self._packed
+
+    @property
+    def detail_error_m(self) -> float:
+        """Distance from the surface of this frame that no vertex of the whole surface exceeds [m]."""
+        return 0.0
+
+    @property
+    def is_whole(self) -> bool:
+        """Tells whether the frame has all vertices of its scene."""
+        return True
 
     @property
     def vertex_count(self) -> int:
@@ -109,7 +137,7 @@ class SharedFrame:
             return np.zeros((2, 3))
         return np.stack([self.planes.min(axis=1), self.planes.max(axis=1)]).astype(np.float64)
 
-    @cached_property
+    @property
     def is_encodable(self) -> bool:
         """Tells whether positions are whole and finite. A viewer refuses other frames, so they pass as they came."""
         return len(self.packed) % 12 == 0 and bool(np.isfinite(self.box_m).all())
@@ -135,6 +163,11 @@ class SharedFrame:
         return self.own_cells.T.astype("<u2").tobytes()
 
     @cached_property
+    def packed_rows(self) -> bytes:
+        """q as rows of four integers, compressed by meshoptimizer's vertex codec."""
+        return _packed(self.own_cells, "<u2")
+
+    @cached_property
     def normals(self) -> bytes:
         """Normals as EncodedFrame has them; empty without triangles."""
         if self.triangles is None or self.triangles.vertex_count != self.vertex_count:
@@ -151,26 +184,31 @@ def encode(
         held: the keyframe that the viewer has; None if it has no keyframe.
         next_number: number of the next keyframe.
     """
-    if choice.is_bus or not frame.is_encodable:
+    if (choice.is_bus and frame.is_whole) or not frame.is_encodable:
         return frame.message, None
     encoded = gateway_pb2.EncodedFrame(
-        frame=frame.head, vertex_count=frame.vertex_count, normals=frame.normals if choice.normals else b""
+        frame=frame.head,
+        vertex_count=frame.vertex_count,
+        normals=frame.normals if choice.normals else b"",
+        detail_error_m=frame.detail_error_m,
     )
     keyframe = None
     if choice.codec is Codec.FLOAT32:
         encoded.codec = gateway_pb2.EncodedFrame.CODEC_FLOAT32
         encoded.positions = frame.packed
-    elif choice.codec is not Codec.DELTA or held is None or not _write_differences(encoded, frame, held):
-        encoded.codec = gateway_pb2.EncodedFrame.CODEC_Q16
-        encoded.positions = frame.packed_cells
+    elif choice.codec is Codec.Q16 or held is None or not _write_differences(encoded, frame, held, choice.codec):
+        if choice.codec is Codec.MESHOPT:
+            encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_MESHOPT, frame.packed_rows
+        else:
+            encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_Q16, frame.packed_cells
         _write_grid(encoded, frame.own_grid, frame.largest_m)
-        if choice.codec is Codec.DELTA:
+        if choice.codec is not Codec.Q16:
             keyframe = Keyframe(next_number, frame.own_grid, frame.own_cells)
             encoded.keyframe = next_number
     return frame.encoded_key + encoded.SerializeToString(), keyframe
 
 
-def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, held: Keyframe) -> bool:
+def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, held: Keyframe, codec: Codec) -> bool:
     """Writes the differences of a frame to a keyframe, and tells whether they are worth it."""
     if held.cells.shape[1] != frame.vertex_count:
         return False
@@ -189,11 +227,26 @@ def _write_differences(encoded: gateway_pb2.EncodedFrame, frame: SharedFrame, he
     if wide_count:
         encoded.wide_differences = narrow.T[wide.T].astype("<i2").tobytes()
         narrow[wide] = WIDE_MARK
-    encoded.codec = gateway_pb2.EncodedFrame.CODEC_DELTA
-    encoded.positions = narrow.T.astype(np.int8).tobytes()
+    if codec is Codec.MESHOPT:
+        encoded.codec, encoded.positions = gateway_pb2.EncodedFrame.CODEC_MESHOPT_DELTA, _packed(narrow, "i1")
+    else:
+        encoded.codec = gateway_pb2.EncodedFrame.CODEC_DELTA
+        encoded.positions = narrow.T.astype(np.int8).tobytes()
     encoded.keyframe = held.number
     _write_grid(encoded, held.grid, frame.largest_m)
     return True
+
+
+def _packed(planes: npt.NDArray[np.integer], kind: str) -> bytes:
+    """Returns integers [3, vertex_count] as rows of four, compressed by meshoptimizer's vertex codec."""
+    if planes.shape[1] == 0:
+        return b""
+    # Imported here: viewers in Python that use other codecs do not need the package.
+    import meshopt
+
+    rows = np.zeros((planes.shape[1], 4), kind)
+    rows[:, :3] = planes.T
+    return bytes(meshopt.encode_vertex_buffer_level(rows, MESHOPT_LEVEL, MESHOPT_VERSION))
 
 
 def _write_grid(encoded: gateway_pb2.EncodedFrame, grid: Grid, largest_m: npt.NDArray[np.float64]) -> None:
@@ -216,7 +269,7 @@ class FrameEncoder:
 
     async def encode(self, frame: SharedFrame) -> bytes:
         """Returns the message of a frame in the chosen codec."""
-        if self.choice.is_bus:
+        if self.choice.is_bus and frame.is_whole:
             return frame.message
         # A large frame takes milliseconds, in which other browsers are served.
         message, keyframe = await asyncio.to_thread(encode, frame, self.choice, self._held, self._count + 1)

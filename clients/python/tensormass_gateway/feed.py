@@ -70,7 +70,11 @@ class Feed(SceneStreams):
     def add(self, watcher: Watcher) -> None:
         """Sends the newest messages to a watcher at once, and every new one from now on."""
         super().add(watcher)
-        self._fields.wake()
+        self._fields.forget(watcher)
+
+    def show_detail(self, watcher: Watcher) -> None:
+        super().show_detail(watcher)
+        self._fields.forget(watcher)
 
     def show_field(self, watcher: Watcher, name: str) -> None:
         """Sends `watcher` the element field `name` from now on; empty: none."""

@@ -9,6 +9,8 @@ import time
 from typing import Protocol
 
 import grpc
+import numpy as np
+import numpy.typing as npt
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 from tensormass_gateway.outbox import Stream, Watcher
@@ -38,24 +40,31 @@ class Source(Protocol):
     @property
     def known(self) -> scene_pb2.Scene | None: ...
     def key(self, stream: str) -> bytes: ...
+    def shown_version(self, watcher: Watcher) -> int | None: ...
+    def at_shown_vertices(self, watcher: Watcher, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]: ...
 
 
 class FieldPoll:
     """Asks for the fields that the watchers of a feed show, and sends them on.
 
     A message is a line of JSON, {"field", "topology_version", "step"}, and the values at the vertices, float32
-    little-endian [vertex_count].
+    little-endian [vertex_count]. Version and vertices are those of the topology that the watcher shows.
     """
 
     def __init__(self, feed: Source) -> None:
         self._feed = feed
         self._wanted = asyncio.Event()
-        self._sent: dict[Watcher, tuple[str, int, int]] = {}
+        self._sent: dict[Watcher, tuple[str, int, int | None]] = {}
         """Field, topology and step that a watcher got last. A scene that stands still costs nothing."""
 
     def wake(self) -> None:
         """Looks again what the watchers show."""
         self._wanted.set()
+
+    def forget(self, watcher: Watcher) -> None:
+        """Sends the field to a watcher again, whose topology is new."""
+        self._sent.pop(watcher, None)
+        self.wake()
 
     async def run(self) -> None:
         """Polls until cancelled."""
@@ -73,14 +82,17 @@ class FieldPoll:
                 self._wanted.clear()
                 continue
             began = time.monotonic()
-            for name in sorted(name for name in names if self._is_due(name, topology)):
+            for name in sorted(name for name in names if self._due(name, self._feed.step)):
                 await self._send(name, topology, surface[1])
             await asyncio.sleep(max(INTERVAL_S, time.monotonic() - began))
 
-    def _is_due(self, name: str, topology: stream_pb2.Topology) -> bool:
-        """Tells whether somebody who shows `name` has not seen it after the newest step."""
-        newest = (name, topology.version, self._feed.step)
-        return any(watcher.field == name and self._sent.get(watcher) != newest for watcher in self._feed.watchers)
+    def _due(self, name: str, step: int | None) -> list[tuple[Watcher, tuple[str, int, int | None]]]:
+        """Returns those who show `name` and have not seen it after `step`, and what they would have seen then."""
+        versions = {
+            watcher: self._feed.shown_version(watcher) for watcher in self._feed.watchers if watcher.field == name
+        }
+        states = {watcher: (name, version, step) for watcher, version in versions.items() if version is not None}
+        return [(watcher, state) for watcher, state in states.items() if self._sent.get(watcher) != state]
 
     async def _map(self, scene: scene_pb2.Scene, topology: stream_pb2.Topology) -> SurfaceMap | None:
         try:
@@ -104,19 +116,16 @@ class FieldPoll:
                 log.info("scene %s: no field %s: %s", self._feed.scene, name, error.details())
                 return
         step = min((reply.step for reply in replies.values()), default=0)
-        state = (name, topology.version, step)
-        watchers = [
-            watcher for watcher in self._feed.watchers if watcher.field == name and self._sent.get(watcher) != state
-        ]
-        if not watchers or self._feed.topology is not topology:
+        if not self._due(name, step) or self._feed.topology is not topology:
             return
         values = await asyncio.to_thread(surface.values, name, replies)
-        head = {"field": name, "topology_version": str(topology.version), "step": step}
-        message = self._feed.key(Stream.FIELD) + json.dumps(head).encode() + b"\n" + values.tobytes()
+        if self._feed.topology is not topology:
+            return
+        self._sent = {old: sent for old, sent in self._sent.items() if old in self._feed.watchers}
         # Browsers may have come, gone or changed their minds while the values were computed.
-        watching = [watcher for watcher in watchers if watcher in self._feed.watchers and watcher.field == name]
-        if self._feed.topology is topology:
-            for watcher in watching:
-                watcher.outbox.offer(Stream.FIELD, message)
-            self._sent = {old: sent for old, sent in self._sent.items() if old in self._feed.watchers}
-            self._sent |= dict.fromkeys(watching, state)
+        for watcher, state in self._due(name, step):
+            head = {"field": name, "topology_version": str(state[1]), "step": step}
+            line = json.dumps(head).encode() + b"\n"
+            shown = self._feed.at_shown_vertices(watcher, values)
+            watcher.outbox.offer(Stream.FIELD, self._feed.key(Stream.FIELD) + line + shown.tobytes())
+            self._sent[watcher] = state

@@ -10,9 +10,10 @@ for each stream.
 
 On the WebSocket `/stream?token=...`, binary messages are the bus's own bytes (key, zero byte, protobuf), unchanged. Two
 streams are made here, of scenes that this gateway or its program loaded: `rest`, a Frame with the rest positions, and
-`field`, an element field on the surface (fields.py). A browser may choose a codec, a rate and normals for its frames,
-in the address or by a message `frames` (choice.py). Frames of a chosen codec have the key `encoded_frame` in place of
-`frame`, and are acknowledged as `frame` too (gateway.proto). Text messages are JSON objects with a `type`:
+`field`, an element field on the surface (fields.py). A browser may choose codec, rate, normals and detail, in its
+address or by a message `frames` (choice.py). Frames of a chosen codec have the key `encoded_frame` in place of
+`frame`. With less detail, `simplified_topology` takes the place of `topology`. Both are acknowledged by the name that
+they replace (gateway.proto). Text messages are JSON objects with a `type`:
 
     gateway -> browser   daemon   problem (empty: none), server, backend, device, version, scenes, builtin_scenes,
                                   field_scenes, operator (whether this browser may control), poses_allowed;
@@ -20,11 +21,12 @@ in the address or by a message `frames` (choice.py). Frames of a chosen codec ha
                          head     time_s, frame, playing, speed: the play head of a recording
                          clock    client_time_ms (as asked), gateway_time_ms, replaced (frames replaced in the slot)
                          result   id, action, scene of a command; error (empty: it succeeded); adjustments (adjust)
-                         frames   codec, rate_hz, normals that hold now; error (empty: as asked)
+                         frames   codec, rate_hz, normals, detail that hold now; error (empty: as asked)
     browser -> gateway   watch    scene
                          ack      stream; keyframe (codec delta): the one that the browser has
                          clock    client_time_ms
-                         frames   codec: float32, q16, delta; rate_hz (null: every frame); normals
+                         frames   codec: float32, q16, delta, meshopt; rate_hz (null: every frame); normals;
+                                  detail: 0.01 to 1
                          field    name: von_mises, largest_strain, pressure, volume_ratio; empty: no field
                          pose     tool, position_m [3], orientation [w, x, y, z]   (operators, with --allow-poses)
                          control  id, action, scene; steps (1), lockstep (false), time_s (0), speed (1), changes ({})
@@ -175,7 +177,12 @@ class Gateway:
         return {
             "daemon": self._daemon.state(),
             "browsers": [
-                {"scene": browser.scene, "codec": browser.encoder.choice.codec, "replaced": browser.outbox.replaced}
+                {
+                    "scene": browser.scene,
+                    "codec": browser.encoder.choice.codec,
+                    "detail": browser.detail,
+                    "replaced": browser.outbox.replaced,
+                }
                 for browser in sorted(self._browsers, key=lambda browser: browser.client_id)
             ],
             "refused_connections": self._admission.refused_connections,
@@ -314,11 +321,13 @@ class Gateway:
                 raise ProtocolError("a message's type or fields are unknown")
 
     async def _choose(self, browser: Browser, request: dict[str, Any]) -> None:
-        error = ""
+        error, detail = "", browser.detail
         try:
             browser.choose(browser.encoder.choice.changed(request))
         except ChoiceError as refusal:
             error = str(refusal)
+        if browser.detail != detail:
+            self._daemon.show_detail(browser)
         await browser.socket.send_json(browser.encoder.choice.message(error))
 
     async def _take_keyframe(self, browser: Browser, keyframe: object) -> None:

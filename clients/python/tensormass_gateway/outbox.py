@@ -155,3 +155,8 @@ class Watcher:
         """Element field that it shows as colours; empty: none."""
         self.client_id = secrets.randbits(63) | 1
         self.pose_sequence = 0
+
+    @property
+    def detail(self) -> float:
+        """Share of the triangles that it shows."""
+        return self.encoder.choice.detail

@@ -108,6 +108,11 @@ class Playback:
             self.player.pause()
             self._commanded.set()
 
+    def show_detail(self, watcher: Watcher) -> None:
+        """Sends `watcher` the recording in the detail that it chose anew."""
+        if watcher in self._streams.watchers:
+            self._streams.show_detail(watcher)
+
     def show_field(self, watcher: Watcher, name: str) -> None:
         """Does nothing: element fields are not recorded."""
 

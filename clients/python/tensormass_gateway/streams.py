@@ -1,6 +1,7 @@
 """The newest messages of one scene, for all browsers that watch it.
 
-Every frame stays behind its topology: a browser never gets positions that do not fit what it draws.
+Every frame stays behind its topology: a browser never gets positions that do not fit what it draws. A browser that asks
+for less detail gets neither topology nor frames until its level (detail.py) is made.
 """
 
 from __future__ import annotations
@@ -8,13 +9,17 @@ from __future__ import annotations
 import asyncio
 import logging
 
+import numpy as np
+import numpy.typing as npt
 from google.protobuf.message import Message
 
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_gateway.choice import MAX_DETAIL
+from tensormass_gateway.detail import MAX_LEVELS, SIMPLIFIED_TOPOLOGY, SIMPLIFIER, Level
 from tensormass_gateway.encoding import SharedFrame
 from tensormass_gateway.normals import Triangles
+from tensormass_gateway.outbox import OF_THE_TOPOLOGY, Stream, Watcher
 from tensormass_gateway.outbox import Message as Outgoing
-from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.surface import MismatchError, rest_positions
 from tensormass_gateway.tasks import background
 
@@ -33,6 +38,11 @@ class SceneStreams:
         self.topology: stream_pb2.Topology | None = None
         self._latest: dict[Stream, Outgoing] = {}
         self._triangles: Triangles | None = None
+        self._levels: dict[float, Level | None] = {}
+        """Levels of the topology by detail; None: it cannot be simplified, so its viewers get the whole."""
+        self._awaited: set[float] = set()
+        """Details whose levels are being made for this topology."""
+        self._simplifying = asyncio.Lock()
         self._tasks: list[asyncio.Task[None]] = []
 
     @property
@@ -51,14 +61,21 @@ class SceneStreams:
             task.cancel()
         self._tasks = []
         self._latest.clear()
+        self._forget_levels()
         self.topology = None
 
     def add(self, watcher: Watcher) -> None:
         """Sends the newest messages to a watcher at once, and every new one from now on."""
         self.watchers.add(watcher)
         for stream in Stream:
-            if stream in self._latest:
-                watcher.outbox.offer(stream, self._latest[stream])
+            self._offer(watcher, stream)
+
+    def show_detail(self, watcher: Watcher) -> None:
+        """Sends topology and values in the detail that a watcher chose anew."""
+        self._offer(watcher, Stream.TOPOLOGY)
+        for stream in Stream:
+            if stream in OF_THE_TOPOLOGY:
+                self._offer(watcher, stream)
 
     def learn(self) -> None:
         """Computes what the scene's message tells, which has become known."""
@@ -79,6 +96,7 @@ class SceneStreams:
         """Takes a topology, which ends the frames of the one before."""
         if topology != self.topology:
             self.topology = topology
+            self._forget_levels()
             self._triangles = self._read_triangles(topology)
             self._latest.pop(Stream.FRAME, None)
             self._latest.pop(Stream.REST, None)
@@ -100,7 +118,7 @@ class SceneStreams:
         """Gives a message to all watchers, and to those that come before the next one."""
         self._latest[stream] = message
         for watcher in self.watchers:
-            watcher.outbox.offer(stream, message)
+            self._offer(watcher, stream)
 
     def key(self, stream: str) -> bytes:
         """Returns the key of a stream, with its zero byte."""
@@ -109,3 +127,88 @@ class SceneStreams:
     def message(self, stream: Stream, message: Message) -> bytes:
         """Returns a message with its key."""
         return self.key(stream) + message.SerializeToString()
+
+    # --- levels of detail
+
+    def shown_version(self, watcher: Watcher) -> int | None:
+        """Returns the version of the topology that a watcher shows; None while it is not made."""
+        if self.topology is None or (watcher.detail != MAX_DETAIL and watcher.detail not in self._levels):
+            return None
+        level = self._level_of(watcher)
+        return self.topology.version if level is None else level.version
+
+    def at_shown_vertices(self, watcher: Watcher, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Returns values of all vertices, [vertex_count], at those that a watcher shows."""
+        level = self._level_of(watcher)
+        return values if level is None else values[level.vertices]
+
+    def _level_of(self, watcher: Watcher) -> Level | None:
+        return None if watcher.detail == MAX_DETAIL else self._levels.get(watcher.detail)
+
+    def _offer(self, watcher: Watcher, stream: Stream) -> None:
+        """Puts the newest message of a stream into a watcher's outbox, in its detail."""
+        message = self._latest.get(stream)
+        if message is None:
+            return
+        if stream is not Stream.STATUS and watcher.detail != MAX_DETAIL:
+            if watcher.detail not in self._levels:
+                self._await_level(watcher.detail)
+                return
+            level = self._levels[watcher.detail]
+            message = message if level is None else self._simplified(stream, message, level)
+        if message is not None:
+            watcher.outbox.offer(stream, message)
+
+    def _simplified(self, stream: Stream, message: Outgoing, level: Level) -> Outgoing | None:
+        """Returns a message in less detail; None: it is not of this topology."""
+        if isinstance(message, SharedFrame):
+            return level.frame(message, self.key(stream)) if level.fits(message) else None
+        if stream is Stream.TOPOLOGY:
+            return self.key(SIMPLIFIED_TOPOLOGY) + level.message().SerializeToString()
+        assert stream is Stream.REST
+        whole = stream_pb2.Frame.FromString(message[len(self.key(stream)) :])
+        return self.message(stream, level.rest(whole))
+
+    def _await_level(self, detail: float) -> None:
+        """Starts to make a level, if there is a frame to make it from and nobody else has started."""
+        frame, topology = self._latest.get(Stream.FRAME), self.topology
+        if topology is None or not isinstance(frame, SharedFrame) or detail in self._awaited:
+            return
+        vertex_count = sum(body.vertex_count for body in topology.bodies)
+        fits = (frame.head.topology_version, frame.vertex_count) == (topology.version, vertex_count)
+        if fits and frame.is_encodable:
+            self._awaited.add(detail)
+            self._tasks = [task for task in self._tasks if not task.done()]
+            self._tasks.append(background(self._make_level(topology, frame, detail)))
+
+    async def _make_level(self, topology: stream_pb2.Topology, frame: SharedFrame, detail: float) -> None:
+        level = None
+        async with self._simplifying:
+            # A viewer may have asked for many details one after the other. Those that nobody shows cost nothing.
+            wanted = self.topology is topology and any(watcher.detail == detail for watcher in self.watchers)
+            if wanted:
+                loop = asyncio.get_running_loop()
+                try:
+                    level = await loop.run_in_executor(SIMPLIFIER, Level, topology, frame, detail)
+                except ValueError as error:
+                    log.warning("scene %s: it is shown in full detail: %s", self.scene, error)
+        if self.topology is not topology:
+            return
+        self._awaited.discard(detail)
+        if wanted:
+            self._levels[detail] = level
+            self._drop_levels(detail)
+            for watcher in self.watchers:
+                if watcher.detail == detail:
+                    self.show_detail(watcher)
+
+    def _drop_levels(self, newest: float) -> None:
+        """Drops the oldest levels that nobody shows, down to MAX_LEVELS."""
+        shown = {watcher.detail for watcher in self.watchers} | {newest}
+        unseen = [detail for detail in self._levels if detail not in shown]
+        for detail in unseen[: max(0, len(self._levels) - MAX_LEVELS)]:
+            del self._levels[detail]
+
+    def _forget_levels(self) -> None:
+        self._levels = {}
+        self._awaited = set()

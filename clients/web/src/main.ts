@@ -192,7 +192,7 @@ function openViewer(): Viewer {
 /** The token, and what this page chooses of its frames. The gateway refuses a choice that there is not, in words. */
 function streamQuery(): URLSearchParams {
   const query = new URLSearchParams({ token, codec: "q16" });
-  for (const name of ["codec", "rate_hz", "normals"]) {
+  for (const name of ["codec", "rate_hz", "normals", "detail"]) {
     const value = address.searchParams.get(name);
     if (value !== null) {
       query.set(name, value);
@@ -288,7 +288,8 @@ function onMessage(data: ArrayBuffer): void {
     if (message.scene === watched) {
       switch (message.stream) {
         case "topology":
-          store.setTopology(decodeTopology(message.payload));
+        case "simplified_topology":
+          store.setTopology(decodeTopology(message.payload, message.stream));
           break;
         case "frame":
         case "encoded_frame":

@@ -1,12 +1,21 @@
+import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
-import { decodeField, decodeFrame, decodeStatus, decodeTopology, splitMessage } from "../src/stream/decode";
+import { SimplifiedTopologySchema } from "../src/generated/tensormass/v1/gateway_pb";
+import { TopologySchema } from "../src/generated/tensormass/v1/stream_pb";
+import { decodeField, decodeFrame, decodeStatus, decodeTopology, slotOf, splitMessage } from "../src/stream/decode";
 import { POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
 
 describe("splitMessage", () => {
   it("splits key and payload, which may contain zero bytes", () => {
     const { scene, stream, payload } = splitMessage(busMessage("tensormass/host/liver/frame", Uint8Array.of(0, 1, 0)));
     expect([scene, stream, [...payload]]).toEqual(["liver", "frame", [0, 1, 0]]);
+  });
+
+  it("knows the streams that take the place of others", () => {
+    for (const [stream, slot] of [["encoded_frame", "frame"], ["simplified_topology", "topology"], ["rest", "rest"]] as const) {
+      expect(slotOf(splitMessage(busMessage(`tensormass/host/liver/${stream}`, new Uint8Array())).stream)).toBe(slot);
+    }
   });
 
   it.each([
@@ -50,6 +59,33 @@ describe("decodeField", () => {
 });
 
 describe("decodeTopology", () => {
+  it("takes the topology out of a simplified one", () => {
+    const whole = create(SimplifiedTopologySchema, {
+      topology: fromBinary(TopologySchema, topologyBytes()),
+      wholeVertices: u32(0, 2, 5, 8, 9, 10, 12),
+      wholeVersion: 5n,
+      wholeVertexCount: 20,
+    });
+    const payload = toBinary(SimplifiedTopologySchema, whole);
+    const { version, vertexCount, bodies } = decodeTopology(payload, "simplified_topology");
+    expect({ version, vertexCount, bodies }).toEqual({ version: 7n, vertexCount: 7, bodies: decodeTopology(topologyBytes()).bodies });
+  });
+
+  it.each([
+    ["without a topology", new Uint8Array(), /has no topology/],
+    ["that is not protobuf", Uint8Array.of(255, 255), /not protobuf/],
+    [
+      "with a triangle of a vertex that went",
+      toBinary(
+        SimplifiedTopologySchema,
+        create(SimplifiedTopologySchema, { topology: { bodies: [{ name: "liver", vertexCount: 3, triangles: u32(0, 1, 3) }] } }),
+      ),
+      /triangle 0 names vertex 3 of 3/,
+    ],
+  ])("refuses a simplified topology %s", (_, payload, said) => {
+    expect(() => decodeTopology(payload, "simplified_topology")).toThrow(said);
+  });
+
   it("decodes bodies, tools and the up direction", () => {
     const topology = decodeTopology(topologyBytes());
     expect(topology.version).toBe(7n);

@@ -1,11 +1,11 @@
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 
-import { create, toBinary } from "@bufbuild/protobuf";
+import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
 import { EncodedFrameSchema, EncodedFrame_Codec as Codec } from "../src/generated/tensormass/v1/gateway_pb";
-import type { StreamName } from "../src/stream/decode";
+import { DecodeError, type StreamName } from "../src/stream/decode";
 import { FrameDecoder } from "../src/stream/encoded";
 import { unpackNormals } from "../src/view/normals";
 import type { Fields } from "./messages";
@@ -65,7 +65,7 @@ describe("FrameDecoder", () => {
       }
       expect(decoder.keyframe, name).toBe(keyframe);
     }
-    expect(messages.filter(({ refusal }) => refusal !== undefined)).toHaveLength(2);
+    expect(messages.filter(({ refusal }) => refusal !== undefined)).toHaveLength(3);
   });
 
   it("adds narrow and wide differences to the keyframe", () => {
@@ -102,6 +102,66 @@ describe("FrameDecoder", () => {
     decoder.decode("encoded_frame", encoded(KEYFRAME));
     expect(() => decoder.decode("encoded_frame", encoded(damaged))).toThrow(said);
     expect(decoder.keyframe).toBeNull();
+  });
+
+  const golden = () => (JSON.parse(readFileSync(GOLDEN, "utf8")) as { messages: Golden[] }).messages;
+  const meshopt = (name: string) => {
+    const { payload } = golden().find((each) => each.name === name)!;
+    return fromBinary(EncodedFrameSchema, bytes(payload));
+  };
+
+  it.each<[string, RegExp, Fields<typeof EncodedFrameSchema>]>([
+    ["a vertex too many", /not in meshoptimizer's vertex codec/, { vertexCount: 601 }],
+    ["a vertex too few", /not in meshoptimizer's vertex codec/, { vertexCount: 599 }],
+    ["no vertices for its bytes", /not in meshoptimizer's vertex codec/, { vertexCount: 0 }],
+    ["more vertices than a message can have", /claim 4294967295 vertices/, { vertexCount: 2 ** 32 - 1 }],
+    ["more vertices than its bytes", /3 bytes of positions claim 769 vertices/, { vertexCount: 769, positions: new Uint8Array(3) }],
+    ["no bytes", /0 bytes of positions claim 600 vertices/, { positions: new Uint8Array() }],
+    ["zeros", /not in meshoptimizer's vertex codec/, { positions: new Uint8Array(100) }],
+    ["a grid that is not finite", /grid is not finite/, { cellM: { x: 0, y: NaN, z: 0 } }],
+  ])("refuses meshopt with %s", (_, said, damage) => {
+    const { frame, codec, vertexCount, positions, originM, cellM } = meshopt("meshopt of many blocks");
+    const damaged = encoded({ frame, codec, vertexCount, positions, originM, cellM, ...damage });
+    expect(() => new FrameDecoder().decode("encoded_frame", damaged)).toThrow(said);
+  });
+
+  it("refuses meshopt of differences that do not fit their keyframe", () => {
+    const message = meshopt("meshopt of differences, two of them wide");
+    const decode = (keyframe: Uint8Array, change: Fields<typeof EncodedFrameSchema>) => {
+      const { frame, codec, vertexCount, positions, wideDifferences, originM, cellM } = message;
+      const decoder = new FrameDecoder();
+      const kept = { ...KEYFRAME, vertexCount: keyframe.length / 6, positions: keyframe, keyframe: message.keyframe };
+      decoder.decode("encoded_frame", encoded(kept));
+      const differences = { frame, codec, vertexCount, positions, wideDifferences, originM, cellM, keyframe: message.keyframe };
+      return decoder.decode("encoded_frame", encoded({ ...differences, ...change }));
+    };
+    expect(decode(new Uint8Array(3600), {}).positions).toHaveLength(1800);
+    expect(() => decode(new Uint8Array(3600), { keyframe: 99n })).toThrow(/refers to keyframe 99/);
+    expect(() => decode(new Uint8Array(3594), {})).toThrow(/600 vertices differ from 599 of the keyframe/);
+    expect(() => decode(new Uint8Array(3600), { wideDifferences: u16(1) })).toThrow(/1 wide differences for 2 marks/);
+    expect(() => decode(new Uint8Array(3600), { wideDifferences: u16(1, 2, 3) })).toThrow(/3 wide differences for 2 marks/);
+    expect(() => decode(new Uint8Array(3600), { codec: Codec.MESHOPT })).toThrow(/not in meshoptimizer's vertex codec/);
+  });
+
+  it("decodes good meshopt after a damaged one", () => {
+    const decoder = new FrameDecoder();
+    const { payload, positions } = golden().find((each) => each.name === "meshopt of many blocks")!;
+    for (let bit = 0; bit < 3000; bit += 7) {
+      const message = meshopt("meshopt of many blocks");
+      message.positions[bit >> 3]! ^= 1 << (bit & 7);
+      try {
+        decoder.decode("encoded_frame", toBinary(EncodedFrameSchema, message));
+      } catch (error) {
+        expect(error).toBeInstanceOf(DecodeError);
+      }
+    }
+    const frame = decoder.decode("encoded_frame", bytes(payload));
+    expect(new Uint8Array(frame.positions.buffer)).toEqual(bytes(positions!));
+  });
+
+  it("decodes meshopt without vertices", () => {
+    const empty = encoded({ codec: Codec.MESHOPT, vertexCount: 0, originM: ORIGIN, cellM: CELL });
+    expect(new FrameDecoder().decode("encoded_frame", empty).positions).toHaveLength(0);
   });
 
   it("starts without a keyframe after a reset", () => {

@@ -14,7 +14,7 @@ EXTRAS = {
     "plot": {"matplotlib": "matplotlib"},
     "record": {"mcap": "mcap", "mcap-protobuf-support": "mcap_protobuf", "zstandard": "zstandard"},
     "tetrahedra": {"pytetwild": "pytetwild"},
-    "viewer": {"aiohttp": "aiohttp"},
+    "viewer": {"aiohttp": "aiohttp", "meshopt": "meshopt"},
 }
 
 

@@ -2,6 +2,7 @@
 // checked here, once. WebGL checks nothing itself; the results of this file are safe to pass to it.
 import { fromBinary } from "@bufbuild/protobuf";
 
+import { SimplifiedTopologySchema } from "../generated/tensormass/v1/gateway_pb";
 import type { Tool, Vector3 as ProtoVector3 } from "../generated/tensormass/v1/scene_pb";
 import {
   FrameSchema,
@@ -15,9 +16,10 @@ import {
 
 export type Vector = readonly [x: number, y: number, z: number];
 
-export type StreamName = "topology" | "rest" | "frame" | "encoded_frame" | "status" | "field";
+export type StreamName = "topology" | "simplified_topology" | "rest" | "frame" | "encoded_frame" | "status" | "field";
 const STREAM_NAMES: readonly string[] = [
   "topology",
+  "simplified_topology",
   "rest",
   "frame",
   "encoded_frame",
@@ -25,9 +27,16 @@ const STREAM_NAMES: readonly string[] = [
   "field",
 ] satisfies StreamName[];
 
-/** The slot of a stream in the gateway, which takes both kinds of frames as frames. */
-export function slotOf(stream: StreamName): Exclude<StreamName, "encoded_frame"> {
-  return stream === "encoded_frame" ? "frame" : stream;
+/** The slot of a stream in the gateway, which takes both kinds of frames as frames, and of topologies as topologies. */
+export function slotOf(stream: StreamName): Exclude<StreamName, "encoded_frame" | "simplified_topology"> {
+  switch (stream) {
+    case "encoded_frame":
+      return "frame";
+    case "simplified_topology":
+      return "topology";
+    default:
+      return stream;
+  }
 }
 
 /** One message of the bus: `key`, a zero byte, the protobuf message. */
@@ -155,9 +164,17 @@ function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount
   return numbers;
 }
 
-/** Decodes a Topology. Throws DecodeError if a body's vertices or triangles are outside its range. */
-export function decodeTopology(payload: Uint8Array): Topology {
-  const message = parse("topology", () => fromBinary(TopologySchema, payload));
+/**
+ * Decodes a message of the stream `topology` or `simplified_topology`. Throws DecodeError if a body's vertices or
+ * triangles are outside its range.
+ */
+export function decodeTopology(payload: Uint8Array, stream: StreamName = "topology"): Topology {
+  const message = parse(stream, () =>
+    stream === "topology" ? fromBinary(TopologySchema, payload) : fromBinary(SimplifiedTopologySchema, payload).topology,
+  );
+  if (message === undefined) {
+    throw new DecodeError("a simplified topology has no topology");
+  }
   let vertexCount = 0;
   const bodies = message.bodies.map((body): Surface => {
     const where = `topology of scene "${message.scene}", body "${body.name}"`;

@@ -1,6 +1,7 @@
 // Decodes frames in the codecs of gateway.proto. tests/proto/encoded_frames.json has messages that this decoder and
 // the one in Python (tensormass_gateway/decoding.py) decode to the same bits.
 import { fromBinary } from "@bufbuild/protobuf";
+import { MeshoptDecoder } from "meshoptimizer/decoder";
 
 import { EncodedFrameSchema, EncodedFrame_Codec as Codec, type EncodedFrame } from "../generated/tensormass/v1/gateway_pb";
 import type { Vector3 } from "../generated/tensormass/v1/scene_pb";
@@ -10,6 +11,20 @@ const WIDE_MARK = -128;
 /** No integer of the grid is larger: 16 bits of a keyframe and 16 bits of a difference. */
 const MAX_CELLS = 2 ** 17;
 const MAX_FLOAT32 = 3.4e38;
+/** Vertices of the largest frame on the bus. A longer claim would only take memory. */
+const MAX_VERTICES = Math.floor(2 ** 29 / 12);
+/** More vertices in a byte than meshoptimizer's vertex codec can pack, which needs two bytes for 256. */
+const MAX_VERTICES_PER_BYTE = 256;
+/** Integers in a row of that codec: three and a zero. */
+const ROW = 4;
+
+/** Whether the page can decode meshopt: its decoder is WebAssembly, which is ready before the first frame. */
+const meshoptIsReady =
+  MeshoptDecoder.supported &&
+  (await MeshoptDecoder.ready.then(
+    () => true,
+    () => false,
+  ));
 
 /** Decodes the frames of one connection, and keeps the keyframe to which later ones refer. */
 export class FrameDecoder {
@@ -61,69 +76,100 @@ export class FrameDecoder {
   }
 
   #positions(where: string, message: EncodedFrame): Float32Array {
+    const { positions } = message;
     switch (message.codec) {
       case Codec.FLOAT32:
-        return finiteFloats(where, message.positions);
+        return finiteFloats(where, positions);
       case Codec.Q16:
-        return this.#absolute(where, message);
+        if (positions.length % 6 !== 0) {
+          throw new DecodeError(`${where}: ${positions.length} bytes of positions are a fraction of a vertex`);
+        }
+        // Copies to a word boundary, which protobuf's view does not guarantee.
+        return this.#absolute(where, message, new Uint16Array(positions.slice().buffer), 3);
       case Codec.DELTA:
-        return this.#moved(where, message);
+        return this.#moved(where, message, new Int8Array(positions.buffer, positions.byteOffset, positions.length), 3);
+      case Codec.MESHOPT:
+        return this.#absolute(where, message, new Uint16Array(unpacked(where, message, 8)), ROW);
+      case Codec.MESHOPT_DELTA:
+        return this.#moved(where, message, new Int8Array(unpacked(where, message, 4)), ROW);
       default:
         throw new DecodeError(`${where}: codec ${message.codec} is unknown`);
     }
   }
 
-  #absolute(where: string, message: EncodedFrame): Float32Array {
-    if (message.positions.length % 6 !== 0) {
-      throw new DecodeError(`${where}: ${message.positions.length} bytes of positions are a fraction of a vertex`);
-    }
-    // Copies to a word boundary, which protobuf's view does not guarantee.
-    const cells = new Uint16Array(message.positions.slice().buffer);
-    if (message.keyframe !== 0n) {
-      this.#number = message.keyframe;
-      this.#cells = cells;
-    }
+  /** @param stride From one vertex to the next in `cells`. */
+  #absolute(where: string, message: EncodedFrame, cells: Uint16Array, stride: number): Float32Array {
+    const kept = message.keyframe === 0n ? null : new Uint16Array((3 * cells.length) / stride);
     const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
-    const positions = new Float32Array(cells.length);
-    for (let i = 0; i < positions.length; i += 3) {
-      positions[i] = x + cellX * cells[i]!;
-      positions[i + 1] = y + cellY * cells[i + 1]!;
-      positions[i + 2] = z + cellZ * cells[i + 2]!;
+    const positions = new Float32Array((3 * cells.length) / stride);
+    for (let i = 0, from = 0; i < positions.length; i += 3, from += stride) {
+      positions[i] = x + cellX * cells[from]!;
+      positions[i + 1] = y + cellY * cells[from + 1]!;
+      positions[i + 2] = z + cellZ * cells[from + 2]!;
+      if (kept !== null) {
+        kept[i] = cells[from]!;
+        kept[i + 1] = cells[from + 1]!;
+        kept[i + 2] = cells[from + 2]!;
+      }
+    }
+    if (kept !== null) {
+      this.#number = message.keyframe;
+      this.#cells = kept;
     }
     return positions;
   }
 
-  #moved(where: string, message: EncodedFrame): Float32Array {
+  /** @param stride From one vertex to the next in `differences`. */
+  #moved(where: string, message: EncodedFrame, differences: Int8Array, stride: number): Float32Array {
     if (this.#number === 0n || message.keyframe !== this.#number) {
       throw new DecodeError(`${where} refers to keyframe ${message.keyframe}, but ${this.keyframe ?? "none"} was kept`);
     }
     const keyframe = this.#cells;
-    const { buffer, byteOffset, length } = message.positions;
-    const differences = new Int8Array(buffer, byteOffset, length);
-    if (length !== keyframe.length) {
-      throw new DecodeError(`${where}: ${length / 3} vertices differ from ${keyframe.length / 3} of the keyframe`);
+    if (3 * differences.length !== stride * keyframe.length) {
+      const vertices = differences.length / stride;
+      throw new DecodeError(`${where}: ${vertices} vertices differ from ${keyframe.length / 3} of the keyframe`);
     }
     if (message.wideDifferences.length % 2 !== 0) {
       throw new DecodeError(`${where}: half a wide difference`);
     }
     const wide = new Int16Array(message.wideDifferences.slice().buffer);
     let taken = 0;
-    const next = (index: number): number => {
-      const narrow = differences[index]!;
+    const next = (index: number, from: number): number => {
+      const narrow = differences[from]!;
       return keyframe[index]! + (narrow === WIDE_MARK ? (wide[taken++] ?? 0) : narrow);
     };
     const { x, y, z, cellX, cellY, cellZ } = gridOf(where, message.originM, message.cellM);
-    const positions = new Float32Array(length);
-    for (let i = 0; i < length; i += 3) {
-      positions[i] = x + cellX * next(i);
-      positions[i + 1] = y + cellY * next(i + 1);
-      positions[i + 2] = z + cellZ * next(i + 2);
+    const positions = new Float32Array(keyframe.length);
+    for (let i = 0, from = 0; i < positions.length; i += 3, from += stride) {
+      positions[i] = x + cellX * next(i, from);
+      positions[i + 1] = y + cellY * next(i + 1, from + 1);
+      positions[i + 2] = z + cellZ * next(i + 2, from + 2);
     }
     if (taken !== wide.length) {
       throw new DecodeError(`${where}: ${wide.length} wide differences for ${taken} marks`);
     }
     return positions;
   }
+}
+
+/** Rows of `rowBytes` bytes, one for each vertex, of meshoptimizer's vertex codec. Throws DecodeError on a damaged message. */
+function unpacked(where: string, { positions, vertexCount }: EncodedFrame, rowBytes: number): ArrayBuffer {
+  if (vertexCount > Math.min(MAX_VERTICES, MAX_VERTICES_PER_BYTE * positions.length)) {
+    throw new DecodeError(`${where}: ${positions.length} bytes of positions claim ${vertexCount} vertices`);
+  }
+  if (!meshoptIsReady) {
+    throw new DecodeError(`${where}: codec meshopt needs WebAssembly, which this browser does not run; take q16`);
+  }
+  const rows = new ArrayBuffer(rowBytes * vertexCount);
+  // The codec has no form for no rows.
+  if (vertexCount > 0 || positions.length > 0) {
+    try {
+      MeshoptDecoder.decodeVertexBuffer(new Uint8Array(rows), vertexCount, rowBytes, positions);
+    } catch (error) {
+      throw new DecodeError(`${where}: its positions are not in meshoptimizer's vertex codec: ${String(error)}`);
+    }
+  }
+  return rows;
 }
 
 interface Grid {
