@@ -25,7 +25,10 @@ async def test_page_is_served_with_headers_that_keep_the_token_here(viewer: Path
             assert reply.status == 200
             assert "viewer" in await reply.text()
             assert reply.headers["Referrer-Policy"] == "no-referrer"
-            assert "default-src 'self'" in reply.headers["Content-Security-Policy"]
+            policy = reply.headers["Content-Security-Policy"]
+            assert "default-src 'self'" in policy
+            # Without it no browser decodes the codec meshopt; unsafe-eval would allow more.
+            assert "script-src 'self' 'wasm-unsafe-eval';" in policy
         async with session.get(f"{origin(gateway)}/assets/main.js") as reply:
             assert reply.status == 200
         (viewer.parent / "secret").write_text("not the viewer's")

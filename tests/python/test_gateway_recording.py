@@ -80,6 +80,25 @@ async def test_a_page_gets_the_scene_and_its_first_frame(viewer: Path, path: Pat
         assert await page.take(Stream.FRAME) == recorded_frame(STEPS[0], 1).SerializeToString()
 
 
+async def next_of(page: Page, *streams: str) -> list[str]:
+    """Takes messages until each of `streams` has come. Returns the names of all."""
+    names: list[str] = []
+    while not set(streams) <= set(names):
+        name, _ = await page.binary()
+        names.append(name)
+        slot = {"simplified_topology": "topology", "encoded_frame": "frame"}.get(name, name)
+        await page.send(type="ack", stream=slot)
+    return names
+
+
+@asynchronous
+async def test_a_page_gets_a_recording_in_less_detail_and_changes_it(viewer: Path, path: Path) -> None:
+    async with playing(viewer, path) as gateway, browse(gateway, "liver", choice="detail=0.5") as page:
+        assert "topology" not in await next_of(page, "simplified_topology", "encoded_frame")
+        await page.send(type="frames", detail=1)
+        assert "simplified_topology" not in await next_of(page, "topology", "frame")
+
+
 @asynchronous
 async def test_a_seek_shows_the_frame_before_the_time_with_its_tools(viewer: Path, path: Path) -> None:
     async with playing(viewer, path) as gateway, browse(gateway, "liver") as page:
@@ -156,6 +175,9 @@ async def test_all_pages_share_the_head_and_the_last_one_pauses_it(viewer: Path,
     async with playing(viewer, path) as gateway:
         async with browse(gateway, "liver") as first:
             await first.command("seek", "liver", time_s=0.3)
+            # The answer comes before the frame is read. The first frame of the recording has step 10, too.
+            while (await frame_of_step(first, 10)).sequence < 2:
+                pass
             async with browse(gateway, "liver", token=TOKEN) as second:
                 assert (await frame_of_step(second, 10)).positions == recorded_frame(10, 6).positions
                 refusal = await second.command("seek", "liver", time_s=0.0)

@@ -1,18 +1,19 @@
-"""Simplifies a surface to fewer triangles between some of its own vertices.
+r"""Simplifies a surface to fewer triangles between some of its own vertices.
 
 A vertex u that goes is collapsed along an edge onto a neighbour v: the triangles at u that have v vanish, and the
 others take v in place of u. Each vertex that stays is a vertex of the whole surface, so the positions of a frame are
 those of the whole frame at fewer vertices.
 
-    a---b         a---b        Collapses happen in rounds. The vertices of one round share no neighbour, so
-    |\\ /|\\         |\\  |\\       that no collapse sees what another one changes.
-    | u-|-v   ->   | \\ | v
-    |/ \\|/         |  \\|/      A round tries the quarter of the vertices that costs least.
-    c---d         c---d
+      a---b            a---b
+     / \ / \          / `-. \        Collapses happen in rounds. The vertices of one round share no neighbour, so
+    c---u---v   ->   c-----`-v       that no collapse sees what another one changes. A round tries the quarter of
+     \ / \ /          \ .-' /        the vertices that costs least.
+      d---e            d---e
 
-The cost of u onto v is the squared distance of v from the planes of the triangles around both, weighted by their areas
-(M. Garland, P. Heckbert: Surface simplification using quadric error metrics, SIGGRAPH 1997). A collapse must not turn a
-triangle over, and must leave each edge with two triangles (link condition). Open edges stay as they are.
+The cost of u onto v is the squared distance of v from the planes around u, weighted by the areas of their triangles.
+After that, v has the planes of both (M. Garland, P. Heckbert: Surface simplification using quadric error metrics,
+SIGGRAPH 1997). A collapse must not turn a triangle over, and must leave each edge with two triangles (link condition).
+Open edges stay as they are.
 
 A simplification also keeps a point of its triangles for each vertex that went, near it in the shape that was
 simplified. The distance between the two in a later frame says how far that frame is simplified.
@@ -185,12 +186,10 @@ def _costs(places: Floats, quadrics: Floats, edges: _Edges) -> Floats:
     one = np.ones_like(x)
     terms = (x * x, y * y, z * z, 2 * x * y, 2 * y * z, 2 * z * x, 2 * x, 2 * y, 2 * z, one)
     area = quadrics[10]
-    at_end = np.sum([quadric * term for quadric, term in zip(quadrics, terms, strict=False)], axis=0)
-    total = at_end[edges.end]
+    total = LENGTH_WEIGHT * area[edges.start] * sum((axis[edges.end] - axis[edges.start]) ** 2 for axis in (x, y, z))
     for quadric, term in zip(quadrics, terms, strict=False):
         total += quadric[edges.start] * term[edges.end]
-    lengths = sum((axis[edges.end] - axis[edges.start]) ** 2 for axis in (x, y, z))
-    return np.asarray(total + LENGTH_WEIGHT * area[edges.start] * lengths)
+    return np.asarray(total)
 
 
 def _quadrics(places: Floats, triangles: Indices) -> Floats:
