@@ -71,13 +71,14 @@ describe("Changes", () => {
     const onValues = vi.fn();
     const changes = new Changes(adjust, onValues, vi.fn());
     const stiffness = (factor: number) => ({ bodies: [{ body: "liver", stiffness_factor: factor }] });
-    [1, 2, 3].forEach((factor) => changes.send(stiffness(factor)));
+    const gravity = { gravity_m_per_s2: { x: 0, y: 0, z: -1 } };
+    [stiffness(1), gravity, stiffness(2), stiffness(3)].forEach((change) => changes.send(change));
     expect(sent).toEqual([stiffness(1)]);
     answers[0]!();
-    await vi.waitFor(() => expect(sent).toEqual([stiffness(1), stiffness(3)]));
+    await vi.waitFor(() => expect(sent).toEqual([stiffness(1), { ...gravity, ...stiffness(3) }]));
     expect(onValues).not.toHaveBeenCalled();
     answers[1]!();
-    await vi.waitFor(() => expect(onValues).toHaveBeenCalledExactlyOnceWith(stiffness(3)));
+    await vi.waitFor(() => expect(onValues).toHaveBeenCalledExactlyOnceWith({ ...gravity, ...stiffness(3) }));
   });
 
   it("goes on after a failure", async () => {

@@ -34,7 +34,9 @@ describe("planTiles", () => {
 
   it("has no grid for a recording, and no name to wait for", () => {
     const recording = { file: "f", durationS: 1, frames: 2, marks: [], note: "" };
-    expect(planTiles({ ...having("a"), recording }, "b", null, true)).toEqual({ scenes: ["a"], selected: "a" });
+    for (const grid of [false, true]) {
+      expect(planTiles({ ...having("a"), recording }, "b", null, grid)).toEqual({ scenes: ["a"], selected: "a" });
+    }
   });
 });
 
@@ -61,6 +63,8 @@ describe("freeArea", () => {
     const open = { left: 22, top: 300, right: 260, bottom: 618 };
     expect(freeArea(size, header, open, buttons)).toEqual({ left: 274, top: 64, right: 938, bottom: 566 });
     expect(freeArea(size, header, { ...open, top: 545 }, buttons)).toEqual({ left: 22, top: 64, right: 938, bottom: 531 });
+    const withWarning = { ...open, top: 500 };
+    expect(freeArea(size, header, withWarning, buttons)).toEqual({ left: 22, top: 64, right: 938, bottom: 486 });
   });
 
   it("takes half of a narrow window, however long the readings are", () => {

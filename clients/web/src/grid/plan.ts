@@ -61,6 +61,8 @@ export interface Edges {
   readonly bottom: number;
 }
 
+/** Folded readings are at most so many buttons higher than the buttons. */
+const FOLDED = 4;
 const MARGIN = 14;
 const SIDE = 22;
 
@@ -74,7 +76,8 @@ export function freeArea(window: { width: number; height: number }, header: Edge
   const top = header.bottom + MARGIN;
   const right = window.width - SIDE;
   const lowest = Math.min(readings.top, buttons.top) - MARGIN;
-  const beside = window.width > NARROW_PX && readings.top < buttons.top - 2 * (buttons.bottom - buttons.top);
+  // Folded readings have a line or two more than the buttons, for warnings and refused messages.
+  const beside = window.width > NARROW_PX && readings.top < buttons.top - FOLDED * (buttons.bottom - buttons.top);
   if (beside) {
     return { left: readings.right + MARGIN, top, right, bottom: buttons.top - MARGIN };
   }

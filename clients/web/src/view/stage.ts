@@ -1,7 +1,7 @@
 // Draws the pictures of all tiles on one canvas below them: each in the box of its own element.
 //
-// One WebGL context serves all tiles. Shaders, environment and backdrop exist once, and a grid has as many pixels as one
-// picture. A change in one tile draws all of them, because the browser keeps nothing of the canvas between two pictures.
+// One WebGL context serves all tiles, so shaders, environment and backdrop exist once. A change in one tile draws all of
+// them, because the browser keeps nothing of the canvas between two pictures.
 import * as THREE from "three";
 
 import type { Quality } from "./quality";
