@@ -158,7 +158,10 @@ export interface ViewerState {
 declare global {
   interface Window {
     tensormass: {
+      /** The selected scene. */
       state(): ViewerState;
+      /** All tiles, in their order on the page. */
+      tiles(): ViewerState[];
       project(point: readonly number[]): { x: number; y: number } | null;
     };
   }
@@ -192,6 +195,14 @@ export class ViewerPage {
     );
   }
 
+  /** Waits until there is a tile for each of these scenes, in this order, with a frame drawn. */
+  async showsTiles(...scenes: string[]): Promise<void> {
+    await this.page.waitForFunction((wanted) => {
+      const tiles = window.tensormass.tiles();
+      return tiles.every(({ drawn }) => drawn > 0) && tiles.map(({ scene }) => scene).join() === wanted;
+    }, scenes.join());
+  }
+
   /** Waits until `count` more frames have been drawn. */
   async draws(count: number): Promise<void> {
     const { drawn } = await this.state();
@@ -221,7 +232,7 @@ export class ViewerPage {
   // Hides elements one by one: the page's content policy forbids the style sheet that a screenshot could inject.
   #setReadings(visibility: string): Promise<void> {
     return this.page.evaluate(async (value) => {
-      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #timeline, #labels, #notice, #scales, #toast")) {
+      for (const element of document.querySelectorAll<HTMLElement>("header, aside, footer, #timeline, .labels, .caption, .scales, #notice, #toast")) {
         element.style.visibility = value;
       }
       await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));

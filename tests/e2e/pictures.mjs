@@ -1,10 +1,10 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [viewer] [timeline]        (default: all)
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [viewer] [grid] [timeline]    (default: all)
 //
-// `viewer` and `timeline` take those of docs/viewer.md, one for each state of the page. They need a built daemon, the built viewer and
-// Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand is taken when the force on the tool has been
-// steady for a second.
+// `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page; `demo` takes that of the
+// README. They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a
+// hand is taken when the force on the tool has been steady for a second.
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync, statSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -15,11 +15,15 @@ import { createInterface } from "node:readline";
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
 const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
-const PAGES = { viewer: takeViewer, timeline: takeTimeline };
+const PAGES = { demo: takeDemo, viewer: takeViewer, grid: takeGrid, timeline: takeTimeline };
+/** Scenes of the grid. `tensormass run` loads the first one. */
+const TILES = ["retract", "grasp", "table", "two_organs"];
 const RECORDED_S = 14;
 const LONGEST_WAIT_S = 180;
 const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
+/** Force on the probe of `demo` at which its dent is seen. */
+const PRESSED_N = 0.3;
 const MAX_PICTURE_BYTES = 100_000;
 const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
@@ -63,13 +67,13 @@ async function recordHand(name, file, seconds) {
 }
 
 /** Opens the page in a window of its own, with the display options `settings`. */
-async function open(url, size, settings = {}) {
+async function open(url, size, settings = {}, quality = "low") {
   const context = await browser.newContext({ viewport: size });
   context.setDefaultTimeout(LONGEST_WAIT_S * 1000);
   const page = await context.newPage();
   await page.addInitScript((text) => window.localStorage.setItem("tensormass.display", text), JSON.stringify(settings));
   // A given quality does not adapt the resolution to the software renderer.
-  await page.goto(`${url}&quality=low`);
+  await page.goto(`${url}&quality=${quality}`);
   return page;
 }
 
@@ -124,6 +128,36 @@ async function takeHand(name) {
   });
 }
 
+/** The picture of the README, at high quality, while the simulated device presses the organ. */
+async function takeDemo() {
+  await withScene("demo", async (url) => {
+    const page = await open(url, ROOMY, {}, "high");
+    await page.waitForFunction((least) => Math.hypot(...(window.tensormass.state().tools[0]?.forceN ?? [0])) > least, PRESSED_N);
+    await page.evaluate(() => (document.querySelector("aside").style.visibility = "hidden"));
+    await save(page, "viewer");
+  });
+}
+
+/** Scenes in a grid. The hand of the first one holds tissue, the others stand. */
+async function takeGrid() {
+  await withScene(TILES[0], async (url) => {
+    const page = await open(`${url}&scene=${TILES[0]}&grid=1`, ROOMY, { readings: false, plots: false });
+    for (const name of TILES.slice(1)) {
+      await page.locator("#scenes > summary").click();
+      await page.locator("#builtin").selectOption(name);
+      await page.locator("#load").click();
+      await page.locator(".tile").filter({ hasText: name }).filter({ hasText: "Live" }).waitFor();
+    }
+    await page.locator(".tile").filter({ hasText: TILES[0] }).click();
+    await page.mouse.move(0, 0);
+    await steady(page);
+    await page.waitForFunction(() => window.tensormass.tiles().every(({ drawn }) => drawn > 0));
+    // Four scenes at once on the machine that also draws them reach rates that nobody else sees.
+    await page.evaluate(() => (document.querySelector("aside").style.visibility = "hidden"));
+    await save(page, "viewer-grid");
+  });
+}
+
 /** One picture for each state of the page. */
 async function takeViewer() {
   await withScene("retract", async (url) => {
@@ -145,13 +179,13 @@ async function takeViewer() {
     const shown = `${url}&scene=retract`;
     const colours = { colouring: "displacement", rulers: true, readings: false, plots: true };
     const coloured = await open(shown, ROOMY, colours);
-    await says(coloured, "#legend-title", "from rest");
+    await says(coloured, ".legend-title", "from rest");
     await steady(coloured);
     await coloured.locator("#display > summary").click();
     await save(coloured, "viewer-coloured");
 
     const clipped = await open(shown, WIDE, { colouring: "von_mises", clipAxis: "x", clipShare: 0.6, readings: false });
-    await says(clipped, "#legend-title", "Von Mises");
+    await says(clipped, ".legend-title", "Von Mises");
     await steady(clipped);
     await save(clipped, "viewer-clip");
 

@@ -83,6 +83,7 @@ describe.skipIf(absent.length > 0)("recording", () => {
     await page.says("#link", /Paused/);
     await page.says("#timeline-time", /^0\.00 \/ \d+\.\d\d s$/);
     expect(await page.page.locator("#restart").isVisible()).toBe(false);
+    expect(await page.page.locator("#grid").isVisible()).toBe(false);
     await page.page.locator("#marks button[data-kind=contact]").first().waitFor();
     const first = await page.state();
     const [before, still] = [await page.picture(), await page.picture()];

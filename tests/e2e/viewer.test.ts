@@ -79,7 +79,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(pressed.near).toBeGreaterThan(20 * Math.max(noise, pressed.far));
 
     await page.page.keyboard.press("t");
-    const label = page.page.locator("#labels .force");
+    const label = page.page.locator(".force");
     await label.waitFor();
     expect(parseFloat((await label.textContent()) ?? "")).toBeCloseTo(force_n, 1);
 
@@ -88,7 +88,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const held = await page.project(tools[0]!.positionM);
     expect(held).not.toBeNull();
     await page.drag(held!, { x: held!.x, y: held!.y - 90 });
-    await page.page.locator("#labels .force").waitFor({ state: "detached" });
+    await page.page.locator(".force").waitFor({ state: "detached" });
     // The force ends when the tool leaves the tissue, while the tool is still moving.
     const free = tools[0]!.positionM[2] + PRESS_DEPTH_M;
     await page.page.waitForFunction((least) => window.tensormass.state().tools[0]!.positionM[2] > least, free);
@@ -316,11 +316,11 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     const before = await page.picture();
 
     await page.page.keyboard.press("c");
-    await page.says("#legend-title", /^Displacement from rest$/);
+    await page.says(".legend-title", /^Displacement from rest$/);
     const unmoved = await page.picture();
     await page.page.locator("#step").click();
     await page.page.waitForFunction(() => window.tensormass.state().step === 1);
-    await page.says("#legend-ticks", /mm$/);
+    await page.says(".legend-ticks", /mm$/);
     const bent = await page.picture();
     const inside = (x: number, y: number) => x > 250 && y < 560;
     expect(difference(before, unmoved, inside)).toBeGreaterThan(1);
@@ -331,8 +331,8 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
     await page.page.locator("#display > summary").click();
     await page.page.locator("#colouring").selectOption("von_mises");
-    await page.says("#legend-title", /^Von Mises stress$/);
-    await page.says("#legend-ticks", /Pa$/);
+    await page.says(".legend-title", /^Von Mises stress$/);
+    await page.says(".legend-ticks", /Pa$/);
     await page.page.locator("#clip-axis").selectOption("x");
     expect(difference(bent, await page.picture(), inside)).toBeGreaterThan(1);
     const [saved] = await Promise.all([page.page.waitForEvent("download"), page.page.locator("#picture").click()]);
@@ -340,7 +340,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
     // The page remembers its display.
     await page.page.reload();
-    await page.says("#legend-title", /^Von Mises stress$/);
+    await page.says(".legend-title", /^Von Mises stress$/);
     expect(await page.page.locator("#clip-axis").inputValue()).toBe("x");
     await page.page.evaluate(() => window.localStorage.clear());
 
@@ -393,7 +393,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.mouse.move(at!.x, at!.y);
     // The browser hands pointer events to the page with its next picture.
     const showsCursor = (cursor: string) =>
-      page.page.waitForFunction((name) => getComputedStyle(document.querySelector("#view")!).cursor === name, cursor);
+      page.page.waitForFunction((name) => getComputedStyle(document.querySelector(".tile")!).cursor === name, cursor);
     await showsCursor("grab");
     await page.says("#hint", /Drag to move this tool/);
     await page.page.mouse.down();
@@ -402,6 +402,71 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.mouse.move(at!.x, 100);
     await showsCursor("auto");
     await stack.ask("unload", { name: "turned" });
+  });
+
+  it("shows two scenes in a grid, acts on the selected one, and shows it alone", async () => {
+    const [one, two] = ["one", "two"];
+    const vertexCount = (await stack.ask("load_grid", { name: one, cells: 2 })) as number;
+    const other = (await stack.ask("load_grid", { name: two, cells: 4 })) as number;
+    const page = await open("scene=one");
+    await page.shows(vertexCount);
+    await page.page.locator("#grid").click();
+    await page.showsTiles(one, two);
+    const tile = (name: string) => page.page.locator(".tile").filter({ hasText: name });
+    const pill = (name: string) => tile(name).locator(".pill");
+    const inside = async (name: string) => {
+      const box = (await tile(name).boundingBox())!;
+      return (x: number, y: number) => x > box.x + 4 && x < box.x + box.width - 4 && y > box.y + 4 && y < box.y + box.height - 4;
+    };
+
+    // A drag turns the scene of its tile only, and selects it.
+    const before = await page.picture();
+    const { x, y, width, height } = (await tile(two).boundingBox())!;
+    const middle = { x: x + width / 2, y: y + height / 2 };
+    await page.drag(middle, { x: middle.x + 60, y: middle.y });
+    await page.page.waitForTimeout(1000); // the camera glides on
+    const after = await page.picture();
+    expect(difference(before, after, await inside(two))).toBeGreaterThan(1);
+    expect(difference(before, after, await inside(one))).toBeLessThan(0.1);
+    expect(await page.page.locator("#scene").inputValue()).toBe(two);
+    expect((await page.state()).vertexCount).toBe(other);
+
+    // Keys act on the selected scene. Enter selects, too.
+    await page.page.keyboard.press(" ");
+    await page.says("#link", /Paused/);
+    await pill(two).filter({ hasText: "Paused" }).waitFor();
+    expect(await pill(one).textContent()).toBe("Live");
+    await tile(one).focus();
+    await page.page.keyboard.press("Enter");
+    await page.says("#link", /Live/);
+    expect(await tile(one).getAttribute("aria-current")).toBe("true");
+
+    // The address remembers grid and selection. Tiles follow the scenes.
+    expect(new URL(page.page.url()).search).toMatch(/scene=one&grid=1$/);
+    await page.page.reload();
+    await page.showsTiles(one, two);
+    await stack.ask("unload", { name: two });
+    await page.showsTiles(one);
+    await stack.ask("load_grid", { name: two, cells: 4 });
+    await page.showsTiles(one, two);
+    expect((await page.state()).scene).toBe(one);
+
+    // A phone has one column.
+    await page.page.setViewportSize({ width: 390, height: 844 });
+    await expect.poll(async () => (await tile(one).boundingBox())!.width).toBeGreaterThan(300);
+    const [upper, lower] = [(await tile(one).boundingBox())!, (await tile(two).boundingBox())!];
+    expect(lower.x).toBe(upper.x);
+    expect(lower.y).toBeGreaterThanOrEqual(upper.y + upper.height);
+
+    await tile(two).dblclick();
+    await page.showsTiles(two);
+    expect(await tile(two).boundingBox()).toEqual({ x: 0, y: 0, width: 390, height: 844 });
+    await page.page.keyboard.press("g");
+    await page.showsTiles(one, two);
+    await page.page.keyboard.press("g");
+    await page.showsTiles(two);
+    await stack.ask("unload", { name: one });
+    await stack.ask("unload", { name: two });
   });
 
   it("lets the user close a notice and open it again", async () => {

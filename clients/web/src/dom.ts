@@ -1,6 +1,6 @@
-/** Returns the element of index.html that matches `selector`. Throws if there is none: an error of our own. */
-export function find<Type extends Element>(selector: string, type: new () => Type): Type {
-  const found = document.querySelector(selector);
+/** Returns the element of index.html that matches `selector`, within `root`. Throws if there is none: an error of our own. */
+export function find<Type extends Element>(selector: string, type: new () => Type, root: ParentNode = document): Type {
+  const found = root.querySelector(selector);
   if (!(found instanceof type)) {
     throw new Error(`index.html has no ${type.name} "${selector}"`);
   }

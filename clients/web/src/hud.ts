@@ -3,19 +3,7 @@ import { find, setText } from "./dom";
 import type { Notice, Situation } from "./situation";
 import type { DaemonState } from "./stream/connection";
 import { SceneState, type Status } from "./stream/decode";
-import type { Counters } from "./stream/store";
-
-export interface Readings {
-  readonly status: Status | null;
-  /** `status` while its numbers are current, else null. */
-  readonly currentStatus: Status | null;
-  readonly warnings: readonly string[];
-  readonly counters: Counters;
-  readonly drawRateHz: number | null;
-  readonly ageMs: number | null;
-  readonly ageUncertaintyMs: number | null;
-  readonly replaced: number;
-}
+import type { Readings } from "./stream/session";
 
 export interface Actions {
   readonly pickScene: (scene: string) => void;

@@ -1,6 +1,6 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 
-import { FAST_DAMPING, GRAVITY, gravityOfLength, merged, SLOW_DAMPING, STIFFNESS } from "../src/panel/material";
+import { Changes, FAST_DAMPING, GRAVITY, gravityOfLength, merged, SLOW_DAMPING, STIFFNESS, type Adjustments } from "../src/panel/material";
 
 describe("scales of the material's sliders", () => {
   it.each([STIFFNESS, SLOW_DAMPING, FAST_DAMPING, GRAVITY])("$label: a position and its value belong together", (scale) => {
@@ -57,5 +57,38 @@ describe("merged", () => {
   it("keeps a change when the panel only asks for the values", () => {
     const change = { bodies: [{ body: "liver", stiffness_factor: 2 }] };
     expect(merged(change, {})).toEqual(change);
+  });
+});
+
+describe("Changes", () => {
+  it("sends one change at a time, merges those that wait, and shows the last values only", async () => {
+    const answers: (() => void)[] = [];
+    const sent: Adjustments[] = [];
+    const adjust = (changes: Adjustments) => {
+      sent.push(changes);
+      return new Promise<Adjustments>((done) => answers.push(() => done(changes)));
+    };
+    const onValues = vi.fn();
+    const changes = new Changes(adjust, onValues, vi.fn());
+    const stiffness = (factor: number) => ({ bodies: [{ body: "liver", stiffness_factor: factor }] });
+    const gravity = { gravity_m_per_s2: { x: 0, y: 0, z: -1 } };
+    [stiffness(1), gravity, stiffness(2), stiffness(3)].forEach((change) => changes.send(change));
+    expect(sent).toEqual([stiffness(1)]);
+    answers[0]!();
+    await vi.waitFor(() => expect(sent).toEqual([stiffness(1), { ...gravity, ...stiffness(3) }]));
+    expect(onValues).not.toHaveBeenCalled();
+    answers[1]!();
+    await vi.waitFor(() => expect(onValues).toHaveBeenCalledExactlyOnceWith({ ...gravity, ...stiffness(3) }));
+  });
+
+  it("goes on after a failure", async () => {
+    const onError = vi.fn();
+    const adjust = vi.fn<() => Promise<Adjustments>>().mockRejectedValueOnce(new Error("busy")).mockResolvedValue({});
+    const onValues = vi.fn();
+    const changes = new Changes(adjust, onValues, onError);
+    changes.send({});
+    await vi.waitFor(() => expect(onError).toHaveBeenCalledWith("busy"));
+    changes.send({});
+    await vi.waitFor(() => expect(onValues).toHaveBeenCalled());
   });
 });

@@ -5,12 +5,16 @@ import { cssGradient, type Legend } from "../view/colouring";
 const TOAST_MS = 8000;
 
 export class LegendPanel {
-  readonly #block = find("#legend", HTMLElement);
-  readonly #title = find("#legend-title", HTMLElement);
-  readonly #ticks = [...document.querySelectorAll("#legend-ticks span")];
+  readonly #block: HTMLElement;
+  readonly #title: HTMLElement;
+  readonly #ticks: readonly Element[];
 
-  constructor() {
-    find("#legend-colours", HTMLElement).style.background = cssGradient();
+  /** @param tile A tile of index.html. */
+  constructor(tile: Element) {
+    this.#block = find(".legend", HTMLElement, tile);
+    this.#title = find(".legend-title", HTMLElement, tile);
+    this.#ticks = [...tile.querySelectorAll(".legend-ticks span")];
+    find(".legend-colours", HTMLElement, tile).style.background = cssGradient();
   }
 
   show(legend: Legend | null): void {

@@ -80,27 +80,67 @@ export function merged(first: Adjustments, later: Adjustments): Adjustments {
   return { ...first, ...later, bodies: [...bodies.values()] };
 }
 
-export interface MaterialActions {
-  /** Changes the scene and returns all values after it. Fails with the reason. */
-  readonly adjust: (changes: Adjustments) => Promise<Adjustments>;
-  readonly onError: (text: string) => void;
+/** Changes a scene and returns all values after it. Fails with the reason. */
+export type Adjust = (changes: Adjustments) => Promise<Adjustments>;
+
+/** Sends the changes of one scene one after another. Those that wait for an answer are merged. */
+export class Changes {
+  readonly #adjust: Adjust;
+  readonly #onValues: (values: Adjustments) => void;
+  readonly #onError: (text: string) => void;
+  #waiting: Adjustments | null = null;
+  #asking = false;
+
+  /** @param onValues Called with the scene's values when no change waits any more. */
+  constructor(adjust: Adjust, onValues: (values: Adjustments) => void, onError: (text: string) => void) {
+    this.#adjust = adjust;
+    this.#onValues = onValues;
+    this.#onError = onError;
+  }
+
+  send(changes: Adjustments): void {
+    this.#waiting = merged(this.#waiting ?? {}, changes);
+    if (!this.#asking) {
+      void this.#ask();
+    }
+  }
+
+  async #ask(): Promise<void> {
+    this.#asking = true;
+    while (this.#waiting !== null) {
+      const changes = this.#waiting;
+      this.#waiting = null;
+      try {
+        const values = await this.#adjust(changes);
+        // A slider that was moved meanwhile must stay: its answer follows.
+        if (!this.#waits) {
+          this.#onValues(values);
+        }
+      } catch (error) {
+        this.#onError(error instanceof Error ? error.message : String(error));
+      }
+    }
+    this.#asking = false;
+  }
+
+  get #waits(): boolean {
+    return this.#waiting !== null;
+  }
 }
 
 export class MaterialPanel {
-  readonly #actions: MaterialActions;
+  readonly #onError: (text: string) => void;
   readonly #menu = find("#material", HTMLDetailsElement);
   readonly #sliders = find("#material-sliders", HTMLElement);
   readonly #note = find("#material-note", HTMLElement);
   #direction: Point = { x: 0, y: -1, z: 0 };
-  /** The changes that wait for the answer to those before. */
-  #waiting: Adjustments | null = null;
-  #asking = false;
+  #changes: Changes | null = null;
 
-  constructor(actions: MaterialActions) {
-    this.#actions = actions;
+  constructor(onError: (text: string) => void) {
+    this.#onError = onError;
     this.#menu.addEventListener("toggle", () => {
       if (this.#menu.open) {
-        this.#send({});
+        this.#changes?.send({});
       }
     });
   }
@@ -114,44 +154,30 @@ export class MaterialPanel {
     }
   }
 
-  /** Closes the panel, because its values are of another scene. */
-  forget(): void {
+  /** Closes the panel and follows another scene; null: none. Changes that wait still reach the scene before. */
+  follow(adjust: Adjust | null): void {
     this.#menu.open = false;
     this.#sliders.replaceChildren();
-  }
-
-  #send(changes: Adjustments): void {
-    this.#waiting = merged(this.#waiting ?? {}, changes);
-    if (!this.#asking) {
-      void this.#ask();
-    }
-  }
-
-  async #ask(): Promise<void> {
-    this.#asking = true;
-    while (this.#waiting !== null) {
-      const changes = this.#waiting;
-      this.#waiting = null;
-      try {
-        this.#build(await this.#actions.adjust(changes));
-      } catch (error) {
-        this.#actions.onError(error instanceof Error ? error.message : String(error));
-      }
-    }
-    this.#asking = false;
-  }
-
-  /** Makes the sliders anew with these values. A slider that was moved meanwhile stays: its answer follows. */
-  #build(values: Adjustments): void {
-    if (this.#waiting !== null) {
+    if (adjust === null) {
+      this.#changes = null;
       return;
     }
+    const changes = new Changes(
+      adjust,
+      (values) => this.#changes === changes && this.#build(values, changes),
+      this.#onError,
+    );
+    this.#changes = changes;
+  }
+
+  /** Makes the sliders anew with these values. */
+  #build(values: Adjustments, changes: Changes): void {
     const gravity = values.gravity_m_per_s2 ?? { x: 0, y: 0, z: 0 };
     const length = Math.hypot(gravity.x, gravity.y, gravity.z);
     this.#direction = length > 0 ? gravity : this.#direction;
     const groups = (values.bodies ?? []).map((body) => {
       const change = (field: keyof BodyAdjustment) => (value: number) =>
-        this.#send({ bodies: [{ body: body.body, [field]: value }] });
+        changes.send({ bodies: [{ body: body.body, [field]: value }] });
       return group(body.body, [
         slider(STIFFNESS, body.stiffness_factor ?? 1, change("stiffness_factor")),
         slider(SLOW_DAMPING, body.rayleigh_mass_per_s ?? 0, change("rayleigh_mass_per_s")),
@@ -159,7 +185,7 @@ export class MaterialPanel {
       ]);
     });
     const weight = slider(GRAVITY, length, (value) =>
-      this.#send({ gravity_m_per_s2: gravityOfLength(this.#direction, value) }),
+      changes.send({ gravity_m_per_s2: gravityOfLength(this.#direction, value) }),
     );
     const focused = document.activeElement?.ariaLabel;
     this.#sliders.replaceChildren(...groups, weight);

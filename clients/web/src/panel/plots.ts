@@ -1,40 +1,8 @@
 // Small plots over time: the force on each tool, the time of a step and the rate.
 import { find } from "../dom";
+import { SPAN_S, type History, type Series } from "../stream/history";
 
-/** Time that a plot shows [s]. */
-export const SPAN_S = 20;
-/** Points that a series keeps. More arrive only if frames are faster than 60 Hz. */
-const MAX_POINTS = 1200;
 const COLOURS = ["#ffc24a", "#6fd6a8", "#8fb8ff", "#ff9d8a", "#d7a8ff", "#e6e07a"];
-/** Tools with a line of their own. */
-const MAX_LINES = COLOURS.length;
-
-/** Values over time; the oldest are dropped. Times must not fall. */
-export class Series {
-  readonly #points: { timeS: number; value: number }[] = [];
-
-  get points(): readonly { readonly timeS: number; readonly value: number }[] {
-    return this.#points;
-  }
-
-  add(timeS: number, value: number): void {
-    const last = this.#points.at(-1);
-    // A time that falls belongs to a scene that was reset.
-    if (last !== undefined && timeS < last.timeS) {
-      this.#points.length = 0;
-    }
-    if (last?.timeS === timeS) {
-      this.#points.pop();
-    }
-    this.#points.push({ timeS, value });
-    const old = this.#points.findIndex((point) => point.timeS >= timeS - SPAN_S);
-    this.#points.splice(0, Math.max(old, this.#points.length - MAX_POINTS));
-  }
-
-  clear(): void {
-    this.#points.length = 0;
-  }
-}
 
 /** Smallest of 1, 2 and 5 times a power of ten that is not below `value`; 1 for zero. */
 export function niceBound(value: number): number {
@@ -97,38 +65,12 @@ export class Plots {
   readonly #step = new Plot("plot-step", "ms");
   readonly #rate = new Plot("plot-rate", "Hz");
   readonly #legend = find("#plot-force .lines", HTMLElement);
-  readonly #forces = new Map<string, Series>();
-  readonly #stepTime = new Series();
-  readonly #reached = new Series();
 
-  /** Takes the forces of a frame. @param timeS Simulated time. */
-  addForces(timeS: number, forces: readonly { readonly name: string; readonly magnitudeN: number }[]): void {
-    for (const { name, magnitudeN } of forces.slice(0, MAX_LINES)) {
-      let series = this.#forces.get(name);
-      if (series === undefined) {
-        this.#forces.set(name, (series = new Series()));
-      }
-      series.add(timeS, magnitudeN);
-    }
-  }
-
-  /** Takes the step time and the rate of a status. @param timeS Time on the server's clock. */
-  addStatus(timeS: number, stepTimeMs: number, rateHz: number): void {
-    this.#stepTime.add(timeS, stepTimeMs);
-    this.#reached.add(timeS, rateHz);
-  }
-
-  clear(): void {
-    this.#forces.clear();
-    this.#stepTime.clear();
-    this.#reached.clear();
-  }
-
-  draw(): void {
-    const forces = [...this.#forces].map(([label, series]) => ({ label, series }));
+  draw(history: History): void {
+    const forces = [...history.forces].map(([label, series]) => ({ label, series }));
     this.#force.draw(forces);
-    this.#step.draw([{ label: "step", series: this.#stepTime }]);
-    this.#rate.draw([{ label: "rate", series: this.#reached }]);
+    this.#step.draw([{ label: "step", series: history.stepTime }]);
+    this.#rate.draw([{ label: "rate", series: history.rate }]);
     const names = forces.length > 1 ? forces.map(({ label }) => label) : [];
     if ([...this.#legend.children].map((item) => item.textContent).join() !== names.join()) {
       this.#legend.replaceChildren(

@@ -17,8 +17,8 @@ export interface DragTarget {
   onHand(hand: Hand): void;
 }
 
-/** Listens to the canvas from now on. There is no way to stop. */
-export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: DragTarget): void {
+/** Listens to the element of a picture from now on. */
+export function enableDrag(element: HTMLElement, studio: Studio, target: DragTarget): void {
   const caster = new THREE.Raycaster();
   const plane = new THREE.Plane();
   const hit = new THREE.Vector3();
@@ -34,13 +34,13 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
   };
 
   const aim = (event: PointerEvent) => {
-    const box = canvas.getBoundingClientRect();
+    const box = element.getBoundingClientRect();
     const x = (2 * (event.clientX - box.left)) / box.width - 1;
     const y = 1 - (2 * (event.clientY - box.top)) / box.height;
     caster.setFromCamera(new THREE.Vector2(x, y), studio.camera);
   };
 
-  canvas.addEventListener(
+  element.addEventListener(
     "pointerdown",
     (event) => {
       aim(event);
@@ -51,7 +51,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
         plane.setFromNormalAndCoplanarPoint(studio.camera.getWorldDirection(new THREE.Vector3()), grip);
         grip.sub(caster.ray.intersectPlane(plane, hit) ?? grip);
         studio.controls.enabled = false;
-        canvas.setPointerCapture(event.pointerId);
+        element.setPointerCapture(event.pointerId);
         show("holds");
       }
     },
@@ -67,7 +67,7 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
     aim(event);
     show(caster.intersectObjects(target.shapes(), false).length > 0 ? "over" : "away");
   };
-  canvas.addEventListener("pointermove", (event) => {
+  element.addEventListener("pointermove", (event) => {
     if (held === null && event.buttons === 0) {
       hover(event);
     }
@@ -82,6 +82,6 @@ export function enableDrag(canvas: HTMLCanvasElement, studio: Studio, target: Dr
       }
     }
   });
-  canvas.addEventListener("pointerup", release);
-  canvas.addEventListener("pointercancel", release);
+  element.addEventListener("pointerup", release);
+  element.addEventListener("pointercancel", release);
 }

@@ -24,10 +24,18 @@ export function scaleBar(metresPerPx: number, longestPx: number): { lengthPx: nu
 }
 
 export class Rulers {
-  readonly #block = find("#rulers", HTMLElement);
-  readonly #canvas = find("#axes", HTMLCanvasElement);
-  readonly #bar = find("#scale-bar", HTMLElement);
-  readonly #text = find("#scale-text", HTMLElement);
+  readonly #block: HTMLElement;
+  readonly #canvas: HTMLCanvasElement;
+  readonly #bar: HTMLElement;
+  readonly #text: HTMLElement;
+
+  /** @param tile A tile of index.html. */
+  constructor(tile: Element) {
+    this.#block = find(".rulers", HTMLElement, tile);
+    this.#canvas = find(".axes", HTMLCanvasElement, tile);
+    this.#bar = find(".scale-bar", HTMLElement, tile);
+    this.#text = find(".scale-text", HTMLElement, tile);
+  }
 
   show(shown: boolean): void {
     this.#block.hidden = !shown;

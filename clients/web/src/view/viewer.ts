@@ -1,7 +1,7 @@
-// Draws the store's scene. Rebuilds the objects when the topology changes, moves them with every frame, and draws only
-// if something changed.
+// The picture of one scene. Rebuilds the objects when the topology changes, and moves them with every frame.
 import * as THREE from "three";
 
+import { find } from "../dom";
 import type { SceneStore } from "../stream/store";
 import type { Frame, Vector } from "../stream/decode";
 import type { Settings } from "../panel/settings";
@@ -9,15 +9,10 @@ import { sceneBounds } from "./bounds";
 import { KINDS, displacements, fitRange, legendOf, type Legend, type Range } from "./colouring";
 import { enableDrag, type Hand } from "./drag";
 import { Instruments, type ForceLabel } from "./instruments";
-import type { Quality } from "./quality";
 import { Rulers } from "./rulers";
+import type { Picture, Stage } from "./stage";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
-
-/** Times between two pictures [ms]: slower than the first reduces the resolution, faster than the second raises it. */
-const SLOW_PICTURE_MS = 45;
-const FAST_PICTURE_MS = 20;
-const LEAST_PIXEL_RATIO = 0.5;
 
 export interface ViewerEvents {
   /**
@@ -35,58 +30,53 @@ export interface ViewerEvents {
   onLegend(legend: Legend | null): void;
 }
 
-export class Viewer {
-  readonly #canvas: HTMLCanvasElement;
+export class Viewer implements Picture {
+  readonly element: HTMLElement;
   readonly #labels: HTMLElement;
+  readonly #rulers: Rulers;
   readonly #store: SceneStore;
   readonly #events: ViewerEvents;
-  readonly #quality: Quality;
+  readonly #stage: Stage;
   readonly #studio: Studio;
-  readonly #pixelRatioLimit: number;
-  #pixelRatio: number;
-  #pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
-  #lastPictureMs: number | null = null;
   #tissue: Tissue | null = null;
   #instruments: Instruments | null = null;
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
   #dirty = true;
+  /** The frame that is prepared but not drawn yet. */
+  #prepared: { serverTimeNs: bigint; ms: number } | null = null;
   #settings: Settings;
-  readonly #rulers = new Rulers();
   /** Values of the vertices that are shown as colours. */
   #values = new Float32Array(0);
   #range: Range | null = null;
   /** Tissue in the first frame [m]. The clip plane moves between its ends. */
   readonly #bounds = new THREE.Box3();
   #dragEnabled = false;
-  #holdsSize = false;
 
-  constructor(
-    canvas: HTMLCanvasElement,
-    labels: HTMLElement,
-    store: SceneStore,
-    quality: Quality,
-    settings: Settings,
-    events: ViewerEvents,
-  ) {
+  /** @param element A tile of index.html. */
+  constructor(element: HTMLElement, stage: Stage, store: SceneStore, settings: Settings, events: ViewerEvents) {
+    this.element = element;
+    this.#labels = find(".labels", HTMLElement, element);
+    this.#rulers = new Rulers(element);
     this.#settings = settings;
-    this.#canvas = canvas;
-    this.#labels = labels;
     this.#store = store;
     this.#events = events;
-    this.#quality = quality;
-    this.#studio = new Studio(canvas, quality);
-    this.#pixelRatioLimit = Math.min(window.devicePixelRatio, 2);
-    this.#pixelRatio = this.#pixelRatioLimit;
+    this.#stage = stage;
+    this.#studio = new Studio(element, stage);
     this.#studio.controls.addEventListener("change", () => (this.#dirty = true));
-    canvas.addEventListener("webglcontextrestored", () => (this.#dirty = true));
-    new ResizeObserver(() => this.#resize()).observe(canvas);
-    this.#resize();
-    const loop = (nowMs: number) => {
-      this.#update(nowMs);
-      requestAnimationFrame(loop);
-    };
-    requestAnimationFrame(loop);
+    stage.add(this);
+  }
+
+  get scene(): THREE.Scene {
+    return this.#studio.scene;
+  }
+
+  get camera(): THREE.Camera {
+    return this.#studio.camera;
+  }
+
+  resize(width: number, height: number): void {
+    this.#studio.resize(width, height);
   }
 
   /** Shows the whole scene from the front. */
@@ -116,33 +106,18 @@ export class Viewer {
     this.#dirty = true;
   }
 
-  /** Keeps the scene in the part of the canvas that panels leave free [CSS pixels from the top and from the bottom]. */
+  /** Keeps the scene in the part of the picture that panels leave free [CSS pixels from the top and from the bottom]. */
   cover(top: number, bottom: number): void {
     this.#studio.cover(top, bottom);
     this.#dirty = true;
   }
 
-  /** Draws at full resolution and returns the canvas, which is valid until the next picture. */
-  drawForPicture(): HTMLCanvasElement {
-    const ratio = this.#pixelRatio;
-    this.#pixelRatio = this.#pixelRatioLimit;
-    this.#resize();
-    this.#studio.render();
-    this.#pixelRatio = ratio;
-    const copy = document.createElement("canvas");
-    copy.width = this.#canvas.width;
-    copy.height = this.#canvas.height;
-    copy.getContext("2d")!.drawImage(this.#canvas, 0, 0);
-    this.#resize();
-    return copy;
+  /** Returns the picture at full resolution. */
+  copy(): HTMLCanvasElement {
+    return this.#stage.copyOf(this);
   }
 
-  /** Keeps the resolution while a film runs, because some players show only its first size. */
-  holdSize(holds: boolean): void {
-    this.#holdsSize = holds;
-  }
-
-  /** Projects a point of the scene [m] to the canvas [CSS pixels]; null behind the camera. */
+  /** Projects a point of the scene [m] to the picture [CSS pixels]; null behind the camera. */
   project(point: Vector): { x: number; y: number } | null {
     return this.#studio.project(point);
   }
@@ -151,7 +126,7 @@ export class Viewer {
   enableDrag(): void {
     if (!this.#dragEnabled) {
       this.#dragEnabled = true;
-      enableDrag(this.#canvas, this.#studio, {
+      enableDrag(this.element, this.#studio, {
         shapes: () => this.#shapes(),
         onMove: (tool, center) => this.#events.onToolMoved(tool, center),
         onHand: (hand) => this.#events.onHand(hand),
@@ -159,13 +134,7 @@ export class Viewer {
     }
   }
 
-  /** Shapes to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
-  #shapes(): THREE.Object3D[] {
-    const current = this.#revision === this.#store.topologyRevision;
-    return current && this.#instruments !== null ? this.#instruments.shapes() : [];
-  }
-
-  #update(nowMs: number): void {
+  update(): boolean {
     this.#studio.controls.update();
     if (this.#revision !== this.#store.topologyRevision) {
       this.#revision = this.#store.topologyRevision;
@@ -180,33 +149,44 @@ export class Viewer {
       this.#tissue?.update(frame.positions, frame.normals);
       this.#colour();
       this.#forces = this.#instruments?.update(frame) ?? [];
+      this.#prepared = { serverTimeNs: frame.serverTimeNs, ms: performance.now() - beganMs };
       this.#dirty = true;
     }
-    if (!this.#dirty) {
-      this.#lastPictureMs = null;
-      return;
-    }
-    this.#dirty = false;
-    const preparedMs = performance.now();
-    this.#adapt(nowMs);
     if (this.#instruments !== null) {
       this.#instruments.group.visible = this.#settings.tools;
     }
-    this.#studio.render();
-    const renderedMs = performance.now();
+    const changed = this.#dirty;
+    this.#dirty = false;
+    return changed;
+  }
+
+  drawn(renderMs: number): void {
     this.#rulers.draw(this.#studio.metresPerPx(), this.#studio.turn());
     this.#writeLabels();
-    if (frame !== null) {
-      this.#events.onDrawn(frame.serverTimeNs, preparedMs - beganMs, renderedMs - preparedMs);
+    if (this.#prepared !== null) {
+      this.#events.onDrawn(this.#prepared.serverTimeNs, this.#prepared.ms, renderMs);
+      this.#prepared = null;
     }
+  }
+
+  dispose(): void {
+    this.#stage.remove(this);
+    this.#clear();
+    this.#studio.dispose();
+  }
+
+  /** Shapes to drag. Empty once the topology has changed, although the old objects stay until the next picture. */
+  #shapes(): THREE.Object3D[] {
+    const current = this.#revision === this.#store.topologyRevision;
+    return current && this.#instruments !== null ? this.#instruments.shapes() : [];
   }
 
   #build(frame: Frame): void {
     const topology = this.#store.topology!;
     const tissue = new THREE.Box3().setFromArray(frame.positions);
     const radiusM = Math.max(tissue.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
-    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#quality);
-    this.#instruments = new Instruments(topology, radiusM, this.#quality);
+    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#stage.quality);
+    this.#instruments = new Instruments(topology, radiusM, this.#stage.quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     this.#studio.frame(sceneBounds(topology, frame), topology.up);
     this.#bounds.copy(tissue);
@@ -293,33 +273,5 @@ export class Viewer {
         return [label];
       }),
     );
-  }
-
-  #resize(): void {
-    const { clientWidth, clientHeight } = this.#canvas;
-    if (clientWidth > 0 && clientHeight > 0) {
-      this.#studio.resize(clientWidth, clientHeight, this.#pixelRatio);
-      this.#dirty = true;
-    }
-  }
-
-  /**
-   * Adapts the resolution to the cost of a picture. The GPU draws after `render` returns, so only the interval of
-   * consecutive pictures shows that cost.
-   */
-  #adapt(nowMs: number): void {
-    const last = this.#lastPictureMs;
-    this.#lastPictureMs = nowMs;
-    if (last === null || !this.#quality.adaptive || this.#holdsSize) {
-      return;
-    }
-    this.#pictureMs += 0.1 * (nowMs - last - this.#pictureMs);
-    const factor = this.#pictureMs > SLOW_PICTURE_MS ? 0.8 : this.#pictureMs < FAST_PICTURE_MS ? 1.25 : 1;
-    const ratio = Math.min(this.#pixelRatioLimit, Math.max(LEAST_PIXEL_RATIO, factor * this.#pixelRatio));
-    if (ratio !== this.#pixelRatio) {
-      this.#pixelRatio = ratio;
-      this.#pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
-      this.#resize();
-    }
   }
 }

@@ -1,0 +1,72 @@
+// The page's address: what it asks for, and what it remembers for a reload.
+//
+// ?token= as the gateway prints it; ?scene= names the selected scene (default: the first that runs); ?grid=1 shows all
+// scenes in a grid; ?quality=high|low (default: high with a GPU, low without); ?codec= (default: q16), ?rate_hz=,
+// ?normals= and ?detail= choose the frames that the gateway sends (docs/protocol.md).
+import type { Diagnosis } from "./stream/connection";
+
+export class Address {
+  readonly #url: URL;
+
+  constructor(href: string) {
+    this.#url = new URL(href);
+  }
+
+  get quality(): string | null {
+    return this.#url.searchParams.get("quality");
+  }
+
+  get scene(): string | null {
+    return this.#url.searchParams.get("scene");
+  }
+
+  get grid(): boolean {
+    return this.#url.searchParams.get("grid") === "1";
+  }
+
+  /** Address of the WebSocket, with the token and the choice of frames. The gateway refuses an unknown choice in words. */
+  get stream(): string {
+    return `${this.#url.protocol === "https:" ? "wss:" : "ws:"}${this.#streamPath}`;
+  }
+
+  /** Returns the address with another choice of scene and grid. */
+  with(scene: string | null, grid: boolean): string {
+    const { searchParams } = this.#url;
+    set(searchParams, "scene", scene);
+    set(searchParams, "grid", grid ? "1" : null);
+    return this.#url.href;
+  }
+
+  /** Asks the gateway by POST why a connection failed. A browser hides the reason of a refused WebSocket from its page. */
+  async diagnose(): Promise<Diagnosis> {
+    try {
+      const reply = await fetch(this.#streamPath, { method: "POST" });
+      if (reply.ok) {
+        return { reason: "the gateway answers, but no WebSocket gets through to it", final: false };
+      }
+      return { reason: await reply.text(), final: reply.status === 403 || reply.status === 400 };
+    } catch {
+      return { reason: "the gateway does not answer", final: false };
+    }
+  }
+
+  get #streamPath(): string {
+    const given = this.#url.searchParams;
+    const query = new URLSearchParams({ token: given.get("token") ?? "", codec: "q16" });
+    for (const name of ["codec", "rate_hz", "normals", "detail"]) {
+      const value = given.get(name);
+      if (value !== null) {
+        query.set(name, value);
+      }
+    }
+    return `//${this.#url.host}/stream?${query.toString()}`;
+  }
+}
+
+function set(parameters: URLSearchParams, name: string, value: string | null): void {
+  if (value === null) {
+    parameters.delete(name);
+  } else {
+    parameters.set(name, value);
+  }
+}
