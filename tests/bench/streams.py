@@ -224,7 +224,7 @@ async def _serve(topology: stream_pb2.Topology, frames: list[stream_pb2.Frame]) 
         async with serve(options) as gateway:
             print(json.dumps({"url": gateway.url}), flush=True)
             ended = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
-            for sequence, frame in enumerate(_back_and_forth(frames), start=1):
+            for sequence, frame in enumerate(back_and_forth(frames), start=1):
                 frame.topology_version, frame.sequence, frame.step = topology.version, sequence, sequence
                 frame.server_time_ns = time.time_ns()
                 await daemon.publish(scene, "frame", frame.SerializeToString())
@@ -232,7 +232,7 @@ async def _serve(topology: stream_pb2.Topology, frames: list[stream_pb2.Frame]) 
                     return
 
 
-def _back_and_forth(frames: list[stream_pb2.Frame]) -> Iterator[stream_pb2.Frame]:
+def back_and_forth(frames: list[stream_pb2.Frame]) -> Iterator[stream_pb2.Frame]:
     while True:
         yield from frames
         yield from reversed(frames)
