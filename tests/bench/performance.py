@@ -278,13 +278,26 @@ def browser() -> Iterator[str]:
             yield f"| {_thousands(case.removeprefix('browser: '))} | {' | '.join(times)} |"
 
 
+def browser_rate() -> Iterator[str]:
+    """How often a browser with a GPU draws a large surface, by codec and detail."""
+    yield "| vertices, codec | pictures a second | between two: median (p99) | decode | prepare | WebGL calls |"
+    yield "|---|---|---|---|---|---|"
+    for case, row in newest("browser-rate.jsonl").items():
+        parts = (f"{row[f'{part}_ms_median']:.1f} ms" for part in ("decode", "prepare", "render"))
+        yield (
+            f"| {_thousands(case.removeprefix('browser rate: '))} | {row['drawn_hz']} "
+            f"| {row['frame_ms_median']:.1f} ({row['frame_ms_p99']:.1f}) ms | {' | '.join(parts)} |"
+        )
+
+
 def stream_sources() -> Iterator[str]:
-    """Device, commit and command of the streams' last row."""
-    row = rows("streams.jsonl")[-1]
+    """Device, commit and command of each file's last row."""
     yield "| file | device | commit | command |"
     yield "|---|---|---|---|"
-    link = "[`streams.jsonl`](../../tests/bench/results/streams.jsonl)"
-    yield f"| {link} | {row['device']} | `{row['commit']}` | `{row['command']}` |"
+    for name in ("streams", "browser-rate"):
+        row = rows(f"{name}.jsonl")[-1]
+        link = f"[`{name}.jsonl`](../../tests/bench/results/{name}.jsonl)"
+        yield f"| {link} | {row['device']} | `{row['commit']}` | `{row['command']}` |"
 
 
 def engines() -> Iterator[str]:
@@ -387,10 +400,11 @@ TABLES = {
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
     REPOSITORY / "docs" / "decisions" / "stream-codecs.md": {
         "streams": streams,
-        "details": details,
         "browser": browser,
+        "browser-rate": browser_rate,
         "sources": stream_sources,
     },
+    REPOSITORY / "docs" / "decisions" / "stream-detail.md": {"details": details},
     REPOSITORY / "README.md": {"summary": summary},
 }
 
