@@ -58,7 +58,7 @@ class Loop {
   /// How a loop begins, if it goes on where another one ended.
   struct Start {
     bool paused = false;
-    std::uint64_t frames_published = 0;
+    std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
   };
 
   /// Starts the thread. backend: its name, for the status.

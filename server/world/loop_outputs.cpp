@@ -8,14 +8,14 @@
 
 namespace tensormass::world {
 
-LoopOutputs::LoopOutputs(World& world, std::uint64_t frames_published)
+LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published)
     : world_(world),
       model_(world.model()),
       tools_(model_.tools.size()),
       frames_(FrameSlot{{}, std::vector<float>(3 * std::size_t{model_.visible.count()}), tools_}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
-      frames_published_(frames_published) {
+      frames_published_(std::move(frames_published)) {
   take_step(Clock::now());
 }
 
@@ -80,7 +80,7 @@ v1::Frame LoopOutputs::frame(std::uint64_t topology_version) {
   world_.gather_visible();
   v1::Frame frame;
   frame.set_topology_version(topology_version);
-  frame.set_sequence(frames_published_.load(std::memory_order_relaxed));
+  frame.set_sequence(frames_published_->load(std::memory_order_relaxed));
   fill_frame(model_, stamp_, world_.visible_positions(), tools_, frame);
   return frame;
 }
@@ -96,7 +96,7 @@ bool LoopOutputs::take_frame(std::uint64_t topology_version, v1::Frame& frame) {
   const FrameSlot* slot = frames_.take();
   if (slot == nullptr) return false;
   frame.set_topology_version(topology_version);
-  frame.set_sequence(frames_published_.fetch_add(1, std::memory_order_relaxed) + 1);
+  frame.set_sequence(frames_published_->fetch_add(1, std::memory_order_relaxed) + 1);
   fill_frame(model_, slot->stamp, slot->positions, slot->tools, frame);
   return true;
 }
@@ -112,7 +112,7 @@ bool LoopOutputs::take_feedback(std::vector<v1::ToolFeedback>& feedback) {
 }
 
 void LoopOutputs::add_to(v1::SceneStatus& status) const {
-  status.set_frames_published(frames_published_.load(std::memory_order_relaxed));
+  status.set_frames_published(frames_published_->load(std::memory_order_relaxed));
   status.set_frames_replaced(frames_replaced_.load(std::memory_order_relaxed));
   const std::lock_guard lock(status_mutex_);
   if (const FeedbackSlot* newer = status_feedback_.take()) newest_status_feedback_ = newer;

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <vector>
 
@@ -26,11 +27,15 @@
 /// after every step, while frames go out at the rate of the scene's streams.
 namespace tensormass::world {
 
+/// Number of frames of a scene that readers took, which is the sequence of the last one. A loop that takes the place of
+/// another one counts on: the reader may still be taking a frame of the other one.
+using FrameCount = std::atomic<std::uint64_t>;
+
 class LoopOutputs {
  public:
   /// `world` outlives the outputs. Allocates all buffers, so that publishing allocates nothing.
-  /// frames_published: by an earlier loop of the same scene; the sequence of frames goes on from there.
-  explicit LoopOutputs(World& world, std::uint64_t frames_published = 0);
+  /// frames_published: shared with the earlier loops of the scene.
+  explicit LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0));
 
   // -- the loop's thread; these read the world ------------------------------------------------------------------------
 
@@ -62,7 +67,7 @@ class LoopOutputs {
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
-  std::uint64_t frames_published() const { return frames_published_.load(std::memory_order_relaxed); }
+  const std::shared_ptr<FrameCount>& frames_published() const { return frames_published_; }
   /// Adds the counts of frames and the newest feedback of all tools.
   void add_to(v1::SceneStatus& status) const;
 
@@ -83,7 +88,8 @@ class LoopOutputs {
   mutable Latest<FeedbackSlot> status_feedback_;
   mutable const FeedbackSlot* newest_status_feedback_ = nullptr;
 
-  std::atomic<std::uint64_t> frames_published_, frames_replaced_{0};
+  const std::shared_ptr<FrameCount> frames_published_;
+  std::atomic<std::uint64_t> frames_replaced_{0};
 };
 
 }  // namespace tensormass::world
