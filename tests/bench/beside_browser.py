@@ -15,16 +15,16 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from headless import SOFTWARE_FLAGS, chromium
+
 import tensormass as tm
 
 ROOT = Path(__file__).parents[2]
-CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 #: By case: whether a browser looks, and whether the daemon has real-time priority.
 CASES = {
     "demo at 60 Hz, without a browser": (False, False),
@@ -46,7 +46,7 @@ def main() -> None:
             if real_time:
                 _give_priority()
             if browser:
-                stack.enter_context(_browser(viewer))
+                stack.enter_context(chromium(viewer, SOFTWARE_FLAGS))
             row = {"case": case, **_count(address, args.seconds), "commit": args.commit}
         print(json.dumps({**row, "command": "python tests/bench/beside_browser.py"}), flush=True)
 
@@ -85,22 +85,6 @@ def _demo() -> Iterator[tuple[str, str]]:
     finally:
         process.terminate()
         process.wait()
-
-
-@contextlib.contextmanager
-def _browser(url: str) -> Iterator[None]:
-    flags = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    quiet = ["--disable-background-networking", "--no-first-run", "--remote-debugging-port=0"]
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [CHROMIUM, *flags, *quiet, f"--user-data-dir={profile}", "--window-size=1280,800", url]
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            yield
-            if process.poll() is not None:
-                sys.exit(f"Chromium ended by itself with status {process.returncode}")
-        finally:
-            process.terminate()
-            process.wait()
 
 
 def _give_priority() -> None:

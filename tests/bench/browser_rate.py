@@ -10,19 +10,16 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import json
 import os
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import numpy as np
+from headless import CHROMIUM, chromium
 from streams import RATE_HZ, back_and_forth, torus
 
 from tensormass.v1 import stream_pb2
@@ -40,8 +37,10 @@ CHOICES = {
     "meshopt": "codec=meshopt",
     "q16, detail 0.25": "codec=q16&detail=0.25",
 }
-#: Draws on the GPU through EGL. `--use-angle=swiftshader --enable-unsafe-swiftshader` draws in software.
+#: Draws on the GPU through EGL; headless.SOFTWARE_FLAGS draws in software.
 GPU_FLAGS = "--use-gl=angle --use-angle=gl-egl --ignore-gpu-blocklist --enable-gpu"
+#: Until Chromium has started.
+START_S = 30.0
 #: Until the page draws, simplification included.
 WARM_UP_S = 9.0
 MEASURED_S = 8.0
@@ -55,7 +54,7 @@ SCRIPT = """JSON.stringify({costs: tensormass.costs(), state: tensormass.state()
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--chromium", default="/usr/bin/chromium", help="default: %(default)s")
+    parser.add_argument("--chromium", default=CHROMIUM, help="default: %(default)s")
     parser.add_argument("--flags", default=GPU_FLAGS, help="how Chromium draws; default: %(default)s")
     parser.add_argument("--commit", default="", help="commit of the viewer, for the result")
     asyncio.run(_run(parser.parse_args()))
@@ -67,12 +66,14 @@ async def _run(args: argparse.Namespace) -> None:
     async with fake_daemon() as daemon:
         daemon.topologies[SCENE] = topology
         options = GatewayOptions(control=daemon.control, viewer=DEFAULT_VIEWER)
-        async with serve(options) as gateway, _chromium(args.chromium, args.flags.split()) as debugging:
-            sending = asyncio.create_task(_send(daemon, frames))
-            for name, query in CHOICES.items():
-                row = await _measure(debugging, f"{gateway.url}&quality=high&{query}")
-                print(json.dumps({"case": f"browser rate: 100000, {name}", **row, **where}), flush=True)
-            sending.cancel()
+        async with serve(options) as gateway:
+            with chromium("about:blank", args.flags, args.chromium) as profile:
+                debugging = await _debugging(profile)
+                sending = asyncio.create_task(_send(daemon, frames))
+                for name, query in CHOICES.items():
+                    row = await _measure(debugging, f"{gateway.url}&quality=high&{query}")
+                    print(json.dumps({"case": f"browser rate: 100000, {name}", **row, **where}), flush=True)
+                sending.cancel()
 
 
 def _surface() -> tuple[stream_pb2.Topology, list[stream_pb2.Frame]]:
@@ -98,23 +99,13 @@ async def _send(daemon: FakeDaemon, frames: list[stream_pb2.Frame]) -> None:
         await asyncio.sleep(max(0.0, due_s - time.perf_counter()))
 
 
-@contextlib.asynccontextmanager
-async def _chromium(program: str, flags: list[str]) -> AsyncIterator[str]:
-    """A headless Chromium; returns the address of its debugging port."""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        fixed = ["--headless", "--no-sandbox", "--disable-background-networking", "--no-first-run"]
-        own = ["--remote-debugging-port=0", f"--user-data-dir={profile}", "--window-size=1280,800"]
-        process = subprocess.Popen([program, *fixed, *own, *flags, "about:blank"], stderr=subprocess.DEVNULL)
-        try:
-            file = Path(profile) / "DevToolsActivePort"  # the port, then a path
-            while not file.exists() or len(file.read_text().splitlines()) < 2:
-                if process.poll() is not None:
-                    sys.exit(f"{program} ended with status {process.returncode}")
-                await asyncio.sleep(0.1)
-            yield f"http://127.0.0.1:{file.read_text().splitlines()[0]}"
-        finally:
-            process.terminate()
-            process.wait()
+async def _debugging(profile: Path) -> str:
+    """Returns the address of a browser's debugging port, once it is there."""
+    file = profile / "DevToolsActivePort"  # the port, then a path
+    async with asyncio.timeout(START_S):
+        while not file.exists() or len(file.read_text().splitlines()) < 2:
+            await asyncio.sleep(0.1)
+    return f"http://127.0.0.1:{file.read_text().splitlines()[0]}"
 
 
 async def _measure(debugging: str, url: str) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-/** Returns the element of index.html that matches `selector`, within `root`. Throws if there is none: an error of our own. */
+/**
+ * Returns the first element within `root` that matches `selector`. Throws if the page lacks it, or if it has another
+ * type: index.html and this program do not fit together.
+ */
 export function find<Type extends Element>(selector: string, type: new () => Type, root: ParentNode = document): Type {
   const found = root.querySelector(selector);
   if (!(found instanceof type)) {

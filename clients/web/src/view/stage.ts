@@ -175,7 +175,7 @@ export class Stage {
   }
 }
 
-/** The part of a box that lies in another one. Its width or height is negative if there is none. */
+/** Returns the intersection of two boxes. Boxes that do not touch give a negative width or height. */
 export function overlap(a: Box, b: Box): Box {
   const left = Math.max(a.left, b.left);
   const top = Math.max(a.top, b.top);
