@@ -22,6 +22,10 @@ inline constexpr std::size_t kMaxBodyContacts = 256;
 inline constexpr std::size_t kMaxAttachments = 256;
 /// Pairs of nodes of an attachment's two regions; an attachment with more is refused. The reader tests every pair.
 inline constexpr std::size_t kMaxAttachmentPairs = 100'000'000;
+/// Bytes of a body's picture; a body with a larger one is refused. Each late subscriber is sent it with the topology.
+inline constexpr std::size_t kMaxTextureBytes = std::size_t{8} << 20;
+/// Largest texture coordinate; a picture that repeats more often is refused.
+inline constexpr float kMaxTextureCoordinate = 1000;
 /// Triangles of a tool's surface; a tool with more is refused.
 inline constexpr std::size_t kMaxToolTriangles = 100'000;
 /// Range of ToolPose.valid_for_s [s].

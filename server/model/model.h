@@ -13,6 +13,7 @@
 #include "matrix/row_lists.h"
 #include "mesh/mesh.h"
 #include "model/schedule.h"
+#include "model/texture.h"
 #include "physics/element/prony.h"
 #include "physics/element/rest.h"
 #include "physics/tool/pose.h"
@@ -184,6 +185,7 @@ struct BodyModel {
   bool has_skin = false;
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
+  Texture texture;
 };
 
 struct ToolModel {

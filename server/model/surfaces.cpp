@@ -8,6 +8,7 @@
 #include "mesh/surface.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "model/texture.h"
 
 /// Makes the surfaces of a scene: triangles that tools can touch, and vertices that clients see.
 namespace tensormass::model {
@@ -72,6 +73,7 @@ Result<void> make_visible_surface(Compilation& c) {
     BodyModel& body = c.model.bodies[b];
     const v1::Body& source = c.scene.bodies(static_cast<int>(b));
     body.vertex_begin = c.model.visible.count();
+    const std::string where = fmt::format("body '{}'", body.name);
     const auto add = [&](const std::array<std::uint32_t, 4>& nodes, const std::array<double, 4>& weights) {
       for (std::size_t i = 0; i < 4; ++i) {
         c.model.visible.rows.push_back(c.model.layout.row_of_node[body.node_begin + nodes[i]]);
@@ -79,9 +81,8 @@ Result<void> make_visible_surface(Compilation& c) {
       }
     };
     if (source.has_skin()) {
-      const std::string where = fmt::format("body '{}'", body.name);
       TM_ASSIGN_OR_RETURN(skin, read_skin(source, where));
-      TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, fmt::format("body '{}'", body.name)));
+      TM_ASSIGN_OR_RETURN(report, mesh::admit_skin(skin.vertices, skin.triangles, where));
       c.model.warnings.insert(c.model.warnings.end(), report.warnings.begin(), report.warnings.end());
       TM_ASSIGN_OR_RETURN(embedding,
                           mesh::embed(c.bodies[b].mesh, skin.vertices, fmt::format("the skin of {}", where)));
@@ -95,6 +96,8 @@ Result<void> make_visible_surface(Compilation& c) {
       body.vertex_nodes = std::move(surface.nodes);
     }
     body.vertex_count = c.model.visible.count() - body.vertex_begin;
+    TM_ASSIGN_OR_RETURN(texture, read_texture(source, body.triangles.size(), where));
+    body.texture = std::move(texture);
   }
   return {};
 }

@@ -53,6 +53,8 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_nodes(packed(std::span<const std::uint32_t>(body.vertex_nodes)));
     out.set_fixed_vertices(packed(std::span<const std::uint32_t>(fixed_vertices(model, body))));
     if (body.has_color) fill(body.color_srgb, *out.mutable_color_srgb());
+    out.set_texture_image(body.texture.image);
+    out.set_texture_coordinates(body.texture.coordinates);
   }
   for (const model::ToolModel& tool : model.tools) {
     v1::ToolShape& out = *topology.add_tools();

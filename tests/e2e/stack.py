@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import io
 import json
 import sys
 import time
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2
@@ -79,6 +81,28 @@ class Stack:
             stepping=scene_pb2.Stepping(lockstep=lockstep),
             streams=streams,
             solver=solver,
+        )
+        self.scenes[name] = self.server.load(scene)
+        return self._vertex_count(name)
+
+    def load_picture(self, name: str) -> int:
+        """Loads a cube of 1 m that has a picture on its front: red on the left, blue on the right. Returns the number of
+        vertices that a viewer shows."""
+        front = [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]]
+        corners = np.array([[0, 1, 2], [0, 2, 3]])
+        places = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[corners]
+        skin = tm.TriangleSurface.from_arrays(front, corners, texture_coordinates=places)
+        pixels = np.zeros((8, 8, 3), np.uint8)
+        pixels[:, :4, 0] = pixels[:, 4:, 2] = 255
+        png = io.BytesIO()
+        Image.fromarray(pixels).save(png, "PNG")
+        scene = tm.Scene(name)
+        scene.add_body(
+            "cube",
+            tm.grid([2, 2, 2], [1, 1, 1]),
+            density_kg_per_m3=1000,
+            skin=skin,
+            texture=png.getvalue(),
         )
         self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)

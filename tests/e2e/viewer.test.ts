@@ -1,6 +1,7 @@
 // Runs Chromium on the built page, with a daemon and the gateway behind it.
 import { stat } from "node:fs/promises";
 
+import type { PNG } from "pngjs";
 import { afterAll, afterEach, beforeAll, describe, expect, it } from "vitest";
 
 import { Browser, Stack, difference, missing, type ViewerPage } from "./harness";
@@ -14,6 +15,14 @@ const PRESS_DEPTH_M = 0.015;
 /** Radii around the probe: its dent, and the distance beyond which the tissue does not move [CSS pixels]. */
 const NEAR_PX = 35;
 const FAR_PX = 230;
+
+/** The colour that is more than twice as strong as the others at a point of a picture; none without one. */
+function strongest(picture: PNG, at: { x: number; y: number }): string {
+  const from = 4 * (Math.round(at.y) * picture.width + Math.round(at.x));
+  const channels = [...picture.data.subarray(from, from + 3)];
+  const most = Math.max(...channels);
+  return channels.filter((channel) => 2 * channel > most).length === 1 ? ["red", "green", "blue"][channels.indexOf(most)]! : "none";
+}
 
 /** True if two boxes of the page do not overlap. */
 function apart(a: DOMRect, b: DOMRect): boolean {
@@ -301,6 +310,22 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(film.suggestedFilename()).toMatch(/^tensormass-cube-[\d.]+s\.webm$/);
     expect((await stat(await film.path())).size).toBeGreaterThan(10_000);
     await stack.ask("unload", { name: "cube" });
+  });
+
+  it("shows the picture on a body", async () => {
+    const vertexCount = (await stack.ask("load_picture", { name: "pictured" })) as number;
+    const page = await open("scene=pictured");
+    await page.shows(vertexCount);
+    const left = (await page.project([0.25, 0, 0.5]))!;
+    const right = (await page.project([0.75, 0, 0.5]))!;
+    // The picture is decoded some time after the first frame.
+    await expect
+      .poll(async () => {
+        const picture = await page.picture();
+        return [strongest(picture, left), strongest(picture, right)];
+      })
+      .toEqual(["red", "blue"]);
+    await stack.ask("unload", { name: "pictured" });
   });
 
   it("loads a built-in scene to step by hand, colours it by displacement and stress, and unloads it", async () => {

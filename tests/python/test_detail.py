@@ -58,6 +58,26 @@ def triangles_in_frame(topology: stream_pb2.Topology) -> npt.NDArray[np.int64]:
 # --- one level -------------------------------------------------------------------------------------------------------
 
 
+def test_a_level_keeps_the_picture_and_its_places() -> None:
+    topology = stream_pb2.Topology()
+    topology.CopyFrom(TOPOLOGY)
+    body = topology.bodies[0]
+    corners = np.frombuffer(body.triangles, "<u4")
+    # Each vertex has one place, which names it.
+    body.texture_image = b"png"
+    body.texture_coordinates = np.stack([corners, corners], axis=1).astype("<f4").tobytes()
+    level = Level(topology, shared(PLACES, topology), 0.25)
+    simplified = level.topology.bodies[0]
+    assert simplified.texture_image == b"png"
+    assert level.topology.bodies[1].texture_coordinates == b""
+    kept = level.vertices[np.frombuffer(simplified.triangles, "<u4")]
+    np.testing.assert_array_equal(np.frombuffer(simplified.texture_coordinates, "<f4"), np.repeat(kept, 2))
+
+    body.texture_coordinates = body.texture_coordinates[:-8]
+    with pytest.raises(ValueError, match="texture coordinates for"):
+        Level(topology, shared(PLACES, topology), 0.25)
+
+
 @pytest.mark.parametrize("detail", [0.5, 0.25, 0.1])
 def test_topology_of_a_level_has_the_share_and_is_whole_in_itself(detail: float) -> None:
     level = level_of(detail)

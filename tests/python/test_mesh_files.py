@@ -332,3 +332,49 @@ def test_surfaces_split_quads_and_merge_repeated_vertices(tmp_path: Path) -> Non
     merged = mesh_files.read_surface(soup)
     assert merged.vertices.shape == (8, 3)
     assert enclosed_volume(merged) == pytest.approx(1.0)
+
+
+#: Two triangles of a square. Vertex 2 lies on a seam: it has another place in the picture in each triangle.
+WAVEFRONT = """v 0 0 0
+v 1 0 0
+v 0 1 0
+v 1 1 0
+vt 0 0
+vt 1 0
+vt 0 1
+vt 1 1
+vt 0.5 0.5
+f 1/1 2/2 3/3
+f 2/2 4/4 3/5
+"""
+
+
+def test_a_wavefront_file_keeps_the_seams_of_its_picture(tmp_path: Path) -> None:
+    path = tmp_path / "skin.obj"
+    path.write_text(WAVEFRONT)
+    surface = mesh_files.read_surface(path)
+    assert len(surface.vertices) == 4, "the seam adds no vertices"
+    corners = surface.vertices[surface.triangles]
+    np.testing.assert_array_equal(corners[:, :, :2], [[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]]])
+    assert surface.texture_coordinates is not None
+    places = [[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0.5, 0.5]]]
+    np.testing.assert_array_equal(surface.texture_coordinates, places)
+
+
+@pytest.mark.parametrize("line", ["f 1 2 4 3", "f 1//1 2//1 4//1 3//1"])
+def test_a_wavefront_file_without_texture_coordinates_is_a_surface(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "skin.obj"
+    lines = [row for row in WAVEFRONT.splitlines() if row[0] != "f"]
+    path.write_text("\n".join([*lines, "vn 0 0 1", line, ""]))
+    surface = mesh_files.read_surface(path)
+    assert len(surface.vertices) == 4
+    assert len(surface.triangles) == 2, "a quadrilateral is split"
+    assert surface.texture_coordinates is None
+
+
+@pytest.mark.parametrize("text", ["", "v 0 0 0\n", WAVEFRONT.replace("f 2/2 4/4", "f 2/2 9/4"), "\x00\x01"])
+def test_a_spoiled_wavefront_file_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "skin.obj"
+    path.write_text(text)
+    with pytest.raises(InvalidArgumentError, match=r"skin\.obj: "):
+        mesh_files.read_surface(path)

@@ -164,6 +164,52 @@ def test_mesh_and_skin_files_become_packed_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.frombuffer(body.skin.packed.triangles, "<u4").reshape(-1, 3), triangles)
 
 
+def textured_scene(folder: Path, skin: str = "skin.obj") -> Path:
+    """A scene file of one body with a picture on its skin."""
+    mesh_files.write_mesh(folder / "body.vtu", meshes.VolumeMesh.from_tetrahedra(NODES, TETRAHEDRA))
+    (folder / "skin.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    (folder / "plain.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (folder / "tissue.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    scene = folder / "scene.yaml"
+    scene.write_text(
+        "name: s\nbodies:\n- name: b\n  mesh: {file: body.vtu}\n"
+        f"  skin: {{file: {skin}}}\n  texture: {{file: tissue.png}}\n"
+    )
+    return scene
+
+
+def test_a_picture_and_its_coordinates_come_from_files(tmp_path: Path) -> None:
+    body = tm.Scene.from_file(textured_scene(tmp_path)).message.bodies[0]
+    assert body.texture.image == (tmp_path / "tissue.png").read_bytes()
+    np.testing.assert_array_equal(np.frombuffer(body.texture.coordinates, "<f4"), [0, 0, 1, 0, 0, 1])
+
+
+def test_a_picture_needs_coordinates_and_a_file(tmp_path: Path) -> None:
+    with pytest.raises(tm.InvalidArgumentError, match=r"bodies\[0\]\.texture: the skin has no texture coordinates"):
+        tm.Scene.from_file(textured_scene(tmp_path, "plain.obj"))
+    scene = textured_scene(tmp_path)
+    (tmp_path / "tissue.png").unlink()
+    with pytest.raises(tm.NotFoundError, match=r"bodies\[0\]\.texture\.file: .*tissue\.png: no such file"):
+        tm.Scene.from_file(scene)
+
+
+def test_a_body_takes_a_picture_as_bytes_or_file(tmp_path: Path) -> None:
+    mesh = meshes.VolumeMesh.from_tetrahedra(NODES, TETRAHEDRA)
+    skin = meshes.TriangleSurface.from_arrays(NODES, [[0, 2, 1]], texture_coordinates=[[[0, 0], [1, 0], [0, 1]]])
+    (tmp_path / "tissue.png").write_bytes(b"png")
+    for texture in (b"png", tmp_path / "tissue.png", str(tmp_path / "tissue.png")):
+        scene = tm.Scene()
+        body = scene.add_body("b", mesh, density_kg_per_m3=1000, skin=skin, texture=texture)
+        assert body.texture.image == b"png"
+        assert len(body.texture.coordinates) == 24
+    with pytest.raises(tm.InvalidArgumentError, match=r"b\.texture: needs a skin"):
+        tm.Scene().add_body("b", mesh, density_kg_per_m3=1000, texture=b"png")
+    with pytest.raises(
+        tm.InvalidArgumentError, match=r"texture_coordinates: expected finite numbers of shape \[1, 3, 2\]"
+    ):
+        meshes.TriangleSurface.from_arrays(NODES, [[0, 2, 1]], texture_coordinates=[[0, 0], [1, 0], [0, 1]])
+
+
 def test_a_missing_mesh_is_named_with_its_body(tmp_path: Path) -> None:
     scene_file = tmp_path / "scene.yaml"
     scene_file.write_text("name: s\nbodies:\n- name: b\n  mesh: {file: none.msh}\n")

@@ -46,6 +46,26 @@ TEST(Messages, TopologyNamesEachBodysShareOfTheFrame) {
   EXPECT_EQ(topology.tools(0).tool().spherical_probe().radius_m(), 0.01) << "as the scene describes it";
 }
 
+TEST(Messages, TopologyHasThePictureOfABody) {
+  v1::Scene scene = tests::block_with_probe(false, 2);
+  const std::vector<double> vertices{0, 0, 0, 1e-3, 0, 0, 0, 1e-3, 0};
+  const std::vector<std::uint32_t> triangle{0, 1, 2};
+  const std::vector<float> coordinates{0, 0, 1, 0, 0, 1};
+  const auto bytes = [](const auto& items) {
+    return std::string(reinterpret_cast<const char*>(items.data()), items.size() * sizeof(items[0]));
+  };
+  v1::Body& body = *scene.mutable_bodies(0);
+  body.mutable_skin()->mutable_packed()->set_vertex_positions(bytes(vertices));
+  body.mutable_skin()->mutable_packed()->set_triangles(bytes(triangle));
+  body.mutable_texture()->set_image("\xff\xd8\xff and the rest");
+  body.mutable_texture()->set_coordinates(bytes(coordinates));
+  const auto model = model::compile(scene, {});
+  ASSERT_TRUE(model) << model.error().message;
+  const v1::Topology topology = make_topology(*model, 1);
+  EXPECT_EQ(topology.bodies(0).texture_image(), body.texture().image());
+  EXPECT_EQ(topology.bodies(0).texture_coordinates(), body.texture().coordinates());
+}
+
 /// The block's bottom is fixed: 3 × 3 nodes of a grid of 2 × 2 cells across.
 TEST(Messages, TopologyNamesFixedVertices) {
   const model::Model model = two_bodies_and_a_probe();

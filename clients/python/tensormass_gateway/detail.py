@@ -185,6 +185,8 @@ def _simplified(whole: stream_pb2.Topology, parts: list[Simplification]) -> stre
         number = np.full(body.vertex_count, -1)
         number[vertices] = np.arange(len(vertices))
         fixed = number[np.frombuffer(body.fixed_vertices, "<u4")]
+        if body.texture_coordinates:
+            body.texture_coordinates = _texture_coordinates(body, part)
         body.first_vertex, body.vertex_count = first, len(vertices)
         body.triangles = number[part.triangles].astype("<u4").tobytes()
         body.fixed_vertices = fixed[fixed >= 0].astype("<u4").tobytes()
@@ -192,3 +194,18 @@ def _simplified(whole: stream_pb2.Topology, parts: list[Simplification]) -> stre
             body.nodes = np.frombuffer(body.nodes, "<u4")[vertices].tobytes()
         first += len(vertices)
     return topology
+
+
+def _texture_coordinates(whole: stream_pb2.BodySurface, part: Simplification) -> bytes:
+    """Returns the places in the picture of the triangles that stay.
+
+    A corner takes the place that its vertex has in one of the whole surface's triangles. At a seam it may be the place
+    on the other side, which smears the picture across one triangle.
+    """
+    given = np.frombuffer(whole.texture_coordinates, "<f4")
+    corners = np.frombuffer(whole.triangles, "<u4")
+    if len(given) != 2 * len(corners):
+        raise ValueError(f"body {whole.name!r} has {len(given)} texture coordinates for {len(corners)} corners")
+    place = np.zeros((whole.vertex_count, 2), "<f4")
+    place[corners] = given.reshape(-1, 2)
+    return place[part.triangles.reshape(-1)].tobytes()

@@ -86,6 +86,19 @@ describe("decodeTopology", () => {
     expect(() => decodeTopology(payload, "simplified_topology")).toThrow(said);
   });
 
+  it("decodes the picture on a body, and refuses coordinates that do not fit", () => {
+    const textured = (textureCoordinates: Uint8Array) =>
+      topologyBytes({
+        bodies: [{ name: "a", vertexCount: 3, triangles: u32(0, 1, 2), textureImage: Uint8Array.of(1, 2), textureCoordinates }],
+      });
+    const [surface] = decodeTopology(textured(f32(0, 0, 1, 0, 0, 1))).bodies;
+    expect([...surface!.texture!.image]).toEqual([1, 2]);
+    expect([...surface!.texture!.coordinates]).toEqual([0, 0, 1, 0, 0, 1]);
+    expect(decodeTopology(topologyBytes()).bodies[0]!.texture).toBeNull();
+    expect(() => decodeTopology(textured(f32(0, 0, 1, 0)))).toThrow(/16 bytes of texture coordinates for 3 corners/);
+    expect(() => decodeTopology(textured(f32(0, 0, 1, 0, 0, NaN)))).toThrow(/not finite/);
+  });
+
   it("decodes bodies, tools and the up direction", () => {
     const topology = decodeTopology(topologyBytes());
     expect(topology.version).toBe(7n);

@@ -73,3 +73,28 @@ it("shows values as colours, edges and a cut, and takes them back", () => {
   expect(meshes.map(({ material }) => material.clippingPlanes)).toEqual([null, null]);
   expect(meshes.map((mesh) => mesh.children[0]!.visible)).toEqual([false, false]);
 });
+
+it("moves the copies of vertices on a seam of a picture with them", () => {
+  const { positions } = decodeFrame(frameBytes());
+  const given = decodeTopology(topologyBytes());
+  const [liver, vein] = given.bodies;
+  // Each corner of the tetrahedron has a place of its own.
+  const coordinates = Float32Array.from({ length: 24 }, (_, i) => i / 24);
+  const textured = { ...liver!, texture: { image: Uint8Array.of(1), coordinates } };
+  const tissue = new Tissue({ ...given, bodies: [textured, vein!] }, positions, 1, { level: "low", adaptive: false });
+  const { geometry } = meshesOf(tissue)[0]!;
+  const array = (name: string) => [...geometry.getAttribute(name).array];
+  expect(array("uv").length).toBe(24);
+  const corners = (name: string, width: number) => [...geometry.getIndex()!.array].map((v) => array(name).slice(width * v, width * v + width));
+  expect(corners("uv", 2).flat()).toEqual([...coordinates]);
+  const moved = positions.map((coordinate) => 2 * coordinate + 1);
+  tissue.update(moved);
+  tissue.colour(Float32Array.of(0, 1, 2, 3, 4, 5, 6), 0, 5);
+  const vertices = [...liver!.triangles];
+  expect(corners("position", 3)).toEqual(vertices.map((v) => [...moved.subarray(3 * v, 3 * v + 3)]));
+  expect(corners("value", 1).flat()).toEqual(vertices);
+  const normals = corners("normal", 3);
+  for (const [i, v] of vertices.entries()) {
+    expect(normals[i], "both sides of a seam have one normal").toEqual(normals[vertices.indexOf(v)]);
+  }
+});

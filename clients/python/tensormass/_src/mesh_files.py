@@ -1,7 +1,7 @@
 """Reads and writes mesh files: volumes of any shapes with named sets and element fields, and triangulated surfaces.
 
-meshio reads the formats, except Gmsh 1 ($NOD/$ELM), which it does not know and which is read here. Readers keep the
-node order of the file, because regions may refer to nodes by index.
+meshio reads the formats, but for two: Gmsh 1 ($NOD/$ELM) is read here, and surfaces of Wavefront (.obj) by trimesh,
+which keeps seams of a picture. Readers keep the node order of the file, because regions may refer to nodes by index.
 
 Named groups of a file become named sets of nodes: physical groups of Gmsh, sets of nodes and of elements (Abaqus), and
 nonzero point data `set:NAME`, the form in which sets are written. Cell data with a name of `meshes.ELEMENT_FIELDS`
@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -122,22 +123,48 @@ def _nodes_of(mesh: meshio.Mesh, cells: list[npt.NDArray[np.integer] | None]) ->
 def read_surface(path: str | Path) -> TriangleSurface:
     """Reads a triangulated surface (.obj, .stl, .ply, .off, .vtk ...); quads are split, equal vertices merged.
 
+    A Wavefront file (.obj) may have texture coordinates.
+
     Raises:
         NotFoundError: no such file.
         InvalidArgumentError: not readable, or it has no triangles.
     """
+    if Path(path).suffix.lower() == ".obj":
+        return _merged(_read_wavefront(Path(path)))
     mesh = _meshio_read(Path(path))
     quads = [block.data for block in mesh.cells if block.type == "quad"]
     triangles = [block.data for block in mesh.cells if block.type == "triangle"]
     triangles += [np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]) for quad in quads]
     if not triangles:
         raise InvalidArgumentError(f"{path}: has no triangles; a skin and a surface to be meshed need them")
-    surface = TriangleSurface.from_arrays(mesh.points, np.concatenate(triangles), str(path))
-    # STL repeats each vertex in each triangle.
+    return _merged(TriangleSurface.from_arrays(mesh.points, np.concatenate(triangles), str(path)))
+
+
+def _merged(surface: TriangleSurface) -> TriangleSurface:
+    """Merges equal vertices. STL repeats each vertex in each triangle, and trimesh those on a seam of a picture."""
     vertices, index = np.unique(surface.vertices, axis=0, return_inverse=True)
     if len(vertices) == len(surface.vertices):
         return surface
-    return TriangleSurface(vertices, index.reshape(-1)[surface.triangles].astype(np.uint32))
+    return replace(surface, vertices=vertices, triangles=index.reshape(-1)[surface.triangles].astype(np.uint32))
+
+
+def _read_wavefront(path: Path) -> TriangleSurface:
+    """Reads a Wavefront file with trimesh: meshio refuses one whose vertices have several places in a picture."""
+    _check_is_file(path)
+    require("meshes", f"{path}: reading this surface")
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+        vertices, triangles = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64)
+        places = getattr(mesh.visual, "uv", None)
+    except Exception as error:
+        raise InvalidArgumentError(f"{path}: not readable as a surface: {error}") from error
+    if not len(triangles):
+        raise InvalidArgumentError(f"{path}: has no triangles; a skin and a surface to be meshed need them")
+    if places is None or len(places) != len(vertices) or not np.isfinite(places).all():
+        return TriangleSurface.from_arrays(vertices, triangles, str(path))
+    return TriangleSurface.from_arrays(vertices, triangles, str(path), texture_coordinates=places[triangles])
 
 
 def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
@@ -267,9 +294,13 @@ def _begins_with(path: Path, first: bytes) -> bool:
         raise InvalidArgumentError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _meshio_read(path: Path) -> meshio.Mesh:
+def _check_is_file(path: Path) -> None:
     if not path.is_file():
         raise NotFoundError(f"{path}: no such file")
+
+
+def _meshio_read(path: Path) -> meshio.Mesh:
+    _check_is_file(path)
     # For the ending .msh, meshio tries the format of ANSYS first. It never returns from such a file that is cut off,
     # and it finds no volumes in a complete one, which describes cells by their faces.
     options = {"file_format": "gmsh"} if path.suffix.lower() == ".msh" else {}

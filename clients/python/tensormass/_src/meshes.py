@@ -110,20 +110,44 @@ class VolumeMesh:
 
 @dataclass(frozen=True)
 class TriangleSurface:
-    """`vertices` float64 [vertex_count, 3]; `triangles` uint32 [triangle_count, 3], counter-clockwise from outside."""
+    """`vertices` float64 [vertex_count, 3]; `triangles` uint32 [triangle_count, 3], counter-clockwise from outside.
+
+    `texture_coordinates` float32 [triangle_count, 3, 2]: the place (u, v) of each corner in a picture, u to the right,
+    v up, both 0 to 1; or None.
+    """
 
     vertices: FloatArray
     triangles: IndexArray
+    texture_coordinates: npt.NDArray[np.float32] | None = None
 
     def _repr_html_(self) -> str:
         counts = [["vertices", f"{len(self.vertices):,}"], ["triangles", f"{len(self.triangles):,}"]]
         return notebook.table("triangle surface", [*counts, *_extent(self.vertices)])
 
     @staticmethod
-    def from_arrays(vertices: npt.ArrayLike, triangles: npt.ArrayLike, where: str = "surface") -> TriangleSurface:
-        """Makes a surface. Checks and errors of `VolumeMesh.from_arrays`."""
+    def from_arrays(
+        vertices: npt.ArrayLike,
+        triangles: npt.ArrayLike,
+        where: str = "surface",
+        *,
+        texture_coordinates: npt.ArrayLike | None = None,
+    ) -> TriangleSurface:
+        """Makes a surface. Checks and errors of `VolumeMesh.from_arrays`.
+
+        Args:
+            texture_coordinates: of the corners of each triangle, [triangle_count, 3, 2].
+        """
         points = _checked_points(vertices, f"{where}.vertices")
-        return TriangleSurface(points, _checked_indices(triangles, 3, len(points), f"{where}.triangles"))
+        checked = _checked_indices(triangles, 3, len(points), f"{where}.triangles")
+        if texture_coordinates is None:
+            return TriangleSurface(points, checked)
+        places = np.ascontiguousarray(texture_coordinates, np.float32)
+        if places.shape != (len(checked), 3, 2) or not np.isfinite(places).all():
+            raise InvalidArgumentError(
+                f"{where}.texture_coordinates: expected finite numbers of shape [{len(checked)}, 3, 2], "
+                f"got {list(places.shape)}"
+            )
+        return TriangleSurface(points, checked, places)
 
 
 def _extent(points: FloatArray) -> list[list[str]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes, node_conditions, notebook
+from tensormass._src import mesh_files, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, naming
@@ -124,6 +124,7 @@ class Scene:
         fixed: str | Sequence[str] = (),
         fixed_nodes: npt.ArrayLike | None = None,
         skin: meshes.TriangleSurface | None = None,
+        texture: str | Path | bytes | None = None,
     ) -> scene_pb2.Body:
         """Adds a body and returns its message. Loads of regions and laws of regions are set there.
 
@@ -144,6 +145,7 @@ class Scene:
             fixed: names of sets whose nodes do not move.
             fixed_nodes: further nodes that do not move, indices [k] or mask [node_count].
             skin: a finer surface that moves with the body; clients see it instead of the boundary.
+            texture: a picture on the skin, which needs texture coordinates: a PNG or JPEG, its file or its bytes.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it and the known values.
@@ -188,6 +190,11 @@ class Scene:
             body.fixed.add().nodes.indices.extend(indices.tolist())
         if skin is not None:
             body.skin.packed.CopyFrom(pack_triangles(skin))
+        if texture is not None:
+            if skin is None:
+                raise InvalidArgumentError(f"{name}.texture: needs a skin to lie on; give one")
+            body.texture.image = texture if isinstance(texture, bytes) else textures.read_image(Path(texture))
+            body.texture.coordinates = textures.coordinates(skin, f"{name}.texture")
         self.message.bodies.append(body)
         return self.message.bodies[-1]
 

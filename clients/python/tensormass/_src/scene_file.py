@@ -1,7 +1,7 @@
 """Scene files: YAML, one to one by field name with the protobuf `Scene`.
 
-Mesh and skin files are read here, because the daemon reads none: they become packed arrays in the message. Their
-positions are sent unchanged. `Mesh.scale` and `Mesh.translation_m` travel along, and the daemon applies them."""
+Mesh, skin and picture files are read here, because the daemon reads none: they become packed arrays in the message.
+Positions are sent unchanged. `Mesh.scale` and `Mesh.translation_m` travel along, and the daemon applies them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, cast
 from google.protobuf import json_format
 from google.protobuf.descriptor import Descriptor
 
-from tensormass._src import demo, mesh_files, strict_yaml
+from tensormass._src import demo, mesh_files, strict_yaml, textures
 from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_fields import checked_fields
@@ -88,7 +88,13 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
                 add_what_the_mesh_carries(body, mesh, f"{at}.sets")
         with naming(f"{at}.skin.file"):
             if body.skin.WhichOneof("source") == "file":
-                body.skin.packed.CopyFrom(pack_triangles(mesh_files.read_surface(directory / body.skin.file)))
+                skin = mesh_files.read_surface(directory / body.skin.file)
+                body.skin.packed.CopyFrom(pack_triangles(skin))
+                if body.HasField("texture") and not body.texture.coordinates:
+                    body.texture.coordinates = textures.coordinates(skin, f"{at}.texture")
+        with naming(f"{at}.texture.file"):
+            if body.texture.WhichOneof("source") == "file":
+                body.texture.image = textures.read_image(directory / body.texture.file)
     for index, tool in enumerate(scene.tools):
         if tool.mesh.surface.WhichOneof("source") != "file":
             continue

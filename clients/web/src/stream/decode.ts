@@ -56,6 +56,15 @@ export interface Surface {
   readonly fixedVertices: Uint32Array;
   /** sRGB in [0, 1]; null: the viewer chooses. */
   readonly colorSrgb: Vector | null;
+  /** The picture on it; null: it has none. */
+  readonly texture: Texture | null;
+}
+
+export interface Texture {
+  /** A PNG or JPEG. Nobody has decoded it yet. */
+  readonly image: Uint8Array;
+  /** [triangle_count, 3, 2]: place (u, v) of each corner in the picture, u to the right, v up. */
+  readonly coordinates: Float32Array;
 }
 
 export interface ToolShape {
@@ -182,13 +191,18 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
       throw new DecodeError(`${where}: first_vertex is ${body.firstVertex}, the bodies before it end at ${vertexCount}`);
     }
     vertexCount += body.vertexCount;
+    const triangles = vertices(`${where}: triangle`, body.triangles, 3, body.vertexCount);
     return {
       name: body.name,
       firstVertex: body.firstVertex,
       vertexCount: body.vertexCount,
-      triangles: vertices(`${where}: triangle`, body.triangles, 3, body.vertexCount),
+      triangles,
       fixedVertices: vertices(`${where}: fixed vertex`, body.fixedVertices, 1, body.vertexCount),
       colorSrgb: body.colorSrgb ? vector(`${where}, color_srgb`, body.colorSrgb) : null,
+      texture:
+        body.textureImage.length > 0
+          ? { image: body.textureImage, coordinates: textureCoordinates(where, body.textureCoordinates, triangles.length) }
+          : null,
     };
   });
   const tools = message.tools.map((tool): ToolShape => {
@@ -206,6 +220,17 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
     };
   });
   return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
+}
+
+function textureCoordinates(where: string, bytes: Uint8Array, cornerCount: number): Float32Array {
+  if (bytes.length !== 8 * cornerCount) {
+    throw new DecodeError(`${where}: ${bytes.length} bytes of texture coordinates for ${cornerCount} corners`);
+  }
+  const coordinates = new Float32Array(aligned(bytes));
+  if (!coordinates.every(Number.isFinite)) {
+    throw new DecodeError(`${where}: a texture coordinate is not finite`);
+  }
+  return coordinates;
 }
 
 function checkedLength(where: string, name: string, value: number): number {

@@ -4,6 +4,8 @@ import * as THREE from "three";
 import type { Surface, Topology } from "../stream/decode";
 import type { Quality } from "./quality";
 import { unpackNormals, vertexNormals } from "./normals";
+import { decodePicture } from "./picture";
+import { fillCopies, splitSeams } from "./seams";
 import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
@@ -13,11 +15,23 @@ export class Tissue {
   readonly group = new THREE.Group();
   readonly #bodies: readonly Body[];
 
-  /** @param positions [vertex_count, 3] m of the first frame. The surface pattern is fixed to these material points. */
-  constructor(topology: Topology, positions: Float32Array, radiusM: number, quality: Quality) {
+  /**
+   * @param positions [vertex_count, 3] m of the first frame. The surface pattern is fixed to these material points.
+   * @param onPicture Called each time that a picture on a body has been decoded, some time later.
+   */
+  constructor(
+    topology: Topology,
+    positions: Float32Array,
+    radiusM: number,
+    quality: Quality,
+    onPicture: () => void = () => undefined,
+  ) {
     this.#bodies = topology.bodies
       .filter((surface) => surface.triangles.length > 0)
       .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!, quality));
+    for (const body of this.#bodies) {
+      void body.showPicture().then((shown) => (shown ? onPicture() : undefined));
+    }
     this.group.add(...this.#bodies.map((body) => body.mesh));
     this.update(positions);
   }
@@ -77,22 +91,35 @@ class Body {
   readonly #values: THREE.BufferAttribute;
   readonly #positions: THREE.BufferAttribute;
   readonly #normals: THREE.BufferAttribute;
+  /** Vertices that WebGL needs several times, because they lie on a seam of the picture. They follow all vertices. */
+  readonly #copies: Uint32Array = new Uint32Array();
+  #disposed = false;
 
   constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string, quality: Quality) {
     this.#surface = surface;
-    this.#positions = dynamicAttribute(surface.vertexCount);
-    this.#normals = dynamicAttribute(surface.vertexCount);
-    const places = this.#slice(positions).map((coordinate) => coordinate / radiusM);
     const geometry = new THREE.BufferGeometry();
+    let triangles = surface.triangles;
+    if (surface.texture !== null) {
+      const split = splitSeams(triangles, surface.texture.coordinates, surface.vertexCount);
+      triangles = split.triangles;
+      this.#copies = split.copies;
+      geometry.setAttribute("uv", new THREE.BufferAttribute(split.coordinates, 2));
+    }
+    const vertexCount = surface.vertexCount + this.#copies.length;
+    this.#positions = dynamicAttribute(vertexCount);
+    this.#normals = dynamicAttribute(vertexCount);
+    const places = new Float32Array(3 * vertexCount);
+    places.set(this.#slice(positions).map((coordinate) => coordinate / radiusM));
+    fillCopies(places, this.#copies, surface.vertexCount, 3);
     geometry.setAttribute("position", this.#positions);
     geometry.setAttribute("normal", this.#normals);
     geometry.setAttribute("place", new THREE.BufferAttribute(places, 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(mottle(places), 3));
-    geometry.setIndex(new THREE.BufferAttribute(surface.triangles, 1));
+    geometry.setIndex(new THREE.BufferAttribute(triangles, 1));
     const color = surface.colorSrgb
       ? new THREE.Color().setRGB(...surface.colorSrgb, THREE.SRGBColorSpace)
       : new THREE.Color(fallbackColor);
-    this.#values = new THREE.BufferAttribute(new Float32Array(surface.vertexCount), 1);
+    this.#values = new THREE.BufferAttribute(new Float32Array(vertexCount), 1);
     this.#values.setUsage(THREE.DynamicDrawUsage);
     geometry.setAttribute("value", this.#values);
     this.#look = quality.level === "high" ? tissueMaterial(color) : plainMaterial(color);
@@ -116,13 +143,42 @@ class Body {
     this.mesh.frustumCulled = false;
   }
 
-  update(positions: Float32Array, normals: Int8Array | null): void {
-    (this.#positions.array as Float32Array).set(this.#slice(positions));
-    if (normals === null) {
-      vertexNormals(this.#positions.array as Float32Array, this.#surface.triangles, this.#normals.array as Float32Array);
-    } else {
-      unpackNormals(this.#slice(normals), this.#normals.array as Float32Array);
+  /** Shows the picture of the surface as soon as it is decoded. Tells whether there is one to show. */
+  async showPicture(): Promise<boolean> {
+    if (this.#surface.texture === null) {
+      return false;
     }
+    let picture: THREE.Texture;
+    try {
+      picture = await decodePicture(new Uint8Array(this.#surface.texture.image));
+    } catch (error) {
+      console.warn(`the picture on body "${this.#surface.name}" cannot be decoded: ${String(error)}`);
+      return false;
+    }
+    if (this.#disposed) {
+      picture.dispose();
+      return false;
+    }
+    // The picture has the tissue's own pattern.
+    Object.assign(this.#look, { map: picture, vertexColors: false, needsUpdate: true });
+    this.#look.color.set("#ffffff");
+    return true;
+  }
+
+  update(positions: Float32Array, normals: Int8Array | null): void {
+    const { vertexCount, triangles } = this.#surface;
+    const ours = this.#positions.array as Float32Array;
+    const allNormals = this.#normals.array as Float32Array;
+    // Without the copies, so that both sides of a seam have the same normal.
+    const ourNormals = allNormals.subarray(0, 3 * vertexCount);
+    ours.set(this.#slice(positions));
+    if (normals === null) {
+      vertexNormals(ours, triangles, ourNormals);
+    } else {
+      unpackNormals(this.#slice(normals), ourNormals);
+    }
+    fillCopies(ours, this.#copies, vertexCount, 3);
+    fillCopies(allNormals, this.#copies, vertexCount, 3);
     this.#positions.needsUpdate = true;
     this.#normals.needsUpdate = true;
   }
@@ -132,6 +188,7 @@ class Body {
     if (values !== null) {
       const { firstVertex, vertexCount } = this.#surface;
       this.#values.array.set(values.subarray(firstVertex, firstVertex + vertexCount));
+      fillCopies(this.#values.array, this.#copies, vertexCount, 1);
       this.#values.needsUpdate = true;
       setRange(this.#colours, least, most);
     }
@@ -154,6 +211,8 @@ class Body {
   }
 
   dispose(): void {
+    this.#disposed = true;
+    this.#look.map?.dispose();
     this.mesh.geometry.dispose();
     (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
     this.#fixed.geometry.dispose();

@@ -185,7 +185,7 @@ export class Viewer implements Picture {
     const topology = this.#store.topology!;
     const tissue = new THREE.Box3().setFromArray(frame.positions);
     const radiusM = Math.max(tissue.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
-    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#stage.quality);
+    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#stage.quality, () => (this.#dirty = true));
     this.#instruments = new Instruments(topology, radiusM, this.#stage.quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     this.#studio.frame(sceneBounds(topology, frame), topology.up);
