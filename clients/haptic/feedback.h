@@ -2,7 +2,7 @@
 
 // The two messages of a haptic client, checked, and the mailbox between the transport's thread and the loop.
 //
-// Units: m, N, N/m, s; times in ns on this client's monotonic clock. FeedbackInbox may be used by any thread; the
+// Units: m, N, N/m, N m, s; times in ns on this client's monotonic clock. FeedbackInbox may be used by any thread; the
 // functions are pure. A message that does not parse or is not finite is an error, never a force.
 
 #include <cstdint>
@@ -46,6 +46,10 @@ struct Feedback {
   /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
   double valid_for_s = 0.0;
+  /// Torque on the tool about its own place, and the load of its jaws; a positive one opens them. Zero for a tool
+  /// without jaws. They have no local model.
+  Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
+  double jaw_torque_n_m = 0.0;
   /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
   /// written.
   std::int64_t waited_ns = 0;

@@ -1,7 +1,7 @@
 #pragma once
 
-// The force on the hand from the server's local model, and its last limits. Pure: the caller passes the time, nothing
-// is sent or written, nothing fails.
+// The force on the hand from the server's local model, and its last limits. Torque and jaws' load are held beside it.
+// Pure: the caller passes the time, nothing is sent or written, nothing fails.
 //
 // Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired).
 
@@ -40,6 +40,9 @@ struct ForceRendererOptions {
 /// model is valid, then falls linearly to 0 in fade_s. A renewed model raises w at the same rate, so that the returning
 /// force does not kick a hand that has sunk in. Contact pushes and never pulls: when the hand leaves the tissue between
 /// two steps, the part of F along force_n is clamped at zero.
+///
+/// The torque and the jaws' load of the newest feedback are held, times w. A torque is scaled down with the force,
+/// because both come from the same contact.
 class ForceRenderer {
  public:
   explicit ForceRenderer(const ForceRendererOptions& options) : options_(options), secant_(options.min_secant_move_m) {}
@@ -49,6 +52,8 @@ class ForceRenderer {
 
   struct Output {
     Eigen::Vector3d force_n = Eigen::Vector3d::Zero();
+    Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
+    double jaw_torque_n_m = 0.0;
     /// w: 1 valid, 0 expired.
     double weight = 0.0;
     /// The model has expired.
@@ -74,8 +79,11 @@ struct ForceLimits {
   double max_slew_n_per_s = 300.0;
 };
 
-/// Limits a force: first its change from `applied_n` to max_slew_n_per_s · dt_s, then its magnitude to max_force_n.
-/// Returns zero at once if `wanted_n` is not finite or a limit is NaN.
+/// Limits a force or a torque: first its change from `applied` to `max_change`, then its magnitude to `max`. Returns
+/// zero at once if `wanted` is not finite or a limit is NaN. All have one unit.
+Eigen::Vector3d limit(const Eigen::Vector3d& wanted, const Eigen::Vector3d& applied, double max_change, double max);
+
+/// The same for a force: its change is at most max_slew_n_per_s · dt_s, its magnitude max_force_n.
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,
                             const ForceLimits& limits);
 

@@ -16,21 +16,21 @@ TEST(ForceGuard, SetsAForceToZeroThatIsNotRenewed) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   clock.advance_s(0.05);
   guard.check();
   EXPECT_EQ(guard.trips(), 0u);
-  EXPECT_EQ(guard.held_force_n(), kForce);
+  EXPECT_EQ(guard.held().force_n, kForce);
   clock.advance_s(0.001);
   guard.check();
   EXPECT_EQ(guard.trips(), 1u);
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
-  EXPECT_EQ(guard.held_force_n(), Eigen::Vector3d::Zero());
+  EXPECT_TRUE(guard.held().is_zero());
   // Zero already, so no further write. The loop may resume.
   clock.advance_s(1.0);
   guard.check();
   EXPECT_EQ(guard.trips(), 1u);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   EXPECT_EQ(device.forces_n.back(), kForce);
 }
 
@@ -38,10 +38,10 @@ TEST(ForceGuard, ReleaseSetsTheForceToZeroAndRefusesLaterWrites) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   guard.release();
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
-  EXPECT_FALSE(guard.write(kForce));
+  EXPECT_FALSE(guard.write({kForce}));
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
 }
 
@@ -50,7 +50,7 @@ TEST(ForceGuard, EndsWithoutForce) {
   FakeDevice device;
   {
     ForceGuard guard(device, clock, 0.05);
-    ASSERT_TRUE(guard.write(kForce));
+    ASSERT_TRUE(guard.write({kForce}));
   }
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
 }
@@ -86,7 +86,7 @@ TEST(Watchdog, SetsTheForceToZeroWhileTheLoopIsStuck) {
   SignallingDevice device;
   ForceGuard guard(device, clock, 0.005);
   const Watchdog watchdog(guard, 0.001);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   EXPECT_TRUE(device.wait_for_zero(std::chrono::seconds(10)));
   EXPECT_EQ(guard.trips(), 1u);
 }
