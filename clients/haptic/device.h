@@ -29,11 +29,14 @@ struct DeviceInfo {
   double max_damping_n_s_per_m = 0.0;
   /// Largest torque on the hand. Zero: the device has none.
   double max_torque_n_m = 0.0;
-  /// Strongest damper of rotation that the device renders stably. Without one a late torque may shake the hand.
+  /// Stiffest torsional spring that the device renders stably, as max_stiffness_n_per_m. Stiffer contact is scaled down
+  /// to it, so that zero leaves no torque.
+  double max_angular_stiffness_n_m_per_rad = 0.0;
+  /// Strongest damper of rotation that the device renders stably.
   double max_angular_damping_n_m_s = 0.0;
   /// Largest torque on the gripper, about the hinge of the tool's jaws. Zero: the device has none.
   double max_jaw_torque_n_m = 0.0;
-  /// The same as max_angular_damping_n_m_s, for the jaws' angle.
+  /// Strongest damper of the jaws' angle that the device renders stably.
   double max_jaw_damping_n_m_s = 0.0;
 };
 

@@ -85,6 +85,11 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   }
   if (!feedback.force_n.allFinite()) return invalid("feedback: the force is not finite");
   feedback.torque_n_m = to_eigen(message.torque_n_m());
+  // All four zero means no rotation, as in a pose.
+  const v1::Quaternion& q = message.orientation();
+  const Eigen::Quaterniond orientation(q.w(), q.x(), q.y(), q.z());
+  if (!orientation.coeffs().isZero(0.0)) feedback.orientation = orientation;
+  if (!is_rotation(feedback.orientation)) return invalid("feedback: the orientation is not a rotation");
   if (message.joint_loads_size() == 1) feedback.jaw_torque_n_m = message.joint_loads(0);
   if (!feedback.torque_n_m.allFinite() || !std::isfinite(feedback.jaw_torque_n_m)) {
     return invalid("feedback: the torque or the jaws' load is not finite");

@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "core/result.h"
 #include "haptic/device.h"
@@ -46,9 +47,10 @@ struct Feedback {
   /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
   double valid_for_s = 0.0;
-  /// Torque on the tool about its own place, and the load of its jaws; a positive one opens them. Zero for a tool
-  /// without jaws. They have no local model.
+  /// Torque on the tool about its own place, at this orientation.
   Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+  /// Load of the tool's jaws; a positive one opens them. Zero for a tool without jaws.
   double jaw_torque_n_m = 0.0;
   /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
   /// written.

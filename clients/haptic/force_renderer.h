@@ -1,7 +1,7 @@
 #pragma once
 
-// The force on the hand from the server's local model, and its last limits. Torque and jaws' load are held beside it.
-// Pure: the caller passes the time, nothing is sent or written, nothing fails.
+// Force and torques on the hand from the server's local model, and their last limits. Pure: the caller passes the time,
+// nothing is sent or written, nothing fails.
 //
 // Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired).
 
@@ -11,6 +11,7 @@
 #include <Eigen/Core>
 
 #include "haptic/feedback.h"
+#include "haptic/point_contact.h"
 #include "haptic/secant_stiffness.h"
 
 namespace tensormass::haptic {
@@ -28,6 +29,8 @@ struct ForceRendererOptions {
   /// Usually DeviceInfo::max_stiffness_n_per_m. Stiffer tissue is scaled down to it, force and stiffness alike. If only
   /// the stiffness were scaled, the rest of the spring would come with the next feedback, which is late.
   double max_stiffness_n_per_m = 2000.0;
+  /// Usually DeviceInfo::max_angular_stiffness_n_m_per_rad. See PointContact.
+  double max_angular_stiffness_n_m_per_rad = 2.0;
   /// See SecantStiffness. Far above the resolution of common devices, far below the depth of a press.
   double min_secant_move_m = 2e-4;
 };
@@ -41,8 +44,7 @@ struct ForceRendererOptions {
 /// force does not kick a hand that has sunk in. Contact pushes and never pulls: when the hand leaves the tissue between
 /// two steps, the part of F along force_n is clamped at zero.
 ///
-/// The torque and the jaws' load of the newest feedback are held, times w. A torque is scaled down with the force,
-/// because both come from the same contact.
+/// The torque follows from the same model (PointContact). The jaws' load has none and is held. Both have the weight w.
 class ForceRenderer {
  public:
   explicit ForceRenderer(const ForceRendererOptions& options) : options_(options), secant_(options.min_secant_move_m) {}
@@ -59,8 +61,8 @@ class ForceRenderer {
     /// The model has expired.
     bool stale = false;
   };
-  /// The force at `position_m` and `now_ns`. Before the first update: zero, with weight 0.
-  Output render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const;
+  /// Force and torques at this place and `now_ns`. Before the first update: zero, with weight 0.
+  Output render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns) const;
 
  private:
   double weight(std::int64_t now_ns) const;
@@ -68,6 +70,7 @@ class ForceRenderer {
   ForceRendererOptions options_;
   SecantStiffness secant_;
   std::optional<Feedback> model_;
+  PointContact contact_;
   std::int64_t valid_until_ns_ = 0;
   // w when the newest model arrived. It rises from there.
   std::int64_t renewed_ns_ = 0;

@@ -3,6 +3,7 @@
 // How the hand moves from one pose to the next: the motions whose products with force and torques are work. Pure.
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "haptic/device.h"
 
@@ -15,6 +16,9 @@ struct HandMotion {
   /// Positive: the jaws opened. Zero if a pose lacks their angle.
   double jaws_opened_rad = 0.0;
 };
+
+/// Returns the rotation vector from one orientation to another, as in HandMotion. Neither needs unit length.
+Eigen::Vector3d rotation_between(const Eigen::Quaterniond& from, const Eigen::Quaterniond& to);
 
 /// Returns the motion between two valid poses.
 HandMotion motion_between(const DevicePose& from, const DevicePose& to);

@@ -34,6 +34,7 @@ LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   // A statement that is not a number counts as none.
   const auto stated = [](double device) { return is_positive(device) ? device : 0.0; };
   bind(options.torque.max_torque_n_m, stated(info.max_torque_n_m));
+  bind(options.renderer.max_angular_stiffness_n_m_per_rad, stated(info.max_angular_stiffness_n_m_per_rad));
   bind(options.torque.max_damping_n_m_s, stated(info.max_angular_damping_n_m_s));
   bind(options.jaws.max_torque_n_m, stated(info.max_jaw_torque_n_m));
   bind(options.jaws.max_damping_n_m_s, stated(info.max_jaw_damping_n_m_s));
@@ -102,7 +103,7 @@ Result<void> Loop::tick() {
 
   receive();
 
-  const ForceRenderer::Output rendered = renderer_.render(pose->position_m, now_ns);
+  const ForceRenderer::Output rendered = renderer_.render(pose->position_m, pose->orientation, now_ns);
   if (report_.feedback_received > 0) {
     report_.stale_ticks += rendered.stale;
     report_.stale_episodes += rendered.stale && !was_stale_;

@@ -26,8 +26,8 @@
 // 2. Nothing in a tick waits for the network, so its jitter does not reach the hand.
 // 3. The model jumps once a step and its anchor is late, so it can return more energy than the hand gave. The
 //    passivity controller behind it dissipates the excess.
-// 4. Torque and jaws' load have no local model. They take the same way beside the force, small and slow
-//    (torque_channel.h), and only to a device that has them.
+// 4. Torque and jaws' load take the same way beside the force, small and slow (torque_channel.h), and only to a device
+//    that has them. The torque's local model is that of one point of contact (point_contact.h).
 //
 // Units: m, N, N m, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set
 // `stop`. Only a failing device is an error. Without a server the model expires and the force fades to zero.

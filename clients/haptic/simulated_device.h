@@ -28,7 +28,7 @@ struct SimulatedDeviceOptions {
   double hand_angular_damping_n_m_s = 0.03;
   /// Angle at which the fingers hold the jaws, zero to kMostJawAngleRad. Absent: the device has no jaws.
   std::optional<double> jaw_angle_rad = std::nullopt;
-  DeviceInfo info{"simulated", 8.0, 2000.0, 20.0, 0.5, 0.05, 0.5, 0.05};
+  DeviceInfo info{"simulated", 8.0, 2000.0, 20.0, 0.5, 2.0, 0.05, 0.5, 0.05};
 };
 
 /// Exact motion of m x'' = u − k x − c x' over a fixed step, for a constant u. For a rotation read inertia for m.

@@ -1,13 +1,13 @@
 #pragma once
 
-// A torque without a local model, made harmless: that on the hand, or that on its jaws. Pure, no thread, nothing fails.
+// The last steps of a torque: that on the hand, or that on its jaws. Pure, no thread, nothing fails.
 //
-//     torque of the newest answer, times w (force_renderer.h) -> passivity controller -> slew -> magnitude -> device
+//     torque of the model, times w (force_renderer.h) -> passivity controller -> slew -> magnitude -> device
 //
-// The server sends no angular stiffness. A held torque is therefore a late spring, which feeds energy to the hand.
-// Reasons that it cannot shake the hand:
+// The model of a torque is poorer than that of a force, and the jaws' load has none: a part of it is a late spring,
+// which feeds energy to the hand. Reasons that it stays harmless:
 // 1. The magnitude is small. A hand that holds a grip resists 0.1 N m without effort.
-// 2. The slew limit turns the steps of a slow scene into ramps, and bounds a fast oscillation.
+// 2. The slew limit turns the steps of a slow scene into ramps.
 // 3. The passivity controller counts the work of this torque alone. Energy of a press does not pay for a rotation.
 //
 // Units: N m, rad, N m s, s, in the scene's axes.

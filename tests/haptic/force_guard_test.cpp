@@ -55,6 +55,36 @@ TEST(ForceGuard, EndsWithoutForce) {
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
 }
 
+TEST(ForceGuard, SetsTorquesToZeroWithTheForce) {
+  FakeClock clock;
+  FakeWrist device;
+  {
+    ForceGuard guard(device, clock, 0.05);
+    for (const Wrench& wrench : {Wrench{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.1, 0.0)},
+                                 Wrench{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), -0.1}}) {
+      ASSERT_TRUE(guard.write(wrench));
+      EXPECT_FALSE(device.wrenches.back().is_zero());
+      clock.advance_s(0.051);
+      guard.check();
+      EXPECT_TRUE(device.wrenches.back().is_zero());
+      EXPECT_TRUE(guard.held().is_zero());
+    }
+    EXPECT_EQ(guard.trips(), 2u);
+    ASSERT_TRUE(guard.write({kForce, kForce, 0.1}));
+  }
+  EXPECT_TRUE(device.wrenches.back().is_zero());
+}
+
+TEST(ForceGuard, ADeviceThatStatesATorqueButCannotWriteItIsAnError) {
+  FakeClock clock;
+  FakeDevice device;
+  ForceGuard guard(device, clock, 0.05);
+  const auto written = guard.write({kForce, kForce});
+  ASSERT_FALSE(written);
+  EXPECT_EQ(written.error().message, "fake: its info() states a torque, but it lacks write()");
+  EXPECT_TRUE(device.forces_n.empty());
+}
+
 // Signals the arrival of a zero force.
 class SignallingDevice final : public Device {
  public:
