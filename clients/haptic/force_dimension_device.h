@@ -32,8 +32,8 @@ namespace tensormass::haptic {
 /// N/m at the controller's own rate of 4 kHz or more; the loop runs at 1 kHz and its force waits for the next exchange.
 /// Damping 5 N s/m: as for the other devices, because the velocity is a difference of sampled positions.
 ///
-/// Torque 0.2 N m: half of the 0.4 N m of a sigma.7. On the jaws 0.2 N m: a gripper's force of 4 N, half of its 8 N.
-/// Stiffness of rotations 1 N m/rad and their damping 0.01 N m s: low on purpose, because nobody has tried a device.
+/// Torque 0.2 N m, and on the jaws 0.2 N m, a force of 4 N on the finger; stiffness of rotations 1 N m/rad, damping
+/// 0.01 N m s. All are low on purpose: data sheets of the wrists were not at hand, and nobody has tried a device.
 inline const DeviceInfo kForceDimensionLimits{"Force Dimension", 8.0, 2000.0, 5.0, 0.2, 1.0, 0.01, 0.2, 0.01};
 
 /// From the gripper's hinge to the finger [m]: a gap of 25 mm at half a radian. The library takes a force on the

@@ -23,7 +23,7 @@ struct TorqueOptions {
   double max_torque_n_m = 0.1;
   /// A full torque comes in 20 ms, about a step of a scene at 60 Hz.
   double max_slew_n_m_per_s = 5.0;
-  /// Upper bound on the observer's energy [J]: 0.1 N m over 0.2 rad.
+  /// Upper bound on the observer's energy [J]: that of a spring at 0.1 N m and 0.2 rad.
   double max_stored_energy_j = 0.01;
   /// Usually the device's.
   double max_damping_n_m_s = 0.05;
