@@ -57,7 +57,8 @@ TEST(Feedback, HasTorqueOrientationAndTheLoadOfTheJaws) {
   EXPECT_EQ(feedback.orientation.x(), 0.6);
   EXPECT_EQ(feedback.jaw_torque_n_m, -0.3);
   message.add_joint_loads(1.0);
-  EXPECT_EQ(decode_feedback(message.SerializeAsString(), 0)->jaw_torque_n_m, 0.0) << "a tool with two joints has no jaws";
+  EXPECT_EQ(decode_feedback(message.SerializeAsString(), 0)->jaw_torque_n_m, 0.0)
+      << "a tool with two joints has no jaws";
 }
 
 TEST(Feedback, IsValidForNoTimeWithoutALocalModel) {
