@@ -1,5 +1,6 @@
 #include "haptic/feedback.h"
 
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -83,6 +84,16 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
     return invalid("feedback: the position is not finite or beyond the largest length");
   }
   if (!feedback.force_n.allFinite()) return invalid("feedback: the force is not finite");
+  feedback.torque_n_m = to_eigen(message.torque_n_m());
+  // All four zero means no rotation, as in a pose.
+  const v1::Quaternion& q = message.orientation();
+  const Eigen::Quaterniond orientation(q.w(), q.x(), q.y(), q.z());
+  if (!orientation.coeffs().isZero(0.0)) feedback.orientation = orientation;
+  if (!is_rotation(feedback.orientation)) return invalid("feedback: the orientation is not a rotation");
+  if (message.joint_loads_size() == 1) feedback.jaw_torque_n_m = message.joint_loads(0);
+  if (!feedback.torque_n_m.allFinite() || !std::isfinite(feedback.jaw_torque_n_m)) {
+    return invalid("feedback: the torque or the jaws' load is not finite");
+  }
   if (message.has_local_model()) {
     feedback.valid_for_s = message.local_model().valid_for_s();
     if (!is_not_negative(feedback.valid_for_s)) return invalid("feedback: valid_for_s is negative or not finite");

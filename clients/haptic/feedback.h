@@ -2,7 +2,7 @@
 
 // The two messages of a haptic client, checked, and the mailbox between the transport's thread and the loop.
 //
-// Units: m, N, N/m, s; times in ns on this client's monotonic clock. FeedbackInbox may be used by any thread; the
+// Units: m, N, N/m, N m, s; times in ns on this client's monotonic clock. FeedbackInbox may be used by any thread; the
 // functions are pure. A message that does not parse or is not finite is an error, never a force.
 
 #include <cstdint>
@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "core/result.h"
 #include "haptic/device.h"
@@ -46,6 +47,11 @@ struct Feedback {
   /// Largest eigenvalue of the stiffness.
   double largest_stiffness_n_per_m = 0.0;
   double valid_for_s = 0.0;
+  /// Torque on the tool about its own place, at this orientation.
+  Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+  /// Load of the tool's jaws; a positive one opens them. Zero for a tool without jaws.
+  double jaw_torque_n_m = 0.0;
   /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
   /// written.
   std::int64_t waited_ns = 0;

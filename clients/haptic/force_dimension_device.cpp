@@ -31,6 +31,9 @@ struct ForceDimensionDevice::Functions {
   int (*close)(char id);
   const char* (*system_name)(char id);
   bool (*has_gripper)(char id);
+  // Null in a library that lacks them.
+  bool (*has_active_wrist)(char id);
+  bool (*has_active_gripper)(char id);
   int (*enable_force)(unsigned char on, char id);
   int (*get_position)(double* x_m, double* y_m, double* z_m, char id);
   int (*get_orientation)(double rotation[3][3], char id);
@@ -53,6 +56,8 @@ struct ForceDimensionDevice::Functions {
     TM_RETURN_IF_ERROR(library.find("dhdGetGripperAngleRad", f->get_gripper_angle));
     TM_RETURN_IF_ERROR(library.find("dhdSetForceAndTorqueAndGripperForce", f->set_force));
     TM_RETURN_IF_ERROR(library.find("dhdErrorGetLastStr", f->last_error));
+    library.find_optional("dhdHasActiveWrist", f->has_active_wrist);
+    library.find_optional("dhdHasActiveGripper", f->has_active_gripper);
     return f;
   }
 };
@@ -91,6 +96,9 @@ Result<void> ForceDimensionDevice::open() {
   const char* name = functions_->system_name(id_);
   if (name != nullptr) info_.name += fmt::format(" {}", name);
   has_gripper_ = options_.moves_jaws && functions_->has_gripper(id_);
+  const auto says = [this](bool (*question)(char id)) { return question != nullptr && question(id_); };
+  if (!says(functions_->has_active_wrist)) info_.max_torque_n_m = 0.0;
+  if (!has_gripper_ || !says(functions_->has_active_gripper)) info_.max_jaw_torque_n_m = 0.0;
 
   // Zero first: the library may hold the last force of another program.
   Result<void> ready;
@@ -133,11 +141,14 @@ Result<DevicePose> ForceDimensionDevice::read() {
   return map_.to_scene(pose);
 }
 
-Result<void> ForceDimensionDevice::write_force(const Eigen::Vector3d& force_n) {
+Result<void> ForceDimensionDevice::write(const Wrench& wrench) {
   if (!open_) return fail(ErrorCode::kFailedPrecondition, "Force Dimension: write before open");
-  if (!force_n.allFinite()) return invalid("Force Dimension: the force is not finite");
-  const Eigen::Vector3d f = kAxes.to_maker(map_.force_to_device(force_n));
-  if (functions_->set_force(f.x(), f.y(), f.z(), 0, 0, 0, 0, id_) < 0) return failed("set its force");
+  if (!wrench.is_finite()) return invalid("Force Dimension: the force or a torque is not finite");
+  const Wrench device = map_.to_device(wrench);
+  const Eigen::Vector3d f = kAxes.to_maker(device.force_n);
+  const Eigen::Vector3d t = info_.max_torque_n_m > 0 ? kAxes.to_maker(device.torque_n_m) : Eigen::Vector3d::Zero();
+  const double grip_n = info_.max_jaw_torque_n_m > 0 ? device.jaw_torque_n_m / kForceDimensionGripperLeverM : 0.0;
+  if (functions_->set_force(f.x(), f.y(), f.z(), t.x(), t.y(), t.z(), grip_n, id_) < 0) return failed("set its force");
   return {};
 }
 

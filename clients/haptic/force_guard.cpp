@@ -17,34 +17,34 @@ Result<DevicePose> ForceGuard::read() {
   return device_.read();
 }
 
-Result<void> ForceGuard::write(const Eigen::Vector3d& force_n) {
+Result<void> ForceGuard::write(const Wrench& wrench) {
   const std::scoped_lock lock(mutex_);
   if (released_) return fail(ErrorCode::kFailedPrecondition, "force guard: written after its release");
   last_write_ns_ = clock_.now_ns();
-  held_force_n_ = force_n;
-  return device_.write_force(force_n);
+  held_ = wrench;
+  return device_.write(wrench);
 }
 
 void ForceGuard::release() noexcept {
   const std::scoped_lock lock(mutex_);
   if (released_) return;
   released_ = true;
-  held_force_n_.setZero();
+  held_ = {};
   // If this write fails too, nothing is left to try: only the device's own watchdog can clear its force.
-  static_cast<void>(device_.write_force(held_force_n_));
+  static_cast<void>(device_.write(held_));
 }
 
-Eigen::Vector3d ForceGuard::held_force_n() const {
+Wrench ForceGuard::held() const {
   const std::scoped_lock lock(mutex_);
-  return held_force_n_;
+  return held_;
 }
 
 void ForceGuard::check() {
   const std::scoped_lock lock(mutex_);
-  if (released_ || held_force_n_.isZero(0.0) || clock_.now_ns() - last_write_ns_ <= timeout_ns_) return;
+  if (released_ || held_.is_zero() || clock_.now_ns() - last_write_ns_ <= timeout_ns_) return;
   ++trips_;
-  held_force_n_.setZero();
-  static_cast<void>(device_.write_force(held_force_n_));
+  held_ = {};
+  static_cast<void>(device_.write(held_));
 }
 
 std::uint64_t ForceGuard::trips() const {

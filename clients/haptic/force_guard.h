@@ -2,22 +2,20 @@
 
 // Keeps a stalled loop from leaving a force on the hand: a lock around the device and a watchdog thread.
 //
-// Forces in N, times in s. ForceGuard may be used by any thread. Device errors pass through; a write after release()
-// fails with kFailedPrecondition.
+// Forces in N, torques in N m, times in s. ForceGuard may be used by any thread. Device errors pass through; a write
+// after release() fails with kFailedPrecondition.
 
 #include <cstdint>
 #include <mutex>
 #include <thread>
-
-#include <Eigen/Core>
 
 #include "haptic/clock.h"
 #include "haptic/device.h"
 
 namespace tensormass::haptic {
 
-/// The only access to the device while the loop runs. A force must be renewed: if no write comes for `timeout_s`,
-/// check() sets the force to zero. The next write may apply a force again.
+/// The only access to the device while the loop runs. A wrench must be renewed: if no write comes for `timeout_s`,
+/// check() sets force and torques to zero. The next write may apply them again.
 class ForceGuard {
  public:
   /// `device` must be open. `device` and `clock` must outlive the guard.
@@ -29,15 +27,15 @@ class ForceGuard {
 
   const DeviceInfo& info() const { return device_.info(); }
   Result<DevicePose> read();
-  Result<void> write(const Eigen::Vector3d& force_n);
-  /// Sets the force to zero. Every later write fails.
+  Result<void> write(const Wrench& wrench);
+  /// Sets force and torques to zero. Every later write fails.
   void release() noexcept;
-  /// The force that the device holds; zero after the watchdog has cleared it.
-  Eigen::Vector3d held_force_n() const;
+  /// The wrench that the device holds; zero after the watchdog has cleared it.
+  Wrench held() const;
 
-  /// Sets a force to zero that was not renewed in time. Called by the watchdog.
+  /// Sets a wrench to zero that was not renewed in time. Called by the watchdog.
   void check();
-  /// How often check() had to set a force to zero.
+  /// How often check() had to set a wrench to zero.
   std::uint64_t trips() const;
 
  private:
@@ -45,7 +43,7 @@ class ForceGuard {
   Clock& clock_;
   const std::int64_t timeout_ns_;
   mutable std::mutex mutex_;
-  Eigen::Vector3d held_force_n_ = Eigen::Vector3d::Zero();
+  Wrench held_;
   std::int64_t last_write_ns_ = 0;
   bool released_ = false;
   std::uint64_t trips_ = 0;

@@ -29,9 +29,11 @@ void ForceRenderer::update(const Feedback& feedback) {
   if (largest > options_.max_stiffness_n_per_m) {
     const double scale = options_.max_stiffness_n_per_m / largest;
     model_->force_n *= scale;
+    model_->torque_n_m *= scale;
     model_->stiffness_n_per_m *= scale;
     largest = options_.max_stiffness_n_per_m;
   }
+  contact_ = PointContact(*model_, options_.max_angular_stiffness_n_m_per_rad);
   const double valid_for_s = std::min(feedback.valid_for_s, options_.max_valid_for_s);
   valid_until_ns_ = std::min(feedback.arrival_ns + static_cast<std::int64_t>(valid_for_s * kNsPerS),
                              feedback.client_time_ns + static_cast<std::int64_t>(options_.max_pose_age_s * kNsPerS));
@@ -46,7 +48,8 @@ double ForceRenderer::weight(std::int64_t now_ns) const {
   return std::min(falling, rising);
 }
 
-ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const {
+ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation,
+                                            std::int64_t now_ns) const {
   if (!model_) return {};
   const double w = weight(now_ns);
   Eigen::Vector3d force = model_->force_n - model_->stiffness_n_per_m * (position_m - model_->position_m);
@@ -55,15 +58,20 @@ ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, s
     const Eigen::Vector3d direction = model_->force_n / norm;
     force -= std::min(0.0, force.dot(direction)) * direction;
   }
-  return {w * force, w, now_ns > valid_until_ns_};
+  return {w * force, w * contact_.torque_n_m(force, orientation), w * model_->jaw_torque_n_m, w,
+          now_ns > valid_until_ns_};
+}
+
+Eigen::Vector3d limit(const Eigen::Vector3d& wanted, const Eigen::Vector3d& applied, double max_change, double max) {
+  if (!wanted.allFinite()) return Eigen::Vector3d::Zero();
+  const Eigen::Vector3d change = shortened_to(wanted - applied, max_change);
+  const Eigen::Vector3d limited = shortened_to(applied + change, max);
+  return limited.allFinite() ? limited : Eigen::Vector3d::Zero();
 }
 
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,
                             const ForceLimits& limits) {
-  if (!wanted_n.allFinite()) return Eigen::Vector3d::Zero();
-  const Eigen::Vector3d change = shortened_to(wanted_n - applied_n, limits.max_slew_n_per_s * dt_s);
-  const Eigen::Vector3d limited = shortened_to(applied_n + change, limits.max_force_n);
-  return limited.allFinite() ? limited : Eigen::Vector3d::Zero();
+  return limit(wanted_n, applied_n, limits.max_slew_n_per_s * dt_s, limits.max_force_n);
 }
 
 }  // namespace tensormass::haptic

@@ -1,7 +1,7 @@
 #pragma once
 
-// The force on the hand from the server's local model, and its last limits. Pure: the caller passes the time, nothing
-// is sent or written, nothing fails.
+// Force and torques on the hand from the server's local model, and their last limits. Pure: the caller passes the time,
+// nothing is sent or written, nothing fails.
 //
 // Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired).
 
@@ -11,6 +11,7 @@
 #include <Eigen/Core>
 
 #include "haptic/feedback.h"
+#include "haptic/point_contact.h"
 #include "haptic/secant_stiffness.h"
 
 namespace tensormass::haptic {
@@ -28,6 +29,8 @@ struct ForceRendererOptions {
   /// Usually DeviceInfo::max_stiffness_n_per_m. Stiffer tissue is scaled down to it, force and stiffness alike. If only
   /// the stiffness were scaled, the rest of the spring would come with the next feedback, which is late.
   double max_stiffness_n_per_m = 2000.0;
+  /// Usually DeviceInfo::max_angular_stiffness_n_m_per_rad. See PointContact.
+  double max_angular_stiffness_n_m_per_rad = 2.0;
   /// See SecantStiffness. Far above the resolution of common devices, far below the depth of a press.
   double min_secant_move_m = 2e-4;
 };
@@ -40,6 +43,8 @@ struct ForceRendererOptions {
 /// model is valid, then falls linearly to 0 in fade_s. A renewed model raises w at the same rate, so that the returning
 /// force does not kick a hand that has sunk in. Contact pushes and never pulls: when the hand leaves the tissue between
 /// two steps, the part of F along force_n is clamped at zero.
+///
+/// The torque follows from the same model (PointContact). The jaws' load has none and is held. Both have the weight w.
 class ForceRenderer {
  public:
   explicit ForceRenderer(const ForceRendererOptions& options) : options_(options), secant_(options.min_secant_move_m) {}
@@ -49,13 +54,15 @@ class ForceRenderer {
 
   struct Output {
     Eigen::Vector3d force_n = Eigen::Vector3d::Zero();
+    Eigen::Vector3d torque_n_m = Eigen::Vector3d::Zero();
+    double jaw_torque_n_m = 0.0;
     /// w: 1 valid, 0 expired.
     double weight = 0.0;
     /// The model has expired.
     bool stale = false;
   };
-  /// The force at `position_m` and `now_ns`. Before the first update: zero, with weight 0.
-  Output render(const Eigen::Vector3d& position_m, std::int64_t now_ns) const;
+  /// Force and torques at this place and `now_ns`. Before the first update: zero, with weight 0.
+  Output render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns) const;
 
  private:
   double weight(std::int64_t now_ns) const;
@@ -63,6 +70,7 @@ class ForceRenderer {
   ForceRendererOptions options_;
   SecantStiffness secant_;
   std::optional<Feedback> model_;
+  PointContact contact_;
   std::int64_t valid_until_ns_ = 0;
   // w when the newest model arrived. It rises from there.
   std::int64_t renewed_ns_ = 0;
@@ -74,8 +82,11 @@ struct ForceLimits {
   double max_slew_n_per_s = 300.0;
 };
 
-/// Limits a force: first its change from `applied_n` to max_slew_n_per_s · dt_s, then its magnitude to max_force_n.
-/// Returns zero at once if `wanted_n` is not finite or a limit is NaN.
+/// Limits a force or a torque: first its change from `applied` to `max_change`, then its magnitude to `max`. Returns
+/// zero at once if `wanted` is not finite or a limit is NaN. All have one unit.
+Eigen::Vector3d limit(const Eigen::Vector3d& wanted, const Eigen::Vector3d& applied, double max_change, double max);
+
+/// The same for a force: its change is at most max_slew_n_per_s · dt_s, its magnitude max_force_n.
 Eigen::Vector3d limit_force(const Eigen::Vector3d& wanted_n, const Eigen::Vector3d& applied_n, double dt_s,
                             const ForceLimits& limits);
 

@@ -30,7 +30,14 @@ LoopOptions within(const DeviceInfo& info, LoopOptions options) {
   const auto bind = [](double& asked, double device) { asked = std::fmin(asked, device); };
   bind(options.limits.max_force_n, info.max_force_n);
   bind(options.renderer.max_stiffness_n_per_m, info.max_stiffness_n_per_m);
-  bind(options.passivity.max_damping_n_s_per_m, info.max_damping_n_s_per_m);
+  bind(options.passivity.max_damping, info.max_damping_n_s_per_m);
+  // A statement that is not a number counts as none.
+  const auto stated = [](double device) { return is_positive(device) ? device : 0.0; };
+  bind(options.torque.max_torque_n_m, stated(info.max_torque_n_m));
+  bind(options.renderer.max_angular_stiffness_n_m_per_rad, stated(info.max_angular_stiffness_n_m_per_rad));
+  bind(options.torque.max_damping_n_m_s, stated(info.max_angular_damping_n_m_s));
+  bind(options.jaws.max_torque_n_m, stated(info.max_jaw_torque_n_m));
+  bind(options.jaws.max_damping_n_m_s, stated(info.max_jaw_damping_n_m_s));
   if (options.client_id == 0) options.client_id = random_client_id();
   return options;
 }
@@ -44,7 +51,12 @@ Loop::Loop(ForceGuard& guard, Link& link, Clock& clock, const LoopOptions& optio
       options_(within(guard.info(), options)),
       period_s_(1.0 / options_.rate_hz),
       renderer_(options_.renderer),
-      passivity_(options_.passivity) {}
+      passivity_(options_.passivity),
+      torque_(options_.torque),
+      jaws_(options_.jaws) {
+  if (guard.info().max_torque_n_m > 0.0) report_.max_torque_n_m = 0.0;
+  if (guard.info().max_jaw_torque_n_m > 0.0) report_.max_jaw_torque_n_m = 0.0;
+}
 
 Result<LoopReport> Loop::run(const std::atomic<bool>& stop) {
   const auto period_ns = static_cast<std::int64_t>(kNsPerS / options_.rate_hz);
@@ -91,24 +103,46 @@ Result<void> Loop::tick() {
 
   receive();
 
-  const ForceRenderer::Output rendered = renderer_.render(pose->position_m, now_ns);
+  const ForceRenderer::Output rendered = renderer_.render(pose->position_m, pose->orientation, now_ns);
   if (report_.feedback_received > 0) {
     report_.stale_ticks += rendered.stale;
     report_.stale_episodes += rendered.stale && !was_stale_;
     was_stale_ = rendered.stale;
   }
+  const Wrench wrench = wrench_at(*pose, rendered);
+  report(wrench);
+  return guard_.write(wrench);
+}
+
+Wrench Loop::wrench_at(const DevicePose& pose, const ForceRenderer::Output& rendered) {
+  const HandMotion motion = last_pose_ ? motion_between(*last_pose_, pose) : HandMotion{};
+  last_pose_ = pose;
   // From the guard, because the watchdog may have set it to zero since the last tick.
-  const Eigen::Vector3d held = guard_.held_force_n();
-  const Eigen::Vector3d passive = passivity_.apply(pose->position_m, held, rendered.force_n, period_s_);
-  const Eigen::Vector3d force = limit_force(passive, held, period_s_, options_.limits);
-  report_.max_force_n = std::max(report_.max_force_n, force.norm());
+  const Wrench held = guard_.held();
+  Wrench wrench;
+  const Eigen::Vector3d passive = passivity_.apply(motion.moved_m, held.force_n, rendered.force_n, period_s_);
+  wrench.force_n = limit_force(passive, held.force_n, period_s_, options_.limits);
+  wrench.torque_n_m = torque_.apply(motion.turned_rad, held.torque_n_m, rendered.torque_n_m, period_s_);
+  // Without an angle of the jaws their work is unknown.
+  if (pose.jaw_angle_rad) {
+    wrench.jaw_torque_n_m =
+        jaws_.apply(motion.jaws_opened_rad, held.jaw_torque_n_m, rendered.jaw_torque_n_m, period_s_);
+  }
+  return wrench;
+}
+
+void Loop::report(const Wrench& wrench) {
+  report_.max_force_n = std::max(report_.max_force_n, wrench.force_n.norm());
   report_.min_energy_j = std::min(report_.min_energy_j, passivity_.energy_j());
-  return guard_.write(force);
+  if (report_.max_torque_n_m) *report_.max_torque_n_m = std::max(*report_.max_torque_n_m, wrench.torque_n_m.norm());
+  if (report_.max_jaw_torque_n_m) {
+    *report_.max_jaw_torque_n_m = std::max(*report_.max_jaw_torque_n_m, std::abs(wrench.jaw_torque_n_m));
+  }
 }
 
 Result<void> Loop::tick_without(const DevicePose& invalid) {
   ++report_.poses_invalid;
-  if (auto written = guard_.write(Eigen::Vector3d::Zero()); !written) return written;
+  if (auto written = guard_.write(Wrench{}); !written) return written;
   // Take feedback all the same: it is timed on arrival and renews the local model for the next valid pose.
   receive();
   if (++invalid_in_a_row_ < kMaxInvalidPosesInARow) return {};

@@ -26,22 +26,27 @@
 // 2. Nothing in a tick waits for the network, so its jitter does not reach the hand.
 // 3. The model jumps once a step and its anchor is late, so it can return more energy than the hand gave. The
 //    passivity controller behind it dissipates the excess.
+// 4. Torque and jaws' load take the same way beside the force, small and slow (torque_channel.h), and only to a device
+//    that has them. The torque's local model is that of one point of contact (point_contact.h).
 //
-// Units: m, N, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set `stop`.
-// Only a failing device is an error. Without a server the model expires and the force fades to zero.
+// Units: m, N, N m, s; ns on the Clock. Threading: run() blocks the thread that calls it. Other threads may only set
+// `stop`. Only a failing device is an error. Without a server the model expires and the force fades to zero.
 
 #include <atomic>
 #include <cstdint>
 #include <limits>
+#include <optional>
 
 #include "haptic/clock.h"
 #include "haptic/device.h"
 #include "haptic/force_guard.h"
 #include "haptic/force_renderer.h"
+#include "haptic/hand_motion.h"
 #include "haptic/histogram.h"
 #include "haptic/latency_tracker.h"
 #include "haptic/link.h"
 #include "haptic/passivity_controller.h"
+#include "haptic/torque_channel.h"
 
 namespace tensormass::haptic {
 
@@ -58,6 +63,9 @@ struct LoopOptions {
   ForceRendererOptions renderer;
   ForceLimits limits;
   PassivityOptions passivity;
+  /// Torque on the hand and on its jaws. A device that states none gets none.
+  TorqueOptions torque;
+  TorqueOptions jaws;
 };
 
 struct LoopReport {
@@ -87,6 +95,9 @@ struct LoopReport {
   double max_force_n = 0.0;
   /// Lowest energy that the passivity observer counted [J]. 0 if the virtual tissue was always passive.
   double min_energy_j = 0.0;
+  /// Largest torque on the hand and on its jaws. Absent for a device that has none.
+  std::optional<double> max_torque_n_m;
+  std::optional<double> max_jaw_torque_n_m;
   /// Poses whose round trip was not timed; see LatencyTracker::forgotten().
   std::uint64_t poses_forgotten = 0;
   /// From sending a pose to the first feedback that answers it or a newer one.
@@ -109,7 +120,7 @@ struct LoopReport {
 ///
 ///     read the device -> send the pose -> take the newest feedback -> local model -> passivity -> limits -> write
 ///
-/// An invalid pose (see DevicePose) sets the force to zero for its tick. It is not sent. The passivity controller does
+/// An invalid pose (see DevicePose) sets the force to zero for its tick. It is not sent. The passivity controllers do
 /// not get it either, because it would spoil the energy count for good. The next valid pose continues from there.
 class Loop {
  public:
@@ -125,6 +136,9 @@ class Loop {
   Result<void> tick();
   /// A tick with an invalid pose: zero force, nothing sent.
   Result<void> tick_without(const DevicePose& invalid);
+  /// Force and torques for this pose, passive and within their limits.
+  Wrench wrench_at(const DevicePose& pose, const ForceRenderer::Output& rendered);
+  void report(const Wrench& wrench);
   void receive();
   /// Waits for the echo of the last pose, for at most drain_s.
   void drain(const std::atomic<bool>& stop);
@@ -136,6 +150,9 @@ class Loop {
   double period_s_;
   ForceRenderer renderer_;
   PassivityController passivity_;
+  TorqueChannel torque_;
+  TorqueChannel jaws_;
+  std::optional<DevicePose> last_pose_;
   LatencyTracker latency_;
   LoopReport report_;
   std::uint64_t last_step_ = 0;

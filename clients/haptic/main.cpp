@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <iostream>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -65,6 +66,7 @@ struct Options {
   std::vector<double> press_at_m;
   std::vector<double> direction;
   double depth_m = -1.0;
+  std::optional<double> jaw_angle_rad;
   HandScriptOptions hand;
   SimulatedDeviceOptions simulated;
   LoopOptions loop;
@@ -111,6 +113,7 @@ constexpr const char* kHandGroup = "Scripted hand (--device simulated)";
 constexpr const char* kHaplyGroup = "Haply Inverse (--device haply)";
 constexpr const char* kLibraryGroup = "OpenHaptics and Force Dimension (--device openhaptics, force-dimension)";
 constexpr const char* kHardwareGroup = "Devices other than the simulated one";
+constexpr const char* kTorqueGroup = "Torque (--device simulated, force-dimension)";
 
 void add_hardware_options(CLI::App& app, Options& o) {
   const auto url_problem = [](const std::string& url) {
@@ -217,6 +220,13 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str()
       ->group(hand);
 
+  app.add_option(
+         "--jaw-angle", o.jaw_angle_rad,
+         "Angle at which the fingers hold the jaws of a tool that has them [rad]; default: the jaws stay as they "
+         "are")
+      ->check(Within(0.0, kMostJawAngleRad))
+      ->group(hand);
+
   const std::string force = "Force";
   app.add_option("--max-force", o.loop.limits.max_force_n, "Largest force on the hand [N]")
       ->check(Within(0.001, 1e3))
@@ -234,6 +244,15 @@ void add_options(CLI::App& app, Options& o) {
       ->check(Within(0.002, 1.0))
       ->capture_default_str()
       ->group(force);
+  app.add_option("--max-torque", o.loop.torque.max_torque_n_m, "Largest torque on the hand [N m]; 0: none")
+      ->check(Within(0.0, 10.0))
+      ->capture_default_str()
+      ->group(kTorqueGroup);
+  app.add_option("--max-jaw-torque", o.loop.jaws.max_torque_n_m,
+                 "Largest torque on the gripper, about the hinge of the jaws [N m]; 0: none")
+      ->check(Within(0.0, 10.0))
+      ->capture_default_str()
+      ->group(kTorqueGroup);
 }
 
 /// Returns the name of an option that was given and that the chosen device does not use, or nothing.
@@ -242,7 +261,8 @@ std::string option_of_another_device(const CLI::App& app, const Options& options
   const auto is_unused = [&](const std::string& group) {
     return (group == kHandGroup && device != "simulated") || (group == kHardwareGroup && device == "simulated") ||
            (group == kHaplyGroup && device != "haply") ||
-           (group == kLibraryGroup && device != "openhaptics" && device != "force-dimension");
+           (group == kLibraryGroup && device != "openhaptics" && device != "force-dimension") ||
+           (group == kTorqueGroup && device != "simulated" && device != "force-dimension");
   };
   for (const CLI::Option* option : app.get_options()) {
     if (is_unused(option->get_group()) && option->count() > 0) return option->get_name();
@@ -300,8 +320,11 @@ Result<std::unique_ptr<Device>> make_device(const Options& options, const Discov
     force_dimension.moves_jaws = tool.has_jaws;
     return std::make_unique<ForceDimensionDevice>(force_dimension);
   }
+  if (options.jaw_angle_rad && !tool.has_jaws) return invalid("--jaw-angle: the tool has no jaws");
+  SimulatedDeviceOptions simulated = options.simulated;
+  simulated.jaw_angle_rad = options.jaw_angle_rad;
   TM_ASSIGN_OR_RETURN(script, plan_hand(options, tool, patience));
-  return std::make_unique<SimulatedDevice>(options.simulated, script, clock);
+  return std::make_unique<SimulatedDevice>(simulated, script, clock);
 }
 
 std::string ask_why_unanswered(const Options& options, const DiscoveredTool& tool) {
@@ -349,7 +372,8 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
 
 int main(int argc, char** argv) {
   using namespace tensormass::haptic;
-  CLI::App app{"A haptic device on one tool of a running scene: pose in, force out, at 1 kHz.", "tensormass-haptic"};
+  CLI::App app{"A haptic device on one tool of a running scene: pose in, force and torque out, at 1 kHz.",
+               "tensormass-haptic"};
   Options options;
   options.hand.circle_radius_m = -1.0;
   add_options(app, options);

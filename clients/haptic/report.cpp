@@ -54,6 +54,16 @@ std::string percentiles(const Histogram& histogram) {
                      ms(histogram.percentile_ns(0.999)), ms(histogram.max_ns()), histogram.count());
 }
 
+/// Returns the line of the torques, or nothing for a device without.
+std::string torques(const LoopReport& report) {
+  std::string parts;
+  if (report.max_torque_n_m) parts += fmt::format("at most {:.4f} N m", *report.max_torque_n_m);
+  if (report.max_jaw_torque_n_m) {
+    parts += fmt::format("{}jaws at most {:.4f} N m", parts.empty() ? "" : "; ", *report.max_jaw_torque_n_m);
+  }
+  return parts.empty() ? parts : fmt::format("  torque    {}\n", parts);
+}
+
 }  // namespace
 
 std::string to_text(const LoopReport& report, const RunLabel& label) {
@@ -69,7 +79,8 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       "  tick duration      {}\n"
       "  poses     {} sent, last {} echoed {}{}{}\n"
       "  feedback  {} received, {} dropped, {} foreign, {} malformed\n"
-      "  force     at most {:.3f} N; stale {} ticks in {} episodes; watchdog {}; least energy {:.2e} J\n",
+      "  force     at most {:.3f} N; stale {} ticks in {} episodes; watchdog {}; least energy {:.2e} J\n"
+      "{}",
       label.device, label.scene, label.tool, label.server, label.transport, report.seconds, report.ticks,
       report.missed_ticks, percentiles(report.round_trip), percentiles(report.answered_pose_age),
       percentiles(report.pose_wait), percentiles(report.step_time), percentiles(report.publication),
@@ -78,35 +89,38 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       report.poses_not_taken > 0 ? fmt::format(", {} not taken by the transport", report.poses_not_taken) : "",
       report.poses_invalid > 0 ? fmt::format(", {} of the device invalid", report.poses_invalid) : "",
       report.feedback_received, report.feedback_dropped, report.feedback_foreign, report.feedback_malformed,
-      report.max_force_n, report.stale_ticks, report.stale_episodes, report.watchdog_trips, report.min_energy_j);
+      report.max_force_n, report.stale_ticks, report.stale_episodes, report.watchdog_trips, report.min_energy_j,
+      torques(report));
 }
 
 std::string to_json(const LoopReport& report, const RunLabel& label) {
-  return JsonObject()
-             .add("server", label.server)
-             .add("scene", label.scene)
-             .add("tool", label.tool)
-             .add("transport", label.transport)
-             .add("device", label.device)
-             .add("seconds", report.seconds)
-             .add("ticks", report.ticks)
-             .add("missed_ticks", report.missed_ticks)
-             .add("poses_sent", report.poses_sent)
-             .add("poses_not_taken", report.poses_not_taken)
-             .add("poses_invalid", report.poses_invalid)
-             .add("poses_forgotten", report.poses_forgotten)
-             .add("last_sequence_sent", report.last_sequence_sent)
-             .add("last_sequence_echoed", report.last_sequence_echoed)
-             .add("feedback_received", report.feedback_received)
-             .add("feedback_dropped", report.feedback_dropped)
-             .add("feedback_foreign", report.feedback_foreign)
-             .add("feedback_malformed", report.feedback_malformed)
-             .add("stale_ticks", report.stale_ticks)
-             .add("stale_episodes", report.stale_episodes)
-             .add("watchdog_trips", report.watchdog_trips)
-             .add("max_force_n", report.max_force_n)
-             .add("min_energy_j", report.min_energy_j)
-             .add("pose_to_force", report.round_trip)
+  JsonObject object;
+  object.add("server", label.server)
+      .add("scene", label.scene)
+      .add("tool", label.tool)
+      .add("transport", label.transport)
+      .add("device", label.device)
+      .add("seconds", report.seconds)
+      .add("ticks", report.ticks)
+      .add("missed_ticks", report.missed_ticks)
+      .add("poses_sent", report.poses_sent)
+      .add("poses_not_taken", report.poses_not_taken)
+      .add("poses_invalid", report.poses_invalid)
+      .add("poses_forgotten", report.poses_forgotten)
+      .add("last_sequence_sent", report.last_sequence_sent)
+      .add("last_sequence_echoed", report.last_sequence_echoed)
+      .add("feedback_received", report.feedback_received)
+      .add("feedback_dropped", report.feedback_dropped)
+      .add("feedback_foreign", report.feedback_foreign)
+      .add("feedback_malformed", report.feedback_malformed)
+      .add("stale_ticks", report.stale_ticks)
+      .add("stale_episodes", report.stale_episodes)
+      .add("watchdog_trips", report.watchdog_trips)
+      .add("max_force_n", report.max_force_n)
+      .add("min_energy_j", report.min_energy_j);
+  if (report.max_torque_n_m) object.add("max_torque_n_m", *report.max_torque_n_m);
+  if (report.max_jaw_torque_n_m) object.add("max_jaw_torque_n_m", *report.max_jaw_torque_n_m);
+  return object.add("pose_to_force", report.round_trip)
              .add("answered_pose_age", report.answered_pose_age)
              .add("pose_wait", report.pose_wait)
              .add("step_time", report.step_time)

@@ -21,8 +21,9 @@ struct RunLabel {
 /// A few lines for people.
 std::string to_text(const LoopReport& report, const RunLabel& label);
 
-/// One JSON object for programs, durations in s. A histogram carries its buckets as [upper bound in s, count], so that
-/// the histograms of several clients can be added.
+/// One JSON object for programs, durations in s. max_torque_n_m and max_jaw_torque_n_m only for a device that has them.
+/// A histogram carries its buckets as [upper bound in s, count], so that the histograms of several clients can be
+/// added.
 std::string to_json(const LoopReport& report, const RunLabel& label);
 
 /// Explains to people why no pose of a run was answered, from the scene's `status` after the run.

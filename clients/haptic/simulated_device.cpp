@@ -39,10 +39,34 @@ Eigen::Matrix2d oscillator_transition(double stiffness, double damping, double h
   return even * Eigen::Matrix2d::Identity() + odd * (a - s * Eigen::Matrix2d::Identity());
 }
 
+Oscillator oscillator_of(double mass, double stiffness, double damping) {
+  Oscillator o;
+  o.transition = oscillator_transition(stiffness / mass, damping / mass, kStepS);
+  // With transition matrix Φ, a constant u rests at x = u / stiffness, so its response over a sub-step is
+  // (I − Φ) (1/stiffness, 0)ᵀ u, with stiffness and u per mass.
+  o.input = (Eigen::Matrix2d::Identity() - o.transition).col(0) / (stiffness / mass);
+  return o;
+}
+
+/// Advances x and v by a sub-step. `u` is per mass.
+template <class Value>
+void advance(const Oscillator& o, const Value& u, Value& x, Value& v) {
+  const Value position = o.transition(0, 0) * x + o.transition(0, 1) * v;
+  const Value velocity = o.transition(1, 0) * x + o.transition(1, 1) * v;
+  x = position + o.input(0) * u;
+  v = velocity + o.input(1) * u;
+}
+
+Eigen::Quaterniond rotation_of(const Eigen::Vector3d& vector_rad) {
+  return Eigen::Quaterniond(Eigen::AngleAxisd(vector_rad.norm(), vector_rad.stableNormalized()));
+}
+
 }  // namespace
 
 SimulatedDevice::SimulatedDevice(const SimulatedDeviceOptions& options, const HandScript& script, Clock& clock)
-    : options_(options), script_(script), clock_(clock) {}
+    : options_(options), script_(script), clock_(clock) {
+  if (!options_.jaw_angle_rad) options_.info.max_jaw_torque_n_m = 0.0;
+}
 
 Result<void> SimulatedDevice::open() {
   if (!is_positive(options_.mass_kg) || !is_positive(options_.hand_stiffness_n_per_m)) {
@@ -51,16 +75,27 @@ Result<void> SimulatedDevice::open() {
   if (!is_not_negative(options_.damping_n_s_per_m) || !is_not_negative(options_.hand_damping_n_s_per_m)) {
     return invalid("simulated device: damping [N s/m] must be finite and not negative");
   }
-  const double stiffness = options_.hand_stiffness_n_per_m / options_.mass_kg;
-  const double damping = (options_.hand_damping_n_s_per_m + options_.damping_n_s_per_m) / options_.mass_kg;
-  transition_ = oscillator_transition(stiffness, damping, kStepS);
-  // With transition matrix Φ, a constant force u per mass rests at x = u / stiffness, so its response over a sub-step
-  // is (I − Φ) (1/stiffness, 0)ᵀ u.
-  input_ = (Eigen::Matrix2d::Identity() - transition_).col(0) / stiffness;
+  if (!is_positive(options_.inertia_kg_m2) || !is_positive(options_.hand_angular_stiffness_n_m_per_rad)) {
+    return invalid("simulated device: inertia [kg m²] and the hand's stiffness [N m/rad] must be positive and finite");
+  }
+  if (!is_not_negative(options_.angular_damping_n_m_s) || !is_not_negative(options_.hand_angular_damping_n_m_s)) {
+    return invalid("simulated device: damping [N m s] must be finite and not negative");
+  }
+  if (const double jaws_rad = options_.jaw_angle_rad.value_or(0.0); !(jaws_rad >= 0 && jaws_rad <= kMostJawAngleRad)) {
+    return invalid("simulated device: the jaws' angle [rad] is out of its range");
+  }
+  translation_ = oscillator_of(options_.mass_kg, options_.hand_stiffness_n_per_m,
+                               options_.hand_damping_n_s_per_m + options_.damping_n_s_per_m);
+  rotation_ = oscillator_of(options_.inertia_kg_m2, options_.hand_angular_stiffness_n_m_per_rad,
+                            options_.hand_angular_damping_n_m_s + options_.angular_damping_n_m_s);
   const HandScript::Target start = script_.at(0.0);
   position_m_ = start.position_m;
   velocity_m_per_s_.setZero();
-  force_n_.setZero();
+  turn_rad_.setZero();
+  turning_rad_per_s_.setZero();
+  jaws_rad_ = options_.jaw_angle_rad.value_or(0.0);
+  jaws_rad_per_s_ = 0.0;
+  held_ = {};
   start_ns_ = clock_.now_ns();
   steps_done_ = 0;
   open_ = true;
@@ -70,18 +105,21 @@ Result<void> SimulatedDevice::open() {
 Result<DevicePose> SimulatedDevice::read() {
   if (!open_) return fail(ErrorCode::kFailedPrecondition, "simulated device: read before open");
   advance_to_now();
-  return DevicePose{position_m_, Eigen::Quaterniond::Identity()};
+  DevicePose pose{position_m_, rotation_of(turn_rad_)};
+  // The stops of the jaws.
+  if (options_.jaw_angle_rad) pose.jaw_angle_rad = std::clamp(jaws_rad_, 0.0, kMostJawAngleRad);
+  return pose;
 }
 
-Result<void> SimulatedDevice::write_force(const Eigen::Vector3d& force_n) {
+Result<void> SimulatedDevice::write(const Wrench& wrench) {
   if (!open_) return fail(ErrorCode::kFailedPrecondition, "simulated device: write before open");
   advance_to_now();
-  force_n_ = force_n;
+  held_ = wrench;
   return {};
 }
 
 void SimulatedDevice::close() noexcept {
-  force_n_.setZero();
+  held_ = {};
   open_ = false;
 }
 
@@ -94,13 +132,14 @@ void SimulatedDevice::advance_to_now() {
 void SimulatedDevice::step(double time_s) {
   // The target at the middle of the sub-step is used for the whole sub-step.
   const HandScript::Target target = script_.at(time_s + 0.5 * kStepS);
-  const Eigen::Vector3d input = (force_n_ + options_.hand_stiffness_n_per_m * target.position_m +
+  const Eigen::Vector3d input = (held_.force_n + options_.hand_stiffness_n_per_m * target.position_m +
                                  options_.hand_damping_n_s_per_m * target.velocity_m_per_s) /
                                 options_.mass_kg;
-  const Eigen::Vector3d position = transition_(0, 0) * position_m_ + transition_(0, 1) * velocity_m_per_s_;
-  const Eigen::Vector3d velocity = transition_(1, 0) * position_m_ + transition_(1, 1) * velocity_m_per_s_;
-  position_m_ = position + input_(0) * input;
-  velocity_m_per_s_ = velocity + input_(1) * input;
+  advance(translation_, input, position_m_, velocity_m_per_s_);
+  advance<Eigen::Vector3d>(rotation_, held_.torque_n_m / options_.inertia_kg_m2, turn_rad_, turning_rad_per_s_);
+  if (!options_.jaw_angle_rad) return;
+  const double grip_n_m = options_.hand_angular_stiffness_n_m_per_rad * *options_.jaw_angle_rad;
+  advance(rotation_, (held_.jaw_torque_n_m + grip_n_m) / options_.inertia_kg_m2, jaws_rad_, jaws_rad_per_s_);
 }
 
 }  // namespace tensormass::haptic

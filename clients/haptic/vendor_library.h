@@ -23,6 +23,12 @@ class VendorLibrary {
     return {};
   }
 
+  /// Sets `function` to the function of this name, or to null if the library lacks it.
+  template <class Function>
+  void find_optional(const char* name, Function*& function) const {
+    function = reinterpret_cast<Function*>(find_symbol(name).value_or(nullptr));
+  }
+
  private:
   Result<void*> find_symbol(const char* name) const;
 

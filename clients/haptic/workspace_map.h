@@ -3,9 +3,9 @@
 // Places the small workspace of a haptic device in the scene:
 //
 //     p_scene = scene_center_m + scale · R (p_device − device_center_m)          q_scene = R q_device
-//     F_device = Rᵀ F_scene
+//     F_device = Rᵀ F_scene          M_device = Rᵀ M_scene
 //
-// p position, q orientation, F force on the hand, R rotation.
+// p position, q orientation, F force and M torque on the hand, R rotation.
 //
 // The force is rotated and not scaled: 1 N in the scene is 1 N in the hand, whatever the scale. The hand then feels a
 // spring of the scene as `scale` times as stiff, because it moves 1/scale as far against the same force. DeviceInfo
@@ -13,7 +13,9 @@
 // energy in the scene also differ by that constant factor. What is passive in the scene is therefore passive in the
 // hand, and the passivity controller of the loop, which counts in the scene, remains right.
 //
-// Units: m, N. Pure functions, for any thread.
+// A torque is not scaled either, and angles are the same in hand and scene.
+//
+// Units: m, N, N m. Pure functions, for any thread.
 
 #include <string>
 
@@ -60,6 +62,9 @@ struct WorkspaceMap {
   }
 
   Eigen::Vector3d force_to_device(const Eigen::Vector3d& force_n) const { return rotation.conjugate() * force_n; }
+  Wrench to_device(const Wrench& scene) const {
+    return {force_to_device(scene.force_n), rotation.conjugate() * scene.torque_n_m, scene.jaw_torque_n_m};
+  }
 
   /// The device's limits as the scene sees them.
   DeviceInfo to_scene(DeviceInfo device) const {
@@ -77,7 +82,7 @@ inline WorkspaceMap map_from(const Eigen::Vector3d& first_position_m, const Work
 /// The axes of a maker's frame. All devices of this client speak of x to the right, y forward (away from the hand) and
 /// z up, so that one rotation of the workspace suits them all.
 struct DeviceAxes {
-  /// From the maker's frame to that of this client.
+  /// From the maker's frame to that of this client. A rotation: a reflection would turn torques the wrong way round.
   Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();
 
   Eigen::Vector3d from_maker(const Eigen::Vector3d& v) const { return turn * v; }

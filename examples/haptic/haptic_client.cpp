@@ -25,7 +25,8 @@ class MyDevice final : public Device {
     const double seconds = static_cast<double>(clock_.now_ns() - start_ns_) / kNsPerS;
     return DevicePose{rest_m_ + 0.5 * (1.0 - std::cos(std::numbers::pi * seconds)) * travel_m_};
   }
-  Result<void> write_force(const Eigen::Vector3d&) override { return {}; }  // the force on the hand [N], to the motors
+  // The force on the hand [N], to the motors. A device with a torque overrides write() too.
+  Result<void> write_force(const Eigen::Vector3d&) override { return {}; }
   void close() noexcept override {}
 
  private:

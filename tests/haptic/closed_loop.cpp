@@ -303,7 +303,7 @@ Outcome run_case(const Case& c, Chain chain) {
   loop.duration_s = kHoldEndsS;
   loop.drain_s = 0.0;
   loop.client_id = kClientId;
-  if (chain == Chain::kNoController || chain == Chain::kTransmitted) loop.passivity.max_damping_n_s_per_m = 0.0;
+  if (chain == Chain::kNoController || chain == Chain::kTransmitted) loop.passivity.max_damping = 0.0;
   if (chain == Chain::kNoSecant || transmits) {
     loop.renderer.min_secant_move_m = std::numeric_limits<double>::infinity();
   }

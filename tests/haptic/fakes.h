@@ -54,6 +54,30 @@ class FakeDevice final : public Device {
   DeviceInfo info_{"fake", 10.0, 2000.0, 20.0};
 };
 
+/// The same with a wrist and a gripper; records the wrenches.
+class FakeWrist final : public Device {
+ public:
+  Result<void> open() override { return {}; }
+  const DeviceInfo& info() const override { return info_; }
+  Result<DevicePose> read() override {
+    if (on_read) on_read();
+    return pose;
+  }
+  Result<void> write_force(const Eigen::Vector3d& force_n) override { return write({force_n}); }
+  Result<void> write(const Wrench& wrench) override {
+    wrenches.push_back(wrench);
+    return {};
+  }
+  void close() noexcept override {}
+
+  DevicePose pose{Eigen::Vector3d::Zero(), Eigen::Quaterniond::Identity(), 0.3};
+  std::function<void()> on_read;
+  std::vector<Wrench> wrenches;
+
+ private:
+  DeviceInfo info_{"wrist", 10.0, 2000.0, 20.0, 0.4, 5.0, 0.05, 0.3, 0.05};
+};
+
 /// A server in the loop's thread. `answer` is called with each pose; the feedback that it returns is received next.
 class FakeLink final : public Link {
  public:
@@ -82,6 +106,7 @@ inline Feedback answer_to(const OutgoingPose& pose, std::uint64_t step) {
   feedback.client_time_ns = pose.client_time_ns;
   feedback.arrival_ns = pose.client_time_ns;
   feedback.position_m = pose.pose.position_m;
+  feedback.orientation = pose.pose.orientation;
   feedback.valid_for_s = 0.02;
   return feedback;
 }

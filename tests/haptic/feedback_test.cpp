@@ -44,6 +44,23 @@ TEST(Feedback, DecodesEveryFieldAndTheArrival) {
   EXPECT_NEAR(feedback.largest_stiffness_n_per_m, 75.0 + std::sqrt(725.0), 1e-9);
 }
 
+TEST(Feedback, HasTorqueOrientationAndTheLoadOfTheJaws) {
+  v1::ToolFeedback message = good();
+  EXPECT_TRUE(decode_feedback(message.SerializeAsString(), 0)->torque_n_m.isZero(0.0));
+  EXPECT_TRUE(decode_feedback(message.SerializeAsString(), 0)->orientation.isApprox(Eigen::Quaterniond::Identity()));
+  message.mutable_torque_n_m()->set_y(0.2);
+  message.mutable_orientation()->set_x(0.6);
+  message.mutable_orientation()->set_w(0.8);
+  message.add_joint_loads(-0.3);
+  const Feedback feedback = decode_feedback(message.SerializeAsString(), 0).value();
+  EXPECT_EQ(feedback.torque_n_m, Eigen::Vector3d(0.0, 0.2, 0.0));
+  EXPECT_EQ(feedback.orientation.x(), 0.6);
+  EXPECT_EQ(feedback.jaw_torque_n_m, -0.3);
+  message.add_joint_loads(1.0);
+  EXPECT_EQ(decode_feedback(message.SerializeAsString(), 0)->jaw_torque_n_m, 0.0)
+      << "a tool with two joints has no jaws";
+}
+
 TEST(Feedback, IsValidForNoTimeWithoutALocalModel) {
   v1::ToolFeedback message = good();
   message.clear_local_model();
@@ -84,6 +101,9 @@ TEST(Feedback, RefusesValuesThatCouldPushWithoutBound) {
   };
   EXPECT_EQ(refusal(good()), "accepted");
   EXPECT_NE(with([&](auto& m) { m.mutable_force_n()->set_x(nan); }).find("force"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.mutable_torque_n_m()->set_z(nan); }).find("torque"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.add_joint_loads(nan); }).find("jaws"), std::string::npos);
+  EXPECT_NE(with([&](auto& m) { m.mutable_orientation()->set_w(nan); }).find("orientation"), std::string::npos);
   EXPECT_NE(with([&](auto& m) { m.mutable_position_m()->set_x(nan); }).find("position"), std::string::npos);
   EXPECT_NE(with([](auto& m) { m.mutable_position_m()->set_x(1e30); }).find("position"), std::string::npos);
   EXPECT_NE(with([&](auto& m) { m.mutable_local_model()->set_stiffness_n_per_m(4, nan); }).find("finite"),

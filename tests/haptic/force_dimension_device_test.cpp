@@ -99,6 +99,73 @@ TEST(ForceDimension, TheGripperMovesJawsOnlyOfAToolThatHasThem) {
   EXPECT_FALSE(with.read()->jaw_angle_rad);
 }
 
+TEST(ForceDimension, TorqueAndGripGoWithTheForceInTheSameAxes) {
+  ForceDimensionOptions turned = options();
+  turned.workspace = {{1, 2, 3}, rotation_about_axes({0, 0, 90}), 2.0};
+  for (const auto& [opts, right, forward] : {std::tuple{options(), Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, 1, 0)},
+                                             std::tuple{turned, Eigen::Vector3d(0, 1, 0), Eigen::Vector3d(-1, 0, 0)}}) {
+    FakeDhd& fake = fresh_fake();
+    ForceDimensionOptions jaws = opts;
+    jaws.moves_jaws = true;
+    ForceDimensionDevice device(jaws);
+    ASSERT_TRUE(device.open());
+    EXPECT_EQ(device.info().max_torque_n_m, kForceDimensionLimits.max_torque_n_m);
+    EXPECT_EQ(device.info().max_jaw_torque_n_m, kForceDimensionLimits.max_jaw_torque_n_m);
+    EXPECT_EQ(device.info().max_angular_stiffness_n_m_per_rad, kForceDimensionLimits.max_angular_stiffness_n_m_per_rad);
+    const Eigen::Vector3d torque = 0.03 * right + 0.04 * forward + 0.05 * Eigen::Vector3d::UnitZ();
+    ASSERT_TRUE(device.write({Eigen::Vector3d(1, 0, 0), torque, 0.1}));
+    EXPECT_NEAR(fake.torque_n_m[0], -0.04, 1e-12);
+    EXPECT_NEAR(fake.torque_n_m[1], 0.03, 1e-12);
+    EXPECT_NEAR(fake.torque_n_m[2], 0.05, 1e-12);
+    EXPECT_DOUBLE_EQ(fake.grip_n, 0.1 / kForceDimensionGripperLeverM);
+    device.close();
+    EXPECT_EQ(fake.torque_n_m, (std::array<double, 3>{}));
+    EXPECT_EQ(fake.grip_n, 0.0);
+    EXPECT_EQ(fake.calls, (Calls{"dhdOpen", "zero", "forces on", "force", "zero", "forces off", "dhdClose"}));
+  }
+}
+
+// A torque turns a wrist the way in which the wrist's own orientation is read: the work of the loop is that of the
+// device.
+TEST(ForceDimension, ATorqueTurnsTheToolTheWayTheWristIsRead) {
+  FakeDhd& fake = fresh_fake();
+  ForceDimensionDevice device(options());
+  ASSERT_TRUE(device.open());
+  const Eigen::Vector3d axis = Eigen::Vector3d(1, -2, 3).normalized();
+  ASSERT_TRUE(device.write({Eigen::Vector3d::Zero(), 0.1 * axis}));
+  const Eigen::Vector3d maker(fake.torque_n_m[0], fake.torque_n_m[1], fake.torque_n_m[2]);
+  const Eigen::Matrix3d turn = Eigen::AngleAxisd(0.2, maker.normalized()).toRotationMatrix();
+  for (int i = 0; i < 9; ++i) fake.rotation[i / 3][i % 3] = turn(i / 3, i % 3);
+  const Eigen::AngleAxisd read(device.read()->orientation);
+  EXPECT_TRUE((read.angle() * read.axis()).isApprox(0.2 * axis, 1e-9));
+}
+
+TEST(ForceDimension, APassiveWristOrGripperGetsForcesOnly) {
+  const auto torques_of = [](const std::string& library, FakeDhd& fake, bool moves_jaws) {
+    ForceDimensionOptions passive = options();
+    passive.library = library;
+    passive.moves_jaws = moves_jaws;
+    ForceDimensionDevice device(passive);
+    EXPECT_TRUE(device.open());
+    EXPECT_TRUE(device.write({Eigen::Vector3d(1, 2, 3), Eigen::Vector3d(0.1, 0.1, 0.1), 0.1}));
+    EXPECT_TRUE(fake.misuse.empty()) << fake.misuse.front();
+    EXPECT_EQ(fake.force_n, (std::array<double, 3>{-2, 1, 3}));
+    return std::array{device.info().max_torque_n_m > 0, device.info().max_jaw_torque_n_m > 0};
+  };
+  FakeDhd& omega3 = fresh_fake();
+  omega3.has_active_wrist = omega3.has_active_gripper = omega3.has_gripper = false;
+  EXPECT_EQ(torques_of(FAKE_DHD, omega3, true), (std::array{false, false}));
+  FakeDhd& omega7 = fresh_fake();
+  omega7.has_active_wrist = false;
+  EXPECT_EQ(torques_of(FAKE_DHD, omega7, true), (std::array{false, true}));
+  FakeDhd& without_jaws = fresh_fake();
+  EXPECT_EQ(torques_of(FAKE_DHD, without_jaws, false), (std::array{true, false})) << "a tool without jaws";
+  EXPECT_EQ(without_jaws.grip_n, 0.0);
+  FakeDhd* (*make)() = nullptr;
+  ASSERT_TRUE(VendorLibrary::open(FAKE_DHD_PASSIVE, "fake", "")->find("fake_dhd", make));
+  EXPECT_EQ(torques_of(FAKE_DHD_PASSIVE, *make(), true), (std::array{false, false})) << "a library that cannot say";
+}
+
 TEST(ForceDimension, IsChosenByItsSerialNumber) {
   FakeDhd& fake = fresh_fake();
   ForceDimensionOptions chosen = options();
@@ -141,7 +208,10 @@ TEST(ForceDimension, RefusesForcesAndWorkspacesWithoutMeaning) {
   FakeDhd& fake = fresh_fake();
   ForceDimensionDevice device(options());
   ASSERT_TRUE(device.open());
-  EXPECT_FALSE(device.write_force({0, std::numeric_limits<double>::quiet_NaN(), 0}));
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(device.write_force({0, kNan, 0}));
+  EXPECT_FALSE(device.write({Eigen::Vector3d::Zero(), Eigen::Vector3d(0, kNan, 0)}));
+  EXPECT_FALSE(device.write({Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), kNan}));
   EXPECT_EQ(fake.calls.back(), "forces on") << "nothing reaches the device";
   ForceDimensionOptions flat = options();
   flat.workspace.scale = 0;

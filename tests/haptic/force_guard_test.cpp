@@ -16,21 +16,21 @@ TEST(ForceGuard, SetsAForceToZeroThatIsNotRenewed) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   clock.advance_s(0.05);
   guard.check();
   EXPECT_EQ(guard.trips(), 0u);
-  EXPECT_EQ(guard.held_force_n(), kForce);
+  EXPECT_EQ(guard.held().force_n, kForce);
   clock.advance_s(0.001);
   guard.check();
   EXPECT_EQ(guard.trips(), 1u);
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
-  EXPECT_EQ(guard.held_force_n(), Eigen::Vector3d::Zero());
+  EXPECT_TRUE(guard.held().is_zero());
   // Zero already, so no further write. The loop may resume.
   clock.advance_s(1.0);
   guard.check();
   EXPECT_EQ(guard.trips(), 1u);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   EXPECT_EQ(device.forces_n.back(), kForce);
 }
 
@@ -38,10 +38,10 @@ TEST(ForceGuard, ReleaseSetsTheForceToZeroAndRefusesLaterWrites) {
   FakeClock clock;
   FakeDevice device;
   ForceGuard guard(device, clock, 0.05);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   guard.release();
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
-  EXPECT_FALSE(guard.write(kForce));
+  EXPECT_FALSE(guard.write({kForce}));
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
 }
 
@@ -50,9 +50,39 @@ TEST(ForceGuard, EndsWithoutForce) {
   FakeDevice device;
   {
     ForceGuard guard(device, clock, 0.05);
-    ASSERT_TRUE(guard.write(kForce));
+    ASSERT_TRUE(guard.write({kForce}));
   }
   EXPECT_EQ(device.forces_n.back(), Eigen::Vector3d::Zero());
+}
+
+TEST(ForceGuard, SetsTorquesToZeroWithTheForce) {
+  FakeClock clock;
+  FakeWrist device;
+  {
+    ForceGuard guard(device, clock, 0.05);
+    for (const Wrench& wrench : {Wrench{Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.1, 0.0)},
+                                 Wrench{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), -0.1}}) {
+      ASSERT_TRUE(guard.write(wrench));
+      EXPECT_FALSE(device.wrenches.back().is_zero());
+      clock.advance_s(0.051);
+      guard.check();
+      EXPECT_TRUE(device.wrenches.back().is_zero());
+      EXPECT_TRUE(guard.held().is_zero());
+    }
+    EXPECT_EQ(guard.trips(), 2u);
+    ASSERT_TRUE(guard.write({kForce, kForce, 0.1}));
+  }
+  EXPECT_TRUE(device.wrenches.back().is_zero());
+}
+
+TEST(ForceGuard, ADeviceThatStatesATorqueButCannotWriteItIsAnError) {
+  FakeClock clock;
+  FakeDevice device;
+  ForceGuard guard(device, clock, 0.05);
+  const auto written = guard.write({kForce, kForce});
+  ASSERT_FALSE(written);
+  EXPECT_EQ(written.error().message, "fake: its info() states a torque, but it lacks write()");
+  EXPECT_TRUE(device.forces_n.empty());
 }
 
 // Signals the arrival of a zero force.
@@ -86,7 +116,7 @@ TEST(Watchdog, SetsTheForceToZeroWhileTheLoopIsStuck) {
   SignallingDevice device;
   ForceGuard guard(device, clock, 0.005);
   const Watchdog watchdog(guard, 0.001);
-  ASSERT_TRUE(guard.write(kForce));
+  ASSERT_TRUE(guard.write({kForce}));
   EXPECT_TRUE(device.wait_for_zero(std::chrono::seconds(10)));
   EXPECT_EQ(guard.trips(), 1u);
 }

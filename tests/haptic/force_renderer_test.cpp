@@ -12,6 +12,8 @@ constexpr std::int64_t kArrivalNs = 5'000'000'000;
 constexpr ForceRendererOptions kOptions{
     .fade_s = 0.05, .max_pose_age_s = 0.5, .max_valid_for_s = 0.5, .max_stiffness_n_per_m = 1000.0};
 
+const Eigen::Quaterniond kUpright = Eigen::Quaterniond::Identity();
+
 std::int64_t after(double seconds) { return kArrivalNs + static_cast<std::int64_t>(seconds * kNsPerS); }
 
 Feedback pressed() {
@@ -31,7 +33,7 @@ void expect_near(const Eigen::Vector3d& actual, const Eigen::Vector3d& expected,
 }
 
 TEST(ForceRenderer, RendersNothingBeforeTheFirstFeedback) {
-  const ForceRenderer::Output output = ForceRenderer(kOptions).render({1.0, 2.0, 3.0}, kArrivalNs);
+  const ForceRenderer::Output output = ForceRenderer(kOptions).render({1.0, 2.0, 3.0}, kUpright, kArrivalNs);
   expect_near(output.force_n, Eigen::Vector3d::Zero());
   EXPECT_EQ(output.weight, 0.0);
 }
@@ -39,9 +41,9 @@ TEST(ForceRenderer, RendersNothingBeforeTheFirstFeedback) {
 TEST(ForceRenderer, FollowsTheLocalModelBetweenSteps) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());
-  expect_near(renderer.render({0.1, 0.2, 0.3}, after(0.0)).force_n, {0.0, 0.0, 2.0});
+  expect_near(renderer.render({0.1, 0.2, 0.3}, kUpright, after(0.0)).force_n, {0.0, 0.0, 2.0});
   // force_n − stiffness (p − position): 1 mm deeper along −z adds 0.2 N, 1 mm along x pulls back 0.05 N.
-  const ForceRenderer::Output moved = renderer.render({0.101, 0.2, 0.299}, after(0.019));
+  const ForceRenderer::Output moved = renderer.render({0.101, 0.2, 0.299}, kUpright, after(0.019));
   expect_near(moved.force_n, {-0.05, 0.0, 2.2});
   EXPECT_EQ(moved.weight, 1.0);
 }
@@ -50,12 +52,12 @@ TEST(ForceRenderer, FadesLinearlyToZeroAfterTheModelExpired) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());
   const Eigen::Vector3d anchor(0.1, 0.2, 0.3);
-  expect_near(renderer.render(anchor, after(0.02)).force_n, {0.0, 0.0, 2.0});
-  const ForceRenderer::Output half = renderer.render(anchor, after(0.02 + 0.025));
+  expect_near(renderer.render(anchor, kUpright, after(0.02)).force_n, {0.0, 0.0, 2.0});
+  const ForceRenderer::Output half = renderer.render(anchor, kUpright, after(0.02 + 0.025));
   expect_near(half.force_n, {0.0, 0.0, 1.0}, 1e-6);
   EXPECT_NEAR(half.weight, 0.5, 1e-6);
-  expect_near(renderer.render(anchor, after(0.02 + 0.05)).force_n, Eigen::Vector3d::Zero());
-  expect_near(renderer.render(anchor, after(100.0)).force_n, Eigen::Vector3d::Zero());
+  expect_near(renderer.render(anchor, kUpright, after(0.02 + 0.05)).force_n, Eigen::Vector3d::Zero());
+  expect_near(renderer.render(anchor, kUpright, after(100.0)).force_n, Eigen::Vector3d::Zero());
 }
 
 TEST(ForceRenderer, AFeedbackThatAnswersAnOldPoseIsStaleOnArrival) {
@@ -63,7 +65,7 @@ TEST(ForceRenderer, AFeedbackThatAnswersAnOldPoseIsStaleOnArrival) {
   late.client_time_ns = after(-0.525);  // 25 ms beyond max_pose_age_s
   ForceRenderer renderer(kOptions);
   renderer.update(late);
-  EXPECT_NEAR(renderer.render(late.position_m, after(0.0)).weight, 0.5, 1e-6);
+  EXPECT_NEAR(renderer.render(late.position_m, kUpright, after(0.0)).weight, 0.5, 1e-6);
 }
 
 TEST(ForceRenderer, BoundsTheModelsValidityByItsOwnLimit) {
@@ -73,8 +75,8 @@ TEST(ForceRenderer, BoundsTheModelsValidityByItsOwnLimit) {
   options.max_pose_age_s = 10.0;
   ForceRenderer renderer(options);
   renderer.update(boastful);
-  EXPECT_EQ(renderer.render(boastful.position_m, after(0.5)).weight, 1.0);
-  EXPECT_EQ(renderer.render(boastful.position_m, after(0.5 + 0.05)).weight, 0.0);
+  EXPECT_EQ(renderer.render(boastful.position_m, kUpright, after(0.5)).weight, 1.0);
+  EXPECT_EQ(renderer.render(boastful.position_m, kUpright, after(0.5 + 0.05)).weight, 0.0);
 }
 
 TEST(ForceRenderer, AReturningForceFadesIn) {
@@ -84,14 +86,15 @@ TEST(ForceRenderer, AReturningForceFadesIn) {
   Feedback next = pressed();
   next.arrival_ns = next.client_time_ns = after(0.045);
   renderer.update(next);
-  EXPECT_NEAR(renderer.render(next.position_m, after(0.045)).weight, 0.5, 1e-6);
-  const ForceRenderer::Output rising = renderer.render(next.position_m, after(0.055));
+  EXPECT_NEAR(renderer.render(next.position_m, kUpright, after(0.045)).weight, 0.5, 1e-6);
+  const ForceRenderer::Output rising = renderer.render(next.position_m, kUpright, after(0.055));
   EXPECT_NEAR(rising.weight, 0.7, 1e-6);
   EXPECT_FALSE(rising.stale) << "the model is valid";
   next.arrival_ns = next.client_time_ns = after(0.06);
   renderer.update(next);
-  EXPECT_NEAR(renderer.render(next.position_m, after(0.06)).weight, 0.8, 1e-6) << "a renewal must not start over";
-  EXPECT_EQ(renderer.render(next.position_m, after(0.075)).weight, 1.0);
+  EXPECT_NEAR(renderer.render(next.position_m, kUpright, after(0.06)).weight, 0.8, 1e-6)
+      << "a renewal must not start over";
+  EXPECT_EQ(renderer.render(next.position_m, kUpright, after(0.075)).weight, 1.0);
 }
 
 TEST(ForceRenderer, ScalesDownForceAndStiffnessBeyondTheDevices) {
@@ -101,7 +104,7 @@ TEST(ForceRenderer, ScalesDownForceAndStiffnessBeyondTheDevices) {
   ForceRenderer renderer(kOptions);
   renderer.update(stiff);
   // A quarter of 2 N, and 1000 N/m for 1 mm.
-  expect_near(renderer.render({0.101, 0.2, 0.299}, after(0.0)).force_n, {-0.125, 0.0, 1.5});
+  expect_near(renderer.render({0.101, 0.2, 0.299}, kUpright, after(0.0)).force_n, {-0.125, 0.0, 1.5});
 }
 
 // Returns a press whose local model has no stiffness, `depth_m` deep in tissue of 400 N/m along z.
@@ -118,9 +121,9 @@ Feedback soft_model(double depth_m, double time_s) {
 TEST(ForceRenderer, RaisesTheStiffnessToWhatFeedbacksShow) {
   ForceRenderer renderer(kOptions);
   renderer.update(soft_model(0.002, 0.0));
-  expect_near(renderer.render({0.0, 0.0, -0.003}, after(0.0)).force_n, {0.0, 0.0, 0.8});
+  expect_near(renderer.render({0.0, 0.0, -0.003}, kUpright, after(0.0)).force_n, {0.0, 0.0, 0.8});
   for (int i = 1; i <= 20; ++i) renderer.update(soft_model(0.002 + 0.001 * (i % 2), 0.01 * i));
-  expect_near(renderer.render({0.001, 0.0, -0.003}, after(0.2)).force_n, {0.0, 0.0, 1.2}, 1e-5);
+  expect_near(renderer.render({0.001, 0.0, -0.003}, kUpright, after(0.2)).force_n, {0.0, 0.0, 1.2}, 1e-5);
 }
 
 TEST(ForceRenderer, BoundsTheRaisedStiffnessByTheDevice) {
@@ -129,15 +132,15 @@ TEST(ForceRenderer, BoundsTheRaisedStiffnessByTheDevice) {
   ForceRenderer renderer(options);
   for (int i = 0; i <= 20; ++i) renderer.update(soft_model(0.002 + 0.001 * (i % 2), 0.01 * i));
   // 400 N/m appear as 100 N/m, in the force as in its change.
-  expect_near(renderer.render({0.0, 0.0, -0.002}, after(0.2)).force_n, {0.0, 0.0, 0.2}, 1e-5);
-  expect_near(renderer.render({0.0, 0.0, -0.003}, after(0.2)).force_n, {0.0, 0.0, 0.3}, 1e-5);
+  expect_near(renderer.render({0.0, 0.0, -0.002}, kUpright, after(0.2)).force_n, {0.0, 0.0, 0.2}, 1e-5);
+  expect_near(renderer.render({0.0, 0.0, -0.003}, kUpright, after(0.2)).force_n, {0.0, 0.0, 0.3}, 1e-5);
 }
 
 TEST(ForceRenderer, TissueDoesNotPullAToolThatLeavesIt) {
   ForceRenderer renderer(kOptions);
   renderer.update(pressed());
   // 20 mm outside the tissue the linear model would pull with 2 N. Sideways components remain.
-  expect_near(renderer.render({0.102, 0.2, 0.32}, after(0.0)).force_n, {-0.1, 0.0, 0.0});
+  expect_near(renderer.render({0.102, 0.2, 0.32}, kUpright, after(0.0)).force_n, {-0.1, 0.0, 0.0});
 }
 
 TEST(LimitForce, ClampsTheMagnitudeAndKeepsTheDirection) {

@@ -32,6 +32,19 @@ TEST(Report, TextNamesTheLosses) {
   EXPECT_NE(to_json(report, {}).find(R"("poses_not_taken": 2, "poses_invalid": 3)"), std::string::npos);
 }
 
+TEST(Report, ShowsTorquesOnlyOfADeviceThatHasThem) {
+  LoopReport report;
+  EXPECT_EQ(to_json(report, {}).find("torque"), std::string::npos);
+  EXPECT_EQ(to_text(report, {}).find("torque"), std::string::npos);
+  report.max_torque_n_m = 0.0125;
+  EXPECT_NE(to_json(report, {}).find(R"("min_energy_j": 0, "max_torque_n_m": 0.0125, "pose_to_force": )"),
+            std::string::npos);
+  EXPECT_TRUE(to_text(report, {}).ends_with("  torque    at most 0.0125 N m\n"));
+  report.max_jaw_torque_n_m = 0.5;
+  EXPECT_NE(to_json(report, {}).find(R"("max_jaw_torque_n_m": 0.5)"), std::string::npos);
+  EXPECT_TRUE(to_text(report, {}).ends_with("at most 0.0125 N m; jaws at most 0.5000 N m\n"));
+}
+
 TEST(Report, ExplainsMissingAnswersFromTheScenesStatus) {
   v1::SceneStatus status;
   const auto why = [&](v1::SceneStatus::State state, std::uint64_t rejected) {

@@ -124,6 +124,44 @@ TEST(SimulatedDevice, GainsNoEnergyOverTime) {
   EXPECT_NEAR(energy(), before, 1e-9 * before);
 }
 
+TEST(SimulatedDevice, TorquesTurnTheGripAndTheJawsInClosedForm) {
+  SimulatedDeviceOptions options;
+  options.inertia_kg_m2 = 1e-3;
+  options.hand_angular_stiffness_n_m_per_rad = 1.5;
+  options.hand_angular_damping_n_m_s = 0.01;
+  options.angular_damping_n_m_s = 0.005;
+  options.jaw_angle_rad = 0.4;
+  FakeClock clock;
+  SimulatedDevice device(options, still_hand(), clock);
+  ASSERT_TRUE(device.open());
+  EXPECT_EQ(device.read()->orientation.coeffs(), Eigen::Quaterniond::Identity().coeffs());
+  ASSERT_TRUE(device.write({Eigen::Vector3d::Zero(), Eigen::Vector3d(0.0, 0.1, 0.0), -0.2}));
+  for (int i = 1; i <= 200; ++i) {
+    clock.advance_s(1e-3);
+    const DevicePose pose = device.read().value();
+    const Eigen::AngleAxisd turn(pose.orientation);
+    ASSERT_NEAR(turn.angle() * turn.axis().y(), step_response(1e-3, 0.015, 1.5, 0.1, i * 1e-3), 1e-9);
+    ASSERT_NEAR(*pose.jaw_angle_rad, 0.4 + step_response(1e-3, 0.015, 1.5, -0.2, i * 1e-3), 1e-9);
+    ASSERT_EQ(pose.position_m, Eigen::Vector3d::Zero());
+  }
+}
+
+TEST(SimulatedDevice, HasJawsOnlyIfItsFingersHoldThem) {
+  FakeClock clock;
+  SimulatedDevice without({}, still_hand(), clock);
+  ASSERT_TRUE(without.open());
+  EXPECT_FALSE(without.read()->jaw_angle_rad);
+  EXPECT_EQ(without.info().max_jaw_torque_n_m, 0.0);
+  SimulatedDeviceOptions closed;
+  closed.jaw_angle_rad = 0.0;
+  SimulatedDevice with(closed, still_hand(), clock);
+  ASSERT_TRUE(with.open());
+  EXPECT_GT(with.info().max_jaw_torque_n_m, 0.0);
+  ASSERT_TRUE(with.write({Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(), -0.3}));
+  clock.advance_s(0.1);
+  EXPECT_EQ(with.read()->jaw_angle_rad, 0.0) << "the stop";
+}
+
 TEST(SimulatedDevice, SkipsTheMotionOfALongStall) {
   FakeClock clock;
   SimulatedDevice device(oscillator(4.0), still_hand(), clock);
@@ -143,6 +181,12 @@ TEST(SimulatedDevice, RefusesInvalidOptionsAndUseBeforeOpen) {
   EXPECT_FALSE(SimulatedDevice(massless, still_hand(), clock).open());
   SimulatedDeviceOptions pushing = oscillator(-1.0);
   EXPECT_FALSE(SimulatedDevice(pushing, still_hand(), clock).open());
+  SimulatedDeviceOptions weightless = oscillator(0.0);
+  weightless.inertia_kg_m2 = 0.0;
+  EXPECT_FALSE(SimulatedDevice(weightless, still_hand(), clock).open());
+  SimulatedDeviceOptions wide = oscillator(0.0);
+  wide.jaw_angle_rad = 3.0;
+  EXPECT_FALSE(SimulatedDevice(wide, still_hand(), clock).open());
 }
 
 }  // namespace

@@ -35,6 +35,17 @@ TEST(WorkspaceMap, RotatesForcesBackAndDoesNotScaleThem) {
   EXPECT_TRUE(force.isApprox(Eigen::Vector3d(3.0, 0.0, 0.5), 1e-12)) << force;
 }
 
+TEST(WorkspaceMap, RotatesATorqueAsAForceAndLeavesTheJaws) {
+  const Wrench device = turned_and_scaled().to_device({{0.0, 3.0, 0.5}, {0.0, 0.1, 0.2}, -0.4});
+  EXPECT_TRUE(device.force_n.isApprox(Eigen::Vector3d(3.0, 0.0, 0.5), 1e-12));
+  EXPECT_TRUE(device.torque_n_m.isApprox(Eigen::Vector3d(0.1, 0.0, 0.2), 1e-12)) << device.torque_n_m;
+  EXPECT_EQ(device.jaw_torque_n_m, -0.4);
+  const DeviceInfo scene = turned_and_scaled().to_scene(DeviceInfo{"device", 3.0, 200.0, 5.0, 0.4, 2.0, 0.1, 0.3, 0.2});
+  EXPECT_EQ(scene.max_torque_n_m, 0.4);
+  EXPECT_EQ(scene.max_angular_stiffness_n_m_per_rad, 2.0);
+  EXPECT_EQ(scene.max_angular_damping_n_m_s, 0.1);
+}
+
 // Work in the hand is work in the scene over the scale, for every motion and force: passivity survives the map.
 TEST(WorkspaceMap, KeepsTheSignOfWork) {
   WorkspaceMap map = turned_and_scaled();

@@ -44,6 +44,7 @@ def test_a_device_of_a_makers_library_moves_the_tool(server: tm.Server, scene: t
     assert report["device"] == NAMES[device]
     assert report["poses_invalid"] == 0
     assert report["feedback_received"] > 0
+    assert ("max_torque_n_m" in report) == (device == "force-dimension")
 
 
 @pytest.mark.parametrize("device", NAMES)
@@ -61,6 +62,8 @@ def test_a_missing_library_says_what_to_install(server: tm.Server, scene: tm.Sce
         (("--device", "openhaptics", "--grip-id", "1"), "--grip-id"),
         (("--device", "force-dimension", "--depth", "0.1"), "--depth"),
         (("--device", "simulated", "--workspace-scale", "2"), "--workspace-scale"),
+        (("--device", "openhaptics", "--max-torque", "0.1"), "--max-torque"),
+        (("--device", "haply", "--max-jaw-torque", "0.1"), "--max-jaw-torque"),
     ],
 )
 def test_options_of_another_device_are_refused(options: tuple[str, ...], unused: str) -> None:

@@ -112,6 +112,49 @@ def test_a_scene_without_frames_is_joined_if_the_place_to_press_is_given(
     assert "give --press-at and --direction" in done.stderr
 
 
+# The tip is 4 cm beside the tool's origin, so that a press turns the hand.
+LEVER = BLOCK.replace("radius_m: 0.01", "radius_m: 0.01, tip_offset_m: {x: 0.04}")
+GRASPER = BLOCK.replace("spherical_probe: {radius_m: 0.01}", "grasper: {radius_m: 0.006, jaw_length_m: 0.03}")
+
+
+def test_a_lever_turns_the_hand_within_the_largest_torque(
+    server: tm.Server, load: Callable[[str], tm.SceneHandle]
+) -> None:
+    press = ("--press-at", "0.02,0.05,0.06", "--direction", "0,0,-1", "--depth", 0.008, "--seconds", 2, "--period", 2)
+    scene = load(LEVER)
+
+    def largest(*options: object) -> float:
+        done = haptic(*at(server, scene), *press, *options, "--json", "-")
+        assert done.returncode == 0, done.stderr
+        assert "torque    at most" in done.stderr
+        report = json.loads(done.stdout)
+        assert report["max_force_n"] > 0.05
+        assert "max_jaw_torque_n_m" not in report, "the hand holds no jaws"
+        return float(report["max_torque_n_m"])
+
+    assert 0.002 < largest() <= 0.1
+    assert 0.0 < largest("--max-torque", 0.001) <= 0.001 * (1 + 1e-9)
+    assert largest("--max-torque", 0) == 0.0
+
+
+def test_fingers_feel_the_load_of_jaws_that_press_tissue(
+    server: tm.Server, load: Callable[[str], tm.SceneHandle]
+) -> None:
+    scene = load(GRASPER)
+    press = ("--press-at", "0.05,0.05,0.056", "--direction", "0,0,-1", "--depth", 0.008, "--period", 2)
+    done = haptic(*at(server, scene), *press, "--jaw-angle", 0.6, "--seconds", 2, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert scene.status().poses_rejected == 0
+    assert 0.0 < json.loads(done.stdout)["max_jaw_torque_n_m"] <= 0.1
+    assert "jaws at most" in done.stderr
+
+
+def test_a_tool_without_jaws_is_not_held_by_them(server: tm.Server, load: Callable[[str], tm.SceneHandle]) -> None:
+    done = haptic(*at(server, load(BLOCK)), "--jaw-angle", 0.6, "--seconds", 0.1)
+    assert done.returncode == 2
+    assert "--jaw-angle: the tool has no jaws" in done.stderr
+
+
 def test_a_hand_at_the_ends_of_its_options_sends_poses_that_are_some(
     server: tm.Server, load: Callable[[str], tm.SceneHandle]
 ) -> None:

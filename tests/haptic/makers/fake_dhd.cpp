@@ -42,6 +42,10 @@ int dhdOpenSerial(int serial) {
 int dhdClose(char id) { return call("dhdClose", id); }
 const char* dhdGetSystemName(char) { return "omega.7 fake"; }
 bool dhdHasGripper(char) { return device->has_gripper; }
+#ifndef WITHOUT_ACTIVE
+bool dhdHasActiveWrist(char) { return device->has_active_wrist; }
+bool dhdHasActiveGripper(char) { return device->has_active_gripper; }
+#endif
 int dhdEnableForce(unsigned char on, char id) { return call(on == 1 ? "forces on" : "forces off", id); }
 
 int dhdGetPosition(double* x, double* y, double* z, char id) {
@@ -64,9 +68,13 @@ int dhdGetGripperAngleRad(double* angle_rad, char) {
 
 int dhdSetForceAndTorqueAndGripperForce(double x, double y, double z, double a, double b, double g, double grip,
                                         char id) {
-  if (a != 0 || b != 0 || g != 0 || grip != 0) device->misuse.emplace_back("a torque or a force of the gripper");
+  const bool turns = a != 0 || b != 0 || g != 0;
+  if (turns && !device->has_active_wrist) device->misuse.emplace_back("a torque on a wrist without motors");
+  if (grip != 0 && !device->has_active_gripper) device->misuse.emplace_back("a force on a gripper without a motor");
   device->force_n = {x, y, z};
-  const bool zero = x == 0 && y == 0 && z == 0;
+  device->torque_n_m = {a, b, g};
+  device->grip_n = grip;
+  const bool zero = x == 0 && y == 0 && z == 0 && !turns && grip == 0;
   static_cast<void>(call(zero ? "zero" : "force", id));
   return result_of("dhdSetForceAndTorqueAndGripperForce");
 }
