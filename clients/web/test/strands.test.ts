@@ -46,7 +46,7 @@ it("keeps strands round, and their outside outside", () => {
 it("shows the tension as a share of the force at which a spring breaks", () => {
   // The first spring is slack, the second one pulls with 10 N/m · 2 m of 40 N, the third one never breaks.
   const [slack, half, steadfast] = placed([]).colours;
-  const between = new THREE.Color("#ead9b0").lerp(new THREE.Color("#e2321f"), 0.5);
+  const between = new THREE.Color("#e3bfa0").lerp(new THREE.Color("#e2321f"), 0.5);
   expect(steadfast!.toArray()).toEqual(close(slack!.toArray()));
   expect(half!.toArray()).toEqual(close(between.toArray()));
 });

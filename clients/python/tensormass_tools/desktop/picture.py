@@ -18,7 +18,7 @@ _STEEL = "#d5dce2"
 _OBSTACLE = "#5d6a75"
 _AMBER = "#ffb000"
 _RETIRED_OPACITY = 0.25
-_LIGAMENT = "#e8d9b5"
+_LIGAMENT = "#e3bfa0"
 _STRAND_WIDTH = 4  # pixels
 # Smallest upper end of the colours [mm], so that rounding is not shown as colours.
 _LEAST_RANGE_MM = 0.1

@@ -4,10 +4,10 @@ import * as THREE from "three";
 import { isBroken, type Frame, type Topology } from "../stream/decode";
 
 /** Radius of a strand at its waist, and how much wider its ends are [scene radii]. */
-const WAIST = 0.008;
-const FLARE = 1.5;
+const WAIST = 0.006;
+const FLARE = 1.2;
 /** Colours of a strand without tension, and of one that is about to break. */
-const SLACK = new THREE.Color("#ead9b0");
+const SLACK = new THREE.Color("#e3bfa0");
 const TIGHT = new THREE.Color("#e2321f");
 
 /** Numbers of an instance: its matrix, column by column, and its colour. */
@@ -149,7 +149,7 @@ function place(
 
 /** A closed strand from y = 0 to 1 with a waist of radius 1. */
 function profile(): THREE.BufferGeometry {
-  const radii = [FLARE, 1.25, 1.05, 1, 1.05, 1.25, FLARE];
+  const radii = [FLARE, 1.07, 1, 1.07, FLARE];
   const side = radii.map((radius, i) => new THREE.Vector2(radius, i / (radii.length - 1)));
   return new THREE.LatheGeometry([new THREE.Vector2(0, 0), ...side, new THREE.Vector2(0, 1)], 10);
 }
