@@ -23,7 +23,8 @@
 ///
 /// 1. A Backend stands for a device, a SceneState for one scene on it. Both backends, CPU and CUDA, run the same stage
 ///    functions (step/run.h).
-/// 2. The state of a scene stays on its device. Only inputs, reports and visible positions move in a step.
+/// 2. The state of a scene stays on its device. Only inputs, reports and visible positions move in a step. After a step
+///    in which springs broke, the caller also asks which.
 /// 3. `read` and `write` copy the whole state, for requests of clients. They do not belong in the loop.
 namespace tensormass::backend {
 
@@ -105,6 +106,9 @@ class SceneState {
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers the visible positions without a step.
   virtual void gather_visible() = 0;
+  /// Copies which springs of attachments are broken, as view::TiesView::broken. broken: [spring_count] 1: the spring is
+  /// broken; written.
+  virtual void read_broken(std::span<std::uint8_t> broken) = 0;
   /// Measures the deformation of the elements at the present state. groups: [group_count], written.
   virtual void diagnose(std::span<GroupDiagnostics> groups) = 0;
   /// Copies the state to the host; slow.

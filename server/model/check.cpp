@@ -121,6 +121,16 @@ void check_surfaces(const Model& m) {
   TM_ASSERT(m.visible.rows.size() % 4 == 0 && m.visible.weights.size() == m.visible.rows.size(),
             "a visible vertex has four rows and their weights");
   TM_ASSERT(are_below(m.visible.rows, m.layout.row_count), "visible vertices name rows of the layout");
+  TM_ASSERT(m.visible.vertex_count <= m.visible.count(), "ends of springs come after the vertices");
+  std::size_t springs = 0;
+  for (const VisibleAttachment& attachment : m.attachments) {
+    springs += attachment.springs.size();
+    TM_ASSERT(attachment.rest_lengths_m.size() == attachment.springs.size(), "a spring has a length at rest");
+    for (const auto& ends : attachment.springs) {
+      TM_ASSERT(are_below(ends, m.visible.attachment_point_count()), "springs name attachment points");
+    }
+  }
+  TM_ASSERT(m.attachments.empty() || springs == m.ties.spring_count(), "clients see all springs");
 }
 
 void check_ties(const Model& m) {
@@ -133,6 +143,8 @@ void check_ties(const Model& m) {
             "ties name rows of the layout");
   if (ties.candidate_count() > 0) assert_offsets(ties.patch_candidates, patches, ties.candidate_count());
   if (ties.spring_count() > 0) assert_offsets(ties.patch_springs, patches, ties.spring_count());
+  TM_ASSERT(ties.spring_places.size() == ties.spring_count() && are_below(ties.spring_places, ties.spring_count()),
+            "a spring of the scene has a place");
   TM_ASSERT(ties.candidates.size() == 2 * std::size_t{ties.candidate_count()}, "a candidate has a vertex and a side");
   for (std::size_t i = 0; i < ties.candidates.size(); i += 2) {
     TM_ASSERT(ties.candidates[i] < m.contact.surface_rows.size() && ties.candidates[i + 1] < sides,

@@ -81,6 +81,7 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   if (c.has_ties()) make_ties(c);
   if (c.model.frame_rate_hz > 0) {
     TM_RETURN_IF_ERROR(make_visible_surface(c));
+    make_visible_attachments(c);
   }
   warn_of_loose_bodies(c.model);
   check_model(c.model);

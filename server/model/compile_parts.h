@@ -56,6 +56,7 @@ struct ReadBodyContact {
 
 /// Springs between two bodies.
 struct ReadAttachment {
+  std::string name;
   std::vector<std::array<std::uint32_t, 2>> springs;  ///< nodes of the scene
   double stiffness_n_per_m, breaking_force_n;         ///< one spring's
 };
@@ -137,5 +138,7 @@ void make_contact_surface(Compilation& c);
 void make_ties(Compilation& c);
 /// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
 Result<void> make_visible_surface(Compilation& c);
+/// Makes the ends of springs that clients see. Needs the visible surface.
+void make_visible_attachments(Compilation& c);
 
 }  // namespace tensormass::model

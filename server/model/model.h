@@ -152,6 +152,8 @@ struct Ties {
   std::vector<std::uint32_t> patch_springs;     ///< [patch_count + 1]
   std::vector<std::uint32_t> spring_rows;       ///< [spring_count, 2]
   std::vector<double> spring_numbers;           ///< [spring_count, 3]
+  /// [spring_count] place of each spring in the other arrays, in the order of the scene's attachments.
+  std::vector<std::uint32_t> spring_places;
 
   std::uint32_t candidate_count() const { return static_cast<std::uint32_t>(candidate_area.size()); }
   std::uint32_t spring_count() const { return static_cast<std::uint32_t>(spring_rows.size() / 2); }
@@ -165,11 +167,22 @@ struct Ties {
   }
 };
 
-/// The vertices that clients see, body by body: each is a weighted mean of four rows.
+/// The points that clients see: vertices, body by body, then the ends of springs. Each is a weighted mean of four rows.
 struct VisibleSurface {
   std::vector<std::uint32_t> rows;  ///< [visible_count, 4]
   std::vector<double> weights;      ///< [visible_count, 4]
+  std::uint32_t vertex_count = 0;   ///< vertices of bodies
   std::uint32_t count() const { return static_cast<std::uint32_t>(rows.size() / 4); }
+  std::uint32_t attachment_point_count() const { return count() - vertex_count; }
+};
+
+/// The springs of an attachment as clients see them, in the order of the scene.
+struct VisibleAttachment {
+  std::string name;
+  std::vector<std::array<std::uint32_t, 2>> springs;  ///< ends: places among the attachment points
+  std::vector<float> rest_lengths_m;                  ///< [spring]
+  /// One spring's. breaking_force_n is infinite if it never breaks.
+  double stiffness_n_per_m = 0, breaking_force_n = 0;
 };
 
 struct BodyModel {
@@ -293,9 +306,10 @@ struct Model {
   std::vector<Prescribed> prescribed;
   PressureSurface pressure;
   ScheduledLoads scheduled;
-  ContactSurface contact;  ///< empty: neither tools nor contact between bodies
-  Ties ties;               ///< empty: neither contact between bodies nor attachments
-  VisibleSurface visible;  ///< empty: no frames
+  ContactSurface contact;                      ///< empty: neither tools nor contact between bodies
+  Ties ties;                                   ///< empty: neither contact between bodies nor attachments
+  VisibleSurface visible;                      ///< empty: no frames
+  std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
 
   /// Returns whether a step runs Newton's method: more than one linear solve.
   bool iterates() const { return newton_max_iterations > 1; }

@@ -199,7 +199,7 @@ class TieReader {
     const auto count = static_cast<double>(nodes.size());
     TM_ASSIGN_OR_RETURN(stiffness,
                         read_number(attachment.stiffness_n_per_m(), 1e-9, 1e12, where + ".stiffness_n_per_m"));
-    ReadAttachment out{{}, stiffness / count, std::numeric_limits<double>::infinity()};
+    ReadAttachment out{attachment.name(), {}, stiffness / count, std::numeric_limits<double>::infinity()};
     if (attachment.has_breaking_force_n()) {
       TM_ASSIGN_OR_RETURN(
           force, read_number(attachment.breaking_force_n(), 1e-9, limits::kMaxForceN, where + ".breaking_force_n"));

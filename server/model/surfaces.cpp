@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <map>
 #include <numeric>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -10,7 +12,7 @@
 #include "model/scene_input.h"
 #include "model/texture.h"
 
-/// Makes the surfaces of a scene: triangles that tools can touch, and vertices that clients see.
+/// Makes the surfaces of a scene: triangles that tools can touch, and what clients see.
 namespace tensormass::model {
 
 void make_contact_surface(Compilation& c) {
@@ -99,7 +101,30 @@ Result<void> make_visible_surface(Compilation& c) {
     TM_ASSIGN_OR_RETURN(texture, read_texture(source, body.triangles.size(), where));
     body.texture = std::move(texture);
   }
+  c.model.visible.vertex_count = c.model.visible.count();
   return {};
+}
+
+void make_visible_attachments(Compilation& c) {
+  VisibleSurface& visible = c.model.visible;
+  std::map<std::uint32_t, std::uint32_t> points;  // by node of the scene
+  const auto point_of = [&](std::uint32_t node) {
+    const auto [point, is_new] = points.emplace(node, visible.attachment_point_count());
+    if (is_new) {
+      visible.rows.insert(visible.rows.end(), 4, c.model.layout.row_of_node[node]);
+      visible.weights.insert(visible.weights.end(), {1, 0, 0, 0});
+    }
+    return point->second;
+  };
+  for (const ReadAttachment& attachment : c.attachments) {
+    VisibleAttachment out{attachment.name, {}, {}, attachment.stiffness_n_per_m, attachment.breaking_force_n};
+    for (const auto& [node, other] : attachment.springs) {
+      const std::uint32_t first = point_of(node), second = point_of(other);
+      out.springs.push_back({first, second});
+      out.rest_lengths_m.push_back(static_cast<float>((c.merged.nodes[node] - c.merged.nodes[other]).norm()));
+    }
+    c.model.attachments.push_back(std::move(out));
+  }
 }
 
 }  // namespace tensormass::model

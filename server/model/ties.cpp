@@ -34,7 +34,7 @@ class TieMaker {
     double area_m2;
   };
   struct Spring {
-    std::uint32_t row, other;
+    std::uint32_t row, other, number;  // number: in the order of the scene
     std::array<double, 3> numbers;
   };
   struct Surface {
@@ -131,12 +131,15 @@ class TieMaker {
         const double length_m = (c_.merged.nodes[node] - c_.merged.nodes[other]).norm();
         springs.push_back({layout_.row_of_node[node],
                            layout_.row_of_node[other],
+                           static_cast<std::uint32_t>(springs.size()),
                            {attachment.stiffness_n_per_m, length_m, attachment.breaking_force_n}});
       }
     }
     if (springs.empty()) return;
     out_.patch_springs = group_by_patch(springs);
+    out_.spring_places.resize(springs.size());
     for (const Spring& spring : springs) {
+      out_.spring_places[spring.number] = out_.spring_count();
       out_.spring_rows.insert(out_.spring_rows.end(), {spring.row, spring.other});
       out_.spring_numbers.insert(out_.spring_numbers.end(), spring.numbers.begin(), spring.numbers.end());
     }

@@ -12,7 +12,10 @@ LoopOutputs::LoopOutputs(World& world, std::shared_ptr<FrameCount> frames_publis
     : world_(world),
       model_(world.model()),
       tools_(model_.tools.size()),
-      frames_(FrameSlot{{}, std::vector<float>(3 * std::size_t{model_.visible.count()}), tools_}),
+      frames_(FrameSlot{{},
+                        std::vector<float>(3 * std::size_t{model_.visible.count()}),
+                        tools_,
+                        std::vector<std::uint8_t>(world.broken_springs().size())}),
       feedback_(FeedbackSlot{{}, tools_}),
       status_feedback_(FeedbackSlot{{}, tools_}),
       frames_published_(std::move(frames_published)) {
@@ -67,11 +70,14 @@ void LoopOutputs::leave_frame() {
   if (!has_frames()) return;
   FrameSlot& slot = frames_.writing();
   const std::span<const float> positions = world_.visible_positions();
-  TM_ASSERT(slot.positions.size() == positions.size() && slot.tools.size() == tools_.size(),
+  const std::span<const std::uint8_t> broken = world_.broken_springs();
+  TM_ASSERT(slot.positions.size() == positions.size() && slot.tools.size() == tools_.size() &&
+                slot.broken_springs.size() == broken.size(),
             "a slot has the size of what it takes, so copying allocates nothing");
   slot.stamp = stamp_;
   std::copy(positions.begin(), positions.end(), slot.positions.begin());
   slot.tools = tools_;
+  std::copy(broken.begin(), broken.end(), slot.broken_springs.begin());
   if (frames_.publish()) frames_replaced_.fetch_add(1, std::memory_order_relaxed);
 }
 
@@ -81,7 +87,7 @@ v1::Frame LoopOutputs::frame(std::uint64_t topology_version) {
   v1::Frame frame;
   frame.set_topology_version(topology_version);
   frame.set_sequence(frames_published_->load(std::memory_order_relaxed));
-  fill_frame(model_, stamp_, world_.visible_positions(), tools_, frame);
+  fill_frame(model_, stamp_, world_.visible_positions(), tools_, world_.broken_springs(), frame);
   return frame;
 }
 
@@ -97,7 +103,7 @@ bool LoopOutputs::take_frame(std::uint64_t topology_version, v1::Frame& frame) {
   if (slot == nullptr) return false;
   frame.set_topology_version(topology_version);
   frame.set_sequence(frames_published_->fetch_add(1, std::memory_order_relaxed) + 1);
-  fill_frame(model_, slot->stamp, slot->positions, slot->tools, frame);
+  fill_frame(model_, slot->stamp, slot->positions, slot->tools, slot->broken_springs, frame);
   return true;
 }
 

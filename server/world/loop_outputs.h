@@ -23,8 +23,8 @@
 ///                             +--> feedback          --> publisher: take_feedback
 ///                             +--> status feedback   --> any thread: add_to         readers share a mutex
 ///
-/// A frame holds the positions of the visible nodes [m] and all tools. Feedback holds the tools only, and goes out
-/// after every step, while frames go out at the rate of the scene's streams.
+/// A frame holds the positions of the visible nodes [m], all tools and the broken springs. Feedback holds the tools
+/// only, and goes out after every step, while frames go out at the rate of the scene's streams.
 namespace tensormass::world {
 
 /// Number of frames of a scene that readers took, which is the sequence of the last one. A loop that takes the place of

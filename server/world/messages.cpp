@@ -1,7 +1,11 @@
 #include "world/messages.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
+#include <cmath>
+
+#include "core/assert.h"
 
 namespace tensormass::world {
 
@@ -63,6 +67,15 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
     *out.mutable_tool() = tool.description;
   }
+  topology.set_attachment_point_count(model.visible.attachment_point_count());
+  for (const model::VisibleAttachment& attachment : model.attachments) {
+    v1::AttachmentSprings& out = *topology.add_attachments();
+    out.set_name(attachment.name);
+    out.set_springs(packed(std::span<const std::array<std::uint32_t, 2>>(attachment.springs)));
+    out.set_rest_lengths_m(packed(std::span<const float>(attachment.rest_lengths_m)));
+    out.set_stiffness_n_per_m(attachment.stiffness_n_per_m);
+    if (std::isfinite(attachment.breaking_force_n)) out.set_breaking_force_n(attachment.breaking_force_n);
+  }
   return topology;
 }
 
@@ -105,13 +118,19 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
 }
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
-                std::span<const ToolReading> tools, v1::Frame& out) {
+                std::span<const ToolReading> tools, std::span<const std::uint8_t> broken_springs, v1::Frame& out) {
+  TM_ASSERT(positions.size() == 3 * std::size_t{model.visible.count()}, "positions of all visible points");
+  const std::size_t vertices = 3 * std::size_t{model.visible.vertex_count};
   out.set_step(stamp.step);
   out.set_simulated_time_s(stamp.simulated_time_s);
   out.set_server_time_ns(stamp.server_time_ns);
-  out.set_positions(packed(positions));
+  out.set_positions(packed(positions.first(vertices)));
   out.clear_tools();
   for (std::size_t i = 0; i < tools.size(); ++i) fill_feedback(model, stamp, i, tools[i], *out.add_tools());
+  out.set_attachment_points(packed(positions.subspan(vertices)));
+  const bool any =
+      std::any_of(broken_springs.begin(), broken_springs.end(), [](std::uint8_t bits) { return bits != 0; });
+  out.set_broken_springs(any ? packed(broken_springs) : std::string());
 }
 
 }  // namespace tensormass::world

@@ -20,11 +20,12 @@ struct StepStamp {
   Clock::time_point began{}, ended{};
 };
 
-/// Visible positions and tools of a step, from the loop to the publisher.
+/// Visible positions, tools and broken springs of a step, from the loop to the publisher.
 struct FrameSlot {
   StepStamp stamp;
   std::vector<float> positions;
   std::vector<ToolReading> tools;
+  std::vector<std::uint8_t> broken_springs;  ///< as World::broken_springs
 };
 
 /// Tools of a step, from the loop to the publisher.
@@ -38,8 +39,9 @@ std::uint64_t unix_time_ns();
 v1::Topology make_topology(const model::Model& model, std::uint64_t version);
 
 /// positions: [visible_count, 3] m
+/// broken_springs: as World::broken_springs
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,
-                std::span<const ToolReading> tools, v1::Frame& out);
+                std::span<const ToolReading> tools, std::span<const std::uint8_t> broken_springs, v1::Frame& out);
 
 void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_t tool, const ToolReading& reading,
                    v1::ToolFeedback& out);

@@ -24,7 +24,9 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       diagnostics_(model_->groups.size()),
       guard_(*model_),
       energy_(*model_),
-      cg_limit_(model_->cg_max_iterations) {
+      cg_limit_(model_->cg_max_iterations),
+      broken_(model_->ties.spring_count()),
+      broken_bits_((broken_.size() + 7) / 8) {
   if (!model_->initial_displacement.empty() || !model_->initial_velocity.empty()) write_start();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -85,6 +87,18 @@ void World::read_tools() {
   }
 }
 
+/// Takes the broken springs from the backend, in the order of the scene.
+void World::read_broken() {
+  state_->read_broken(broken_);
+  std::fill(broken_bits_.begin(), broken_bits_.end(), std::uint8_t{0});
+  broken_count_ = 0;
+  for (std::size_t spring = 0; spring < broken_.size(); ++spring) {
+    if (broken_[model_->ties.spring_places[spring]] == 0) continue;
+    broken_bits_[spring / 8] |= static_cast<std::uint8_t>(1u << spring % 8);
+    ++broken_count_;
+  }
+}
+
 bool World::step(bool gather_visible) {
   for (ToolMotion& tool : tools_) tool.move(model_->dt_s);
   has_event_ = false;
@@ -102,6 +116,8 @@ bool World::step(bool gather_visible) {
   }
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
+  // No spring heals between two steps, so an equal count means the same springs.
+  if (last_.broken_springs != broken_count_) read_broken();
   read_tools();
   return true;
 }
@@ -233,6 +249,7 @@ void World::reset() {
   last_ = {};
   projection_ = {};
   has_event_ = false;
+  read_broken();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
 }
@@ -255,6 +272,7 @@ void World::restore(const Saved& saved) {
   TM_ASSERT(saved.tools.size() == tools_.size(), "a saved state is of an equal model");
   state_->write(saved.rows);
   state_->write_history(saved.history);
+  read_broken();
   std::fill(diagnostics_.begin(), diagnostics_.end(), backend::GroupDiagnostics{});
   step_count_ = saved.step_count;
   last_ = {};

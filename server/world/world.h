@@ -97,6 +97,8 @@ class World {
   /// Results of the last `diagnose`; [group_count].
   std::span<const backend::GroupDiagnostics> diagnostics() const { return diagnostics_; }
 
+  /// Broken springs after the last step, as in Frame.broken_springs: [⌈spring_count / 8⌉] bytes.
+  std::span<const std::uint8_t> broken_springs() const { return broken_bits_; }
   /// Positions that were last gathered, [visible_count, 3] m.
   std::span<const float> visible_positions() { return state_->visible_positions(); }
   void gather_visible() { state_->gather_visible(); }
@@ -111,6 +113,7 @@ class World {
   double diagnose_elastic_energy();
   void place_tools();
   void read_tools();
+  void read_broken();
   static bool touches(std::span<const backend::ToolForce> forces);
   BoundCheck plan_step(bool gather_visible);
   BoundCheck retry(const BoundCheck& first);
@@ -177,6 +180,9 @@ class World {
   bool has_event_ = false;
   std::uint32_t cg_limit_;
   solver::StepResult last_;
+  std::vector<std::uint8_t> broken_;  // [spring] as SceneState::read_broken writes it
+  std::vector<std::uint8_t> broken_bits_;
+  std::uint32_t broken_count_ = 0;  // bits that are set
   std::uint64_t step_count_ = 0;
 };
 

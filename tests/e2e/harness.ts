@@ -150,6 +150,8 @@ export interface ViewerState {
   /** Step of the newest frame; null before the first. */
   readonly step: number | null;
   readonly tools: readonly { readonly name: string; readonly positionM: readonly [number, number, number]; readonly orientationWxyz: readonly number[] }[];
+  /** Springs of attachments that are drawn. */
+  readonly strands: number;
   readonly drawn: number;
   readonly refused: number;
   readonly lastRefusal: string | null;

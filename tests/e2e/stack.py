@@ -86,7 +86,7 @@ class Stack:
         return self._vertex_count(name)
 
     def load_picture(self, name: str) -> int:
-        """Loads a cube of 1 m that has a picture on its front: red on the left, blue on the right. Returns the number of
+        """Loads a cube of 1 m with a picture on its front: red on the left, blue on the right. Returns the number of
         vertices that a viewer shows."""
         front = [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]]
         corners = np.array([[0, 1, 2], [0, 2, 3]])
@@ -106,6 +106,39 @@ class Stack:
         )
         self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)
+
+    def load_hanging(self, name: str) -> int:
+        """Loads two cubes of 1 m in lockstep under `name`. Returns the number of vertices that a viewer shows.
+
+        The upper one is fixed. The lower one hangs from it by 9 springs, and 16 others break when it falls.
+        """
+        one = scene_pb2.Vector3(x=1, y=1, z=1)
+        scene = tm.Scene(name)
+        for body, height_m, cells in (("upper", 1.5, 2), ("lower", 0.0, 3)):
+            scene.message.bodies.add(
+                name=body,
+                mesh=scene_pb2.Mesh(
+                    grid=scene_pb2.Grid(size_m=one, cells_x=cells, cells_y=cells, cells_z=cells),
+                    translation_m=scene_pb2.Vector3(z=height_m),
+                ),
+                law=scene_pb2.Law(hooke=scene_pb2.IsotropicElastic(young_modulus_pa=1e6, poisson_ratio=0.3)),
+                density_kg_per_m3=1000,
+            )
+        everywhere = scene_pb2.Box(min_m=scene_pb2.Vector3(x=-9, y=-9, z=-9), max_m=scene_pb2.Vector3(x=9, y=9, z=9))
+        scene.message.bodies[0].fixed.add(box=everywhere)
+        scene.message.gravity_m_per_s2.z = -9.81
+        scene.message.stepping.lockstep = True
+        top = scene_pb2.Region(box=scene_pb2.Box(min_m=scene_pb2.Vector3(x=-9, y=-9, z=0.99), max_m=everywhere.max_m))
+        bottom = scene_pb2.Region(box=scene_pb2.Box(min_m=everywhere.min_m, max_m=scene_pb2.Vector3(x=9, y=9, z=1.51)))
+        holds = {"body": "upper", "region": bottom, "other": "lower", "other_region": top}
+        tears = {"body": "lower", "region": top, "other": "upper", "other_region": bottom, "breaking_force_n": 1.0}
+        scene.message.attachments.add(name="holds", stiffness_n_per_m=1e5, **holds)
+        scene.message.attachments.add(name="tears", stiffness_n_per_m=1e4, **tears)
+        self.scenes[name] = self.server.load(scene)
+        return self._vertex_count(name)
+
+    def reset(self, name: str) -> None:
+        self.scenes[name].reset()
 
     def pause(self, name: str) -> None:
         self.scenes[name].pause()

@@ -375,6 +375,39 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.says("#notice", /The daemon has no scene/);
   });
 
+  it("draws attachments as strands until they break, in each codec and detail", async () => {
+    const vertexCount = (await stack.ask("load_hanging", { name: "hanging" })) as number;
+    let page = await open("scene=hanging");
+    await page.shows(vertexCount);
+    const strands = (count: number) => page.page.waitForFunction((all) => window.tensormass.state().strands === all, count);
+    await strands(25);
+    const shown = await page.picture();
+    await page.page.keyboard.press("l");
+    await strands(0);
+    const between = (x: number, y: number) => x > 250 && y < 560;
+    expect(difference(shown, await page.picture(), between)).toBeGreaterThan(0.1);
+    await page.page.keyboard.press("l");
+    await strands(25);
+
+    await stack.ask("step", { name: "hanging", count: 30 });
+    await strands(9);
+    expect((await page.state()).refused).toBe(0);
+    await page.close();
+
+    // Whoever comes now never saw them break.
+    for (const choice of ["codec=float32", "codec=meshopt", "codec=delta&detail=0.5"]) {
+      page = await open(`scene=hanging&${choice}`);
+      await strands(9);
+      expect(page.errors).toEqual([]);
+      await page.close();
+    }
+    page = await open("scene=hanging");
+    await strands(9);
+    await stack.ask("reset", { name: "hanging" });
+    await strands(25);
+    await stack.ask("unload", { name: "hanging" });
+  });
+
   it("shows an operator why a command failed", async () => {
     const vertexCount = (await stack.ask("load_grid", { name: "cube", cells: 2 })) as number;
     const page = await open("scene=cube");

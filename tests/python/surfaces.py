@@ -66,6 +66,25 @@ def two_balls() -> tuple[stream_pb2.Topology, Floats]:
     return topology, np.concatenate([0.1 * large, 0.05 * small + [0.3, 0, 0]])
 
 
+def attached(topology: stream_pb2.Topology) -> stream_pb2.Topology:
+    """The same scene with 11 springs between its bodies, of two attachments."""
+    out = stream_pb2.Topology()
+    out.CopyFrom(topology)
+    for name, pairs, breaking_force_n in (
+        ("ligament", [(i, 12) for i in range(9)], 3.0),
+        ("vein", [(9, 10), (9, 11)], None),
+    ):
+        out.attachments.add(
+            name=name,
+            springs=np.array(pairs, "<u4").tobytes(),
+            rest_lengths_m=np.full(len(pairs), 0.05, "<f4").tobytes(),
+            stiffness_n_per_m=100.0,
+            breaking_force_n=breaking_force_n,
+        )
+    out.attachment_point_count = 13
+    return out
+
+
 def frame_at(topology: stream_pb2.Topology, sequence: int, positions: Floats) -> stream_pb2.Frame:
     return stream_pb2.Frame(
         topology_version=topology.version,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from service_parts import BLOCK, DEADLINE_S, block
+from surfaces import attached, frame_at, two_balls
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2, stream_pb2
@@ -164,6 +165,31 @@ def test_a_force_is_an_arrow(plotter: Any) -> None:  # noqa: ANN401
         plotter.render()
         counts.append(amber(plotter.screenshot()))
     assert counts[1] > counts[0] == counts[2]
+
+
+def test_a_spring_is_a_line_until_it_breaks(plotter: Any) -> None:  # noqa: ANN401
+    topology, places = two_balls()
+    topology = attached(topology)
+    points = np.zeros((13, 3), "<f4")
+    points[:, 2] = 0.2  # above the balls
+    points[:12, 0] = np.linspace(0, 0.1, 12)
+    points[12] = (0.05, 0, 0.1)
+
+    def frame_with(broken: bytes) -> tm.Frame:
+        message = frame_at(topology, 1, places)
+        message.attachment_points, message.broken_springs = points.tobytes(), broken
+        return tm.Frame.from_message(message, topology)
+
+    picture = Picture(plotter, frame_with(b""), None)
+    shots = []
+    for broken in (b"", bytes([0xFF, 0]), bytes([0xFF, 7]), b""):
+        picture.update(frame_with(broken))
+        plotter.render()
+        shots.append(plotter.screenshot().astype(int))
+    all_torn = shots[2]
+    strands = [int((np.abs(shot - all_torn).max(axis=2) > 20).sum()) for shot in shots]
+    assert strands[0] > strands[1] > 0
+    assert strands[3] == strands[0], "a reset mends them"
 
 
 @pytest.fixture

@@ -58,6 +58,32 @@ def test_a_body_hangs_from_an_attachment_until_it_tears(server: tm.Server) -> No
         assert handle.step(1).broken_springs < mesh_nodes, "some are whole again"
 
 
+def test_frames_have_the_springs_of_attachments(server: tm.Server) -> None:
+    scene = two_blocks(gap_m=-0.2)
+    body = scene.message.bodies[0].name
+    nodes = np.arange(0, 30, 3)
+    scene.attach("strong", "above", nodes, body, [0], stiffness_n_per_m=500)
+    scene.attach("weak", "above", nodes + 1, body, [0, 1, 2], stiffness_n_per_m=500, breaking_force_n=1e-3)
+    with server.load(scene, name="sprung", lockstep=True) as handle:
+        rest = handle.frame()
+        assert not rest.broken_springs.any()
+        np.testing.assert_allclose(rest.springs("strong").tensions_n, 0, atol=1e-4)
+        handle.step(40)
+        frame = handle.frame()
+        strong, weak = frame.springs("strong"), frame.springs("weak")
+        assert (strong.broken.any(), weak.broken.all()) == (False, True)
+        assert (strong.tensions_n.max() > 0.1, weak.tensions_n.max()) == (True, 0)
+        np.testing.assert_allclose(strong.ends_m[:, 0], handle.positions("above")[nodes], atol=1e-6)
+        np.testing.assert_allclose(strong.ends_m[:, 1], handle.positions(body)[[0] * 10], atol=1e-6)
+        assert (strong.stiffness_n_per_m, strong.breaking_force_n) == (50, None)
+        assert weak.breaking_force_n == pytest.approx(1e-4)
+
+        with tm.connect(server.address) as late:
+            assert late.scene("sprung").frame().springs("weak").broken.all()
+        handle.reset()
+        assert not handle.frame().broken_springs.any()
+
+
 def test_wrong_names_and_nodes_are_refused() -> None:
     scene = two_blocks()
     body = scene.message.bodies[0].name

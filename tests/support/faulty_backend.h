@@ -68,6 +68,7 @@ class FaultyState final : public backend::SceneState {
   void restore() override { sound_->restore(); }
   std::span<const float> visible_positions() override { return sound_->visible_positions(); }
   void gather_visible() override { sound_->gather_visible(); }
+  void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }
   void diagnose(std::span<backend::GroupDiagnostics> groups) override { sound_->diagnose(groups); }
   backend::RowState read() override { return sound_->read(); }
   void write(const backend::RowState& state) override { sound_->write(state); }

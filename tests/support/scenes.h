@@ -91,4 +91,32 @@ inline v1::Scene block_with_probe(bool double_precision = false, std::uint32_t c
 /// Whether a step of the scene runs Newton's method.
 inline bool iterates(const v1::Scene& scene) { return scene.solver().newton_max_iterations() > 1; }
 
+/// Adds an attachment of every second node of one body to the first node of another, from node `first` on to `end`.
+inline v1::Attachment& attach_every_second(v1::Scene& scene, const std::string& name, const std::string& body,
+                                           const std::string& other, std::uint32_t first, std::uint32_t end) {
+  v1::Attachment& attachment = *scene.add_attachments();
+  attachment.set_name(name);
+  attachment.set_body(body);
+  attachment.set_other(other);
+  for (std::uint32_t node = first; node < end; node += 2)
+    attachment.mutable_region()->mutable_nodes()->add_indices(node);
+  attachment.mutable_other_region()->mutable_nodes()->add_indices(0);
+  attachment.set_stiffness_n_per_m(500);
+  return attachment;
+}
+
+/// Returns block_with_probe with a second block that hangs below it. The attachment "strong" has 8 springs and holds
+/// it; "weak" has 9 and tears at once, because each of its springs breaks at 1e-5 N.
+inline v1::Scene hanging_block(std::uint32_t cells = 4) {
+  v1::Scene scene = block_with_probe(true, cells);
+  v1::Body& hanging = *scene.add_bodies();
+  hanging = scene.bodies(0);
+  hanging.set_name("hanging");
+  hanging.clear_fixed();
+  set(*hanging.mutable_mesh()->mutable_translation_m(), 0, -0.2, 0);
+  attach_every_second(scene, "strong", "hanging", scene.bodies(0).name(), 1, 17);
+  attach_every_second(scene, "weak", "hanging", scene.bodies(0).name(), 0, 17).set_breaking_force_n(9e-5);
+  return scene;
+}
+
 }  // namespace tensormass::tests

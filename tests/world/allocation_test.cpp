@@ -9,6 +9,7 @@
 #include "support/backends.h"
 #include "support/laws.h"
 #include "support/scenes.h"
+#include "world/loop_outputs.h"
 #include "world/recording.h"
 
 /// The step loop allocates nothing. This program counts every call of operator new, in every thread.
@@ -88,6 +89,20 @@ TEST_P(StepLoop, AllocatesNothing) {
     EXPECT_EQ(allocations.load() - before, 0u);
     EXPECT_GT(world->readings()[0].force_n.norm(), 0) << "contact was among what ran";
   }
+}
+
+/// The loop reads which springs are broken and leaves them in frames.
+TEST_P(StepLoop, AllocatesNothingWhenSpringsBreak) {
+  const auto world = start(tests::hanging_block());
+  LoopOutputs outputs(*world);
+  const std::uint64_t before = allocations.load();
+  for (int i = 0; i < 20; ++i) {
+    ASSERT_TRUE(world->step(true));
+    outputs.take_step(Clock::now());
+    outputs.publish(true);
+  }
+  EXPECT_EQ(allocations.load() - before, 0u);
+  EXPECT_EQ(world->last().broken_springs, 9u) << "springs broke among what ran";
 }
 
 /// Loads whose factors change in every step.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <numeric>
 
 #include <gtest/gtest.h>
 
@@ -150,16 +151,18 @@ TEST(Messages, LocalModelOutlivesAFewMissingSteps) {
 
 TEST(Messages, FrameHoldsThePositionsUnchanged) {
   const model::Model model = two_bodies_and_a_probe();
-  const std::vector<float> positions{1, 2, 3, 4, 5, 6};
+  std::vector<float> positions(3 * std::size_t{model.visible.count()});
+  std::iota(positions.begin(), positions.end(), 1.0f);
   const std::vector<ToolReading> tools(1);
   v1::Frame frame;
-  for (int i = 0; i < 2; ++i) fill_frame(model, {7, 0.25, 9}, positions, tools, frame);
+  for (int i = 0; i < 2; ++i) fill_frame(model, {7, 0.25, 9}, positions, tools, {}, frame);
   EXPECT_EQ(frame.step(), 7u);
   EXPECT_EQ(frame.simulated_time_s(), 0.25);
   EXPECT_EQ(frame.server_time_ns(), 9u);
   EXPECT_EQ(frame.tools_size(), 1);
   ASSERT_EQ(frame.positions().size(), sizeof(float) * positions.size());
   EXPECT_EQ(std::memcmp(frame.positions().data(), positions.data(), frame.positions().size()), 0);
+  EXPECT_TRUE(frame.attachment_points().empty() && frame.broken_springs().empty()) << "the scene has no attachments";
 }
 
 }  // namespace

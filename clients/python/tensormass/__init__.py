@@ -38,6 +38,7 @@ from tensormass._src.poses import PoseSender
 from tensormass._src.scene import Scene
 from tensormass._src.scene_handle import FrameStream, SceneHandle
 from tensormass._src.server import DEFAULT_ADDRESS, Server, connect
+from tensormass._src.springs import Springs
 from tensormass._src.step_record import StepRecord
 from tensormass._src.subscriptions import Subscription
 from tensormass._src.tetwild import tetrahedralize
@@ -61,6 +62,7 @@ __all__ = [
     "Scene",
     "SceneHandle",
     "Server",
+    "Springs",
     "StepRecord",
     "Subscription",
     "TensormassError",

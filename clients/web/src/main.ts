@@ -75,6 +75,7 @@ listenToKeys({
   t: () => display.change({ tools: !display.settings.tools }),
   w: () => display.change({ wireframe: !display.settings.wireframe }),
   n: () => display.change({ fixedNodes: !display.settings.fixedNodes }),
+  l: () => display.change({ attachments: !display.settings.attachments }),
   a: () => display.change({ rulers: !display.settings.rulers }),
   c: () => display.nextColouring(),
   p: () => grid.selected.takePicture(),
@@ -207,7 +208,7 @@ function showHand(hand: Hand): void {
   find("#hint", HTMLElement).textContent = hand === "over" ? "Drag to move this tool" : hand === "holds" ? "The tool follows the pointer" : idle;
 }
 
-function stateOf({ session }: Tile): object {
+function stateOf({ session, viewer }: Tile): object {
   const { store } = session;
   return {
     scene: session.watched,
@@ -215,6 +216,7 @@ function stateOf({ session }: Tile): object {
     vertexCount: store.topology?.vertexCount ?? 0,
     step: store.frame === null ? null : Number(store.frame.step),
     tools: store.frame?.tools ?? [],
+    strands: viewer.strandCount,
     ...store.counters,
   };
 }

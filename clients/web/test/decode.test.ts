@@ -3,8 +3,8 @@ import { describe, expect, it } from "vitest";
 
 import { SimplifiedTopologySchema } from "../src/generated/tensormass/v1/gateway_pb";
 import { TopologySchema } from "../src/generated/tensormass/v1/stream_pb";
-import { decodeField, decodeFrame, decodeStatus, decodeTopology, slotOf, splitMessage } from "../src/stream/decode";
-import { POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
+import { decodeField, decodeFrame, decodeStatus, decodeTopology, isBroken, slotOf, splitMessage } from "../src/stream/decode";
+import { ATTACHED, POSITIONS, busMessage, f32, frameBytes, topologyBytes, u32 } from "./messages";
 
 describe("splitMessage", () => {
   it("splits key and payload, which may contain zero bytes", () => {
@@ -127,6 +127,32 @@ describe("decodeTopology", () => {
     expect(() => decodeTopology(topologyBytes({ bodies }))).toThrow(/body "liver": fixed vertex 2 names vertex 4 of 3/);
   });
 
+  it("decodes attachments, which may be able to break", () => {
+    const { attachments, attachmentPointCount } = decodeTopology(topologyBytes(ATTACHED.topology));
+    expect(attachmentPointCount).toBe(5);
+    expect(attachments.map(({ name, springs, restLengthsM }) => [name, [...springs], [...restLengthsM]])).toEqual([
+      ["ligament", [0, 1, 0, 2], [2.5, 3]],
+      ["string", [3, 4], [expect.closeTo(0.1, 6)]],
+    ]);
+    expect(attachments.map(({ stiffnessNPerM, breakingForceN }) => [stiffnessNPerM, breakingForceN])).toEqual([
+      [10, 40],
+      [1e6, null],
+    ]);
+    expect(decodeTopology(topologyBytes()).attachments).toEqual([]);
+  });
+
+  it.each([
+    ["a point that no frame has", { springs: u32(0, 1, 0, 5) }, /"ligament": spring 1 names point 5 of 5/],
+    ["half a spring", { springs: u32(0, 1, 0) }, /spring: 12 bytes are not a multiple of 8/],
+    ["a spring without a length", { restLengthsM: f32(1) }, /2 springs do not each have a length at rest/],
+    ["a length that is not finite", { restLengthsM: f32(1, NaN) }, /a length at rest is NaN/],
+    ["a stiffness that is not finite", { stiffnessNPerM: Infinity }, /stiffness_n_per_m: Infinity is not finite/],
+    ["a force that breaks nothing", { breakingForceN: 0 }, /breaking_force_n is 0/],
+  ])("refuses an attachment with %s", (_, change, said) => {
+    const attachments = [{ ...ATTACHED.topology.attachments[0], ...change }];
+    expect(() => decodeTopology(topologyBytes({ ...ATTACHED.topology, attachments }))).toThrow(said);
+  });
+
   it("refuses bodies that overlap", () => {
     const body = { name: "a", firstVertex: 0, vertexCount: 3, triangles: u32(0, 1, 2) };
     expect(() => decodeTopology(topologyBytes({ bodies: [body, { ...body, name: "b", firstVertex: 2 }] }))).toThrow(
@@ -156,6 +182,17 @@ describe("decodeTopology", () => {
 });
 
 describe("decodeFrame", () => {
+  it("decodes ends of springs and which of them are broken", () => {
+    const frame = decodeFrame(frameBytes({ ...ATTACHED.frame, brokenSprings: Uint8Array.of(0b1000_0010, 1) }));
+    expect([...frame.attachmentPoints.subarray(3, 6)]).toEqual([0, 0, 2]);
+    expect([0, 1, 2, 6, 7, 8, 9].filter((spring) => isBroken(frame, spring))).toEqual([1, 7, 8]);
+    const whole = decodeFrame(frameBytes());
+    expect([whole.attachmentPoints.length, isBroken(whole, 3)]).toEqual([0, false]);
+    for (const attachmentPoints of [f32(0, 1), f32(0, NaN, 0)]) {
+      expect(() => decodeFrame(frameBytes({ attachmentPoints }))).toThrow(/attachment_points: .*(multiple of 12|not finite)/);
+    }
+  });
+
   it("reads little-endian floats at any alignment", () => {
     // The payload of a bus message starts wherever its key ends.
     for (const server of ["a", "ab", "abc", "abcd"]) {

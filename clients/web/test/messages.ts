@@ -73,6 +73,24 @@ export function frameBytes(change: Fields<typeof FrameSchema> = {}): Uint8Array 
   );
 }
 
+/** Fields of a topology and of its frames with two attachments: two springs that may break, and one that never does. */
+export const ATTACHED = {
+  topology: {
+    attachments: [
+      {
+        name: "ligament",
+        springs: u32(0, 1, 0, 2),
+        restLengthsM: f32(2.5, 3),
+        stiffnessNPerM: 10,
+        breakingForceN: 40,
+      },
+      { name: "string", springs: u32(3, 4), restLengthsM: f32(0.1), stiffnessNPerM: 1e6 },
+    ],
+    attachmentPointCount: 5,
+  },
+  frame: { attachmentPoints: f32(0, 0, 0, 0, 0, 2, 3, 4, 0, 1, 0, 0, 0, 0, -1) },
+} satisfies { topology: Fields<typeof TopologySchema>; frame: Fields<typeof FrameSchema> };
+
 /** `key`, a zero byte, `payload`. */
 export function busMessage(key: string, payload: Uint8Array): ArrayBuffer {
   const prefix = new TextEncoder().encode(`${key}\0`);

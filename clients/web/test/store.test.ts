@@ -5,7 +5,7 @@ import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { SceneStore, STATUS_HOLDS_NS } from "../src/stream/store";
 import { STAY_MS } from "../src/stream/warnings";
-import { f32, frameBytes, topologyBytes } from "./messages";
+import { ATTACHED, f32, frameBytes, topologyBytes } from "./messages";
 
 const frame = (sequence: bigint) => decodeFrame(frameBytes({ sequence }));
 const topology = (version: bigint) => decodeTopology(topologyBytes({ version }));
@@ -93,6 +93,18 @@ describe("SceneStore", () => {
   it("refuses a frame with another number of vertices", () => {
     expect(() => store.setFrame(decodeFrame(frameBytes({ positions: f32(0, 0, 0) })))).toThrow(/1 vertices.* has 7/);
     expect(store.takeFrame()).toBeNull();
+  });
+
+  it("refuses a frame without the ends of its springs, or with the flags of other springs", () => {
+    store.setTopology(decodeTopology(topologyBytes(ATTACHED.topology)));
+    const { attachmentPoints } = ATTACHED.frame;
+    const flags = (...brokenSprings: number[]) => decodeFrame(frameBytes({ attachmentPoints, brokenSprings: Uint8Array.from(brokenSprings) }));
+    expect(() => store.setFrame(frame(1n))).toThrow(/frame 1 has 0 of 5 attachment points/);
+    expect(() => store.setFrame(flags(1, 0))).toThrow(/2 bytes of flags for 3 springs/);
+    expect(store.frame).toBeNull();
+    store.setFrame(flags());
+    store.setFrame(flags(0b101));
+    expect(store.frame).not.toBeNull();
   });
 
   it("forgets the frame with its topology", () => {

@@ -94,6 +94,10 @@ class CpuState final : public SceneState {
   }
   void gather_visible() override { run(step::Phase::kFrame); }
 
+  void read_broken(std::span<std::uint8_t> broken) override {
+    copy_broken(std::span<const Real>(view_.ties.broken, view_.ties.spring_count), broken);
+  }
+
   void diagnose(std::span<GroupDiagnostics> groups) override {
     run(step::Phase::kDiagnostics);
     read_diagnostics<Real>({view_.guard.diagnostics, groups.size() * view_.patches.patch_count}, groups);

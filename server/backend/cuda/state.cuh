@@ -62,6 +62,7 @@ class CudaState final : public SceneState {
         loads_(model.tools.size() * model.layout.patch_count),
         tie_reports_(model.ties.count() > 0 ? model.layout.patch_count : 0),
         visible_(3 * std::size_t{model.visible.count()}),
+        broken_(model.ties.spring_count()),
         external_(loads_change(model) ? model.external.size() : 0),
         faces_(loads_change(model) ? model.pressure.faces.size() : 0),
         view_(model::bind<Real>(model, arena_, exchange())),
@@ -135,6 +136,13 @@ class CudaState final : public SceneState {
   void gather_visible() override {
     launch_frame();
     wait("frame");
+  }
+
+  void read_broken(std::span<std::uint8_t> broken) override {
+    if (broken.empty()) return;
+    download_pinned(broken_, view_.ties.broken);
+    wait("broken springs");
+    copy_broken(std::span<const Real>(broken_.span()), broken);
   }
 
   void diagnose(std::span<GroupDiagnostics> groups) override {
@@ -367,6 +375,7 @@ class CudaState final : public SceneState {
   Pinned<view::ToolLoad<Real>> loads_;
   Pinned<view::TieReport<Real>> tie_reports_;
   Pinned<float> visible_;
+  Pinned<Real> broken_;                     // [spring_count]
   Pinned<Real> external_;                   // [row_count, 4]; empty unless loads_change()
   Pinned<view::PressureFace<Real>> faces_;  // likewise
   const view::SceneView<Real> view_;

@@ -14,6 +14,7 @@ from tensormass._src.errors import (
     InternalError,
     NotFoundError,
 )
+from tensormass._src.springs import Springs, broken_flags, spring_count
 from tensormass.v1 import scene_pb2, stream_pb2
 
 
@@ -102,6 +103,10 @@ class Frame:
     #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
     positions: npt.NDArray[np.float32]
     tools: dict[str, Feedback]
+    #: Nodes at the ends of springs, float32 [point_count, 3] m (read-only). `springs` sorts them by attachment.
+    attachment_points: npt.NDArray[np.float32]
+    #: Whether each spring is broken, one attachment after the other, bool [spring_count].
+    broken_springs: npt.NDArray[np.bool_]
 
     def _repr_html_(self) -> str:
         rows = [["step", f"{self.step:,} at {notebook.quantity(self.simulated_time_s, 's')}"]]
@@ -109,6 +114,12 @@ class Frame:
             [f"body {body.name}", f"{body.vertex_count:,} vertices, {len(body.triangles) // 12:,} triangles"]
             for body in self.topology.bodies
         ]
+        first = 0
+        for attachment in self.topology.attachments:
+            count = spring_count(attachment)
+            broken = np.count_nonzero(self.broken_springs[first : first + count])
+            rows.append([f"attachment {attachment.name}", f"{count:,} springs, {broken:,} broken"])
+            first += count
         rows += [[f"force on {name}", notebook.vector(tool.force_n, "N")] for name, tool in self.tools.items()]
         return notebook.table(f"frame {self.sequence} of {self.topology.scene}", rows)
 
@@ -116,6 +127,21 @@ class Frame:
         """Returns the part of `positions` that belongs to a body, [vertex_count, 3] m."""
         surface = find_body(self.topology, body)
         return self.positions[surface.first_vertex : surface.first_vertex + surface.vertex_count]
+
+    def springs(self, attachment: str) -> Springs:
+        """Returns the springs of an attachment: their ends, tensions, and which are broken.
+
+        Raises:
+            NotFoundError: there is no such attachment. The text lists those there are.
+        """
+        message = _find(self.topology, self.topology.attachments, "attachment", attachment)
+        first = 0
+        for before in self.topology.attachments:
+            if before.name == message.name:
+                break
+            first += spring_count(before)
+        broken = self.broken_springs[first : first + spring_count(message)]
+        return Springs.from_message(message, self.attachment_points, broken)
 
     @staticmethod
     def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology) -> Frame:
@@ -125,6 +151,12 @@ class Frame:
                 f"frame {message.sequence} of {topology.scene!r} has {len(message.positions)} bytes of positions; "
                 f"its topology needs {size}"
             )
+        if len(message.attachment_points) != 12 * topology.attachment_point_count:
+            raise InternalError(
+                f"frame {message.sequence} of {topology.scene!r} has {len(message.attachment_points)} bytes of "
+                f"attachment points; its topology needs {12 * topology.attachment_point_count}"
+            )
+        springs = sum(spring_count(attachment) for attachment in topology.attachments)
         return Frame(
             topology=topology,
             sequence=message.sequence,
@@ -133,6 +165,8 @@ class Frame:
             server_time_ns=message.server_time_ns,
             positions=np.frombuffer(message.positions, dtype="<f4").reshape(-1, 3),
             tools={tool.tool: Feedback.from_message(tool) for tool in message.tools},
+            attachment_points=np.frombuffer(message.attachment_points, dtype="<f4").reshape(-1, 3),
+            broken_springs=broken_flags(message.broken_springs, springs),
         )
 
 
@@ -151,7 +185,7 @@ def find_tool(topology: stream_pb2.Topology, tool: str) -> stream_pb2.ToolShape:
     return _find(topology, topology.tools, "tool", tool)
 
 
-NamedType = TypeVar("NamedType", stream_pb2.BodySurface, stream_pb2.ToolShape)
+NamedType = TypeVar("NamedType", stream_pb2.BodySurface, stream_pb2.ToolShape, stream_pb2.AttachmentSprings)
 
 
 def _find(topology: stream_pb2.Topology, there: Sequence[NamedType], kind: str, name: str) -> NamedType:

@@ -1,4 +1,4 @@
-"""A scene in a PyVista plotter: bodies coloured by displacement, tools, and the forces on them."""
+"""A scene in a PyVista plotter: bodies coloured by displacement, attachments, tools, and the forces on them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ _STEEL = "#d5dce2"
 _OBSTACLE = "#5d6a75"
 _AMBER = "#ffb000"
 _RETIRED_OPACITY = 0.25
+_LIGAMENT = "#e3bfa0"
+_STRAND_WIDTH = 4  # pixels
 # Smallest upper end of the colours [mm], so that rounding is not shown as colours.
 _LEAST_RANGE_MM = 0.1
 # Smallest force with an arrow [N]. Its length is nearly proportional for small forces, and bounded [scene radii].
@@ -46,6 +48,7 @@ class Picture:
         self._bodies = [self._add_body(body, first) for body in first.topology.bodies]
         self._triangles = Triangles(first.topology)
         self._tools = {shape.name: _Tool(plotter, shape, self._radius_m) for shape in first.topology.tools}
+        self._strands = _Strands(plotter, first) if len(first.broken_springs) else None
         self._text = plotter.add_text("", position="upper_left", font_size=10, color="black", name="state")
         self._look()
         self.update(first)
@@ -70,6 +73,8 @@ class Picture:
         self._range_mm = max(self._range_mm, float(distances_mm.max(initial=0)))
         for _, actor in self._bodies:
             actor.mapper.scalar_range = (0.0, self._range_mm)
+        if self._strands is not None:
+            self._strands.update(frame)
         for name, feedback in frame.tools.items():
             if name in self._tools:
                 self._tools[name].update(feedback)
@@ -108,6 +113,24 @@ class Picture:
         self._plotter.camera.focal_point = middle
         self._plotter.camera.position = middle + 4.2 * self._radius_m * view / np.linalg.norm(view)
         self._plotter.camera.up = up
+
+
+class _Strands:
+    """The springs of all attachments: a line each, until it breaks."""
+
+    def __init__(self, plotter: pv.Plotter, first: Frame) -> None:
+        self._mesh = pv.PolyData()
+        self.update(first)
+        self._actor = plotter.add_mesh(
+            self._mesh, color=_LIGAMENT, line_width=_STRAND_WIDTH, render_lines_as_tubes=True, reset_camera=False
+        )
+
+    def update(self, frame: Frame) -> None:
+        attachments = [frame.springs(attachment.name) for attachment in frame.topology.attachments]
+        ends_m = np.concatenate([springs.ends_m[~springs.broken] for springs in attachments])
+        # An empty mesh would end its actor, so that one spring without a length stays.
+        points = ends_m.reshape(-1, 3) if len(ends_m) else np.repeat(frame.attachment_points[:1], 2, axis=0)
+        self._mesh.copy_from(pv.line_segments_from_points(points))
 
 
 class _Tool:

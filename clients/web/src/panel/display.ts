@@ -12,6 +12,8 @@ export interface DisplayActions {
   readonly film: () => void;
 }
 
+type Flag = "wireframe" | "fixedNodes" | "attachments" | "rulers" | "tools";
+
 export class Display {
   readonly #actions: DisplayActions;
   readonly #colouring = find("#colouring", HTMLSelectElement);
@@ -22,6 +24,7 @@ export class Display {
   readonly #flags = {
     wireframe: find("#wireframe", HTMLInputElement),
     fixedNodes: find("#fixed-nodes", HTMLInputElement),
+    attachments: find("#attachments", HTMLInputElement),
     rulers: find("#rulers-on", HTMLInputElement),
     tools: find("#tools", HTMLInputElement),
   };
@@ -69,7 +72,7 @@ export class Display {
     this.#clipShare.value = String(Math.round(100 * settings.clipShare));
     this.#clipShare.disabled = settings.clipAxis === "none";
     this.#zero.hidden = settings.colouring !== "displacement";
-    for (const [name, box] of Object.entries(this.#flags) as ["wireframe" | "fixedNodes" | "rulers" | "tools", HTMLInputElement][]) {
+    for (const [name, box] of Object.entries(this.#flags) as [Flag, HTMLInputElement][]) {
       box.checked = settings[name];
     }
     this.#actions.change(settings);

@@ -11,6 +11,8 @@ export interface Settings {
   readonly wireframe: boolean;
   /** Marks the nodes that are held or prescribed. */
   readonly fixedNodes: boolean;
+  /** Draws the springs of attachments. */
+  readonly attachments: boolean;
   readonly clipAxis: ClipAxis;
   /** Place of the clip plane, as a share of the scene's extent along its axis. */
   readonly clipShare: number;
@@ -26,6 +28,7 @@ export const DEFAULTS: Settings = {
   colouring: "tissue",
   wireframe: false,
   fixedNodes: false,
+  attachments: true,
   clipAxis: "none",
   clipShare: 0.5,
   rulers: false,
@@ -51,6 +54,7 @@ export function parseSettings(text: string | null): Settings {
     colouring: COLOURINGS.find((name) => name === given.colouring) ?? DEFAULTS.colouring,
     wireframe: flag(given.wireframe, DEFAULTS.wireframe),
     fixedNodes: flag(given.fixedNodes, DEFAULTS.fixedNodes),
+    attachments: flag(given.attachments, DEFAULTS.attachments),
     clipAxis: CLIP_AXES.find((name) => name === given.clipAxis) ?? DEFAULTS.clipAxis,
     clipShare: typeof share === "number" && share >= 0 && share <= 1 ? share : DEFAULTS.clipShare,
     rulers: flag(given.rulers, DEFAULTS.rulers),

@@ -10,6 +10,7 @@ import {
   SceneStatusSchema,
   SceneStatus_State,
   TopologySchema,
+  type AttachmentSprings as AttachmentMessage,
   type SceneStatus,
   type ToolFeedback,
 } from "../generated/tensormass/v1/stream_pb";
@@ -92,12 +93,27 @@ export interface ToolCore {
   readonly shaftM: Vector | null;
 }
 
+/** The springs of an attachment. */
+export interface AttachmentSprings {
+  readonly name: string;
+  /** [spring_count, 2]: ends, as places in `Frame.attachmentPoints`. */
+  readonly springs: Uint32Array;
+  /** [spring_count] m */
+  readonly restLengthsM: Float32Array;
+  /** One spring's. */
+  readonly stiffnessNPerM: number;
+  /** Force at which one spring breaks; null: it never does. */
+  readonly breakingForceN: number | null;
+}
+
 export interface Topology {
   readonly scene: string;
   readonly version: bigint;
   readonly vertexCount: number;
   readonly bodies: readonly Surface[];
   readonly tools: readonly ToolShape[];
+  readonly attachments: readonly AttachmentSprings[];
+  readonly attachmentPointCount: number;
   /** Unit vector against gravity; z without gravity. */
   readonly up: Vector;
 }
@@ -125,6 +141,15 @@ export interface Frame {
   /** [vertex_count, 3], unit vectors times 127; null: the page computes them. */
   readonly normals: Int8Array | null;
   readonly tools: readonly ToolState[];
+  /** [attachment_point_count, 3] m: nodes at the ends of springs. */
+  readonly attachmentPoints: Float32Array;
+  /** A bit for each spring of all attachments: `isBroken` reads it. Empty: none is broken. */
+  readonly brokenSprings: Uint8Array;
+}
+
+/** Whether a spring is broken. @param spring Its number, counted over all attachments. */
+export function isBroken({ brokenSprings }: Frame, spring: number): boolean {
+  return brokenSprings.length > 0 && ((brokenSprings[spring >> 3]! >> (spring & 7)) & 1) === 1;
 }
 
 /** Values of an element field on the surface, which the gateway computes. */
@@ -160,22 +185,22 @@ export function splitMessage(data: ArrayBuffer): BusMessage {
   return { scene, stream: stream as StreamName, payload: bytes.subarray(end + 1) };
 }
 
-/** Reads vertices of a body. Throws DecodeError if one is outside its range. @param perItem Vertices of each item. */
-function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number): Uint32Array {
+/** Reads vertices of a body, or points. Throws DecodeError if one is outside its range. @param perItem Vertices of each item. */
+function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount: number, kind = "vertex"): Uint32Array {
   if (bytes.length % (4 * perItem) !== 0) {
     throw new DecodeError(`${where}: ${bytes.length} bytes are not a multiple of ${4 * perItem}`);
   }
   const numbers = new Uint32Array(aligned(bytes));
   const outside = numbers.findIndex((vertex) => vertex >= vertexCount);
   if (outside >= 0) {
-    throw new DecodeError(`${where} ${Math.floor(outside / perItem)} names vertex ${numbers[outside]} of ${vertexCount}`);
+    throw new DecodeError(`${where} ${Math.floor(outside / perItem)} names ${kind} ${numbers[outside]} of ${vertexCount}`);
   }
   return numbers;
 }
 
 /**
  * Decodes a message of the stream `topology` or `simplified_topology`. Throws DecodeError if a body's vertices or
- * triangles are outside its range.
+ * triangles are outside its range, or if a spring has no end.
  */
 export function decodeTopology(payload: Uint8Array, stream: StreamName = "topology"): Topology {
   const message = parse(stream, () =>
@@ -219,7 +244,26 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
       fixed: tool.tool?.fixed ?? false,
     };
   });
-  return { scene: message.scene, version: message.version, vertexCount, bodies, tools, up: up(message.gravityMPerS2) };
+  const { scene, version, attachmentPointCount } = message;
+  const attachments = message.attachments.map((attachment) =>
+    springsOf(`topology of scene "${scene}", attachment "${attachment.name}"`, attachment, attachmentPointCount),
+  );
+  return { scene, version, vertexCount, bodies, tools, attachments, attachmentPointCount, up: up(message.gravityMPerS2) };
+}
+
+function springsOf(where: string, message: AttachmentMessage, pointCount: number): AttachmentSprings {
+  const springs = vertices(`${where}: spring`, message.springs, 2, pointCount, "point");
+  if (2 * message.restLengthsM.length !== 4 * springs.length) {
+    throw new DecodeError(`${where}: ${springs.length / 2} springs do not each have a length at rest`);
+  }
+  const restLengthsM = new Float32Array(aligned(message.restLengthsM));
+  restLengthsM.forEach((length) => checkedLength(where, "a length at rest", length));
+  const stiffnessNPerM = finite(`${where}, stiffness_n_per_m`, message.stiffnessNPerM);
+  const breakingForceN = message.breakingForceN ?? null;
+  if (breakingForceN !== null && !(breakingForceN > 0)) {
+    throw new DecodeError(`${where}: breaking_force_n is ${breakingForceN}`);
+  }
+  return { name: message.name, springs, restLengthsM, stiffnessNPerM, breakingForceN };
 }
 
 function textureCoordinates(where: string, bytes: Uint8Array, cornerCount: number): Float32Array {
@@ -339,6 +383,8 @@ export function frameOf(where: string, message: FrameMessage, positions: Float32
     positions,
     normals: null,
     tools: message.tools.map((tool) => toolState(where, tool)),
+    attachmentPoints: finiteFloats(`${where}, attachment_points`, message.attachmentPoints),
+    brokenSprings: message.brokenSprings,
   };
 }
 

@@ -67,6 +67,7 @@ export class SceneStore {
   /** Takes a frame. Throws DecodeError if it belongs to another topology than the one on show. */
   setFrame(frame: Frame): void {
     this.#check(`frame ${frame.sequence}`, frame.topologyVersion, frame.positions.length / 3);
+    this.#checkSprings(frame);
     this.frame = frame;
     if (this.reference === null) {
       this.#refer(frame, frame.step === 0n ? "start" : "first frame");
@@ -168,6 +169,18 @@ export class SceneStore {
       throw new DecodeError(
         `${what} has ${vertexCount} vertices, topology ${topology.version} has ${topology.vertexCount}`,
       );
+    }
+  }
+
+  /** Throws DecodeError if a frame lacks ends of springs, or has the flags of another number of springs. */
+  #checkSprings({ sequence, attachmentPoints, brokenSprings }: Frame): void {
+    const { attachments, attachmentPointCount } = this.topology!;
+    if (attachmentPoints.length !== 3 * attachmentPointCount) {
+      throw new DecodeError(`frame ${sequence} has ${attachmentPoints.length / 3} of ${attachmentPointCount} attachment points`);
+    }
+    const springCount = attachments.reduce((count, { springs }) => count + springs.length / 2, 0);
+    if (brokenSprings.length !== 0 && brokenSprings.length !== Math.ceil(springCount / 8)) {
+      throw new DecodeError(`frame ${sequence} has ${brokenSprings.length} bytes of flags for ${springCount} springs`);
     }
   }
 

@@ -11,6 +11,7 @@ import { enableDrag, type Hand } from "./drag";
 import { Instruments, type ForceLabel } from "./instruments";
 import { Rulers } from "./rulers";
 import type { Picture, Stage } from "./stage";
+import { Strands } from "./strands";
 import { Studio } from "./studio";
 import { Tissue } from "./tissue";
 
@@ -39,6 +40,7 @@ export class Viewer implements Picture {
   readonly #stage: Stage;
   readonly #studio: Studio;
   #tissue: Tissue | null = null;
+  #strands: Strands | null = null;
   #instruments: Instruments | null = null;
   #forces: readonly ForceLabel[] = [];
   #revision = -1;
@@ -73,6 +75,11 @@ export class Viewer implements Picture {
 
   get camera(): THREE.Camera {
     return this.#studio.camera;
+  }
+
+  /** Number of springs that are drawn. */
+  get strandCount(): number {
+    return this.#strands?.count ?? 0;
   }
 
   resize(width: number, height: number): void {
@@ -147,6 +154,7 @@ export class Viewer implements Picture {
         this.#build(frame);
       }
       this.#tissue?.update(frame.positions, frame.normals);
+      this.#strands?.update(frame);
       this.#colour();
       this.#forces = this.#instruments?.update(frame) ?? [];
       this.#prepared = { serverTimeNs: frame.serverTimeNs, ms: performance.now() - beganMs };
@@ -188,16 +196,22 @@ export class Viewer implements Picture {
     this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#stage.quality, () => (this.#dirty = true));
     this.#instruments = new Instruments(topology, radiusM, this.#stage.quality);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
+    if (topology.attachments.length > 0) {
+      this.#strands = new Strands(topology, radiusM);
+      this.#studio.world.add(this.#strands.mesh);
+    }
     this.#studio.frame(sceneBounds(topology, frame), topology.up);
     this.#bounds.copy(tissue);
     this.#decorate();
   }
 
-  /** Applies the display options to the tissue. */
+  /** Applies the display options to tissue and attachments. */
   #decorate(): void {
     this.#tissue?.showEdges(this.#settings.wireframe);
     this.#tissue?.showFixed(this.#settings.fixedNodes);
     this.#tissue?.clip(this.#clipPlane());
+    this.#strands?.show(this.#settings.attachments);
+    this.#strands?.clip(this.#clipPlane());
     this.#colour();
   }
 
@@ -248,9 +262,11 @@ export class Viewer implements Picture {
 
   #clear(): void {
     this.#tissue?.dispose();
+    this.#strands?.dispose();
     this.#instruments?.dispose();
     this.#studio.world.clear();
     this.#tissue = null;
+    this.#strands = null;
     this.#instruments = null;
     this.#forces = [];
     this.#range = null;
