@@ -45,7 +45,7 @@ KINDS = (
 #: Cells a side of the block.
 CELLS = (9, 13)
 #: By shape: cells along half the width of the fine block in the half ball.
-HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2), "hexahedron": (2, 4, 8)}
+HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2, 4), "hexahedron": (2, 4, 8)}
 STIFF = HERTZ.penalty_pa_per_m(100)
 #: In E / a.
 HERTZ_PENALTIES = (10.0, 30.0, 100.0, 300.0)

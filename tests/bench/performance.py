@@ -318,6 +318,19 @@ def engines() -> Iterator[str]:
         yield f"| {name}: {setting} | {' | '.join(of_size.get(size, ' | ') for size in sizes)} |"
 
 
+def beside_sofa() -> Iterator[str]:
+    """Step times of beams in SOFA and here on one GPU, by law and size."""
+    found = rows("nvidia-h200-sofa.jsonl")
+    sizes = sorted({row["elements"] for row in found})
+    yield "| engine, law |" + "".join(f" {size:,} tetrahedra |" for size in sizes)
+    yield f"|---|{'---|' * len(sizes)}"
+    for engine, law in dict.fromkeys((row["engine"], row["setting"]) for row in found):
+        times = {
+            row["elements"]: row["step_ms_median"] for row in found if (row["engine"], row["setting"]) == (engine, law)
+        }
+        yield f"| {engine}: {law} |" + "".join(f" {times[size]:g} ms |" for size in sizes)
+
+
 def sources() -> Iterator[str]:
     """Device, commit and command of the last row in each file that the page uses."""
     yield "| file | device | commit | command |"
@@ -396,7 +409,7 @@ TABLES = {
         "instruments": instruments,
         "sources": sources,
     },
-    REPOSITORY / "docs" / "comparison.md": {"engines": engines},
+    REPOSITORY / "docs" / "comparison.md": {"engines": engines, "sofa": beside_sofa},
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},
     REPOSITORY / "docs" / "decisions" / "stream-codecs.md": {
         "streams": streams,
