@@ -2,7 +2,8 @@
 
 python -m accuracy.contact_parts [--only GROUP]     one group leaves the rows of the others as they are
 
-*kinds*: the deep press in every kind of element, with the default penalty and ten times it. *sampling*: one mesh of
+*kinds*: the deep press in every kind of element, with the default penalty and ten times it. *refined*: the same by mesh,
+with contact that hardly gives way. *sampling*: one mesh of
 hexahedra with ever stiffer contact, against the same mesh and quadrature with multipliers at its nodes. What is left
 is how the server samples contact. *hertz*: Hertz's sphere, by mesh. *stiffness*: the same on one mesh, by penalty.
 """
@@ -44,6 +45,8 @@ KINDS = (
 )
 #: Cells a side of the block.
 CELLS = (9, 13)
+#: Cells a side of the block as it is refined, in selective hexahedra, which do not lock.
+REFINED_CELLS = (13, 19, 27, 35)
 #: By shape: cells along half the width of the fine block in the half ball.
 HERTZ_SERIES = {"quadratic_tetrahedron": (1, 2, 4), "hexahedron": (2, 4, 8)}
 STIFF = HERTZ.penalty_pa_per_m(100)
@@ -55,6 +58,7 @@ HERTZ_CELLS = 4
 HEADS = {
     "sampling": ("contact", "cells a side", "× default"),
     "kinds": ("elements", "cells a side", "× default"),
+    "refined": ("elements", "cells a side", "× default"),
     "hertz": ("elements", "cells per contact radius", "E / a"),
     "stiffness": ("elements", "cells per contact radius", "E / a"),
 }
@@ -67,17 +71,24 @@ def main() -> int:
     parser.add_argument("--only", choices=tuple(GROUPS), help="the group that is measured")
     only = parser.parse_args().only
     began = time.monotonic()
-    old: list[Row] = json.loads(FILE.read_text())["rows"] if FILE.exists() else []
-    rows = [row for row in old if row["group"] != only] if only else []
+    rows = [row for row in _measured() if row["group"] != only] if only else []
     with launch(backend="cpu", zenoh=False) as server:
         engine = Engine(server, "double")
         for name in [only] if only else GROUPS:
             for row in GROUPS[name](engine):
-                rows.append({"group": name, **row})
-                print(rows[-1], file=sys.stderr, flush=True)
                 head = record.Head.of_run(server.version(), "accuracy.contact_parts", began).head()
+                rows.append({"group": name, **row, "commit": head["commit"]})
+                print(rows[-1], file=sys.stderr, flush=True)
                 record.write(FILE, head, rows)  # a time limit may end the run
     return 0
+
+
+def _measured() -> list[Row]:
+    """Rows of earlier runs, each with its commit."""
+    if not FILE.exists():
+        return []
+    content = json.loads(FILE.read_text())
+    return [{"commit": content["commit"], **row} for row in content["rows"]]
 
 
 def tables() -> dict[str, list[str]]:
@@ -98,9 +109,8 @@ def tables() -> dict[str, list[str]]:
         table = markdown(heads, [[*names, *line.values()] for names, line in lines.items()])
         out[f"contact_{name}"] = table
     if out:
-        run = (
-            f"{content['device']}, commit `{content['commit']}`, {content['date']}: `python -m accuracy.contact_parts`."
-        )
+        commits = ", ".join(f"`{commit}`" for commit in dict.fromkeys(row["commit"] for row in _measured()))
+        run = f"{content['device']}, {commits}, {content['date']}: `python -m accuracy.contact_parts`."
         out[list(out)[-1]] += ["", run]
     return out
 
@@ -118,6 +128,14 @@ def _kinds(engine: Engine) -> Iterator[Row]:
             for times in PENALTIES[:2]:
                 force_n = press_block(engine, shape, cells, DEEP.penalty_pa_per_m(times), quadrature)
                 yield _row(_kind(shape, quadrature), cells, times, force_n, exact)
+
+
+def _refined(engine: Engine) -> Iterator[Row]:
+    exact = references.numbers("contact")[contact_reference.DEEP_PRESS]
+    for cells in REFINED_CELLS:
+        for times in PENALTIES[1:]:
+            force_n = press_block(engine, "hexahedron", cells, DEEP.penalty_pa_per_m(times), SELECTIVE)
+            yield _row(_kind("hexahedron", SELECTIVE), cells, times, force_n, exact)
 
 
 def _sampling(engine: Engine) -> Iterator[Row]:
@@ -150,6 +168,7 @@ def _stiffness(engine: Engine) -> Iterator[Row]:
 GROUPS: dict[str, Callable[[Engine], Iterator[Row]]] = {
     "sampling": _sampling,
     "kinds": _kinds,
+    "refined": _refined,
     "hertz": _hertz,
     "stiffness": _stiffness,
 }
