@@ -10,6 +10,7 @@
 #   RUN_ARGS=...   more arguments of `tensormass run`
 #   CUDA_ARCHITECTURES=...  GPU generations to compile for, as CMake names them (default: CMakeLists.txt has it)
 #   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
+#   WHOLE=1       `make images` compiles in the bare Debian, too (CUDA=OFF: without the CUDA backend)
 #   TEST_ARGS=...  test runners for `make test`: ctest, pytest, vitest, e2e (default: all)
 
 SHELL := bash
@@ -114,7 +115,7 @@ release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (ro
 	@$(MAKE) wheel
 	@python clients/python/make_release.py --wheel build-wheel/wheel --output dist
 
-images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there too)
+images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there)
 	@BUILD=$(BUILD) TENSORMASS_IMAGES=$(if $(WHOLE),whole,built) python -m pytest -q -rs tests/docker
 
 bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth

@@ -101,6 +101,7 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.mutable_orientation()->set_y(q[2]);
   out.mutable_orientation()->set_z(q[3]);
   out.set_retired(reading.retired);
+  out.set_touching(reading.touching);
   fill(reading.force_n, *out.mutable_force_n());
   fill(reading.torque_n_m, *out.mutable_torque_n_m());
   fill(reading.friction_n, *out.mutable_friction_n());

@@ -51,7 +51,8 @@ struct ToolReading {
   std::array<double, limits::kMaxToolJoints> joint_loads{};
   /// A haptic client closes its own loop with this.
   Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
-  bool retired = false;  ///< it touches nothing, because its newest pose has expired
+  bool touching = false;  ///< it touched tissue in this step
+  bool retired = false;   ///< it touches nothing, because its newest pose has expired
 };
 
 /// The motion of one tool, step by step.

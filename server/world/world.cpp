@@ -65,6 +65,7 @@ void World::read_tools() {
     reading.pose = tools_[i].pose();
     reading.hand_m = reading.pose.position_m;
     reading.retired = tools_[i].retired();
+    reading.touching = touches({&forces_[i], 1});
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
     reading.friction_n = forces_[i].friction_n;

@@ -134,10 +134,21 @@ def _assignments(variables: Mapping[str, str]) -> list[str]:
 
 
 class Builder:
-    """Builds the stages of a Dockerfile into folders below `work`."""
+    """Builds the stages of a Dockerfile into folders below `work`.
 
-    def __init__(self, dockerfile: str, context: Path, work: Path, replaced: Mapping[str, Path]) -> None:
+    `arguments` are those of `docker build --build-arg`.
+    """
+
+    def __init__(
+        self,
+        dockerfile: str,
+        context: Path,
+        work: Path,
+        replaced: Mapping[str, Path],
+        arguments: Mapping[str, str] | None = None,
+    ) -> None:
         self._context = context
+        self._arguments = arguments or {}
         self._work = work
         self._folders = dict(replaced)
         self._images: dict[str, Image] = {}
@@ -176,7 +187,9 @@ class Builder:
                 image.folder = words
                 (image.root / words[1:]).mkdir(parents=True, exist_ok=True)
             case "ENV" | "ARG":
-                image.environment |= dict(word.split("=", 1) for word in shlex.split(words))
+                given = self._arguments if name == "ARG" else {}
+                for key, value in (word.split("=", 1) for word in shlex.split(words)):
+                    image.environment[key] = given.get(key, value)
             case "USER":
                 image.user = words
             case "ENTRYPOINT":

@@ -1,7 +1,8 @@
 """The images of docker/Dockerfile: every step runs in a bare Debian, and their programs start there as a user.
 
 `make images` runs this and prints the sizes. `make test` does not, because it takes minutes. The stage `build` compiles
-for most of an hour on two cores, so what it makes is taken from BUILD; `make images WHOLE=1` compiles it there too.
+for most of an hour on two cores, so what it makes is taken from BUILD; `make images WHOLE=1` compiles it there too, and
+`CUDA=OFF` without the CUDA backend.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / os.environ.get("BUILD", "build")
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
 WANTED = os.environ.get("TENSORMASS_IMAGES", "")  # empty, "built" or "whole"
+ARGUMENTS = {"CUDA": os.environ.get("CUDA") or "ON"}  # as `docker build --build-arg` gives them
 PROGRAMS = ("tensormassd", "tensormass-haptic")
 END_S = 60.0
 
@@ -66,7 +68,7 @@ def builder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[images.Builder
     work = tmp_path_factory.mktemp("images")
     replaced = {} if WANTED == "whole" else {"build": built(work / "built")}
     try:
-        yield images.Builder(DOCKERFILE, ROOT, work, replaced)
+        yield images.Builder(DOCKERFILE, ROOT, work, replaced, ARGUMENTS)
     except images.BuildError as error:  # the bare Debian itself: steps run in the tests
         pytest.skip(f"no bare Debian can be made: {error}")
     finally:

@@ -1,9 +1,9 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [viewer] [grid] [timeline]    (default: all)
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [textured] [viewer] [grid] [timeline]    (default: all)
 //
 // `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page; `demo` takes that of the
-// README. They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a
+// README, and `textured` that of a picture on a skin. They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a
 // hand is taken when the force on the tool has been steady for a second.
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync, statSync } from "node:fs";
@@ -15,7 +15,7 @@ import { createInterface } from "node:readline";
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
 const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
-const PAGES = { demo: takeDemo, viewer: takeViewer, grid: takeGrid, timeline: takeTimeline };
+const PAGES = { demo: takeDemo, textured: takeTextured, viewer: takeViewer, grid: takeGrid, timeline: takeTimeline };
 /** Scenes of the grid. `tensormass run` loads the first one. */
 const TILES = ["retract", "grasp", "table", "two_organs"];
 const RECORDED_S = 14;
@@ -29,7 +29,7 @@ const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
 const PHONE = { width: 390, height: 844 };
 
-/** Runs a command until `visit` is done with what `found` finds in a line of its output. Then waits for its end. */
+/** Runs a command until `visit` is done with the groups of what `found` finds in its output. Then waits for its end. */
 async function withCommand(args, found, visit) {
   const run = spawn(join(ROOT, "build", "bin", "tensormass"), args);
   const ended = new Promise((resolve) => run.once("exit", resolve));
@@ -37,9 +37,9 @@ async function withCommand(args, found, visit) {
     let said = "";
     for await (const line of createInterface(run.stdout)) {
       said += `${line}\n`;
-      const value = found.exec(line)?.[1];
-      if (value !== undefined) {
-        return await visit(value);
+      const groups = found.exec(said);
+      if (groups !== null) {
+        return await visit(...groups.slice(1));
       }
     }
     throw new Error(`tensormass ${args.join(" ")} does not say ${found}:\n${said}`);
@@ -129,6 +129,18 @@ async function takeHand(name) {
 }
 
 /** The picture of the README, at high quality, while the simulated device presses the organ. */
+/** The scene of examples/textured_skin.py. */
+async function takeTextured() {
+  await withCommand(["run", "demo", "--backend", "cpu"], /control (\S+)[^]*viewer: (\S+)/, async (control, url) => {
+    const example = spawn(join(ROOT, ".venv", "bin", "python"), [join(ROOT, "examples", "textured_skin.py"), control]);
+    await new Promise((resolve) => example.once("exit", resolve));
+    const page = await open(`${url}&scene=textured`, WIDE, {}, "high");
+    await page.waitForFunction(() => window.tensormass.state().drawn > 5);
+    await hideReadings(page);
+    await save(page, "textured");
+  });
+}
+
 async function takeDemo() {
   await withScene("demo", async (url) => {
     const page = await open(url, ROOMY, {}, "high");

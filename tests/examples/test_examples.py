@@ -94,6 +94,20 @@ def test_the_numpy_mesh_bends_as_a_beam(daemon: None) -> None:
     assert computed_mm == pytest.approx(theory_mm, rel=0.02)
 
 
+def test_the_skin_gets_its_picture(demo: tuple[tm.Server, tm.SceneHandle]) -> None:
+    server, _ = demo
+    pattern = r"loaded textured: ([\d,]+) triangles, a picture of [\d,]+ bytes\n"
+    match = re.fullmatch(pattern, run(EXAMPLES / "textured_skin.py", server.address))
+    assert match is not None
+    textured = server.scene("textured")
+    (liver,) = textured.topology().bodies
+    triangle_count = int(match.group(1).replace(",", ""))
+    assert len(liver.triangles) == 12 * triangle_count
+    assert len(liver.texture_coordinates) == 24 * triangle_count
+    assert liver.texture_image.startswith(b"\x89PNG")
+    textured.unload()
+
+
 def test_the_zeromq_client_feels_the_liver_and_lifts_off(
     demo: tuple[tm.Server, tm.SceneHandle], generated: Path
 ) -> None:

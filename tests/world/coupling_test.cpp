@@ -183,6 +183,17 @@ TEST_P(CoupledTool, PressedOnTissueItsCouplingCarriesTheTissuesForce) {
   EXPECT_TRUE(felt.stiffness_n_per_m.isApprox(in_series(kStiffness, alone.stiffness_n_per_m), 1e-2));
 }
 
+TEST_P(CoupledTool, InTheAirItsCouplingPullsButItTouchesNothing) {
+  const auto world = start(block(0.05, 200));
+  EXPECT_TRUE(press(*world).touching);
+  Pose away = world->tool_target(0);
+  away.position_m.y() += 1;
+  world->set_tool_target(0, away);
+  for (int step = 0; step < 10; ++step) EXPECT_TRUE(world->step(false));
+  EXPECT_GT(world->readings()[0].force_n.norm(), 0.1) << "the tool is still on its way";
+  EXPECT_FALSE(world->readings()[0].touching);
+}
+
 /// A light tool on a stiff coupling is where a tool without mass is, and feels what it feels.
 TEST_P(CoupledTool, OfLittleMassOnAStiffCouplingIsAToolWithoutMass) {
   const auto coupled = start(block(1e-6, 1e7));

@@ -337,6 +337,7 @@ TEST_P(Mechanics, AToolWithoutNewPosesIsRetired) {
   const double held_n = force_n();
   ASSERT_GT(held_n, 0);
   EXPECT_FALSE(world->readings()[0].retired);
+  EXPECT_TRUE(world->readings()[0].touching);
 
   for (int step = 1; step <= 10; ++step) {
     const double before_n = force_n();
@@ -344,6 +345,7 @@ TEST_P(Mechanics, AToolWithoutNewPosesIsRetired) {
     EXPECT_LT(force_n(), before_n) << "it fades";
   }
   EXPECT_TRUE(world->readings()[0].retired);
+  EXPECT_FALSE(world->readings()[0].touching);
   EXPECT_EQ(force_n(), 0);
   EXPECT_EQ(world->readings()[0].pose.position_m, pressed.position_m);
   const double dent_m = (positions(*world) - rest).norm();

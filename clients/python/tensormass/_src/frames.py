@@ -48,6 +48,8 @@ class Feedback:
     #: Joints of the tool [rad or m], and the load of tissue on each [N m or N]; positive pushes to larger values.
     joint_values: npt.NDArray[np.float64]
     joint_loads: npt.NDArray[np.float64]
+    #: The tool touched tissue in this step.
+    touching: bool
     #: The tool touches nothing, because its newest pose was valid for a time that has passed.
     retired: bool
 
@@ -86,6 +88,7 @@ class Feedback:
             valid_for_s=message.local_model.valid_for_s,
             joint_values=np.array(message.joint_values, dtype=np.float64),
             joint_loads=np.array(message.joint_loads, dtype=np.float64),
+            touching=message.touching,
             retired=message.retired,
         )
 
