@@ -38,15 +38,6 @@ void skin(v1::Scene& scene, const std::vector<double>& vertices, const std::vect
   packed.set_triangles(bytes(triangles));
 }
 
-/// A skin of one triangle inside the block, with a picture that is admitted.
-v1::Texture& textured_skin(v1::Scene& scene) {
-  skin(scene, {0, 0, 0, 1e-3, 0, 0, 0, 1e-3, 0}, {0, 1, 2});
-  v1::Texture& texture = *body(scene).mutable_texture();
-  texture.set_image("\xff\xd8\xff");
-  texture.set_coordinates(bytes(std::vector<float>(6)));
-  return texture;
-}
-
 std::vector<Refusal> header_refusals() {
   return {
       {"EmptyName", [](auto& s) { s.set_name(""); }, {"scene.name", "1 to 64 characters"}},
@@ -239,35 +230,6 @@ std::vector<Refusal> mesh_refusals() {
          skin(s, {0, 0, 0, 1, 0, 0, 0, 90, 0}, {0, 1, 2});
        },
        {"the skin of body 'beam'", "outside of the mesh"}},
-  };
-}
-
-std::vector<Refusal> texture_refusals() {
-  return {
-      {"TextureWithoutSkin",
-       [](auto& s) {
-         textured_skin(s);
-         body(s).clear_skin();
-       },
-       {"body 'beam'.texture", "no skin"}},
-      {"TextureFile",
-       [](auto& s) { textured_skin(s).set_file("liver.png"); },
-       {"body 'beam'.texture", "give the image"}},
-      {"TextureOfAnotherFormat",
-       [](auto& s) { textured_skin(s).set_image("GIF89a"); },
-       {"body 'beam'.texture.image", "PNG"}},
-      {"LargeTexture",
-       [](auto& s) { textured_skin(s).set_image("\xff\xd8\xff" + std::string(limits::kMaxTextureBytes, ' ')); },
-       {"body 'beam'.texture.image", "limits::kMaxTextureBytes"},
-       ErrorCode::kResourceExhausted},
-      {"TextureOfAnotherSkin",
-       [](auto& s) { textured_skin(s).set_coordinates(bytes(std::vector<float>(12))); },
-       {"body 'beam'.texture.coordinates", "48 bytes, expected 24"}},
-      {"TextureCoordinateNaN",
-       [](auto& s) {
-         textured_skin(s).set_coordinates(bytes(std::vector<float>{0, 0, 0, 0, 0, std::nanf("")}));
-       },
-       {"body 'beam'.texture.coordinates", "triangle 0 has nan"}},
   };
 }
 
@@ -587,8 +549,8 @@ std::vector<Refusal> start_refusals() {
 
 std::vector<Refusal> all_refusals() {
   std::vector<Refusal> all;
-  for (auto refusals : {header_refusals(), body_refusals(), mesh_refusals(), texture_refusals(), region_refusals(),
-                        tool_refusals(), law_refusals(), support_refusals(), start_refusals()}) {
+  for (auto refusals : {header_refusals(), body_refusals(), mesh_refusals(), region_refusals(), tool_refusals(),
+                        law_refusals(), support_refusals(), start_refusals()}) {
     all.insert(all.end(), refusals.begin(), refusals.end());
   }
   return all;
