@@ -55,6 +55,7 @@ export class Hud {
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", targetText(readings.status));
     write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
+    write("surface-error", errorText(readings.errorM));
     write("latency", ageMs === null ? UNKNOWN : ageMs.toFixed(ageMs < 10 ? 1 : 0));
     write("uncertainty", ageUncertaintyMs === null || ageUncertaintyMs < 1 ? "" : `± ${ageUncertaintyMs.toFixed(0)}`);
     write("dropped", String(counters.dropped));
@@ -114,6 +115,15 @@ export function targetText(status: Status | null): string {
     return "in lockstep";
   }
   return status ? `of ${trim(status.targetRateHz)} Hz` : "Hz";
+}
+
+/** The largest error of positions with two digits; empty if they are exact. @param errorM null: no frame. */
+export function errorText(errorM: number | null): string {
+  if (errorM === null || errorM === 0) {
+    return "";
+  }
+  const [value, unit] = errorM < 1e-3 ? [1e6 * errorM, "µm"] : [1e3 * errorM, "mm"];
+  return `± ${Number(value.toPrecision(2))} ${unit}`;
 }
 
 function trim(value: number): string {

@@ -5,11 +5,10 @@ import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
 import { describe, expect, it } from "vitest";
 
 import { EncodedFrameSchema, EncodedFrame_Codec as Codec } from "../src/generated/tensormass/v1/gateway_pb";
-import { DecodeError, type StreamName } from "../src/stream/decode";
+import { DecodeError, decodeFrame, type StreamName } from "../src/stream/decode";
 import { FrameDecoder } from "../src/stream/encoded";
 import { unpackNormals } from "../src/view/normals";
-import type { Fields } from "./messages";
-import { f32 } from "./messages";
+import { f32, frameBytes, type Fields } from "./messages";
 
 interface Golden {
   readonly name: string;
@@ -66,6 +65,14 @@ describe("FrameDecoder", () => {
       expect(decoder.keyframe, name).toBe(keyframe);
     }
     expect(messages.filter(({ refusal }) => refusal !== undefined)).toHaveLength(3);
+  });
+
+  it("tells the error of codec and less detail together", () => {
+    const errorOf = (change: object) => new FrameDecoder().decode("encoded_frame", encoded({ ...KEYFRAME, ...change })).errorM;
+    expect(errorOf({ errorM: { x: 3e-6, y: 4e-6, z: 0 }, detailErrorM: 1e-6 })).toBeCloseTo(6e-6, 12);
+    expect(errorOf({ errorM: undefined, detailErrorM: 2e-3 })).toBe(2e-3);
+    expect(() => errorOf({ detailErrorM: NaN })).toThrow(/its error is NaN m/);
+    expect(decodeFrame(frameBytes()).errorM).toBe(0);
   });
 
   it("adds narrow and wide differences to the keyframe", () => {

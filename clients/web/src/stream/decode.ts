@@ -138,6 +138,8 @@ export interface Frame {
   readonly serverTimeNs: bigint;
   /** [vertex_count, 3] m */
   readonly positions: Float32Array;
+  /** No position is farther from the daemon's surface than this; 0: positions are exact. */
+  readonly errorM: number;
   /** [vertex_count, 3], unit vectors times 127; null: the page computes them. */
   readonly normals: Int8Array | null;
   readonly tools: readonly ToolState[];
@@ -381,6 +383,7 @@ export function frameOf(where: string, message: FrameMessage, positions: Float32
     simulatedTimeS: message.simulatedTimeS,
     serverTimeNs: message.serverTimeNs,
     positions,
+    errorM: 0,
     normals: null,
     tools: message.tools.map((tool) => toolState(where, tool)),
     attachmentPoints: finiteFloats(`${where}, attachment_points`, message.attachmentPoints),

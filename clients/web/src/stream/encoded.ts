@@ -26,6 +26,15 @@ const meshoptIsReady =
     () => false,
   ));
 
+/** The error of the codec and that of less detail together [m]. Throws DecodeError if it is not finite. */
+function errorOf(where: string, { errorM, detailErrorM }: EncodedFrame): number {
+  const error = Math.hypot(errorM?.x ?? 0, errorM?.y ?? 0, errorM?.z ?? 0) + detailErrorM;
+  if (!(error >= 0 && error < Infinity)) {
+    throw new DecodeError(`${where}: its error is ${error} m`);
+  }
+  return error;
+}
+
 /** Decodes the frames of one connection, and keeps the keyframe to which later ones refer. */
 export class FrameDecoder {
   #number = 0n;
@@ -71,6 +80,7 @@ export class FrameDecoder {
     const { buffer, byteOffset, length } = message.normals;
     return {
       ...frameOf(where, message.frame, positions),
+      errorM: errorOf(where, message),
       normals: length === 0 ? null : new Int8Array(buffer, byteOffset, length),
     };
   }

@@ -58,6 +58,8 @@ export interface Readings {
   readonly ageMs: number | null;
   readonly ageUncertaintyMs: number | null;
   readonly replaced: number;
+  /** Largest error of the positions on show; null: no frame. */
+  readonly errorM: number | null;
 }
 
 export class Session {
@@ -165,6 +167,7 @@ export class Session {
       ageUncertaintyMs: this.#clock.uncertaintyMs(),
       // The gateway may have replaced frames before one that is not drawn yet, so the count is bounded by `dropped`.
       replaced: Math.min(this.#replaced, store.counters.dropped),
+      errorM: store.frame?.errorM ?? null,
     };
   }
 
