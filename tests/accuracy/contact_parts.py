@@ -2,10 +2,10 @@
 
 python -m accuracy.contact_parts [--only GROUP]     one group leaves the rows of the others as they are
 
-*kinds*: the deep press in every kind of element, with the default penalty and ten times it. *refined*: the same by mesh,
-with contact that hardly gives way. *sampling*: one mesh of
-hexahedra with ever stiffer contact, against the same mesh and quadrature with multipliers at its nodes. What is left
-is how the server samples contact. *hertz*: Hertz's sphere, by mesh. *stiffness*: the same on one mesh, by penalty.
+*kinds*: the deep press in every kind of element, with the default penalty and ten times it. *refined*: the same by
+mesh, with contact that hardly gives way. *sampling*: one mesh of hexahedra with ever stiffer contact, against the same
+mesh and quadrature with multipliers at its nodes. What is left is how the server samples contact. *hertz*: Hertz's
+sphere, by mesh. *stiffness*: the same on one mesh, by penalty.
 """
 
 from __future__ import annotations
