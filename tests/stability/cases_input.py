@@ -6,6 +6,7 @@ The fields are found by walking the protocol's descriptors. test_stability.py fa
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -37,7 +38,9 @@ VALUES = (np.nan, np.inf, -np.inf, 5e-324, 1e-310, 1e300, -1e300, -1.0)
 STEPS = 5
 _REAL = (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT)
 # Packed arrays of uint32; all others hold float64.
-_INDEX_BYTES = ("nodes", "triangles")
+_BYTES_WITHOUT_REALS = ("nodes", "triangles", "image")
+#: Fields of packed float32; the others have float64.
+_FLOAT32_BYTES = ("coordinates",)
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     triangle = mesh.nodes[:3]
     first.skin.packed.vertex_positions = packed(triangle)
     first.skin.packed.triangles = np.array([0, 1, 2], "<u4").tobytes()
+    first.texture.image = b"\x89PNG\r\n\x1a\n"
+    first.texture.coordinates = np.array([[0, 0], [1, 0], [0, 1]], "<f4").tobytes()
     scene.body_contacts.add(
         body=first.name, distance_m=1e-3, penalty_stiffness_pa_per_m=1e6, friction_coefficient=0.1, reach_m=0.01
     )
@@ -143,7 +148,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
 
 
 def _is_real_bytes(field: FieldDescriptor) -> bool:
-    return field.type == FieldDescriptor.TYPE_BYTES and field.name not in _INDEX_BYTES
+    return field.type == FieldDescriptor.TYPE_BYTES and field.name not in _BYTES_WITHOUT_REALS
 
 
 def places(message: Message, path: str = "") -> Iterator[Place]:
@@ -186,12 +191,14 @@ def _through(place: Place, enter: Callable[[Message], Message]) -> Place:
 
 
 def _number(message: Message, name: str) -> np.ndarray:
-    return np.frombuffer(getattr(message, name), "<f8").copy()
+    return np.frombuffer(getattr(message, name), "<f4" if name in _FLOAT32_BYTES else "<f8").copy()
 
 
 def _set_last(name: str) -> Callable[[Message, float], None]:
     def change(message: Message, value: float) -> None:
         numbers = _number(message, name)
+        if abs(value) > np.finfo(numbers.dtype).max:
+            value = math.copysign(math.inf, value)
         # For an initial state: a node that is neither fixed nor prescribed.
         numbers[len(numbers) // 2 if name.startswith("initial") else -1] = value
         setattr(message, name, numbers.tobytes())

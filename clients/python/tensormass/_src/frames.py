@@ -42,9 +42,11 @@ class Feedback:
     torque_n_m: npt.NDArray[np.float64]
     #: The part of force_n that is friction, [3] N.
     friction_n: npt.NDArray[np.float64]
-    #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - position_m), for `valid_for_s` after arrival.
+    #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - anchor_m), for `valid_for_s` after arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
     valid_for_s: float
+    #: Place of the hand for which force_n holds, [3] m; position_m, unless the tool has a mass and lags behind.
+    anchor_m: npt.NDArray[np.float64]
     #: Joints of the tool [rad or m], and the load of tissue on each [N m or N]; positive pushes to larger values.
     joint_values: npt.NDArray[np.float64]
     joint_loads: npt.NDArray[np.float64]
@@ -70,7 +72,8 @@ class Feedback:
 
     @staticmethod
     def from_message(message: stream_pb2.ToolFeedback) -> Feedback:
-        stiffness = np.array(message.local_model.stiffness_n_per_m, dtype=np.float64)
+        local = message.local_model
+        stiffness = np.array(local.stiffness_n_per_m, dtype=np.float64)
         orientation = message.orientation
         return Feedback(
             tool=message.tool,
@@ -85,7 +88,8 @@ class Feedback:
             torque_n_m=_array(message.torque_n_m),
             friction_n=_array(message.friction_n),
             stiffness_n_per_m=stiffness.reshape(3, 3) if stiffness.size == 9 else np.zeros((3, 3)),
-            valid_for_s=message.local_model.valid_for_s,
+            valid_for_s=local.valid_for_s,
+            anchor_m=_array(local.anchor_m if local.HasField("anchor_m") else message.position_m),
             joint_values=np.array(message.joint_values, dtype=np.float64),
             joint_loads=np.array(message.joint_loads, dtype=np.float64),
             touching=message.touching,

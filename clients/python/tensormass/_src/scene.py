@@ -366,7 +366,7 @@ class Scene:
             mass_kg: makes the tool a rigid body that a spring and a damper pull towards its pose; the hand feels those.
             coupling_stiffness_n_per_m: of that spring; None: 1000.
             coupling_damping_n_s_per_m: of that damper; None: critical.
-            contact_method: "penalty" (default) or "augmented_lagrangian", which leaves no penetration.
+            contact_method: "penalty" (default) or "augmented_lagrangian", which leaves no penetration at rest.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
