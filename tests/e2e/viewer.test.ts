@@ -605,6 +605,12 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(notice.left > size.width / 2 || notice.bottom < size.height / 2 + 10).toBe(true);
     expect([close.left >= notice.left, close.right <= notice.right, close.top >= notice.top]).toEqual([true, true, true]);
     expect(scrolls).toBe(size.width < 860);
+    for (const menu of ["#display", "#material"]) {
+      await page.page.locator(`${menu} > summary`).click();
+      const sheet = (await page.page.locator(`${menu} > .sheet`).boundingBox())!;
+      expect([menu, sheet.x >= 0, sheet.x + sheet.width <= size.width]).toEqual([menu, true, true]);
+      await page.page.keyboard.press("Escape");
+    }
     for (const name of names) {
       await stack.ask("unload", { name });
     }
