@@ -176,6 +176,26 @@ def test_a_missing_daemon_is_reported_in_time() -> None:
     assert time.monotonic() - begin < 5
 
 
+def test_an_address_without_a_port_is_refused_at_once() -> None:
+    with pytest.raises(tm.InvalidArgumentError, match=r"^address 'trainer': has no port; .* as in trainer:50051$"):
+        tm.connect("trainer")
+
+
+def test_counts_and_adjustments_of_a_wrong_kind_are_refused_here(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    fake.replies["LoadScene"] = control_pb2.LoadSceneResponse()
+    scene = server.load(tm.Scene("s"))
+    asked = len(fake.asked)
+    for count in (0, -1):
+        with pytest.raises(tm.InvalidArgumentError, match=f"^count: expected 1 or more steps, got {count}$"):
+            scene.step(count)
+    with pytest.raises(
+        tm.InvalidArgumentError, match=r"^stiffness_factor: expected a value for each body by name.*got 2$"
+    ):
+        scene.adjust(stiffness_factor=2)  # type: ignore[arg-type]
+    assert len(fake.asked) == asked
+
+
 # --- frames -----------------------------------------------------------------------------------------------------------
 
 

@@ -22,6 +22,7 @@ def connect(address: str = DEFAULT_ADDRESS, *, timeout_s: float = 5.0) -> Server
     """Connects to the daemon whose control plane listens on `address` (host:port).
 
     Raises:
+        InvalidArgumentError: the address has no port.
         UnavailableError: no daemon answers there within `timeout_s`.
     """
     return Server(address, timeout_s=timeout_s)
