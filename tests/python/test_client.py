@@ -171,7 +171,9 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
 
 def test_a_missing_daemon_is_reported_in_time() -> None:
     begin = time.monotonic()
-    with pytest.raises(tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"):
+    with pytest.raises(
+        tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1; start one with `tensormass run`,"
+    ):
         tm.connect("127.0.0.1:1", timeout_s=0.2)
     assert time.monotonic() - begin < 5
 

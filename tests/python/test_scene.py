@@ -559,3 +559,12 @@ def test_defaults_are_those_of_the_schema() -> None:
 def test_a_quantity_is_a_number_in_the_unit_of_its_field(text: str, unit: str, si: float | None) -> None:
     found = units.in_si(text, unit)
     assert found == (None if si is None else pytest.approx(si))
+
+
+def test_the_scene_in_the_readme_is_whole(tmp_path: Path) -> None:
+    readme = (Path(__file__).resolve().parents[2] / "clients" / "python" / "README.md").read_text("utf-8")
+    scene = tmp_path / "cube.yaml"
+    scene.write_text(readme.split("```yaml\n")[1].split("```")[0], "utf-8")
+    message = tm.Scene.from_file(scene).message
+    assert [body.density_kg_per_m3 for body in message.bodies] == [1000]
+    assert [tool.name for tool in message.tools] == ["probe"]
