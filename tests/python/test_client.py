@@ -116,9 +116,18 @@ def test_a_load_ends_with_whoever_wanted_to_know_how_far_it_is(recorder: tuple[R
 
 def test_a_scene_that_is_not_loaded_has_no_handle(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
-    fake.failure = (grpc.StatusCode.NOT_FOUND, "no scene 'liver'")
-    with pytest.raises(tm.NotFoundError, match="no scene 'liver'"):
-        server.scene("liver")
+    statuses = [stream_pb2.SceneStatus(scene=name) for name in ("demo", "lever")]
+    listed: list[list[stream_pb2.SceneStatus]] = [statuses, []]
+
+    def answer(method: str, request: object, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
+        if method == "ListScenes":
+            return control_pb2.ListScenesResponse(scenes=listed.pop(0))
+        return context.abort(grpc.StatusCode.NOT_FOUND, "no scene 'liver'")
+
+    fake.answer = answer  # type: ignore[method-assign]
+    for loaded in ("demo, lever", "none"):
+        with pytest.raises(tm.NotFoundError, match=f"^no scene 'liver'; there are: {loaded}$"):
+            server.scene("liver")
 
 
 def test_positions_are_writable_doubles_by_node(recorder: tuple[Recorder, tm.Server]) -> None:

@@ -114,7 +114,11 @@ class Server(Connection):
             NotFoundError: no scene of this name is loaded.
         """
         handle = SceneHandle(self, name, None)
-        handle.status()
+        try:
+            handle.status()
+        except errors.NotFoundError as error:
+            loaded = ", ".join(status.scene for status in self.scenes()) or "none"
+            raise errors.NotFoundError(f"{error}; there are: {loaded}") from error
         return handle
 
     def scenes(self) -> list[stream_pb2.SceneStatus]:
