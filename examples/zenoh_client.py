@@ -24,7 +24,10 @@ def connect(locator: str) -> zenoh.Session:
     config = zenoh.Config()
     for name, value in {"mode": "client", "connect/endpoints": [locator], "scouting/multicast/enabled": False}.items():
         config.insert_json5(name, json.dumps(value))
-    return zenoh.open(config)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        sys.exit(f"no daemon at {locator}; `tensormass status` prints its locator ({error})")
 
 
 def main(locator: str, scene: str, tool: str) -> None:
@@ -34,6 +37,8 @@ def main(locator: str, scene: str, tool: str) -> None:
         if not replies:
             sys.exit(f"no scene {scene} at {locator}")
         topology = stream_pb2.Topology.FromString(replies[0])  # bodies, their triangles, tools
+        if tool not in (each.name for each in topology.tools):
+            sys.exit(f"scene {scene} has no tool {tool}; it has {', '.join(each.name for each in topology.tools)}")
         newest = session.declare_subscriber(f"{key}/frame", zenoh.handlers.RingChannel(1))
         poses = session.declare_publisher(
             f"{key}/tool/{tool}/pose", congestion_control=zenoh.CongestionControl.DROP, express=True
@@ -62,9 +67,7 @@ def main(locator: str, scene: str, tool: str) -> None:
             sys.exit(f"no frame of {scene} in {SECONDS} s; is it running?")
         poses.put(stream_pb2.ToolPose(position_m=start).SerializeToString())  # a pose holds: the last one lifts off
     skipped = sequences[-1] - sequences[0] + 1 - len(sequences)
-    print(
-        f"{len(sequences)} frames of {sum(body.vertex_count for body in topology.bodies)} vertices, {skipped} skipped"
-    )
+    print(f"{len(sequences)} frames of {len(rest) // 3} vertices, {skipped} skipped")
     print(f"{topology.bodies[0].name} moved by {1000 * moved_m:.1f} mm; largest force {force_n:.2f} N")
 
 

@@ -8,6 +8,7 @@
 
 #include <fmt/format.h>
 
+#include "core/names.h"
 #include "model/scene_input.h"
 
 namespace tensormass::world {
@@ -61,7 +62,10 @@ Result<v1::SceneAdjustments> with_changes(v1::SceneAdjustments present, const v1
         std::find_if(present.mutable_bodies()->begin(), present.mutable_bodies()->end(),
                      [&](const v1::BodyAdjustment& adjustment) { return adjustment.body() == change.body(); });
     if (found == present.mutable_bodies()->end()) {
-      return fail(ErrorCode::kNotFound, fmt::format("changes.bodies: the scene has no body '{}'", change.body()));
+      return fail(
+          ErrorCode::kNotFound,
+          fmt::format("changes.bodies: the scene has no body '{}'; it has: {}", change.body(),
+                      list_names(present.bodies(), [](const v1::BodyAdjustment& body) { return body.body(); })));
     }
     if (!named.insert(change.body()).second) {
       return invalid(fmt::format("changes.bodies: body '{}' is named twice", change.body()));

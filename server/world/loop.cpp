@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/names.h"
+
 namespace tensormass::world {
 
 namespace {
@@ -289,7 +291,9 @@ Result<const model::BodyModel*> Loop::find_body(std::string_view name) const {
   for (const model::BodyModel& body : model_.bodies) {
     if (body.name == name) return &body;
   }
-  return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no body '{}'", model_.name, name));
+  return fail(ErrorCode::kNotFound,
+              fmt::format("scene '{}' has no body '{}'; it has: {}", model_.name, name,
+                          list_names(model_.bodies, [](const model::BodyModel& body) { return body.name; })));
 }
 
 Result<v1::GetPositionsResponse> Loop::do_positions(std::string_view name) {

@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "core/names.h"
 #include "world/adjustments.h"
 #include "world/compiled_scene.h"
 #include "world/fields.h"
@@ -42,7 +43,9 @@ struct Runner::Impl {
   Result<std::size_t> find_tool(std::string_view tool) const {
     const auto found = tool_index.find(tool);
     if (found == tool_index.end()) {
-      return fail(ErrorCode::kNotFound, fmt::format("scene '{}' has no tool '{}'", topology.scene(), tool));
+      return fail(ErrorCode::kNotFound,
+                  fmt::format("scene '{}' has no tool '{}'; it has: {}", topology.scene(), tool,
+                              list_names(topology.tools(), [](const v1::ToolShape& shape) { return shape.name(); })));
     }
     return found->second;
   }

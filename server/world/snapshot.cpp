@@ -244,9 +244,11 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
     return invalid("snapshot: its content cannot be read");
   }
   if (message.scene_hash() != scene_hash) {
-    return fail(ErrorCode::kFailedPrecondition,
-                fmt::format("snapshot: it is of another scene ('{}') than the loaded '{}'; load that scene first",
-                            message.scene(), model.name));
+    return fail(
+        ErrorCode::kFailedPrecondition,
+        fmt::format("snapshot: it is of another scene ('{}') than the loaded '{}', or of other values; load that "
+                    "scene first, or adjust it as it was",
+                    message.scene(), model.name));
   }
   if (message.layout_hash() != hash_of_layout(model)) {
     return fail(ErrorCode::kFailedPrecondition,

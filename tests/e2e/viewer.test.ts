@@ -208,7 +208,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.says("#link", /^Lockstep$/);
     await page.says("#target", /^in lockstep$/);
     // The frame on show dates from the load, so its age says nothing.
-    await page.says("#display", /[1-9]/);
+    await page.says("#drawn", /[1-9]/);
     expect(await page.page.locator("#latency").textContent()).toBe("–");
     await stack.ask("step", { name: "locked", count: 1 });
     await page.says("#latency", /^[\d.]+$/);
@@ -305,7 +305,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
   it("loads a built-in scene to step by hand, colours it by displacement and stress, and unloads it", async () => {
     const page = await open("scene=nothing");
-    await page.says("#notice", /no scene "nothing".*Load one with \+/s);
+    await page.says("#notice", /no scene "nothing".*[Ll]oad .*with \+/s);
     await page.page.locator("#scenes > summary").click();
     await page.page.locator("#builtin").selectOption("cantilever");
     await page.page.locator("#lockstep").check();
@@ -547,6 +547,12 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     expect(notice.left > size.width / 2 || notice.bottom < size.height / 2 + 10).toBe(true);
     expect([close.left >= notice.left, close.right <= notice.right, close.top >= notice.top]).toEqual([true, true, true]);
     expect(scrolls).toBe(size.width < 860);
+    for (const menu of ["#display", "#material"]) {
+      await page.page.locator(`${menu} > summary`).click();
+      const sheet = (await page.page.locator(`${menu} > .sheet`).boundingBox())!;
+      expect([menu, sheet.x >= 0, sheet.x + sheet.width <= size.width]).toEqual([menu, true, true]);
+      await page.page.keyboard.press("Escape");
+    }
     for (const name of names) {
       await stack.ask("unload", { name });
     }

@@ -139,6 +139,19 @@ def test_the_zenoh_client_sees_the_liver_move_and_lifts_off(
     check_lifted(scene)
 
 
+def test_the_zenoh_client_says_what_is_missing(demo: tuple[tm.Server, tm.SceneHandle]) -> None:
+    locator = demo[0].version().zenoh_locator
+    for words, said in {
+        (locator, "demo", "scalpel"): "scene demo has no tool scalpel; it has probe\n",
+        ("tcp/127.0.0.1:1", "demo", "probe"): "no daemon at tcp/127.0.0.1:1; `tensormass status` prints its locator",
+    }.items():
+        command = [sys.executable, str(EXAMPLES / "zenoh_client.py"), *words]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 1
+        assert said in done.stderr
+        assert "Traceback" not in done.stderr
+
+
 def check_lifted(scene: tm.SceneHandle) -> None:
     """The tool comes back to the height of the demo's start, although the client is gone."""
     with scene.feedbacks("probe") as feedbacks:

@@ -31,8 +31,12 @@ def test_a_scene_goes_on_with_other_values(server: tm.Server) -> None:
 def test_wrong_values_are_refused_and_change_nothing(server: tm.Server) -> None:
     with server.load(block(), lockstep=True) as scene:
         present = scene.adjust()
-        with pytest.raises(tm.NotFoundError, match="no body 'liver'"):
+        with pytest.raises(tm.NotFoundError, match=r"no body 'liver'; it has: tissue$"):
             scene.adjust(stiffness_factor={"liver": 2})
+        with pytest.raises(tm.NotFoundError, match=r"no body 'liver'; it has: tissue$"):
+            scene.positions("liver")
+        with pytest.raises(tm.NotFoundError, match=r"no tool 'knife'; it has: probe$"):
+            scene.move_tool("knife", (0, 0, 0))
         with pytest.raises(tm.InvalidArgumentError, match="stiffness_factor"):
             scene.adjust(stiffness_factor={"tissue": 1e9})
         with pytest.raises(tm.InvalidArgumentError, match="rayleigh_stiffness_s"):
@@ -40,3 +44,11 @@ def test_wrong_values_are_refused_and_change_nothing(server: tm.Server) -> None:
         with pytest.raises(tm.InvalidArgumentError, match="gravity_m_per_s2"):
             scene.adjust(gravity_m_per_s2=(0, float("nan"), 0))
         assert scene.adjust() == present
+
+
+def test_a_snapshot_from_before_an_adjustment_is_refused_with_the_reason(server: tm.Server) -> None:
+    with server.load(block(), lockstep=True) as scene:
+        before = scene.snapshot()
+        scene.adjust(stiffness_factor={"tissue": 2})
+        with pytest.raises(tm.FailedPreconditionError, match="or of other values; load that scene first, or adjust it"):
+            scene.restore(before)

@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -488,3 +489,48 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main(["mesh", str(source), "-o", str(output)]) == 0
     assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in capsys.readouterr().out
     np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])
+
+
+def test_mesh_refuses_what_it_could_not_do_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) * 50.0  # mm
+    surface = mesh_geometry.boundary(meshes.VolumeMesh.from_tetrahedra(corners, [[0, 1, 2, 3]]))
+    source, volume = tmp_path / "surface.obj", tmp_path / "volume.msh"
+    mesh_files.write_surface(source, surface)
+    # An edge of 8 mm for a surface of 100 m, which would keep the mesher busy for hours.
+    assert main(["mesh", str(source), "-o", str(volume), "--edge", "8mm"]) == 1
+    assert "would get about 6e+12 tetrahedra; take a longer edge, or give both in the same" in capsys.readouterr().err
+    source.write_text(source.read_text("utf-8") + "vt 0 0\n", "utf-8")
+    assert main(["mesh", str(source), "-o", str(volume)]) == 1
+    assert "surface.obj: .obj holds a surface, without volume elements; if it is closed" in capsys.readouterr().err
+    assert main(["mesh", str(source), "-o", str(tmp_path / "volume.stl"), "--edge", "4cm", "--unit", "1mm"]) == 1
+    assert "volume.stl: .stl holds surfaces only; use .msh, .vtk or .vtu" in capsys.readouterr().err
+    assert not list(tmp_path.glob("volume.*"))
+
+
+def test_a_size_that_is_probably_in_millimetres_is_pointed_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, output = tmp_path / "in.vtu", tmp_path / "out.vtk"
+    mesh_files.write_mesh(source, meshes.VolumeMesh.from_tetrahedra(100 * np.eye(4, 3), [[0, 1, 3, 2]]))
+    assert main(["mesh", str(source), "-o", str(output)]) == 0
+    assert f"is 100 × 100 × 100 m large; if {source} has millimetres, give --unit 1mm" in capsys.readouterr().err
+    assert main(["mesh", str(source), "-o", str(output), "--unit", "1mm"]) == 0
+    assert capsys.readouterr().err == ""
+
+    def text(volume_m3: float) -> str:
+        bodies = [control_pb2.BodyReport(name="liver", volume_m3=volume_m3)]
+        return report_text(control_pb2.SceneReport(bodies=bodies), scene_pb2.Scene())
+
+    assert "body 'liver' has a volume of 1.5e+06 m³; if its mesh is in millimetres, give mesh.scale: 0.001" in text(
+        1.5e6
+    )
+    assert "warnings" not in text(1.5e-3)
+
+
+def test_the_version_and_a_close_name_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert re.fullmatch(r"tensormass \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+    assert main(["modes", "demoo"]) == 1
+    assert capsys.readouterr().err.endswith("; did you mean 'demo'?\n")

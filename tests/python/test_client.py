@@ -116,9 +116,18 @@ def test_a_load_ends_with_whoever_wanted_to_know_how_far_it_is(recorder: tuple[R
 
 def test_a_scene_that_is_not_loaded_has_no_handle(recorder: tuple[Recorder, tm.Server]) -> None:
     fake, server = recorder
-    fake.failure = (grpc.StatusCode.NOT_FOUND, "no scene 'liver'")
-    with pytest.raises(tm.NotFoundError, match="no scene 'liver'"):
-        server.scene("liver")
+    statuses = [stream_pb2.SceneStatus(scene=name) for name in ("demo", "lever")]
+    listed: list[list[stream_pb2.SceneStatus]] = [statuses, []]
+
+    def answer(method: str, request: object, context: grpc.ServicerContext) -> Any:  # noqa: ANN401
+        if method == "ListScenes":
+            return control_pb2.ListScenesResponse(scenes=listed.pop(0))
+        return context.abort(grpc.StatusCode.NOT_FOUND, "no scene 'liver'")
+
+    fake.answer = answer  # type: ignore[method-assign]
+    for loaded in ("demo, lever", "none"):
+        with pytest.raises(tm.NotFoundError, match=f"^no scene 'liver'; there are: {loaded}$"):
+            server.scene("liver")
 
 
 def test_positions_are_writable_doubles_by_node(recorder: tuple[Recorder, tm.Server]) -> None:
@@ -171,9 +180,31 @@ def test_feedback_and_moves_carry_units_and_order(recorder: tuple[Recorder, tm.S
 
 def test_a_missing_daemon_is_reported_in_time() -> None:
     begin = time.monotonic()
-    with pytest.raises(tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1;"):
+    with pytest.raises(
+        tm.UnavailableError, match=r"no daemon answers on 127\.0\.0\.1:1; start one with `tensormass run`,"
+    ):
         tm.connect("127.0.0.1:1", timeout_s=0.2)
     assert time.monotonic() - begin < 5
+
+
+def test_an_address_without_a_port_is_refused_at_once() -> None:
+    with pytest.raises(tm.InvalidArgumentError, match=r"^address 'trainer': has no port; .* as in trainer:50051$"):
+        tm.connect("trainer")
+
+
+def test_counts_and_adjustments_of_a_wrong_kind_are_refused_here(recorder: tuple[Recorder, tm.Server]) -> None:
+    fake, server = recorder
+    fake.replies["LoadScene"] = control_pb2.LoadSceneResponse()
+    scene = server.load(tm.Scene("s"))
+    asked = len(fake.asked)
+    for count in (0, -1):
+        with pytest.raises(tm.InvalidArgumentError, match=f"^count: expected 1 or more steps, got {count}$"):
+            scene.step(count)
+    with pytest.raises(
+        tm.InvalidArgumentError, match=r"^stiffness_factor: expected a value for each body by name.*got 2$"
+    ):
+        scene.adjust(stiffness_factor=2)  # type: ignore[arg-type]
+    assert len(fake.asked) == asked
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------

@@ -250,7 +250,7 @@ def test_another_scene_has_no_rest_positions(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["block"], "scene block: needs --desktop"),
+        (["block"], "block: not a recording (.mcap); the page shows every loaded scene, so name none"),
         (["--screenshot", "a.png"], "--screenshot a.png: needs --desktop"),
         (["--desktop", "--screenshot", "a.jpg"], "must end in .png"),
         (["--desktop", "--screenshot", "none/a.png"], "no folder that can be written to"),

@@ -127,6 +127,20 @@ def test_two_clients_and_a_kill_leave_a_recording_that_replays(
     assert said["cut_off"]
 
 
+def test_a_recording_says_how_it_ends_and_that_it_lacks_checks(
+    scene_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scene_file.with_name("block.mcap")
+    record = ["record", str(scene_file), "-o", str(path), "--backend", "cpu"]
+    assert main([*record, "--lockstep", "--steps", "4"]) == 0
+    said = capsys.readouterr().out
+    assert f"recording block to {path}, control " in said
+    assert "4 steps, 0 checks\nwithout checks a replay compares nothing; record more steps" in said
+    with recording(path, "--backend", "cpu") as process:
+        assert process.stdout is not None
+        assert f" to {path} until Ctrl-C, control " in process.stdout.readline()
+
+
 def test_ctrl_c_ends_a_recording_properly(scene_file: Path) -> None:
     path = scene_file.with_name("block.mcap")
     with recording(path, "--backend", "cpu", "--json") as process:

@@ -75,6 +75,11 @@ def test_yaml_is_the_message_by_field_name() -> None:
             "    densty_kg",
             r"bodies\[0\]: Body has no field 'densty_kg_per_m3'; did you mean 'density_k",
         ),
+        (
+            "density_kg_per_m3: 1000",
+            "young_modulus_pa: 1000",
+            r"bodies\[0\]: Body has no field 'young_modulus_pa'; did you mean 'law\.hooke\.young_modulus_pa'",
+        ),
         ("density_kg_per_m3", "densityKgPerM3", "did you mean 'density_kg_per_m3'"),
         ("{x: 1, y: 2, z: 3}", "{x: 1, y: 2, w: 3}", r"bodies\[0\]\.mesh\.grid\.size_m: Vector3 has no field 'w'"),
         ("{x: 1, y: 2, z: 3}", "[1, 2, 3]", r"bodies\[0\]\.mesh\.grid\.size_m: expected a mapping of Vector3's fields"),
@@ -185,7 +190,7 @@ def test_a_picture_and_its_coordinates_come_from_files(tmp_path: Path) -> None:
 
 
 def test_a_picture_needs_coordinates_and_a_file(tmp_path: Path) -> None:
-    with pytest.raises(tm.InvalidArgumentError, match=r"bodies\[0\]\.texture: the skin has no texture coordinates"):
+    with pytest.raises(tm.InvalidArgumentError, match=r"^\S+scene\.yaml: bodies\[0\]\.texture: the skin has no"):
         tm.Scene.from_file(textured_scene(tmp_path, "plain.obj"))
     scene = textured_scene(tmp_path)
     (tmp_path / "tissue.png").unlink()
@@ -554,3 +559,12 @@ def test_defaults_are_those_of_the_schema() -> None:
 def test_a_quantity_is_a_number_in_the_unit_of_its_field(text: str, unit: str, si: float | None) -> None:
     found = units.in_si(text, unit)
     assert found == (None if si is None else pytest.approx(si))
+
+
+def test_the_scene_in_the_readme_is_whole(tmp_path: Path) -> None:
+    readme = (Path(__file__).resolve().parents[2] / "clients" / "python" / "README.md").read_text("utf-8")
+    scene = tmp_path / "cube.yaml"
+    scene.write_text(readme.split("```yaml\n")[1].split("```")[0], "utf-8")
+    message = tm.Scene.from_file(scene).message
+    assert [body.density_kg_per_m3 for body in message.bodies] == [1000]
+    assert [tool.name for tool in message.tools] == ["probe"]

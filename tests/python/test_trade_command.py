@@ -36,6 +36,8 @@ def test_times_and_shares() -> None:
             parse_time_s(text)
     with pytest.raises(argparse.ArgumentTypeError, match="not a share"):
         parse_share("two")
+    with pytest.raises(argparse.ArgumentTypeError, match="'2' is 200 %; write 2%"):
+        parse_share("2")
     assert (parse_depths("0.5"), parse_depths("0.5,1")) == ((0.5,), (0.5, 1.0))
     for text in ("1,0.5", "1,1", "0.25,0.5,1"):
         with pytest.raises(argparse.ArgumentTypeError, match="one depth, or a shallow and a deep one"):

@@ -13,8 +13,11 @@ import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from importlib import metadata
 from pathlib import Path
 from types import FrameType
+
+import numpy as np
 
 from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
 from tensormass._src.demo import builtin_scenes
@@ -28,7 +31,16 @@ from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_tools import desktop, export, hand, load_test, modes, recording, run, solve
 from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
-from tensormass_tools.output import Warnings, load_line, print_json, quality_text, report_text, state_name, status_line
+from tensormass_tools.output import (
+    Warnings,
+    check_writable,
+    load_line,
+    print_json,
+    quality_text,
+    report_text,
+    state_name,
+    status_line,
+)
 from tensormass_tools.running import find_server
 from tensormass_tools.trade import command as trade
 from tensormass_tools.trade.arguments import add_arguments as add_trade_arguments
@@ -38,6 +50,8 @@ _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _SCENE_HELP = f"a scene file (.yaml), a mesh file, or a built-in scene ({', '.join(builtin_scenes())})"
 # The daemon's own limit (server/core/limits.h).
 _MAX_CPU_THREADS = 256
+# A larger body is probably in millimetres.
+_LARGE_M = 5.0
 
 
 class _Terminated(KeyboardInterrupt):
@@ -120,6 +134,7 @@ def parse_length_m(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="tensormass", description="Soft-tissue simulation for surgical trainers.")
+    parser.add_argument("--version", action="version", version=f"tensormass {_version()}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     json_option = argparse.ArgumentParser(add_help=False)
@@ -217,7 +232,11 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("-o", "--output", type=Path, required=True, help=".msh, .vtk, .vtu")
     sub.add_argument("--edge", type=parse_length_m, metavar="LENGTH", help="edge of the tetrahedra, such as 8mm")
     sub.add_argument(
-        "--unit", type=parse_length_m, default=1.0, metavar="LENGTH", help="the input's unit of length, such as 1mm"
+        "--unit",
+        type=parse_length_m,
+        default=1.0,
+        metavar="LENGTH",
+        help="the input's unit of length, such as 1mm; default: 1m",
     )
     sub.set_defaults(command=_mesh)
 
@@ -242,6 +261,13 @@ def _parser() -> argparse.ArgumentParser:
     add_load_test_arguments(sub)
     sub.set_defaults(command=load_test.run)
     return parser
+
+
+def _version() -> str:
+    try:
+        return metadata.version("tensormass")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"
 
 
 def _load(args: argparse.Namespace) -> int:
@@ -329,9 +355,13 @@ def _view(args: argparse.Namespace) -> int:
         return _view_recording(args)
     if args.desktop:
         return desktop.run(args)
-    for option, value in (("scene", args.scene), ("--screenshot", args.screenshot)):
-        if value is not None:
-            raise InvalidArgumentError(f"{option} {value}: needs --desktop")
+    if args.scene is not None:
+        raise InvalidArgumentError(
+            f"{args.scene}: not a recording ({recording.SUFFIX}); the page shows every loaded scene, so name none, or "
+            "add --desktop"
+        )
+    if args.screenshot is not None:
+        raise InvalidArgumentError(f"--screenshot {args.screenshot}: needs --desktop")
     require("viewer", "view")
     from tensormass_gateway import command
 
@@ -360,6 +390,8 @@ def _view_recording(args: argparse.Namespace) -> int:
 
 
 def _mesh(args: argparse.Namespace) -> int:
+    mesh_files.check_holds_volumes(args.output)
+    check_writable("--output", args.output)
     if args.edge is None:
         mesh = mesh_repair.repair(mesh_files.read_mesh(args.input))
     else:
@@ -371,4 +403,11 @@ def _mesh(args: argparse.Namespace) -> int:
         print_json({"output": str(args.output), **asdict(quality)})
     else:
         print(f"{args.output}: {quality_text(quality)}")
+    size_m = np.ptp(mesh.nodes, axis=0)
+    if size_m.max() > _LARGE_M:
+        size = " × ".join(f"{length:.3g}" for length in size_m)
+        print(
+            f"tensormass: {args.output}: is {size} m large; if {args.input} has millimetres, give --unit 1mm",
+            file=sys.stderr,
+        )
     return 0

@@ -15,18 +15,28 @@ _MAX_SECONDS = 86_400.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `tensormass load-test`."""
-    parser.add_argument("--scenes", type=_count(1, _MAX_SCENES), default=1, metavar="S", help="copies of the scene")
     parser.add_argument(
-        "--haptic", type=_count(0, _MAX_SCENES * _MAX_TOOLS), default=1, metavar="H", help="haptic clients at 1 kHz"
+        "--scenes", type=_count(1, _MAX_SCENES), default=1, metavar="S", help="copies of the scene; default: 1"
     )
-    parser.add_argument("--viewers", type=_count(0, _MAX_VIEWERS), default=1, metavar="V", help="frame subscribers")
-    parser.add_argument("--seconds", type=_seconds, default=20.0, metavar="T", help="how long the clients run")
+    parser.add_argument(
+        "--haptic",
+        type=_count(0, _MAX_SCENES * _MAX_TOOLS),
+        default=1,
+        metavar="H",
+        help="haptic clients at 1 kHz; default: 1",
+    )
+    parser.add_argument(
+        "--viewers", type=_count(0, _MAX_VIEWERS), default=1, metavar="V", help="frame subscribers; default: 1"
+    )
+    parser.add_argument(
+        "--seconds", type=_seconds, default=20.0, metavar="T", help="how long the clients run; default: 20"
+    )
     parser.add_argument("--scene", default="demo", help="a built-in scene or a scene file (default: %(default)s)")
     parser.add_argument(
         "--transport",
         choices=("mixed", "zeromq", "zenoh"),
         default="mixed",
-        help="transport of haptic clients and viewers; mixed: every second one uses zenoh",
+        help="transport of haptic clients and viewers; mixed: every second one uses zenoh (default)",
     )
     parser.add_argument("--server", metavar="ADDR", help="a running daemon, host:port; without it one is started")
     parser.add_argument(

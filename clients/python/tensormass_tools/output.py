@@ -16,6 +16,8 @@ from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import MeshQuality
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
+# A larger body is probably in millimetres.
+_LARGE_M3 = 10.0
 _NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
 
 
@@ -145,11 +147,21 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
         sections.append("factors by schedule:\n" + "\n".join(f"  {item}" for item in scheduled))
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
-    if report.warnings:
-        sections.append("warnings:\n" + "\n".join(f"  {item}" for item in report.warnings))
+    if warnings := [*_sizes(report), *report.warnings]:
+        sections.append("warnings:\n" + "\n".join(f"  {item}" for item in warnings))
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
     sections += [f"{table(stages)}\nper step; for the solve, per iteration", table(buffers)]
     return "\n\n".join(sections)
+
+
+def _sizes(report: control_pb2.SceneReport) -> list[str]:
+    """Warns of bodies that are so large that their mesh is probably not in metres."""
+    return [
+        f"body {body.name!r} has a volume of {body.volume_m3:.3g} m³; if its mesh is in millimetres, give "
+        "mesh.scale: 0.001"
+        for body in report.bodies
+        if body.volume_m3 > _LARGE_M3
+    ]
 
 
 def _schedules(scene: scene_pb2.Scene) -> list[str]:

@@ -54,7 +54,7 @@ export class Hud {
     const { currentStatus: status, warnings, counters, drawRateHz, ageMs, ageUncertaintyMs, replaced } = readings;
     write("physics", status ? status.reachedRateHz.toFixed(status.reachedRateHz < 100 ? 1 : 0) : UNKNOWN);
     write("target", targetText(readings.status));
-    write("display", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
+    write("drawn", drawRateHz === null ? UNKNOWN : drawRateHz.toFixed(drawRateHz < 10 ? 1 : 0));
     write("surface-error", errorText(readings.errorM));
     write("latency", ageMs === null ? UNKNOWN : ageMs.toFixed(ageMs < 10 ? 1 : 0));
     write("uncertainty", ageUncertaintyMs === null || ageUncertaintyMs < 1 ? "" : `± ${ageUncertaintyMs.toFixed(0)}`);

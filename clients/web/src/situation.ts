@@ -57,7 +57,7 @@ export function sceneSituation(
     const detail = [
       wanted === null ? "The daemon has no scene." : `The daemon has no scene "${wanted}".`,
       daemon.scenes.length > 0 ? `It has ${daemon.scenes.map((name) => `"${name}"`).join(", ")}.` : "",
-      daemon.operator ? "Load one with + in the header." : "",
+      remedy(daemon),
     ]
       .filter(Boolean)
       .join(" ");
@@ -80,6 +80,14 @@ export function sceneSituation(
   return frame === null
     ? { tone: "waiting", text: "Loading", notice: null }
     : { tone: "good", text: "Live", notice: null };
+}
+
+/** How a page without a scene gets one. Only operators load. */
+function remedy({ scenes, operator }: DaemonState): string {
+  if (scenes.length === 0) {
+    return operator ? "Load one with + in the header." : "";
+  }
+  return operator ? "Choose one in the header, or load another one with +." : "Choose one in the header.";
 }
 
 /** The situation of a page that shows a recording. @param head null before the gateway has told it. */

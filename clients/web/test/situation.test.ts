@@ -61,7 +61,9 @@ describe("sceneSituation", () => {
   it("names the missing daemon or scene", () => {
     const detail = (change: object, wanted: string | null) =>
       sceneSituation({ ...DAEMON, ...change }, wanted, null, SHOWN).notice?.detail;
-    expect(detail({ scenes: ["liver", "vein"] }, "kidney")).toBe('The daemon has no scene "kidney". It has "liver", "vein".');
+    const unknown = 'The daemon has no scene "kidney". It has "liver", "vein". Choose one in the header';
+    expect(detail({ scenes: ["liver", "vein"] }, "kidney")).toBe(`${unknown}.`);
+    expect(detail({ scenes: ["liver", "vein"], operator: true }, "kidney")).toBe(`${unknown}, or load another one with +.`);
     expect(detail({ scenes: [], operator: true }, null)).toBe("The daemon has no scene. Load one with + in the header.");
     expect(sceneSituation({ ...DAEMON, problem: "gone" }, null, null, SHOWN).notice?.detail).toBe("gone");
   });

@@ -24,6 +24,10 @@ class Connection(Closing):
     """Makes calls to one daemon. Close it, or use it as a context manager."""
 
     def __init__(self, address: str, *, timeout_s: float = 5.0) -> None:
+        if ":" not in address:
+            raise errors.InvalidArgumentError(
+                f"address {address!r}: has no port; write HOST:PORT, as in {address}:50051"
+            )
         self.address = address
         self._cleanup = contextlib.ExitStack()
         self._closed = False
@@ -42,7 +46,7 @@ class Connection(Closing):
         except grpc.FutureTimeoutError:
             self._channel.close()
             raise errors.UnavailableError(
-                f"no daemon answers on {address}; start one with `tensormassd` or tm.launch()"
+                f"no daemon answers on {address}; start one with `tensormass run`, `tensormassd` or tm.launch()"
             ) from None
         except BaseException:
             self._channel.close()

@@ -35,6 +35,8 @@ _GMSH_TETRAHEDRON = 4
 _GMSH_WITHOUT_VOLUME = {1, 2, 3, 15}
 _WITHOUT_VOLUME = {"vertex", "line", "line3", "triangle", "triangle6", "triangle7", "quad", "quad8", "quad9", "polygon"}
 _SET_PREFIX = "set:"
+# Formats of surfaces alone.
+_SURFACE_ENDINGS = (".obj", ".stl", ".ply", ".off")
 # Other names of `ELEMENT_FIELDS`.
 _FIELD_ALIASES = {"fibre_direction": "fibre_directions"}
 
@@ -50,6 +52,12 @@ def read_mesh(path: str | Path) -> VolumeMesh:
     path = Path(path)
     if _begins_with(path, b"$NOD"):
         return read_gmsh1(path)
+    # meshio refuses some of them for reasons of its own, such as texture coordinates.
+    if path.suffix.lower() in _SURFACE_ENDINGS:
+        raise InvalidArgumentError(
+            f"{path}: {path.suffix} holds a surface, without volume elements; if it is closed, fill it with "
+            "`tensormass mesh --edge LENGTH`"
+        )
     return from_meshio(_meshio_read(path), str(path))
 
 
@@ -180,6 +188,16 @@ def write_mesh(path: str | Path, mesh: VolumeMesh) -> None:
     write_blocks(path, mesh.nodes, mesh.blocks, masks, mesh.element_fields)
 
 
+def check_holds_volumes(path: str | Path) -> None:
+    """Refuses a file format that has no volume elements: meshio would write a file without any.
+
+    Raises:
+        InvalidArgumentError: such a format, by the ending of the name.
+    """
+    if Path(path).suffix.lower() in _SURFACE_ENDINGS:
+        raise InvalidArgumentError(f"{path}: {Path(path).suffix} holds surfaces only; use .msh, .vtk or .vtu")
+
+
 def write_surface(path: str | Path, surface: TriangleSurface) -> None:
     """Writes a triangulated surface. The ending of the name chooses the format."""
     require("meshes", "writing a surface")
@@ -197,6 +215,7 @@ def write_blocks(
 ) -> None:
     """Writes blocks of elements like `write_mesh`, with data of nodes [node_count, ...] and elements [element_count,
     ...]."""
+    check_holds_volumes(path)
     require("meshes", "writing a mesh")
     import meshio
 

@@ -33,7 +33,9 @@ def checked_fields(content: object, descriptor: Descriptor, where: str, path: st
     for key, value in content.items():
         field = fields.get(key) if isinstance(key, str) else None
         if field is None:
-            raise InvalidArgumentError(f"{at}: {descriptor.name} has no field {key!r}; {suggestion(str(key), fields)}")
+            inside = _path_within(descriptor, str(key))
+            remedy = f"did you mean {inside!r}?" if inside else suggestion(str(key), fields)
+            raise InvalidArgumentError(f"{at}: {descriptor.name} has no field {key!r}; {remedy}")
         inner = f"{path}.{key}" if path else key
         if value is None:
             raise InvalidArgumentError(f"{where}: {inner}: has no value; give one or leave the field out")
@@ -54,6 +56,20 @@ def checked_fields(content: object, descriptor: Descriptor, where: str, path: st
             )
         checked[key] = items if field.is_repeated else items[0]
     return checked
+
+
+def _path_within(descriptor: Descriptor, name: str, levels: int = 2) -> str | None:
+    """Returns the path of the first field of this name further in, as `law.hooke.young_modulus_pa` in a body; None if
+    there is none. Packed arrays do not count, because no scene file has them."""
+    for field in descriptor.fields:
+        if (inner := field.message_type) is None:
+            continue
+        found = inner.fields_by_name.get(name)
+        if found is not None and found.type != FieldDescriptor.TYPE_BYTES:
+            return f"{field.name}.{name}"
+        if levels > 1 and (path := _path_within(inner, name, levels - 1)) is not None:
+            return f"{field.name}.{path}"
+    return None
 
 
 def _check_value(field: FieldDescriptor, value: object, where: str, path: str) -> None:

@@ -5,6 +5,7 @@ Positions are sent unchanged. `Mesh.scale` and `Mesh.translation_m` travel along
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -45,8 +46,10 @@ class SceneFile:
         try:
             text = path.read_text("utf-8")
         except FileNotFoundError:
+            close = difflib.get_close_matches(str(path), demo.builtin_scenes(), n=1)
+            meant = f"; did you mean {close[0]!r}?" if close else ""
             raise NotFoundError(
-                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())})"
+                f"{path}: no such file, nor a built-in scene ({', '.join(demo.builtin_scenes())}){meant}"
             ) from None
         except (OSError, UnicodeDecodeError) as error:
             raise InvalidArgumentError(f"{path}: cannot be read: {error}") from error
@@ -86,12 +89,12 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
                 mesh = mesh_files.read_mesh(directory / body.mesh.file)
                 body.mesh.packed.CopyFrom(pack_mesh(mesh))
                 add_what_the_mesh_carries(body, mesh, f"{at}.sets")
-        with naming(f"{at}.skin.file"):
-            if body.skin.WhichOneof("source") == "file":
+        if body.skin.WhichOneof("source") == "file":
+            with naming(f"{at}.skin.file"):
                 skin = mesh_files.read_surface(directory / body.skin.file)
                 body.skin.packed.CopyFrom(pack_triangles(skin))
-                if body.HasField("texture") and not body.texture.coordinates:
-                    body.texture.coordinates = textures.coordinates(skin, f"{at}.texture")
+            if body.HasField("texture") and not body.texture.coordinates:
+                body.texture.coordinates = textures.coordinates(skin, f"{at}.texture")
         with naming(f"{at}.texture.file"):
             if body.texture.WhichOneof("source") == "file":
                 body.texture.image = textures.read_image(directory / body.texture.file)

@@ -74,8 +74,11 @@ class SceneHandle:
         """Makes `count` steps and returns after the last one.
 
         Raises:
+            InvalidArgumentError: `count` is not above 0.
             FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
         """
+        if count < 1:
+            raise InvalidArgumentError(f"count: expected 1 or more steps, got {count}")
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
         return self._connection.call("StepScene", request, timeout_s=None).status
 
@@ -249,6 +252,10 @@ class SceneHandle:
         }
         bodies: dict[str, dict[str, float]] = {}
         for field, values in given.items():
+            if values is not None and not isinstance(values, Mapping):
+                raise InvalidArgumentError(
+                    f"{field}: expected a value for each body by name, as in {{'liver': 2.0}}, got {values!r}"
+                )
             for body, value in (values or {}).items():
                 bodies.setdefault(body, {})[field] = value
         for body, fields in bodies.items():

@@ -22,6 +22,7 @@ def connect(address: str = DEFAULT_ADDRESS, *, timeout_s: float = 5.0) -> Server
     """Connects to the daemon whose control plane listens on `address` (host:port).
 
     Raises:
+        InvalidArgumentError: the address has no port.
         UnavailableError: no daemon answers there within `timeout_s`.
     """
     return Server(address, timeout_s=timeout_s)
@@ -113,7 +114,11 @@ class Server(Connection):
             NotFoundError: no scene of this name is loaded.
         """
         handle = SceneHandle(self, name, None)
-        handle.status()
+        try:
+            handle.status()
+        except errors.NotFoundError as error:
+            loaded = ", ".join(status.scene for status in self.scenes()) or "none"
+            raise errors.NotFoundError(f"{error}; there are: {loaded}") from error
         return handle
 
     def scenes(self) -> list[stream_pb2.SceneStatus]:

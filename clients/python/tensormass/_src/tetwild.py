@@ -14,6 +14,9 @@ from tensormass._src.mesh_repair import repair
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
 from tensormass._src.processes import ChildProcess
 
+# fTetWild needs hours for more, and says nothing meanwhile.
+_MOST_TETRAHEDRA = 1e7
+
 
 def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
@@ -25,7 +28,8 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
             from the surface.
 
     Raises:
-        InvalidArgumentError: an edge that is not positive or longer than the surface, or nothing enclosed.
+        InvalidArgumentError: an edge that is not positive, longer than the surface or far too short, or nothing
+            enclosed.
         NotFoundError: the extra `tetrahedra` is not installed.
     """
     require("tetrahedra", "filling a surface with tetrahedra")
@@ -33,6 +37,15 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     if not 0 < edge_length < diagonal:
         raise InvalidArgumentError(
             f"edge length {edge_length:g}: must be positive and below the surface's diagonal, {diagonal:g}"
+        )
+    volume = _enclosed_volume(surface)
+    # A regular tetrahedron has a volume of edge³ / (6 √2).
+    expected = 6 * np.sqrt(2) * volume / edge_length**3
+    if expected > _MOST_TETRAHEDRA:
+        size = " × ".join(f"{length:g}" for length in np.ptp(surface.vertices, axis=0))
+        raise InvalidArgumentError(
+            f"edge length {edge_length:g}: a surface of {size} would get about {expected:.0e} tetrahedra; take a longer"
+            " edge, or give both in the same unit of length (`tensormass mesh --unit 1mm` for one in millimetres)"
         )
     # Runs in its own process, because the mesher writes files into its working directory, prints, and may exit.
     with tempfile.TemporaryDirectory() as folder:
@@ -56,6 +69,12 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     if len(tetrahedra) == 0:
         raise InvalidArgumentError("the surface encloses no volume; close its holes first")
     return repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"))
+
+
+def _enclosed_volume(surface: TriangleSurface) -> float:
+    """Returns the volume within a closed surface; too small a one if the surface is open or not oriented."""
+    a, b, c = np.moveaxis((surface.vertices - surface.vertices.mean(axis=0))[surface.triangles], 1, 0)
+    return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
 
 
 # Without `coarsen`, edges get no longer than those of the input.

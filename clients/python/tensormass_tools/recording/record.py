@@ -66,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
         try:
             with contextlib.nullcontext() if args.server else announced(server.address, handle.name):
                 if not args.json:
-                    print(f"recording {handle.name} to {args.output}, control {server.address}", flush=True)
+                    until = "" if args.steps or args.seconds else " until Ctrl-C"
+                    print(f"recording {handle.name} to {args.output}{until}, control {server.address}", flush=True)
                 recorder = Recorder(args, server, handle)
                 recorder.record()
         finally:
@@ -78,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
         print_json(summary)
     else:
         print(f"wrote {args.output}: {summary['steps']} steps, {summary['checks']} checks")
+        if recorder.checks == 0 and recorder.steps > 0:
+            print("without checks a replay compares nothing; record more steps, or give a smaller --check-every")
         if recorder.lost:
             print(f"{recorder.lost} steps were lost, because the file was written too slowly: a replay ends there")
     return 1 if recorder.lost else 0

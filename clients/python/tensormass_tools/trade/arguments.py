@@ -80,7 +80,11 @@ def add_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
         help="scene files to run through the same script in the end; the two that the command writes always are",
     )
     parser.add_argument(
-        "-o", "--out", type=Path, metavar="FOLDER", help="folder of results and report; a stopped run continues from it"
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of results and report, by default trade-NAME; a stopped run continues from it",
     )
     parser.description = (
         "Runs a scene through a script over and over, with other meshes, laws, steps and solvers, and compares each "
@@ -102,6 +106,8 @@ def parse_time_s(text: str) -> float:
 def parse_share(text: str) -> float:
     """Parses a share: `2%`, `0.02` -> 0.02."""
     stripped = text.strip()
+    if re.fullmatch(r"[1-9][0-9]*", stripped):
+        raise argparse.ArgumentTypeError(f"{text!r} is {stripped}00 %; write {stripped}%")
     return _positive(stripped.removesuffix("%"), 0.01 if stripped.endswith("%") else 1.0, text, "a share such as 2%")
 
 
