@@ -119,6 +119,9 @@ Result<void> read_body(Compilation& c, std::size_t index, const Progress& progre
     TM_ASSIGN_OR_RETURN(report_of_quadratic, mesh::admit(mesh, body.name()));
     report = std::move(report_of_quadratic);
   }
+  if (body.density_kg_per_m3() == 0) {
+    return invalid(fmt::format("{}.density_kg_per_m3: not given, or zero; soft tissue has about 1000", where));
+  }
   TM_ASSIGN_OR_RETURN(density, read_number(body.density_kg_per_m3(), 1e-3, 1e6, where + ".density_kg_per_m3"));
 
   BodyModel out;

@@ -113,7 +113,7 @@ std::vector<Refusal> body_refusals() {
        ErrorCode::kResourceExhausted},
       {"BodyName", [](auto& s) { body(s).set_name("left kidney"); }, {"scene.bodies[0].name"}},
       {"TwoBodiesOfOneName", [](auto& s) { *s.add_bodies() = s.bodies(0); }, {"scene.bodies[1]", "'beam'", "taken"}},
-      {"NoDensity", [](auto& s) { body(s).clear_density_kg_per_m3(); }, {"body 'beam'.density_kg_per_m3"}},
+      {"NoDensity", [](auto& s) { body(s).clear_density_kg_per_m3(); }, {"body 'beam'.density_kg_per_m3", "not given"}},
       {"NanDensity", [](auto& s) { body(s).set_density_kg_per_m3(kNan); }, {"body 'beam'.density_kg_per_m3"}},
       {"NegativeDamping", [](auto& s) { body(s).set_rayleigh_mass_per_s(-1); }, {"body 'beam'.rayleigh_mass_per_s"}},
       {"NanDamping", [](auto& s) { body(s).set_rayleigh_stiffness_s(kNan); }, {"body 'beam'.rayleigh_stiffness_s"}},
