@@ -112,8 +112,8 @@ except tm.NotFoundError as error:
 """
     ran = run(plain_python, "-c", program, folder=tmp_path)
     assert ran.returncode == 0, ran.stderr
-    package = next(iter(EXTRAS[extra]))
-    assert ran.stdout.endswith(f"needs {package}; install with: pip install 'tensormass[{extra}]'\n")
+    packages = " and ".join(EXTRAS[extra])
+    assert ran.stdout.endswith(f"needs {packages}; install with: pip install 'tensormass[{extra}]'\n")
     assert not (tmp_path / "out.vtk").exists()
 
 

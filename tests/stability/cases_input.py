@@ -197,7 +197,7 @@ def _number(message: Message, name: str) -> np.ndarray:
 def _set_last(name: str) -> Callable[[Message, float], None]:
     def change(message: Message, value: float) -> None:
         numbers = _number(message, name)
-        if abs(value) > np.finfo(numbers.dtype).max:
+        if abs(value) > float(np.finfo(numbers.dtype).max):
             value = math.copysign(math.inf, value)
         # For an initial state: a node that is neither fixed nor prescribed.
         numbers[len(numbers) // 2 if name.startswith("initial") else -1] = value
