@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "core/names.h"
 #include "mesh/surface.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
@@ -99,11 +100,10 @@ class TieReader {
   }
 
   Result<std::size_t> find_body(const std::string& name, const std::string& where) const {
-    std::string known;
     for (std::size_t b = 0; b < c_.model.bodies.size(); ++b) {
       if (c_.model.bodies[b].name == name) return b;
-      known += (known.empty() ? "'" : ", '") + c_.model.bodies[b].name + "'";
     }
+    const std::string known = list_names(c_.model.bodies, [](const BodyModel& body) { return "'" + body.name + "'"; });
     return invalid(fmt::format("{}: no body has the name '{}'; the scene has {}", where, name, known));
   }
 

@@ -305,7 +305,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
 
   it("loads a built-in scene to step by hand, colours it by displacement and stress, and unloads it", async () => {
     const page = await open("scene=nothing");
-    await page.says("#notice", /no scene "nothing".*[Ll]oad .*with \+/s);
+    await page.says("#notice", /no scene "nothing"\..*(Load one with \+ in the header|Choose one in the header, or load another one with \+)\./s);
     await page.page.locator("#scenes > summary").click();
     await page.page.locator("#builtin").selectOption("cantilever");
     await page.page.locator("#lockstep").check();

@@ -1,4 +1,4 @@
-"""Replaces files in one step: if the disk is full, the old file stays."""
+"""Reads files with the SDK's errors, and replaces them in one step: if the disk is full, the old file stays."""
 
 from __future__ import annotations
 
@@ -9,8 +9,26 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from tensormass._src.errors import InvalidArgumentError, NotFoundError
+
 # Folders whose files are streams, such as standard output.
 _SYSTEM_FOLDERS = ("dev", "proc")
+
+
+def read_bytes(path: Path, count: int = -1) -> bytes:
+    """Reads the first bytes of a file; all of them by default.
+
+    Raises:
+        NotFoundError: no such file.
+        InvalidArgumentError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(count)
+    except FileNotFoundError:
+        raise NotFoundError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InvalidArgumentError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 @contextlib.contextmanager

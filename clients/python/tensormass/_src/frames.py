@@ -139,7 +139,7 @@ class Frame:
         """Returns the springs of an attachment: their ends, tensions, and which are broken.
 
         Raises:
-            NotFoundError: there is no such attachment. The text lists those there are.
+            NotFoundError: the scene has no attachment of this name. The message lists its attachments.
         """
         message = _find(self.topology, self.topology.attachments, "attachment", attachment)
         first = 0

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from tensormass._src.errors import InvalidArgumentError, NotFoundError
 from tensormass._src.extras import require
-from tensormass._src.files import replacing
+from tensormass._src.files import read_bytes, replacing
 from tensormass._src.meshes import ELEMENT_FIELDS, ElementBlock, FloatArray, TriangleSurface, VolumeMesh
 from tensormass._src.names import as_name
 from tensormass._src.shapes import BY_MESHIO_TYPE
@@ -304,13 +304,7 @@ def _gmsh1_section(path: str | Path, lines: list[str], name: str) -> tuple[list[
 
 
 def _begins_with(path: Path, first: bytes) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(first)) == first
-    except FileNotFoundError:
-        raise NotFoundError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InvalidArgumentError(f"{path}: cannot be read: {error.strerror}") from error
+    return read_bytes(path, len(first)) == first
 
 
 def _check_is_file(path: Path) -> None:

@@ -12,6 +12,7 @@ from tensormass._src import mesh_files, meshes, node_conditions, notebook, textu
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
 from tensormass._src.errors import InvalidArgumentError, naming
+from tensormass._src.files import read_bytes
 from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
@@ -193,7 +194,7 @@ class Scene:
         if texture is not None:
             if skin is None:
                 raise InvalidArgumentError(f"{name}.texture: needs a skin to lie on; give one")
-            body.texture.image = texture if isinstance(texture, bytes) else textures.read_image(Path(texture))
+            body.texture.image = texture if isinstance(texture, bytes) else read_bytes(Path(texture))
             body.texture.coordinates = textures.coordinates(skin, f"{name}.texture")
         self.message.bodies.append(body)
         return self.message.bodies[-1]

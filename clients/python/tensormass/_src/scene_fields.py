@@ -59,8 +59,10 @@ def checked_fields(content: object, descriptor: Descriptor, where: str, path: st
 
 
 def _path_within(descriptor: Descriptor, name: str, levels: int = 2) -> str | None:
-    """Returns the path of the first field of this name further in, as `law.hooke.young_modulus_pa` in a body; None if
-    there is none. Packed arrays do not count, because no scene file has them."""
+    """Returns the path of the first nested field of this name, as `law.hooke.young_modulus_pa` in a body, or None.
+
+    Skips packed arrays, because scene files do not contain them.
+    """
     for field in descriptor.fields:
         if (inner := field.message_type) is None:
             continue

@@ -15,6 +15,7 @@ from google.protobuf.descriptor import Descriptor
 
 from tensormass._src import demo, mesh_files, strict_yaml, textures
 from tensormass._src.errors import InvalidArgumentError, NotFoundError, naming
+from tensormass._src.files import read_bytes
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_fields import checked_fields
 from tensormass.v1 import scene_pb2
@@ -97,7 +98,7 @@ def _resolve_files(scene: scene_pb2.Scene, directory: Path, where: str) -> None:
                 body.texture.coordinates = textures.coordinates(skin, f"{at}.texture")
         with naming(f"{at}.texture.file"):
             if body.texture.WhichOneof("source") == "file":
-                body.texture.image = textures.read_image(directory / body.texture.file)
+                body.texture.image = read_bytes(directory / body.texture.file)
     for index, tool in enumerate(scene.tools):
         if tool.mesh.surface.WhichOneof("source") != "file":
             continue

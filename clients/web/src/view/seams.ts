@@ -20,7 +20,7 @@ export function splitSeams(triangles: Uint32Array, corners: Float32Array, vertex
   const coordinates: number[] = new Array<number>(2 * vertexCount).fill(0);
   const used = new Uint8Array(vertexCount);
   const copies: number[] = [];
-  /** Index of the next copy of the same vertex. 0: there is none; a copy never has index 0. */
+  /** Index of the next copy of the same vertex, or 0 after the last copy. Vertex 0 is never a copy. */
   const next: number[] = new Array<number>(vertexCount).fill(0);
   for (let corner = 0; corner < triangles.length; ++corner) {
     const vertex = triangles[corner]!;
