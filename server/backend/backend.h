@@ -128,8 +128,9 @@ class Backend {
   virtual ~Backend() = default;
   virtual std::string name() const = 0;    ///< "cpu" or "cuda"
   virtual std::string device() const = 0;  ///< its product name
-  virtual model::PatchPolicy patch_policy(const v1::Scene& scene) const = 0;
-  virtual step::MachineRates rates(const v1::Scene& scene) const = 0;
+  /// cpu_threads: those that the scene asks for (model::requested_cpu_threads); 0: the backend's default.
+  virtual model::PatchPolicy patch_policy(std::uint32_t cpu_threads) const = 0;
+  virtual step::MachineRates rates(std::uint32_t cpu_threads) const = 0;
   /// Measures memory bandwidth by a copy or STREAM's triad; bytes read and written both count. It bounds the rate of a
   /// scene whose data come from memory in each step.
   virtual double measure_bandwidth_bytes_per_s() const = 0;

@@ -7,6 +7,8 @@
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
 
+#include "control/control_service.h"
+#include "control/doorkeeper.h"
 #include "control/unreadable_request.h"
 #include "core/limits.h"
 
@@ -21,40 +23,49 @@ constexpr int kMaxThreads = 64;
 
 }  // namespace
 
-Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, ControlService& service,
+struct ControlServer::Parts {
+  ControlService service;
+  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor = nullptr;
+  std::unique_ptr<grpc::Server> server = nullptr;
+  std::unique_ptr<Doorkeeper> doorkeeper = nullptr;
+};
+
+Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& address, SceneRegistry& registry,
+                                                            const v1::GetVersionResponse& identity,
+                                                            std::function<std::uint64_t()> malformed_count,
                                                             std::function<void()> on_refused) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   TM_ASSIGN_OR_RETURN(doorkeeper, Doorkeeper::listen(address));
+  std::unique_ptr<Parts> parts(new Parts{.service = {registry, identity, std::move(malformed_count)}});
+  parts->doorkeeper = std::move(doorkeeper);
   grpc::ServerBuilder builder;
-  Acceptor acceptor = builder.experimental().AddExternalConnectionAcceptor(
+  parts->acceptor = builder.experimental().AddExternalConnectionAcceptor(
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
   builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
   builder.experimental().SetInterceptorCreators(refuse_unreadable_requests());
-  builder.RegisterService(&service);
-  std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
-  if (server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");
-  return std::unique_ptr<ControlServer>(
-      new ControlServer(std::move(server), std::move(acceptor), std::move(doorkeeper), std::move(on_refused)));
-}
-
-ControlServer::ControlServer(std::unique_ptr<grpc::Server> server, Acceptor acceptor,
-                             std::unique_ptr<Doorkeeper> doorkeeper, std::function<void()> on_refused)
-    : server_(std::move(server)), acceptor_(std::move(acceptor)), doorkeeper_(std::move(doorkeeper)) {
-  const auto admit = [this](int descriptor) {
+  builder.RegisterService(&parts->service);
+  parts->server = builder.BuildAndStart();
+  if (parts->server == nullptr) return fail(ErrorCode::kUnavailable, "gRPC does not start; its own log line says why");
+  const auto admit = [acceptor = parts->acceptor.get()](int descriptor) {
     grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
     connection.fd = descriptor;
-    acceptor_->HandleNewConnection(&connection);
+    acceptor->HandleNewConnection(&connection);
   };
-  doorkeeper_->open(admit, std::move(on_refused));
+  parts->doorkeeper->open(admit, std::move(on_refused));
+  return std::unique_ptr<ControlServer>(new ControlServer(std::move(parts)));
 }
+
+ControlServer::ControlServer(std::unique_ptr<Parts> parts) : parts_(std::move(parts)) {}
 
 ControlServer::~ControlServer() {
-  doorkeeper_.reset();
-  server_->Shutdown(std::chrono::system_clock::now() + kDrainTime);
+  parts_->doorkeeper.reset();
+  parts_->server->Shutdown(std::chrono::system_clock::now() + kDrainTime);
 }
 
-void ControlServer::announce_shutdown() { server_->GetHealthCheckService()->Shutdown(); }
+const std::string& ControlServer::endpoint() const { return parts_->doorkeeper->endpoint(); }
+
+void ControlServer::announce_shutdown() { parts_->server->GetHealthCheckService()->Shutdown(); }
 
 }  // namespace tensormass::control

@@ -1,15 +1,16 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
 
-#include <grpcpp/server.h>
-#include <grpcpp/server_builder.h>
-
-#include "control/control_service.h"
-#include "control/doorkeeper.h"
+#include "control/scene_registry.h"
 #include "core/result.h"
+
+namespace tensormass::v1 {
+class GetVersionResponse;
+}
 
 namespace tensormass::control {
 
@@ -21,27 +22,29 @@ namespace tensormass::control {
 /// A running call occupies one of gRPC's threads. Calls beyond kMaxThreads fail with RESOURCE_EXHAUSTED.
 class ControlServer {
  public:
-  /// Listens on `address`, HOST:PORT; port 0 takes a free one. `service` must outlive the server. `on_refused` is
-  /// called for each connection that does not speak HTTP/2, on the doorkeeper's thread; it must not block. Fails with
-  /// kUnavailable if the address cannot be listened on.
-  static Result<std::unique_ptr<ControlServer>> start(const std::string& address, ControlService& service,
+  /// Listens on `address`, HOST:PORT; port 0 takes a free one. `registry` must outlive the server. GetVersion answers
+  /// `identity`. Fails with kUnavailable if the address cannot be listened on.
+  ///
+  ///   malformed_count()   returns what GetVersion adds to `identity`; called on gRPC's threads
+  ///   on_refused()        called for each connection that does not speak HTTP/2, on the doorkeeper's thread; it must
+  ///                       not block
+  static Result<std::unique_ptr<ControlServer>> start(const std::string& address, SceneRegistry& registry,
+                                                      const v1::GetVersionResponse& identity,
+                                                      std::function<std::uint64_t()> malformed_count,
                                                       std::function<void()> on_refused);
   /// Stops listening, waits at most kDrainTime for running calls, then cancels them.
   ~ControlServer();
 
   /// HOST:PORT that clients connect to, with the port that was chosen.
-  const std::string& endpoint() const { return doorkeeper_->endpoint(); }
+  const std::string& endpoint() const;
   /// Makes the health service answer NOT_SERVING, so that load balancers send no new work here. Calls still work.
   void announce_shutdown();
 
  private:
-  using Acceptor = std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor>;
-  ControlServer(std::unique_ptr<grpc::Server> server, Acceptor acceptor, std::unique_ptr<Doorkeeper> doorkeeper,
-                std::function<void()> on_refused);
+  struct Parts;  // gRPC's classes, whose headers take seconds to compile
+  explicit ControlServer(std::unique_ptr<Parts> parts);
 
-  std::unique_ptr<grpc::Server> server_;
-  Acceptor acceptor_;
-  std::unique_ptr<Doorkeeper> doorkeeper_;
+  std::unique_ptr<Parts> parts_;
 };
 
 }  // namespace tensormass::control

@@ -68,11 +68,13 @@ Result<void> Daemon::open(const Config& config) {
   identity_.set_zenoh_locator(bus_->endpoints().zenoh_locator);
 
   publisher_.emplace(registry_, *bus_, config.server_name, wake_up_);
-  service_.emplace(registry_, identity_, [this] { return malformed_count(); });
-  TM_ASSIGN_OR_RETURN(server, control::ControlServer::start(config.control, *service_, [this] {
-                        ++refused_connections_;
-                        note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
-                      }));
+  const auto on_refused = [this] {
+    ++refused_connections_;
+    note_malformed({}, "a peer that does not speak HTTP/2, on the control endpoint");
+  };
+  TM_ASSIGN_OR_RETURN(server,
+                      control::ControlServer::start(
+                          config.control, registry_, identity_, [this] { return malformed_count(); }, on_refused));
   server_ = std::move(server);
   return {};
 }

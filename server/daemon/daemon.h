@@ -7,10 +7,11 @@
 
 #include "bus/bus.h"
 #include "control/control_server.h"
-#include "control/control_service.h"
 #include "control/scene_registry.h"
+#include "core/log.h"
 #include "daemon/config.h"
 #include "daemon/publisher.h"
+#include "tensormass/v1/control.pb.h"
 
 namespace tensormass::daemon {
 
@@ -66,7 +67,6 @@ class Daemon {
   control::SceneRegistry registry_;
   std::unique_ptr<bus::Bus> bus_;
   std::optional<Publisher> publisher_;
-  std::optional<control::ControlService> service_;
   std::unique_ptr<control::ControlServer> server_;
 };
 

@@ -11,6 +11,7 @@
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 #include "physics/element/face.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Reads boundary conditions, loads and the initial state of each body: fixed and prescribed nodes, forces, tractions,
 /// pressures, gravity, initial displacements and velocities.

@@ -9,6 +9,7 @@
 #include "model/check.h"
 #include "model/clusters.h"
 #include "model/compile_parts.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Compiles a scene, a message of untrusted input, to a Model, which a step can trust.
 ///
@@ -100,8 +101,8 @@ matrix::Storage PatchPolicy::storage_of(std::uint32_t node_count) const {
   return tiles ? matrix::Storage::kTiles : storage;
 }
 
-std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise) {
-  return scene.solver().has_cpu_threads() ? scene.solver().cpu_threads() : otherwise;
+std::uint32_t requested_cpu_threads(const v1::Scene& scene) {
+  return scene.solver().has_cpu_threads() ? scene.solver().cpu_threads() : 0;
 }
 
 }  // namespace tensormass::model

@@ -7,7 +7,10 @@
 #include "core/result.h"
 #include "model/model.h"
 #include "model/progress.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::v1 {
+class Scene;
+}
 
 namespace tensormass::model {
 
@@ -40,7 +43,7 @@ struct PatchPolicy {
 /// the invariants of the model (check.h) once, so that steps need not.
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress = {});
 
-/// Returns how many CPU threads the scene asks for; `otherwise` if it does not say.
-std::uint32_t requested_cpu_threads(const v1::Scene& scene, std::uint32_t otherwise);
+/// Returns how many CPU threads the scene asks for; 0 if it does not say.
+std::uint32_t requested_cpu_threads(const v1::Scene& scene);
 
 }  // namespace tensormass::model

@@ -13,7 +13,11 @@
 #include "model/scene_input.h"
 #include "physics/element/element.h"
 #include "physics/lists.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::v1 {
+class Body;
+class Scene;
+}  // namespace tensormass::v1
 
 /// The parts of model::compile. It calls them in the order of this file, and each adds to the model.
 namespace tensormass::model {

@@ -8,6 +8,7 @@
 #include "model/scene_input.h"
 #include "physics/element/prony.h"
 #include "physics/lists.h"
+#include "tensormass/v1/scene.pb.h"
 
 namespace tensormass::model {
 

@@ -9,7 +9,10 @@
 #include "core/result.h"
 #include "core/scalar.h"
 #include "physics/element/prony.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::v1 {
+class Law;
+}
 
 /// Reads material laws from untrusted messages.
 namespace tensormass::model {

@@ -6,6 +6,7 @@
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "tensormass/v1/scene.pb.h"
 
 namespace tensormass::model {
 

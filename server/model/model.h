@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -19,8 +20,11 @@
 #include "physics/tool/pose.h"
 #include "physics/tool/tool.h"
 #include "solver/time_scheme.h"
-#include "tensormass/v1/scene.pb.h"
 #include "view/ties.h"
+
+namespace tensormass::v1 {
+class Tool;
+}
 
 /// A compiled scene: what model::compile makes of a message, and what model/bind.h copies into buffers.
 ///
@@ -224,7 +228,7 @@ struct ToolModel {
   /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
   double plane_strain_modulus_pa = 0;
   physics::Pose initial_pose;
-  v1::Tool description;  ///< the scene's message, for viewers
+  std::shared_ptr<const v1::Tool> description;  ///< the scene's message, for viewers; never null
 
   /// Returns the tool with its shape's frame at a pose. That frame is the tool's own, moved by tip_offset_m.
   /// start: pose of the shape at the start of the step. presence: share of its contact stiffness.

@@ -9,6 +9,7 @@
 #include "mesh/shapes.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Reads the bodies of a scene: their meshes, densities, colours, quadrature and materials.
 namespace tensormass::model {

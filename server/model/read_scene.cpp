@@ -7,6 +7,7 @@
 #include "core/limits.h"
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Reads what a scene says as a whole: its name, stepping, solver, streams and gravity. Defaults are those of the
 /// protocol.

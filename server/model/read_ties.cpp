@@ -14,6 +14,7 @@
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 #include "model/signed_distance.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Reads contacts between bodies and attachments.
 namespace tensormass::model {

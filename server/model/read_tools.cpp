@@ -12,6 +12,7 @@
 #include "model/distance_field.h"
 #include "model/scene_input.h"
 #include "physics/lists.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Reads the tools of a scene. The kinds are those of physics::Tools: a kind's name and the names of its parameters say
 /// which fields of the protocol hold it.
@@ -163,7 +164,7 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
       tool.GetReflection()->GetOneofFieldDescriptor(tool, tool.GetDescriptor()->FindOneofByName("kind"));
   ToolModel out;
   out.name = tool.name();
-  out.description = tool;
+  out.description = std::make_shared<const v1::Tool>(tool);
   out.fixed = tool.fixed();
   std::string known;
   std::optional<Result<void>> shape;

@@ -4,6 +4,7 @@
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 #include "physics/element/element.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Fills the vectors that have an entry for each row: rest positions, masses and damping.
 ///

@@ -15,7 +15,20 @@
 #include "mesh/mesh.h"
 #include "model/schedule.h"
 #include "physics/tool/tool.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace google::protobuf {
+template <class Element>
+class RepeatedField;
+}
+namespace tensormass::v1 {
+class Body;
+class Quaternion;
+class Region;
+class Schedule;
+class Skin;
+class Vector3;
+enum ContactMethod : int;
+}  // namespace tensormass::v1
 
 /// Turns untrusted messages into checked values. Every error says where in the scene it is and what to do.
 ///

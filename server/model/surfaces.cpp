@@ -11,6 +11,7 @@
 #include "model/compile_parts.h"
 #include "model/scene_input.h"
 #include "model/texture.h"
+#include "tensormass/v1/scene.pb.h"
 
 /// Makes the surfaces of a scene: triangles that tools can touch, and what clients see.
 namespace tensormass::model {

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include "core/limits.h"
+#include "tensormass/v1/scene.pb.h"
 
 namespace tensormass::model {
 

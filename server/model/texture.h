@@ -5,7 +5,10 @@
 #include <string_view>
 
 #include "core/result.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::v1 {
+class Body;
+}
 
 namespace tensormass::model {
 

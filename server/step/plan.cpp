@@ -7,6 +7,7 @@
 
 #include "model/bind.h"
 #include "physics/lists.h"
+#include "tensormass/v1/control.pb.h"
 
 namespace tensormass::step {
 

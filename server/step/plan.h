@@ -4,7 +4,10 @@
 
 #include "model/model.h"
 #include "step/stages.h"
-#include "tensormass/v1/control.pb.h"
+
+namespace tensormass::v1 {
+class SceneReport;
+}
 
 namespace tensormass::step {
 

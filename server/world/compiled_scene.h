@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "backend/backend.h"
+#include "tensormass/v1/control.pb.h"
 #include "world/runner.h"
 
 namespace tensormass::world {

@@ -1,5 +1,7 @@
 #include "world/hashes.h"
 
+#include "tensormass/v1/scene.pb.h"
+
 #include <cstring>
 #include <vector>
 

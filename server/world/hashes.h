@@ -7,7 +7,10 @@
 
 #include "backend/backend.h"
 #include "model/model.h"
-#include "tensormass/v1/scene.pb.h"
+
+namespace tensormass::v1 {
+class Scene;
+}
 
 /// Hashes of 64 bits that tell whether two scenes, layouts or states are the same. They find mistakes and damage; they
 /// do not protect against somebody who looks for a collision.

@@ -65,7 +65,7 @@ v1::Topology make_topology(const model::Model& model, std::uint64_t version) {
     out.set_name(tool.name);
     out.set_radius_m(tool.radius_m);
     fill(tool.tip_offset_m, *out.mutable_tip_offset_m());
-    *out.mutable_tool() = tool.description;
+    *out.mutable_tool() = *tool.description;
   }
   topology.set_attachment_point_count(model.visible.attachment_point_count());
   for (const model::VisibleAttachment& attachment : model.attachments) {

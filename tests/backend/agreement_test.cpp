@@ -30,7 +30,8 @@ struct Trajectory {
 /// patch policy.
 Trajectory run(const backend::Backend& backend, const v1::Scene& scene, int steps, bool press,
                const model::PatchPolicy* policy = nullptr) {
-  auto model = model::compile(scene, policy != nullptr ? *policy : backend.patch_policy(scene));
+  auto model =
+      model::compile(scene, policy != nullptr ? *policy : backend.patch_policy(model::requested_cpu_threads(scene)));
   EXPECT_TRUE(model) << model.error().message;
   Trajectory out;
   out.patches = model->layout.patch_count;
@@ -138,13 +139,13 @@ TEST_P(CudaAgreement, DetectsAnInvertedElementInEveryPatch) {
       pushed.set_x_m(3 * h);
       pushed.set_y_m(0);
       pushed.set_z_m(0);
-      model::PatchPolicy policy = cuda_->patch_policy(scene);
+      model::PatchPolicy policy = cuda_->patch_policy(model::requested_cpu_threads(scene));
       policy.max_patches = patches;
       policy.min_nodes_per_patch = 1;
       std::array<double, 2> seen{};
       for (const bool device : {false, true}) {
         const backend::Backend& backend = device ? *cuda_ : *cpu_;
-        auto model = model::compile(scene, device ? policy : cpu_->patch_policy(scene));
+        auto model = model::compile(scene, device ? policy : cpu_->patch_policy(model::requested_cpu_threads(scene)));
         ASSERT_TRUE(model) << model.error().message;
         EXPECT_EQ(!model->checked.begin.empty(), device && !GetParam().double_precision);
         auto world = world::World::create(std::make_unique<const model::Model>(std::move(*model)), backend);
@@ -180,7 +181,8 @@ TEST_P(CudaAgreement, LargeBeamsRepeatBitwise) {
                                          .double_precision = GetParam().double_precision});
     scene.mutable_bodies(0)->mutable_mesh()->mutable_grid()->set_shape(shape);
     const Trajectory first = run(*cuda_, scene, kSteps, false), second = run(*cuda_, scene, kSteps, false);
-    EXPECT_EQ(first.patches, cuda_->patch_policy(scene).max_patches) << "the test needs a scene that uses every patch";
+    EXPECT_EQ(first.patches, cuda_->patch_policy(model::requested_cpu_threads(scene)).max_patches)
+        << "the test needs a scene that uses every patch";
     EXPECT_EQ(first.positions, second.positions) << v1::Shape_Name(shape);
   }
 }
@@ -227,7 +229,7 @@ TEST_P(CudaAgreement, BeamsThatAreStreamedAndRepeat) {
     beam.cg_max_iterations = 1000;
     beam.cg_tolerance = beam.double_precision ? 1e-14 : 1e-6;
     const v1::Scene scene = tests::beam_scene(beam);
-    model::PatchPolicy policy = cuda_->patch_policy(scene);
+    model::PatchPolicy policy = cuda_->patch_policy(model::requested_cpu_threads(scene));
     policy.max_patches = size.patches;
     const Trajectory rest = run(*cpu_, scene, 0, false), cpu = run(*cpu_, scene, size.steps, false);
     const Trajectory cuda = run(*cuda_, scene, size.steps, false, &policy);

@@ -170,9 +170,9 @@ void leave_volumes_unchecked(model::Model& model) {
 Result<Measured> time_steps(const Case& one, const backend::Backend& backend, std::uint32_t steps, Row& row) {
   const v1::Scene& scene = one.scene;
   const Clock::time_point begin = Clock::now();
-  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend.patch_policy(scene)));
+  TM_ASSIGN_OR_RETURN(model, model::compile(scene, backend.patch_policy(model::requested_cpu_threads(scene))));
   if (!one.checks_volume) leave_volumes_unchecked(model);
-  const v1::SceneReport report = step::make_report(model, backend.rates(scene));
+  const v1::SceneReport report = step::make_report(model, backend.rates(model::requested_cpu_threads(scene)));
   row.elements = model.bodies[0].element_count;
   row.nodes = model.bodies[0].node_count;
   row.patches = model.layout.patch_count;

@@ -247,8 +247,8 @@ void ByMethod::compress(v1::ContactMethod method, double penalty_pa_per_m, doubl
 }
 
 TEST_P(ByMethod, APenaltyGivesWayByItsStiffness) {
-  constexpr double kPenalty = 1e9, kAreaM2 = 0.04 * 0.04;
-  compress(v1::CONTACT_METHOD_PENALTY, kPenalty, 1 / (kPenalty * kAreaM2));
+  constexpr double kStiffPenalty = 1e9, kAreaM2 = 0.04 * 0.04;
+  compress(v1::CONTACT_METHOD_PENALTY, kStiffPenalty, 1 / (kStiffPenalty * kAreaM2));
 }
 
 /// With a penalty that would give way by 40 % of the motion.

@@ -11,9 +11,9 @@
 #include <gtest/gtest.h>
 
 #include "control/control_server.h"
-#include "control/control_service.h"
 #include "core/limits.h"
 #include "support/scenes.h"
+#include "tensormass/v1/control.grpc.pb.h"
 
 namespace tensormass::control {
 namespace {
@@ -24,13 +24,18 @@ constexpr std::chrono::seconds kDeadline{60};
 class ServiceTest : public testing::Test {
  protected:
   ServiceTest() {
-    auto started = ControlServer::start("127.0.0.1:0", service, [this] { ++refused; });
+    auto started = start("127.0.0.1:0");
     if (!started) throw std::runtime_error(started.error().message);
     server = std::move(*started);
     grpc::ChannelArguments arguments;
     arguments.SetMaxReceiveMessageSize(-1);
     channel = grpc::CreateCustomChannel(server->endpoint(), grpc::InsecureChannelCredentials(), arguments);
     stub = v1::Control::NewStub(channel);
+  }
+
+  Result<std::unique_ptr<ControlServer>> start(const std::string& address) {
+    return ControlServer::start(
+        address, registry, identity(), [] { return std::uint64_t{7}; }, [this] { ++refused; });
   }
 
   static v1::GetVersionResponse identity() {
@@ -75,7 +80,6 @@ class ServiceTest : public testing::Test {
   }
 
   SceneRegistry registry{{.backend = world::BackendChoice::kCpu, .cpu_threads = 1}, [] {}};
-  ControlService service{registry, identity(), [] { return std::uint64_t{7}; }};
   std::atomic<int> refused{0};
   std::unique_ptr<ControlServer> server;
   std::shared_ptr<grpc::Channel> channel;
@@ -491,7 +495,7 @@ TEST_F(ServiceTest, ReflectionListsTheService) {
 }
 
 TEST_F(ServiceTest, ASecondServerOnThePortIsRefused) {
-  const auto second = ControlServer::start(server->endpoint(), service, [] {});
+  const auto second = start(server->endpoint());
   ASSERT_FALSE(second);
   EXPECT_EQ(second.error().code, ErrorCode::kUnavailable);
   EXPECT_NE(second.error().message.find(server->endpoint()), std::string::npos);

@@ -61,7 +61,7 @@ def run(python: Path, *arguments: str, folder: Path) -> subprocess.CompletedProc
 
 def test_the_list_of_extras_is_that_of_the_project() -> None:
     extras = PROJECT["optional-dependencies"]
-    assert set(EXTRAS) == set(extras) - {"dev"}
+    assert set(EXTRAS) == set(extras) - {"build", "dev"}
     for extra, packages in EXTRAS.items():
         assert {name.lower() for name in packages} == {name_of(requirement) for requirement in extras[extra]}
 

@@ -169,7 +169,7 @@ TM_ON_EACH_BACKEND(StepLoop);
 TEST(ARecording, AllocatesNothingForAStep) {
   const auto backend = backend::make_cpu_backend(1);
   const v1::Scene scene = tests::block_with_probe(false, 4);
-  const auto model = model::compile(scene, backend->patch_policy(scene));
+  const auto model = model::compile(scene, backend->patch_policy(model::requested_cpu_threads(scene)));
   ASSERT_TRUE(model);
   Recording recording(*model, {.room_for_steps = 16});
   const std::uint64_t before = allocations.load();

@@ -36,7 +36,7 @@ class ARecording : public testing::Test {
   ARecording() {
     const auto backend = backend::make_cpu_backend(1);
     const v1::Scene scene = tests::block_with_probe(false, 4);
-    auto compiled = model::compile(scene, backend->patch_policy(scene));
+    auto compiled = model::compile(scene, backend->patch_policy(model::requested_cpu_threads(scene)));
     if (!compiled) throw std::runtime_error(compiled.error().message);
     model = std::make_unique<model::Model>(std::move(*compiled));
   }

@@ -228,14 +228,14 @@ class CpuBackend final : public Backend {
   std::string device() const override {
     return processor_name() + ", " + std::to_string(std::thread::hardware_concurrency()) + " threads";
   }
-  model::PatchPolicy patch_policy(const v1::Scene& scene) const override {
+  model::PatchPolicy patch_policy(std::uint32_t cpu_threads) const override {
     // With fewer nodes a thread, waiting for each other costs more than the work saved.
     constexpr std::uint32_t kMinNodesPerThread = 512;
-    return {model::requested_cpu_threads(scene, default_threads_), kMinNodesPerThread, matrix::Storage::kEdges};
+    return {threads_of(cpu_threads), kMinNodesPerThread, matrix::Storage::kEdges};
   }
-  step::MachineRates rates(const v1::Scene& scene) const override {
+  step::MachineRates rates(std::uint32_t cpu_threads) const override {
     // For one core of a current server, with vectors. tensormass-bench measures the real rates.
-    const double threads = model::requested_cpu_threads(scene, default_threads_);
+    const double threads = threads_of(cpu_threads);
     return {.bytes_per_s = 8e9 * threads,
             .operations_per_s = 6e9 * threads,
             .stage_latency_s = threads > 1 ? 2e-6 : 0,
@@ -277,6 +277,10 @@ class CpuBackend final : public Backend {
   }
 
  private:
+  std::uint32_t threads_of(std::uint32_t cpu_threads) const {
+    return cpu_threads != 0 ? cpu_threads : default_threads_;
+  }
+
   const std::uint32_t default_threads_;
 };
 

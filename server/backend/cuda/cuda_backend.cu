@@ -18,7 +18,7 @@ class CudaBackend final : public Backend {
 
   std::string name() const override { return "cuda"; }
   std::string device() const override { return properties_.name; }
-  model::PatchPolicy patch_policy(const v1::Scene&) const override {
+  model::PatchPolicy patch_policy(std::uint32_t) const override {
     // One block a multiprocessor is always resident. With fewer nodes than the least, blocks mostly wait for each
     // other. With more than the most, a patch does not fit on the chip. Scenes that share the device take as few
     // multiprocessors as will do.
@@ -35,7 +35,7 @@ class CudaBackend final : public Backend {
               return cuda::plan_solve(layout).resident ? model::SolveKind::kResident : model::SolveKind::kStreamed;
             }};
   }
-  step::MachineRates rates(const v1::Scene&) const override {
+  step::MachineRates rates(std::uint32_t) const override {
     return {.bytes_per_s = 3e12, .operations_per_s = 2e13, .stage_latency_s = 3e-6, .iteration_latency_s = 4e-6};
   }
   double measure_bandwidth_bytes_per_s() const override {
@@ -101,8 +101,7 @@ Result<std::unique_ptr<Backend>> make_cuda_backend(std::uint32_t scenes) {
   if (cudaGetDeviceProperties(&properties, 0) != cudaSuccess) {
     return fail(ErrorCode::kUnavailable, "the CUDA device does not tell its properties");
   }
-  if (cudaFuncGetAttributes(&attributes, cuda::run_stage<step::RunStage<step::StageKind::kAdvance>, float>) !=
-      cudaSuccess) {
+  if (cudaFuncGetAttributes(&attributes, cuda::streamed_kernels().near) != cudaSuccess) {
     cudaGetLastError();
     return fail(ErrorCode::kUnavailable, std::string("this build has no code for ") + properties.name +
                                              "; configure with TENSORMASS_CUDA_ARCHITECTURES of its generation");

@@ -5,9 +5,6 @@
 
 namespace tensormass::backend::cuda {
 
-/// Threads of a block, for stages whose patches neither reduce nor exchange.
-inline constexpr unsigned kStageThreads = 128;
-
 /// The kernel of every stage. Fewer threads leave more registers to each.
 template <class StageType, class Real, unsigned MaxThreads = kMaxBlockThreads>
 __global__ void __launch_bounds__(MaxThreads) run_stage(const __grid_constant__ view::SceneView<Real> view,

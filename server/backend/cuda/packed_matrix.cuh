@@ -2,6 +2,7 @@
 
 #include <cuda_fp16.h>
 
+#include "backend/cuda/exchange.cuh"
 #include "backend/cuda/packed_column.h"
 #include "backend/cuda/team.cuh"
 #include "matrix/packed_block.h"

@@ -3,6 +3,7 @@
 #include <limits>
 
 #include <cuda_pipeline.h>
+#include <Eigen/Geometry>
 
 #include "backend/cuda/checked_tetrahedra.h"
 #include "backend/cuda/exchange.cuh"

@@ -184,12 +184,6 @@ class SharedBlocks {
   bool holds_all_ = false;
 };
 
-/// Shared memory of a block if two fit on a multiprocessor [bytes].
-inline std::size_t most_rows_bytes(const cudaDeviceProp& device) {
-  return minimum(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock,
-                 device.sharedMemPerBlockOptin);
-}
-
 /// Most parts of a slice of a shape.
 template <class Shape>
 inline constexpr std::uint32_t kMostPartsOf = matrix::kAddsInTurns<Shape> ? kMostParts : kMostPartsWithSums;

@@ -5,10 +5,10 @@
 
 #include <cuda_runtime.h>
 
-#include "backend/cuda/resident_solve.cuh"
+#include "backend/cuda/solve_kernels.h"
 #include "backend/cuda/solve_room.h"
-#include "backend/cuda/streamed_solve.cuh"
 #include "matrix/layout.h"
+#include "view/scene.h"
 
 /// Chooses the fused solve of a scene, resident or streamed, and launches it.
 namespace tensormass::backend::cuda {
@@ -50,37 +50,24 @@ inline std::uint32_t most_kept_rows(const cudaDeviceProp& device) {
 /// possible of the matrix or of the vectors stays on the chip.
 inline SolvePlan plan_solve(const matrix::Layout& layout) {
   const PatchSizes most = largest_sizes(layout);
-  SolvePlan plan;
-  // Smaller kernels first: fewer rows leave more registers to each thread, and so hold more of the matrix.
-  const auto consider = [&]<unsigned Threads, int Rows, int Held>() {
-    if (plan.kernel != nullptr || most.rows > Threads * Rows) return;
-    const auto whole = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held, true>);
-    const auto partly = reinterpret_cast<const void*>(&resident_solve<Threads, Rows, Held, false>);
-    const std::size_t most_bytes = minimum(allow_all_shared_bytes(whole), allow_all_shared_bytes(partly));
-    const std::optional<ResidentRoom> room = resident_room(layout, most, Held, most_bytes);
-    if (room) plan = {true, room->whole ? whole : partly, Threads, room->bytes, room->column_capacity};
-  };
-  consider.template operator()<128, 1, 18>();
-  consider.template operator()<256, 1, 18>();
-  consider.template operator()<384, 1, 12>();
-  // Two rows a thread: half as many warps must wait for each other.
-  consider.template operator()<224, 2, 8>();
-  consider.template operator()<kMostResidentRows / 2, 2, 8>();
-  if (plan.kernel == nullptr) {
-    const auto near = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint16_t, true>);
-    const auto far = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint16_t, false>);
-    const auto farthest = reinterpret_cast<const void*>(&streamed_solve<kStreamedThreads, std::uint32_t, false>);
-    plan.threads = kStreamedThreads;
-    const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
-    std::size_t most_bytes = allow_all_shared_bytes(near);
-    for (const void* kernel : {far, farthest}) most_bytes = std::min(most_bytes, allow_all_shared_bytes(kernel));
-    const StreamedRoom room = streamed_room(most.rows, most.locals, tile_rows, most_bytes);
-    plan.shared_bytes = room.bytes;
-    plan.argument = room.near_vectors;
-    const bool is_near = (plan.argument & kNearDirection) != 0;
-    plan.kernel = most.locals > Neighbour<std::uint16_t>::kMostLocals ? farthest : is_near ? near : far;
+  for (const ResidentKernel& kernel : resident_kernels()) {
+    if (most.rows > kernel.threads * kernel.rows) continue;
+    const std::size_t most_bytes =
+        std::min(allow_all_shared_bytes(kernel.whole), allow_all_shared_bytes(kernel.partly));
+    const std::optional<ResidentRoom> room = resident_room(layout, most, kernel.held, most_bytes);
+    if (!room) continue;
+    return {true, room->whole ? kernel.whole : kernel.partly, kernel.threads, room->bytes, room->column_capacity};
   }
-  return plan;
+  const StreamedKernels kernels = streamed_kernels();
+  const std::uint32_t tile_rows = layout.tile_rows != 0 ? layout.tile_rows : matrix::kMostTileRows;
+  std::size_t most_bytes = allow_all_shared_bytes(kernels.near);
+  for (const void* kernel : {kernels.far, kernels.farthest}) {
+    most_bytes = std::min(most_bytes, allow_all_shared_bytes(kernel));
+  }
+  const StreamedRoom room = streamed_room(most.rows, most.locals, tile_rows, most_bytes);
+  const bool is_near = (room.near_vectors & kNearDirection) != 0;
+  const void* kernel = most.locals > kernels.short_locals ? kernels.farthest : is_near ? kernels.near : kernels.far;
+  return {false, kernel, kernels.threads, room.bytes, room.near_vectors};
 }
 
 inline cudaError_t launch_solve(const SolvePlan& plan, const view::SceneView<float>& view, cudaStream_t stream) {

@@ -10,16 +10,18 @@
 #include <cuda_runtime.h>
 
 #include "backend/backend.h"
+#include "backend/cuda/blocks.h"
 #include "backend/cuda/elements.h"
 #include "backend/cuda/graph.cuh"
-#include "backend/cuda/launch.cuh"
 #include "backend/cuda/memory.cuh"
-#include "backend/cuda/rows.cuh"
+#include "backend/cuda/rows_memory.h"
 #include "backend/cuda/solve_plan.cuh"
+#include "backend/cuda/stage_kernels.h"
 #include "backend/results.h"
 #include "model/bind.h"
 #include "solver/newton.h"
-#include "step/run.h"
+#include "step/inversion_check.h"
+#include "step/stages.h"
 
 /// One scene on a CUDA device.
 ///
@@ -243,6 +245,12 @@ class CudaState final : public SceneState {
             .tie_reports = tie_reports_.data()};
   }
 
+  /// Shared memory of a block of assemble_rows if two fit on a multiprocessor [bytes].
+  static std::size_t most_rows_bytes(const cudaDeviceProp& device) {
+    return std::min(device.sharedMemPerMultiprocessor / 2 - device.reservedSharedMemPerBlock,
+                    device.sharedMemPerBlockOptin);
+  }
+
   /// Launches a stage. items: its number of items, a thread for each; 0: the larger number of rows or triangles.
   void launch(step::Communication communication, const void* kernel, const view::ElementView<Real>& elements,
               std::uint32_t items = 0) {
@@ -326,10 +334,9 @@ class CudaState final : public SceneState {
     std::uint32_t items = 0;
     if (stage.info->kind == StageKind::kDecompose) items = elements.count * elements.point_count;
     if (stage.info->kind == StageKind::kGatherSurface) items = view_.surface.vertex_count;
-    step::with_stage(model_, stage, [&](auto type) {
-      launch(stage.info->communication, reinterpret_cast<const void*>(&run_stage<decltype(type), Real>), elements,
-             items);
-    });
+    if (const void* kernel = stage_kernel<Real>(model_, stage)) {
+      launch(stage.info->communication, kernel, elements, items);
+    }
   }
 
   void enqueue_phase(step::Phase phase) {

@@ -2,6 +2,7 @@
 
 #include <cooperative_groups.h>
 
+#include "backend/cuda/blocks.h"
 #include "core/strided.h"
 
 /// The team of a GPU: the interface between a stage and the thread blocks that run it.
@@ -16,9 +17,6 @@
 /// 2. A stage that reduces has one block a patch, or reduces over each part separately.
 /// 3. Reductions run in a fixed order, so that results repeat bitwise.
 namespace tensormass::backend::cuda {
-
-inline constexpr unsigned kMaxBlockThreads = 512;
-inline constexpr unsigned kWarp = 32;
 
 /// The thread blocks that run one patch.
 class Team {
