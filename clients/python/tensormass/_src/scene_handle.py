@@ -11,8 +11,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import notebook
+from tensormass._src import defaults, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
+from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
@@ -82,6 +83,31 @@ class SceneHandle:
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
         return self._connection.call("StepScene", request, timeout_s=None).status
 
+    def follow(self, tool: str, poses: Sequence[following.Pose]) -> stream_pb2.SceneStatus:
+        """Makes a step for each pose of a tool, many of them in one call, and returns after the last one.
+
+            scene.follow("probe", [((0, 0, z), None, ()) for z in np.linspace(0.08, 0.05, 60)])
+
+        The steps are those of `move_tool` and `step` in turns, to the last bit. They cost less, because only the last
+        step of a call brings a frame, and elements are checked as often as in a scene that runs by the clock.
+
+        Args:
+            poses: position [3] m at the end of each step, orientation w, x, y, z (None is the identity), and a value
+                for each joint of the tool [rad or m].
+
+        Raises:
+            NotFoundError: no such tool.
+            InvalidArgumentError: no poses, or values that `move_tool` refuses.
+            FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
+        """
+        if not len(poses):
+            raise InvalidArgumentError("poses: expected one or more")
+        dt_s = defaults.dt_s(self.message if self.message is not None else scene_pb2.Scene())
+        status = stream_pb2.SceneStatus()
+        for request in following.requests(self.name, tool, poses, self.snapshot(), dt_s):
+            status = self._connection.call("ReplayScene", request, timeout_s=None).status
+        return status
+
     def steps(self, count: int) -> Iterator[StepRecord]:
         """Makes `count` steps, one call each, and yields what each of them did.
 
@@ -125,6 +151,10 @@ class SceneHandle:
     def status(self) -> stream_pb2.SceneStatus:
         """Returns rates, deadlines, solver figures and counters; see `SceneStatus` in stream.proto."""
         return self._connection.call("GetStatus", control_pb2.GetStatusRequest(scene=self.name)).status
+
+    def step_times(self) -> DurationHistogram:
+        """Returns the times of all steps since the load. The difference of two calls has those between them."""
+        return DurationHistogram.from_message(self.status().step_times)
 
     def positions(self, body: str) -> npt.NDArray[np.float64]:
         """Returns the nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
