@@ -48,7 +48,7 @@ def test_a_scene_counts_from_the_start_of_the_test() -> None:
     slow, usual = (index_of(ns) for ns in (40_000_000, 10_000_000))
     before.step_times.MergeFrom(stream_pb2.DurationHistogram(buckets=[slow], counts=[100], max_s=0.04))
     after.step_times.MergeFrom(stream_pb2.DurationHistogram(buckets=[usual, slow], counts=[198, 102], max_s=0.04))
-    after.step_time_p99_s = 0.012  # of the last 1024 steps, which is not the test's
+    after.step_time_p99_s = 0.012  # the window of the last 1024 steps must not be taken
     report = load_report.scene_report(before, after, poses_sent=1000)
     assert report["steps"] == 200
     assert report["missed_deadlines"] == 2

@@ -82,4 +82,5 @@ def test_a_report_of_the_haptic_client_is_read_by_its_bounds() -> None:
     read = tm.DurationHistogram.from_bounds(pairs)
     assert [int(read.counts[bucket]) for bucket in (5, 64, 700, 1151)] == [5, 64, 700, 1151]
     assert read.max_s == pairs[-1][0]
+    assert read.bounds() == pairs
     assert tm.DurationHistogram.from_bounds([]).count == 0

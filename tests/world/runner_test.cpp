@@ -1,18 +1,15 @@
 #include "world/runner.h"
 
-#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
 #include <limits>
 #include <mutex>
-#include <numeric>
 #include <thread>
 
 #include <gtest/gtest.h>
 
-#include "core/duration_buckets.h"
 #include "core/limits.h"
 #include "support/eventually.h"
 #include "support/faulty_backend.h"
@@ -108,21 +105,6 @@ TEST_P(Running, LockstepStepsWhenAskedAndOnlyThen) {
   EXPECT_EQ(status->step(), 4u);
   EXPECT_GT(status->step_time_p50_s(), 0);
   EXPECT_EQ(runner->status().step(), 4u);
-}
-
-TEST_P(Running, CountsTheTimesOfAllStepsAlsoThroughAReset) {
-  const auto runner = load(lockstep_scene());
-  EXPECT_EQ(runner->status().step_times().buckets_size(), 0);
-  ASSERT_TRUE(runner->step(30));
-  ASSERT_TRUE(runner->reset());
-  const auto status = runner->step(12);
-  ASSERT_TRUE(status) << status.error().message;
-  const v1::DurationHistogram& times = status->step_times();
-  ASSERT_EQ(times.counts_size(), times.buckets_size());
-  EXPECT_EQ(std::accumulate(times.counts().begin(), times.counts().end(), std::uint64_t{0}), 42u);
-  EXPECT_TRUE(std::is_sorted(times.buckets().begin(), times.buckets().end()));
-  EXPECT_LE(times.max_s(), 1e-9 * DurationBuckets::upper_ns(times.buckets(times.buckets_size() - 1)));
-  EXPECT_NEAR(times.max_s(), status->step_time_max_s(), 1e-6) << "both have all 42 steps";
 }
 
 TEST_P(Running, LockstepRefusesPauseResumeAndInvalidCounts) {

@@ -53,6 +53,10 @@ class DurationHistogram:
         last_s = float(bounds[-1]) if len(bounds) else 0.0
         return _counted(buckets, counts.astype(np.int64), last_s if max_s is None else max_s)
 
+    def bounds(self) -> list[tuple[float, int]]:
+        """Returns upper bound [s] and count of each bucket that is not empty."""
+        return [(1e-9 * upper_ns(int(bucket)), int(self.counts[bucket])) for bucket in np.flatnonzero(self.counts)]
+
     @property
     def count(self) -> int:
         """Number of durations."""

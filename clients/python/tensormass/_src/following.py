@@ -1,8 +1,8 @@
 """Many steps in one call, each with its own pose of a tool.
 
-A call of `step` can make many steps, but they all see the same pose. A call for each step costs more than its way there
-and back: the last step of a call also checks the elements and gathers a frame. Here the steps go as a recording that was
-never made, and the server replays it: one call, a pose for each step, elements checked as often as in real time.
+A call of `step` can make many steps, but they all see the same pose. A call for each step costs more than its way
+there and back: the last step of a call also checks the elements and gathers a frame. Here the steps go as a recording,
+and the server replays it: one call, a pose for each step, elements checked as often as in real time.
 """
 
 from __future__ import annotations
