@@ -46,6 +46,11 @@ def summary(durations: DurationHistogram) -> Json:
     return {"count": durations.count, **at, "max_s": durations.max_s}
 
 
+def with_buckets(durations: DurationHistogram) -> Json:
+    """Returns `summary` and the buckets, as in a haptic client's report."""
+    return {**summary(durations), "buckets": durations.bounds()}
+
+
 def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int | None) -> Json:
     """Reports what happened to a scene between two statuses. `poses_sent`: poses that clients sent meanwhile; None if a
     client failed, so that the number is unknown."""
@@ -64,6 +69,7 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "target_rate_hz": after.target_rate_hz,
         "reached_rate_hz": after.reached_rate_hz,
         **step_times(before, after),
+        "step_times": with_buckets(durations(before, after)),
         "missed_deadlines": grown("missed_deadlines"),
         "missed_fraction": grown("missed_deadlines") / steps if steps else 0.0,
         "missed_per_million": round(1e6 * grown("missed_deadlines") / steps, 1) if steps else 0.0,
@@ -119,7 +125,18 @@ def to_text(report: Mapping[str, Any]) -> str:
     if report["viewers"]:
         lines += [f"  frame age          {_ms(report['frame_age'])}"]
     lines += _table(
-        ("scene", "rate [Hz]", "step p50", "p99", "p99.9", "max [ms]", "missed", "poses sent", "superseded", "rejected"),
+        (
+            "scene",
+            "rate [Hz]",
+            "step p50",
+            "p99",
+            "p99.9",
+            "max [ms]",
+            "missed",
+            "poses sent",
+            "superseded",
+            "rejected",
+        ),
         [
             (
                 scene["scene"],
