@@ -14,7 +14,7 @@ import numpy.typing as npt
 from tensormass._src import defaults, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
 from tensormass._src.durations import DurationHistogram
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, TensormassError
+from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
 from tensormass._src.poses import PoseSender, PoseSequence
@@ -153,8 +153,16 @@ class SceneHandle:
         return self._connection.call("GetStatus", control_pb2.GetStatusRequest(scene=self.name)).status
 
     def step_times(self) -> DurationHistogram:
-        """Returns the times of all steps since the load. The difference of two calls has those between them."""
-        return DurationHistogram.from_message(self.status().step_times)
+        """Returns the times of all steps since the load. The difference of two calls has those between them.
+
+        Raises:
+            FailedPreconditionError: the daemon is older than this SDK, and does not count them.
+        """
+        status = self.status()
+        times = DurationHistogram.from_message(status.step_times)
+        if status.step > 0 and times.count == 0:
+            raise FailedPreconditionError("the daemon does not count step times; start one of this version")
+        return times
 
     def positions(self, body: str) -> npt.NDArray[np.float64]:
         """Returns the nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
