@@ -240,11 +240,6 @@ def reference_forces(name: str) -> FloatArray:
     return np.array([row["force_n"] for row in content["rows"]])
 
 
-def bar() -> dict[str, float]:
-    """Distance of the coarse reference from the fine one."""
-    return errors(reference_forces("coarse"), reference_forces("fine"))
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", choices=("cpu", "cuda"), default="cpu", help="default: %(default)s")

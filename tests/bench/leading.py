@@ -176,6 +176,23 @@ def roam_table() -> Iterator[str]:
             f"| {case.removeprefix('roam: ')} | {where(device)} | {row['elements']:,} "
             f"| {percent(row['force_error_rms'])} | {percent(row['force_error_max'])} | {' | '.join(times)} |"
         )
+    if bar := roam_bar():
+        yield ""
+        yield (
+            f"The reference is known to {percent(bar[0])} (rms) and {percent(bar[1])} (largest): so far is a coarser one "
+            "at half the rate."
+        )
+
+
+def roam_bar() -> tuple[float, float] | None:
+    """Distance of the coarse reference from the fine one, rms and largest, as shares of the largest force."""
+    files = [REPOSITORY / "tests" / "accuracy" / "references" / f"roam-{name}.json" for name in ("coarse", "fine")]
+    if not all(file.exists() for file in files):
+        return None
+    coarse, fine = ([row["force_n"] for row in json.loads(file.read_text())["rows"]] for file in files)
+    off = [math.dist(a, b) for a, b in zip(coarse, fine, strict=True)]
+    peak = max(math.hypot(*force) for force in fine)
+    return math.sqrt(sum(of**2 for of in off) / len(off)) / peak, max(off) / peak
 
 
 def runs_table(results: Path) -> Iterator[str]:
