@@ -90,7 +90,7 @@ def test_only_the_longest_runs_of_the_last_commit_lead(results: Path) -> None:
     assert leading.long_runs(results) == two
 
 
-def test_the_most_scenes_are_those_of_which_each_keeps_its_deadlines(results: Path) -> None:
+def test_the_most_scenes_are_those_that_all_keep_their_deadlines(results: Path) -> None:
     kept, lost = row(0, 1), row(0, 0, 20)
     write(results, row(0), kept, lost)
     assert leading.most_scenes(results) == [kept]
