@@ -23,7 +23,7 @@ SETTLES_S, LOWERS_S, ROAMS_S, LIFTS_S = 1.0, 0.5, 7.0, 0.5
 _SEED = 41
 # Middle and half width of the path, on top of the organ and away from the part that is held.
 _CENTER_M, _HALF_M = np.array([-0.042, 0.010]), np.array([0.038, 0.024])
-# The organ sags by 1 to 4 mm under its weight before the probe comes.
+# The organ sags by 2 to 4 mm under its weight before the probe comes.
 _DEPTH_M, _DEPTH_HALF_M = 0.0065, 0.001
 _ABOVE_M = 0.015
 _WAVES = 3

@@ -179,8 +179,8 @@ def roam_table() -> Iterator[str]:
     if bar := roam_bar():
         yield ""
         yield (
-            f"The reference is known to {percent(bar[0])} (rms) and {percent(bar[1])} (largest): so far off is a coarser "
-            "one at half the rate."
+            f"The reference is known to {percent(bar[0])} (rms) and {percent(bar[1])} (largest): so far off is a "
+            "coarser one at half the rate."
         )
 
 
