@@ -230,6 +230,8 @@ def test_following_poses_is_stepping_with_each_of_them(server: tm.Server) -> Non
         assert (scene.step_times() - before).count == 603
         # The next poses go on from there.
         assert scene.follow("probe", poses[:2]).step == 602
+        scene.adjust(stiffness_factor={"block": 2.0})
+        assert scene.follow("probe", poses[:2]).step == 604
 
 
 def test_poses_to_follow_are_checked(server: tm.Server) -> None:

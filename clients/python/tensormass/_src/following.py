@@ -8,6 +8,7 @@ and the server replays it: one call, a pose for each step, elements checked as o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from google.protobuf.message import DecodeError
 
@@ -26,30 +27,41 @@ _CHECKS_HZ = 4.0
 _SNAPSHOT_HEADER_BYTES = 32
 
 
+class Followed(NamedTuple):
+    """What a replay must name of the loaded scene."""
+
+    scene_hash: int
+    cg_iteration_limit: int
+
+    @staticmethod
+    def of(snapshot: bytes) -> Followed:
+        state = recording_pb2.SnapshotState()
+        try:
+            state.ParseFromString(snapshot[_SNAPSHOT_HEADER_BYTES:])
+        except DecodeError as error:
+            raise InternalError("the daemon's snapshot is not one that this client can read") from error
+        return Followed(state.scene_hash, state.cg_iteration_limit)
+
+
 def requests(
-    scene: str, tool: str, poses: Sequence[Pose], snapshot: bytes, dt_s: float
+    scene: str, tool: str, poses: Sequence[Pose], followed: Followed, steps_before: int, dt_s: float
 ) -> Iterator[control_pb2.ReplaySceneRequest]:
     """Yields the calls that make a step for each pose.
 
     Args:
-        snapshot: of the scene before the first step. It names the scene, its step and its limit of iterations.
+        steps_before: number of the scene's last step.
         dt_s: length of a step.
     """
-    state = recording_pb2.SnapshotState()
-    try:
-        state.ParseFromString(snapshot[_SNAPSHOT_HEADER_BYTES:])
-    except DecodeError as error:
-        raise InternalError("the daemon's snapshot is not one that this client can read") from error
     check_every = 1 + int(1 / (dt_s * _CHECKS_HZ))
     for first in range(0, len(poses), _STEPS_A_CALL):
-        request = control_pb2.ReplaySceneRequest(scene=scene, scene_hash=state.scene_hash)
+        request = control_pb2.ReplaySceneRequest(scene=scene, scene_hash=followed.scene_hash)
         for offset, pose in enumerate(poses[first : first + _STEPS_A_CALL]):
             number = first + offset + 1
-            step = state.step + number
+            step = steps_before + number
             recorded = request.steps.add(
                 index=number,
                 step=step,
-                cg_iteration_limit=state.cg_iteration_limit,
+                cg_iteration_limit=followed.cg_iteration_limit,
                 diagnosed=step % check_every == 1 or check_every == 1,
             )
             recorded.poses.append(_recorded(tool, *pose))

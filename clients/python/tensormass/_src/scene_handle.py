@@ -48,6 +48,7 @@ class SceneHandle:
         self._connection = connection
         self._topology: stream_pb2.Topology | None = None
         self._poses: dict[str, PoseSequence] = {}
+        self._followed: following.Followed | None = None
 
     def __repr__(self) -> str:
         return f"SceneHandle({self.name!r} on {self._connection.address})"
@@ -103,9 +104,15 @@ class SceneHandle:
         if not len(poses):
             raise InvalidArgumentError("poses: expected one or more")
         dt_s = defaults.dt_s(self.message if self.message is not None else scene_pb2.Scene())
-        status = stream_pb2.SceneStatus()
-        for request in following.requests(self.name, tool, poses, self.snapshot(), dt_s):
-            status = self._connection.call("ReplayScene", request, timeout_s=None).status
+        if self._followed is None:
+            self._followed = following.Followed.of(self.snapshot())
+        status = self.status()
+        try:
+            for request in following.requests(self.name, tool, poses, self._followed, status.step, dt_s):
+                status = self._connection.call("ReplayScene", request, timeout_s=None).status
+        except FailedPreconditionError:
+            self._followed = None  # another client may have adjusted the scene
+            raise
         return status
 
     def steps(self, count: int) -> Iterator[StepRecord]:
@@ -298,6 +305,7 @@ class SceneHandle:
                 bodies.setdefault(body, {})[field] = value
         for body, fields in bodies.items():
             changes.bodies.add(body=body, **fields)
+        self._followed = None
         request = control_pb2.AdjustSceneRequest(scene=self.name, changes=changes)
         return self._connection.call("AdjustScene", request, timeout_s=LOAD_TIMEOUT_S).adjustments
 
