@@ -6,15 +6,14 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "core/duration_buckets.h"
+
 namespace tensormass::haptic {
 
-/// Counts durations in buckets that are 1/32 of an octave wide: 3 % resolution from 1 ns to 18 min. The size does not
-/// grow with the run, and the counts of several clients can be added.
+/// Counts durations in DurationBuckets: 3 % resolution from 1 ns to 18 min.
 class Histogram {
  public:
-  static constexpr std::size_t kSubBits = 5;
-  static constexpr std::size_t kSubCount = std::size_t{1} << kSubBits;
-  static constexpr std::size_t kBucketCount = (40 - kSubBits + 1) * kSubCount;
+  static constexpr std::size_t kBucketCount = DurationBuckets::kCount;
 
   /// A negative duration counts as 0, one beyond the range counts in the last bucket.
   void add(std::int64_t duration_ns);
@@ -25,7 +24,7 @@ class Histogram {
   std::int64_t max_ns() const { return max_ns_; }
   const std::array<std::uint64_t, kBucketCount>& buckets() const { return buckets_; }
   /// Largest duration [ns] that bucket `index` counts.
-  static std::int64_t upper_ns(std::size_t index);
+  static std::int64_t upper_ns(std::size_t index) { return DurationBuckets::upper_ns(index); }
 
  private:
   std::array<std::uint64_t, kBucketCount> buckets_{};

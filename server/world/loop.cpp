@@ -20,7 +20,7 @@ Loop::Loop(std::string backend, std::unique_ptr<World> world, const Start& start
       inboxes_(model_.tools.size()),
       budget_(model_),
       outputs_(*world_, start.frames_published),
-      status_(model_, std::move(backend), budget_, inboxes_, outputs_),
+      status_(model_, std::move(backend), budget_, inboxes_, outputs_, start.statistics),
       clock_(model_.rate_hz) {
   status_.take_stamp(outputs_.stamp());
   if (start.paused) {

@@ -59,6 +59,7 @@ class Loop {
   struct Start {
     bool paused = false;
     std::shared_ptr<FrameCount> frames_published = std::make_shared<FrameCount>(0);
+    std::shared_ptr<StepStatistics> statistics = std::make_shared<StepStatistics>();
   };
 
   /// Starts the thread. backend: its name, for the status.

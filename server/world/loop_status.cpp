@@ -8,18 +8,34 @@
 
 namespace tensormass::world {
 
+namespace {
+
+void fill(const DurationCounts& counts, v1::DurationHistogram& out) {
+  for (std::size_t bucket = 0; bucket < DurationBuckets::kCount; ++bucket) {
+    const std::uint64_t count = counts.count(bucket);
+    if (count == 0) continue;
+    out.add_buckets(static_cast<std::uint32_t>(bucket));
+    out.add_counts(count);
+  }
+  out.set_max_s(1e-9 * static_cast<double>(counts.max_ns()));
+}
+
+}  // namespace
+
 LoopStatus::LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
-                       const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs)
+                       const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
+                       std::shared_ptr<StepStatistics> statistics)
     : model_(model),
       backend_(std::move(backend)),
       inboxes_(inboxes),
       outputs_(outputs),
       state_(model.lockstep ? v1::SceneStatus::STATE_LOCKSTEP : v1::SceneStatus::STATE_RUNNING),
+      statistics_(std::move(statistics)),
       findings_(model, budget) {}
 
 void LoopStatus::set_state(State next) {
   state_ = next;
-  statistics_.interrupt();
+  statistics_->interrupt();
   due_.store(true, std::memory_order_relaxed);
 }
 
@@ -58,12 +74,13 @@ v1::SceneStatus LoopStatus::make() const {
   status.set_simulated_time_s(simulated_time_s_.load(std::memory_order_relaxed));
   status.set_server_time_ns(unix_time_ns());
   status.set_target_rate_hz(model_.lockstep ? 0 : model_.rate_hz);
-  status.set_reached_rate_hz(statistics_.reached_rate_hz());
-  status.set_missed_deadlines(statistics_.missed_deadlines());
-  const StepStatistics::Percentiles times = statistics_.percentiles();
+  status.set_reached_rate_hz(statistics_->reached_rate_hz());
+  status.set_missed_deadlines(statistics_->missed_deadlines());
+  const StepStatistics::Percentiles times = statistics_->percentiles();
   status.set_step_time_p50_s(times.p50_s);
   status.set_step_time_p99_s(times.p99_s);
   status.set_step_time_max_s(times.max_s);
+  fill(statistics_->times(), *status.mutable_step_times());
   std::uint64_t received = 0, rejected = malformed_poses_.load(std::memory_order_relaxed), superseded = 0;
   for (const PoseInbox& inbox : inboxes_) {
     received += inbox.received();

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <mutex>
 #include <string>
 
@@ -27,8 +28,10 @@ class LoopStatus {
   using State = v1::SceneStatus::State;
 
   /// backend: its name, as in SceneStatus. All references outlive the status.
+  /// statistics: shared with the earlier loops of the scene, so that they count from its load.
   LoopStatus(const model::Model& model, std::string backend, const IterationBudget& budget,
-             const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs);
+             const std::deque<PoseInbox>& inboxes, const LoopOutputs& outputs,
+             std::shared_ptr<StepStatistics> statistics);
 
   // -- the loop's thread ----------------------------------------------------------------------------------------------
 
@@ -46,12 +49,13 @@ class LoopStatus {
   void take_stamp(const StepStamp& stamp);
   /// in_time: the step met its deadline.
   void take_time(Clock::time_point begin, Clock::time_point end, bool in_time) {
-    statistics_.add(end - begin, end, in_time);
+    statistics_->add(end - begin, end, in_time);
   }
 
   // -- any thread -----------------------------------------------------------------------------------------------------
 
   State state() const { return state_.load(); }
+  const std::shared_ptr<StepStatistics>& statistics() const { return statistics_; }
   /// An error that says why the scene stopped, if it did.
   Result<void> require_not_faulted() const;
   void count_malformed_pose() { malformed_poses_.fetch_add(1, std::memory_order_relaxed); }
@@ -72,7 +76,7 @@ class LoopStatus {
   std::atomic<bool> due_{true};
   std::atomic<std::uint64_t> step_count_{0}, malformed_poses_{0};
   std::atomic<double> simulated_time_s_{0};
-  StepStatistics statistics_;
+  const std::shared_ptr<StepStatistics> statistics_;
   Findings findings_;
   mutable std::mutex fault_mutex_;
   std::string fault_;  // guarded by fault_mutex_

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/assert.h"
+#include "world/duration_counts.h"
 
 namespace tensormass::world {
 
@@ -47,8 +48,8 @@ class StepClock {
   Clock::time_point begin_{};
 };
 
-/// Step times, reached rate and missed deadlines. The loop writes them and any thread reads them, without a lock:
-/// each number is an atomic, and a reader may see numbers of two steps next to each other.
+/// Step times, reached rate and missed deadlines of a scene since its load. The loop writes them and any thread reads
+/// them, without a lock: each number is an atomic, and a reader may see numbers of two steps next to each other.
 class StepStatistics {
  public:
   struct Percentiles {
@@ -61,6 +62,7 @@ class StepStatistics {
     times_s_[static_cast<std::size_t>(count_.load(std::memory_order_relaxed)) % kWindow].store(
         std::chrono::duration<float>(step_time).count(), std::memory_order_relaxed);
     count_.fetch_add(1, std::memory_order_release);
+    times_.add(std::chrono::duration_cast<std::chrono::nanoseconds>(step_time).count());
     if (!in_time) missed_.fetch_add(1, std::memory_order_relaxed);
     if (window_steps_++ == 0) {
       window_begin_ = end;
@@ -79,6 +81,8 @@ class StepStatistics {
   std::uint64_t missed_deadlines() const { return missed_.load(std::memory_order_relaxed); }
   /// Rate over the last full second or longer [Hz]; 0 before the first.
   double reached_rate_hz() const { return reached_rate_hz_.load(std::memory_order_relaxed); }
+  /// All step times.
+  const DurationCounts& times() const { return times_; }
   /// Percentiles of the last kWindow step times [s]; 0 before the first step. Allocates.
   Percentiles percentiles() const {
     const std::size_t filled = std::min<std::size_t>(count_.load(std::memory_order_acquire), kWindow);
@@ -93,6 +97,7 @@ class StepStatistics {
   static constexpr std::size_t kWindow = 1024;  // steps
   std::array<std::atomic<float>, kWindow> times_s_{};
   std::atomic<std::uint64_t> count_{0}, missed_{0};
+  DurationCounts times_;
   std::atomic<double> reached_rate_hz_{0};
   std::uint64_t window_steps_ = 0;
   Clock::time_point window_begin_{};

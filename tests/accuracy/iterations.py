@@ -47,8 +47,8 @@ def main() -> int:
         for cells in map(int, args.cells.split(",")):
             reference = _fall(server, cells, 2000, "double")[0]
             for iterations in ITERATIONS:
-                positions, status, residual = _fall(server, cells, iterations, "float")
-                rows.append(_row(cells, iterations, positions - reference, reference, status, residual))
+                positions, times, residual = _fall(server, cells, iterations, "float")
+                rows.append(_row(cells, iterations, positions - reference, reference, times, residual))
                 print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
     head = record.Head.of_run(version, "accuracy.iterations", began)
     record.write(FOLDER / f"iterations-{args.name or args.backend}.json", head.head(), rows)
@@ -58,8 +58,9 @@ def main() -> int:
 
 def _fall(
     server: tm.Server, cells: int, iterations: int, precision: str
-) -> tuple[npt.NDArray[np.float64], tm.SceneStatus, float]:
-    """Lets the beam fall. Returns its positions at the end, the status, and the mean residual of the linear solves."""
+) -> tuple[npt.NDArray[np.float64], tm.DurationHistogram, float]:
+    """Lets the beam fall twice, first step by step. Returns its positions at the end, the times of the second fall's
+    steps, which were made in one call, and the mean residual of the linear solves."""
     scene = tm.Scene(message=SceneFile.read("beam").message())
     grid = scene.message.bodies[0].mesh.grid
     grid.cells_x = cells
@@ -67,10 +68,12 @@ def _fall(
     tolerance = 1e-6 if precision == "double" else 0.0
     scene.set_solver(precision=precision, cg_max_iterations=iterations, cg_tolerance=tolerance)
     with server.load(scene, lockstep=True) as running:
-        residuals = [
-            record.cg_relative_residual for record in running.steps(round(FALL_S / scene.message.stepping.dt_s))
-        ]
-        return running.positions("beam"), running.status(), float(np.mean(residuals))
+        steps = round(FALL_S / scene.message.stepping.dt_s)
+        residuals = [record.cg_relative_residual for record in running.steps(steps)]
+        positions, before = running.positions("beam"), running.step_times()
+        running.reset()
+        running.step(steps)
+        return positions, running.step_times() - before, float(np.mean(residuals))
 
 
 def _row(
@@ -78,7 +81,7 @@ def _row(
     iterations: int,
     difference: npt.NDArray[np.float64],
     reference: npt.NDArray[np.float64],
-    status: tm.SceneStatus,
+    times: tm.DurationHistogram,
     residual: float,
 ) -> dict[str, float | str]:
     nodes_y, nodes_z = (count + 1 for count in CELLS[cells])
@@ -96,8 +99,8 @@ def _row(
         "tip_error": float(abs(difference[-1, 2] / moved[-1, 2])),
         "sideways_m": float(np.abs(difference[:, 1]).max()),
         "residual": residual,
-        "step_p50_ms": status.step_time_p50_s * 1e3,
-        "step_p99_ms": status.step_time_p99_s * 1e3,
+        "step_p50_ms": times.p50_s * 1e3,
+        "step_p99_ms": times.p99_s * 1e3,
     }
 
 

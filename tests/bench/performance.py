@@ -17,6 +17,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import leading
+
 RESULTS = Path(__file__).parent / "results"
 REPOSITORY = Path(__file__).parents[2]
 Row = dict[str, Any]
@@ -214,6 +216,13 @@ def instruments() -> Iterator[str]:
             f"| {case.removeprefix('instrument: ')}, {device} | {row['elements']:,} | {row['dt_ms']:.3g} ms "
             f"| {' | '.join(times)} |"
         )
+    if earlier := {row["commit"] for row in found.values() if "step_ms_p999" not in row}:
+        yield ""
+        yield (
+            f"At {', '.join(f'`{commit}`' for commit in sorted(earlier))} steps with the tool were made one a call, "
+            "and those without it many a call. The former hold a check of the elements and a frame each, 13 to 19 % "
+            "of a step."
+        )
 
 
 def contacts() -> Iterator[str]:
@@ -350,42 +359,48 @@ def sources() -> Iterator[str]:
 
 
 def summary() -> Iterator[str]:
-    """The five rows of README.md."""
+    """The rows of README.md: whole runs first, then the kernel's benchmark. Each figure names its field."""
 
-    def link(name: str) -> str:
-        return f"[`{name.split('.')[0]}`](tests/bench/results/{name})"
+    def beam(name: str, row: Row, digits: int) -> str:
+        of = leading.Figures(leading.README, RESULTS / name, row, "case")
+        median, p99 = (of.of(field, f"{row[field]:.{digits}f} ms") for field in ("step_ms_median", "step_ms_p99"))
+        what = f"beam of {of.count('elements')} tetrahedra, {of.count('cg_iterations')} CG iterations"
+        return f"| {what} | H200 | step {median} (p99 {p99}) |"
 
-    yield "| what | where | result | data |"
-    yield "|---|---|---|---|"
-    demo = newest("nvidia-h200-demo-default.jsonl")["real time: demo"]
-    yield (
-        f"| demo organ under a haptic client's probe, {demo['elements']:,} tetrahedra, 960 steps a second | H200 "
-        f"| step {demo['step_ms_median']:.2f} ms (p99 {demo['step_ms_p99']:.2f}); {demo['missed_deadlines']} of "
-        f"{demo['steps']:,} deadlines missed | {link('nvidia-h200-demo-default.jsonl')} |"
+    yield "| what | where | result |"
+    yield "|---|---|---|"
+    yield from leading.readme_rows(RESULTS)
+    if not leading.most_scenes(RESULTS):
+        yield _stations()
+    yield beam("nvidia-h200-targets.jsonl", newest("nvidia-h200-targets.jsonl")["beam 307200 StVK"], 3)
+    largest = max(newest("nvidia-h200-largest.jsonl").values(), key=lambda row: row["elements"])
+    yield beam("nvidia-h200-largest.jsonl", largest, 1)
+    if not any(row["backend"] == "cpu" for row in leading.long_runs(RESULTS)):
+        yield _two_cores()
+
+
+def _stations() -> str:
+    """Concurrent scenes under a probe, until such scenes under haptic clients were measured."""
+    stations = "nvidia-h200-stations.jsonl"
+    most, _ = _most_concurrent()
+    runs = [row for row in rows(stations) if row["scenes"] == most and "missed_while_loading" in row]
+    of = leading.Figures(leading.README, RESULTS / stations, min(runs, key=kept_shares), "scenes", "commit")
+    missed = 1 - kept_shares(min(runs, key=kept_shares))
+    return (
+        f"| scenes of {of.count('elements')} tetrahedra at once, 1000 steps a second each | H200 "
+        f"| {of.count('scenes')} miss at most {of.of('missed_deadlines / steps', f'{100 * missed:.2f} %')} of their "
+        "deadlines |"
     )
-    beam = newest("nvidia-h200-targets.jsonl")["beam 307200 StVK"]
-    yield (
-        f"| beam of {beam['elements']:,} tetrahedra, {beam['cg_iterations']} CG iterations | H200 "
-        f"| step {beam['step_ms_median']:.3f} ms (p99 {beam['step_ms_p99']:.3f}) "
-        f"| {link('nvidia-h200-targets.jsonl')} |"
-    )
-    large = max(newest("nvidia-h200-largest.jsonl").values(), key=lambda row: row["elements"])
-    yield (
-        f"| beam of {large['elements']:,} tetrahedra, {large['cg_iterations']} CG iterations | H200 "
-        f"| step {large['step_ms_median']:.1f} ms (p99 {large['step_ms_p99']:.1f}): 60 a second "
-        f"| {link('nvidia-h200-largest.jsonl')} |"
-    )
-    most, shares = _most_concurrent()
-    yield (
-        f"| concurrent scenes of 20,520 tetrahedra, 1000 steps a second each | H200 "
-        f"| {most} keep {_percent(shares)} of their deadlines | {link('nvidia-h200-stations.jsonl')} |"
-    )
+
+
+def _two_cores() -> str:
+    """A load test of 20 s, until a longer run was measured."""
     load = json.loads((RESULTS / "two-cores-load-test.json").read_text())
-    force = load["pose_to_force"]
-    yield (
-        f"| from pose to force: {len(load['scenes'])} demo scenes at 60 Hz, {len(load['haptic'])} haptic clients, "
-        f"{len(load['viewers'])} viewers | two cores | {1e3 * force['p50_s']:.0f} ms (p99 {1e3 * force['p99_s']:.0f}) "
-        f"| {link('two-cores-load-test.json')} |"
+    of = leading.Figures(leading.README, RESULTS / "two-cores-load-test.json", load)
+    force = [of.of(f"pose_to_force.{at}", f"{1e3 * load['pose_to_force'][at]:.0f} ms") for at in ("p50_s", "p99_s")]
+    return (
+        "| 2 demo scenes at 60 Hz, 2 haptic clients, 4 viewers | two cores "
+        f"| pose to force {force[0]} (p99 {force[1]}) |"
     )
 
 
@@ -402,11 +417,15 @@ def table() -> str:
 
 TABLES = {
     REPOSITORY / "docs" / "performance.md": {
+        "roam": leading.roam_table,
+        "runs": lambda: leading.runs_table(RESULTS),
         "targets": targets,
+        "sources": sources,
+    },
+    REPOSITORY / "docs" / "decisions" / "step-times.md": {
         "organs": organs,
         "processors": processors,
         "instruments": instruments,
-        "sources": sources,
     },
     REPOSITORY / "docs" / "comparison.md": {"engines": engines, "sofa": beside_sofa},
     REPOSITORY / "docs" / "decisions" / "contact-cost.md": {"contacts": contacts},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import performance
@@ -68,4 +69,5 @@ def test_marks_must_be_there() -> None:
 
 def test_pages_fit_on_two_screens() -> None:
     for path in performance.TABLES:
-        assert len(path.read_text().replace("|", " ").split()) <= 1000, path.name
+        shown = re.sub(r"\]\([^)]*\)", "]", path.read_text())  # nobody reads the targets of links
+        assert len(shown.replace("|", " ").split()) <= 1000, path.name

@@ -19,8 +19,7 @@ from tensormass._src.processes import ChildProcess, find_program
 from tensormass_tools import load_arguments, load_test
 from tensormass_tools.cli import main
 
-# A small beam under a probe: the test is of the clients, not of the solver. 250 steps a second, so that the
-# percentiles' window of 1024 steps is short.
+# A small beam under a probe: the test is of the clients, not of the solver.
 SCENE = """
 name: block
 gravity_m_per_s2: {z: -9.81}
@@ -119,11 +118,11 @@ def test_a_stopped_viewer_is_compared_with_before_and_after(
     others = server.load(str(scene_file), name="load-test-0")
     scene_file.write_text(SCENE.replace("dt_s: 0.004", "dt_s: 0.004, lockstep: true"))
     report_file = tmp_path / "report.json"
-    options = ("--haptic", 0, "--viewers", 1, "--seconds", 1, "--scene", scene_file, "--stop-viewer", 1)
+    options = ("--haptic", 0, "--viewers", 1, "--seconds", 1, "--scene", scene_file, "--stop-viewer", 3)
     assert load_test.run(arguments(*options, "--server", server.address, "--json", report_file)) == 0
     report = json.loads(report_file.read_text())
     stopped = report["stopped_viewer"]
-    assert stopped["seconds"] == pytest.approx(1.05 * 1024 / 250)
+    assert stopped["seconds"] == 3
     assert [phase["name"] for phase in stopped["phases"]] == ["before", "while stopped", "after"]
     assert all(phase["step_time_p99_s"] > 0.0 for phase in stopped["phases"])
     # The viewer's oldest frame, or the frames that it missed, prove that it was stopped.

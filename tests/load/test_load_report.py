@@ -7,6 +7,7 @@ import argparse
 import numpy as np
 import pytest
 
+from tensormass._src.durations import index_of, upper_ns
 from tensormass._src.errors import InvalidArgumentError
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_tools import load_arguments, load_report, load_test
@@ -14,14 +15,15 @@ from tensormass_tools import load_arguments, load_report, load_test
 
 def test_merged_histograms_have_the_percentiles_of_all_samples() -> None:
     # One slow client must not vanish behind a fast one with more samples.
-    fast = {"buckets": [[0.001, 900], [0.002, 80]]}
-    slow = {"buckets": [[0.002, 5], [0.050, 14], [0.100, 1]]}
+    short, long, slower, slowest = (1e-9 * upper_ns(index_of(ns)) for ns in (1_000_000, 2_000_000, 50_000_000, 10**8))
+    fast = {"buckets": [[short, 900], [long, 80]], "max_s": 0.0019}
+    slow = {"buckets": [[long, 5], [slower, 14], [slowest, 1]], "max_s": 0.1}
     merged = load_report.merged_histogram([fast, slow])
-    samples = np.sort(np.repeat([0.001, 0.002, 0.05, 0.1], [900, 85, 14, 1]))
+    samples = np.sort(np.repeat([short, long, slower, slowest], [900, 85, 14, 1]))
     assert merged["count"] == 1000
     assert merged["p50_s"] == samples[499]
-    assert merged["p99_s"] == samples[989] == 0.05
-    assert merged["p999_s"] == samples[998] == 0.05
+    assert merged["p99_s"] == samples[989] == slower
+    assert merged["p999_s"] == samples[998] == slower
     assert merged["max_s"] == 0.1
 
 
@@ -43,10 +45,17 @@ def test_without_samples_everything_is_zero() -> None:
 def test_a_scene_counts_from_the_start_of_the_test() -> None:
     before = stream_pb2.SceneStatus(step=100, missed_deadlines=7, poses_received=50, poses_superseded=10)
     after = stream_pb2.SceneStatus(step=300, missed_deadlines=9, poses_received=950, poses_superseded=400)
+    slow, usual = (index_of(ns) for ns in (40_000_000, 10_000_000))
+    before.step_times.MergeFrom(stream_pb2.DurationHistogram(buckets=[slow], counts=[100], max_s=0.04))
+    after.step_times.MergeFrom(stream_pb2.DurationHistogram(buckets=[usual, slow], counts=[198, 102], max_s=0.04))
+    after.step_time_p99_s = 0.012  # the window of the last 1024 steps must not be taken
     report = load_report.scene_report(before, after, poses_sent=1000)
     assert report["steps"] == 200
     assert report["missed_deadlines"] == 2
     assert report["missed_fraction"] == 0.01
+    assert report["missed_per_million"] == 10_000
+    assert report["step_time_p50_s"] == report["step_time_p99_s"] == 1e-9 * upper_ns(usual)
+    assert report["step_time_p999_s"] == report["step_time_max_s"] == 0.04
     assert report["poses_received"] == 900
     assert report["poses_overtaken_on_the_way"] == 100
     assert report["poses_superseded"] == 390

@@ -292,12 +292,6 @@ def test_a_viewer_that_was_stopped_goes_on(tmp_path: Path) -> None:
     assert phases == [("before", 10), ("while stopped", 10), ("after", 10)]
 
 
-@pytest.mark.parametrize(("wanted_s", "phase_s"), [(1.0, 1.05 * 1024 / 60), (100.0, 100.0)])
-def test_a_viewer_is_stopped_as_long_as_percentiles_span(tmp_path: Path, wanted_s: float, phase_s: float) -> None:
-    scene: Any = SimpleNamespace(status=lambda: stream_pb2.SceneStatus(target_rate_hz=60))
-    assert a_test(tmp_path, stop_viewer=wanted_s)._phase_s(scene) == pytest.approx(phase_s)
-
-
 def test_a_full_disk_leaves_the_report_that_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

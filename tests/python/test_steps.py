@@ -142,6 +142,17 @@ def test_a_negative_number_of_steps_is_refused_at_once(recorder: Fake) -> None:
         recorder[1].scene("s").steps(-1)
 
 
+def test_a_daemon_that_does_not_count_step_times_is_named(recorder: Fake) -> None:
+    fake, server = recorder
+    times = stream_pb2.DurationHistogram(buckets=[500], counts=[3], max_s=1.0)
+    for status, count in ((stream_pb2.SceneStatus(), 0), (stream_pb2.SceneStatus(step=3, step_times=times), 3)):
+        fake.replies["GetStatus"] = control_pb2.GetStatusResponse(status=status)
+        assert server.scene("s").step_times().count == count
+    fake.replies["GetStatus"] = control_pb2.GetStatusResponse(status=stream_pb2.SceneStatus(step=3))
+    with pytest.raises(tm.FailedPreconditionError, match="does not count step times"):
+        server.scene("s").step_times()
+
+
 # --- with a daemon ----------------------------------------------------------------------------------------------------
 
 
@@ -182,3 +193,58 @@ def test_the_loop_raises_the_fault_after_the_records_before_it(server: tm.Server
     scene.message.solver.cg_tolerance = scene.message.solver.floor_tolerance = 1e-9
     with server.load(scene, lockstep=True) as handle, pytest.raises(tm.FailedPreconditionError, match="left its bound"):
         list(handle.steps(10))
+
+
+# A block under a probe, for steps that follow a path.
+PRESSED = """
+name: pressed
+gravity_m_per_s2: {z: -9.81}
+stepping: {dt_s: 0.005}
+bodies:
+  - name: block
+    mesh: {grid: {size_m: {x: 0.08, y: 0.08, z: 0.04}, cells_x: 4, cells_y: 4, cells_z: 2}}
+    law: {neo_hookean: {young_modulus_pa: 5000, poisson_ratio: 0.4}}
+    density_kg_per_m3: 1000
+    fixed: [{box: {min_m: {x: -1, y: -1, z: -1}, max_m: {x: 1, y: 1, z: 0.001}}}]
+tools:
+  - {name: probe, spherical_probe: {radius_m: 0.02}, position_m: {x: 0.04, y: 0.04, z: 0.065}}
+"""
+
+
+def test_following_poses_is_stepping_with_each_of_them(server: tm.Server) -> None:
+    poses = [((0.04, 0.04 + 1e-5 * step, 0.065 - 2e-5 * step), None, ()) for step in range(600)]
+    with server.load(tm.Scene.from_yaml(PRESSED), lockstep=True) as scene:
+        for position_m, _, _ in poses:
+            scene.move_tool("probe", position_m)
+            stepped = scene.step()
+        one_by_one, force = scene.positions("block"), stepped.tools[0].force_n
+        scene.reset()
+        before = scene.step_times()
+        scene.step(3)
+        scene.reset()
+        followed = scene.follow("probe", poses)
+        assert followed.step == 600
+        assert followed.tools[0].force_n == force
+        assert force.z > 0.01
+        assert (scene.positions("block") == one_by_one).all()
+        assert (scene.step_times() - before).count == 603
+        # The next poses go on from there.
+        assert scene.follow("probe", poses[:2]).step == 602
+        scene.adjust(stiffness_factor={"block": 2.0})
+        assert scene.follow("probe", poses[:2]).step == 604
+
+
+def test_poses_to_follow_are_checked(server: tm.Server) -> None:
+    with server.load(tm.Scene.from_yaml(PRESSED), lockstep=True) as scene:
+        with pytest.raises(tm.InvalidArgumentError, match="expected one or more"):
+            scene.follow("probe", [])
+        with pytest.raises(tm.InvalidArgumentError, match="three finite numbers"):
+            scene.follow("probe", [((0, 0), None, ())])
+        with pytest.raises(tm.NotFoundError, match="needle"):
+            scene.follow("needle", [((0, 0, 1), None, ())])
+        assert scene.status().step == 0
+    with (
+        server.load(tm.Scene.from_yaml(PRESSED), name="running", lockstep=False) as scene,
+        pytest.raises(tm.FailedPreconditionError, match="runs by the clock"),
+    ):
+        scene.follow("probe", [((0, 0, 1), None, ())])

@@ -33,7 +33,7 @@ TOP_LEVEL = {
 
 _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
 _BARE_MARK = re.compile(r"\b(TODO|FIXME|XXX|HACK)\b")
-_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_LINK = re.compile(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)")
 # Absolute paths of somebody's machine. In a URL or a relative path, another character comes before the slash.
 _MACHINE_PATH = re.compile(r"(?<![\w.$}\])>/-])/(?:home|root|Users|work|workspace|mnt|var/tmp)/[\w.]")
 

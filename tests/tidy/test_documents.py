@@ -19,11 +19,11 @@ def table_after(lines: list[str], mark: str) -> list[str]:
     return list(itertools.takewhile(lambda line: line.startswith("|"), below))[2:]
 
 
-def test_the_readme_opens_with_a_picture_and_five_rows_of_figures() -> None:
+def test_the_readme_opens_with_a_picture_and_a_few_rows_of_figures() -> None:
     lines = lines_of("README.md")
     picture = next(number for number, line in enumerate(lines) if line.startswith("!["))
     assert picture < SCREEN
-    assert len(table_after(lines[:SCREEN], "<!-- summary: begin -->")) == 5
+    assert 5 <= len(table_after(lines[:SCREEN], "<!-- summary: begin -->")) <= 10
 
 
 def test_choosing_opens_with_a_decision_table_by_use() -> None:

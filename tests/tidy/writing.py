@@ -176,7 +176,7 @@ def _matches(pattern: str, text: str) -> Iterator[tuple[int, str]]:
 def _without_code(text: str) -> str:
     """Replaces `code`, --options and the addresses of links, which are not prose."""
     text = re.sub(r"``[^`]+``|`[^`]+`|(?<![\w-])--\w[\w-]*", "CODE", text)
-    return re.sub(r"\]\([^)\s]*\)", "]", text)
+    return re.sub(r"\]\([^)\s]*(?: \"[^\"]*\")?\)", "]", text)
 
 
 def _prose(text: str, lines: Iterable[int], kind: Kind = Kind.COMMENT) -> Prose:

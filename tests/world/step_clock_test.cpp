@@ -60,6 +60,19 @@ TEST(StepStatistics, PercentilesCoverTheLast1024Steps) {
   EXPECT_NEAR(statistics.percentiles().max_s, 2e-3, 1e-9) << "older steps are forgotten";
 }
 
+TEST(StepStatistics, CountsEveryStepSinceTheLoad) {
+  StepStatistics statistics;
+  const auto counted = [&](Clock::duration time) {
+    return statistics.times().count(DurationBuckets::index_of(std::chrono::nanoseconds(time).count()));
+  };
+  for (int i = 0; i < 3000; ++i) statistics.add(i < 10 ? 50ms : 2ms, kStart + i * 10ms, true);
+  EXPECT_EQ(counted(50ms), 10u) << "older than the window";
+  EXPECT_EQ(counted(2ms), 2990u);
+  EXPECT_EQ(statistics.times().max_ns(), std::chrono::nanoseconds(50ms).count());
+  statistics.interrupt();
+  EXPECT_EQ(counted(2ms), 2990u) << "a pause clears nothing";
+}
+
 TEST(StepStatistics, ReachedRateIsMeasuredOverASecondAndAnewAfterAnInterruption) {
   StepStatistics statistics;
   Clock::time_point end = kStart;

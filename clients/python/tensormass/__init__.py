@@ -12,6 +12,7 @@ The protocol's messages are in `tensormass.v1`. SI units throughout.
 """
 
 from tensormass._src.demo import builtin_scenes
+from tensormass._src.durations import DurationHistogram
 from tensormass._src.elastic_constants import lame, young_poisson
 from tensormass._src.errors import (
     AlreadyExistsError,
@@ -47,6 +48,7 @@ __all__ = [
     "DEFAULT_ADDRESS",
     "AlreadyExistsError",
     "DeadlineExceededError",
+    "DurationHistogram",
     "FailedPreconditionError",
     "Feedback",
     "FieldName",

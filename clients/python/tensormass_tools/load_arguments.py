@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from tensormass_tools.load_test import _MAX_TOOLS, _STATUS_WINDOW_STEPS
+from tensormass_tools.load_test import _MAX_TOOLS
 
 # The daemon's own limits (server/core/limits.h).
 _MAX_SCENES = 256
@@ -46,8 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stop-viewer",
         type=_seconds,
         metavar="SECONDS",
-        help="SIGSTOP one viewer for so long and compare its scene's step times; prolonged to the "
-        f"{_STATUS_WINDOW_STEPS} steps that the server's percentiles span",
+        help="SIGSTOP one viewer for so long and compare its scene's step times before, meanwhile and after",
     )
     parser.add_argument(
         "--max-missed",

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tensormass._src.durations import DurationHistogram
 from tensormass.v1 import stream_pb2
 
 Json = dict[str, Any]
@@ -23,28 +24,31 @@ _FRACTIONS = {"p50_s": 0.5, "p99_s": 0.99, "p999_s": 0.999}
 
 def merged_histogram(histograms: Iterable[Mapping[str, Any]]) -> Json:
     """Computes percentiles over the histograms of several clients (`buckets`: [upper bound in s, count])."""
-    pairs = [(float(upper), int(count)) for histogram in histograms for upper, count in histogram["buckets"]]
-    buckets = np.array(sorted(pairs)).reshape(-1, 2)
-    return _summary(buckets[:, 0], buckets[:, 1])
+    of_all = DurationHistogram()
+    for histogram in histograms:
+        of_all += DurationHistogram.from_bounds(histogram["buckets"], histogram.get("max_s"))
+    return summary(of_all)
 
 
 def percentiles(samples: npt.NDArray[np.float64]) -> Json:
-    """Computes percentiles of samples [s]."""
-    return _summary(np.sort(samples), np.ones(len(samples)))
-
-
-def _summary(values: npt.NDArray[np.float64], counts: npt.NDArray[np.float64]) -> Json:
-    """Computes nearest-rank percentiles of sorted `values`; 0 without values, like the haptic client."""
-    total = int(counts.sum())
+    """Computes nearest-rank percentiles of samples [s]; 0 without samples, like the haptic client."""
+    total = len(samples)
     if total == 0:
-        return {"count": 0, **dict.fromkeys(_FRACTIONS, 0.0), "max_s": 0.0}
-    ranks = np.cumsum(counts)
-    summary: Json = {"count": total}
-    for name, fraction in _FRACTIONS.items():
-        index = int(np.searchsorted(ranks, np.ceil(fraction * total)))
-        summary[name] = float(values[index])
-    summary["max_s"] = float(values[-1])
-    return summary
+        return summary(DurationHistogram())
+    ordered = np.sort(samples)
+    at = {name: float(ordered[int(np.ceil(fraction * total)) - 1]) for name, fraction in _FRACTIONS.items()}
+    return {"count": total, **at, "max_s": float(ordered[-1])}
+
+
+def summary(durations: DurationHistogram) -> Json:
+    """Returns count, percentiles and maximum."""
+    at = {name: durations.percentile_s(fraction) for name, fraction in _FRACTIONS.items()}
+    return {"count": durations.count, **at, "max_s": durations.max_s}
+
+
+def with_buckets(durations: DurationHistogram) -> Json:
+    """Returns `summary` and the buckets, as in a haptic client's report."""
+    return {**summary(durations), "buckets": durations.bounds()}
 
 
 def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, poses_sent: int | None) -> Json:
@@ -64,9 +68,11 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "steps": steps,
         "target_rate_hz": after.target_rate_hz,
         "reached_rate_hz": after.reached_rate_hz,
-        **step_times(after),
+        **step_times(before, after),
+        "step_times": with_buckets(durations(before, after)),
         "missed_deadlines": grown("missed_deadlines"),
         "missed_fraction": grown("missed_deadlines") / steps if steps else 0.0,
+        "missed_per_million": round(1e6 * grown("missed_deadlines") / steps, 1) if steps else 0.0,
         "cg_iterations": after.cg_iterations,
         "poses_sent": poses_sent,
         "poses_received": received,
@@ -89,13 +95,20 @@ def above_max_missed(scenes: Iterable[Mapping[str, Any]], max_missed_percent: fl
     ]
 
 
-def step_times(status: stream_pb2.SceneStatus) -> Json:
-    """Returns the server's percentiles over the last 1024 steps at most."""
+def step_times(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus) -> Json:
+    """Returns percentiles over all steps between two statuses."""
+    times = durations(before, after)
     return {
-        "step_time_p50_s": status.step_time_p50_s,
-        "step_time_p99_s": status.step_time_p99_s,
-        "step_time_max_s": status.step_time_max_s,
+        "step_time_p50_s": times.p50_s,
+        "step_time_p99_s": times.p99_s,
+        "step_time_p999_s": times.p999_s,
+        "step_time_max_s": times.max_s,
     }
+
+
+def durations(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus) -> DurationHistogram:
+    """Returns the times of all steps between two statuses."""
+    return DurationHistogram.from_message(after.step_times) - DurationHistogram.from_message(before.step_times)
 
 
 def to_text(report: Mapping[str, Any]) -> str:
@@ -112,12 +125,23 @@ def to_text(report: Mapping[str, Any]) -> str:
     if report["viewers"]:
         lines += [f"  frame age          {_ms(report['frame_age'])}"]
     lines += _table(
-        ("scene", "rate [Hz]", "step p50", "p99", "max [ms]", "missed", "poses sent", "superseded", "rejected"),
+        (
+            "scene",
+            "rate [Hz]",
+            "step p50",
+            "p99",
+            "p99.9",
+            "max [ms]",
+            "missed",
+            "poses sent",
+            "superseded",
+            "rejected",
+        ),
         [
             (
                 scene["scene"],
                 f"{scene['reached_rate_hz']:.1f}/{scene['target_rate_hz']:.1f}",
-                *(f"{scene[f'step_time_{p}_s'] * 1e3:.2f}" for p in ("p50", "p99", "max")),
+                *(f"{scene[f'step_time_{p}_s'] * 1e3:.2f}" for p in ("p50", "p99", "p999", "max")),
                 f"{scene['missed_deadlines']}/{scene['steps']}",
                 scene["poses_sent"] if scene["poses_sent"] is not None else "–",
                 scene["poses_superseded"],

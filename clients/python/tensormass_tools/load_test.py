@@ -38,8 +38,6 @@ from tensormass_tools.load_report import Json
 from tensormass_tools.output import check_writable, load_silently
 
 _MAX_TOOLS = 16
-# Number of steps that the percentiles of a SceneStatus span.
-_STATUS_WINDOW_STEPS = 1024
 _READY_TIMEOUT_S = 60.0
 # Time beyond its --seconds in which a haptic client connects (10 s), drains (1 s) and reports [s].
 _HAPTIC_MARGIN_S = 20.0
@@ -129,7 +127,7 @@ class _LoadTest:
         started_at = time.time()
         started = time.monotonic()
         before = [scene.status() for scene in scenes]
-        phase_s = self._phase_s(scenes[0]) if args.stop_viewer is not None else 0.0
+        phase_s = float(args.stop_viewer) if args.stop_viewer is not None else 0.0
         seconds = max(args.seconds, 3 * phase_s)
         haptics = [
             self._start_haptic(i, scenes[i % args.scenes], movable_tools(tools)[i // args.scenes].name, seconds)
@@ -268,22 +266,16 @@ class _LoadTest:
                     self._server.version()
             time.sleep(_POLL_S)
 
-    def _phase_s(self, scene: SceneHandle) -> float:
-        """Returns the length of each phase, before, while and after the viewer is stopped [s]. It exceeds the span of
-        the server's percentiles, which must not mix the phases."""
-        window_s = 1.05 * _STATUS_WINDOW_STEPS / scene.status().target_rate_hz
-        return max(float(self._args.stop_viewer), window_s)
-
     def _with_a_stopped_viewer(self, viewer: _Client, scene: SceneHandle, phase_s: float) -> Json | None:
         """Stops a viewer for a while and measures; None if the viewer ended."""
 
         def phase(name: str) -> Json:
-            missed_before = scene.status().missed_deadlines
+            before = scene.status()
             end = time.monotonic() + phase_s
             self._watch([viewer], lambda: time.monotonic() >= end)
             status = scene.status()
-            missed = status.missed_deadlines - missed_before
-            return {"name": name, **load_report.step_times(status), "missed_deadlines": missed}
+            missed = status.missed_deadlines - before.missed_deadlines
+            return {"name": name, **load_report.step_times(before, status), "missed_deadlines": missed}
 
         phases = [phase("before")]
         viewer.process.process.send_signal(signal.SIGSTOP)

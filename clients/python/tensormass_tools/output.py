@@ -12,10 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import MeshQuality
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
+#: Number of steps that `step_time_p50_s` and its like span.
+STATUS_WINDOW_STEPS = 1024
 # A larger body is probably in millimetres.
 _LARGE_M3 = 10.0
 _NUMBER = re.compile(r"[-+]?\d+(\.\d*)?(e[-+]?\d+)?")
@@ -65,6 +68,7 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
         f"{status.reached_rate_hz:.1f}/{status.target_rate_hz:g} Hz",
         f"missed {missed:.1f} %",
         f"{1e3 * status.step_time_p50_s:.1f} ms (p99 {1e3 * status.step_time_p99_s:.1f})",
+        *_whole_run(status),
         f"CG {status.cg_iterations} to {status.cg_relative_residual:.0e}",
     ]
     if status.step_budget_s > 0:
@@ -82,6 +86,14 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
     if status.fault:
         parts.append(f"FAULT: {status.fault}")
     return "  ".join(parts)
+
+
+def _whole_run(status: stream_pb2.SceneStatus) -> list[str]:
+    """Describes the step times since the load, once there are more of them than in the window of the percentiles."""
+    times = DurationHistogram.from_message(status.step_times)
+    if times.count <= STATUS_WINDOW_STEPS:
+        return []
+    return [f"run {1e3 * times.p50_s:.1f} ms (p99 {1e3 * times.p99_s:.1f})"]
 
 
 class Warnings:

@@ -45,7 +45,7 @@ def fit(mesh: VolumeMesh, inside: Implicit, name: str) -> VolumeMesh:
     edges, cuts = edges[crossed], cuts[crossed]
     order = np.argsort(-_lengths(nodes, edges), kind="stable")
     fitted = VolumeMesh.from_tetrahedra(
-        np.concatenate([nodes, cuts[order]]), _halve(tetrahedra, edges[order], first=len(nodes))
+        np.concatenate([nodes, cuts[order]]), halve(tetrahedra, edges[order], first=len(nodes))
     )
     selected = np.flatnonzero(np.concatenate([value >= 0, np.ones(len(cuts), bool)]))
     return replace(fitted, sets={name: selected.astype(np.uint32)})
@@ -111,7 +111,7 @@ def _lengths(nodes: FloatArray, edges: Indices) -> FloatArray:
     return np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
 
 
-def _halve(tetrahedra: Indices, edges: Indices, first: int) -> npt.NDArray[np.int64]:
+def halve(tetrahedra: Indices, edges: Indices, first: int) -> npt.NDArray[np.int64]:
     """Halves all tetrahedra around each edge, in the order of `edges`; edge i gets the node first + i."""
     if not len(edges):
         return tetrahedra

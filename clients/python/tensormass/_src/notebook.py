@@ -13,6 +13,7 @@ from typing import Any
 
 from google.protobuf.message import Message
 
+from tensormass._src.durations import DurationHistogram
 from tensormass._src.shapes import BY_NUMBER, Shape
 from tensormass._src.units import unit_of
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
@@ -170,6 +171,7 @@ def report_html(report: control_pb2.SceneReport) -> str:
 
 def status_html(status: stream_pb2.SceneStatus) -> str:
     """Shows state, time, solver and tools of a scene."""
+    times = DurationHistogram.from_message(status.step_times)
     rows = [["state", state_name(status)]]
     if status.fault:
         rows.append(["fault", status.fault])
@@ -180,6 +182,8 @@ def status_html(status: stream_pb2.SceneStatus) -> str:
         ["missed deadlines", f"{status.missed_deadlines:,}"],
         ["conjugate gradients", f"{status.cg_iterations} iterations to {status.cg_relative_residual:.1e}"],
     ]
+    if times.count:
+        rows.append(["step time, whole run", f"{quantity(times.p50_s, 's')}, p99 {quantity(times.p99_s, 's')}"])
     if status.newton_iterations:
         rows.append(["Newton", f"{status.newton_iterations} iterations to {status.newton_residual:.1e}"])
     rows += [

@@ -11,9 +11,10 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tensormass._src import notebook
+from tensormass._src import defaults, following, notebook
 from tensormass._src.connection import LOAD_TIMEOUT_S, Connection
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, TensormassError
+from tensormass._src.durations import DurationHistogram
+from tensormass._src.errors import FailedPreconditionError, InvalidArgumentError, NotFoundError, TensormassError
 from tensormass._src.fields import FieldName, Fields, field_numbers
 from tensormass._src.frames import Feedback, Frame, find_body, find_tool, frame_size_bytes
 from tensormass._src.poses import PoseSender, PoseSequence
@@ -47,6 +48,7 @@ class SceneHandle:
         self._connection = connection
         self._topology: stream_pb2.Topology | None = None
         self._poses: dict[str, PoseSequence] = {}
+        self._followed: following.Followed | None = None
 
     def __repr__(self) -> str:
         return f"SceneHandle({self.name!r} on {self._connection.address})"
@@ -81,6 +83,37 @@ class SceneHandle:
             raise InvalidArgumentError(f"count: expected 1 or more steps, got {count}")
         request = control_pb2.StepSceneRequest(scene=self.name, count=count)
         return self._connection.call("StepScene", request, timeout_s=None).status
+
+    def follow(self, tool: str, poses: Sequence[following.Pose]) -> stream_pb2.SceneStatus:
+        """Makes a step for each pose of a tool, many of them in one call, and returns after the last one.
+
+            scene.follow("probe", [((0, 0, z), None, ()) for z in np.linspace(0.08, 0.05, 60)])
+
+        The steps are those of `move_tool` and `step` in turns, to the last bit. They cost less, because only the last
+        step of a call brings a frame, and elements are checked as often as in a scene that runs by the clock.
+
+        Args:
+            poses: position [3] m at the end of each step, orientation w, x, y, z (None is the identity), and a value
+                for each joint of the tool [rad or m].
+
+        Raises:
+            NotFoundError: no such tool.
+            InvalidArgumentError: no poses, or values that `move_tool` refuses.
+            FailedPreconditionError: the scene is not in lockstep, or a guard stopped it.
+        """
+        if not len(poses):
+            raise InvalidArgumentError("poses: expected one or more")
+        dt_s = defaults.dt_s(self.message if self.message is not None else scene_pb2.Scene())
+        if self._followed is None:
+            self._followed = following.Followed.of(self.snapshot())
+        status = self.status()
+        try:
+            for request in following.requests(self.name, tool, poses, self._followed, status.step, dt_s):
+                status = self._connection.call("ReplayScene", request, timeout_s=None).status
+        except FailedPreconditionError:
+            self._followed = None  # another client may have adjusted the scene
+            raise
+        return status
 
     def steps(self, count: int) -> Iterator[StepRecord]:
         """Makes `count` steps, one call each, and yields what each of them did.
@@ -125,6 +158,18 @@ class SceneHandle:
     def status(self) -> stream_pb2.SceneStatus:
         """Returns rates, deadlines, solver figures and counters; see `SceneStatus` in stream.proto."""
         return self._connection.call("GetStatus", control_pb2.GetStatusRequest(scene=self.name)).status
+
+    def step_times(self) -> DurationHistogram:
+        """Returns the times of all steps since the load. The difference of two calls has those between them.
+
+        Raises:
+            FailedPreconditionError: the daemon is older than this SDK, and does not count them.
+        """
+        status = self.status()
+        times = DurationHistogram.from_message(status.step_times)
+        if status.step > 0 and times.count == 0:
+            raise FailedPreconditionError("the daemon does not count step times; start one of this version")
+        return times
 
     def positions(self, body: str) -> npt.NDArray[np.float64]:
         """Returns the nodes of a body in the order of its mesh, float64 [node_count, 3] m."""
@@ -260,6 +305,7 @@ class SceneHandle:
                 bodies.setdefault(body, {})[field] = value
         for body, fields in bodies.items():
             changes.bodies.add(body=body, **fields)
+        self._followed = None
         request = control_pb2.AdjustSceneRequest(scene=self.name, changes=changes)
         return self._connection.call("AdjustScene", request, timeout_s=LOAD_TIMEOUT_S).adjustments
 

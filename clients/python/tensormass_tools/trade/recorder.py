@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from tensormass._src import defaults, mesh_geometry, meshes
+from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import FailedPreconditionError, TensormassError, UnavailableError
 from tensormass._src.meshes import FloatArray
 from tensormass._src.packing import volume_mesh
@@ -58,8 +59,8 @@ class Recorder:
     def measure(
         self, scenes: Sequence[scene_pb2.Scene], limit_s: float, *, beside: Sequence[scene_pb2.Scene] = ()
     ) -> list[Recording | TensormassError]:
-        """Records each scene, then repeats all in turns for their times. If the machine is slower for a while, it is
-        slower for all of them. Counts the energy of a step where the counter can be read.
+        """Records each scene, then repeats all in turns for their times, at least once. If the machine is slower for a
+        while, it is slower for all of them. Counts the energy of a step where the counter can be read.
 
         Args:
             limit_s: time for these turns, for each scene. Fewer steps than wanted may be timed by then.
@@ -79,7 +80,9 @@ class Recorder:
                     run = loaded.enter_context(self._loaded(scene, f"trade_{number}"))
                     runs[number] = run, run.record()
             until = time.monotonic() + limit_s * len(runs)
-            while any(run.timed_steps < TIMED_STEPS for run, _ in runs.values()) and time.monotonic() < until:
+            while any(run.timed_steps < TIMED_STEPS for run, _ in runs.values()):
+                if time.monotonic() >= until and all(run.timed_steps for run, _ in runs.values()):
+                    break
                 for number, (run, _) in list(runs.items()):
                     with _kept(results, number):
                         run.again()
@@ -146,13 +149,18 @@ class _Run:
         self._dt_s = script.sample_s / self._steps_a_sample
         self._frame_bytes = sum(12 * body.vertex_count for body in handle.topology().bodies)
         self._latencies_s: list[float] = []
-        self._status = stream_pb2.SceneStatus()
+        self._times = DurationHistogram()
         self._wall_s = 0.0
 
     def record(self) -> Recording:
-        """Makes the first run and records all that is compared. The costs are those of this run."""
+        """Makes the first run and records all that is compared. The costs are those of this run.
+
+        It makes one step a call, to read positions after it. Each step then also checks the elements and gathers a
+        frame, so its times are an upper bound; `again` makes the steps that are timed.
+        """
         script = self._script
         began = time.monotonic()
+        before = self._handle.step_times()
         samples: list[list[FloatArray]] = []
         volumes, forces, free, free_times = [], [], [], []
         work_j = work_most_j = 0.0
@@ -181,6 +189,7 @@ class _Run:
                 forces.append(force)
                 volumes.append([self._volume_share(body, nodes) for body, nodes in enumerate(positions)])
         fields = [self._handle.fields(name) for name in self._names]
+        of_this_run = self._handle.step_times() - before
         self._wall_s = time.monotonic() - began
         points = sum(len(weights) for weights in self._weights)
         return Recording(
@@ -194,7 +203,7 @@ class _Run:
             outside_share=sum(of.outside_count for of in self._interpolations) / points,
             unconverged_steps=status.unconverged_steps,
             min_det_f=min([status.min_det_f, *(of.min_det_f for of in fields)]),
-            costs=self.costs(energy=False),
+            costs=self._costs(of_this_run, energy=False),
             warnings=list(status.warnings),
         )
 
@@ -208,18 +217,27 @@ class _Run:
             self._latencies_s.append(time.perf_counter() - began)
             if status.fault:
                 raise FailedPreconditionError(status.fault)
-            self._status = status
             yield step, status
 
     def again(self) -> None:
-        """Makes another run, for its times."""
+        """Makes another run, for its times: many steps a call, like a scene that runs by the clock."""
         self._handle.reset()
-        for _ in self._steps():
-            pass
+        before = self._handle.step_times()
+        steps = range(1, self._steps_a_sample * self._script.sample_count + 1)
+        if self._script.tool is None:
+            status = self._handle.step(len(steps))
+        else:
+            # Position of the tool at the end of the step, because the step is implicit.
+            poses = [(self._script.pose(step * self._dt_s), None, ()) for step in steps]
+            status = self._handle.follow(self._script.tool, poses)
+        if status.fault:
+            raise FailedPreconditionError(status.fault)
+        self._times += self._handle.step_times() - before
 
     @property
     def timed_steps(self) -> int:
-        return len(self._latencies_s)
+        """Number of steps that `again` made."""
+        return self._times.count
 
     def _energy_of_a_step(self, step_s: float) -> float | None:
         """Returns the energy of a step [J], over steps without pauses, with the tool at its deepest point. None if the
@@ -257,21 +275,24 @@ class _Run:
                 yield runs, made
 
     def costs(self, *, energy: bool) -> Costs:
-        """Returns the costs of the runs so far; `energy`: also that of a step, which takes more runs."""
+        """Returns the costs of the runs for their times; `energy`: also that of a step, which takes more runs."""
+        return self._costs(self._times, energy=energy)
+
+    def _costs(self, times: DurationHistogram, *, energy: bool) -> Costs:
         report = self._handle.report
         assert report is not None
         steps = self._steps_a_sample * self._script.sample_count
         counted = energy and self._energy.readable
         return Costs(
-            step_p50_s=self._status.step_time_p50_s,
-            step_p99_s=self._status.step_time_p99_s,
+            step_p50_s=times.p50_s,
+            step_p99_s=times.p99_s,
             latency_p50_s=float(np.median(self._latencies_s)),
             memory_bytes=report.bytes_total,
             frame_bytes=self._frame_bytes,
             step_count=steps,
-            timed_steps=self.timed_steps,
+            timed_steps=times.count,
             wall_s=self._wall_s,
-            step_energy_j=self._energy_of_a_step(self._status.step_time_p50_s) if counted else None,
+            step_energy_j=self._energy_of_a_step(times.p50_s) if counted else None,
         )
 
     def _mean(self, taken: list[FloatArray]) -> FloatArray:

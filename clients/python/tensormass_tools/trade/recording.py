@@ -20,7 +20,7 @@ class Costs:
     frame_bytes: int
     #: Number of steps of the script.
     step_count: int
-    #: Number of steps of all runs. The daemon's percentiles span the last 1024.
+    #: Number of timed steps; the percentiles span all of them.
     timed_steps: int
     #: Wall time of the recorded run [s].
     wall_s: float
