@@ -11,15 +11,16 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 import tensormass as tm
 from tensormass._src.launching import launch
 from tensormass._src.scene_file import SceneFile
+from tensormass.v1 import stream_pb2
 
 from . import record
 
@@ -57,8 +58,8 @@ def main() -> int:
 
 
 def _fall(
-    server: tm.Server, cells: int, iterations: int, precision: str
-) -> tuple[npt.NDArray[np.float64], tm.SceneStatus, float]:
+    server: tm.Server, cells: int, iterations: int, precision: Literal["float", "double"]
+) -> tuple[npt.NDArray[np.float64], stream_pb2.SceneStatus, float]:
     """Lets the beam fall. Returns its positions at the end, the status, and the mean residual of the linear solves."""
     scene = tm.Scene(message=SceneFile.read("beam").message())
     grid = scene.message.bodies[0].mesh.grid
@@ -78,7 +79,7 @@ def _row(
     iterations: int,
     difference: npt.NDArray[np.float64],
     reference: npt.NDArray[np.float64],
-    status: tm.SceneStatus,
+    status: stream_pb2.SceneStatus,
     residual: float,
 ) -> dict[str, float | str]:
     nodes_y, nodes_z = (count + 1 for count in CELLS[cells])
@@ -101,7 +102,7 @@ def _row(
     }
 
 
-def table(rows: list[Mapping]) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Returns the rows as a table in Markdown."""
     lines = [
         "| tetrahedra | iterations | error | tip | sideways | mean residual | step p50 / p99 |",
