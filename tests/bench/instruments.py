@@ -47,13 +47,14 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
         for turn in range(turns):
             for step in range(_TURN):
                 touched.move_tool(script.tool, *script.at((turn * _TURN + step) * dt_s))
-                tool = next(tool for tool in touched.step().tools if tool.tool == script.tool)
-                force_n = max(force_n, math.hypot(tool.force_n.x, tool.force_n.y, tool.force_n.z))
+                felt = next(tool for tool in touched.step().tools if tool.tool == script.tool)
+                force_n = max(force_n, math.hypot(felt.force_n.x, felt.force_n.y, felt.force_n.z))
             untouched.step(_TURN)
             for key, handle in (("touched", touched), ("alone", untouched)):
                 status = handle.status()
                 times[key].append((1e3 * status.step_time_p50_s, 1e3 * status.step_time_p99_s))
         warnings = list(touched.status().warnings)
+        assert touched.report is not None
         elements = sum(body.element_count for body in touched.report.bodies)
     row: dict[str, Any] = {
         "case": f"instrument: {name}",
