@@ -11,7 +11,7 @@
 #   CUDA_ARCHITECTURES=...  GPU generations to compile for, as CMake names them (default: CMakeLists.txt has it)
 #   SUITE=trixie   Debian release in which `make wheel-only` tries the wheel (default: bookworm)
 #   WHOLE=1       `make images` compiles in the bare Debian, too (CUDA=OFF: without the CUDA backend)
-#   TEST_ARGS=...  test runners for `make test`: ctest, pytest, vitest, e2e (default: all)
+#   TEST_ARGS=...  test runners for `make test`: lint, ctest, pytest, vitest, e2e (default: all)
 
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
@@ -58,7 +58,7 @@ build: setup ## Build everything that runs, into build/bin
 run: build ## Start daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
 	@exec $(BUILD)/bin/tensormass run $(RUN_ARGS) $(SCENE)
 
-test: setup-test ## Run every test: C++, Python, web, and the real page in Chromium
+test: setup-test ## Run lint and every test: C++, Python, web, and the real page in Chromium
 	@$(MAKE) native python viewer
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
@@ -153,9 +153,7 @@ sanitized:
 	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
 
 lint: setup-test python ## Check format, style and types: C++, Python, web
-	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
-	@cd clients/python && ruff check . ../../tests ../../examples && ruff format --check . ../../tests ../../examples && mypy
-	@cd clients/web && npm run --silent lint
+	@tests/lint.sh
 
 format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')

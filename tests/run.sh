@@ -2,7 +2,7 @@
 # Runs every test of every language, one runner after the other, and closes with one line for each runner.
 # A runner that fails does not stop the others. The end repeats which tests were skipped, and why.
 #
-#   tests/run.sh [ctest] [pytest] [vitest] [e2e]     default: all of them
+#   tests/run.sh [lint] [ctest] [pytest] [vitest] [e2e]     default: all of them
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 build=${BUILD:-build}
@@ -10,6 +10,7 @@ logs=$build/test-logs
 mkdir -p "$logs"
 export PATH=$PWD/.venv/bin:$PATH
 
+run_lint() { tests/lint.sh; }
 run_ctest() { ctest --test-dir "$build" --output-on-failure --no-tests=error; }
 run_pytest() { python -m pytest -q -rfEs tests; }
 run_vitest() { (cd clients/web && npm run --silent test); }
@@ -19,6 +20,7 @@ run_e2e() { (cd clients/web && npm run --silent e2e); }
 closing_line() {
   local pattern
   case $1 in
+    lint) pattern='^lint: ' ;;
     ctest) pattern='tests passed.* out of' ;;
     pytest) pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s' ;;
     *) pattern='^ *Tests +' ;;
@@ -37,7 +39,7 @@ skipped() {
 }
 
 suites=("$@")
-((${#suites[@]} > 0)) || suites=(ctest pytest vitest e2e)
+((${#suites[@]} > 0)) || suites=(lint ctest pytest vitest e2e)
 declare -A status seconds
 failed=0
 for suite in "${suites[@]}"; do
