@@ -112,6 +112,7 @@ wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-u
 release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
 	@.setup/setup.sh wheel
 	@python clients/python/make_release.py --check
+	@python tests/wheel/clone.py
 	@$(MAKE) wheel
 	@python clients/python/make_release.py --wheel build-wheel/wheel --output dist
 
