@@ -60,7 +60,7 @@ def daemon() -> Path:
 
 @pytest.fixture(scope="module")
 def server(daemon: Path) -> Iterator[tm.Server]:
-    with tm.launch(backend="cpu", zenoh=False) as server:
+    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:  # others run beside it
         yield server
 
 
