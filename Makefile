@@ -72,7 +72,7 @@ say-backend:
 run: build ## Start daemon, simulated haptic device and viewer; Ctrl-C ends them (SCENE=path)
 	@exec $(BUILD)/bin/tensormass run $(RUN_ARGS) $(SCENE)
 
-test: setup-test ## Run every test: C++, Python, web, and the real page in Chromium
+test: setup-test ## Run lint and every test: C++, Python, web, and the real page in Chromium
 	@$(MAKE) TARGETS='$(TARGETS) tests' native python viewer
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
 
@@ -149,6 +149,7 @@ wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-u
 release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
 	@.setup/setup.sh wheel
 	@python clients/python/make_release.py --check
+	@python tests/wheel/clone.py
 	@$(MAKE) wheel
 	@python clients/python/make_release.py --wheel build-wheel/wheel --output dist
 
@@ -190,9 +191,7 @@ sanitized:
 	  ctest --test-dir build-$(NAME) -j $(JOBS) --output-on-failure
 
 lint: setup-test python ## Check format, style and types: C++, Python, web
-	@clang-format --dry-run --Werror $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
-	@cd clients/python && ruff check . ../../tests ../../examples && ruff format --check . ../../tests ../../examples && mypy
-	@cd clients/web && npm run --silent lint
+	@tests/lint.sh
 
 format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')

@@ -63,7 +63,7 @@ def main(locator: str, scene: str, tool: str) -> None:
             pose = stream_pb2.ToolPose(sequence=len(sequences), client_id=client_id, position_m=hand)
             poses.put(pose.SerializeToString())
 
-        if not sequences:
+        if rest is None or start is None:
             sys.exit(f"no frame of {scene} in {SECONDS} s; is it running?")
         poses.put(stream_pb2.ToolPose(position_m=start).SerializeToString())  # a pose holds: the last one lifts off
     skipped = sequences[-1] - sequences[0] + 1 - len(sequences)

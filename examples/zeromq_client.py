@@ -22,8 +22,13 @@ VALID_FOR_S = 0.5  # a pose then expires: if this program dies, the server lets 
 
 
 def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
-    stamp = {"sequence": sequence, "client_id": CLIENT_ID, "client_time_ns": time.monotonic_ns()}
-    return stream_pb2.ToolPose(**stamp, position_m=position_m, valid_for_s=VALID_FOR_S).SerializeToString()
+    return stream_pb2.ToolPose(
+        sequence=sequence,
+        client_id=CLIENT_ID,
+        client_time_ns=time.monotonic_ns(),
+        position_m=position_m,
+        valid_for_s=VALID_FOR_S,
+    ).SerializeToString()
 
 
 def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list[float]:

@@ -2,28 +2,42 @@
 # Runs every test of every language, one runner after the other, and closes with one line for each runner.
 # A runner that fails does not stop the others. The end repeats which tests were skipped, and why.
 #
-#   tests/run.sh [ctest] [pytest] [vitest] [e2e]     default: all of them
+#   tests/run.sh [lint] [ctest] [pytest] [vitest] [e2e]     default: all of them
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 build=${BUILD:-build}
 logs=$build/test-logs
+jobs=${JOBS:-$(nproc)}
 mkdir -p "$logs"
 export PATH=$PWD/.venv/bin:$PATH
 
-run_ctest() { ctest --test-dir "$build" --output-on-failure --no-tests=error; }
-run_pytest() { python -m pytest -q -rfEs tests; }
+run_lint() { tests/lint.sh; }
+run_ctest() { ctest --test-dir "$build" -j "$jobs" --output-on-failure --no-tests=error; }
+# First side by side, then one by one those that measure time. A worker steals tests from the end of another's list, so
+# that most files are run by one worker, which starts their daemon once.
+run_pytest() {
+  local status=0
+  python -m pytest -q -rfEs -n "$jobs" --dist worksteal -m "not alone" tests || status=$?
+  grep -lr --include='test_*.py' 'pytest\.mark\.alone' tests | xargs python -m pytest -q -rfEs -m alone || status=$?
+  return "$status"
+}
 run_vitest() { (cd clients/web && npm run --silent test); }
 run_e2e() { (cd clients/web && npm run --silent e2e); }
 
-# The line with which a runner reports its totals.
+# The line with which a runner reports its totals, and the two of pytest.
 closing_line() {
-  local pattern
+  local pattern lines=1
   case $1 in
+    lint) pattern='^lint: ' ;;
     ctest) pattern='tests passed.* out of' ;;
-    pytest) pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s' ;;
+    pytest)
+      pattern='(passed|failed|error|skipped|no tests ran).* in [0-9.]+s'
+      lines=2
+      ;;
     *) pattern='^ *Tests +' ;;
   esac
-  sed -E 's/\x1b\[[0-9;]*m//g' "$logs/$1.log" | grep -E "$pattern" | tail -n 1 | sed -E 's/^[ =]+//; s/[ =]+$//'
+  sed -E 's/\x1b\[[0-9;]*m//g' "$logs/$1.log" | grep -E "$pattern" | tail -n "$lines" |
+    sed -E 's/^[ =]+//; s/[ =]+$//' | paste -sd '+' | sed 's/+/ + /g'
 }
 
 skipped() {
@@ -37,7 +51,7 @@ skipped() {
 }
 
 suites=("$@")
-((${#suites[@]} > 0)) || suites=(ctest pytest vitest e2e)
+((${#suites[@]} > 0)) || suites=(lint ctest pytest vitest e2e)
 declare -A status seconds
 failed=0
 for suite in "${suites[@]}"; do

@@ -6,6 +6,7 @@ writes are right as they stand. Runs in well under a second when nothing changed
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def main() -> int:
     if marker.exists() and marker.stat().st_mtime >= newest_input:
         return 0
 
-    from grpc_tools import protoc  # here, so that an up-to-date tree needs no compiler
+    protoc = importlib.import_module("grpc_tools.protoc")  # here, so that an up-to-date tree needs no compiler
 
     OUTPUT.mkdir(exist_ok=True)
     code = protoc.main(

@@ -11,16 +11,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tensormass_tools.presets import FOR_BACKEND
+from tensormass_tools.presets import FOR_BACKEND, all_presets
+from tensormass_tools.trade import report
+from tensormass_tools.trade.store import Measurement
 
-from . import press, trade, trade_tables
+from . import press, trade_tables
 from .tables import filled, markdown
 from .trade import FOREIGN, OWN, PRESETS_BACKEND, Trade
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
 #: The demo in real time under the probe of a haptic client, as `tensormass run` steps it on a GPU.
 BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h200-demo-default.jsonl"
-Measurement, report = trade.Measurement, trade.report
 
 
 class NotMeasuredError(Exception):
@@ -159,7 +160,7 @@ def presets(trades: Trades) -> list[str]:
     for scene in dict.fromkeys(scene for scene, _ in trades):
         fronts = {_device(of): of for (name, _), of in trades.items() if name == scene}
         by_setting: dict[str, list[str]] = {}
-        for name, setting in trade.presets.all_presets().get(scene, {}).items():
+        for name, setting in all_presets().get(scene, {}).items():
             by_setting.setdefault(json.dumps(setting, sort_keys=True), []).append(name)
         for text, names in by_setting.items():
             setting = json.loads(text)

@@ -119,7 +119,7 @@ def _box(**limits: float) -> dict[str, Any]:
 def _scene(
     law: dict[str, Any], shape: str, size_m: Sequence[float], cells: Sequence[int], fixed: dict[str, Any]
 ) -> dict[str, Any]:
-    grid = {"size_m": dict(zip("xyz", size_m, strict=True)), "shape": shape}
+    grid: dict[str, Any] = {"size_m": dict(zip("xyz", size_m, strict=True)), "shape": shape}
     grid |= {f"cells_{axis}": count for axis, count in zip("xyz", cells, strict=True)}
     body = {"name": "body", "mesh": {"grid": grid}, "law": law, "density_kg_per_m3": 1000.0, "fixed": [fixed]}
     return {"name": "calibration", "bodies": [body]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def _manufactured_cases() -> Iterator[Case]:
             "order in L2",
             "p + 1",
             {"double": 0.15 if SHAPES[shape].order == 1 else 0.2},  # coarser meshes
-            lambda engine, shape=shape: run(engine, shape),
+            partial(run, shape=shape),
         )
 
 
@@ -136,7 +137,7 @@ def _cook_mesh(shape: str, count: int, turned: bool) -> Mesh:
     return box(shape, (count, 1, count), place=lambda nodes: cook_reference.place(nodes[:, [2, 0, 1]]))
 
 
-def _cook_choices(shape: str) -> Iterator[tuple[str, int, bool]]:
+def _cook_choices(shape: str) -> Iterator[tuple[str, scene_pb2.Quadrature, bool]]:
     """Yields name, quadrature, and whether the cells are turned."""
     yield "full", scene_pb2.QUADRATURE_FULL, False
     yield "selective", scene_pb2.QUADRATURE_SELECTIVE, False
@@ -144,7 +145,7 @@ def _cook_choices(shape: str) -> Iterator[tuple[str, int, bool]]:
         yield "selective, axis in the plane", scene_pb2.QUADRATURE_SELECTIVE, True
 
 
-def _cook(engine: Engine, name: str, shape: str, quadrature: int, turned: bool) -> Outcome:
+def _cook(engine: Engine, name: str, shape: str, quadrature: scene_pb2.Quadrature, turned: bool) -> Outcome:
     variant, exact = cook_reference.VARIANTS[name], references.numbers("cook")[name]
     law = {"hooke": hooke, "neo_hookean": neo_hookean}[variant.law](variant.young_modulus_pa, variant.poisson_ratio)
     details = []
@@ -175,7 +176,7 @@ def _cook_cases() -> Iterator[Case]:
                     engine: Engine,
                     name: str = name,
                     shape: str = shape,
-                    quadrature: int = quadrature,
+                    quadrature: scene_pb2.Quadrature = quadrature,
                     turned: bool = turned,
                 ) -> Outcome:
                     return _cook(engine, name, shape, quadrature, turned)
@@ -216,7 +217,7 @@ def _sphere_cases() -> Iterator[Case]:
             radius = np.linalg.norm(mesh.nodes, axis=1)
             inside = np.flatnonzero(radius < inner * 1.001)
             prescribed = [
-                Prescribed(mesh.where(lambda x, y, z, i=i: (x, y, z)[i] < 1e-9), np.where(np.arange(3) == i, 0, np.nan))
+                Prescribed(np.flatnonzero(mesh.nodes[:, i] < 1e-9), np.where(np.arange(3) == i, 0, np.nan))
                 for i in range(3)
             ]
             u = engine.equilibrium(
@@ -239,5 +240,5 @@ def _sphere_cases() -> Iterator[Case]:
                 "displacement [m]",
                 "Lamé 1852",
                 dict.fromkeys(("double", "float"), SPHERE_BOUNDS[SHAPES[shape].order]),
-                lambda engine, shape=shape, entry=entry: run(engine, shape, entry),
+                partial(run, shape=shape, law=entry),
             )

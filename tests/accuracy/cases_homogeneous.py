@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def _cells(mesh: str, across: int) -> tuple[int, int, int]:
     return (5 if mesh == "mixed" else across, across, across)
 
 
-def _prescribed_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: int, increments: int) -> Problem:
+def _prescribed_boundary(mesh: Mesh, law: Law, f: Floats, quadrature: scene_pb2.Quadrature, increments: int) -> Problem:
     boundary = mesh.boundary()
     condition = Prescribed(boundary, mesh.nodes[boundary] @ (f - IDENTITY).T)
     return Problem(mesh, law, [condition], quadrature=quadrature, increments=increments)
@@ -164,7 +165,7 @@ def _work_cases() -> Iterator[Case]:
 def pulled(mesh: Mesh, law: Law, stretch: float) -> Problem:
     """A cube on three planes of symmetry, with its end at x = CUBE_M moved."""
     far = CUBE_M * (1 - 1e-6)
-    planes = [mesh.where(lambda x, y, z, axis=axis: (x, y, z)[axis] < 1e-9) for axis in range(3)]
+    planes = [np.flatnonzero(mesh.nodes[:, axis] < 1e-9) for axis in range(3)]
     prescribed = [Prescribed(nodes, np.where(IDENTITY[axis] == 1, 0, np.nan)) for axis, nodes in enumerate(planes)]
     end = mesh.where(lambda x, y, z: x > far)
     prescribed.append(Prescribed(end, np.array([CUBE_M * (stretch - 1), np.nan, np.nan])))
@@ -222,10 +223,7 @@ def _curve_cases() -> Iterator[Case]:
     for shape in MESHES:
         for law in LAWS:
             for name, quantity, solve in (("pulling", "P11 [Pa]", pull), ("shearing", "P12 [Pa]", shear)):
-
-                def run(engine: Engine, solve=solve, shape: str = shape, law: str = law) -> Outcome:  # noqa: ANN001
-                    return solve(engine, shape, law)
-
+                run = partial(solve, shape=shape, law=law)
                 quick = shape == "hexahedron"
                 yield Case(CURVES, shape, law, name, quantity, "closed form", CURVE_BOUNDS, run, quick)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def _relaxation_cases() -> Iterator[Case]:
                 "P11 [Pa]",
                 "closed form of the scheme",
                 bounds,
-                lambda engine, shape=shape, law=law: by_step(engine, shape, LAWS[law]),
+                partial(by_step, shape=shape, law=LAWS[law]),
                 quick=shape == "wedge" and law == "ogden",
             )
     yield Case(RELAXATION, "hexahedron", "neo_hookean", "order", "order in Δt", "closed form", {"double": 0.05}, order)
@@ -156,9 +157,7 @@ def _swing_cases() -> Iterator[Case]:
                 "order in Δt",
                 "the scheme",
                 {"double": 0.1},
-                lambda engine, integrator=integrator, one_solve=one_solve, order=order: run(
-                    engine, integrator, one_solve, order
-                ),
+                partial(run, integrator=integrator, one_solve=one_solve, order=order),
             )
 
 
@@ -171,7 +170,7 @@ class Flight:
     energy: Floats
 
 
-def _fly(engine: Engine, shape: str, law: str, integrator: int) -> Flight:
+def _fly(engine: Engine, shape: str, law: str, integrator: scene_pb2.Solver.Integrator) -> Flight:
     mesh = box(shape, (5, 2, 2), BAR_M)
     scene = engine.scene(Problem(mesh, LAWS[law], []), FLIGHT_DT_S)
     scene.solver.integrator = integrator

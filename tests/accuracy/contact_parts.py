@@ -100,7 +100,7 @@ def tables() -> dict[str, list[str]]:
         if not rows:
             continue
         penalties = list(dict.fromkeys(row["penalty"] for row in rows if row["penalty"]))
-        lines = {}
+        lines: dict[tuple[str, str], dict[float, str]] = {}
         for row in rows:
             line = lines.setdefault((row["name"], _size(name, row)), dict.fromkeys(penalties, "–"))
             for penalty in [row["penalty"]] if row["penalty"] else penalties[-1:]:

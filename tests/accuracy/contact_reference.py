@@ -74,7 +74,7 @@ class Tissue:
             self.slopes.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, self.dofs.shape[1]),
         )
         inner = np.bincount(self.dofs.ravel(), forces.ravel(), self.unknown_count)
-        return inner, _sum_blocks(self.dofs, stiffness, self.unknown_count)
+        return inner.astype(np.float64, copy=False), _sum_blocks(self.dofs, stiffness, self.unknown_count)
 
 
 def _sum_blocks(dofs: Integers, blocks: Floats, count: int) -> scipy.sparse.csc_matrix:

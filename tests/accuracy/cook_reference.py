@@ -86,17 +86,11 @@ def solve(variant: Variant, cells: int = 20, order: int = 4) -> float:
         moduli = mu * same + lam * np.einsum("ij...,kl...->ijkl...", dual, dual)
         return mu * f + pressure * dual, moduli - pressure * np.einsum("il...,kj...->ijkl...", dual, dual)
 
-    @skfem.LinearForm
-    def inner_force(v, w):  # noqa: ANN001, ANN202
-        return ddot(w["stress"], grad(v))
-
-    @skfem.BilinearForm
-    def stiffness(du, v, w):  # noqa: ANN001, ANN202
-        return np.einsum("ijkl...,ij...,kl...->...", w["moduli"], grad(v), grad(du))
-
-    @skfem.LinearForm
-    def pull(v, w):  # noqa: ANN001, ANN202
-        return variant.force / HEIGHT * v[1]
+    inner_force = skfem.LinearForm(lambda v, w: ddot(w["stress"], grad(v)))
+    stiffness = skfem.BilinearForm(
+        lambda du, v, w: np.einsum("ijkl...,ij...,kl...->...", w["moduli"], grad(v), grad(du))
+    )
+    pull = skfem.LinearForm(lambda v, w: variant.force / HEIGHT * v[1])
 
     load = skfem.asm(pull, skfem.FacetBasis(mesh, basis.elem, facets="right", intorder=2 * order))
     free = basis.complement_dofs(basis.get_dofs("left"))

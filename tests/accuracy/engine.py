@@ -82,9 +82,9 @@ class Engine:
             x, y, z = load.traction_pa
             message = body.loads.add(traction_pa=scene_pb2.Vector3(x=x, y=y, z=z))
             message.region.nodes.indices.extend(load.nodes.tolist())
-        for load in problem.pressures:
-            message = body.loads.add(pressure_pa=load.pressure_pa)
-            message.region.nodes.indices.extend(load.nodes.tolist())
+        for pressure in problem.pressures:
+            message = body.loads.add(pressure_pa=pressure.pressure_pa)
+            message.region.nodes.indices.extend(pressure.nodes.tolist())
         if problem.forces_n is not None:
             for node in np.flatnonzero(problem.forces_n.any(axis=1)).tolist():
                 x, y, z = problem.forces_n[node].tolist()
@@ -136,6 +136,16 @@ def _add_prescribed(body: scene_pb2.Body, problem: Problem, dt_s: float) -> None
 
 def state(handle: tm.SceneHandle) -> State:
     """The fields that the cases compare."""
-    names = ("displacement", "velocity", "reaction_force", "cauchy_stress", "von_mises_stress", "det_f")
-    fields = handle.fields(BODY, names)
-    return State(*(fields[name] for name in names), fields.elastic_energy_j, fields.kinetic_energy_j)
+    fields = handle.fields(
+        BODY, ("displacement", "velocity", "reaction_force", "cauchy_stress", "von_mises_stress", "det_f")
+    )
+    return State(
+        fields["displacement"],
+        fields["velocity"],
+        fields["reaction_force"],
+        fields["cauchy_stress"],
+        fields["von_mises_stress"],
+        fields["det_f"],
+        fields.elastic_energy_j,
+        fields.kinetic_energy_j,
+    )

@@ -11,9 +11,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def _fall(
-    server: tm.Server, cells: int, iterations: int, precision: str
+    server: tm.Server, cells: int, iterations: int, precision: Literal["float", "double"]
 ) -> tuple[npt.NDArray[np.float64], tm.DurationHistogram, float]:
     """Lets the beam fall twice, first step by step. Returns its positions at the end, the times of the second fall's
     steps, which were made in one call, and the mean residual of the linear solves."""
@@ -104,7 +104,7 @@ def _row(
     }
 
 
-def table(rows: list[Mapping]) -> str:
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Returns the rows as a table in Markdown."""
     lines = [
         "| tetrahedra | iterations | error | tip | sideways | mean residual | step p50 / p99 |",

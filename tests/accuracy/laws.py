@@ -68,7 +68,7 @@ def _det(f: Floats) -> Floats:
 
 
 def _inverse_transpose(f: Floats) -> Floats:
-    return _transpose(np.linalg.inv(f))
+    return _transpose(np.linalg.inv(f).astype(np.float64, copy=False))
 
 
 def _by_volume(bulk_modulus_pa: float) -> Callable[[Floats], Floats]:

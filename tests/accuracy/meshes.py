@@ -195,8 +195,8 @@ def _mixed(nodes: Floats, hexahedra: Integers, cells: tuple[int, int, int]) -> M
         raise ValueError("a mixed mesh needs five layers of cells along x")
     layer = np.repeat(np.arange(cells[0]), cells[1] * cells[2])
     _, wedges = _cut_wedges(nodes, hexahedra[layer == 1])
-    nodes, pyramids = _cut_pyramids(nodes, hexahedra[layer == 2])
-    pyramids = list(pyramids)
+    nodes, cut = _cut_pyramids(nodes, hexahedra[layer == 2])
+    pyramids = list(cut)
     tetrahedra = []
     for first in (3, 4):
         chosen = hexahedra[layer == 3] if first == 3 else hexahedra[layer > 3]
@@ -233,7 +233,7 @@ def shaken(seed: int, share: float, cells: tuple[int, int, int]) -> Callable[[Fl
     """A `place` for the unit cube: moves inner nodes by up to `share` of a cell and keeps the boundary."""
 
     def place(nodes: Floats) -> Floats:
-        inside = ((nodes > 1e-9) & (nodes < 1 - 1e-9)).all(axis=1)
+        inside = np.all((nodes > 1e-9) & (nodes < 1 - 1e-9), axis=1)
         random = np.random.default_rng(seed).uniform(-share, share, nodes.shape)
         return nodes + np.where(inside[:, None], random / np.array(cells), 0)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from tensormass.v1 import scene_pb2
 
 from . import problem as problems
 from .laws import IDENTITY, Law
-from .meshes import Floats, Mesh
+from .meshes import Floats, Integers, Mesh
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -43,34 +43,34 @@ def source() -> str:
     return "own NumPy solver (numpy_fem.py)"
 
 
-def _tetrahedron(r: npt.NDArray) -> list:
+def _tetrahedron(r: npt.NDArray[Any]) -> list[Any]:
     return [1 - r[0] - r[1] - r[2], r[0], r[1], r[2]]
 
 
-def _quadratic_tetrahedron(r: npt.NDArray) -> list:
+def _quadratic_tetrahedron(r: npt.NDArray[Any]) -> list[Any]:
     a = _tetrahedron(r)
     edges = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
     return [x * (2 * x - 1) for x in a] + [4 * a[i] * a[j] for i, j in edges]
 
 
-def _wedge(r: npt.NDArray) -> list:
+def _wedge(r: npt.NDArray[Any]) -> list[Any]:
     triangle = [1 - r[0] - r[1], r[0], r[1]]
     return [x * (1 - r[2]) for x in triangle] + [x * r[2] for x in triangle]
 
 
-def _hexahedron(r: npt.NDArray) -> list:
+def _hexahedron(r: npt.NDArray[Any]) -> list[Any]:
     signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     return [(1 + x * r[0]) * (1 + y * r[1]) * (1 + z * r[2]) / 8 for z in (-1, 1) for x, y in signs]
 
 
-def _quadratic_hexahedron(r: npt.NDArray) -> list:
+def _quadratic_hexahedron(r: npt.NDArray[Any]) -> list[Any]:
     """Middles first; a corner is its trilinear function minus half of the middles of its three edges."""
     base = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     places = [(x, y, z) for z in (-1, 1) for x, y in base]
     for z in (-1, 1):
         places += [(0, -1, z), (1, 0, z), (0, 1, z), (-1, 0, z)]
     places += [(x, y, 0) for x, y in base]
-    middles = {}
+    middles: dict[tuple[int, ...], Any] = {}
     for place in places[8:]:
         factors = [1 - r[c] * r[c] if at == 0 else (1 + at * r[c]) / 2 for c, at in enumerate(place)]
         middles[place] = factors[0] * factors[1] * factors[2]
@@ -81,14 +81,14 @@ def _quadratic_hexahedron(r: npt.NDArray) -> list:
     return out + list(middles.values())
 
 
-def _pyramid(r: npt.NDArray) -> list:
+def _pyramid(r: npt.NDArray[Any]) -> list[Any]:
     """Bedrosian 1992: N = ¼ ((1 + xξ)(1 + yη) − ζ + xyξηζ/(1 − ζ)) for the corner (x, y) of the base."""
     signs = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     ratio = r[0] * r[1] * r[2] / (1 - r[2])
     return [((1 + x * r[0]) * (1 + y * r[1]) - r[2] + x * y * ratio) / 4 for x, y in signs] + [r[2]]
 
 
-FUNCTIONS: dict[str, Callable[[npt.NDArray], list]] = {
+FUNCTIONS: dict[str, Callable[[npt.NDArray[Any]], list[Any]]] = {
     "tetrahedron": _tetrahedron,
     "pyramid": _pyramid,
     "wedge": _wedge,
@@ -147,7 +147,7 @@ def rule(shape: str, fine: bool = False) -> Rule:
         root = np.sqrt(2 / 45)
         heights = np.array([1 / 3 - root, 1 / 3 + root])
         # The weights integrate 1 and ζ exactly: ∫(1 − ζ)² = 1/3, ∫ζ(1 − ζ)² = 1/12.
-        weights = np.linalg.solve([[1, 1], heights], [1 / 3, 1 / 12])
+        weights = np.linalg.solve(np.array([[1, 1], heights]), np.array([1 / 3, 1 / 12]))
         if fine:
             heights, weights = _unit_gauss(5)
             weights = weights * (1 - heights) ** 2
@@ -174,7 +174,7 @@ def slopes(shape: str, at: Floats) -> Floats:
     return np.stack(steps, axis=-1)
 
 
-def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False) -> tuple[Floats, Floats]:
+def gradients(mesh: Mesh, shape: str, elements: Integers, fine: bool = False) -> tuple[Floats, Floats]:
     """∇N_k [element, point, k, 3] 1/m and weights [element, point] m³."""
     points, weights = rule(shape, fine)
     slope = slopes(shape, points)
@@ -195,7 +195,7 @@ def gradients(mesh: Mesh, shape: str, elements: npt.NDArray, fine: bool = False)
     return a, w
 
 
-def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:
+def wedge_pairs(mesh: Mesh, elements: Integers) -> Integers:
     """Pairs of wedges for selective quadrature, [pair, 2]: each lies across the other's largest quadrilateral that two
     wedges share.
 
@@ -226,7 +226,7 @@ def wedge_pairs(mesh: Mesh, elements: npt.NDArray) -> npt.NDArray:
     return np.column_stack([first, partner[first]])
 
 
-def tetrahedron_rings(mesh: Mesh, elements: npt.NDArray) -> list[list[int]]:
+def tetrahedron_rings(mesh: Mesh, elements: Integers) -> list[list[int]]:
     """Tetrahedra that are one for selective quadrature, by the rule of server/model/tetrahedron_rings.h. A tetrahedron
     that the rule leaves is a ring of its own.
     """
@@ -266,9 +266,7 @@ def tangent(stress: Stress, f: Floats) -> Floats:
     return out
 
 
-def _sums(
-    problem: problems.Problem, shape: str, elements: npt.NDArray
-) -> list[tuple[npt.NDArray, Floats, Floats, Stress]]:
+def _sums(problem: problems.Problem, shape: str, elements: Integers) -> list[tuple[Integers, Floats, Floats, Stress]]:
     """The terms to integrate over the elements: nodes [element, k], gradients, weights, and a stress."""
     law = problem.law
     a, w = gradients(problem.mesh, shape, elements)
@@ -298,8 +296,8 @@ def _sums(
 
 
 def _ring_sums(
-    law: Law, elements: npt.NDArray, a: Floats, w: Floats, rings: list[list[int]]
-) -> list[tuple[npt.NDArray, Floats, Floats, Stress]]:
+    law: Law, elements: Integers, a: Floats, w: Floats, rings: list[list[int]]
+) -> list[tuple[Integers, Floats, Floats, Stress]]:
     """The terms of `_sums` for linear tetrahedra in selective quadrature: each keeps a part of its deviatoric stress,
     and its ring has the rest."""
 

@@ -145,7 +145,7 @@ def _row(name: str, of: Recording, errors: Errors | None) -> dict[str, float | s
         "step_p50_ms": of.costs.step_p50_s * 1e3,
         "step_p99_ms": of.costs.step_p99_s * 1e3,
     }
-    return row if errors is None else row | errors_of(errors)
+    return row if errors is None else {**row, **errors_of(errors)}
 
 
 def errors_of(errors: Errors) -> dict[str, float]:
@@ -208,7 +208,7 @@ def _read(backend: str) -> dict[str, Any]:
     return content
 
 
-def _cells(row: Mapping, on_cpu: Mapping | None) -> list[str]:
+def _cells(row: Mapping[str, Any], on_cpu: Mapping[str, Any] | None) -> list[str]:
     return [
         row["setting"],
         f"{row['elements']:,}",
@@ -220,11 +220,11 @@ def _cells(row: Mapping, on_cpu: Mapping | None) -> list[str]:
     ]
 
 
-def _percent(row: Mapping, key: str) -> str:
+def _percent(row: Mapping[str, Any], key: str) -> str:
     return f"{100 * row[key]:.1f} %" if key in row else "–"
 
 
-def _times(row: Mapping) -> str:
+def _times(row: Mapping[str, Any]) -> str:
     return f"{row['step_p50_ms']:.3g} / {row['step_p99_ms']:.3g} ms"
 
 

@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -141,13 +142,13 @@ def tables() -> dict[str, list[str]]:
     }
 
 
-def _table(first: str, rows: list[Mapping], columns: Mapping[str, str]) -> list[str]:
+def _table(first: str, rows: list[Mapping[str, Any]], columns: Mapping[str, str]) -> list[str]:
     return markdown(
         [first, *columns], [[row["part"], *(_percent(row, key) for key in columns.values())] for row in rows]
     )
 
 
-def _percent(row: Mapping, key: str) -> str:
+def _percent(row: Mapping[str, Any], key: str) -> str:
     return f"{100 * row[key]:.1f} %" if key in row else "stopped by a guard"
 
 

@@ -14,6 +14,7 @@ from .laws import IDENTITY
 from .meshes import Floats, Mesh
 
 if TYPE_CHECKING:
+    import scipy.sparse
     import skfem
 
 _KINDS = {
@@ -73,15 +74,12 @@ def solve(problem: problems.Problem) -> Floats:
     basis, theirs = _basis(problem.mesh)
     law = problem.law
 
-    @skfem.LinearForm
-    def inner_force(v, w):  # noqa: ANN001, ANN202
-        return ddot(w["stress"], grad(v))
+    inner_force = skfem.LinearForm(lambda v, w: ddot(w["stress"], grad(v)))
+    stiffness = skfem.BilinearForm(
+        lambda du, v, w: np.einsum("ijkl...,ij...,kl...->...", w["moduli"], grad(v), grad(du))
+    )
 
-    @skfem.BilinearForm
-    def stiffness(du, v, w):  # noqa: ANN001, ANN202
-        return np.einsum("ijkl...,ij...,kl...->...", w["moduli"], grad(v), grad(du))
-
-    def system(u: Floats):  # noqa: ANN202
+    def system(u: Floats) -> tuple[Floats, scipy.sparse.csr_matrix]:
         slope = basis.interpolate(u.ravel()[_inverse(theirs)]).grad
         f = IDENTITY + np.moveaxis(slope, (0, 1), (-2, -1))
         stress = np.moveaxis(law.stress(f), (-2, -1), (0, 1))

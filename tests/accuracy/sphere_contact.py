@@ -86,7 +86,12 @@ def layers(cells: int) -> int:
 
 
 def press_half_ball(
-    engine: Engine, shape: str, cells: int, penalty_pa_per_m: float, quadrature: int = FULL, given: Hertz = HERTZ
+    engine: Engine,
+    shape: str,
+    cells: int,
+    penalty_pa_per_m: float,
+    quadrature: scene_pb2.Quadrature = FULL,
+    given: Hertz = HERTZ,
 ) -> float:
     """Force on the sphere [N]. cells: along half the width of the fine block."""
     a = given.contact_radius_m
@@ -102,7 +107,12 @@ def press_half_ball(
 
 
 def press_block(
-    engine: Engine, shape: str, cells: int, penalty_pa_per_m: float, quadrature: int = FULL, given: Deep = DEEP
+    engine: Engine,
+    shape: str,
+    cells: int,
+    penalty_pa_per_m: float,
+    quadrature: scene_pb2.Quadrature = FULL,
+    given: Deep = DEEP,
 ) -> float:
     """Force on the sphere [N]. cells: along a side; half as many, rounded up, through the thickness."""
     mesh = box(shape, (cells, cells, (cells + 1) // 2), (given.side_m, given.side_m, given.thickness_m))

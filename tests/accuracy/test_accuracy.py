@@ -25,7 +25,7 @@ QUICK = [
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tm.Server]:
-    with tm.launch(backend="cpu", zenoh=False) as server:
+    with tm.launch(backend="cpu", cpu_threads=1, zenoh=False) as server:  # others run beside it
         yield server
 
 

@@ -21,7 +21,7 @@ def launch(**_: object) -> Iterator[SimpleNamespace]:
 
 @pytest.mark.parametrize("together", [True, False])
 def test_precisions_run_at_the_same_time_only_if_asked(monkeypatch: pytest.MonkeyPatch, together: bool) -> None:
-    monkeypatch.setattr(command.tm, "launch", launch)
+    monkeypatch.setattr("tensormass.launch", launch)
     meeting = threading.Barrier(2)
 
     def wait(engine: Engine) -> Outcome:

@@ -13,7 +13,7 @@ import pytest
 from . import advice, report, trade_tables
 from .cases import all_cases
 from .report import BACKENDS, Row, Run
-from .tables import csv_text
+from .tables import Cell, csv_text
 
 CASES = all_cases()
 
@@ -98,7 +98,10 @@ def test_the_advice_is_short_and_opens_with_its_table() -> None:
 
 
 def test_csv_keeps_numbers_plain() -> None:
-    rows = [{"name": "a, b", "value": 1 / 3, "own": True}, {"name": "c", "value": float("nan"), "own": None}]
+    rows: list[dict[str, Cell]] = [
+        {"name": "a, b", "value": 1 / 3, "own": True},
+        {"name": "c", "value": float("nan"), "own": None},
+    ]
     assert csv_text(rows) == 'name,value,own\n"a, b",0.333333,yes\nc,,\n'
 
 

@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -47,7 +48,7 @@ TIMES = {"fast": 1.0, "balanced": 1.0, "accurate": 2.0}
 class Trade:
     """One file of results. head: everything but the measurements. The first measurement is the unmodified scene."""
 
-    head: dict
+    head: dict[str, Any]
     measurements: list[Measurement]
 
     @staticmethod
@@ -134,7 +135,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     # is replaced by the next best.
     measurements = [Measurement.from_plain(row) for row in content["measurements"]]
     foreign = presets.all_presets().get(scene, {}) if arguments.backend != PRESETS_BACKEND else {}
-    dropped: dict[str, list[dict]] = {}
+    dropped: dict[str, list[dict[str, Any]]] = {}
     while True:
         chosen = Trade({"dropped": dropped}, measurements).chosen()
         settings = {OWN: {}, **{name: of.setting for name, of in chosen.items()}}
@@ -170,7 +171,7 @@ def _measure(scene: str, arguments: argparse.Namespace) -> None:
     print(f"wrote {path}")
 
 
-def _leaving(content: dict, chosen: dict[str, Measurement]) -> dict[str, dict]:
+def _leaving(content: dict[str, Any], chosen: dict[str, Measurement]) -> dict[str, dict[str, Any]]:
     """Settings that broke the promise of their name in the second run of trade.json, in the form of `Dropped`."""
     confirmed = {name: Measurement.from_plain(of) for name, of in content["confirmed"].items()}
     within = limits(content, chosen, confirmed[OWN])
@@ -181,7 +182,7 @@ def _leaving(content: dict, chosen: dict[str, Measurement]) -> dict[str, dict]:
     }
 
 
-def _run(scene: str, backend: str, folder: Path, options: list[str]) -> dict:
+def _run(scene: str, backend: str, folder: Path, options: list[str]) -> dict[str, Any]:
     """Runs the command and returns its trade.json."""
     result = folder / "trade.json"
     result.unlink(missing_ok=True)
@@ -218,7 +219,7 @@ def picture(scene: str) -> str:
     return f"images/trade-{scene}.svg"
 
 
-def limits(head: dict, promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
+def limits(head: dict[str, Any], promised: dict[str, Measurement], own: Measurement) -> dict[str, report.Limits]:
     """Limits by name. Those of presets are relative to `own`, the unmodified scene timed beside them; the unmodified
     scene itself has none."""
     within = {

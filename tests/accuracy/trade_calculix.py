@@ -21,6 +21,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -96,8 +97,8 @@ class Beam:
 
     def mesh(self, setting: Setting) -> tuple[Floats, Integers]:
         """Nodes and elements of a setting."""
-        cells = tuple(max(1, math.floor(count * setting.resolution + 0.5)) for count in self.cells)
-        mesh = box(ELEMENTS[setting.element][0], cells, self.size_m)
+        x, y, z = (max(1, math.floor(count * setting.resolution + 0.5)) for count in self.cells)
+        mesh = box(ELEMENTS[setting.element][0], (x, y, z), self.size_m)
         ((_, elements),) = mesh.blocks
         return quadratic(mesh.nodes, elements) if setting.element == "C3D20R" else (mesh.nodes, elements)
 
@@ -224,12 +225,12 @@ def main() -> int:
     return 0
 
 
-def _goes_on(head: dict) -> bool:
+def _goes_on(head: dict[str, Any]) -> bool:
     before = read()[0]
     return all(before.get(name) == head[name] for name in ("solver", "host", "reference"))
 
 
-def _measure(beam: Beam, setting: Setting, reference: Recording, script: Script) -> dict:
+def _measure(beam: Beam, setting: Setting, reference: Recording, script: Script) -> dict[str, Any]:
     nodes, elements = beam.mesh(setting)
     row = {"key": setting.key, "element": setting.element, "elements": len(elements), "nodes": len(nodes)}
     row |= {"resolution": setting.resolution, "dt_s": setting.dt_s}
@@ -244,11 +245,11 @@ def _measure(beam: Beam, setting: Setting, reference: Recording, script: Script)
     return {**row, **{name: float(f"{value:.4g}") for name, value in numbers.items()}}
 
 
-def _brief(row: dict) -> str:
+def _brief(row: dict[str, Any]) -> str:
     return f"displacement {100 * row['displacement']:.2g} %, {1e3 * row['cost_s']:.3g} ms a step of the scene"
 
 
-def read() -> tuple[dict, list[dict]]:
+def read() -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Head and rows of the results file; both empty without one."""
     if not FILE.exists():
         return {}, []
@@ -256,7 +257,7 @@ def read() -> tuple[dict, list[dict]]:
     return head, rows
 
 
-def solved() -> list[dict]:
+def solved() -> list[dict[str, Any]]:
     """Rows of settings that did not fail, the cheapest first."""
     return sorted((row for row in read()[1] if "failure" not in row), key=lambda row: row["cost_s"])
 

@@ -10,12 +10,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
+
+from tensormass_tools import presets
+from tensormass_tools.trade import report
+from tensormass_tools.trade.knobs import Setting
+from tensormass_tools.trade.store import Measurement
 
 from . import trade, trade_calculix
 from .tables import Cell, markdown
 from .trade import OWN, PRESETS_BACKEND, SCENES, Trade
 
-Measurement, report = trade.Measurement, trade.report
 Row = dict[str, Cell]
 
 _COLUMNS = (
@@ -133,7 +138,7 @@ def confirmations(of: Trade) -> list[Row]:
         name: Measurement.from_plain({**one, "machine": head["machine"]}) for name, one in head["confirmed"].items()
     }
     limits = trade.limits(head, promised, confirmed[OWN])
-    offered = trade.presets.all_presets().get(head["scene"], {})
+    offered = presets.all_presets().get(head["scene"], {})
     rows = []
     for name, again in confirmed.items():
         was = promised.get(name)
@@ -154,7 +159,7 @@ def confirmations(of: Trade) -> list[Row]:
     return rows + [_confirmation(of, text, "", verdict="no setting") for text in missing]
 
 
-def doubt(reference: dict, tolerance: float) -> str:
+def doubt(reference: dict[str, Any], tolerance: float) -> str:
     """Which errors the reference is too coarse to judge; empty if it is fine enough for the tolerance."""
     known = [("displacement", reference["displacement_error"]), ("force", reference["force_error"] or 0.0)]
     words = [f"of {what} below {report.percent(error)}" for what, error in known if error > tolerance / 3]
@@ -236,7 +241,7 @@ def preset_names(of: Trade) -> dict[str, list[str]]:
     """Names of the presets by the key of the setting that each of them has; only those measured here."""
     by_setting = {json.dumps(one.setting, sort_keys=True): one for one in of.measurements}
     named: dict[str, list[str]] = {}
-    for name, setting in trade.presets.all_presets().get(of.head["scene"], {}).items():
+    for name, setting in presets.all_presets().get(of.head["scene"], {}).items():
         if one := by_setting.get(json.dumps(setting, sort_keys=True)):
             named.setdefault(one.key, []).append(name)
     return named
@@ -305,7 +310,7 @@ def _again(of: Trade, title: str, was: Measurement, again: Measurement, verdict:
     return _confirmation(of, title, report.setting_text(was.setting), was=was, again=again, verdict=verdict)
 
 
-def _foreign(of: Trade, name: str, setting: trade.Setting, again: Measurement, own: Measurement) -> Row:
+def _foreign(of: Trade, name: str, setting: Setting, again: Measurement, own: Measurement) -> Row:
     """A row for a preset that was chosen from another machine's results."""
     verdict = again.failure or f"{again.cost_s / own.cost_s:.2f} times as long as the unmodified scene"
     title = f"{name}, of the {PRESETS_BACKEND}'s results"

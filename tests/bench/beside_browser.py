@@ -74,7 +74,7 @@ def _count(address: str, seconds: float) -> dict[str, Any]:
 @contextlib.contextmanager
 def _demo() -> Iterator[tuple[str, str]]:
     """A running demo: addresses of the daemon and of the viewer."""
-    command = [ROOT / "build" / "bin" / "tensormass", "run", "demo", "--backend", "cpu", "--json"]
+    command: list[str | Path] = [ROOT / "build" / "bin" / "tensormass", "run", "demo", "--backend", "cpu", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

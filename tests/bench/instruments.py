@@ -53,6 +53,7 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
             untouched.step(len(poses))
         times = {"step": touched.step_times(), "alone": untouched.step_times()}
         warnings = list(touched.status().warnings)
+        assert touched.report is not None
         elements = sum(body.element_count for body in touched.report.bodies)
     row: dict[str, Any] = {
         "case": f"instrument: {name}",

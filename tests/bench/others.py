@@ -21,6 +21,7 @@ time is spent starting kernels.
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.metadata
 import itertools
 import json
@@ -30,6 +31,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +71,7 @@ def beam(cells: tuple[int, int, int]) -> tuple[FloatArray, npt.NDArray[np.int64]
     return nodes, tetrahedra, nodes[:, 0] < 1e-9, masses
 
 
-def with_tensormass(server: tm.Server, cells: tuple[int, int, int], name: str, **solver: float | str) -> Engine:
+def with_tensormass(server: tm.Server, cells: tuple[int, int, int], name: str, solver: dict[str, Any]) -> Engine:
     nodes, tetrahedra, fixed, _ = beam(cells)
     scene = tm.Scene.from_arrays(
         nodes,
@@ -96,7 +98,7 @@ def with_tensormass(server: tm.Server, cells: tuple[int, int, int], name: str, *
 
 
 def with_mujoco(cells: tuple[int, int, int], solver: str, iterations: int, tolerance: float) -> Engine:
-    import mujoco
+    mujoco = importlib.import_module("mujoco")
 
     nodes, tetrahedra, fixed, masses = beam(cells)
     bodies = []
@@ -136,10 +138,10 @@ def _words(numbers: list[Any]) -> str:
 
 
 def with_newton(cells: tuple[int, int, int], iterations: int) -> Engine:
-    import warp as wp
+    wp = importlib.import_module("warp")
 
     wp.config.quiet = True
-    import newton
+    newton = importlib.import_module("newton")
 
     nodes, tetrahedra, fixed, _ = beam(cells)
     builder = newton.ModelBuilder(up_axis=newton.Axis.Z, gravity=(0.0, 0.0, GRAVITY))
@@ -180,21 +182,20 @@ def cases(server: tm.Server, cells: tuple[int, int, int], newton: bool) -> Itera
     for count, tolerance in ((10, 1e-6), (50, 1e-6), (500, 1e-3), (500, 1e-6)):
         settings: dict[str, Any] = {"precision": "float", "cg_max_iterations": count, "cg_tolerance": tolerance}
         name = f"beam-{count}-{-math.log10(tolerance):.0f}"
-        make = lambda name=name, settings=settings: with_tensormass(server, cells, name, **settings)  # noqa: E731
+        make = partial(with_tensormass, server, cells, name, settings)
         yield Case("Tensormass", f"one linear solve, at most {count} CG iterations to {tolerance:g}", "StVK", make)
     for solver, count, tolerance in (("CG", 100, 1e-8), ("Newton", 100, 1e-8)):
-        make = lambda solver=solver, count=count, t=tolerance: with_mujoco(cells, solver, count, t)  # noqa: E731
-        yield Case("MuJoCo", f"discrete, {solver}, at most {count} iterations to {tolerance:g}", "StVK", make)
+        discrete = partial(with_mujoco, cells, solver, count, tolerance)
+        yield Case("MuJoCo", f"discrete, {solver}, at most {count} iterations to {tolerance:g}", "StVK", discrete)
     for count in (10, 50, 200) if newton else ():
-        make = lambda count=count: with_newton(cells, count)  # noqa: E731
-        yield Case("Newton", f"VBD, {count} iterations", "neo-Hookean", make)
+        yield Case("Newton", f"VBD, {count} iterations", "neo-Hookean", partial(with_newton, cells, count))
 
 
 def references(server: tm.Server, cells: tuple[int, int, int], newton: bool) -> dict[str, FloatArray]:
     """[law]: positions [n, 3] m after the last step, each step converged."""
     exact: dict[str, Any] = {"precision": "double", "cg_max_iterations": 5000, "cg_tolerance": 1e-10}
     exact |= {"newton_max_iterations": 50, "newton_tolerance": 1e-8}
-    made = {"StVK": with_tensormass(server, cells, "reference", **exact)}
+    made = {"StVK": with_tensormass(server, cells, "reference", exact)}
     if newton:
         made["neo-Hookean"] = with_newton(cells, REFERENCE_ITERATIONS)
     return {law: run(engine)[1] for law, engine in made.items()}

@@ -278,7 +278,7 @@ def browser() -> Iterator[str]:
         return
     yield "| vertices, codec | decode: least | median | prepare: least | median | upload | WebGL calls | whole frame |"
     yield "|---|---|---|---|---|---|---|---|"
-    parts = ("decode_ms_least", "decode_ms_median", "prepare_ms_least", "prepare_ms_median")
+    parts: tuple[str, ...] = ("decode_ms_least", "decode_ms_median", "prepare_ms_least", "prepare_ms_median")
     parts += ("upload_ms_median", "render_ms_median", "frame_ms_median")
     for case, row in found.items():
         if case.startswith("browser: "):

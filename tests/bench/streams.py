@@ -147,7 +147,9 @@ def measure(run: Recorded, choice: Choice) -> dict[str, Any]:
     decoder, triangles = FrameDecoder(), Triangles(run.topology)
     held: Keyframe | None = None
     sizes, encode_s, decode_s, errors_m, stated_m, details_m, keyframes = [], [], [], [], [], [], 0
-    level, vertices, simplified = None, slice(None), {}
+    level: Level | None = None
+    vertices: slice | npt.NDArray[np.integer[Any]] = slice(None)
+    simplified: dict[str, int] = {}
     if not choice.is_whole:
         began = time.thread_time()
         level = Level(run.topology, shared(run.frames[0], triangles), choice.detail)

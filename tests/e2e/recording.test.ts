@@ -163,6 +163,6 @@ describe.skipIf(absent.length > 0)("recording", () => {
     expect(readings.bottom).toBeLessThanOrEqual(timeline.top);
     expect(display.bottom).toBeLessThanOrEqual(timeline.top);
     expect(parts.every((part) => part.left >= timeline.left && part.right <= timeline.right)).toBe(true);
-    expect(parts[0]!.width).toBeGreaterThan(100);
+    expect(parts[0].width).toBeGreaterThan(100);
   });
 });

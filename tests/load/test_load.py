@@ -208,7 +208,7 @@ def test_force_fades_when_the_daemon_goes(haptic_program: Path, scene_file: Path
     report_file = tmp_path / "haptic.json"
     with tm.launch(backend="cpu") as server, (tmp_path / "haptic.log").open("wb") as log:
         scene = server.load(str(scene_file))
-        command = [haptic_program, "--server", server.address, "--scene", scene.name, "--json", report_file]
+        command = [str(haptic_program), "--server", server.address, "--scene", scene.name, "--json", str(report_file)]
         client = ChildProcess([*command, "--period", "1", "--seconds", "4"], output=log)
         try:
             with scene.feedbacks("probe") as feedbacks:

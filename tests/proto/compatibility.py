@@ -11,6 +11,7 @@ reserved. Additions are always allowed.
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 import sys
 import tempfile
@@ -20,6 +21,7 @@ from pathlib import Path
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
     EnumDescriptorProto,
+    EnumValueDescriptorProto,
     FieldDescriptorProto,
     FileDescriptorSet,
     ServiceDescriptorProto,
@@ -36,7 +38,7 @@ class SchemaError(Exception):
 
 def compiled(folder: Path) -> FileDescriptorSet:
     """The descriptors of every .proto file below a folder."""
-    from grpc_tools import protoc
+    protoc = importlib.import_module("grpc_tools.protoc")
 
     files = sorted(map(str, folder.rglob("*.proto")))
     with tempfile.TemporaryDirectory() as output:
@@ -121,7 +123,7 @@ def _unreserved(name: str, gone: Iterable[int | str]) -> Iterator[str]:
         yield f"{name}: {label} is no longer reserved"
 
 
-def _pairs(entries: Iterable[FieldDescriptorProto]) -> dict[int, str]:
+def _pairs(entries: Iterable[FieldDescriptorProto | EnumValueDescriptorProto]) -> dict[int, str]:
     return {entry.number: entry.name for entry in entries}
 
 

@@ -33,6 +33,7 @@ def test_the_decoder_reads_the_golden_messages_to_the_last_bit() -> None:
             if entry["normals"] is None:
                 assert decoded.normals is None
             else:
+                assert decoded.normals is not None
                 bytes_of_normals = np.frombuffer(base64.b64decode(entry["normals"]), np.int8).reshape(-1, 3)
                 assert np.array_equal(decoded.normals * 127, bytes_of_normals)
         assert decoder.keyframe == entry["keyframe"], entry["name"]

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
+from typing import Any
 
 import grpc
 import numpy as np
@@ -19,7 +20,7 @@ from google.protobuf.message import Message
 
 from tensormass.v1 import control_pb2, control_pb2_grpc, scene_pb2, stream_pb2
 
-Call = grpc.aio.ServicerContext
+Call = grpc.aio.ServicerContext[Any, Any]
 
 
 @dataclass

@@ -21,7 +21,7 @@ OPERATOR_TOKEN = "an-operators-token"
 
 
 def options(viewer: Path, control: str = "127.0.0.1:1", **change: object) -> GatewayOptions:
-    given = {"token": TOKEN, "operator_token": OPERATOR_TOKEN, "poll_interval_s": 0.05, **change}
+    given: dict[str, Any] = {"token": TOKEN, "operator_token": OPERATOR_TOKEN, "poll_interval_s": 0.05, **change}
     return GatewayOptions(control=control, viewer=viewer, **given)
 
 

@@ -140,8 +140,8 @@ def test_a_status_shows_guards_and_budget() -> None:
 def test_a_status_names_the_state_unless_the_scene_runs() -> None:
     assert "running" not in status_line(STATUS)
     for name in ("paused", "lockstep", "faulted"):
-        state = stream_pb2.SceneStatus.State.Value(f"STATE_{name.upper()}")
-        assert status_line(stream_pb2.SceneStatus(state=state)).startswith(f"{name}  ")
+        status = stream_pb2.SceneStatus(state=f"STATE_{name.upper()}")
+        assert status_line(status).startswith(f"{name}  ")
 
 
 def test_load_prints_the_plan(recorder: tuple[Recorder, tm.Server], capsys: pytest.CaptureFixture[str]) -> None:

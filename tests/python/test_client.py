@@ -247,7 +247,8 @@ def test_frames_start_with_the_present_and_go_on_over_the_bus(
             assert next(frames).sequence == 5
         loop(daemon.wait_subscribed("s", "frame", count=0))
         vertices, triangles = scene.surface("fan")
-        assert (vertices.dtype, vertices.shape) == (np.float64, (4, 3))
+        assert vertices.dtype == np.float64
+        assert vertices.shape == (4, 3)
         np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3]])
         triangles[:] = 0  # the caller's own, as the vertices are
         vertices[:] = 0

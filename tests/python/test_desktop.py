@@ -304,7 +304,7 @@ def test_the_window_follows_the_scene_until_it_is_closed(
         if len(seen) > wanted:
             picture._plotter.iren.interactor.ExitCallback()  # as a click on the window's cross
 
-    monkeypatch.setattr(window.Picture, "update", look)
+    monkeypatch.setattr(Picture, "update", look)
     with server.load(block(), lockstep=True) as scene:
 
         def steps() -> None:
@@ -330,8 +330,8 @@ def test_the_window_ends_with_its_scene(
         def unload(picture: Picture, frame: tm.Frame) -> None:
             update(picture, frame)
             scene.unload()
-            monkeypatch.setattr(window.Picture, "update", update)
+            monkeypatch.setattr(Picture, "update", update)
 
-        monkeypatch.setattr(window.Picture, "update", unload)
+        monkeypatch.setattr(Picture, "update", unload)
         assert main(["view", "--desktop", "--server", server.address]) == 1
     assert "block" in capsys.readouterr().err

@@ -55,6 +55,18 @@ def triangles_in_frame(topology: stream_pb2.Topology) -> npt.NDArray[np.int64]:
     return np.concatenate(packed)
 
 
+def watched_levels(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The details of the levels that are made from now on."""
+    made: list[float] = []
+
+    def make(topology: stream_pb2.Topology, first: SharedFrame, detail: float) -> Level:
+        made.append(detail)
+        return Level(topology, first, detail)
+
+    monkeypatch.setattr(streams, "Level", make)
+    return made
+
+
 # --- one level -------------------------------------------------------------------------------------------------------
 
 
@@ -270,8 +282,7 @@ async def test_viewer_gets_its_share_of_the_triangles_and_frames_that_fit(viewer
 async def test_viewers_of_a_detail_share_its_level_and_a_late_one_gets_it_at_once(
     viewer: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = []
-    monkeypatch.setattr(streams, "Level", lambda *given: made.append(given[2]) or Level(*given))
+    made = watched_levels(monkeypatch)
     async with fake_daemon() as daemon, serve(options(viewer, daemon.control)) as gateway:
         show(daemon)
         async with (
@@ -452,8 +463,7 @@ async def test_a_frame_of_another_topology_is_neither_simplified_nor_shown() -> 
 
 @asynchronous
 async def test_a_viewer_that_tries_many_details_leaves_few_levels_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[float] = []
-    monkeypatch.setattr(streams, "Level", lambda *given: made.append(given[2]) or Level(*given))
+    made = watched_levels(monkeypatch)
     scene, watcher, steady = Streams(), watcher_of(0.05), watcher_of(0.06)
     scene.publish(Stream.FRAME, shared(PLACES))
     scene.add(steady)

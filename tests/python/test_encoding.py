@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from typing import Any
 
 import meshopt
 import numpy as np
@@ -201,7 +202,7 @@ async def test_a_codec_may_change_between_two_frames() -> None:
     ],
 )
 @asynchronous
-async def test_a_damaged_message_is_refused_with_what_is_wrong(change: dict[str, object], said: str) -> None:
+async def test_a_damaged_message_is_refused_with_what_is_wrong(change: dict[str, Any], said: str) -> None:
     message = await FrameEncoder(Choice(codec=Codec.Q16)).encode(shared(CLOUD))
     encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
     damage = gateway_pb2.EncodedFrame(**change)
@@ -280,7 +281,7 @@ async def test_meshopt_of_differences_is_smaller_than_delta_and_decodes_to_the_s
     ],
 )
 @asynchronous
-async def test_damaged_meshopt_is_refused_before_it_takes_memory(change: dict[str, object], said: str) -> None:
+async def test_damaged_meshopt_is_refused_before_it_takes_memory(change: dict[str, Any], said: str) -> None:
     message = await FrameEncoder(Choice(codec=Codec.MESHOPT)).encode(shared(CLOUD))
     encoded = gateway_pb2.EncodedFrame.FromString(message.split(b"\0", 1)[1])
     for name, value in change.items():

@@ -188,7 +188,7 @@ async def test_browsers_beyond_the_limit_are_refused_until_one_leaves(viewer: Pa
             with pytest.raises(aiohttp.WSServerHandshakeError, match="503"):
                 async with browse(gateway):
                     pass
-        while gateway.browser_count:
+        while gateway.browser_count > 0:
             await asyncio.sleep(0)
         async with browse(gateway):
             assert gateway.browser_count == 1

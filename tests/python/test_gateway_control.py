@@ -85,7 +85,9 @@ async def test_builtin_scene_is_loaded_under_a_free_name_and_announced_at_once(v
         for name, lockstep in (("beam", False), ("beam-2", True)):
             result = await page.command("load", "beam", lockstep=lockstep)
             assert (result["scene"], result["error"]) == (name, "")
-            loaded = daemon.commands[-1].scene
+            command = daemon.commands[-1]
+            assert isinstance(command, control_pb2.LoadSceneRequest)
+            loaded = command.scene
             assert (loaded.name, loaded.stepping.lockstep) == (name, lockstep)
             assert len(loaded.bodies) == 1
         told = await page.text(lambda message: message["type"] == "daemon" and len(message["scenes"]) == 2)
@@ -106,7 +108,9 @@ async def test_file_of_the_gateways_folder_is_not_a_builtin_scene(
         assert error.startswith("there is no built-in scene 'secret', only beam, ")
         assert daemon.commands == []
         assert (await page.command("load", "beam"))["scene"] == "beam"
-        assert daemon.commands[0].scene.name == "beam"
+        (command,) = daemon.commands
+        assert isinstance(command, control_pb2.LoadSceneRequest)
+        assert command.scene.name == "beam"
 
 
 @asynchronous

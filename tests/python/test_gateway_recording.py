@@ -36,7 +36,7 @@ def path(tmp_path: Path) -> Path:
 
 @contextlib.asynccontextmanager
 async def playing(viewer: Path, path: Path, **change: object) -> AsyncIterator[Gateway]:
-    async with serve(options(viewer, **change), recording=RecordingIndex(path)) as gateway:
+    async with serve(options(viewer, "127.0.0.1:1", **change), recording=RecordingIndex(path)) as gateway:
         yield gateway
 
 

@@ -112,14 +112,19 @@ def test_a_run_for_some_seconds_fails_as_soon_as_its_scene_is_stopped_and_leaves
 def test_a_run_counts_its_seconds_from_where_the_scene_steps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    launched_s: list[float] = []
+
     def launch_late(**options: Any) -> tm.Server:  # noqa: ANN401
         time.sleep(1.0)
-        return tm.launch(**options)
+        server = tm.launch(**options)
+        launched_s.append(time.monotonic())
+        return server
 
     monkeypatch.setattr("tensormass_tools.run.launch", launch_late)
     status, said = run_without_devices(BLOCK, tmp_path, capsys, 0.9)
+    assert time.monotonic() - launched_s[0] >= 0.9
     assert status == 0
-    assert said[-1]["status"]["step"] > 50, "of 180 in that time"
+    assert said[-1]["status"]["step"] > 0
 
 
 def test_status_says_where_energy_went(server: tm.Server) -> None:

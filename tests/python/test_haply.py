@@ -7,8 +7,9 @@ import json
 import signal
 import socket
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from inverse_service import HANG_UP, SILENT, Dialect, InverseService, Message, Vector
@@ -42,7 +43,7 @@ def command(
     return [str(word) for word in (PROGRAM, *where, "--seconds", seconds, *options)]
 
 
-def run(words: list[str]) -> subprocess.CompletedProcess[str]:
+def run(words: Sequence[str | Path]) -> subprocess.CompletedProcess[str]:
     """Runs the program to its end."""
     return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
 
@@ -133,7 +134,7 @@ def test_the_probe_follows_the_hand_and_the_hand_feels_the_tissue(
 
 
 def while_running(
-    feedbacks: Iterator[stream_pb2.ToolFeedback], hand: subprocess.Popen[str]
+    feedbacks: Iterable[stream_pb2.ToolFeedback], hand: subprocess.Popen[str]
 ) -> Iterator[stream_pb2.ToolFeedback]:
     for feedback in itertools.islice(feedbacks, MAX_STEPS):
         assert hand.poll() is None, hand.communicate()[1]

@@ -190,7 +190,7 @@ def test_a_hand_that_is_killed_in_contact_lets_go(server: tm.Server, load: Calla
                 assert feedback.step - first < steps, feedback
             raise AssertionError
 
-        command = [PROGRAM, *at(server, scene), *PRESS, "--seconds", "60", "--period", "2"]
+        command: list[str | Path] = [PROGRAM, *at(server, scene), *PRESS, "--seconds", "60", "--period", "2"]
         with subprocess.Popen(command, stderr=subprocess.DEVNULL) as hand:
             wait(lambda feedback: feedback.force_n.z > 0.01, steps=2000)
             hand.kill()
@@ -225,7 +225,7 @@ def test_a_signal_ends_it_while_it_connects(where: str, number: signal.Signals, 
             silent.listen()
             silent.settimeout(20.0)
         address = f"127.0.0.1:{silent.getsockname()[1]}"
-        command = [PROGRAM, "--server", address, "--connect-timeout", "25", "--json", report_file]
+        command: list[str | Path] = [PROGRAM, "--server", address, "--connect-timeout", "25", "--json", report_file]
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
             try:
                 with contextlib.ExitStack() as connections:

@@ -338,7 +338,7 @@ RUNNING, FAULTED = stream_pb2.SceneStatus.STATE_RUNNING, stream_pb2.SceneStatus.
 def view(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., int]]:
     """Runs a viewer in this process on frames of a test's own, and a daemon that answers or does not."""
 
-    def view(items: list[Any], states: Iterator[int] = itertools.repeat(RUNNING)) -> int:  # noqa: B008
+    def view(items: list[Any], states: Iterator[stream_pb2.SceneStatus.State] = itertools.repeat(RUNNING)) -> int:  # noqa: B008
         def status() -> stream_pb2.SceneStatus:
             state = next(states, None)
             if state is None:

@@ -160,10 +160,8 @@ def assert_same(back: meshes.VolumeMesh, mesh: meshes.VolumeMesh) -> None:
     assert [block.shape.name for block in back.blocks] == [block.shape.name for block in mesh.blocks]
     for (_, left), (_, right) in zip(back.blocks, mesh.blocks, strict=True):
         np.testing.assert_array_equal(left, right)
-    for left, right in ((back.sets, mesh.sets), (back.element_fields, mesh.element_fields)):
-        assert set(left) == set(right)
-        for name in left:
-            np.testing.assert_array_equal(left[name], right[name])
+    np.testing.assert_equal(dict(back.sets), dict(mesh.sets))
+    np.testing.assert_equal(dict(back.element_fields), dict(mesh.element_fields))
 
 
 @pytest.mark.parametrize("ending", ["vtu", "vtk", "msh"])

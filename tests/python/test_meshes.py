@@ -86,10 +86,10 @@ def test_boundary_is_closed_outward_and_compact() -> None:
 
 def test_repair_rewinds_drops_flat_and_keeps_the_largest_component() -> None:
     # A chain of tetrahedra, one of them inverted; a flat one on it; a smaller tetrahedron far off; an unused node.
-    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, 0]]
-    far = [[9, 9, 9], [9.1, 9, 9], [9, 9.1, 9], [9, 9, 9.1]]
+    corners: list[list[float]] = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, 0]]
+    far = [[9.0, 9, 9], [9.1, 9, 9], [9, 9.1, 9], [9, 9, 9.1]]
     tetrahedra = [[0, 1, 2, 3], [1, 3, 2, 4], [0, 1, 2, 5], [6, 7, 8, 9]]
-    mesh = meshes.VolumeMesh.from_tetrahedra(corners + far + [[5, 5, 5]], tetrahedra)
+    mesh = meshes.VolumeMesh.from_tetrahedra([*corners, *far, [5.0, 5, 5]], tetrahedra)
     assert mesh_geometry.quality(mesh).inverted_count == 2
     repaired = mesh_repair.repair(mesh)
     assert repaired.nodes.shape == (5, 3)

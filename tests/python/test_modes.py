@@ -163,7 +163,7 @@ LAWS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("law", LAWS)
 def test_laws_of_equal_small_strain_moduli_have_equal_modes(law: str) -> None:
     def frequencies(law: str, constants: dict[str, float]) -> np.ndarray:
-        options = {"young_modulus_pa": None, "poisson_ratio": None, "constants": constants}
+        options: dict[str, Any] = {"young_modulus_pa": None, "poisson_ratio": None, "constants": constants}
         return lowest_modes(matrices_of(bar(cells=(6, 1, 1), law=law, **options)), 5).frequency_hz
 
     expected = frequencies("st_venant_kirchhoff", {"young_modulus_pa": YOUNG_PA, "poisson_ratio": 0.25})

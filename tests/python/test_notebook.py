@@ -151,7 +151,7 @@ def test_a_server_shows_its_scenes(recorder: tuple[Recorder, tm.Server]) -> None
 
 def test_meshes_show_their_elements_and_extent() -> None:
     mesh = tm.VolumeMesh.from_arrays(
-        [[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]],
+        [[0.0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]],
         [("tetrahedron", [[0, 1, 2, 3]])],
         sets={EVIL: [0, 1]},
         element_fields={"young_modulus_pa": [1000]},

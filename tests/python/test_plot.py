@@ -91,7 +91,7 @@ def test_the_curves_are_those_of_the_messages(path: Path) -> None:
 def test_the_rate_counts_lost_steps_and_needs_no_order_of_the_clock() -> None:
     time_s = np.arange(200) / 100.0
     kept = np.flatnonzero((time_s < 0.6) | (time_s > 1.2))
-    curve = rate_hz(time_s[kept], kept)
+    curve = rate_hz(time_s[kept], kept.astype(float))
     assert len(curve.time_s) == int(time_s[-1] / RATE_WINDOW_S)
     np.testing.assert_allclose(curve.values, 100)
     assert np.isfinite(rate_hz(np.array([0.0, 2.0, 1.0, 3.0]), np.arange(4.0)).values).all()
@@ -131,7 +131,7 @@ def test_an_svg_is_a_drawing(path: Path, capsys: pytest.CaptureFixture[str]) -> 
     ],
 )
 def test_what_a_recording_cannot_show_is_said(
-    lacks: dict[str, bool], panels: int, says: str, path: Path, capsys: pytest.CaptureFixture[str]
+    lacks: dict[str, Any], panels: int, says: str, path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(path, **lacks)
     _, said = plot(path, capsys)

@@ -44,8 +44,8 @@ def load(server: tm.Server) -> Iterator[Callable[..., tm.SceneHandle]]:
     """Loads under a name of its own and unloads afterwards."""
     handles: list[tm.SceneHandle] = []
 
-    def load(scene: tm.Scene | str, **options: bool) -> tm.SceneHandle:
-        handles.append(server.load(scene, name=f"test-{next(_NUMBER)}", **options))
+    def load(scene: tm.Scene | str, lockstep: bool | None = None) -> tm.SceneHandle:
+        handles.append(server.load(scene, name=f"test-{next(_NUMBER)}", lockstep=lockstep))
         return handles[-1]
 
     yield load
@@ -59,7 +59,7 @@ _NUMBER = itertools.count()
 
 def tetrahedron_scene(**options: object) -> tm.Scene:
     nodes = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, 0.1, 0.1]])
-    return tm.Scene.from_arrays(nodes, [[0, 1, 2, 3], [1, 2, 3, 4]], **options)  # type: ignore[arg-type]
+    return tm.Scene.from_arrays(nodes, [[0, 1, 2, 3], [1, 2, 3, 4]], **options)
 
 
 def wait_for(what: str, condition: Callable[[], bool]) -> None:

@@ -44,7 +44,8 @@ def test_a_ball_stays_a_closed_ball_of_its_own_vertices(share: float) -> None:
     # Euler: a sphere has 2 (vertices - 2) triangles.
     assert len(made.triangles) == 2 * (len(made.vertices) - 2)
     # No triangle is turned over.
-    normals = np.cross(*(positions[made.triangles[:, i]] - positions[made.triangles[:, 0]] for i in (1, 2)))
+    first, second, third = (positions[made.triangles[:, corner]] for corner in range(3))
+    normals = np.cross(second - first, third - first)
     assert ((normals * positions[made.triangles].mean(axis=1)).sum(axis=1) > 0).all()
     assert volume(positions, made.triangles) > (0.9 if share < 0.1 else 0.98) * volume(positions, triangles)
     assert set(made.gone) | set(made.vertices) == set(range(len(positions)))

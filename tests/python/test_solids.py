@@ -75,6 +75,7 @@ def test_an_organ_lies_on_a_table_and_is_pushed(server: tm.Server) -> None:
     assert path is not None
     script = HandScript.read(path)
     with server.load("table", lockstep=True) as handle:
+        assert handle.report is not None
         (body,) = handle.report.bodies
         weight_n = 9.81 * body.mass_kg
         handle.step(120)

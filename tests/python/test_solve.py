@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -71,7 +72,7 @@ def solve(server: tm.Server, tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 class Solved:
-    def __init__(self, status: int, said: dict, out: Path) -> None:
+    def __init__(self, status: int, said: dict[str, Any], out: Path) -> None:
         self.status = status
         self.said = said
         self.out = out

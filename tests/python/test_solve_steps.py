@@ -20,7 +20,7 @@ DT_S = 0.1
 class Steps:
     """Stands for a scene's handle and for the writer of its results; nothing in it moves."""
 
-    bodies = ("beam",)
+    bodies: tuple[str, ...] = ("beam",)
     files = ()
     so_far = "Nothing is written"
 

@@ -20,7 +20,7 @@ from tensormass._src.shapes import SHAPES
 from tensormass.v1 import scene_pb2
 from tensormass_tools import presets
 from tensormass_tools.trade.interpolation import Interpolation
-from tensormass_tools.trade.knobs import Knobs
+from tensormass_tools.trade.knobs import Knobs, Setting
 from tensormass_tools.trade.measures import Errors, compare, oscillation, richardson
 from tensormass_tools.trade.script import Script
 
@@ -348,7 +348,8 @@ def test_frequency_and_damping_of_a_swing() -> None:
     assert measured[0] == pytest.approx(6, rel=1e-2)
     assert measured[1] == pytest.approx(rate / math.hypot(rate, omega), rel=1e-2)
     # On both sides of some of its turns are equal values.
-    assert oscillation(times, 0.2 + np.cos(omega * times)) == (pytest.approx(6, rel=1e-2), pytest.approx(0, abs=1e-3))
+    measured = oscillation(times, 0.2 + np.cos(omega * times))
+    assert measured == pytest.approx((6, 0), rel=1e-2, abs=1e-3)
     assert oscillation(times, 1 - np.exp(-times)) is None
     assert oscillation(times, 1 + 1e-3 * np.cos(omega * times)) is None  # equilibrium, and what a solver leaves
 
@@ -379,7 +380,7 @@ def test_richardson_bounds_an_error_whose_order_falls(share: float) -> None:
 
 
 def test_richardson_does_not_trust_an_erratic_sequence() -> None:
-    assert richardson([0.1], 1.5) == (pytest.approx(0.2), 1.0)  # first order is assumed
+    assert richardson([0.1], 1.5) == pytest.approx((0.2, 1.0))  # first order is assumed
     assert richardson([0.1, 0.2], 1.5)[1] == 0.5  # a sequence that does not converge
     assert richardson([1.0, 1e-9], 1.5)[1] == 1.0  # one that converges by chance
 
@@ -390,7 +391,7 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
     top = np.array([script.pose(share * script.duration_s) for share in (0, 0.2, 0.7, 1.0)])
     np.testing.assert_allclose(top, [[0.05, 0.05, z] for z in (0.08, 0.08, 0.055, 0.08)])
     assert script.duration_s / script.sample_s == pytest.approx(script.sample_count)
-    assert script.free_s == (0.0, pytest.approx(0.35 * script.duration_s))
+    assert script.free_s == pytest.approx((0.0, 0.35 * script.duration_s))
     scene.ClearField("gravity_m_per_s2")
     assert Script.of(scene).free_s == pytest.approx((0.9 * script.duration_s, script.duration_s))  # let go by the tool
     scene.bodies[0].prescribed.add().schedule.time_s.extend([0.0, 5.0])
@@ -403,14 +404,14 @@ def test_the_tool_presses_in_by_half_its_radius_and_comes_back(tmp_path: Path) -
 
 def test_solved_better_drops_settings_that_solve_worse(tmp_path: Path) -> None:
     knobs = knobs_of(BLOCK, tmp_path)
-    loose = {"resolution": 0.5, "cg_tolerance": 0.1, "precision": "double"}
+    loose: Setting = {"resolution": 0.5, "cg_tolerance": 0.1, "precision": "double"}
     assert knobs.solved_better(loose) == {"resolution": 0.5, "precision": "double"}
     assert knobs.solved_better({"cg_tolerance": 1e-4}) == {"cg_tolerance": 1e-4}
     newton = knobs_of(BLOCK.replace("solver: {", "solver: {newton_max_iterations: 5, "), tmp_path)
     assert newton.solved_better({"newton_tolerance": 1e-2}) == {}
     assert newton.solved_better({"newton_tolerance": 1e-4}) == {"newton_tolerance": 1e-4}
     # Defaults: Newton's method for an equilibrium, one solve for a step in time.
-    few = {"integrator": "quasi_static", "newton_max_iterations": 2}
+    few: Setting = {"integrator": "quasi_static", "newton_max_iterations": 2}
     assert knobs.solved_better(few) == {"integrator": "quasi_static"}
     assert knobs.solved_better({"newton_max_iterations": 2}) == {"newton_max_iterations": 2}
 
@@ -457,10 +458,8 @@ def test_the_demo_fits_its_backend() -> None:
 
 def test_grading_and_resolution_mesh_an_organ_together(tmp_path: Path) -> None:
     knobs = Knobs(SceneFile.read("demo"), tmp_path)
-    names = [
-        Path(knobs.apply(setting).fields["bodies"][0]["mesh"]["file"]).name
-        for setting in ({"resolution": 0.5, "grading": "uniform"}, {"grading": "uniform", "resolution": 0.5})
-    ]
+    settings: list[Setting] = [{"resolution": 0.5, "grading": "uniform"}, {"grading": "uniform", "resolution": 0.5}]
+    names = [Path(knobs.apply(setting).fields["bodies"][0]["mesh"]["file"]).name for setting in settings]
     assert names == ["liver-uniform-0.5.msh"] * 2
     graded = knobs.apply({"resolution": 0.5}).fields["bodies"][0]["mesh"]["file"]
     assert Path(graded).name == "liver-graded-0.5.msh"

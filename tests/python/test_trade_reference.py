@@ -25,8 +25,15 @@ def test_the_reference_is_refined_until_its_own_error_is_a_third_of_the_toleranc
 
     def find(tolerance: float, limit_s: float) -> reference.Reference:
         return reference.find(
-            knobs, script, formula, Store(tmp_path), MACHINE, tolerance=tolerance, limit_s=limit_s, say=said.append
-        )  # type: ignore[arg-type]
+            knobs,
+            script,
+            formula,  # type: ignore[arg-type]
+            Store(tmp_path),
+            MACHINE,
+            tolerance=tolerance,
+            limit_s=limit_s,
+            say=said.append,
+        )
 
     found = find(0.02, 1e9)
     assert found.ended == "below a third of the tolerance"

@@ -23,6 +23,7 @@ from tensormass_tools.trade import energy
 from tensormass_tools.trade import recorder as recorder_module
 from tensormass_tools.trade.energy import EnergyMeter
 from tensormass_tools.trade.recorder import Recorder, node_volumes
+from tensormass_tools.trade.recording import Recording
 from tensormass_tools.trade.script import Script, check_same_scene, rest_nodes
 
 SCENE = """
@@ -149,13 +150,25 @@ def scene_of(text: str = SCENE) -> scene_pb2.Scene:
     return SceneFile.parse(text, Path(), "scene").message()
 
 
-def record(scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None):  # noqa: ANN201
+def record(
+    scene: scene_pb2.Scene, base: scene_pb2.Scene, script: Script, server: FormulaServer | None = None
+) -> Recording:
     return Recorder(server or FormulaServer(), base, script).record(scene)  # type: ignore[arg-type]
 
 
-def measure(scenes: list[scene_pb2.Scene], server: FormulaServer, limit_s: float = 60):  # noqa: ANN201
+def measure(
+    scenes: list[scene_pb2.Scene], server: FormulaServer, limit_s: float = 60
+) -> list[Recording | tm.TensormassError]:
     base = scenes[-1]
     return Recorder(server, base, Script.of(base)).measure(scenes, limit_s)  # type: ignore[arg-type]
+
+
+def recorded(scenes: list[scene_pb2.Scene], server: FormulaServer, limit_s: float = 60) -> list[Recording]:
+    """Measures scenes, none of them stopped by a guard."""
+    found = measure(scenes, server, limit_s)
+    kept = [of for of in found if isinstance(of, Recording)]
+    assert len(kept) == len(found), found
+    return kept
 
 
 def test_the_tip_goes_to_the_surface_by_the_shortest_way() -> None:
@@ -245,7 +258,7 @@ def test_only_the_last_few_meshes_are_remembered() -> None:
 def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
     text = SCENE[: SCENE.index("tools:")] + "solver: {integrator: quasi_static}\n"
     server = FormulaServer()
-    (got,) = measure([scene_of(text)], server)
+    (got,) = recorded([scene_of(text)], server)
     assert got.displacement[0].shape[0] == got.costs.step_count == got.unconverged_steps == 1
     assert got.costs.timed_steps == 500
     assert server.loaded[0].steps_ever == 501
@@ -254,7 +267,7 @@ def test_equilibrium_is_timed_more_than_once_and_counted_once() -> None:
 def test_scenes_are_timed_in_turns_until_each_has_enough_steps() -> None:
     short, long = scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}")), scene_of()
     server = FormulaServer()
-    got = measure([short, long], server)
+    got = recorded([short, long], server)
     assert [of.costs.step_count for of in got] == [80, 160]
     assert [of.costs.timed_steps for of in got] == [560, 1120]  # seven runs each
     assert [of.displacement[0].shape[0] for of in got] == [80, 80]
@@ -266,6 +279,7 @@ def test_a_scene_that_stops_does_not_keep_others_from_being_timed() -> None:
     server = FormulaServer(fault_at_step=120)
     stopped, timed = measure([scene_of(), scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}"))], server)
     assert isinstance(stopped, tm.FailedPreconditionError)
+    assert isinstance(timed, Recording)
     assert timed.costs.timed_steps == 560
     assert all(of.unloaded for of in server.loaded)
 
@@ -276,6 +290,8 @@ def test_scenes_timed_for_comparison_take_turns_and_come_last(monkeypatch: pytes
     scene, own = scene_of(), scene_of(SCENE.replace("dt_s: 0.01}", "dt_s: 0.02}"))
     got, of_own = Recorder(server, scene, Script.of(scene)).measure([scene], 60, beside=[own])  # type: ignore[arg-type]
     assert server.runs[:14] == ["trade_0", "trade_1"] * 7
+    assert isinstance(got, Recording)
+    assert isinstance(of_own, Recording)
     assert [got.costs.timed_steps, of_own.costs.timed_steps] == [1120, 560]
     assert got.costs.step_energy_j is not None
     assert of_own.costs.step_energy_j is None
@@ -283,7 +299,7 @@ def test_scenes_timed_for_comparison_take_turns_and_come_last(monkeypatch: pytes
 
 def test_timing_ends_where_it_takes_too_long() -> None:
     server = FormulaServer()
-    (got,) = measure([scene_of()], server, limit_s=0)
+    (got,) = recorded([scene_of()], server, limit_s=0)
     assert got.costs.timed_steps == got.costs.step_count == 160
     assert server.loaded[0].steps_ever == 320
 
@@ -333,6 +349,7 @@ def test_energy_is_counted_of_steps_alone(monkeypatch: pytest.MonkeyPatch, one_s
     scene = scene_of(text)
     recorder = Recorder(server, scene, Script.of(scene, None))  # type: ignore[arg-type]
     (got,) = recorder.measure([scene], 60)
+    assert isinstance(got, Recording)
     # With the way back to the start it would be a third more, or half.
     assert got.costs.step_energy_j == pytest.approx(100 * server.step_s, rel=0.1)
     assert server.loaded[0].most_steps == got.costs.step_count  # never farther than the script goes
@@ -340,6 +357,7 @@ def test_energy_is_counted_of_steps_alone(monkeypatch: pytest.MonkeyPatch, one_s
     server.loaded.clear()
     meter.watts = 0.0
     (got,) = recorder.measure([scene], 60)
+    assert isinstance(got, Recording)
     assert got.costs.step_energy_j is None
 
 
@@ -355,7 +373,7 @@ def test_a_scene_that_stops_while_energy_is_counted_is_still_a_result(monkeypatc
         return step(self, count)
 
     monkeypatch.setattr(FormulaScene, "step", stopping)
-    (got,) = measure([scene], server)
+    (got,) = recorded([scene], server)
     assert got.costs.step_energy_j is None
     assert got.costs.step_count == 160
 

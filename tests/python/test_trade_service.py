@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,14 +47,14 @@ solver: {integrator: quasi_static, precision: double, newton_tolerance: 1.0e-6}
 """
 
 
-def trade(text: str, folder: Path, *options: str) -> dict:
+def trade(text: str, folder: Path, *options: str) -> dict[str, Any]:
     (folder / "scene.yaml").write_text(text)
     run = ["trade", str(folder / "scene.yaml"), "--backend", "cpu", "--cpu-threads", "1", "--out", str(folder / "out")]
     main([*run, *options])
     return json.loads((folder / "out" / "trade.json").read_text())
 
 
-def errors_of(result: dict, **setting: object) -> dict:
+def errors_of(result: dict[str, Any], **setting: object) -> dict[str, Any]:
     (found,) = (of["errors"] for of in result["measurements"] if of["setting"] == setting)
     return found
 

@@ -85,13 +85,16 @@ def test_combinations_are_those_that_promise_most(tmp_path: Path) -> None:
     assert singles[0] == {}
     assert len(singles) == 1 + 4 + 5 + 3
     assert len(sweep.one_at_a_time(knobs, quick=True)) == 1 + 2 + 5 + 2
-    effects = {"resolution": {0.5: (0.2, 0.02), 2.0: (8.0, -0.02)}, "cg_tolerance": {0.1: (0.5, 0.001)}}
-    effects["law"] = {"hooke": (0.1, 0.5)}  # cheap, but hopeless
+    effects: dict[str, dict[object, tuple[float, float]]] = {
+        "resolution": {0.5: (0.2, 0.02), 2.0: (8.0, -0.02)},
+        "cg_tolerance": {0.1: (0.5, 0.001)},
+        "law": {"hooke": (0.1, 0.5)},  # cheap, but hopeless
+    }
     measured = []
     for setting in singles:
         factor, change = 1.1, 0.5  # dearer and worse than the scene: not worth a combination
         for name, value in setting.items():
-            factor, change = effects.get(name, {}).get(value, (factor, change))  # type: ignore[call-overload]
+            factor, change = effects.get(name, {}).get(value, (factor, change))
         measured.append(measurement(setting, factor if setting else 1.0, 0.03 + (change if setting else 0.0)))
     chosen, possible = sweep.combinations(knobs, measured, 10, tolerance=0.02)
     assert possible == 2
@@ -122,7 +125,7 @@ def test_equilibria_are_not_asked_for_more_often_than_the_scene_does(tmp_path: P
     measured = [measurement({}, 1.0, 0.03), measurement({"integrator": "quasi_static"}, 1.0, 0.01)]
     measured += [measurement({"dt_s": own * factor}, 1 / factor, 0.02) for factor in (0.5, 2.0)]  # type: ignore[operator]
     chosen, _ = sweep.combinations(knobs, measured, 10, tolerance=0.02)
-    assert chosen == [{"dt_s": 2 * own, "integrator": "quasi_static"}]  # type: ignore[operator]
+    assert chosen == [{"dt_s": 2 * own, "integrator": "quasi_static"}]
 
 
 def test_another_law_is_chosen_only_where_it_is_as_good_as_the_same(tmp_path: Path) -> None:

@@ -7,9 +7,13 @@ The fields are found by walking the protocol's descriptors. test_stability.py fa
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
+from typing import Any, cast
 
 import numpy as np
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
@@ -130,7 +134,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
         tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
         tool.mass_kg, tool.coupling_stiffness_n_per_m, tool.coupling_damping_n_s_per_m = 0.05, 500, 1
         shape = getattr(tool, kind.name)
-        for field in kind.message_type.fields:
+        for field in shape.DESCRIPTOR.fields:
             if field.type == FieldDescriptor.TYPE_DOUBLE:
                 setattr(shape, field.name, 1e6 if field.name.endswith("pa_per_m") else 0.01)
         shape.tip_offset_m.z = 0.001
@@ -147,8 +151,8 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     return scene
 
 
-def _is_real_bytes(field: FieldDescriptor) -> bool:
-    return field.type == FieldDescriptor.TYPE_BYTES and field.name not in _BYTES_WITHOUT_REALS
+def _is_real_bytes(kind: int, name: str) -> bool:
+    return kind == FieldDescriptor.TYPE_BYTES and name not in _BYTES_WITHOUT_REALS
 
 
 def places(message: Message, path: str = "") -> Iterator[Place]:
@@ -160,34 +164,40 @@ def places(message: Message, path: str = "") -> Iterator[Place]:
             if field.is_repeated:
                 for index, item in enumerate(getattr(message, field.name)):
                     for place in places(item, f"{here}[{index}]"):
-                        yield _through(place, lambda m, name=field.name, i=index: getattr(m, name)[i])
+                        yield _through(place, _item(field.name, index))
             elif message.HasField(field.name):
                 for place in places(getattr(message, field.name), here):
-                    yield _through(place, lambda m, name=field.name: getattr(m, name))
+                    yield _through(place, attrgetter(field.name))
         elif field.cpp_type in _REAL:
             if field.containing_oneof is not None and not message.HasField(field.name):
                 continue
             if field.is_repeated:
                 if getattr(message, field.name):
-                    yield Place(
-                        f"{here}[0]",
-                        kind,
-                        lambda m, name=field.name: getattr(m, name)[0],
-                        lambda m, value, name=field.name: getattr(m, name).__setitem__(0, value),
-                    )
+                    yield Place(f"{here}[0]", kind, _item(field.name, 0), _set_first(field.name))
             else:
-                yield Place(
-                    here,
-                    kind,
-                    lambda m, name=field.name: getattr(m, name),
-                    lambda m, value, name=field.name: setattr(m, name, value),
-                )
-        elif _is_real_bytes(field) and getattr(message, field.name):
-            yield Place(here, kind, lambda m, name=field.name: _number(m, name)[-1], _set_last(field.name))
+                yield Place(here, kind, attrgetter(field.name), _set(field.name))
+        elif _is_real_bytes(field.type, field.name) and getattr(message, field.name):
+            yield Place(here, kind, _last(field.name), _set_last(field.name))
 
 
 def _through(place: Place, enter: Callable[[Message], Message]) -> Place:
     return Place(place.path, place.kind, lambda m: place.get(enter(m)), lambda m, value: place.set(enter(m), value))
+
+
+def _item(name: str, index: int) -> Callable[[Message], Any]:
+    return lambda message: getattr(message, name)[index]
+
+
+def _last(name: str) -> Callable[[Message], float]:
+    return lambda message: float(_number(message, name)[-1])
+
+
+def _set(name: str) -> Callable[[Message, float], None]:
+    return lambda message, value: setattr(message, name, value)
+
+
+def _set_first(name: str) -> Callable[[Message, float], None]:
+    return lambda message, value: operator.setitem(getattr(message, name), 0, value)
 
 
 def _number(message: Message, name: str) -> np.ndarray:
@@ -212,7 +222,7 @@ def real_fields(descriptor: Descriptor) -> set[tuple[str, str]]:
         (message.name, field.name)
         for message in _messages(descriptor)
         for field in message.fields
-        if field.cpp_type in _REAL or _is_real_bytes(field)
+        if field.cpp_type in _REAL or _is_real_bytes(field.type, field.name)
     }
 
 
@@ -315,7 +325,7 @@ def _spoil_pose(engine: Engine, place: Place, good: stream_pb2.ToolPose) -> Foun
 
 
 def input_cases() -> Iterator[Case]:
-    template = whole_scene(Engine(None, "float"))
+    template = whole_scene(Engine(cast("tm.Server", None), "float"))
     seen: set[str] = set()
     for place in places(template):
         # The same field of another body adds nothing; each law has fields of its own.
@@ -328,7 +338,7 @@ def input_cases() -> Iterator[Case]:
             short,
             "any",
             "any",
-            lambda engine, place=place: _spoil_scene(engine, place),
+            partial(_spoil_scene, place=place),
             precisions=("float",),
             quick=True,
             solves=STEPS * (len(VALUES) + 1),
@@ -340,7 +350,7 @@ def input_cases() -> Iterator[Case]:
             f"pose: {place.path}",
             "any",
             "any",
-            lambda engine, place=place: _spoil_pose(engine, place, pose),
+            partial(_spoil_pose, place=place, good=pose),
             precisions=("float",),
             quick=True,
             solves=len(VALUES) + 1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def _stiffness_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, young_pa=young_pa: run(engine, law, shape, young_pa),
+                    partial(run, law=law, shape=shape, young_pa=young_pa),
                     expects=settles(law),
                     names=law_says(law),
                     quick=shape == "tetrahedron" and young_pa in (10, 1e11),
@@ -145,9 +146,7 @@ def _jump_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, name=name, law=law, shape=shape, newton=newton: run(
-                        engine, name, law, shape, newton
-                    ),
+                    partial(run, name=name, law=law, shape=shape, newton=newton),
                     short={"float": rounding} if newton or shape == "quadratic_hexahedron" else {},
                     names=NEWTON_SAYS if newton else (CURVATURE,),
                     solves=NEWTON_SOLVES if newton else 240,
@@ -210,7 +209,7 @@ def _poisson_cases() -> Iterator[Case]:
                     f"{poisson:g}",
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, poisson=poisson: run(engine, law, shape, poisson),
+                    partial(run, law=law, shape=shape, poisson=poisson),
                     names=NEWTON_SAYS,
                     quick=shape == "hexahedron" and poisson in (-0.5, 0.4999),
                     solves=PULLED_STEPS * NEWTON_SOLVES,
@@ -224,7 +223,7 @@ def _poisson_cases() -> Iterator[Case]:
                 f"{poisson:g}",
                 law,
                 "hexahedron",
-                lambda engine, law=law, poisson=poisson: refused(engine, law, poisson),
+                partial(refused, law=law, poisson=poisson),
                 expects=(REFUSED,),
             )
 
@@ -281,9 +280,7 @@ def _density_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, steps=steps, cg_tolerance=cg_tolerance: run(
-                        engine, law, shape, steps, cg_tolerance
-                    ),
+                    partial(run, law=law, shape=shape, steps=steps, cg_tolerance=cg_tolerance),
                     short={"": little} if (steps, cg_tolerance) == (1, None) else {},
                     solves=2 * looks * steps,
                 )

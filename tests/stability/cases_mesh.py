@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
+from accuracy.cases_homogeneous import STEPS as PULLED_STEPS
 from accuracy.engine import Engine
 from accuracy.laws import LAWS
 from accuracy.meshes import SHAPES, Floats, Mesh, box
@@ -13,7 +15,7 @@ from accuracy.problem import Problem
 from tensormass.v1 import scene_pb2
 
 from .case import FELT, REFUSED, Case, Check, Found, Group
-from .cases_material import PULLED_STEPS, pull
+from .cases_material import pull
 from .cases_steps import NEWTON_SOLVES, settle, settles, settling_steps
 from .tissue import (
     CUBE_M,
@@ -81,7 +83,7 @@ def _thin_layer(thickness_m: float, shape: str) -> Mesh:
 
 def _thin_cases() -> Iterator[Case]:
     cell_m = CUBE_M / 2
-    meshes = {
+    meshes: dict[str, Callable[[str], Mesh]] = {
         "one element": _one_element,
         "0.1°": lambda shape: _thin_layer(cell_m * np.tan(np.radians(0.1)), shape),
         "aspect 1000": lambda shape: _thin_layer(cell_m / 1000, shape),
@@ -110,7 +112,7 @@ def _thin_cases() -> Iterator[Case]:
                 "plate",
                 law,
                 shape,
-                lambda engine, law=law, shape=shape: plate(engine, law, shape),
+                partial(plate, law=law, shape=shape),
                 names=NEWTON_SAYS,
                 solves=PULLED_STEPS * NEWTON_SOLVES,
             )
@@ -122,16 +124,14 @@ def _thin_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, name=name, law=law, shape=shape: run(engine, name, law, shape),
+                    partial(run, name=name, law=law, shape=shape),
                     expects=settles(law),
                     names=law_says(law),
                     quick=shape == "tetrahedron" and name == "0.1°",
                     solves=settling_steps(REAL_TIME_DT_S),
                 )
     for law in LAWS:
-        yield Case(
-            MESH, "flat elements", law, "tetrahedron", lambda engine, law=law: flat(engine, law), expects=(REFUSED,)
-        )
+        yield Case(MESH, "flat elements", law, "tetrahedron", partial(flat, law=law), expects=(REFUSED,))
 
 
 def _million_cases() -> Iterator[Case]:
@@ -143,7 +143,7 @@ def _million_cases() -> Iterator[Case]:
         grid = scene.bodies[0].mesh.grid
         grid.size_m.x = grid.size_m.y = grid.size_m.z = CUBE_M
         grid.cells_x = grid.cells_y = grid.cells_z = cells
-        grid.shape = scene_pb2.Shape.Value(f"SHAPE_{shape.upper()}")
+        grid.shape = SHAPES[shape].number
         return scene
 
     def fall(engine: Engine, law: str, shape: str, cells: int) -> Found:
@@ -192,7 +192,7 @@ def _million_cases() -> Iterator[Case]:
                 f"{cells}³ cells{name}",
                 law,
                 shape,
-                lambda engine, run=run, law=law, shape=shape, cells=cells: run(engine, law, shape, cells),
+                partial(run, law=law, shape=shape, cells=cells),
                 precisions=("float",),
                 long=True,
                 solves=steps,

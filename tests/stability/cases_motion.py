@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -67,9 +68,7 @@ def motion_cases() -> Iterator[Case]:
                         f"{spin:g} rad/s" + ("" if newton else ", real time"),
                         law,
                         shape,
-                        lambda engine, law=law, shape=shape, spin=spin, newton=newton: run(
-                            engine, law, shape, spin, newton
-                        ),
+                        partial(run, law=law, shape=shape, spin_rad_per_s=spin, newton=newton),
                         expects=(HOLDS, CAUGHT) if law == "hooke" and spin > 0 and not newton else (HOLDS,),
                         names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "tetrahedron" and spin == 10 and not newton,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -243,9 +244,7 @@ def start_cases() -> Iterator[Case]:
                         full_name,
                         law,
                         shape,
-                        lambda engine, name=name, law=law, shape=shape, free=free, newton=newton: run(
-                            engine, name, law, shape, free, newton
-                        ),
+                        partial(run, name=name, law=law, shape=shape, free=free, newton=newton),
                         expects=(HOLDS,) if _must_come_back(name, law) else (HOLDS, CAUGHT),
                         short=_short(full_name, law, shape),
                         names=law_says(law),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -76,6 +77,9 @@ NEWTON_SOLVES = 4
 # Laws that yield without limit under ten times the weight: pressed below 1/√3, or stretched beyond e.
 _YIELDS = (*SOFTENS, "hencky")
 
+# What a run of several parts found, by law and kind of part.
+_Parts = dict[tuple[str, str], Found]
+
 
 def step_cases() -> Iterator[Case]:
     yield from _step_cases()
@@ -137,9 +141,7 @@ def _step_cases() -> Iterator[Case]:
                         NAMES[dt_s] + (", Newton" if newton else ""),
                         law,
                         shape,
-                        lambda engine, law=law, shape=shape, dt_s=dt_s, newton=newton: run(
-                            engine, law, shape, dt_s, newton
-                        ),
+                        partial(run, law=law, shape=shape, dt_s=dt_s, newton=newton),
                         expects=settles(law),
                         names=law_says(law) + (NEWTON_SAYS if newton else ()),
                         quick=shape == "hexahedron" and dt_s == 1.0 and not newton,
@@ -192,9 +194,7 @@ def _load_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, times=times, young_pa=young_pa, newton=newton: run(
-                        engine, law, shape, times, young_pa, newton
-                    ),
+                    partial(run, law=law, shape=shape, times=times, young_pa=young_pa, newton=newton),
                     expects=(HOLDS,) if young_pa > 1e9 or (times < 1e2 and law not in _YIELDS) else (HOLDS, CAUGHT),
                     names=law_says(law) + (NEWTON_SAYS if newton else ()),
                     solves=120 * (NEWTON_SOLVES if newton else 1),
@@ -205,7 +205,7 @@ def _load_cases() -> Iterator[Case]:
             "gravity of 10⁶ g",
             law,
             "hexahedron",
-            lambda engine, law=law: gravity(engine, law, "hexahedron"),
+            partial(gravity, law=law, shape="hexahedron"),
             expects=(REFUSED,),
         )
 
@@ -236,21 +236,22 @@ def _rest_cases() -> Iterator[Case]:
             found[law, kind] = Found([check], scene_running.warnings)
         return found
 
+    def one(engine: Engine, of: tuple[str, str], steps: int, together: Shared[_Parts] | None) -> Found:
+        return (together(engine) if together else rest(engine, [of], steps))[of]
+
     kinds = ("alone", "hanging")
     for steps, name, long in ((50_000, "50,000 steps", False), (1_000_000, "10⁶ steps", True)):
         for law in LAWS:
             # One scene for each law: on a GPU the kernels of several laws in a scene run one after the other.
             both = [(law, kind) for kind in kinds]
-            together = Shared(lambda engine, both=both, steps=steps: rest(engine, both, steps))
+            together = Shared(partial(rest, parts=both, steps=steps))
             for kind in kinds:
                 yield Case(
                     REST,
                     f"{kind}, {name}",
                     law,
                     "hexahedron",
-                    lambda engine, of=(law, kind), long=long, steps=steps, together=together: (
-                        together(engine) if long else rest(engine, [of], steps)
-                    )[of],
+                    partial(one, of=(law, kind), steps=steps, together=together if long else None),
                     long=long,
                     solves=steps,
                     together=f"rest, {name}, {law}" if long else "",
@@ -288,18 +289,19 @@ def _hour_cases() -> Iterator[Case]:
             of: Found([distance(one, reference)]) for of, one, reference in zip(parts, ours, references, strict=True)
         }
 
+    def one(engine: Engine, of: tuple[str, str], duration_s: float, together: Shared[_Parts] | None) -> Found:
+        return (together(engine) if together else compare(engine, [of], duration_s))[of]
+
     whole = [(law, shape) for law in LAWS for shape in ("tetrahedron", "hexahedron")]
     for duration_s, name, long in ((60.0, "a minute", False), (3600.0, "an hour", True)):
-        together = Shared(lambda engine, duration_s=duration_s: compare(engine, whole, duration_s))
+        together = Shared(partial(compare, parts=whole, duration_s=duration_s))
         for law, shape in whole:
             yield Case(
                 HOUR,
                 name,
                 law,
                 shape,
-                lambda engine, of=(law, shape), long=long, duration_s=duration_s, together=together: (
-                    together(engine) if long else compare(engine, [of], duration_s)
-                )[of],
+                partial(one, of=(law, shape), duration_s=duration_s, together=together if long else None),
                 precisions=("float",),
                 long=long,
                 solves=round(2 * duration_s / REAL_TIME_DT_S),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,7 @@ DAMPING_PER_S = 5.0
 # Below this force the tissue has moved out of the tool's way, and neither check holds.
 LEAST_FORCE_N = 1e-6
 UNLIMITED_M_PER_S = 1000.0
+Point = tuple[float, float, float]
 SIDES = ((-0.05, 0.05, 0.06), (0.15, 0.05, 0.06))
 MIDDLE = (0.05, 0.05, 0.06)
 AWAY = (0.05, 0.05, 0.5)
@@ -49,7 +51,9 @@ def tool_cases() -> Iterator[Case]:
         probe.position_m.x, probe.position_m.y, probe.position_m.z = SIDES[0]
         return scene, problem
 
-    def visit(engine: Engine, law: str, shape: str, speed: float, stops: list[tuple], steps_each: int) -> Found:
+    def visit(
+        engine: Engine, law: str, shape: str, speed: float, stops: list[tuple[float, float, float]], steps_each: int
+    ) -> Found:
         scene, problem = scene_of(engine, law, shape, speed)
         with running(engine, scene) as scene_running:
             for stop in stops:
@@ -101,9 +105,7 @@ def tool_cases() -> Iterator[Case]:
                     name,
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, speed=speed, stops=stops, each=steps_each: visit(
-                        engine, law, shape, speed, stops, each
-                    ),
+                    partial(visit, law=law, shape=shape, speed=speed, stops=stops, steps_each=steps_each),
                     expects=(HOLDS,) if law in RECOVERS else (HOLDS, CAUGHT),
                     names=law_says(law),
                     quick=shape == "tetrahedron" and law == "stable_neo_hookean",
@@ -115,7 +117,7 @@ def tool_cases() -> Iterator[Case]:
                     f"pressed {1000 * depth_m:g} mm and held",
                     law,
                     shape,
-                    lambda engine, law=law, shape=shape, depth_m=depth_m: press(engine, law, shape, depth_m),
+                    partial(press, law=law, shape=shape, depth_m=depth_m),
                     expects=(HOLDS,) if depth_m < 0.02 and law != "hooke" else (HOLDS, CAUGHT),
                     names=law_says(law),
                     solves=600,

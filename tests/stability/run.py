@@ -69,7 +69,11 @@ def run_case(case: Case, engine: Engine) -> Entry:
 
 
 def _work(
-    backend: str, device: str | None, scenes: int, tasks: multiprocessing.Queue, done: multiprocessing.Queue
+    backend: str,
+    device: str | None,
+    scenes: int,
+    tasks: multiprocessing.Queue[list[Task] | None],
+    done: multiprocessing.Queue[Entry],
 ) -> None:
     """Runs tasks until each thread takes a None, or the parent process ends."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -117,7 +121,8 @@ def run(
     """
     began = time.monotonic()
     context = multiprocessing.get_context("spawn")  # a fork would copy a gRPC channel without its threads
-    tasks, done = context.Queue(), context.Queue()
+    tasks: multiprocessing.Queue[list[Task] | None] = context.Queue()
+    done: multiprocessing.Queue[Entry] = context.Queue()
     workers = [
         context.Process(
             target=_work,

@@ -1,10 +1,8 @@
-"""The files that git tracks keep the rules of rules.py and writing.py."""
+"""The files that git tracks keep the rules of rules.py and writing.py. tests/lint.sh checks format and types."""
 
 from __future__ import annotations
 
-import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -78,19 +76,3 @@ def test_no_dead_sources(texts: dict[PurePosixPath, str]) -> None:
 def test_no_large_files(tracked: list[PurePosixPath]) -> None:
     large = {str(path): size for path in tracked if (size := (ROOT / path).stat().st_size) > rules.MAX_FILE_BYTES}
     assert not large, f"more than {rules.MAX_FILE_BYTES} bytes; make it when it is needed instead: {large}"
-
-
-def test_cpp_is_formatted(tracked: list[PurePosixPath]) -> None:
-    if shutil.which("clang-format") is None:
-        pytest.skip("no clang-format here; `.setup/setup.sh test` installs it")
-    files = [str(path) for path in tracked if path.suffix in rules.NATIVE]
-    result = subprocess.run(["clang-format", "--dry-run", "--Werror", *files], cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, f"run `make format`:\n{result.stderr[-4000:]}"
-
-
-@pytest.mark.parametrize("arguments", [["check"], ["format", "--check"]], ids=" ".join)
-def test_python_is_tidy(arguments: list[str], tracked: list[PurePosixPath]) -> None:
-    files = [str(path) for path in tracked if path.suffix == ".py"]
-    command = [sys.executable, "-m", "ruff", *arguments, "--config", "clients/python/pyproject.toml", *files]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert result.returncode == 0, f"run `make format` or `make lint`:\n{result.stdout[-4000:]}{result.stderr[-4000:]}"

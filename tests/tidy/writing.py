@@ -156,11 +156,11 @@ def prose(path: PurePosixPath, text: str) -> Iterator[Prose]:
     if kind == ".py":
         return _python(text)
     if kind in SLASHES:
-        comments, strings = _slash_comments(text, kind)
-        return itertools.chain(_blocks(comments), _texts(strings), _test_names(text))
+        notes, strings = _slash_comments(text, kind)
+        return itertools.chain(_blocks(notes), _texts(strings), _test_names(text))
     if kind in HASHES or path.name in HASHES:
-        comments = list(_hash_comments(text))
-        return itertools.chain(_blocks(comments), _texts(_rows_without(comments, text)))
+        notes = list(_hash_comments(text))
+        return itertools.chain(_blocks(notes), _texts(_rows_without(notes, text)))
     return iter(())
 
 
