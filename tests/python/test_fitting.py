@@ -80,14 +80,15 @@ def test_a_scene_that_just_keeps_its_rate_leaves_no_room_on_two_cores() -> None:
     assert found.leaves_room
     assert fitting.sentence("demo", LADDER, found) == (
         "demo: 999 tetrahedra instead of 1,000, because a step took 14.9 ms here and now takes 6.1 ms of 16.7 ms. "
-        "The force of a held press is then 10 % off instead of 4 (docs/choosing.md). --no-fit keeps the scene"
+        "The force of a held press is then 10 % off instead of 4 (docs/decisions/first-look.md). "
+        "--no-fit keeps the scene"
     )
 
 
 def test_the_measured_cost_decides_what_is_measured_next() -> None:
     # Four times too slow: the second mesh would be too slow as well.
     assert fit(TWO_CORES, {Choice(0): 33.0, Choice(2): 5.0})[1] == [Choice(0), Choice(2)]
-    # It was expected to fit and does not, so the next one follows.
+    # The second mesh was expected to fit and does not, so the next one follows.
     found, asked = fit(TWO_CORES, {Choice(0): 20.0, Choice(1): 8.5, Choice(2): 3.0})
     assert asked == [Choice(0), Choice(1), Choice(2)]
     assert found is not None
@@ -102,7 +103,7 @@ def test_the_coarsest_mesh_is_taken_and_its_lateness_said() -> None:
     assert not found.leaves_room
     text = fitting.sentence("retract", LADDER, found)
     assert "now takes 30 ms of 16.7 ms. That is more than 50 %, so steps will be late beside a viewer. " in text
-    assert "is then 24 % off instead of 4, as measured in 'demo' (docs/choosing.md)" in text
+    assert "is then 24 % off instead of 4, as measured in 'demo' (docs/decisions/first-look.md)" in text
 
 
 def test_more_threads_come_before_a_coarser_mesh() -> None:
@@ -282,7 +283,7 @@ def test_run_advises_a_late_scene_once(
 # --- priorities -------------------------------------------------------------------------------------------------------
 
 
-def test_a_refused_priority_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_priority_is_not_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError
 

@@ -27,8 +27,8 @@ _HAND_S = 2.5
 _PRESS_RADII = 1.0
 #: Steps from rest after which a scene that is too slow even in the median needs no further ones.
 _FEW_STEPS = 30
-#: Steps of which a 99th percentile means something. A path is repeated until then.
-_ENOUGH_STEPS = 250
+#: A path is repeated until this number of steps. The 99th percentile of fewer would be the slowest one.
+_ENOUGH_STEPS = 200
 #: A scene that seems too slow in a few steps alone is measured on, because the machine may have been busy.
 _MOST_STEPS = 750
 #: Time after which a measurement ends [s].

@@ -7,7 +7,7 @@ daemon: the gateway, the haptic client and the viewer's page.
                         every core, so a step gets about half of one.
     any other machine   what runs beside the scene has cores of its own, so a step may take most of its period
 
-Nothing is changed where the scene as it is leaves that room. Otherwise more threads are tried first, because they cost
+Nothing is changed where the unmodified scene leaves that room. Otherwise more threads are tried first, because they cost
 no accuracy, and then coarser meshes. Each choice is measured. The measured cost of each mesh (fits.yaml) only decides
 which one is measured next.
 """
@@ -89,10 +89,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Fit:
-    """What was chosen for a scene, and why."""
+    """The choice for a scene, and the reasons."""
 
     choice: Choice
-    #: The scene as it is, and the choice.
+    #: The unmodified scene, and the choice.
     before: Measured
     after: Measured
     share: float
@@ -117,7 +117,7 @@ def choose(
             other.
 
     Returns:
-        None if the scene as it is cannot be measured.
+        None if the unmodified scene cannot be measured.
     """
     share = machine.share()
     before = measure(Choice(0))
@@ -176,7 +176,7 @@ def _cost(ladder: Ladder, rung: int, scene: str) -> str:
     where = "" if ladder.measured_in == scene else f", as measured in {ladder.measured_in!r}"
     now, own = (f"{100 * ladder.rungs[i].error:.2g}" for i in (rung, 0))
     measure = ladder.measure[0].upper() + ladder.measure[1:]
-    return f"{measure} is then {now} % off instead of {own}{where} (docs/choosing.md)"
+    return f"{measure} is then {now} % off instead of {own}{where} (docs/decisions/first-look.md)"
 
 
 def _ms(measured: Measured) -> str:

@@ -1,6 +1,6 @@
 """Priorities of the parts of `tensormass run` where they share cores with a viewer's page.
 
-Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is no error. `nice` alone
+Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is not an error. `nice` alone
 does not help against a browser: where a desktop divides the time of the cores among sessions, it acts within one.
 """
 
