@@ -8,7 +8,6 @@ rate, in which caches cool down, a step is a little faster than later.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 
 from tensormass._src import defaults
 from tensormass._src.errors import TensormassError, UnavailableError
@@ -28,8 +27,8 @@ _PRESS_RADII = 1.0
 #: Steps from rest after which a scene that is too slow even in the median needs no further ones.
 _FEW_STEPS = 30
 #: A path is repeated until this number of steps. The 99th percentile of fewer would be the slowest one.
-_ENOUGH_STEPS = 200
-#: A scene that seems too slow in a few steps alone is measured on, because the machine may have been busy.
+_ENOUGH_STEPS = 150
+#: The same for a scene that is too slow in few steps only, because the machine may have been busy.
 _MOST_STEPS = 750
 #: Time after which a measurement ends [s].
 _MOST_S = 4.0
@@ -54,7 +53,7 @@ def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, sha
             return None
         with server.load(scene, lockstep=True) as handle:
             status = _step(handle, path, share)
-            return None if status is None or status.fault else _measured(status, path.dt_s, handle.report)
+            return None if status.fault else _measured(status, path.dt_s, handle.report)
     except UnavailableError:
         raise
     except TensormassError:
@@ -78,30 +77,23 @@ class _Path:
             handle.move_tool(self.script.tool, self.script.pose(time_s))
 
 
-def _step(handle: SceneHandle, path: _Path, share: float) -> stream_pb2.SceneStatus | None:
-    """Steps until the times are known well enough. Returns the last status."""
-    status = None
-    count = 0
-    limit_s = share * path.dt_s
-    for status, made in _calls(handle, path):
-        count += made
-        if status.fault or (count >= _FEW_STEPS and status.step_time_p50_s > limit_s):
-            break
-        if count >= (_ENOUGH_STEPS if status.step_time_p99_s <= limit_s else _MOST_STEPS):
-            break
-    return status
-
-
-def _calls(handle: SceneHandle, path: _Path) -> Iterator[tuple[stream_pb2.SceneStatus, int]]:
-    """Makes the steps of whole paths, a pose a call, until the time is over. Yields each status and its steps."""
+def _step(handle: SceneHandle, path: _Path, share: float) -> stream_pb2.SceneStatus:
+    """Makes the steps of whole paths until the times are known well enough. Returns the last status."""
     at_once = max(1, round(1 / (_POSE_RATE_HZ * path.dt_s)))
+    calls = max(1, round(path.duration_s / (at_once * path.dt_s)))
+    limit_s = share * path.dt_s
     until = time.monotonic() + _MOST_S
+    count = 0
     while True:
-        for i in range(1, max(1, round(path.duration_s / (at_once * path.dt_s))) + 1):
+        for i in range(1, calls + 1):
             path.move(handle, i * at_once * path.dt_s)
-            yield handle.step(at_once), at_once
-            if time.monotonic() > until:
-                return
+            status = handle.step(at_once)
+            count += at_once
+            too_slow = count >= _FEW_STEPS and status.step_time_p50_s > limit_s
+            if status.fault or too_slow or time.monotonic() > until:
+                return status
+        if count >= (_ENOUGH_STEPS if status.step_time_p99_s <= limit_s else _MOST_STEPS):
+            return status
         handle.reset()
 
 

@@ -7,9 +7,9 @@ daemon: the gateway, the haptic client and the viewer's page.
                         every core, so a step gets about half of one.
     any other machine   what runs beside the scene has cores of its own, so a step may take most of its period
 
-Nothing is changed where the unmodified scene leaves that room. Otherwise more threads are tried first, because they cost
-no accuracy, and then coarser meshes. Each choice is measured. The measured cost of each mesh (fits.yaml) only decides
-which one is measured next.
+Nothing is changed where the unmodified scene leaves that room. Otherwise more threads are tried first, because they
+cost no accuracy, and then coarser meshes. Each choice is measured. The measured cost of each mesh (fits.yaml) only
+decides which one is measured next.
 """
 
 from __future__ import annotations

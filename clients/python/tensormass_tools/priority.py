@@ -1,7 +1,7 @@
 """Priorities of the parts of `tensormass run` where they share cores with a viewer's page.
 
-Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is not an error. `nice` alone
-does not help against a browser: where a desktop divides the time of the cores among sessions, it acts within one.
+Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is not an error. `nice`
+alone does not help against a browser: a desktop divides the time of the cores among sessions, and it acts within one.
 """
 
 from __future__ import annotations
