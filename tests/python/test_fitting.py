@@ -245,6 +245,23 @@ def test_run_tells_programs_what_it_fitted(
     assert where["fit"].startswith("demo: ")
 
 
+@pytest.mark.parametrize(("cores", "changes"), [(2, True), (16, False)])
+def test_priorities_change_only_where_the_scene_shares_its_cores(
+    cores: int,
+    changes: bool,
+    daemon: Recorder,
+    measured: list[scene_pb2.Scene],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    changed: list[int] = []
+    monkeypatch.setattr(run, "_prioritize", lambda *_: changed.append(len(measured)))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
+    assert main(RUN) == 0
+    assert changed == ([2] if changes else [])  # after the measurement
+    assert capsys.readouterr().out.splitlines()[0].endswith("which leaves room") != changes
+
+
 @pytest.mark.parametrize("options", [["--no-fit"], ["--preset", "fast"], ["--rate", "30"]])
 def test_run_keeps_what_the_user_chose(
     options: list[str], daemon: Recorder, measured: list[scene_pb2.Scene], capsys: pytest.CaptureFixture[str]
