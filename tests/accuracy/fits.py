@@ -2,8 +2,9 @@
 
 python -m accuracy.fits
 
-On the CPU they are the resolutions that `tensormass trade` measured alone (trade-*-cpu.jsonl), on a GPU the demo's
-meshes of press-cuda.json. `make trade` makes the file too.
+On the CPU they are the resolutions of the demo that `tensormass trade` measured without another change, on a GPU its
+meshes in press-cuda.json. The error is that of a probe that stays 12 mm deep, its radius. `make trade` makes the file
+too.
 """
 
 from __future__ import annotations
@@ -19,14 +20,12 @@ import yaml
 from tensormass_tools import fits, presets
 
 FOLDER = Path(__file__).parent / "results"
-#: Errors by scene: column of the results. The demo's is that of a probe that stays 12 mm deep, one radius.
-ERRORS = {"demo": "force_held", "beam": "displacement"}
 _PRESS = re.compile(r"graded linear selective ([\d.]+), (\d+) Hz, CG ([\d.]+)")
 
 
-def made() -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Returns the content of the file: [backend][scene], from fine to coarse."""
-    return {"cpu": {scene: _on_cpu(scene) for scene in ERRORS}, "cuda": {"demo": _on_gpu()}}
+def made() -> dict[str, list[dict[str, Any]]]:
+    """Returns the content of the file: meshes by backend, from fine to coarse."""
+    return {"cpu": _on_cpu(), "cuda": _on_gpu()}
 
 
 def write() -> None:
@@ -34,14 +33,14 @@ def write() -> None:
     head = (
         "# Made by `python -m accuracy.fits` of tests/accuracy/results; do not edit.\n"
         "# cost: 99th percentile of a step, relative to the first line.\n"
-        "# error: of the force on a held probe, relative; of the beam, of its displacement.\n"
+        "# error: of the force on a held probe, relative.\n"
     )
     fits.FILE.write_text(head + yaml.safe_dump(made(), sort_keys=False))
     print(f"wrote {fits.FILE}")
 
 
-def _on_cpu(scene: str) -> list[dict[str, Any]]:
-    lines = (FOLDER / f"trade-{scene}-cpu.jsonl").read_text().splitlines()
+def _on_cpu() -> list[dict[str, Any]]:
+    lines = (FOLDER / "trade-demo-cpu.jsonl").read_text().splitlines()
     rows = [json.loads(line) for line in lines[1:]]
     found = [
         (of["setting"].get("resolution", 1.0), of)
@@ -49,7 +48,7 @@ def _on_cpu(scene: str) -> list[dict[str, Any]]:
         if of["setting"].keys() <= {"resolution"} and of["errors"]
     ]
     coarser = sorted(((r, of) for r, of in found if r <= 1), key=lambda pair: -pair[0])
-    return _rungs([(of["setting"], _slow_s(of), of["errors"][ERRORS[scene]]) for _, of in coarser])
+    return _rungs([(of["setting"], _slow_s(of), of["errors"]["force_held"]) for _, of in coarser])
 
 
 def _slow_s(row: dict[str, Any]) -> float:

@@ -35,6 +35,8 @@ WIDTH, HEIGHT = 1280, 800
 SETTLED = 1 / 3
 #: Between two readings of the page, while it may still load.
 POLL_S = 1.0
+#: For a browser that starts late or answers late.
+LATE_S = 60.0
 #: Largest share of missed deadlines: without a page, and with it.
 TARGETS = {False: 0.005, True: 0.02}
 #: Drawn pictures so far, and what the page says about itself.
@@ -84,7 +86,8 @@ async def _measure(case: Case, seconds: float, options: list[str]) -> dict[str, 
         drawn: dict[str, Any] = {}
         if case.page:
             with chromium(where["viewer"], SOFTWARE_FLAGS) as profile:
-                drawn = await _watch(profile, seconds)
+                async with asyncio.timeout(seconds + LATE_S):
+                    drawn = await _watch(profile, seconds)
                 status, parts = server.scene(SCENE).status(), _parts(run)
         else:
             await asyncio.sleep(seconds)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,19 +14,16 @@ from conftest import Recorder
 
 import tensormass as tm
 from tensormass._src import defaults
+from tensormass._src.processes import ChildProcess
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_tools import fit_scene, fits, fitting, presets, priority, run
 from tensormass_tools.cli import main
-from tensormass_tools.fits import Ladder, Rung
+from tensormass_tools.fits import Rung
 from tensormass_tools.fitting import Choice, Fit, Machine, Measured, choose
 from tensormass_tools.trade.knobs import Knobs
 
-LADDER = Ladder(
-    (Rung({}, 1.0, 0.04), Rung({"resolution": 0.7}, 0.4, 0.1), Rung({"resolution": 0.5}, 0.15, 0.24)),
-    "the force of a held press",
-    "demo",
-)
+LADDER = (Rung({}, 1.0, 0.04), Rung({"resolution": 0.7}, 0.4, 0.1), Rung({"resolution": 0.5}, 0.15, 0.24))
 PERIOD_S = 1 / 60
 TWO_CORES = Machine.of("cpu", 2, None)
 EIGHT_CORES = Machine.of("cpu", 8, None)
@@ -48,6 +45,13 @@ def fit(machine: Machine, times_ms: Mapping[Choice, float]) -> tuple[Fit | None,
     return choose(LADDER, [PERIOD_S] * 3, machine, takes(times_ms, asked)), asked
 
 
+def test_priority_lets_a_step_take_more_of_its_period() -> None:
+    shares = [of.share() for of in (TWO_CORES, replace(TWO_CORES, realtime=True), replace(EIGHT_CORES, realtime=True))]
+    assert shares == sorted(set(shares))
+    assert [Machine.of("cpu", cores, None).may_have_priority() for cores in (1, 2, 4)] == [False, True, False]
+    assert not Machine.of("cpu", 2, 2).may_have_priority(), "no core would be left"
+
+
 def test_threads_leave_cores_for_the_others() -> None:
     assert [Machine.of("cpu", cores, None).threads for cores in (1, 2, 3, 16)] == [1, 1, 1, 8]
     assert [Machine.of("cpu", cores, None).crowded() for cores in (1, 2, 3, 4, 16)] == [True, True, False, False, False]
@@ -60,7 +64,7 @@ def test_threads_leave_cores_for_the_others() -> None:
 
 @pytest.mark.parametrize(
     ("machine", "time_ms"),
-    [(EIGHT_CORES, 14.9), (Machine.of("cuda", 2, None), 15.8), (TWO_CORES, 8.2), (Machine.of("cpu", 3, None), 14.9)],
+    [(EIGHT_CORES, 14.9), (Machine.of("cuda", 2, None), 14.9), (TWO_CORES, 8.2), (Machine.of("cpu", 3, None), 14.9)],
 )
 def test_nothing_changes_where_there_is_room(machine: Machine, time_ms: float) -> None:
     found, asked = fit(machine, {Choice(0): time_ms})
@@ -133,7 +137,7 @@ def test_a_scene_that_cannot_be_measured_is_kept() -> None:
 
 def test_a_slower_rate_counts_as_room() -> None:
     asked: list[Choice] = []
-    ladder = Ladder((Rung({}, 1.0, 0.01), Rung({"resolution": 0.5}, 0.95, 0.05)), "the force of a held press", "demo")
+    ladder = (Rung({}, 1.0, 0.01), Rung({"resolution": 0.5}, 0.95, 0.05))
     machine = Machine.of("cuda", 8, None)
     found = choose(ladder, [1 / 960, PERIOD_S], machine, takes({Choice(0): 40.0, Choice(1): 15.0}, asked))
     assert found is not None
@@ -143,18 +147,17 @@ def test_a_slower_rate_counts_as_room() -> None:
 def test_every_committed_mesh_is_one_of_its_scene(tmp_path: Path) -> None:
     for scene, backend in [(name, of) for name in tm.builtin_scenes() for of in ("cpu", "cuda")]:
         ladder = fits.ladder_of(scene, backend)
-        if ladder is None:
+        if not ladder:
             continue
         knobs = Knobs(SceneFile.read(scene), tmp_path)
-        own = presets.FOR_BACKEND.get(backend, {}).get(scene, {})
-        assert ladder.rungs[0].setting == own
-        for rung in ladder.rungs:
+        assert ladder[0].setting == presets.FOR_BACKEND.get(backend, {}).get(scene, {})
+        for rung in ladder:
             assert knobs.canonical(rung.setting) == rung.setting
         if backend == "cpu":
-            assert knobs.apply(ladder.rungs[-1].setting).message().name == scene
-    assert fits.ladder_of("demo", "cpu") is not None
+            assert knobs.apply(ladder[-1].setting).message().name == scene
+    assert {len(fits.ladder_of(scene, "cpu")) for scene in (fits.MEASURED, *fits.LIKE)} == {3}
     for nothing in (("cantilever", "cpu"), ("beam", "cuda"), (None, "cpu"), ("demo", "")):
-        assert fits.ladder_of(*nothing) is None
+        assert fits.ladder_of(*nothing) == ()
 
 
 @pytest.mark.parametrize(
@@ -207,7 +210,6 @@ def daemon(recorder: tuple[Recorder, tm.Server], monkeypatch: pytest.MonkeyPatch
         "GetStatus": control_pb2.GetStatusResponse(status=stream_pb2.SceneStatus(scene="demo")),
     }
     monkeypatch.setattr(run, "launch", lambda **_: server)
-    monkeypatch.setattr(run, "_prioritize", lambda *_: None)
     return fake
 
 
@@ -245,21 +247,56 @@ def test_run_tells_programs_what_it_fitted(
     assert where["fit"].startswith("demo: ")
 
 
-@pytest.mark.parametrize(("cores", "changes"), [(2, True), (16, False)])
-def test_priorities_change_only_where_the_scene_shares_its_cores(
-    cores: int,
-    changes: bool,
+@pytest.fixture
+def raised(
     daemon: Recorder,
+    recorder: tuple[Recorder, tm.Server],
     measured: list[scene_pb2.Scene],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[list[int]]:
+    """Gives the fake daemon a process, which may have priority. Returns how many scenes were measured at each raise."""
+    _, server = recorder
+    calls: list[int] = []
+
+    def raise_threads(process: int) -> bool:
+        assert server.process is not None
+        assert process == server.process.process.pid
+        calls.append(len(measured))
+        return True
+
+    monkeypatch.setattr(priority, "raise_threads", raise_threads)
+    server.process = ChildProcess(["sleep", "60"], output=subprocess.DEVNULL)
+    yield calls
+    server.process.stop()
+
+
+@pytest.mark.parametrize(("cores", "calls"), [(1, []), (2, [0, 1]), (16, [])])
+def test_the_daemon_gets_priority_where_the_page_shares_its_cores(
+    cores: int,
+    calls: list[int],
+    raised: list[int],
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    changed: list[int] = []
-    monkeypatch.setattr(run, "_prioritize", lambda *_: changed.append(len(measured)))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
     assert main(RUN) == 0
-    assert changed == ([2] if changes else [])  # after the measurement
-    assert capsys.readouterr().out.splitlines()[0].endswith("which leaves room") != changes
+    assert raised == calls  # before the measurement, and again for the threads of the scene
+    out = capsys.readouterr().out.splitlines()
+    assert ("the daemon has real-time priority, because the viewer shares its cores" in out) == bool(calls)
+    assert out[0].endswith("which leaves room") == (cores > 1)
+
+
+def test_a_daemon_without_the_privilege_keeps_its_priority(
+    raised: list[int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_process: int) -> bool:
+        raised.append(-1)
+        return False
+
+    monkeypatch.setattr(priority, "raise_threads", refuse)
+    assert main(RUN) == 0
+    assert raised == [-1]
+    assert "real-time" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("options", [["--no-fit"], ["--preset", "fast"], ["--rate", "30"]])
@@ -291,7 +328,7 @@ def test_run_advises_a_late_scene_once(
     late = stream_pb2.SceneStatus(scene="demo", step=600, missed_deadlines=60, target_rate_hz=60, step_time_p99_s=0.03)
     daemon.replies["GetStatus"] = control_pb2.GetStatusResponse(status=late)
     monkeypatch.setattr(run, "_LOG_PERIOD_S", 0.01)
-    assert main([*RUN[:-1], "0.2", "--no-fit"]) == 0
+    assert main([*RUN[:-1], "0.2", "--preset", "balanced"]) == 0
     out = capsys.readouterr().out
     assert out.count("It needs --rate ") == 1
     assert out.count(" Hz  missed ") > 1
@@ -316,16 +353,3 @@ def test_all_threads_of_the_daemon_get_the_priority(monkeypatch: pytest.MonkeyPa
     for policy, parameters in given.values():
         assert policy & os.SCHED_FIFO
         assert parameters.sched_priority == priority.REALTIME
-
-
-def test_the_gateway_is_nicer_than_what_it_started() -> None:
-    code = (
-        "import os, subprocess, sys\n"
-        "from tensormass_tools import priority\n"
-        "child = subprocess.Popen(['cat'], stdin=subprocess.PIPE)\n"
-        "priority.lower_own()\n"
-        "print(os.getpriority(os.PRIO_PROCESS, 0) - os.getpriority(os.PRIO_PROCESS, child.pid))\n"
-        "child.communicate()\n"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert int(out) == priority.GATEWAY_NICE

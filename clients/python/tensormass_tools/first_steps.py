@@ -1,19 +1,22 @@
 """Measures the first steps of a scene under its tool, before a hand or a viewer comes.
 
-The scene is loaded in lockstep and steps as fast as it can: from rest, while the scripted hand of the scene, or a
-press like that of `tensormass trade`, moves the tool. The daemon times each step itself. Without the pauses of a fixed
-rate, in which caches cool down, a step is a little faster than later.
+The scene is loaded in lockstep and steps as fast as it can: from rest, while the scripted hand of the scene, or a press
+like that of `tensormass trade`, moves the tool. The path is made several times and has the same steps each time. The
+least time of each step is the one that other programs disturbed least.
 """
 
 from __future__ import annotations
 
 import time
 
+import numpy as np
+
 from tensormass._src import defaults
 from tensormass._src.errors import TensormassError, UnavailableError
+from tensormass._src.meshes import FloatArray
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server
-from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import scene_pb2
 from tensormass_tools.fitting import Measured
 from tensormass_tools.hand import HandPose, HandScript
 from tensormass_tools.trade.script import Script
@@ -24,12 +27,11 @@ _POSE_RATE_HZ = 60.0
 _HAND_S = 2.5
 #: Depth of the press in radii of the tool: as deep as the simulated device presses the demo.
 _PRESS_RADII = 1.0
-#: Steps from rest after which a scene that is too slow even in the median needs no further ones.
-_FEW_STEPS = 30
-#: A path is repeated until this number of steps. The 99th percentile of fewer would be the slowest one.
-_ENOUGH_STEPS = 150
-#: The same for a scene that is too slow in few steps only, because the machine may have been busy.
-_MOST_STEPS = 750
+#: The path is left after so many steps if this share of them is too slow, and not made again if that share is.
+_FEW_STEPS, _LEAVE_SHARE, _ENOUGH_SHARE = 30, 0.5, 0.1
+#: Passes: at least, and at most if a few steps are too slow, because other programs may have disturbed them.
+_PASSES = (2, 6)
+_SLOW_QUANTILE = 0.99
 #: Time after which a measurement ends [s].
 _MOST_S = 4.0
 
@@ -52,12 +54,17 @@ def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, sha
         if path.script.one_step:
             return None
         with server.load(scene, lockstep=True) as handle:
-            status = _step(handle, path, share)
-            return None if status.fault else _measured(status, path.dt_s, handle.report)
+            times_s = _times_s(handle, path, share)
+            report = handle.report
     except UnavailableError:
         raise
     except TensormassError:
         return None
+    if times_s is None or report is None:
+        return None
+    median_s, slow_s = np.quantile(times_s, [0.5, _SLOW_QUANTILE])
+    elements = sum(body.element_count for body in report.bodies)
+    return Measured(float(median_s), float(slow_s), path.dt_s, elements)
 
 
 class _Path:
@@ -77,27 +84,28 @@ class _Path:
             handle.move_tool(self.script.tool, self.script.pose(time_s))
 
 
-def _step(handle: SceneHandle, path: _Path, share: float) -> stream_pb2.SceneStatus:
-    """Makes the steps of whole paths until the times are known well enough. Returns the last status."""
+def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | None:
+    """Returns the least time of each step [s], of several steps with one pose their mean; None if the scene stopped."""
     at_once = max(1, round(1 / (_POSE_RATE_HZ * path.dt_s)))
     calls = max(1, round(path.duration_s / (at_once * path.dt_s)))
     limit_s = share * path.dt_s
     until = time.monotonic() + _MOST_S
-    count = 0
-    while True:
-        for i in range(1, calls + 1):
-            path.move(handle, i * at_once * path.dt_s)
+    times_s = np.full(calls, np.inf)
+    least, most = _PASSES
+    for number in range(1, most + 1):
+        for i in range(calls):
+            path.move(handle, (i + 1) * at_once * path.dt_s)
+            began = time.perf_counter()
             status = handle.step(at_once)
-            count += at_once
-            too_slow = count >= _FEW_STEPS and status.step_time_p50_s > limit_s
-            if status.fault or too_slow or time.monotonic() > until:
-                return status
-        if count >= (_ENOUGH_STEPS if status.step_time_p99_s <= limit_s else _MOST_STEPS):
-            return status
+            times_s[i] = min(times_s[i], (time.perf_counter() - began) / at_once)
+            if status.fault:
+                return None
+            known = times_s[np.isfinite(times_s)]
+            leaves = len(known) * at_once >= _FEW_STEPS and (known > limit_s).mean() > _LEAVE_SHARE
+            if leaves or time.monotonic() > until:
+                return known
+        fits = number >= least and np.quantile(times_s, _SLOW_QUANTILE) <= limit_s
+        if fits or (times_s > limit_s).mean() > _ENOUGH_SHARE:
+            break
         handle.reset()
-
-
-def _measured(status: stream_pb2.SceneStatus, dt_s: float, report: control_pb2.SceneReport | None) -> Measured:
-    assert report is not None
-    elements = sum(body.element_count for body in report.bodies)
-    return Measured(status.step_time_p50_s, status.step_time_p99_s, dt_s, elements)
+    return times_s

@@ -15,10 +15,9 @@ from tensormass_tools.presets import FOR_BACKEND
 from tensormass_tools.trade.knobs import Setting
 
 FILE = Path(__file__).resolve().parent / "fits.yaml"
-#: Scenes without an error of their own, which take the meshes of a scene with the same organ.
-LIKE = dict.fromkeys(("retract", "grasp", "table", "two_organs", "demo-abdomen"), "demo")
-#: What the error of a scene is relative to, in words.
-MEASURES = {"demo": "the force of a held press", "beam": "the displacement"}
+#: The scene whose errors were measured, and those with the same organ, which take its meshes.
+MEASURED = "demo"
+LIKE = ("retract", "grasp", "table", "two_organs", "demo-abdomen")
 
 
 @dataclass(frozen=True)
@@ -29,28 +28,17 @@ class Rung:
     setting: Setting
     #: 99th percentile of a step, relative to the finest mesh of the list.
     cost: float
-    #: Relative error of `Ladder.measure`.
+    #: Relative error of the force on a probe that is held in the scene MEASURED.
     error: float
 
 
-@dataclass(frozen=True)
-class Ladder:
-    """Meshes of a scene, the one that runs where there is room first."""
-
-    rungs: tuple[Rung, ...]
-    #: What the errors are of.
-    measure: str
-    #: Scene in which they were measured.
-    measured_in: str
-
-
-def ladder_of(scene: str | None, backend: str) -> Ladder | None:
-    """Returns the meshes of a built-in scene on a backend, "cpu" or "cuda"; None if there is nothing to choose."""
-    measured_in = LIKE.get(scene or "", scene or "")
-    entries: list[dict[str, Any]] = yaml.safe_load(FILE.read_text("utf-8")).get(backend, {}).get(measured_in, [])
-    own = FOR_BACKEND.get(backend, {}).get(scene or "", {})
-    rungs = [Rung(entry["setting"], entry["cost"], entry["error"]) for entry in entries]
+def ladder_of(scene: str | None, backend: str) -> tuple[Rung, ...]:
+    """Returns the meshes of a built-in scene on a backend, "cpu" or "cuda": first the one that runs where there is
+    room. Empty if there is nothing to choose."""
+    if scene is None or scene not in (MEASURED, *LIKE):
+        return ()
+    content: dict[str, list[dict[str, Any]]] = yaml.safe_load(FILE.read_text("utf-8"))
+    rungs = [Rung(entry["setting"], entry["cost"], entry["error"]) for entry in content.get(backend, [])]
     settings = [rung.setting for rung in rungs]
-    if own not in settings:
-        return None
-    return Ladder(tuple(rungs[settings.index(own) :]), MEASURES[measured_in], measured_in)
+    own = FOR_BACKEND.get(backend, {}).get(scene, {})
+    return tuple(rungs[settings.index(own) :]) if own in settings else ()

@@ -4,7 +4,7 @@ A rate is kept if the 99th percentile of a step stays below a share of the perio
 daemon: the gateway, the haptic client and the viewer's page.
 
     crowded machine     fewer than `FREE_CORES` cores beside the threads of the scene. A browser without a GPU draws on
-                        every core, so a step gets about half of one.
+                        every core, so a step gets about half of one, or more with real-time priority.
     any other machine   what runs beside the scene has cores of its own, so a step may take most of its period
 
 Nothing is changed where the unmodified scene leaves that room. Otherwise more threads are tried first, because they
@@ -18,15 +18,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tensormass.v1 import stream_pb2
-from tensormass_tools.fits import Ladder
+from tensormass_tools.fits import MEASURED, Rung
 
 #: Cores beside the threads of a scene: one for gateway and haptic client, one for the page.
 FREE_CORES = 2
 #: Largest share of the period that the 99th percentile of a step may take, by kind of machine.
 CROWDED_SHARE = 0.5
 ROOMY_SHARE = 0.9
-#: The same on a GPU, where nothing else steps. The demo on an H200 has 0.84.
-GPU_SHARE = 0.95
+#: The same on a crowded machine, if the daemon's steps come first by real-time priority.
+PRIORITY_SHARE = 0.75
 #: Share of late steps above which `advice` speaks, and steps after which the share means something.
 LATE_SHARE = 0.01
 LATE_STEPS = 300
@@ -41,6 +41,8 @@ class Machine:
     threads: int
     #: True: the user chose the threads.
     threads_given: bool = False
+    #: True: the daemon has real-time priority.
+    realtime: bool = False
 
     @staticmethod
     def of(backend: str, cores: int, cpu_threads: int | None) -> Machine:
@@ -54,9 +56,13 @@ class Machine:
 
     def share(self) -> float:
         """Returns the largest share of the period that a step may take."""
-        if self.backend != "cpu":
-            return GPU_SHARE
-        return CROWDED_SHARE if self.crowded() else ROOMY_SHARE
+        if not self.crowded():
+            return ROOMY_SHARE
+        return PRIORITY_SHARE if self.realtime else CROWDED_SHARE
+
+    def may_have_priority(self) -> bool:
+        """Tells whether real-time priority helps the scene and leaves a core to all others."""
+        return self.crowded() and self.cores > self.threads
 
     def more_threads(self) -> int | None:
         """Returns the most threads that leave `FREE_CORES`; None if that is no more than the scene has."""
@@ -74,7 +80,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a step of a scene takes."""
+    """Times of a scene's steps, and what there is for them."""
 
     p50_s: float
     p99_s: float
@@ -107,7 +113,7 @@ class Fit:
 
 
 def choose(
-    ladder: Ladder, periods_s: Sequence[float], machine: Machine, measure: Callable[[Choice], Measured | None]
+    ladder: Sequence[Rung], periods_s: Sequence[float], machine: Machine, measure: Callable[[Choice], Measured | None]
 ) -> Fit | None:
     """Chooses the finest mesh that leaves room, or the coarsest one.
 
@@ -136,15 +142,15 @@ def choose(
     return Fit(best, before, found, share)
 
 
-def _next(ladder: Ladder, periods_s: Sequence[float], rung: int, p99_s: float, share: float) -> int | None:
+def _next(ladder: Sequence[Rung], periods_s: Sequence[float], rung: int, p99_s: float, share: float) -> int | None:
     """Returns the finest cheaper mesh that should leave room, else the cheapest; None if no other is cheaper."""
-    own = ladder.rungs[rung].cost
-    needs = [p99_s * of.cost / own / period_s for of, period_s in zip(ladder.rungs, periods_s, strict=True)]
+    own = ladder[rung].cost
+    needs = [p99_s * of.cost / own / period_s for of, period_s in zip(ladder, periods_s, strict=True)]
     cheaper = [i for i in range(rung + 1, len(needs)) if needs[i] < needs[rung]]
     return next((i for i in cheaper if needs[i] <= share), min(cheaper, key=needs.__getitem__, default=None))
 
 
-def sentence(scene: str, ladder: Ladder, fit: Fit) -> str:
+def sentence(scene: str, ladder: Sequence[Rung], fit: Fit) -> str:
     """Says what was chosen, what that costs in accuracy, and how to keep the scene."""
     before, after = fit.before, fit.after
     period = f"{1e3 * after.period_s:.3g} ms"
@@ -172,11 +178,10 @@ def sentence(scene: str, ladder: Ladder, fit: Fit) -> str:
     return ". ".join(said)
 
 
-def _cost(ladder: Ladder, rung: int, scene: str) -> str:
-    where = "" if ladder.measured_in == scene else f", as measured in {ladder.measured_in!r}"
-    now, own = (f"{100 * ladder.rungs[i].error:.2g}" for i in (rung, 0))
-    measure = ladder.measure[0].upper() + ladder.measure[1:]
-    return f"{measure} is then {now} % off instead of {own}{where} (docs/decisions/first-look.md)"
+def _cost(ladder: Sequence[Rung], rung: int, scene: str) -> str:
+    where = "" if scene == MEASURED else f", as measured in {MEASURED!r}"
+    now, own = (f"{100 * ladder[i].error:.2g}" for i in (rung, 0))
+    return f"The force of a held press is then {now} % off instead of {own}{where} (docs/decisions/first-look.md)"
 
 
 def _ms(measured: Measured) -> str:

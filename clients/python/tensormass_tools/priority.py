@@ -1,7 +1,7 @@
-"""Priorities of the parts of `tensormass run` where they share cores with a viewer's page.
+"""Priority of the daemon of `tensormass run` where a viewer's page shares its cores.
 
-Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is not an error. `nice`
-alone does not help against a browser: a desktop divides the time of the cores among sessions, and it acts within one.
+Only privileged users may raise a priority (CAP_SYS_NICE, or a limit `rtprio`), so a refusal is not an error.
+docs/decisions/first-look.md says what else was tried.
 """
 
 from __future__ import annotations
@@ -12,13 +12,11 @@ from pathlib import Path
 
 #: SCHED_FIFO, as `chrt --fifo 30 tensormassd` gives it: above ordinary programs, below the kernel's own threads.
 REALTIME = 30
-#: What is added to the nice value of the gateway, which the daemon may keep waiting.
-GATEWAY_NICE = 5
-_MOST_NICE = 19
 
 
 def raise_threads(process: int) -> bool:
-    """Gives all present threads of a process real-time priority. Threads that they start later do not inherit it.
+    """Gives all present threads of a process real-time priority. Threads that they start later do not inherit it, so
+    that scenes loaded later cannot take every core.
 
     All of them need it: a loop under SCHED_FIFO that waits for ordinary workers would keep the core from them.
 
@@ -34,12 +32,3 @@ def raise_threads(process: int) -> bool:
     except PermissionError:
         return False
     return True
-
-
-def lower_own() -> None:
-    """Lowers the priority of this process, which serves the viewer. Programs that it has started keep theirs."""
-    for thread in Path("/proc/self/task").iterdir():
-        with contextlib.suppress(ProcessLookupError):
-            number = int(thread.name)
-            nicer = min(os.getpriority(os.PRIO_PROCESS, number) + GATEWAY_NICE, _MOST_NICE)
-            os.setpriority(os.PRIO_PROCESS, number, nicer)

@@ -152,9 +152,10 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
                 {"control": server.address, **with_viewer, **({"fit": fitted.sentence} if fitted.sentence else {})}
             )
         hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
-        if fitted.needs_priority:
-            _prioritize(args, server)
-        await _report_until(stop, args, server, handle, viewer, hands, advise=not fitted.sentence)
+        # The scene's own threads are new since the daemon got its priority.
+        if fitted.realtime and server.process is not None and priority.raise_threads(server.process.process.pid):
+            _say(args, "the daemon has real-time priority, because the viewer shares its cores")
+        await _report_until(stop, args, server, handle, viewer, hands, advise=not (fitted.sentence or args.no_fit))
         _say(args, "ending")
     _say(args, "ended: haptic devices, viewer, daemon")
     return 0
@@ -180,14 +181,6 @@ async def _viewer(
             write_ready_file(args.gateway_ready_file, running)
         _say(args, f"\n  viewer: {running.url}\n  to look only: {running.look_url}\n")
         yield running
-
-
-def _prioritize(args: argparse.Namespace, server: Server) -> None:
-    """Lets the daemon's steps come before the gateway and, where that is permitted, before all other programs."""
-    assert server.process is not None
-    priority.lower_own()
-    if priority.raise_threads(server.process.process.pid):
-        _say(args, "the daemon has real-time priority, because the viewer shares its cores")
 
 
 def _start_hands(
