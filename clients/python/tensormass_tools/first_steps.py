@@ -1,8 +1,8 @@
 """Measures the first steps of a scene under its tool, before a hand or a viewer comes.
 
 The scene is loaded in lockstep and steps as fast as it can: from rest, while the scripted hand of the scene, or a press
-like that of `tensormass trade`, moves the tool. The path is made several times and has the same steps each time. The
-least time of each step is the one that other programs disturbed least.
+like that of `tensormass trade`, moves the tool. If a few steps are too slow, the path is made again with the same steps.
+The least time of each step is the one that other programs disturbed least.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from tensormass_tools.trade.script import Script
 _POSE_RATE_HZ = 60.0
 #: Simulated time in which a scripted hand makes its whole path [s], four times as fast as it does for people.
 _HAND_S = 2.5
-#: Depth of the press in radii of the tool: as deep as the simulated device presses the demo.
-_PRESS_RADII = 1.0
+#: Depth of the press in radii of the tool, as deep as the simulated device presses the demo, and its duration [s].
+_PRESS_RADII, _PRESS_S = 1.0, 0.8
 #: The path is left after so many steps if this share of them is too slow, and not made again if that share is.
 _FEW_STEPS, _LEAVE_SHARE, _ENOUGH_SHARE = 30, 0.5, 0.1
-#: Passes: at least, and at most if a few steps are too slow, because other programs may have disturbed them.
-_PASSES = (2, 6)
+#: Passes at most, if a few steps are too slow, because other programs may have disturbed them.
+_MOST_PASSES = 6
 _SLOW_QUANTILE = 0.99
 #: Time after which a measurement ends [s].
 _MOST_S = 4.0
@@ -71,7 +71,7 @@ class _Path:
     """The motion of the tool, again and again."""
 
     def __init__(self, scene: scene_pb2.Scene, hand: HandScript | None) -> None:
-        self.script = Script.of(scene, None, _PRESS_RADII)
+        self.script = Script.of(scene, _PRESS_S, _PRESS_RADII)
         self.dt_s = defaults.dt_s(scene)
         self._hand = hand
         self.duration_s = self.script.duration_s if hand is None else _HAND_S
@@ -91,8 +91,7 @@ def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | Non
     limit_s = share * path.dt_s
     until = time.monotonic() + _MOST_S
     times_s = np.full(calls, np.inf)
-    least, most = _PASSES
-    for number in range(1, most + 1):
+    for _ in range(_MOST_PASSES):
         for i in range(calls):
             path.move(handle, (i + 1) * at_once * path.dt_s)
             began = time.perf_counter()
@@ -104,7 +103,7 @@ def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | Non
             leaves = len(known) * at_once >= _FEW_STEPS and (known > limit_s).mean() > _LEAVE_SHARE
             if leaves or time.monotonic() > until:
                 return known
-        fits = number >= least and np.quantile(times_s, _SLOW_QUANTILE) <= limit_s
+        fits = np.quantile(times_s, _SLOW_QUANTILE) <= limit_s
         if fits or (times_s > limit_s).mean() > _ENOUGH_SHARE:
             break
         handle.reset()
