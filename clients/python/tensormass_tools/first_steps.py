@@ -1,8 +1,8 @@
 """Measures the first steps of a scene under its tool, before a hand or a viewer comes.
 
 The scene is loaded in lockstep and steps as fast as it can: from rest, while the scripted hand of the scene, or a press
-like that of `tensormass trade`, moves the tool. If a few steps are too slow, the path is made again with the same steps.
-The least time of each step is the one that other programs disturbed least.
+like that of `tensormass trade`, moves the tool. If a few steps are too slow, the path is made again with the same
+steps. The least time of each step is the one that other programs disturbed least.
 """
 
 from __future__ import annotations
