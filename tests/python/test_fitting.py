@@ -218,7 +218,7 @@ RUN = ["run", "demo", "--no-viewer", "--no-haptic", "--seconds", "0.001"]
 
 def loaded(daemon: Recorder) -> scene_pb2.Scene:
     (scene,) = [of.scene for of in daemon.asked if isinstance(of, control_pb2.LoadSceneRequest)]
-    return scene  # type: ignore[no-any-return]
+    return scene
 
 
 def test_run_says_first_what_it_fitted_and_loads_that(
@@ -346,7 +346,7 @@ def test_a_refused_priority_is_not_an_error(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_all_threads_of_the_daemon_get_the_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    given = {}
+    given: dict[int, tuple[int, os.sched_param]] = {}
     monkeypatch.setattr(os, "sched_setscheduler", lambda *of: given.__setitem__(of[0], of[1:]))
     assert priority.raise_threads(os.getpid())
     assert set(given) >= {os.getpid()}
