@@ -30,10 +30,10 @@ _PRESS_RADII, _PRESS_S = 1.0, 0.8
 #: The path is left after so many steps if this share of them is too slow, and not made again if that share is.
 _FEW_STEPS, _LEAVE_SHARE, _ENOUGH_SHARE = 30, 0.5, 0.1
 #: Passes at most, if a few steps are too slow, because other programs may have disturbed them.
-_MOST_PASSES = 6
+MOST_PASSES = 6
 _SLOW_QUANTILE = 0.99
 #: Time after which a measurement ends [s].
-_MOST_S = 4.0
+MOST_S = 4.0
 
 
 def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, share: float) -> Measured | None:
@@ -89,9 +89,9 @@ def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | Non
     at_once = max(1, round(1 / (_POSE_RATE_HZ * path.dt_s)))
     calls = max(1, round(path.duration_s / (at_once * path.dt_s)))
     limit_s = share * path.dt_s
-    until = time.monotonic() + _MOST_S
+    until = time.monotonic() + MOST_S
     times_s = np.full(calls, np.inf)
-    for _ in range(_MOST_PASSES):
+    for _ in range(MOST_PASSES):
         for i in range(calls):
             path.move(handle, (i + 1) * at_once * path.dt_s)
             began = time.perf_counter()
