@@ -77,7 +77,8 @@ def main() -> None:
     for name, case in CASES.items():
         if args.only in name:
             row = asyncio.run(_measure(case, args.seconds, args.run_options))
-            command = " ".join(["python tests/bench/first_look.py", f"--seconds {args.seconds:g}", *args.run_options])
+            options = ["--", *args.run_options] if args.run_options else []
+            command = " ".join(["python tests/bench/first_look.py", f"--seconds {args.seconds:g}", *options])
             print(json.dumps({"case": name, **row, "commit": args.commit, "command": command}), flush=True)
 
 

@@ -345,6 +345,12 @@ def test_a_refused_priority_is_not_an_error(monkeypatch: pytest.MonkeyPatch) -> 
     assert not priority.raise_threads(os.getpid())
 
 
+def test_a_daemon_that_has_ended_gets_no_priority() -> None:
+    with subprocess.Popen(["true"]) as ended:
+        ended.wait()
+    assert not priority.raise_threads(ended.pid)
+
+
 def test_all_threads_of_the_daemon_get_the_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     given: dict[int, tuple[int, os.sched_param]] = {}
     monkeypatch.setattr(os, "sched_setscheduler", lambda *of: given.__setitem__(of[0], of[1:]))

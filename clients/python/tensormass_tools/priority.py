@@ -21,14 +21,14 @@ def raise_threads(process: int) -> bool:
     All of them need it: a loop under SCHED_FIFO that waits for ordinary workers would keep the core from them.
 
     Returns:
-        False if that is not permitted. No thread has it then.
+        False if that is not permitted, or there is no such process. No thread has it then.
     """
-    threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
     try:
+        threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
         for thread in threads:
             with contextlib.suppress(ProcessLookupError):  # it ended meanwhile
                 policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
                 os.sched_setscheduler(thread, policy, os.sched_param(REALTIME))
-    except PermissionError:
+    except (PermissionError, FileNotFoundError):  # refused, or the process ended
         return False
     return True
