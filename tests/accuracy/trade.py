@@ -1,4 +1,4 @@
-"""Cost and error of the demo scenes' settings: results/trade-<scene>-<backend>.jsonl, and the presets made of them.
+"""Cost and error of the demo scenes' settings: results/trade-<scene>-<backend>.jsonl; presets and fits made of them.
 
 python -m accuracy.trade [--backend cpu|cuda] [--quick] [--scene NAME]   measures; continues where it was stopped
 python -m accuracy.trade --presets                                       only makes the presets from the results again
@@ -24,7 +24,7 @@ from tensormass_tools.trade import report, sweep
 from tensormass_tools.trade.knobs import Knob, Knobs, Setting
 from tensormass_tools.trade.store import Measurement
 
-from . import record
+from . import fits, record
 
 FOLDER = Path(__file__).parent / "results"
 #: By name: options of `tensormass trade`. The probe presses the organ by its whole radius, because the force depends
@@ -212,6 +212,7 @@ def _write_presets() -> None:
     )
     presets.FILE.write_text(comment + yaml.safe_dump(chosen, sort_keys=False))
     print(f"wrote {presets.FILE}")
+    fits.write()
 
 
 def picture(scene: str) -> str:

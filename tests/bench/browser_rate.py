@@ -19,7 +19,7 @@ from typing import Any
 
 import aiohttp
 import numpy as np
-from headless import CHROMIUM, chromium
+from headless import CHROMIUM, ask, chromium, debugging_address
 from streams import RATE_HZ, back_and_forth, torus
 
 from tensormass.v1 import stream_pb2
@@ -39,8 +39,6 @@ CHOICES = {
 }
 #: Draws on the GPU through EGL; headless.SOFTWARE_FLAGS draws in software.
 GPU_FLAGS = "--use-gl=angle --use-angle=gl-egl --ignore-gpu-blocklist --enable-gpu"
-#: Until Chromium has started.
-START_S = 30.0
 #: Until the page draws, simplification included.
 WARM_UP_S = 9.0
 MEASURED_S = 8.0
@@ -68,7 +66,7 @@ async def _run(args: argparse.Namespace) -> None:
         options = GatewayOptions(control=daemon.control, viewer=DEFAULT_VIEWER)
         async with serve(options) as gateway:
             with chromium("about:blank", args.flags, args.chromium) as profile:
-                debugging = await _debugging(profile)
+                debugging = await debugging_address(profile)
                 sending = asyncio.create_task(_send(daemon, frames))
                 for name, query in CHOICES.items():
                     row = await _measure(debugging, f"{gateway.url}&quality=high&{query}")
@@ -99,24 +97,15 @@ async def _send(daemon: FakeDaemon, frames: list[stream_pb2.Frame]) -> None:
         await asyncio.sleep(max(0.0, due_s - time.perf_counter()))
 
 
-async def _debugging(profile: Path) -> str:
-    """Returns the address of a browser's debugging port, once it is there."""
-    file = profile / "DevToolsActivePort"  # the port, then a path
-    async with asyncio.timeout(START_S):
-        while not file.exists() or len(file.read_text().splitlines()) < 2:
-            await asyncio.sleep(0.1)
-    return f"http://127.0.0.1:{file.read_text().splitlines()[0]}"
-
-
 async def _measure(debugging: str, url: str) -> dict[str, Any]:
     """Shows the page, and returns what its last frames cost."""
     async with aiohttp.ClientSession() as http:
         async with http.put(f"{debugging}/json/new?about:blank") as reply:
             tab = await reply.json()
         async with http.ws_connect(tab["webSocketDebuggerUrl"], max_msg_size=0) as page:
-            await _ask(page, "Page.navigate", url=url)
+            await ask(page, "Page.navigate", url=url)
             await asyncio.sleep(WARM_UP_S + MEASURED_S)
-            answer = await _ask(page, "Runtime.evaluate", expression=SCRIPT, returnByValue=True)
+            answer = await ask(page, "Runtime.evaluate", expression=SCRIPT, returnByValue=True)
         async with http.get(f"{debugging}/json/close/{tab['id']}"):
             pass
     seen = json.loads(answer["result"]["value"])
@@ -142,15 +131,6 @@ async def _measure(debugging: str, url: str) -> dict[str, Any]:
 
 def _median(costs: list[dict[str, float]], name: str) -> float:
     return round(float(np.median([cost[name] for cost in costs])), 3)
-
-
-async def _ask(page: aiohttp.ClientWebSocketResponse, method: str, **parameters: str | bool) -> dict[str, Any]:
-    """Sends a command to the page, and returns its result."""
-    await page.send_json({"id": 1, "method": method, "params": parameters})
-    while True:
-        message = await page.receive_json()
-        if message.get("id") == 1:
-            return dict(message["result"])
 
 
 if __name__ == "__main__":

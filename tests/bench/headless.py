@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import subprocess
@@ -9,10 +10,15 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import aiohttp
 
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 #: Draws in software.
 SOFTWARE_FLAGS = "--use-angle=swiftshader --enable-unsafe-swiftshader"
+#: Until Chromium has started.
+_START_S = 30.0
 
 
 @contextlib.contextmanager
@@ -30,3 +36,21 @@ def chromium(url: str, flags: str, program: str = CHROMIUM) -> Iterator[Path]:
         finally:
             process.terminate()
             process.wait()
+
+
+async def debugging_address(profile: Path) -> str:
+    """Returns the address of a browser's debugging port, once it is there."""
+    file = profile / "DevToolsActivePort"  # the port, then a path
+    async with asyncio.timeout(_START_S):
+        while not file.exists() or len(file.read_text().splitlines()) < 2:
+            await asyncio.sleep(0.1)
+    return f"http://127.0.0.1:{file.read_text().splitlines()[0]}"
+
+
+async def ask(page: aiohttp.ClientWebSocketResponse, method: str, **parameters: str | bool | int) -> dict[str, Any]:
+    """Sends a command to a page over its debugging port, and returns its result."""
+    await page.send_json({"id": 1, "method": method, "params": parameters})
+    while True:
+        message = await page.receive_json()
+        if message.get("id") == 1:
+            return dict(message["result"])

@@ -18,6 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import leading
+import yaml
+
+from tensormass_tools import fits
 
 RESULTS = Path(__file__).parent / "results"
 REPOSITORY = Path(__file__).parents[2]
@@ -39,6 +42,7 @@ ITERATION_FLOOR_US, ITERATION_TARGET_US = 2.0, 2.8
 BYTES_TARGET = 250
 SCENES_TARGET, KEPT_TARGET = 192, 0.999
 KEPT_SHOWN = 0.998  # the table shows the most scenes that keep this share of their deadlines in every run
+FIRST_LOOK = "two-cores-first-look.jsonl"
 LOAD_TARGETS_S = {"cuda": 5, "cpu": 10}
 CSV_COLUMNS = (
     "case",
@@ -298,6 +302,40 @@ def browser_rate() -> Iterator[str]:
         )
 
 
+def first_look() -> Iterator[str]:
+    """Deadlines missed by `tensormass run` on two cores, with and without a page."""
+    if not (RESULTS / FIRST_LOOK).exists():
+        yield "Not measured yet: `python tests/bench/first_look.py` on two cores with nothing else to do."
+        return
+    found = newest(FIRST_LOOK)
+    yield "| `tensormass run demo` | deadlines missed | target | step: p50 / p99 | pictures a second |"
+    yield "|---|---|---|---|---|"
+    for case, row in found.items():
+        missed = f"{row['missed_deadlines']:,} of {row['steps']:,}: {_missed_percent(row)}"
+        target = f"{100 * row['target_missed']:g} %, {_verdict(row['target_met'])}" if "target_met" in row else ""
+        yield (
+            f"| {case.removeprefix('first look: ')} | {missed} | {target} "
+            f"| {row['step_ms_median']:.1f} / {row['step_ms_p99']:.1f} ms | {row.get('drawn_hz', '')} |"
+        )
+    row = next(iter(found.values()))
+    yield ""
+    yield f"{row['device']}, commit `{row['commit']}`: `{row['command']}`."
+
+
+def _missed_percent(row: Row) -> str:
+    return f"{100 * row['missed_deadlines'] / row['steps']:.2f} %"
+
+
+def meshes() -> Iterator[str]:
+    """Meshes among which `tensormass run` chooses."""
+    yield "| on | edits of the scene file | 99th percentile of a step, relative | error of the force |"
+    yield "|---|---|---|---|"
+    for backend, rungs in yaml.safe_load(fits.FILE.read_text("utf-8")).items():
+        for rung in rungs:
+            setting = ", ".join(f"`{name}` {value:.4g}" for name, value in rung["setting"].items()) or "none"
+            yield f"| {backend} | {setting} | {rung['cost']:.3g} | {100 * rung['error']:.2g} % |"
+
+
 def stream_sources() -> Iterator[str]:
     """Device, commit and command of each file's last row."""
     yield "| file | device | commit | command |"
@@ -435,6 +473,7 @@ TABLES = {
         "browser-rate": browser_rate,
         "sources": stream_sources,
     },
+    REPOSITORY / "docs" / "decisions" / "first-look.md": {"first-look": first_look, "meshes": meshes},
     REPOSITORY / "docs" / "decisions" / "stream-detail.md": {"details": details},
     REPOSITORY / "README.md": {"summary": summary},
 }

@@ -59,6 +59,31 @@ def test_the_csv_has_every_row() -> None:
     assert medians == [row["step_ms_median"] for row in performance.rows(name)]
 
 
+def test_the_first_look_says_what_was_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(performance, "RESULTS", tmp_path)
+    assert next(iter(performance.first_look())).startswith("Not measured yet: ")
+    row = {
+        "case": "first look: a page",
+        "steps": 3600,
+        "missed_deadlines": 90,
+        "step_ms_median": 4.25,
+        "step_ms_p99": 9.0,
+        "drawn_hz": 16.5,
+        "target_missed": 0.02,
+        "target_met": False,
+        "device": "two cores",
+        "commit": "abc",
+        "command": "c",
+    }
+    alone = {name: of for name, of in row.items() if name not in ("drawn_hz", "target_missed", "target_met")}
+    rows = [row, alone | {"case": "first look: alone"}]
+    (tmp_path / performance.FIRST_LOOK).write_text("".join(json.dumps(of) + "\n" for of in rows))
+    lines = list(performance.first_look())
+    assert "| a page | 90 of 3,600: 2.50 % | 2 %, missed | 4.2 / 9.0 ms | 16.5 |" in lines
+    assert "| alone | 90 of 3,600: 2.50 % |  | 4.2 / 9.0 ms |  |" in lines
+    assert lines[-1] == "two cores, commit `abc`: `c`."
+
+
 def test_marks_must_be_there() -> None:
     assert performance.filled("a\n<!-- t: begin -->\nold\n<!-- t: end -->\nb", {"t": "new"}) == (
         "a\n<!-- t: begin -->\n\nnew\n\n<!-- t: end -->\nb"

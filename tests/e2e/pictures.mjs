@@ -51,7 +51,7 @@ async function withCommand(args, found, visit) {
 
 /** Runs a scene until `visit` is done with the viewer's address. */
 function withScene(name, visit) {
-  return withCommand(["run", name, "--backend", "cpu"], /viewer: (\S+)/, visit);
+  return withCommand(["run", name, "--backend", "cpu", "--no-fit"], /viewer: (\S+)/, visit);
 }
 
 /** Records a scene under its scripted hand, which takes some seconds. */
@@ -131,7 +131,7 @@ async function takeHand(name) {
 /** The picture of the README, at high quality, while the simulated device presses the organ. */
 /** The scene of examples/textured_skin.py. */
 async function takeTextured() {
-  await withCommand(["run", "demo", "--backend", "cpu"], /control (\S+)[^]*viewer: (\S+)/, async (control, url) => {
+  await withCommand(["run", "demo", "--backend", "cpu", "--no-fit"], /control (\S+)[^]*viewer: (\S+)/, async (control, url) => {
     const example = spawn(join(ROOT, ".venv", "bin", "python"), [join(ROOT, "examples", "textured_skin.py"), control]);
     await new Promise((resolve) => example.once("exit", resolve));
     const page = await open(`${url}&scene=textured`, WIDE, {}, "high");

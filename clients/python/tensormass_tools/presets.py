@@ -12,7 +12,7 @@ import yaml
 from tensormass._src.demo import cache_folder
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.scene import Scene
-from tensormass._src.scene_file import SceneFile
+from tensormass._src.scene_file import SceneFile, is_mesh_file
 from tensormass_tools.trade.knobs import Knobs, Setting
 
 FILE = Path(__file__).resolve().parent / "presets.yaml"
@@ -66,6 +66,8 @@ def read_for_backend(path: str | Path, backend: str) -> Scene | None:
     Raises:
         NotFoundError: the path names neither a file nor a built-in scene.
     """
+    if is_mesh_file(path):
+        return None
     file = SceneFile.read(path)
     setting = FOR_BACKEND.get(backend, {}).get(file.builtin or "")
     return None if setting is None else _with_setting(file, setting)

@@ -4,6 +4,9 @@ A built-in scene may have a scripted hand (hand.py), which then moves its tool i
 
 All parts run until Ctrl-C, SIGTERM or the end of --seconds. They end in the order of their dependencies.
 
+A built-in scene is fitted to the machine first (fitting.py), before a hand or a viewer comes: a coarser mesh takes its
+place if its steps leave too little of their period.
+
 A guard may stop the scene. A run with --seconds then ends at once, because nobody watches it. Without --seconds the run
 continues: users can inspect the stopped scene and reset it over the control address. A run that ends with its scene
 stopped has failed. It writes the report of `SceneHandle.write_report` to NAME-fault.npz, because the daemon, which has
@@ -35,7 +38,8 @@ from tensormass._src.server import Server
 from tensormass.v1 import scene_pb2
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
 from tensormass_gateway.options import options_from
-from tensormass_tools import hand, presets
+from tensormass_tools import fitting, hand, presets, priority
+from tensormass_tools.fit_scene import Fitted, fit_scene
 from tensormass_tools.output import Warnings, check_writable, load_line, print_json, report_text, status_line
 from tensormass_tools.running import announced
 
@@ -58,6 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--preset", choices=tuple(presets.PROMISES), help="a measured setting of a built-in scene")
     parser.add_argument("--rate", type=float, metavar="HZ", help="steps a second, each of 1/HZ s; default: the scene's")
+    parser.add_argument(
+        "--no-fit",
+        action="store_true",
+        help="keep mesh, threads and priorities of a built-in scene also where its steps are late",
+    )
     parser.add_argument("--no-haptic", action="store_true", help="without simulated haptic devices")
     parser.add_argument("--no-viewer", action="store_true", help="without the viewer's gateway")
     parser.add_argument(
@@ -114,9 +123,17 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         parts.callback(server.close)
         parts.enter_context(end_explained(server.process, server.log_file))
         version = server.version()
+        fitted = Fitted(scene)
         if args.preset is None and args.rate is None:
-            fitting = await asyncio.to_thread(presets.read_for_backend, args.scene, version.backend)
-            scene = scene if fitting is None else fitting
+            of_backend = await asyncio.to_thread(presets.read_for_backend, args.scene, version.backend)
+            fitted = Fitted(scene if of_backend is None else of_backend)
+            if not args.no_fit:
+                fitted = await asyncio.to_thread(
+                    fit_scene, server, version.backend, args.scene, fitted, args.cpu_threads
+                )
+        scene = fitted.scene
+        if fitted.sentence:
+            _say(args, fitted.sentence)
         handle = await asyncio.to_thread(server.load, scene, lockstep=False, progress=load_line(quiet=args.json))
         parts.enter_context(announced(server.address, handle.name))
         if args.seconds is not None:
@@ -130,9 +147,15 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
             else await parts.enter_async_context(_viewer(args, server, {handle.name: scene.message}))
         )
         if args.json:
-            print_json({"control": server.address, **({"viewer": viewer.url} if viewer is not None else {})})
+            with_viewer = {"viewer": viewer.url} if viewer is not None else {}
+            print_json(
+                {"control": server.address, **with_viewer, **({"fit": fitted.sentence} if fitted.sentence else {})}
+            )
         hands = [] if args.no_haptic else _start_hands(args, server, handle, parts)
-        await _report_until(stop, args, server, handle, viewer, hands)
+        # The scene's own threads are new since the daemon got its priority.
+        if fitted.realtime and server.process is not None and priority.raise_threads(server.process.process.pid):
+            _say(args, "the daemon has real-time priority, because the viewer shares its cores")
+        await _report_until(stop, args, server, handle, viewer, hands, advise=not (fitted.sentence or args.no_fit))
         _say(args, "ending")
     _say(args, "ended: haptic devices, viewer, daemon")
     return 0
@@ -190,8 +213,11 @@ async def _report_until(
     handle: SceneHandle,
     viewer: Gateway | None,
     hands: list[tuple[ChildProcess, Path]],
+    *,
+    advise: bool,
 ) -> None:
-    """Prints the live status. Returns when told to end; raises if a part ended by itself."""
+    """Prints the live status, and once what a late scene needs. Returns when told to end; raises if a part ended by
+    itself."""
     live = sys.stdout.isatty() and not args.json
     period_s = _STATUS_PERIOD_S if live or args.json else _LOG_PERIOD_S
     warnings = Warnings()
@@ -205,7 +231,11 @@ async def _report_until(
         status = await asyncio.to_thread(handle.status)
         clients = len(hands) + (viewer.browser_count if viewer is not None else 0)
         width = shutil.get_terminal_size().columns - 1
-        for line in warnings.lines(status):
+        lines = warnings.lines(status)
+        if advise and (needed := fitting.advice(status)):
+            advise = False
+            lines.append(needed)
+        for line in lines:
             # On a terminal, the warning replaces the status line.
             _say(args, f"\r{line:<{width}}" if live else line)
         if args.json:

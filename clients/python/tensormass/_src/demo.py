@@ -1,6 +1,6 @@
 """Built-in scenes, by the names of their files in scenes/.
 
-organ.py makes the meshes of organs when a scene first uses them, which takes seconds, and again when their source
+organ.py makes the meshes of an organ when a scene first uses it, which takes seconds, and again when their source
 changes. They are kept in the checkout's build/scenes or in the user's cache.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from tensormass._src import mesh_files
@@ -33,27 +34,40 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     if name not in builtin_scenes():
         return None
     scene_file = _TEMPLATES / f"{name}.yaml"
-    if not any(f"{organ}.msh" in scene_file.read_text() for organ in ORGANS):
+    organs = [organ for organ in ORGANS if f"{organ}.msh" in scene_file.read_text()]
+    if not organs:
         return scene_file, _TEMPLATES
     require("meshes", f"the built-in scene {name!r}")
     folder = cache_folder()
-    files = [folder / file for organ in ORGANS for file in (f"{organ}.msh", f"{organ}_skin.ply")]
-    stamp = folder / "made_from.txt"
     sources = hashlib.sha256(b"".join((_PACKAGE / source).read_bytes() for source in _SOURCES)).hexdigest()
-    if not (stamp.is_file() and stamp.read_text() == sources and all(file.is_file() for file in files)):
+    missing = [organ for organ in organs if not _is_made(organ, folder, sources)]
+    if missing:
         folder.mkdir(parents=True, exist_ok=True)
         # Made in a temporary folder and then moved, so that a second process never reads half a file.
         with tempfile.TemporaryDirectory(dir=folder) as made:
-            _make_organs(Path(made))
-            (Path(made) / stamp.name).write_text(sources)
-            for file in [*files, stamp]:
-                os.replace(Path(made) / file.name, file)
+            _make_organs(Path(made), missing)
+            for organ in missing:
+                *files, stamp = _files(organ)
+                (Path(made) / stamp).write_text(sources)
+                for file in [*files, stamp]:
+                    os.replace(Path(made) / file, folder / file)
     return scene_file, folder
 
 
-def _make_organs(folder: Path) -> None:
+def _files(organ: str) -> tuple[str, ...]:
+    """Returns the names of an organ's files. The last one says of what the others were made."""
+    return f"{organ}.msh", f"{organ}_skin.ply", f"{organ}_made_from.txt"
+
+
+def _is_made(organ: str, folder: Path, sources: str) -> bool:
+    *files, stamp = (folder / file for file in _files(organ))
+    return stamp.is_file() and stamp.read_text() == sources and all(file.is_file() for file in files)
+
+
+def _make_organs(folder: Path, names: Sequence[str]) -> None:
     skins: dict[Implicit, TriangleSurface] = {}  # organs that differ only in their cells look the same
-    for name, organ in ORGANS.items():
+    for name in names:
+        organ = ORGANS[name]
         mesh_files.write_mesh(folder / f"{name}.msh", organ.volume(graded=organ.focus is not None))
         if organ.inside not in skins:
             skins[organ.inside] = organ.skin()
