@@ -390,7 +390,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
       force -= push + aside;
       torque -= physics::cross<Real>(point - tool.position(), push);
       torque -= physics::cross<Real>(core - tool.position(), aside);
-      for (std::size_t j = 0; j != kJoints; ++j) {  // not <: a kind may have none
+      for (std::size_t j = 0; j < kJoints; ++j) {
         sums[9 + j] -= Kind::joint_motion(tool, j, core, point).dot(push);
         sums[9 + j] -= Kind::joint_motion(tool, j, core, core).dot(aside);
       }
@@ -410,7 +410,7 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   if (team.leads_patch()) {
     auto& load = contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()];
     load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}};
-    for (std::size_t j = 0; j != kJoints; ++j) load.joints[j] = sums[9 + j];
+    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[9 + j];
   }
 }
 

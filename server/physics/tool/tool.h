@@ -159,7 +159,7 @@ template <class Kind, class Real>
 TM_HOST_DEVICE Vec3<Real> motion_with_joints(const PlacedTool<Real>& tool, const Vec3<Real>& core,
                                              const Vec3<Real>& x) {
   Vec3<Real> motion = tool.motion_at(x);
-  for (std::size_t j = 0; j != Kind::kJoints.size(); ++j) {  // not <: a kind may have none
+  for (std::size_t j = 0; j < Kind::kJoints.size(); ++j) {
     motion += Kind::joint_motion(tool, j, core, x) * tool.joints_moved[j];
   }
   return motion;
