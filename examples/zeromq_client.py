@@ -22,13 +22,9 @@ VALID_FOR_S = 0.5  # a pose then expires: if this program dies, the server lets 
 
 
 def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
-    return stream_pb2.ToolPose(
-        sequence=sequence,
-        client_id=CLIENT_ID,
-        client_time_ns=time.monotonic_ns(),
-        position_m=position_m,
-        valid_for_s=VALID_FOR_S,
-    ).SerializeToString()
+    sent = stream_pb2.ToolPose(sequence=sequence, client_id=CLIENT_ID, position_m=position_m, valid_for_s=VALID_FOR_S)
+    sent.client_time_ns = time.monotonic_ns()
+    return sent.SerializeToString()
 
 
 def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list[float]:
@@ -57,10 +53,9 @@ def main(publish_endpoint: str, pose_endpoint: str, scene: str, tool: str) -> No
 
     answer, answer_s, delays_s, largest_n = None, 0.0, [], 0.0
     begin_s, ticks = time.monotonic(), round(SECONDS * POSES_PER_S)
-    for tick in range(1, ticks):
+    for tick in range(1, ticks):  # instead of `hand`, take your device's position
         time.sleep(max(0.0, begin_s + tick / POSES_PER_S - time.monotonic()))
-        depth_m = TRAVEL_M * math.sin(math.pi * tick / ticks) ** 2
-        hand = scene_pb2.Vector3(x=start.x, y=start.y, z=start.z - depth_m)  # your device's position
+        hand = scene_pb2.Vector3(x=start.x, y=start.y, z=start.z - TRAVEL_M * math.sin(math.pi * tick / ticks) ** 2)
         if poses.poll(0, zmq.POLLOUT):  # otherwise the next pose replaces this one
             poses.send(pose_prefix + pose(tick, hand))
         if feedbacks.poll(0):

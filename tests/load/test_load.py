@@ -80,6 +80,7 @@ def haptic(program: Path, server: tm.Server, *options: object) -> tuple[int, dic
     return done.returncode, json.loads(done.stdout) if done.stdout else {}, done.stderr
 
 
+@pytest.mark.alone
 def test_load_test_of_two_scenes(haptic_program: Path, scene_file: Path, tmp_path: Path) -> None:
     before = children()
     report_file = tmp_path / "report.json"
@@ -111,6 +112,7 @@ def test_load_test_of_two_scenes(haptic_program: Path, scene_file: Path, tmp_pat
     assert children() == before
 
 
+@pytest.mark.alone
 def test_a_stopped_viewer_is_compared_with_before_and_after(
     server: tm.Server, scene_file: Path, tmp_path: Path
 ) -> None:

@@ -28,7 +28,7 @@ SILENT, HANG_UP = "<silent>", "<hang up>"
 START = (0.01, -0.12, 0.15)
 #: The status of a device that can be used.
 FIT = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
-DEADLINE_S = 20.0
+DEADLINE_S = 60.0
 
 
 def honest(number: int, message: Message) -> Message:

@@ -12,7 +12,7 @@ try:
 except tm.NotFoundError as not_built:
     pytest.skip(str(not_built), allow_module_level=True)
 
-DEADLINE_S = 20.0
+DEADLINE_S = 60.0
 
 # A block on a table with a probe above its middle; light enough for a busy machine.
 BLOCK = """

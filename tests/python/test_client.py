@@ -26,7 +26,7 @@ import tensormass as tm
 from tensormass._src import processes
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
-DEADLINE_S = 10.0
+DEADLINE_S = 60.0
 
 
 @pytest.mark.parametrize(
@@ -457,20 +457,13 @@ def test_launch_says_why_the_daemon_did_not_start(tmp_path: Path, monkeypatch: p
 
 
 def test_launch_gives_up_on_a_daemon_that_is_never_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pid_file = tmp_path / "pid"
-    silent = script(
-        tmp_path,
-        "tensormassd",
-        f"""
-        import os, pathlib, time
-        pathlib.Path({str(pid_file)!r}).write_text(str(os.getpid()))
-        time.sleep(600)
-        """,
-    )
+    silent = script(tmp_path, "tensormassd", "import time; time.sleep(600)")
     monkeypatch.setenv("TENSORMASSD", str(silent))
-    with pytest.raises(tm.UnavailableError, match="was not ready in 2 s"):
-        tm.launch(timeout_s=2)
-    assert not is_running(int(pid_file.read_text()))
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    before = children.read_text()
+    with pytest.raises(tm.UnavailableError, match=r"was not ready in 0\.5 s"):
+        tm.launch(timeout_s=0.5)
+    assert children.read_text() == before, "it ends, started or not"
 
 
 def test_a_missing_program_is_reported_by_its_variable(monkeypatch: pytest.MonkeyPatch) -> None:

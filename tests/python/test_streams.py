@@ -23,7 +23,7 @@ from tensormass._src.streams import Transport, stream_key
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 TRANSPORTS: tuple[Transport, ...] = ("zeromq", "zenoh")
-DEADLINE_S = 10.0
+DEADLINE_S = 60.0
 
 
 def free_port() -> int:
