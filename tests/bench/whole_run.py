@@ -66,6 +66,8 @@ def row_of(report: Mapping[str, Any]) -> dict[str, Any]:
     scenes, steps = report["scenes"], sum(scene["steps"] for scene in report["scenes"])
     missed = sum(scene["missed_deadlines"] for scene in scenes)
     times = load_report.merged_histogram(scene["step_times"] for scene in scenes)
+    if steps and not times["count"]:
+        sys.exit("the daemon does not count step times; start one of this version")
     return {
         "scenes": len(scenes),
         "haptic_clients": len(report["haptic"]),
