@@ -8,6 +8,7 @@ steps. The least time of each step is the one that other programs disturbed leas
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -36,12 +37,19 @@ _SLOW_QUANTILE = 0.99
 MOST_S = 4.0
 
 
-def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, share: float) -> Measured | None:
+def measure(
+    server: Server,
+    scene: scene_pb2.Scene,
+    hand: HandScript | None,
+    share: float,
+    prepare: Callable[[], object] = lambda: None,
+) -> Measured | None:
     """Loads a scene, makes its first steps and unloads it.
 
     Args:
         hand: moves its tool; None: the first tool that can move presses.
         share: largest share of the period that a step may take, for which fewer steps may suffice.
+        prepare: () -> ignored. Called once the scene is loaded, before its first step.
 
     Returns:
         None if the scene stopped, was refused, or is one step to equilibrium.
@@ -54,6 +62,7 @@ def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, sha
         if path.script.one_step:
             return None
         with server.load(scene, lockstep=True) as handle:
+            prepare()
             times_s = _times_s(handle, path, share)
             report = handle.report
     except UnavailableError:
