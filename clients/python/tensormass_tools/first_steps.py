@@ -8,6 +8,7 @@ steps. The least time of each step is the one that other programs disturbed leas
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -27,21 +28,29 @@ _POSE_RATE_HZ = 60.0
 _HAND_S = 2.5
 #: Depth of the press in radii of the tool, as deep as the simulated device presses the demo, and its duration [s].
 _PRESS_RADII, _PRESS_S = 1.0, 0.8
-#: The path is left after so many steps if this share of them is too slow, and not made again if that share is.
-_FEW_STEPS, _LEAVE_SHARE, _ENOUGH_SHARE = 30, 0.5, 0.1
-#: Passes at most, if a few steps are too slow, because other programs may have disturbed them.
-MOST_PASSES = 6
+#: The path is left after so many steps if this share of them is too slow.
+_FEW_STEPS, _LEAVE_SHARE = 30, 0.5
+#: A path with some slow steps is made again, because other programs may have disturbed them. That ends once the mean of
+#: the least times stays above this share of the mean before, or after so many passes.
+_CALM, MOST_PASSES = 0.95, 12
 _SLOW_QUANTILE = 0.99
 #: Time after which a measurement ends [s].
 MOST_S = 4.0
 
 
-def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, share: float) -> Measured | None:
+def measure(
+    server: Server,
+    scene: scene_pb2.Scene,
+    hand: HandScript | None,
+    share: float,
+    prepare: Callable[[], object] = lambda: None,
+) -> Measured | None:
     """Loads a scene, makes its first steps and unloads it.
 
     Args:
         hand: moves its tool; None: the first tool that can move presses.
         share: largest share of the period that a step may take, for which fewer steps may suffice.
+        prepare: () -> ignored. Called once the scene is loaded, before its first step.
 
     Returns:
         None if the scene stopped, was refused, or is one step to equilibrium.
@@ -54,6 +63,7 @@ def measure(server: Server, scene: scene_pb2.Scene, hand: HandScript | None, sha
         if path.script.one_step:
             return None
         with server.load(scene, lockstep=True) as handle:
+            prepare()
             times_s = _times_s(handle, path, share)
             report = handle.report
     except UnavailableError:
@@ -91,6 +101,7 @@ def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | Non
     limit_s = share * path.dt_s
     until = time.monotonic() + MOST_S
     times_s = np.full(calls, np.inf)
+    mean_s = np.inf
     for _ in range(MOST_PASSES):
         for i in range(calls):
             path.move(handle, (i + 1) * at_once * path.dt_s)
@@ -104,7 +115,8 @@ def _times_s(handle: SceneHandle, path: _Path, share: float) -> FloatArray | Non
             if leaves or time.monotonic() > until:
                 return known
         fits = np.quantile(times_s, _SLOW_QUANTILE) <= limit_s
-        if fits or (times_s > limit_s).mean() > _ENOUGH_SHARE:
+        before_s, mean_s = mean_s, float(times_s.mean())
+        if fits or mean_s > _CALM * before_s:
             break
         handle.reset()
     return times_s

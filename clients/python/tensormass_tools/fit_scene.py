@@ -46,8 +46,13 @@ def fit_scene(server: Server, backend: str, path: str | Path, as_it_is: Fitted, 
         return as_it_is
     knobs = Knobs(file, cache_folder() / "fits")
     machine = Machine.of(backend, len(os.sched_getaffinity(0)), cpu_threads)
-    if machine.may_have_priority() and server.process is not None:
-        machine = replace(machine, realtime=priority.raise_threads(server.process.process.pid))
+
+    def prioritize() -> bool:
+        """Gives the daemon, with the threads of a scene that it has loaded, priority where that helps."""
+        daemon = server.process
+        return machine.may_have_priority() and daemon is not None and priority.raise_threads(daemon.process.pid)
+
+    machine = replace(machine, realtime=prioritize())
     own_dt_s = defaults.dt_s(knobs.message)
     periods_s = [float(rung.setting.get("dt_s", own_dt_s)) for rung in ladder]
     script = hand.script_of(str(path))
@@ -62,7 +67,7 @@ def fit_scene(server: Server, backend: str, path: str | Path, as_it_is: Fitted, 
         return message
 
     def measure_choice(choice: Choice) -> Measured | None:
-        return measure(server, scene_of(choice), scripted, machine.share())
+        return measure(server, scene_of(choice), scripted, machine.share(), prioritize)
 
     fit = choose(ladder, periods_s, machine, measure_choice)
     if fit is None:
