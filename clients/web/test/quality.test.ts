@@ -10,6 +10,7 @@ describe("levels", () => {
   it("cost less from one to the next: nothing gets finer, and something gets coarser", () => {
     const costs = LEVELS.map((level: Level) => [
       level.pixelRatio,
+      Number(level.smooth),
       Number(level.antialias),
       -MATERIALS.indexOf(level.material),
       Number(level.reflections),

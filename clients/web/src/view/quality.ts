@@ -7,6 +7,8 @@ export interface Level {
   readonly name: string;
   /** Largest number of the picture's pixels along a CSS pixel. Screens with fewer take fewer. */
   readonly pixelRatio: number;
+  /** Whether the browser blends a picture with fewer pixels than the screen. It costs more than drawing them. */
+  readonly smooth: boolean;
   /** Multisampling. WebGL fixes it when it starts, so a change starts it again. */
   readonly antialias: boolean;
   /** Tissue: moist with grain, plainly lit in each pixel, or lit at its vertices. */
@@ -21,15 +23,15 @@ export interface Level {
   readonly rateHz: number | null;
 }
 
-const PLAIN = { antialias: false, reflections: false, shadows: false, detail: 1, rateHz: null } as const;
+const PLAIN = { smooth: true, antialias: false, reflections: false, shadows: false, detail: 1, rateHz: null } as const;
 
 export const LEVELS = [
-  { name: "high", pixelRatio: 2, antialias: true, material: "moist", reflections: true, shadows: true, ground: "grid", detail: 1, rateHz: null },
+  { ...PLAIN, name: "high", pixelRatio: 2, antialias: true, material: "moist", reflections: true, shadows: true, ground: "grid" },
   { ...PLAIN, name: "medium", pixelRatio: 1, antialias: true, material: "plain", reflections: true, ground: "grid" },
   { ...PLAIN, name: "low", pixelRatio: 1, material: "plain", ground: "grid" },
   { ...PLAIN, name: "simple", pixelRatio: 1, material: "simple", ground: "lines", rateHz: 30 },
   { ...PLAIN, name: "coarse", pixelRatio: 0.5, material: "simple", ground: "lines", detail: 0.5, rateHz: 30 },
-  { ...PLAIN, name: "least", pixelRatio: 0.5, material: "simple", ground: "none", detail: 0.25, rateHz: 20 },
+  { ...PLAIN, name: "least", pixelRatio: 0.5, smooth: false, material: "simple", ground: "none", detail: 0.25, rateHz: 20 },
 ] as const satisfies readonly Level[];
 
 export type LevelName = (typeof LEVELS)[number]["name"];

@@ -2,8 +2,8 @@
 import * as THREE from "three";
 
 /** Strength and width of the highlight. */
-const SHINE = "0.16";
-const SHARPNESS = "24.0";
+const SHINE = "0.13";
+const SHARPNESS = "28.0";
 
 /** @param color Multiplied by the vertex colours. The lights are those of the scene, without shadows. */
 export function simpleMaterial(color: THREE.Color): THREE.ShaderMaterial {

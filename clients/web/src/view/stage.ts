@@ -79,6 +79,7 @@ export class Stage {
       this.#reopen();
     }
     this.#renderer.shadowMap.enabled = level.shadows;
+    this.#canvas.style.imageRendering = imageRendering(level);
     for (const picture of this.#boxes.keys()) {
       picture.setLevel();
     }
@@ -123,6 +124,7 @@ export class Stage {
     renderer.setClearColor(GAP_COLOUR);
     // Once for all pictures. Each has its own backdrop.
     renderer.autoClear = false;
+    canvas.style.imageRendering = imageRendering(this.#level);
     canvas.addEventListener("webglcontextrestored", () => (this.#dirty = true));
     return renderer;
   }
@@ -195,6 +197,10 @@ export class Stage {
       }
     }
   }
+}
+
+function imageRendering({ smooth }: Level): string {
+  return smooth ? "auto" : "pixelated";
 }
 
 /** Returns the intersection of two boxes. Boxes that do not touch give a negative width or height. */

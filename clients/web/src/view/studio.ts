@@ -55,7 +55,9 @@ export class Studio {
     this.#lights = lights(level);
     this.scene.add(...this.#lights);
     this.scene.environment = environment;
-    this.#floor.add(...floor(level));
+    for (const object of floor(level)) {
+      this.#floor.add(object);
+    }
   }
 
   /** Takes the size of the picture [CSS pixels]. */
