@@ -4,7 +4,7 @@ import { FIRST_WAIT_MS, Governor, LONGEST_WAIT_MS, TARGET_HZ, type Limits } from
 
 const LIMITS: Limits = { start: 0, best: 0, cheapest: 4 };
 
-/** A machine of which a picture of each level takes so long [ms], and a governor on it. */
+/** A machine that draws a picture of each level in so long [ms], and a governor on it. */
 class Machine {
   readonly governor: Governor;
   readonly changes: number[] = [];

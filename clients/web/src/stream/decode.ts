@@ -109,7 +109,7 @@ export interface AttachmentSprings {
 export interface Topology {
   readonly scene: string;
   readonly version: bigint;
-  /** Version of the scene's own topology, of which this one may be a simplified form. */
+  /** Version of the scene's own topology. This one may be a simplified form of it. */
   readonly wholeVersion: bigint;
   readonly vertexCount: number;
   readonly bodies: readonly Surface[];

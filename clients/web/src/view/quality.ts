@@ -52,12 +52,15 @@ export function placeOf(name: LevelName): number {
 /** Whether the browser draws without a GPU. It may hide its renderer's name, but not that WebGL is slow. */
 export function drawsInSoftware(): boolean {
   const open = (attributes: WebGLContextAttributes) => document.createElement("canvas").getContext("webgl2", attributes);
+  const close = (gl: WebGL2RenderingContext | null) => gl?.getExtension("WEBGL_lose_context")?.loseContext();
   const gl = open({});
-  const quick = open({ failIfMajorPerformanceCaveat: true });
   const info = gl?.getExtension("WEBGL_debug_renderer_info");
   const renderer = gl && info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
-  for (const context of [gl, quick]) {
-    context?.getExtension("WEBGL_lose_context")?.loseContext();
+  close(gl);
+  if (gl === null || /swiftshader|llvmpipe|software/i.test(renderer)) {
+    return true;
   }
-  return (gl !== null && quick === null) || /swiftshader|llvmpipe|software/i.test(renderer);
+  const quick = open({ failIfMajorPerformanceCaveat: true });
+  close(quick);
+  return quick === null;
 }

@@ -20,7 +20,7 @@ export class QualityControl {
   /**
    * @param software Whether the browser draws without a GPU.
    * @param choice What the user fixed, or "automatic".
-   * @param apply Called with each other level that is to be drawn from now on.
+   * @param apply Called with each other level, which must be drawn from now on.
    */
   constructor(software: boolean, choice: Quality, apply: (level: Level) => void) {
     this.#software = software;
@@ -75,7 +75,7 @@ export class QualityControl {
     return (1000 * this.#drawnMs.length) / RATE_WINDOW_MS;
   }
 
-  /** What was chosen and why, in words. */
+  /** Names the level on show and the reason for it. */
   note(): string {
     const { name } = this.level;
     if (this.#choice !== "automatic") {

@@ -258,7 +258,7 @@ function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {
 
 type Look = THREE.MeshStandardMaterial | THREE.MeshLambertMaterial | THREE.ShaderMaterial;
 
-/** @param pictured Whether a picture is to be shown on the surface, which takes a light in each pixel. */
+/** @param pictured Whether the surface shows a picture, which needs light in each pixel. */
 function lookOf(material: Level["material"], color: THREE.Color, pictured: boolean): Look {
   switch (material) {
     case "moist":
