@@ -119,7 +119,7 @@ describe("Governor", () => {
   it("draws no conclusion from a page that was hidden, throttled or asleep", () => {
     const machine = new Machine([20, 20, 20, 20, 20]).run(5000);
     for (let i = 0; i < 20; i += 1) {
-      machine.turn(false, 1000); // throttled
+      machine.turn(i % 2 === 0, 1000); // throttled
     }
     for (let i = 0; i < 20; i += 1) {
       machine.turn(true, 3_600_000); // asleep
