@@ -111,7 +111,8 @@ export class Browser {
   readonly #profile = mkdtempSync(join(tmpdir(), "tensormass-chromium-"));
   #context: BrowserContext | null = null;
 
-  async open(url: string): Promise<ViewerPage> {
+  /** @param turnMs Time between two turns of the drawing loop by the page's clock; null: as they come. */
+  async open(url: string, turnMs: number | null = null): Promise<ViewerPage> {
     this.#context ??= await chromium.launchPersistentContext(this.#profile, {
       executablePath: CHROMIUM,
       headless: true,
@@ -132,6 +133,9 @@ export class Browser {
     this.#context.setDefaultTimeout(0);
     const page = await this.#context.newPage();
     const viewer = new ViewerPage(page);
+    if (turnMs !== null) {
+      await page.addInitScript(setTurns, turnMs);
+    }
     await page.goto(url);
     return viewer;
   }
@@ -140,6 +144,13 @@ export class Browser {
     await this.#context?.close();
     rmSync(this.#profile, { recursive: true, force: true });
   }
+}
+
+/** In the page: makes a machine of a given speed of this one. What it draws takes as long as before. */
+function setTurns(turnMs: number): void {
+  const request = window.requestAnimationFrame.bind(window);
+  let nowMs = 0;
+  window.requestAnimationFrame = (callback) => request(() => callback((nowMs += turnMs)));
 }
 
 /** The interface of main.ts for scripts. */
@@ -209,6 +220,11 @@ export class ViewerPage {
   async draws(count: number): Promise<void> {
     const { drawn } = await this.state();
     await this.page.waitForFunction((until) => window.tensormass.state().drawn >= until, drawn + count);
+  }
+
+  /** Waits until the page draws at this level of quality. */
+  async drawsAt(level: string): Promise<void> {
+    await this.page.waitForFunction((name) => document.documentElement.dataset.quality === name, level);
   }
 
   /** Drags from one point of the page to another. */

@@ -1,9 +1,9 @@
 // The page's address: what it asks for, and what it remembers for a reload.
 //
 // ?token= as the gateway prints it; ?scene= names the selected scene (default: the first that runs); ?grid=1 shows all
-// scenes in a grid; ?quality=high|low (default: high with a GPU, low without); ?codec= (default: q16), ?rate_hz=,
-// ?normals= and ?detail= choose the frames that the gateway sends (docs/protocol.md).
-import type { Diagnosis } from "./stream/connection";
+// scenes in a grid; ?quality= fixes a level of view/quality.ts or is "automatic" (default: what Display remembers);
+// ?codec= (default: q16), ?rate_hz=, ?normals= and ?detail= choose the frames that the gateway sends (docs/protocol.md).
+import type { Diagnosis, FrameChoice } from "./stream/connection";
 
 export class Address {
   readonly #url: URL;
@@ -22,6 +22,18 @@ export class Address {
 
   get grid(): boolean {
     return this.#url.searchParams.get("grid") === "1";
+  }
+
+  /** Returns the address without a quality, after another one was chosen in the page. */
+  withoutQuality(): string {
+    set(this.#url.searchParams, "quality", null);
+    return this.#url.href;
+  }
+
+  /** The frames of a level of quality. What the address itself chooses stays. */
+  framesOf({ detail, rateHz }: { readonly detail: number; readonly rateHz: number | null }): FrameChoice {
+    const given = this.#url.searchParams;
+    return { ...(given.has("detail") ? {} : { detail }), ...(given.has("rate_hz") ? {} : { rate_hz: rateHz }) };
   }
 
   /** Address of the WebSocket, with the token and the choice of frames. The gateway refuses an unknown choice in words. */

@@ -24,7 +24,8 @@ import { Timeline } from "./panel/timeline";
 import type { Session } from "./stream/session";
 import type { Vector } from "./stream/decode";
 import type { Hand } from "./view/drag";
-import { chooseQuality } from "./view/quality";
+import { QUALITIES, drawsInSoftware, qualityOf, type Level } from "./view/quality";
+import { QualityControl } from "./view/quality_control";
 import { Stage } from "./view/stage";
 
 const READINGS_INTERVAL_MS = 250;
@@ -40,6 +41,7 @@ const hud = new Hud({
   pickScene: (scene) => grid.choose(scene),
   resetView: () => grid.selected.viewer.resetView(),
 });
+const quality = new QualityControl(drawsInSoftware(), qualityOf(address.quality) ?? settings.quality, showLevel);
 const stage = openStage();
 const grid = new Grid({ scene: address.scene, on: address.grid, open: openTile, onChange: showGrid });
 const commands = new Commands(() => grid.selected.session, toast, showState, (scene) => grid.choose(scene));
@@ -49,18 +51,28 @@ const material = new MaterialPanel((text) => toast.show(`Adjusting the scene: ${
 const display = new Display({
   change: changeDisplay,
   setZero: () => grid.selected.session.store.setZero(),
+  chooseQuality(chosen) {
+    quality.choose(chosen);
+    window.history.replaceState(null, "", address.withoutQuality());
+  },
   takePicture: () => grid.selected.takePicture(),
   film: toggleFilm,
 });
-const film = filmOf(find("#view", HTMLCanvasElement), {
+const film = filmOf(() => stage.canvas, {
   onRunning(running) {
-    stage.holdSize(running);
+    // Some players show only the first size of a film.
+    quality.hold(running);
     display.showFilm(running);
   },
   onFilm: download,
   onError: (text) => toast.show(text, "bad"),
 });
 display.showFilm(film.possible ? false : null);
+display.showQuality(quality.choice);
+if (address.quality !== null && qualityOf(address.quality) === null) {
+  toast.show(`The address asks for quality "${address.quality}"; take one of ${QUALITIES.join(", ")}`, "bad");
+}
+document.documentElement.dataset.quality = quality.level.name;
 
 const menus = [...document.querySelectorAll<HTMLDetailsElement>("details.menu")];
 const plays = () => (grid.selected.session.daemon?.recording ?? null) !== null;
@@ -99,7 +111,10 @@ const panels = new ResizeObserver(() => layOut(grid));
 panels.observe(find("#bottom", HTMLElement));
 panels.observe(find("aside", HTMLElement));
 window.addEventListener("resize", () => layOut(grid));
-document.addEventListener("visibilitychange", () => grid.tiles.forEach((tile) => tile.session.setPaused(document.hidden)));
+document.addEventListener("visibilitychange", () => {
+  quality.interrupt();
+  grid.tiles.forEach((tile) => tile.session.setPaused(document.hidden));
+});
 setInterval(showReadings, READINGS_INTERVAL_MS);
 
 // For scripts and tests that control the page: what is drawn, and where.
@@ -114,7 +129,7 @@ Object.assign(window, {
 
 function openStage(): Stage {
   try {
-    return new Stage(find("#view", HTMLCanvasElement), chooseQuality(address.quality));
+    return new Stage(find("#view", HTMLCanvasElement), quality.level, (nowMs, drew) => quality.turn(nowMs, drew));
   } catch (error) {
     const detail = "This browser has no WebGL 2; enable hardware acceleration or use another browser.";
     const notice = { tone: "warning", title: "Nothing can be drawn", detail } as const;
@@ -136,6 +151,7 @@ function openTile(): Tile {
     onHand: showHand,
   });
   tile.session.setPaused(document.hidden);
+  tile.session.chooseFrames(address.framesOf(quality.level));
   return tile;
 }
 
@@ -183,8 +199,20 @@ function showReadings(): void {
   const { session } = grid.selected;
   hud.showReadings(session.readings());
   plots.draw(session.history);
+  display.showQualityNote(quality.note());
+  // For programs that measure the page: docs/viewer.md describes both.
+  document.documentElement.dataset.framesPerSecond = quality.picturesPerSecond.toFixed(1);
   grid.tiles.forEach(showTile);
   showState();
+}
+
+/** Draws at a level of quality from now on. The gateway sends what it needs. */
+function showLevel(level: Level): void {
+  if (level !== stage.level) {
+    stage.setLevel(level);
+  }
+  grid.tiles.forEach(({ session }) => session.chooseFrames(address.framesOf(level)));
+  document.documentElement.dataset.quality = level.name;
 }
 
 function changeDisplay(changed: Settings): void {

@@ -67,8 +67,10 @@ describe("decodeTopology", () => {
       wholeVertexCount: 20,
     });
     const payload = toBinary(SimplifiedTopologySchema, whole);
-    const { version, vertexCount, bodies } = decodeTopology(payload, "simplified_topology");
-    expect({ version, vertexCount, bodies }).toEqual({ version: 7n, vertexCount: 7, bodies: decodeTopology(topologyBytes()).bodies });
+    const { version, wholeVersion, vertexCount, bodies } = decodeTopology(payload, "simplified_topology");
+    expect([version, wholeVersion, vertexCount]).toEqual([7n, 5n, 7]);
+    expect(bodies).toEqual(decodeTopology(topologyBytes()).bodies);
+    expect(decodeTopology(topologyBytes()).wholeVersion).toBe(7n);
   });
 
   it.each([

@@ -3,7 +3,10 @@ import { expect, it } from "vitest";
 
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
 import { Instruments, arrowLength } from "../src/view/instruments";
+import { LEVELS, placeOf } from "../src/view/quality";
 import { frameBytes, topologyBytes } from "./messages";
+
+const LOW = LEVELS[placeOf("low")]!;
 
 it("draws a longer arrow for a larger force, within a bound", () => {
   const lengths = [0.01, 1, 10, 1e6, Infinity].map(arrowLength);
@@ -15,7 +18,7 @@ it("draws a longer arrow for a larger force, within a bound", () => {
 /** Instruments with a tool at (1, 2, 3) whose sphere is 0.1 below it, in a scene of radius 2 [m]. */
 function update(forceN: { x: number; y: number; z: number }, orientation = { w: 1, x: 0, y: 0, z: 0 }) {
   const topology = decodeTopology(topologyBytes());
-  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(topology, 2, LOW);
   const tools = [{ tool: "probe", positionM: { x: 1, y: 2, z: 3 }, orientation, forceN }];
   const labels = instruments.update(decodeFrame(frameBytes({ tools })));
   instruments.group.updateMatrixWorld(true);
@@ -36,7 +39,7 @@ it("places the sphere with the position and orientation of the tool", () => {
 
 it("draws a tool that touches nothing as a ghost", () => {
   const topology = decodeTopology(topologyBytes());
-  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(topology, 2, LOW);
   const opacity = (retired: boolean): number => {
     const tools = [{ tool: "probe", positionM: { x: 1, y: 2, z: 3 }, forceN: { x: 0, y: 0, z: 0 }, retired }];
     instruments.update(decodeFrame(frameBytes({ tools })));
@@ -49,7 +52,7 @@ it("draws a tool that touches nothing as a ghost", () => {
 it("draws a capsule from its tip along the tool's z axis", () => {
   const capsule = { kind: { case: "capsule" as const, value: { radiusM: 0.005, lengthM: 0.2 } } };
   const tool = { name: "probe", radiusM: 0.005, tipOffsetM: { x: 0, y: 0, z: -0.1 }, tool: capsule };
-  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, LOW);
   const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
   expect(box.min.toArray()).toEqual(close(-0.005, -0.005, -0.105));
   expect(box.max.toArray()).toEqual(close(0.005, 0.005, 0.105));
@@ -58,7 +61,7 @@ it("draws a capsule from its tip along the tool's z axis", () => {
 it("draws a retractor from its toe along the blade, and up its shaft", () => {
   const value = { radiusM: 0.005, bladeLengthM: 0.04, shaftLengthM: 0.2 };
   const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "retractor" as const, value } } };
-  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, LOW);
   const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
   expect(box.min.toArray()).toEqual(close(-0.005, -0.005, -0.005));
   expect(box.max.toArray()).toEqual(close(0.045, 0.005, 0.205));
@@ -67,7 +70,7 @@ it("draws a retractor from its toe along the blade, and up its shaft", () => {
 it("draws the jaws of a grasper as far open as they are", () => {
   const value = { radiusM: 0.005, jawLengthM: 0.04 };
   const tool = { name: "probe", radiusM: 0.005, tool: { kind: { case: "grasper" as const, value } } };
-  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(decodeTopology(topologyBytes({ tools: [tool] })), 2, LOW);
   for (const opening of [0, 1, 0.5]) {
     instruments.update(decodeFrame(frameBytes({ tools: [{ tool: "probe", jointValues: [opening] }] })));
     const box = new THREE.Box3().setFromObject(instruments.shapes()[0]!);
@@ -94,7 +97,7 @@ it("draws solids as what they are, and obstacles are not for dragging", () => {
       ],
     }),
   );
-  const instruments = new Instruments(topology, 2, { level: "low", adaptive: false });
+  const instruments = new Instruments(topology, 2, LOW);
   const shapes = instruments.shapes();
   expect(shapes.map((shape) => shape.name)).toEqual(["box", "mesh"]);
   expect(new THREE.Box3().setFromObject(shapes[0]!).max.toArray()).toEqual(near(0.01, 0.02, 0.03));

@@ -75,6 +75,34 @@ describe("Session", () => {
     expect(session.situation.text).toBe("Live");
   });
 
+  it("asks for other frames again after a loss of the connection, but for none of its own accord", () => {
+    FakeSocket.last.open();
+    expect(FakeSocket.last.of("frames")).toEqual([]);
+    session.chooseFrames({ detail: 0.5, rate_hz: 30 });
+    FakeSocket.last.fail("");
+    vi.advanceTimersByTime(1000);
+    FakeSocket.last.open();
+    expect(FakeSocket.opened.map((socket) => socket.of("frames"))).toEqual([
+      [{ type: "frames", detail: 0.5, rate_hz: 30 }],
+      [{ type: "frames", detail: 0.5, rate_hz: 30 }],
+    ]);
+  });
+
+  it("keeps the vertices from which the user lets displacements count", () => {
+    session.show("liver");
+    FakeSocket.last.open();
+    receive(daemonText(["liver"]));
+    receiveStream("liver", "topology", topologyBytes());
+    receiveStream("liver", "frame", frameBytes());
+    session.chooseFrames({ detail: 0.5, rate_hz: 30 });
+    session.store.setZero();
+    session.chooseFrames({ detail: 0.25, rate_hz: 20 });
+    expect(FakeSocket.last.of("frames")).toEqual([
+      { type: "frames", detail: 0.5, rate_hz: 30 },
+      { type: "frames", detail: 0.5, rate_hz: 20 },
+    ]);
+  });
+
   it("forgets the scene when it shows another one, and when the connection is lost", () => {
     session.show("liver");
     FakeSocket.last.open();

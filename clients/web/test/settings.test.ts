@@ -3,7 +3,7 @@ import { expect, it } from "vitest";
 import { DEFAULTS, parseSettings } from "../src/panel/settings";
 
 it("reads what it wrote", () => {
-  const settings = { ...DEFAULTS, colouring: "pressure", clipAxis: "y", clipShare: 0.25, rulers: true, plots: false } as const;
+  const settings = { ...DEFAULTS, colouring: "pressure", clipAxis: "y", clipShare: 0.25, rulers: true, quality: "simple", plots: false } as const;
   expect(parseSettings(JSON.stringify(settings))).toEqual(settings);
 });
 
@@ -13,7 +13,7 @@ it.each([
   "no JSON",
   "null",
   "[1]",
-  '{"colouring":"temperature","wireframe":"yes","clipAxis":1,"clipShare":7,"tools":null,"readings":"open"}',
+  '{"colouring":"temperature","wireframe":"yes","clipAxis":1,"clipShare":7,"tools":null,"quality":"best","readings":"open"}',
   '{"clipShare":null}',
 ])("takes the default for what is missing or wrong in %s", (text) => {
   expect(parseSettings(text)).toEqual(DEFAULTS);

@@ -2,15 +2,18 @@ import * as THREE from "three";
 import { expect, it } from "vitest";
 
 import { decodeFrame, decodeTopology } from "../src/stream/decode";
+import { LEVELS, placeOf } from "../src/view/quality";
 import { Tissue } from "../src/view/tissue";
 import { f32, frameBytes, topologyBytes } from "./messages";
+
+const LOW = LEVELS[placeOf("low")]!;
 
 type Shown = THREE.Mesh<THREE.BufferGeometry, THREE.MeshStandardMaterial>;
 const meshesOf = (tissue: Tissue) => tissue.group.children.filter((child): child is Shown => child instanceof THREE.Mesh);
 
 it("gives each body its vertices from every frame", () => {
   const { positions } = decodeFrame(frameBytes());
-  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, LOW);
   const meshes = meshesOf(tissue);
   const array = (name: string) => meshes.map((mesh) => [...mesh.geometry.getAttribute(name).array]);
   expect(meshes.map((mesh) => mesh.name)).toEqual(["liver", "vein"]);
@@ -26,7 +29,7 @@ it("gives each body its vertices from every frame", () => {
 
 it("paints a body in its colour, or in one of the palette", () => {
   const { positions } = decodeFrame(frameBytes());
-  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, LOW);
   const [liver, vein] = meshesOf(tissue).map(({ material }) => material.color);
   const srgb = vein!.getRGB({ r: 0, g: 0, b: 0 }, THREE.SRGBColorSpace);
   expect([srgb.r, srgb.g, srgb.b]).toEqual([0.1, 0.2, 0.9].map((value) => expect.closeTo(value, 4) as unknown));
@@ -35,7 +38,7 @@ it("paints a body in its colour, or in one of the palette", () => {
 
 it("marks fixed vertices, which move with the surface", () => {
   const { positions } = decodeFrame(frameBytes());
-  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, LOW);
   const points = meshesOf(tissue).map((mesh) => mesh.children[1] as THREE.Points);
   const shown = () => points.map(({ visible }) => visible);
   expect(shown()).toEqual([false, false]);
@@ -48,7 +51,7 @@ it("marks fixed vertices, which move with the surface", () => {
 
 it("shows values as colours, edges and a cut, and takes them back", () => {
   const { positions } = decodeFrame(frameBytes());
-  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, { level: "low", adaptive: false });
+  const tissue = new Tissue(decodeTopology(topologyBytes()), positions, 1, LOW);
   const meshes = meshesOf(tissue);
   const looks = meshes.map(({ material }) => material);
   tissue.colour(Float32Array.of(0, 1, 2, 3, 4, 5, 6), 0, 5);
@@ -81,7 +84,7 @@ it("moves the copies of vertices on a seam of a picture with them", () => {
   // Each corner of the tetrahedron has a place of its own.
   const coordinates = Float32Array.from({ length: 24 }, (_, i) => i / 24);
   const textured = { ...liver!, texture: { image: Uint8Array.of(1), coordinates } };
-  const tissue = new Tissue({ ...given, bodies: [textured, vein!] }, positions, 1, { level: "low", adaptive: false });
+  const tissue = new Tissue({ ...given, bodies: [textured, vein!] }, positions, 1, LOW);
   const { geometry } = meshesOf(tissue)[0]!;
   const array = (name: string) => [...geometry.getAttribute(name).array];
   expect(array("uv").length).toBe(24);

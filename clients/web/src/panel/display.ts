@@ -1,5 +1,6 @@
 // The panel of display options. Each change is remembered and given to the page.
-import { find } from "../dom";
+import { find, setText } from "../dom";
+import { LEVELS, qualityOf, type Quality } from "../view/quality";
 import { CLIP_AXES, COLOURINGS, loadSettings, saveSettings, type Settings } from "./settings";
 
 export interface DisplayActions {
@@ -7,6 +8,8 @@ export interface DisplayActions {
   readonly change: (settings: Settings) => void;
   /** Displacements count from the present positions on. */
   readonly setZero: () => void;
+  /** The user chose a quality, perhaps the one that was remembered already. */
+  readonly chooseQuality: (quality: Quality) => void;
   readonly takePicture: () => void;
   /** Starts a film, or ends the one that runs. */
   readonly film: () => void;
@@ -20,6 +23,8 @@ export class Display {
   readonly #clipAxis = find("#clip-axis", HTMLSelectElement);
   readonly #clipShare = find("#clip-share", HTMLInputElement);
   readonly #zero = find("#zero", HTMLButtonElement);
+  readonly #quality = find("#quality", HTMLSelectElement);
+  readonly #qualityNote = find("#quality-note", HTMLElement);
   readonly #film = find("#film", HTMLButtonElement);
   readonly #flags = {
     wireframe: find("#wireframe", HTMLInputElement),
@@ -52,6 +57,12 @@ export class Display {
         this.change({ [name]: !fold.open });
       });
     }
+    this.#quality.append(...LEVELS.map(({ name }) => new Option(name, name)));
+    this.#quality.addEventListener("change", () => {
+      const quality = qualityOf(this.#quality.value) ?? "automatic";
+      this.change({ quality });
+      actions.chooseQuality(quality);
+    });
     this.#zero.addEventListener("click", actions.setZero);
     find("#picture", HTMLButtonElement).addEventListener("click", actions.takePicture);
     this.#film.addEventListener("click", actions.film);
@@ -76,6 +87,16 @@ export class Display {
       box.checked = settings[name];
     }
     this.#actions.change(settings);
+  }
+
+  /** Shows the quality that holds, which the address may have chosen. */
+  showQuality(quality: Quality): void {
+    this.#quality.value = quality;
+  }
+
+  /** Shows in words what is drawn, and why. */
+  showQualityNote(text: string): void {
+    setText(this.#qualityNote, text);
   }
 
   /** Shows whether a film runs; null: this browser cannot film. */

@@ -99,14 +99,14 @@ export class Film {
   }
 }
 
-/** Makes a film of a canvas. */
-export function filmOf(canvas: HTMLCanvasElement, events: FilmEvents): Film {
-  const known = typeof MediaRecorder !== "undefined" && typeof canvas.captureStream === "function";
+/** Makes a film of a canvas. @param canvas Returns it. It is the same while a film runs. */
+export function filmOf(canvas: () => HTMLCanvasElement, events: FilmEvents): Film {
+  const known = typeof MediaRecorder !== "undefined" && typeof canvas().captureStream === "function";
   return new Film(
     (type) => known && MediaRecorder.isTypeSupported(type),
     (mimeType, recorded) => {
       const options = { mimeType, videoBitsPerSecond: BITS_PER_SECOND };
-      const recorder = new MediaRecorder(canvas.captureStream(), options);
+      const recorder = new MediaRecorder(canvas().captureStream(), options);
       recorder.addEventListener("dataavailable", ({ data }) => recorded.onPart(data));
       recorder.addEventListener("error", () => recorded.onError());
       recorder.addEventListener("stop", () => recorded.onStop());

@@ -1,4 +1,5 @@
 // What the page remembers about its display. Anything may stand in the browser's storage, so it is checked.
+import { qualityOf, type Quality } from "../view/quality";
 
 export const COLOURINGS = ["tissue", "displacement", "von_mises", "largest_strain", "pressure", "volume_ratio"] as const;
 export type Colouring = (typeof COLOURINGS)[number];
@@ -19,6 +20,7 @@ export interface Settings {
   /** Scale bar and axes. */
   readonly rulers: boolean;
   readonly tools: boolean;
+  readonly quality: Quality;
   /** null: by the size of the window. */
   readonly readings: boolean | null;
   readonly plots: boolean | null;
@@ -33,6 +35,7 @@ export const DEFAULTS: Settings = {
   clipShare: 0.5,
   rulers: false,
   tools: true,
+  quality: "automatic",
   readings: null,
   plots: null,
 };
@@ -59,6 +62,7 @@ export function parseSettings(text: string | null): Settings {
     clipShare: typeof share === "number" && share >= 0 && share <= 1 ? share : DEFAULTS.clipShare,
     rulers: flag(given.rulers, DEFAULTS.rulers),
     tools: flag(given.tools, DEFAULTS.tools),
+    quality: qualityOf(given.quality) ?? DEFAULTS.quality,
     readings: flag(given.readings, DEFAULTS.readings),
     plots: flag(given.plots, DEFAULTS.plots),
   };

@@ -76,6 +76,14 @@ export interface Command {
   readonly steps?: number;
 }
 
+/** Frames that the page asks for. Fields that are absent stay as the address has them. */
+export interface FrameChoice {
+  /** Share of the triangles. */
+  readonly detail?: number;
+  /** Most frames a second; null: all of them. */
+  readonly rate_hz?: number | null;
+}
+
 interface Waiting {
   readonly done: (result: CommandResult) => void;
   readonly fail: (error: Error) => void;
@@ -129,6 +137,7 @@ export class Connection {
   readonly #owed = new Map<StreamName, number | null>();
   #lastCommand = 0;
   readonly #waiting = new Map<number, Waiting>();
+  #frames: FrameChoice = {};
 
   constructor(options: ConnectionOptions) {
     this.#options = options;
@@ -164,6 +173,12 @@ export class Connection {
       }
       this.#owed.clear();
     }
+  }
+
+  /** Asks for other frames from now on, also after a loss of the connection. */
+  chooseFrames(choice: FrameChoice): void {
+    this.#frames = choice;
+    this.#sendChoice();
   }
 
   /** Sends a pose of a tool. */
@@ -204,6 +219,7 @@ export class Connection {
       opened = true;
       this.#everOpened = true;
       this.#owed.clear();
+      this.#sendChoice();
       this.#options.events.onLink({ kind: "open" });
       this.#askClock();
       this.#clock = setInterval(() => this.#askClock(), CLOCK_INTERVAL_MS);
@@ -290,6 +306,12 @@ export class Connection {
     this.#send({ type: "ack", stream, ...(keyframe === null ? {} : { keyframe }) });
   }
 
+  #sendChoice(): void {
+    if (Object.keys(this.#frames).length > 0) {
+      this.#send({ type: "frames", ...this.#frames });
+    }
+  }
+
   #askClock(): void {
     this.#send({ type: "clock", client_time_ms: performance.now() });
   }
@@ -306,7 +328,7 @@ type TextMessage =
   | { readonly type: "daemon"; readonly state: DaemonState }
   | { readonly type: "head"; readonly head: Head }
   | { readonly type: "result"; readonly result: CommandResult }
-  /** An answer about the choice of frames. This page chooses in its address, so only an error is news. */
+  /** An answer about the choice of frames. The page knows what it asked for, so only an error is news. */
   | { readonly type: "frames"; readonly error: string }
   | { readonly type: "clock"; readonly reply: ClockReply };
 

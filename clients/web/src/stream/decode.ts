@@ -109,6 +109,8 @@ export interface AttachmentSprings {
 export interface Topology {
   readonly scene: string;
   readonly version: bigint;
+  /** Version of the scene's own topology. This one may be a simplified form of it. */
+  readonly wholeVersion: bigint;
   readonly vertexCount: number;
   readonly bodies: readonly Surface[];
   readonly tools: readonly ToolShape[];
@@ -205,9 +207,8 @@ function vertices(where: string, bytes: Uint8Array, perItem: number, vertexCount
  * triangles are outside its range, or if a spring has no end.
  */
 export function decodeTopology(payload: Uint8Array, stream: StreamName = "topology"): Topology {
-  const message = parse(stream, () =>
-    stream === "topology" ? fromBinary(TopologySchema, payload) : fromBinary(SimplifiedTopologySchema, payload).topology,
-  );
+  const simplified = stream === "topology" ? null : parse(stream, () => fromBinary(SimplifiedTopologySchema, payload));
+  const message = simplified === null ? parse(stream, () => fromBinary(TopologySchema, payload)) : simplified.topology;
   if (message === undefined) {
     throw new DecodeError("a simplified topology has no topology");
   }
@@ -250,7 +251,8 @@ export function decodeTopology(payload: Uint8Array, stream: StreamName = "topolo
   const attachments = message.attachments.map((attachment) =>
     springsOf(`topology of scene "${scene}", attachment "${attachment.name}"`, attachment, attachmentPointCount),
   );
-  return { scene, version, vertexCount, bodies, tools, attachments, attachmentPointCount, up: up(message.gravityMPerS2) };
+  const wholeVersion = simplified?.wholeVersion ?? version;
+  return { scene, version, wholeVersion, vertexCount, bodies, tools, attachments, attachmentPointCount, up: up(message.gravityMPerS2) };
 }
 
 function springsOf(where: string, message: AttachmentMessage, pointCount: number): AttachmentSprings {

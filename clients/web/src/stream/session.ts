@@ -8,6 +8,7 @@ import {
   type CommandResult,
   type DaemonState,
   type Diagnosis,
+  type FrameChoice,
   type Head,
   type LinkState,
 } from "./connection";
@@ -83,6 +84,8 @@ export class Session {
   #askedField: string | null = null;
   #valuesRevision = 0;
   #replaced = 0;
+  /** The share of triangles that was asked for; undefined: that of the address. */
+  #detail: number | undefined;
   #decoded = { bytes: 0, decodeMs: 0 };
 
   constructor({ events, ...options }: SessionOptions) {
@@ -145,6 +148,16 @@ export class Session {
   showField(field: string | null): void {
     this.#field = field;
     this.#askForField();
+  }
+
+  /**
+   * Asks for other frames from now on. Displacements that the user set to zero belong to the vertices on show, so the
+   * detail stays while they count.
+   */
+  chooseFrames({ detail, ...choice }: FrameChoice): void {
+    const kept = this.store.reference?.kind === "chosen" ? this.#detail : detail;
+    this.#detail = kept;
+    this.#connection.chooseFrames(kept === undefined ? choice : { ...choice, detail: kept });
   }
 
   /** Takes that the newest frame was drawn. */

@@ -5,7 +5,7 @@ import { RoundedBoxGeometry } from "three/addons/geometries/RoundedBoxGeometry.j
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 
 import type { Frame, Solid, ToolShape, ToolState, Topology, Vector } from "../stream/decode";
-import type { Quality } from "./quality";
+import type { Level } from "./quality";
 import { tipOf } from "./tip";
 
 /** Limit of the arrow's length for large forces [scene radii]. HALF_FORCE_N gives half of it. */
@@ -30,8 +30,8 @@ export class Instruments {
   readonly group = new THREE.Group();
   readonly #tools: ReadonlyMap<string, Instrument>;
 
-  constructor(topology: Topology, radiusM: number, quality: Quality) {
-    this.#tools = new Map(topology.tools.map((shape) => [shape.name, new Instrument(shape, radiusM, quality)]));
+  constructor(topology: Topology, radiusM: number, level: SteelLevel) {
+    this.#tools = new Map(topology.tools.map((shape) => [shape.name, new Instrument(shape, radiusM, level)]));
     for (const tool of this.#tools.values()) {
       this.group.add(tool.group);
     }
@@ -57,33 +57,28 @@ export class Instruments {
   }
 }
 
+type SteelLevel = Pick<Level, "material" | "reflections">;
+type Steel = THREE.MeshStandardMaterial | THREE.MeshLambertMaterial;
+
 class Instrument {
   readonly group = new THREE.Group();
   readonly mesh: THREE.Mesh;
   readonly fixed: boolean;
   readonly #shape: ToolShape;
   readonly #tool = new THREE.Group();
-  readonly #steel: THREE.MeshStandardMaterial[];
+  readonly #steel: Steel[];
   readonly #sceneRadiusM: number;
   #jointValues: readonly number[] = [];
   readonly #arrow = new THREE.Group();
   readonly #arrowShaft: THREE.Mesh;
   readonly #arrowHead: THREE.Mesh;
 
-  constructor(shape: ToolShape, sceneRadiusM: number, quality: Quality) {
+  constructor(shape: ToolShape, sceneRadiusM: number, level: SteelLevel) {
     this.#shape = shape;
     this.#sceneRadiusM = sceneRadiusM;
     this.fixed = shape.fixed;
 
-    // An obstacle is matte, so that it is not taken for an instrument.
-    const steel = shape.fixed
-      ? new THREE.MeshStandardMaterial({ color: "#5d6a75", metalness: 0, roughness: 0.95 })
-      : new THREE.MeshStandardMaterial({
-          color: "#d5dce2",
-          // Metal shows its environment. Without one it would be black.
-          metalness: quality.level === "high" ? 1 : 0.2,
-          roughness: 0.24,
-        });
+    const steel = steelOf(shape, level);
     this.mesh = new THREE.Mesh(shapeOf(shape, this.#jointValues, sceneRadiusM), steel);
     this.mesh.receiveShadow = shape.fixed;
     this.mesh.name = shape.name;
@@ -151,6 +146,17 @@ class Instrument {
     const tip = direction.multiplyScalar(length + 8 * ARROW_WIDTH * this.#sceneRadiusM).add(this.#arrow.position);
     return [{ tool: this.#shape.name, magnitudeN, tipM: [tip.x, tip.y, tip.z] }];
   }
+}
+
+/** An obstacle is matte, so that it is not taken for an instrument. */
+function steelOf({ fixed }: ToolShape, { material, reflections }: SteelLevel): Steel {
+  const color = fixed ? "#5d6a75" : "#d5dce2";
+  if (material === "simple") {
+    return new THREE.MeshLambertMaterial({ color });
+  }
+  // Metal shows its environment. Without one it would be black.
+  const polished = { metalness: reflections ? 1 : 0.2, roughness: 0.24 };
+  return new THREE.MeshStandardMaterial({ color, ...(fixed ? { metalness: 0, roughness: 0.95 } : polished) });
 }
 
 /** The shape that touches tissue, in the tool's frame moved by tipOffsetM. */

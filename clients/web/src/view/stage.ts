@@ -4,13 +4,11 @@
 // them, because the browser keeps nothing of the canvas between two pictures.
 import * as THREE from "three";
 
-import type { Quality } from "./quality";
-import { backdrop, softboxes } from "./surroundings";
+import type { Level } from "./quality";
+import { softboxes } from "./surroundings";
 
-/** Times between two pictures [ms]: slower than the first reduces the resolution, faster than the second raises it. */
-const SLOW_PICTURE_MS = 45;
-const FAST_PICTURE_MS = 20;
-const LEAST_PIXEL_RATIO = 0.5;
+/** A saved picture has at most so many pixels along a CSS pixel. */
+const COPY_PIXEL_RATIO = 2;
 /** Colour between the tiles. */
 const GAP_COLOUR = "#0b1014";
 
@@ -22,6 +20,8 @@ export interface Picture {
   readonly camera: THREE.Camera;
   /** Takes the size of the box [CSS pixels]. */
   resize(width: number, height: number): void;
+  /** Draws as the stage's level says from now on. */
+  setLevel(): void;
   /** Prepares the next picture. Returns whether it differs from the one before. */
   update(): boolean;
   /** Called when it was drawn. @param renderMs Time of the calls to WebGL. The GPU draws after them. */
@@ -31,40 +31,59 @@ export interface Picture {
 type Box = Pick<DOMRect, "left" | "top" | "width" | "height">;
 
 export class Stage {
-  readonly quality: Quality;
-  readonly backdrop = backdrop();
-  /** Reflections of the room; null at low quality. */
-  readonly environment: THREE.Texture | null;
-  readonly #canvas: HTMLCanvasElement;
-  readonly #renderer: THREE.WebGLRenderer;
+  #level: Level;
+  #environment: THREE.Texture | null = null;
+  #canvas: HTMLCanvasElement;
+  #renderer: THREE.WebGLRenderer;
   readonly #boxes = new Map<Picture, Box>();
-  readonly #pixelRatioLimit = Math.min(window.devicePixelRatio, 2);
-  #pixelRatio = this.#pixelRatioLimit;
   #size = "";
   #dirty = true;
-  #pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
-  #lastPictureMs: number | null = null;
-  #holdsSize = false;
 
-  /** Throws if the browser has no WebGL 2. */
-  constructor(canvas: HTMLCanvasElement, quality: Quality) {
-    const high = quality.level === "high";
-    this.quality = quality;
+  /**
+   * Throws if the browser has no WebGL 2.
+   *
+   * @param onTurn Called in each turn of the browser's drawing loop: its time, and whether it drew a picture.
+   */
+  constructor(canvas: HTMLCanvasElement, level: Level, onTurn: (nowMs: number, drew: boolean) => void) {
     this.#canvas = canvas;
-    this.#renderer = new THREE.WebGLRenderer({ canvas, antialias: high, powerPreference: "high-performance" });
-    this.#renderer.toneMapping = THREE.ACESFilmicToneMapping;
-    this.#renderer.toneMappingExposure = 1.0;
-    this.#renderer.localClippingEnabled = true;
-    this.#renderer.shadowMap.enabled = high;
-    this.#renderer.shadowMap.type = THREE.VSMShadowMap;
-    this.#renderer.setClearColor(GAP_COLOUR);
-    this.environment = high ? softboxes(this.#renderer) : null;
-    canvas.addEventListener("webglcontextrestored", () => (this.#dirty = true));
+    this.#level = level;
+    this.#renderer = this.#open(canvas);
     const loop = (nowMs: number) => {
-      this.#update(nowMs);
+      onTurn(nowMs, this.#update());
       requestAnimationFrame(loop);
     };
     requestAnimationFrame(loop);
+  }
+
+  /** What the pictures show. */
+  get level(): Level {
+    return this.#level;
+  }
+
+  /** The canvas with all pictures. A change of the level may replace it. */
+  get canvas(): HTMLCanvasElement {
+    return this.#canvas;
+  }
+
+  /** Reflections of the room; null at levels without them. Its first use takes a while. */
+  get environment(): THREE.Texture | null {
+    this.#environment ??= this.#level.reflections ? softboxes(this.#renderer) : null;
+    return this.#level.reflections ? this.#environment : null;
+  }
+
+  /** Draws all pictures at another level from now on. */
+  setLevel(level: Level): void {
+    const before = this.#level;
+    this.#level = level;
+    if (level.antialias !== before.antialias) {
+      this.#reopen();
+    }
+    this.#renderer.shadowMap.enabled = level.shadows;
+    this.#canvas.style.imageRendering = imageRendering(level);
+    for (const picture of this.#boxes.keys()) {
+      picture.setLevel();
+    }
+    this.#dirty = true;
   }
 
   add(picture: Picture): void {
@@ -76,49 +95,74 @@ export class Stage {
     this.#dirty = true;
   }
 
-  /** Returns one picture at full resolution. */
+  /** Returns one picture at the resolution of the screen. */
   copyOf(picture: Picture): HTMLCanvasElement {
-    const ratio = this.#pixelRatio;
-    this.#pixelRatio = this.#pixelRatioLimit;
-    this.#fit();
+    const ratio = Math.min(window.devicePixelRatio, COPY_PIXEL_RATIO);
+    this.#fit(ratio);
     this.#draw();
-    const { left, top, width, height } = scaled(this.#boxes.get(picture)!, this.#pixelRatio);
+    const { left, top, width, height } = scaled(this.#boxes.get(picture)!, ratio);
     const copy = document.createElement("canvas");
     copy.width = width;
     copy.height = height;
     copy.getContext("2d")!.drawImage(this.#canvas, left, top, width, height, 0, 0, width, height);
-    this.#pixelRatio = ratio;
     this.#dirty = true;
     return copy;
   }
 
-  /** Keeps the resolution while a film runs, because some players show only its first size. */
-  holdSize(holds: boolean): void {
-    this.#holdsSize = holds;
+  get #pixelRatio(): number {
+    return Math.min(window.devicePixelRatio, this.#level.pixelRatio);
   }
 
-  #update(nowMs: number): void {
-    let changed = this.#fit() || this.#dirty;
+  #open(canvas: HTMLCanvasElement): THREE.WebGLRenderer {
+    const { antialias, shadows } = this.#level;
+    const renderer = new THREE.WebGLRenderer({ canvas, antialias, powerPreference: "high-performance" });
+    renderer.toneMapping = THREE.ACESFilmicToneMapping;
+    renderer.toneMappingExposure = 1.0;
+    renderer.localClippingEnabled = true;
+    renderer.shadowMap.enabled = shadows;
+    renderer.shadowMap.type = THREE.VSMShadowMap;
+    renderer.setClearColor(GAP_COLOUR);
+    // Once for all pictures. Each has its own backdrop.
+    renderer.autoClear = false;
+    canvas.style.imageRendering = imageRendering(this.#level);
+    canvas.addEventListener("webglcontextrestored", () => (this.#dirty = true));
+    return renderer;
+  }
+
+  /** Starts WebGL again, which fixes its multisampling for each canvas. */
+  #reopen(): void {
+    const [canvas, renderer] = [this.#canvas, this.#renderer];
+    this.#canvas = canvas.cloneNode() as HTMLCanvasElement;
+    this.#renderer = this.#open(this.#canvas);
+    this.#size = "";
+    canvas.replaceWith(this.#canvas);
+    this.#environment?.dispose();
+    this.#environment = null;
+    renderer.dispose();
+    renderer.forceContextLoss();
+  }
+
+  /** Returns whether it drew. */
+  #update(): boolean {
+    let changed = this.#fit(this.#pixelRatio) || this.#dirty;
     for (const picture of this.#boxes.keys()) {
       changed = picture.update() || changed;
     }
-    if (!changed) {
-      this.#lastPictureMs = null;
-      return;
+    if (changed) {
+      this.#dirty = false;
+      this.#draw();
     }
-    this.#dirty = false;
-    this.#adapt(nowMs);
-    this.#draw();
+    return changed;
   }
 
   /** Follows the sizes of canvas and boxes. Returns whether one has changed. */
-  #fit(): boolean {
+  #fit(ratio: number): boolean {
     const { clientWidth: width, clientHeight: height } = this.#canvas;
-    const size = `${width} ${height} ${this.#pixelRatio}`;
+    const size = `${width} ${height} ${ratio}`;
     let changed = size !== this.#size;
     if (changed && width > 0 && height > 0) {
       this.#size = size;
-      this.#renderer.setPixelRatio(this.#pixelRatio);
+      this.#renderer.setPixelRatio(ratio);
       this.#renderer.setSize(width, height, false);
     }
     for (const [picture, before] of this.#boxes) {
@@ -153,26 +197,10 @@ export class Stage {
       }
     }
   }
+}
 
-  /**
-   * Adapts the resolution to the cost of a picture. The GPU draws after `render` returns, so only the interval of
-   * consecutive pictures shows that cost.
-   */
-  #adapt(nowMs: number): void {
-    const last = this.#lastPictureMs;
-    this.#lastPictureMs = nowMs;
-    if (last === null || !this.quality.adaptive || this.#holdsSize) {
-      return;
-    }
-    this.#pictureMs += 0.1 * (nowMs - last - this.#pictureMs);
-    const factor = this.#pictureMs > SLOW_PICTURE_MS ? 0.8 : this.#pictureMs < FAST_PICTURE_MS ? 1.25 : 1;
-    const ratio = Math.min(this.#pixelRatioLimit, Math.max(LEAST_PIXEL_RATIO, factor * this.#pixelRatio));
-    if (ratio !== this.#pixelRatio) {
-      this.#pixelRatio = ratio;
-      this.#pictureMs = (SLOW_PICTURE_MS + FAST_PICTURE_MS) / 2;
-      this.#fit();
-    }
-  }
+function imageRendering({ smooth }: Level): string {
+  return smooth ? "auto" : "pixelated";
 }
 
 /** Returns the intersection of two boxes. Boxes that do not touch give a negative width or height. */

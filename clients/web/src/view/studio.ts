@@ -5,7 +5,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import type { Vector } from "../stream/decode";
 import type { Stage } from "./stage";
-import { floor, lights } from "./surroundings";
+import { backdrop, floor, lights } from "./surroundings";
 
 const FIELD_OF_VIEW_DEG = 32;
 const VIEW_DIRECTION = new THREE.Vector3(0.62, 0.6, 1).normalize();
@@ -20,7 +20,8 @@ export class Studio {
   readonly controls: OrbitControls;
   readonly scene = new THREE.Scene();
   readonly #floor = new THREE.Group();
-  readonly #lights: readonly THREE.Light[];
+  readonly #backdrop = backdrop();
+  #lights: readonly THREE.Light[] = [];
   #width = 1;
   #height = 1;
   #radiusM = 1;
@@ -32,14 +33,11 @@ export class Studio {
   #covered = { top: 0, bottom: 0 };
 
   /** @param element Its pointer events move the camera. */
-  constructor(element: HTMLElement, { quality, backdrop, environment }: Pick<Stage, "quality" | "backdrop" | "environment">) {
-    this.#lights = lights(quality.level === "high" ? 0.35 : 2.2);
-    this.scene.background = backdrop;
-    this.scene.environment = environment;
+  constructor(element: HTMLElement, stage: Pick<Stage, "level" | "environment">) {
     this.scene.environmentIntensity = 0.55;
-    this.scene.add(this.world, this.#floor, ...this.#lights);
-    this.#floor.add(...floor());
+    this.scene.add(this.#backdrop, this.world, this.#floor);
     this.#floor.visible = false;
+    this.setLevel(stage);
 
     this.controls = new OrbitControls(this.camera, element);
     // Damping lets the picture glide on after the hand has stopped.
@@ -49,6 +47,17 @@ export class Studio {
     this.controls.maxDistance = 20;
     this.camera.position.copy(VIEW_DIRECTION).multiplyScalar(5);
     this.controls.addEventListener("start", () => (this.#moved = true));
+  }
+
+  /** Takes lights, reflections and ground of another level. The camera stays. */
+  setLevel({ level, environment }: Pick<Stage, "level" | "environment">): void {
+    this.#clear();
+    this.#lights = lights(level);
+    this.scene.add(...this.#lights);
+    this.scene.environment = environment;
+    for (const object of floor(level)) {
+      this.#floor.add(object);
+    }
   }
 
   /** Takes the size of the picture [CSS pixels]. */
@@ -115,15 +124,24 @@ export class Studio {
 
   dispose(): void {
     this.controls.dispose();
+    this.#clear();
+  }
+
+  /** Frees what depends on the level or on the renderer. */
+  #clear(): void {
     for (const light of this.#lights) {
       light.dispose();
+      this.scene.remove(light);
     }
-    this.#floor.traverse((object) => {
-      if (object instanceof THREE.Mesh) {
+    for (const object of [...this.#floor.children]) {
+      if (object instanceof THREE.Mesh || object instanceof THREE.LineSegments) {
         (object.geometry as THREE.BufferGeometry).dispose();
         (object.material as THREE.Material).dispose();
       }
-    });
+    }
+    this.#floor.clear();
+    this.#backdrop.geometry.dispose();
+    (this.#backdrop.material as THREE.Material).dispose();
   }
 
   #frameAgain(): void {

@@ -2,10 +2,11 @@
 import * as THREE from "three";
 
 import type { Surface, Topology } from "../stream/decode";
-import type { Quality } from "./quality";
+import type { Level } from "./quality";
 import { unpackNormals, vertexNormals } from "./normals";
 import { decodePicture } from "./picture";
 import { fillCopies, splitSeams } from "./seams";
+import { simpleMaterial } from "./simple_material";
 import { setRange, valueMaterial } from "./value_material";
 
 /** Colours for bodies without one: liver, kidney, gallbladder, spleen, fat. */
@@ -23,12 +24,12 @@ export class Tissue {
     topology: Topology,
     positions: Float32Array,
     radiusM: number,
-    quality: Quality,
+    { material }: Pick<Level, "material">,
     onPicture: () => void = () => undefined,
   ) {
     this.#bodies = topology.bodies
       .filter((surface) => surface.triangles.length > 0)
-      .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!, quality));
+      .map((surface, index) => new Body(surface, positions, radiusM, PALETTE[index % PALETTE.length]!, material));
     for (const body of this.#bodies) {
       void body.showPicture().then((shown) => (shown ? onPicture() : undefined));
     }
@@ -84,7 +85,7 @@ export class Tissue {
 class Body {
   readonly mesh: THREE.Mesh<THREE.BufferGeometry, THREE.Material>;
   readonly #surface: Surface;
-  readonly #look: THREE.MeshStandardMaterial;
+  readonly #look: Look;
   readonly #colours = valueMaterial();
   readonly #edges: THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
   readonly #fixed: THREE.Points<THREE.BufferGeometry, THREE.PointsMaterial>;
@@ -95,7 +96,7 @@ class Body {
   readonly #copies: Uint32Array = new Uint32Array();
   #disposed = false;
 
-  constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string, quality: Quality) {
+  constructor(surface: Surface, positions: Float32Array, radiusM: number, fallbackColor: string, material: Level["material"]) {
     this.#surface = surface;
     const geometry = new THREE.BufferGeometry();
     let triangles = surface.triangles;
@@ -122,7 +123,7 @@ class Body {
     this.#values = new THREE.BufferAttribute(new Float32Array(vertexCount), 1);
     this.#values.setUsage(THREE.DynamicDrawUsage);
     geometry.setAttribute("value", this.#values);
-    this.#look = quality.level === "high" ? tissueMaterial(color) : plainMaterial(color);
+    this.#look = lookOf(material, color, surface.texture !== null);
     this.mesh = new THREE.Mesh(geometry, this.#look);
     this.#edges = new THREE.Mesh(
       geometry,
@@ -145,7 +146,8 @@ class Body {
 
   /** Shows the picture of the surface as soon as it is decoded. Tells whether there is one to show. */
   async showPicture(): Promise<boolean> {
-    if (this.#surface.texture === null) {
+    const look = this.#look;
+    if (this.#surface.texture === null || look instanceof THREE.ShaderMaterial) {
       return false;
     }
     let picture: THREE.Texture;
@@ -160,8 +162,8 @@ class Body {
       return false;
     }
     // The picture has the tissue's own pattern.
-    Object.assign(this.#look, { map: picture, vertexColors: false, needsUpdate: true });
-    this.#look.color.set("#ffffff");
+    Object.assign(look, { map: picture, vertexColors: false, needsUpdate: true });
+    look.color.set("#ffffff");
     return true;
   }
 
@@ -212,7 +214,9 @@ class Body {
 
   dispose(): void {
     this.#disposed = true;
-    this.#look.map?.dispose();
+    if (!(this.#look instanceof THREE.ShaderMaterial)) {
+      this.#look.map?.dispose();
+    }
     this.mesh.geometry.dispose();
     (this.#colours.uniforms.table!.value as THREE.Texture).dispose();
     this.#fixed.geometry.dispose();
@@ -252,8 +256,22 @@ function dynamicAttribute(vertexCount: number): THREE.BufferAttribute {
   return attribute;
 }
 
+type Look = THREE.MeshStandardMaterial | THREE.MeshLambertMaterial | THREE.ShaderMaterial;
+
+/** @param pictured Whether the surface shows a picture, which needs light in each pixel. */
+function lookOf(material: Level["material"], color: THREE.Color, pictured: boolean): Look {
+  switch (material) {
+    case "moist":
+      return moistMaterial(color);
+    case "plain":
+      return new THREE.MeshStandardMaterial({ color, vertexColors: true, roughness: 0.42 });
+    case "simple":
+      return pictured ? new THREE.MeshLambertMaterial({ color, vertexColors: true }) : simpleMaterial(color);
+  }
+}
+
 /** A moist capsule over soft tissue: broad highlights, a thin sharp coat above them, light scattered at the rim. */
-function tissueMaterial(color: THREE.Color): THREE.MeshPhysicalMaterial {
+function moistMaterial(color: THREE.Color): THREE.MeshPhysicalMaterial {
   const material = new THREE.MeshPhysicalMaterial({
     color,
     vertexColors: true,
@@ -278,10 +296,6 @@ function tissueMaterial(color: THREE.Color): THREE.MeshPhysicalMaterial {
       );
   };
   return material;
-}
-
-function plainMaterial(color: THREE.Color): THREE.MeshStandardMaterial {
-  return new THREE.MeshStandardMaterial({ color, vertexColors: true, roughness: 0.42 });
 }
 
 /** Fine relief of a capsule: bump mapping without texture coordinates (Mikkelsen's surface gradient). */

@@ -1,9 +1,9 @@
 // The picture of one scene. Rebuilds the objects when the topology changes, and moves them with every frame.
 import * as THREE from "three";
 
-import { find } from "../dom";
+import { find, setText } from "../dom";
 import type { SceneStore } from "../stream/store";
-import type { Frame, Vector } from "../stream/decode";
+import type { Frame, Topology, Vector } from "../stream/decode";
 import type { Settings } from "../panel/settings";
 import { sceneBounds } from "./bounds";
 import { KINDS, displacements, fitRange, legendOf, type Legend, type Range } from "./colouring";
@@ -53,6 +53,9 @@ export class Viewer implements Picture {
   #range: Range | null = null;
   /** Tissue in the first frame [m]. The clip plane moves between its ends. */
   readonly #bounds = new THREE.Box3();
+  #radiusM = 1;
+  /** Version of the whole topology that the camera was placed for; null: none. */
+  #framed: bigint | null = null;
   #dragEnabled = false;
 
   /** @param element A tile of index.html. */
@@ -93,6 +96,18 @@ export class Viewer implements Picture {
       this.#studio.frame(sceneBounds(topology, frame), topology.up);
       this.#dirty = true;
     }
+  }
+
+  /** Draws anew at the stage's level. The camera stays. */
+  setLevel(): void {
+    this.#studio.setLevel(this.#stage);
+    const { topology, frame } = this.#store;
+    if (this.#tissue !== null && topology !== null && frame !== null && this.#revision === this.#store.topologyRevision) {
+      this.#freeObjects();
+      this.#build(topology, frame);
+      this.#move(frame);
+    }
+    this.#dirty = true;
   }
 
   /** Takes changed display options. */
@@ -151,12 +166,9 @@ export class Viewer implements Picture {
     const beganMs = performance.now();
     if (frame !== null && this.#store.topology !== null) {
       if (this.#tissue === null) {
-        this.#build(frame);
+        this.#build(this.#store.topology, frame);
       }
-      this.#tissue?.update(frame.positions, frame.normals);
-      this.#strands?.update(frame);
-      this.#colour();
-      this.#forces = this.#instruments?.update(frame) ?? [];
+      this.#move(frame);
       this.#prepared = { serverTimeNs: frame.serverTimeNs, ms: performance.now() - beganMs };
       this.#dirty = true;
     }
@@ -189,20 +201,31 @@ export class Viewer implements Picture {
     return current && this.#instruments !== null ? this.#instruments.shapes() : [];
   }
 
-  #build(frame: Frame): void {
-    const topology = this.#store.topology!;
-    const tissue = new THREE.Box3().setFromArray(frame.positions);
-    const radiusM = Math.max(tissue.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
-    this.#tissue = new Tissue(topology, frame.positions, radiusM, this.#stage.quality, () => (this.#dirty = true));
-    this.#instruments = new Instruments(topology, radiusM, this.#stage.quality);
+  #build(topology: Topology, frame: Frame): void {
+    // The same scene in another detail keeps its place in the picture.
+    if (topology.wholeVersion !== this.#framed) {
+      this.#framed = topology.wholeVersion;
+      this.#bounds.setFromArray(frame.positions);
+      this.#radiusM = Math.max(this.#bounds.getBoundingSphere(new THREE.Sphere()).radius, 1e-6);
+      this.#studio.frame(sceneBounds(topology, frame), topology.up);
+    }
+    const [radiusM, { level }] = [this.#radiusM, this.#stage];
+    this.#tissue = new Tissue(topology, frame.positions, radiusM, level, () => (this.#dirty = true));
+    this.#instruments = new Instruments(topology, radiusM, level);
     this.#studio.world.add(this.#tissue.group, this.#instruments.group);
     if (topology.attachments.length > 0) {
       this.#strands = new Strands(topology, radiusM);
       this.#studio.world.add(this.#strands.mesh);
     }
-    this.#studio.frame(sceneBounds(topology, frame), topology.up);
-    this.#bounds.copy(tissue);
     this.#decorate();
+  }
+
+  /** Moves the objects to where a frame has them. */
+  #move(frame: Frame): void {
+    this.#tissue?.update(frame.positions, frame.normals);
+    this.#strands?.update(frame);
+    this.#colour();
+    this.#forces = this.#instruments?.update(frame) ?? [];
   }
 
   /** Applies the display options to tissue and attachments. */
@@ -260,7 +283,7 @@ export class Viewer implements Picture {
     return this.#values;
   }
 
-  #clear(): void {
+  #freeObjects(): void {
     this.#tissue?.dispose();
     this.#strands?.dispose();
     this.#instruments?.dispose();
@@ -268,6 +291,10 @@ export class Viewer implements Picture {
     this.#tissue = null;
     this.#strands = null;
     this.#instruments = null;
+  }
+
+  #clear(): void {
+    this.#freeObjects();
     this.#forces = [];
     this.#range = null;
     this.#events.onLegend(null);
@@ -275,19 +302,21 @@ export class Viewer implements Picture {
   }
 
   #writeLabels(): void {
-    this.#labels.replaceChildren(
-      ...(this.#settings.tools ? this.#forces : []).flatMap(({ tool, magnitudeN, tipM }) => {
-        const at = this.#studio.project(tipM);
-        if (at === null) {
-          return [];
-        }
-        const label = document.createElement("output");
-        label.className = "force";
-        label.dataset.tool = tool;
-        label.textContent = `${magnitudeN.toFixed(2)} N`;
-        label.style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
-        return [label];
-      }),
-    );
+    const shown = (this.#settings.tools ? this.#forces : []).flatMap(({ tool, magnitudeN, tipM }) => {
+      const at = this.#studio.project(tipM);
+      return at === null ? [] : [{ tool, magnitudeN, at }];
+    });
+    const labels = this.#labels;
+    while (labels.childElementCount > shown.length) {
+      labels.lastElementChild!.remove();
+    }
+    shown.forEach(({ tool, magnitudeN, at }, index) => {
+      // A label that only moves is not painted again.
+      const label = (labels.children[index] as HTMLElement | undefined) ?? labels.appendChild(document.createElement("output"));
+      label.className = "force";
+      label.dataset.tool = tool;
+      setText(label, `${magnitudeN.toFixed(2)} N`);
+      label.style.transform = `translate(${at.x.toFixed(1)}px, ${at.y.toFixed(1)}px)`;
+    });
   }
 }
