@@ -26,10 +26,12 @@ from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
-    """A loaded scene. It outlives the handle: `unload` ends it, and so does the end of a `with` block.
+    """A loaded scene.
 
         with server.load("demo", lockstep=True) as scene:
             scene.step(60)
+
+    The scene outlives the handle: `unload` ends it, and so does the end of a `with` block.
     """
 
     def __init__(
