@@ -1,6 +1,6 @@
 """Links of the pages to files that are not pages: sources and folders are shown on the site, data is downloaded.
 
-MyST makes a download of every link to a file, and does not find folders. A code host shows both. Here, each source file
+MyST makes a download of every link to a file, and does not find folders. A code host shows both. Each source file
 that a page links to gets a highlighted page of its own below files/, and each folder a list of its files.
 """
 

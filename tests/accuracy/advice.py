@@ -1,4 +1,4 @@
-"""The tables of docs/choosing.md, made of the measured fronts; the prose around them is written by hand.
+"""The tables of choosing.md and decisions/trade.md, made of the measured fronts; their prose is written by hand.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`.
 """
@@ -18,6 +18,7 @@ from .tables import filled, markdown
 from .trade import FOREIGN, OWN, PRESETS_BACKEND, Trade
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
+DETAILS = PAGE.parent / "decisions" / "trade.md"
 #: The demo in real time under the probe of a haptic client, as `tensormass run` steps it on a GPU.
 BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h200-demo-default.jsonl"
 Measurement, report = trade.Measurement, trade.report
@@ -88,9 +89,10 @@ KNOBS = (
 
 
 def outputs(backends: Sequence[str]) -> dict[Path, str]:
-    """docs/choosing.md with its tables made anew."""
+    """Both pages with their tables made anew."""
     trades = {(of.head["scene"], of.head["machine"]["backend"]): of for of in trade_tables.read(backends)}
-    return {PAGE: filled(PAGE.read_text(), {name: table(trades) for name, table in TABLES.items()})}
+    tables = {name: table(trades) for name, table in TABLES.items()}
+    return {page: filled(page.read_text(), tables) for page in (PAGE, DETAILS)}
 
 
 Trades = dict[tuple[str, str], Trade]
