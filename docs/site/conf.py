@@ -58,6 +58,9 @@ breathe_default_project = "haptic"
 breathe_default_members = ("members", "undoc-members")
 
 html_theme = "furo"
+# Colours that tell an added line from a removed one.
+pygments_style = "tango"
+pygments_dark_style = "monokai"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False

@@ -126,18 +126,13 @@ def uses(trades: Trades) -> list[str]:
             [
                 use.use,
                 _device(of),
-                f"`{use.scene}`",
-                _mesh(values, measured.element_count),
-                _words(f"{values['law']}, {values['integrator']}"),
-                f"{1e3 * values['dt_s']:.3g} ms" if values["integrator"] != "quasi_static" else "–",
-                _solver(values),
-                ", ".join(f"`{name}`" for name in names) or "–",
+                ", ".join(f"`{use.scene} --preset {name}`" for name in names) or f"`{use.scene}`",
+                _setting(values, measured.element_count),
                 step,
                 _error(measured),
             ]
         )
-    heads = ["use", "on", "scene", "mesh", "law, integrator", "dt", "solver", "preset", "step, median (p99)", "error"]
-    return markdown(heads, rows)
+    return markdown(["use", "on", "scene", "mesh; law; time; solver", "step, median (p99)", "error"], rows)
 
 
 def knobs(trades: Trades) -> list[str]:
@@ -203,6 +198,12 @@ def _device(of: Trade) -> str:
     return str(of.head["machine"]["device"])
 
 
+def _setting(values: dict[str, Any], element_count: int) -> str:
+    dt = "" if values["integrator"] == "quasi_static" else f" of {1e3 * values['dt_s']:.3g} ms"
+    time = _words(values["integrator"]) + dt
+    return "; ".join([_mesh(values, element_count), _words(values["law"]), time, _solver(values)])
+
+
 def _mesh(values: dict[str, Any], element_count: int) -> str:
     quadrature = "" if values["quadrature"] == "full" else f", {values['quadrature']} quadrature"
     resolution = values["resolution"]
@@ -242,11 +243,7 @@ def _haptic_row(of: Trade) -> list[str]:
         "trainer, 1 kHz",
         bench["device"],
         "`demo`",
-        _mesh(values, bench["elements"]),
-        _words(f"{values['law']}, {values['integrator']}"),
-        f"{bench['dt_ms']:.3g} ms",
-        _solver(values),
-        "–",
+        _setting({**values, "dt_s": 1e-3 * bench["dt_ms"]}, bench["elements"]),
         f"{bench['step_ms_median']:.3g} ms ({bench['step_ms_p99']:.3g} ms)",
         f"{report.percent(errors['displacement'])}, force {report.percent(errors['force'])}",
     ]
