@@ -20,7 +20,7 @@ from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.highlighting import PygmentsBridge
 
-SOURCES = {".cpp", ".cu", ".cuh", ".h", ".js", ".mjs", ".proto", ".py", ".rs", ".sh", ".toml", ".ts", ".yaml", ".yml"}
+SOURCES = {".cff", ".cpp", ".cuh", ".cu", ".h", ".mjs", ".proto", ".py", ".rs", ".sh", ".toml", ".ts", ".yaml", ".yml"}
 FOLDER = "files"
 #: Names of the files that git tracks, and what `file_pages` makes pages of.
 tracked: list[str] = []
