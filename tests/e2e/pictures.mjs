@@ -24,7 +24,7 @@ const PAGES = {
   grid: takeGrid,
   timeline: takeTimeline,
   moving: takeMoving,
-  strip: takeStrip, // of pictures that are there
+  strip: takeStrip, // from pictures that are there
 };
 /** Scenes of the grid. `tensormass run` loads the first one. */
 const TILES = ["retract", "grasp", "table", "two_organs"];

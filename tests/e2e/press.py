@@ -2,9 +2,9 @@
 
     python tests/e2e/press.py --pictures 60 --every 0.1
 
-The first line on stdout is `control HOST:PORT`. Each line on stdin makes the steps of the next picture and gets the number
-of the last step on stdout. The motion returns to its start, so the film repeats without a jump. The end of stdin ends
-everything. Lockstep makes the film independent of the machine's speed.
+The first line on stdout is `control HOST:PORT`. Each line on stdin makes the steps of the next picture, and the number
+of the last one appears on stdout. The end of stdin ends everything. The motion returns to its start, so the film
+repeats without a jump. Lockstep makes the film independent of the machine's speed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tensormass as tm
 START_M = (-0.03, 0.02, 0.078)
 DEPTH_M = 0.033
 SLIDE_M = 0.03
-RATE_HZ = 60  # of the demo's steps
+RATE_HZ = 60  # steps a second of the demo
 
 
 def position_m(share: float) -> tuple[float, float, float]:
