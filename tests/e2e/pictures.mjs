@@ -4,9 +4,10 @@
 //
 // The default is all of them.
 //
-// `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page; `demo` takes that of the
-// README, and `textured` that of a picture on a skin. They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a
-// hand is taken when the force on the tool has been steady for a second.
+// `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page. `demo` takes that of the
+// README, `moving` its film (QUALITY=low for a slow machine), `strip` its strip, `textured` that of a picture on a skin.
+// They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand
+// is taken when the force on the tool has been steady for a second.
 import { spawn } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, statSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -30,6 +31,8 @@ const PAGES = {
 const TILES = ["retract", "grasp", "table", "two_organs"];
 const RECORDED_S = 14;
 const LONGEST_WAIT_S = 180;
+const POLLING_MS = 250;
+const QUALITY = process.env.QUALITY ?? "high";
 const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
 /** Force on the probe of `demo` at which its dent is seen. */
@@ -38,8 +41,13 @@ const MAX_PICTURE_BYTES = 100_000;
 const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
 const PHONE = { width: 390, height: 844 };
-/** The moving picture of the README: size, number of its pictures, and time between two of them. */
-const MOVING = { size: { width: 640, height: 400 }, quality: process.env.QUALITY ?? "high", pictures: 60, everyS: 0.1 };
+/** The moving picture of the README: the window and its part that is seen, number of pictures, and time between two of them. */
+const MOVING = {
+  size: { width: 960, height: 600 },
+  clip: { x: 160, y: 90, width: 640, height: 400 },
+  pictures: 60,
+  everyS: 0.1,
+};
 /** Pictures of the README's strip, side by side. */
 const STRIP = ["grasp", "retract", "textured", "demo-abdomen"];
 const STRIP_PICTURE = { width: 480, height: 320 };
@@ -272,16 +280,18 @@ async function takeMoving() {
   try {
     const control = (await lines.next()).value.split(" ")[1];
     await withCommand(["view", "--server", control], /(http\S+)/, async (url) => {
-      const page = await open(`${url}&scene=demo`, MOVING.size, { readings: false, plots: false }, MOVING.quality);
+      const page = await open(`${url}&scene=demo`, MOVING.size, { readings: false, plots: false }, QUALITY);
       await page.waitForFunction(() => window.tensormass.state().drawn > 0);
       await hide(page, "header, aside, footer, #bottom, #notice");
       for (let i = 0; i < MOVING.pictures; i += 1) {
         press.stdin.write("\n");
         const step = Number((await lines.next()).value);
-        await page.waitForFunction((wanted) => window.tensormass.state().step >= wanted, step);
+        // A check at each turn of the browser would starve one that draws in software.
+        const reached = (wanted) => window.tensormass.state().step >= wanted;
+        await page.waitForFunction(reached, step, { polling: POLLING_MS });
         // Two more turns of the browser: the frame is then on the screen.
         await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
-        await page.screenshot({ path: join(folder, `${String(i).padStart(3, "0")}.png`) });
+        await page.screenshot({ path: join(folder, `${String(i).padStart(3, "0")}.png`), clip: MOVING.clip });
       }
       await page.context().close();
     });
