@@ -49,8 +49,8 @@ CUDA_FOR = $(filter-out -,$(word 2,$(CHOICE)))
 CUDA_REASON = $(wordlist 3,99,$(CHOICE))
 
 .PHONY: help setup setup-test build native python viewer run tests benches gpu-test stability-map examples test \
-        test-folder pictures test-only programs wheel wheel-only release images bench accuracy stability trade asan tsan \
-        lint format protocol-release clean
+        test-folder pictures test-only programs wheel wheel-only release images docs bench accuracy stability trade asan \
+        tsan lint format protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -155,6 +155,15 @@ release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (ro
 
 images: ## Run the steps of docker/Dockerfile in a bare Debian (root; BUILD's programs, or WHOLE=1: builds there)
 	@BUILD=$(BUILD) TENSORMASS_IMAGES=$(if $(WHOLE),whole,built) python -m pytest -q -rs tests/docker
+
+docs: ## Build the documentation site with its search into build/docs/html; a broken link or an undescribed name fails
+	@.setup/setup.sh docs
+	@$(MAKE) python
+	@rm -rf build/docs && mkdir -p build/docs
+	@doxygen docs/site/Doxyfile
+	@python -m sphinx -q -W --keep-going -b html -c docs/site . build/docs/html
+	@python docs/site/check_links.py build/docs/html
+	@echo "docs: open build/docs/html/index.html"
 
 bench: benches ## Measure this machine: beams, then each stage of a step against the memory bandwidth
 	@$(BUILD)/bin/tensormass-bench

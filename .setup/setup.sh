@@ -2,10 +2,11 @@
 # Makes a Debian 12 machine ready to build, run and test Tensormass. Installs only what is missing: a tool that is
 # already there and new enough is used. A second run changes nothing and takes a fraction of a second.
 #
-#   .setup/setup.sh [build|test|image|wheel|runtime]
+#   .setup/setup.sh [build|test|docs|image|wheel|runtime]
 #
 #   build    (default) everything that `make build` and `make run` need, and nothing else
 #   test     the same, plus everything that `make test` and `make lint` need
+#   docs     only what `make docs` needs: the Python SDK, Sphinx and Doxygen
 #   image    what build installs, and always the CUDA compiler
 #   wheel    what image installs, plus everything that `make wheel` needs
 #   runtime  only the Debian packages that the built programs need, for an image
@@ -36,6 +37,7 @@ build_packages=(g++ libboost-dev libcli11-dev libeigen3-dev libexpected-dev libg
   libspdlog-dev libzmq3-dev cppzmq-dev nlohmann-json3-dev pkg-config protobuf-compiler protobuf-compiler-grpc python3
   python3-venv)
 test_packages=(calculix-ccx chromium clang-format xvfb)
+docs_packages=(doxygen python3 python3-venv)
 wheel_packages=(mmdebstrap patchelf)
 
 say() { echo "set-up: $*"; }
@@ -227,6 +229,11 @@ install_python_packages() {
   pip_install --constraint "$root/clients/python/requirements.lock" --editable "$root/clients/python[$1]"
 }
 
+install_docs_packages() {
+  say "installing Sphinx into .venv"
+  pip_install --constraint "$root/clients/python/requirements.lock" --requirement "$root/docs/site/requirements.txt"
+}
+
 install_web_packages() {
   say "installing the web viewer's packages from its lock file"
   cd "$root/clients/web"
@@ -241,8 +248,9 @@ case $goal in
     ;;
   build | image) packages=("${build_packages[@]}") ;;
   test) packages=("${build_packages[@]}" "${test_packages[@]}") ;;
+  docs) packages=("${docs_packages[@]}") ;;
   wheel) packages=("${build_packages[@]}" "${wheel_packages[@]}") ;;
-  *) die "unknown goal '$goal'; give build, test, image, wheel or runtime" ;;
+  *) die "unknown goal '$goal'; give build, test, docs, image, wheel or runtime" ;;
 esac
 
 rust_wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' "$root/server/bus/zenoh/rust/Cargo.toml")
@@ -253,9 +261,15 @@ esac
 tools_inputs=$(checksum "$root/.setup/toolchain.txt" "${BASH_SOURCE[0]}")
 python_inputs=$(checksum "$root/clients/python/pyproject.toml" "$root/clients/python/requirements.lock")
 
-run rust-check check_rust
+if [[ $goal != docs ]]; then run rust-check check_rust; fi
 run debian install_debian_packages "${packages[@]}"
 if ! venv_is_complete; then run venv create_venv; fi
+if [[ $goal == docs ]]; then  # compiles nothing
+  once python "$python_inputs" install_python_packages build,meshes,record,viewer
+  once docs "$python_inputs $(checksum "$root/docs/site/requirements.txt")" install_docs_packages
+  say "everything is in place (${SECONDS} s)"
+  exit
+fi
 once tools "$tools_inputs" install_tools
 if [[ $cuda != OFF* ]]; then once cuda "$tools_inputs" install_cuda; fi
 export PATH=$venv/bin:$PATH

@@ -1,4 +1,4 @@
-"""The tables of docs/choosing.md, made of the measured fronts; the prose around them is written by hand.
+"""The tables of choosing.md and decisions/trade.md, made of the measured fronts; their prose is written by hand.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`.
 """
@@ -20,6 +20,7 @@ from .tables import filled, markdown
 from .trade import FOREIGN, OWN, PRESETS_BACKEND, Trade
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
+DETAILS = PAGE.parent / "decisions" / "trade.md"
 #: The demo in real time under the probe of a haptic client, as `tensormass run` steps it on a GPU.
 BENCH = Path(__file__).parents[1] / "bench" / "results" / "nvidia-h200-demo-default.jsonl"
 
@@ -89,9 +90,10 @@ KNOBS = (
 
 
 def outputs(backends: Sequence[str]) -> dict[Path, str]:
-    """docs/choosing.md with its tables made anew."""
+    """Both pages with their tables made anew."""
     trades = {(of.head["scene"], of.head["machine"]["backend"]): of for of in trade_tables.read(backends)}
-    return {PAGE: filled(PAGE.read_text(), {name: table(trades) for name, table in TABLES.items()})}
+    tables = {name: table(trades) for name, table in TABLES.items()}
+    return {page: filled(page.read_text(), tables) for page in (PAGE, DETAILS)}
 
 
 Trades = dict[tuple[str, str], Trade]
@@ -125,18 +127,13 @@ def uses(trades: Trades) -> list[str]:
             [
                 use.use,
                 _device(of),
-                f"`{use.scene}`",
-                _mesh(values, measured.element_count),
-                _words(f"{values['law']}, {values['integrator']}"),
-                f"{1e3 * values['dt_s']:.3g} ms" if values["integrator"] != "quasi_static" else "–",
-                _solver(values),
-                ", ".join(f"`{name}`" for name in names) or "–",
+                ", ".join(f"`{use.scene} --preset {name}`" for name in names) or f"`{use.scene}`",
+                _setting(values, measured.element_count),
                 step,
                 _error(measured),
             ]
         )
-    heads = ["use", "on", "scene", "mesh", "law, integrator", "dt", "solver", "preset", "step, median (p99)", "error"]
-    return markdown(heads, rows)
+    return markdown(["use", "on", "scene", "mesh; law; time; solver", "step, median (p99)", "error"], rows)
 
 
 def knobs(trades: Trades) -> list[str]:
@@ -202,6 +199,12 @@ def _device(of: Trade) -> str:
     return str(of.head["machine"]["device"])
 
 
+def _setting(values: dict[str, Any], element_count: int) -> str:
+    dt = "" if values["integrator"] == "quasi_static" else f" of {1e3 * values['dt_s']:.3g} ms"
+    time = _words(values["integrator"]) + dt
+    return "; ".join([_mesh(values, element_count), _words(values["law"]), time, _solver(values)])
+
+
 def _mesh(values: dict[str, Any], element_count: int) -> str:
     quadrature = "" if values["quadrature"] == "full" else f", {values['quadrature']} quadrature"
     resolution = values["resolution"]
@@ -242,11 +245,7 @@ def _haptic_row(of: Trade) -> list[str]:
         "trainer, 1 kHz",
         bench["device"],
         "`demo`",
-        _mesh(values, bench["elements"]),
-        _words(f"{values['law']}, {values['integrator']}"),
-        f"{bench['dt_ms']:.3g} ms",
-        _solver(values),
-        "–",
+        _setting({**values, "dt_s": 1e-3 * bench["dt_ms"]}, bench["elements"]),
         f"{times['p50_ms']:.3g} ms ({times['p99_ms']:.3g} ms)",
         f"{report.percent(errors['displacement'])}, force {report.percent(errors['force'])}",
     ]

@@ -1,12 +1,15 @@
 // Takes the pictures of docs/images: scenes under their scripted hands, as `tensormass run` shows them.
 //
-//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [textured] [viewer] [grid] [timeline]    (default: all)
+//     node tests/e2e/pictures.mjs [retract] [grasp] [table] [demo-abdomen] [demo] [textured] [viewer] [grid] [timeline] [moving] [strip]
 //
-// `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page; `demo` takes that of the
-// README, and `textured` that of a picture on a skin. They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a
-// hand is taken when the force on the tool has been steady for a second.
+// The default is all of them.
+//
+// `viewer`, `grid` and `timeline` take those of docs/viewer.md, one for each state of the page. `demo` takes that of the
+// README, `moving` its film (QUALITY=low for a slow machine), `strip` its strip, `textured` that of a picture on a skin.
+// They need a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). A picture under a hand
+// is taken when the force on the tool has been steady for a second.
 import { spawn } from "node:child_process";
-import { mkdtempSync, rmSync, statSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, statSync } from "node:fs";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -15,11 +18,21 @@ import { createInterface } from "node:readline";
 const ROOT = join(import.meta.dirname, "..", "..");
 const { chromium } = createRequire(join(ROOT, "clients", "web", "package.json"))("playwright-core");
 const HANDS = ["retract", "grasp", "table", "demo-abdomen"];
-const PAGES = { demo: takeDemo, textured: takeTextured, viewer: takeViewer, grid: takeGrid, timeline: takeTimeline };
+const PAGES = {
+  demo: takeDemo,
+  textured: takeTextured,
+  viewer: takeViewer,
+  grid: takeGrid,
+  timeline: takeTimeline,
+  moving: takeMoving,
+  strip: takeStrip, // from pictures that are there
+};
 /** Scenes of the grid. `tensormass run` loads the first one. */
 const TILES = ["retract", "grasp", "table", "two_organs"];
 const RECORDED_S = 14;
 const LONGEST_WAIT_S = 180;
+const POLLING_MS = 250;
+const QUALITY = process.env.QUALITY ?? "high";
 const LEAST_FORCE_N = 0.1;
 const STEADY_N = 0.03;
 /** Force on the probe of `demo` at which its dent is seen. */
@@ -28,6 +41,16 @@ const MAX_PICTURE_BYTES = 100_000;
 const WIDE = { width: 960, height: 640 };
 const ROOMY = { width: 1280, height: 800 };
 const PHONE = { width: 390, height: 844 };
+/** The moving picture of the README: the window and its part that is seen, number of pictures, and time between two of them. */
+const MOVING = {
+  size: { width: 960, height: 600 },
+  clip: { x: 160, y: 90, width: 640, height: 400 },
+  pictures: 60,
+  everyS: 0.1,
+};
+/** Pictures of the README's strip, side by side. */
+const STRIP = ["grasp", "retract", "textured", "demo-abdomen"];
+const STRIP_PICTURE = { width: 480, height: 320 };
 
 /** Runs a command until `visit` is done with the groups of what `found` finds in its output. Then waits for its end. */
 async function withCommand(args, found, visit) {
@@ -94,13 +117,18 @@ async function save(page, name) {
   console.log(path);
 }
 
-/** Hides the readings: they are those of a browser that draws in software. */
-async function hideReadings(page) {
-  await page.evaluate(() => {
-    for (const element of document.querySelectorAll("aside, footer, #notice")) {
+/** Hides parts of the page. */
+async function hide(page, selector) {
+  await page.evaluate((parts) => {
+    for (const element of document.querySelectorAll(parts)) {
       element.style.visibility = "hidden";
     }
-  });
+  }, selector);
+}
+
+/** Hides the readings: they are those of a browser that draws in software. */
+function hideReadings(page) {
+  return hide(page, "aside, footer, #notice");
 }
 
 /** Waits until the force on the first tool has stayed the same for a second. */
@@ -238,6 +266,63 @@ async function takeTimeline() {
   } finally {
     rmSync(folder, { recursive: true, force: true });
   }
+}
+
+/** The probe on the demo's organ, as a film: press.py steps the scene, and each picture waits until its step is drawn. */
+async function takeMoving() {
+  const folder = mkdtempSync(join(tmpdir(), "tensormass-moving-"));
+  const python = join(ROOT, ".venv", "bin", "python");
+  const [pictures, every] = [String(MOVING.pictures), String(MOVING.everyS)];
+  const args = [join(import.meta.dirname, "press.py"), "--pictures", pictures, "--every", every];
+  const press = spawn(python, args, { stdio: ["pipe", "pipe", "inherit"] });
+  const ended = new Promise((resolve) => press.once("exit", resolve));
+  const lines = createInterface(press.stdout)[Symbol.asyncIterator]();
+  try {
+    const control = (await lines.next()).value.split(" ")[1];
+    await withCommand(["view", "--server", control], /(http\S+)/, async (url) => {
+      const page = await open(`${url}&scene=demo`, MOVING.size, { readings: false, plots: false }, QUALITY);
+      await page.waitForFunction(() => window.tensormass.state().drawn > 0);
+      await hide(page, "header, aside, footer, #bottom, #notice");
+      for (let i = 0; i < MOVING.pictures; i += 1) {
+        press.stdin.write("\n");
+        const step = Number((await lines.next()).value);
+        // A check at each turn of the browser would starve one that draws in software.
+        const reached = (wanted) => window.tensormass.state().step >= wanted;
+        await page.waitForFunction(reached, step, { polling: POLLING_MS });
+        // Two more turns of the browser: the frame is then on the screen.
+        await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+        await page.screenshot({ path: join(folder, `${String(i).padStart(3, "0")}.png`), clip: MOVING.clip });
+      }
+      await page.context().close();
+    });
+    const out = join(ROOT, "docs", "images", "demo.webp");
+    const film = spawn(python, [join(import.meta.dirname, "film.py"), "--every", every, "-o", out, folder], { stdio: "inherit" });
+    if ((await new Promise((resolve) => film.once("exit", resolve))) !== 0) {
+      throw new Error(`${out} was not made`);
+    }
+    console.log(out);
+  } finally {
+    press.stdin.end();
+    await ended;
+    rmSync(folder, { recursive: true, force: true });
+  }
+}
+
+/** Pictures side by side. */
+async function takeStrip() {
+  const context = await browser.newContext({
+    viewport: { width: STRIP.length * STRIP_PICTURE.width, height: STRIP_PICTURE.height },
+  });
+  context.setDefaultTimeout(LONGEST_WAIT_S * 1000);
+  const page = await context.newPage();
+  const pictures = STRIP.map((name) => {
+    const data = readFileSync(join(ROOT, "docs", "images", `${name}.jpg`)).toString("base64");
+    // Larger than its place, so that the page's head stays out.
+    const picture = `<img src="data:image/jpeg;base64,${data}" width="600" style="margin: -44px 0 0 -60px">`;
+    return `<div style="width: ${STRIP_PICTURE.width}px; overflow: hidden">${picture}</div>`;
+  });
+  await page.setContent(`<body style="margin: 0; display: flex">${pictures.join("")}</body>`);
+  await save(page, "strip");
 }
 
 const browser = await chromium.launch({

@@ -41,7 +41,8 @@ def test_architecture_opens_with_a_picture_of_threads_and_mailboxes() -> None:
 
 
 def test_documents_are_pages_decisions_and_pictures() -> None:
-    """Logs and histories are data beside the tests that made them."""
+    """Logs and histories are data beside the tests that made them. `site` makes a site of the pages."""
     folder = ROOT / "docs"
-    assert {path.name for path in folder.iterdir() if path.is_dir()} == {"decisions", "images"}
-    assert {path.suffix for path in folder.rglob("*") if path.is_file()} == {".jpg", ".md", ".png", ".svg"}
+    assert {path.name for path in folder.iterdir() if path.is_dir()} == {"decisions", "images", "site"}
+    files = [path for path in folder.rglob("*") if path.is_file() and folder / "site" not in path.parents]
+    assert {path.suffix for path in files} <= {".jpg", ".md", ".png", ".svg", ".webp"}

@@ -28,6 +28,7 @@ class Connection(Closing):
             raise errors.InvalidArgumentError(
                 f"address {address!r}: has no port; write HOST:PORT, as in {address}:50051"
             )
+        #: Address of the control plane, host:port.
         self.address = address
         self._cleanup = contextlib.ExitStack()
         self._closed = False

@@ -42,15 +42,19 @@ _PREFIX = "FIELD_"
 class Fields:
     """Fields of one body after a step, by name: `fields["cauchy_stress"]`."""
 
+    #: Number of the step.
     step: int
+    #: Simulated time at its end [s].
     simulated_time_s: float
     #: float64 [node or element count, components]; one-component fields have no second dimension:
     #: displacement [m], velocity [m/s], reaction_force [N], cauchy_stress [Pa] (xx yy zz yz xz xy),
     #: von_mises_stress [Pa], largest_strain, det_f, elastic_energy [J].
     values: dict[FieldName, FloatArray]
-    #: Energies [J] and smallest det F of the whole body, whatever fields were asked for.
+    #: Elastic energy of the whole body [J], whatever fields were asked for.
     elastic_energy_j: float
+    #: Kinetic energy of the whole body [J], always there too.
     kinetic_energy_j: float
+    #: Smallest det F of the whole body, always there too.
     min_det_f: float
 
     def __getitem__(self, name: FieldName) -> FloatArray:

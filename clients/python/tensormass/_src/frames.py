@@ -22,7 +22,9 @@ from tensormass.v1 import scene_pb2, stream_pb2
 class Feedback:
     """Force on a tool after a step. See `ToolFeedback` in stream.proto."""
 
+    #: Name of the tool.
     tool: str
+    #: Number of the step.
     step: int
     #: End of the step on the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
@@ -44,11 +46,13 @@ class Feedback:
     friction_n: npt.NDArray[np.float64]
     #: Local model [3, 3] N/m: force(p) = force_n - stiffness_n_per_m (p - anchor_m), for `valid_for_s` after arrival.
     stiffness_n_per_m: npt.NDArray[np.float64]
+    #: How long the local model may be used after its arrival [s].
     valid_for_s: float
     #: Place of the hand for which force_n holds, [3] m; position_m, unless the tool has a mass and lags behind.
     anchor_m: npt.NDArray[np.float64]
-    #: Joints of the tool [rad or m], and the load of tissue on each [N m or N]; positive pushes to larger values.
+    #: Joints of the tool [rad or m].
     joint_values: npt.NDArray[np.float64]
+    #: Load of tissue on each joint [N m or N]; positive pushes to larger values.
     joint_loads: npt.NDArray[np.float64]
     #: The tool touched tissue in this step.
     touching: bool
@@ -72,6 +76,7 @@ class Feedback:
 
     @staticmethod
     def from_message(message: stream_pb2.ToolFeedback) -> Feedback:
+        """Decodes a message."""
         local = message.local_model
         stiffness = np.array(local.stiffness_n_per_m, dtype=np.float64)
         orientation = message.orientation
@@ -101,14 +106,19 @@ class Feedback:
 class Frame:
     """Surfaces of all bodies at one moment. See `Frame` in stream.proto."""
 
+    #: What does not change between frames: bodies, tools and triangles.
     topology: stream_pb2.Topology
     #: Number of the frame; a gap is a dropped frame.
     sequence: int
+    #: Number of the step after which the frame was made.
     step: int
+    #: Simulated time at the end of that step [s].
     simulated_time_s: float
+    #: End of that step on the server's clock, nanoseconds since the Unix epoch.
     server_time_ns: int
     #: Vertices of all bodies, one after the other, float32 [vertex_count, 3] m (read-only).
     positions: npt.NDArray[np.float32]
+    #: Feedback of each tool, by name.
     tools: dict[str, Feedback]
     #: Nodes at the ends of springs, float32 [point_count, 3] m (read-only). `springs` sorts them by attachment.
     attachment_points: npt.NDArray[np.float32]
@@ -152,6 +162,11 @@ class Frame:
 
     @staticmethod
     def from_message(message: stream_pb2.Frame, topology: stream_pb2.Topology) -> Frame:
+        """Decodes a message.
+
+        Raises:
+            InternalError: its positions or springs do not fit the topology.
+        """
         size = frame_size_bytes(topology)
         if len(message.positions) != size:
             raise InternalError(

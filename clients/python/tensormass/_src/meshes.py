@@ -38,6 +38,7 @@ class VolumeMesh:
 
     #: float64 [node_count, 3]
     nodes: FloatArray
+    #: Elements, those of one shape in each block.
     blocks: tuple[ElementBlock, ...]
     #: Named sets of nodes, uint32 [k] each. They become the sets of the body.
     sets: Mapping[str, IndexArray] = field(default_factory=dict)
@@ -110,14 +111,14 @@ class VolumeMesh:
 
 @dataclass(frozen=True)
 class TriangleSurface:
-    """`vertices` float64 [vertex_count, 3]; `triangles` uint32 [triangle_count, 3], counter-clockwise from outside.
+    """A surface of triangles, such as the skin of a body or a tool of any shape."""
 
-    `texture_coordinates` float32 [triangle_count, 3, 2]: the place (u, v) of each corner in a picture, u to the right,
-    v up, both 0 to 1; or None.
-    """
-
+    #: float64 [vertex_count, 3]
     vertices: FloatArray
+    #: uint32 [triangle_count, 3], counter-clockwise from outside.
     triangles: IndexArray
+    #: Place (u, v) of each corner in a picture, float32 [triangle_count, 3, 2]: u to the right, v up, both 0 to 1; or
+    #: None.
     texture_coordinates: npt.NDArray[np.float32] | None = None
 
     def _repr_html_(self) -> str:

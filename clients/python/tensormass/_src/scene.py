@@ -34,6 +34,7 @@ class Scene:
     """
 
     def __init__(self, name: str = "scene", message: scene_pb2.Scene | None = None) -> None:
+        #: The protobuf message `tensormass.v1.Scene`.
         self.message = message if message is not None else scene_pb2.Scene(name=name)
 
     def __repr__(self) -> str:
@@ -45,6 +46,7 @@ class Scene:
 
     @property
     def name(self) -> str:
+        """Returns the name under which the daemon loads the scene."""
         return self.message.name
 
     @staticmethod

@@ -27,10 +27,12 @@ from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 
 class SceneHandle:
-    """A loaded scene. It outlives the handle: `unload` ends it, and so does the end of a `with` block.
+    """A loaded scene.
 
-    with server.load("demo", lockstep=True) as scene:
-        scene.step(60)
+        with server.load("demo", lockstep=True) as scene:
+            scene.step(60)
+
+    The scene outlives the handle: `unload` ends it, and so does the end of a `with` block.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class SceneHandle:
         report: control_pb2.SceneReport | None,
         message: scene_pb2.Scene | None = None,
     ) -> None:
+        #: Name of the scene in the daemon.
         self.name = name
         #: Bodies as admitted, and the cost of a step; None for a scene that another client loaded.
         self.report = report

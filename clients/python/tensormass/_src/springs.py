@@ -17,8 +17,9 @@ class Springs:
 
     #: Ends of each spring, float32 [spring_count, 2, 3] m. The first one is a node of the attachment's body.
     ends_m: npt.NDArray[np.float32]
-    #: Length of each spring, and its length at rest, [spring_count] m.
+    #: Length of each spring, [spring_count] m.
     lengths_m: npt.NDArray[np.float64]
+    #: Length of each spring at rest, [spring_count] m.
     rest_lengths_m: npt.NDArray[np.float32]
     #: Force with which each spring pulls, [spring_count] N; 0 if it is slack or broken.
     tensions_n: npt.NDArray[np.float64]

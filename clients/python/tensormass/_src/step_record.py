@@ -20,11 +20,13 @@ class StepRecord:
     step: int
     #: Simulated time at the end of the step [s].
     simulated_time_s: float
-    #: Conjugate-gradient iterations, and the residual at which they ended, relative to the right-hand side.
+    #: Conjugate-gradient iterations.
     cg_iterations: int
+    #: Residual at which they ended, relative to the right-hand side.
     cg_relative_residual: float
-    #: Newton iterations, and the last residual relative to the forces at work; both 0 if a step is one linear solve.
+    #: Newton iterations; 0 if a step is one linear solve.
     newton_iterations: int
+    #: Last residual of Newton's method, relative to the forces at work; 0 if a step is one linear solve.
     newton_residual: float
     #: True if the solve reached its tolerance; None if that is unknown, because another client loaded the scene and
     #: its tolerance is not in the status.
