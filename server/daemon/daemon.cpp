@@ -15,11 +15,11 @@ namespace tensormass::daemon {
 
 Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
   TM_ASSIGN_OR_RETURN(backend, world::describe_backend(config.backend));
-  std::unique_ptr<Daemon> daemon(new Daemon(config, backend.backend, backend.device));
+  std::unique_ptr<Daemon> daemon(new Daemon(config, backend));
   TM_RETURN_IF_ERROR(daemon->open(config));
   const v1::GetVersionResponse& identity = daemon->identity();
   if (config.backend == world::BackendChoice::kAuto && backend.backend == "cpu") {
-    log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}});
+    log::warn("no GPU answers: scenes run on the CPU", {{"device", backend.device}, {"reason", backend.reason}});
   }
   for (const std::string& endpoint : {daemon->control_endpoint(), identity.zeromq_publish_endpoint(),
                                       identity.zeromq_pose_endpoint(), identity.zenoh_locator()}) {
@@ -39,13 +39,14 @@ Result<std::unique_ptr<Daemon>> Daemon::start(const Config& config) {
   return daemon;
 }
 
-Daemon::Daemon(const Config& config, std::string backend, std::string device)
+Daemon::Daemon(const Config& config, const world::BackendDescription& backend)
     : registry_({.backend = config.backend, .cpu_threads = config.cpu_threads, .gpu_scenes = config.gpu_scenes},
                 [this] { wake_up_.signal(); }) {
   identity_.set_version(TENSORMASS_VERSION);
   identity_.set_server(config.server_name);
-  identity_.set_backend(std::move(backend));
-  identity_.set_device(std::move(device));
+  identity_.set_backend(backend.backend);
+  identity_.set_device(backend.device);
+  identity_.set_backend_reason(backend.reason);
 }
 
 Result<void> Daemon::open(const Config& config) {

@@ -49,7 +49,7 @@ class Daemon {
   const std::string& control_endpoint() const { return server_->endpoint(); }
 
  private:
-  Daemon(const Config& config, std::string backend, std::string device);
+  Daemon(const Config& config, const world::BackendDescription& backend);
   Result<void> open(const Config& config);
   /// Gives a pose to its scene. Runs on transports' threads and does not block.
   void receive_pose(std::string_view scene, std::string_view tool, const v1::ToolPose& pose);

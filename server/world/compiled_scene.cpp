@@ -29,8 +29,14 @@ Result<CompiledScene> compile_scene(const v1::Scene& scene, const RunnerOptions&
 }
 
 Result<BackendDescription> describe_backend(BackendChoice choice) {
+  std::string reason = "it was asked for";
+  if (choice == BackendChoice::kAuto) {
+    const auto cuda = backend::make_cuda_backend();
+    reason = cuda ? "a GPU answers" : cuda.error().message;
+    choice = cuda ? BackendChoice::kCuda : BackendChoice::kCpu;
+  }
   TM_ASSIGN_OR_RETURN(backend, make_backend({.backend = choice}));
-  return BackendDescription{backend->name(), backend->device()};
+  return BackendDescription{backend->name(), backend->device(), std::move(reason)};
 }
 
 }  // namespace tensormass::world

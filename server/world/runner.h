@@ -113,6 +113,7 @@ class Runner {
 struct BackendDescription {
   std::string backend;
   std::string device;
+  std::string reason;  ///< why it was selected, for people
 };
 /// Describes the backend that `choice` selects. kCuda without a device is an error; kAuto falls back to the CPU.
 Result<BackendDescription> describe_backend(BackendChoice choice);

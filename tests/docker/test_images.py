@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / os.environ.get("BUILD", "build")
 DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
 WANTED = os.environ.get("TENSORMASS_IMAGES", "")  # empty, "built" or "whole"
-ARGUMENTS = {"CUDA": os.environ.get("CUDA") or "ON"}  # as `docker build --build-arg` gives them
+ARGUMENTS = {"CUDA": os.environ.get("CUDA") or ""}  # as `docker build --build-arg` gives them
 PROGRAMS = ("tensormassd", "tensormass-haptic")
 END_S = 60.0
 

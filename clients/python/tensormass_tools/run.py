@@ -138,7 +138,8 @@ async def _run(args: argparse.Namespace, scene: Scene) -> int:
         parts.enter_context(announced(server.address, handle.name))
         if args.seconds is not None:
             asyncio.get_running_loop().call_later(args.seconds, stop.set)
-        _say(args, f"tensormassd {version.version} on {version.backend} ({version.device}), control {server.address}")
+        backend = f"{version.backend} ({version.device}; {version.backend_reason})"
+        _say(args, f"tensormassd {version.version} on {backend}, control {server.address}")
         if args.verbose and handle.report is not None:
             _say(args, report_text(handle.report, scene.message))
         viewer = (
