@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-from headless import SOFTWARE_FLAGS, ask, chromium, debugging_address
+from headless import SOFTWARE_FLAGS, ask, chromium, debugging_address, end
 
 import tensormass as tm
 from tensormass.v1 import stream_pb2
@@ -164,9 +164,9 @@ def _running(case: Case, options: list[str]) -> Iterator[tuple[subprocess.Popen[
             # Statuses of the run would fill the pipe.
             with subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL):
                 yield process, where
-                process.terminate()
+                end(process)
         finally:
-            process.terminate()
+            end(process)
 
 
 def _parts(run: subprocess.Popen[str]) -> dict[str, Any]:

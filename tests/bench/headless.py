@@ -19,6 +19,8 @@ CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 SOFTWARE_FLAGS = "--use-angle=swiftshader --enable-unsafe-swiftshader"
 #: Until Chromium has started.
 _START_S = 30.0
+#: Until a process has ended.
+_END_S = 20.0
 
 
 @contextlib.contextmanager
@@ -34,8 +36,17 @@ def chromium(url: str, flags: str, program: str = CHROMIUM) -> Iterator[Path]:
             if process.poll() is not None:
                 sys.exit(f"{program} ended by itself with status {process.returncode}")
         finally:
-            process.terminate()
-            process.wait()
+            end(process)
+
+
+def end(process: subprocess.Popen[Any]) -> None:
+    """Ends a process, by force if it does not end by itself."""
+    process.terminate()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 async def debugging_address(profile: Path) -> str:
