@@ -12,7 +12,7 @@ logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
 
 in_python() { cd clients/python && "$@"; }
-python=(. ../../tests ../../examples ../../.setup ../../docs)
+python=(. ../../tests ../../examples ../../.setup ../../docs/site)
 
 clang_format() {
   find server clients/haptic examples tests \( -name node_modules -o -name target \) -prune -o \

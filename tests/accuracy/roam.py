@@ -35,7 +35,7 @@ from tensormass._src.launching import launch
 from tensormass._src.meshes import FloatArray
 from tensormass._src.organ import ORGANS, liver
 from tensormass._src.scene_file import SceneFile
-from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 from tensormass_tools.trade.knobs import Knobs
 
 from . import record, roam_mesh, roam_path
@@ -90,6 +90,12 @@ MADE = {
 
 
 # --- the scene --------------------------------------------------------------------------------------------------------
+
+
+def reported(handle: tm.SceneHandle) -> control_pb2.SceneReport:
+    """The report of a scene that this program loaded."""
+    assert handle.report is not None
+    return handle.report
 
 
 def candidate(setting: Setting, path: roam_path.Path3) -> tm.Scene:
@@ -177,7 +183,7 @@ def measure(server: tm.Server, setting: Setting, path: roam_path.Path3, referenc
         run = Run(handle, path, setting.rate_hz)
         found = list(run.forces())
         times = run.times()
-        (body,) = handle.report.bodies
+        (body,) = reported(handle).bodies
         iterations = [status.cg_iterations for _, status in found]
     return {
         "case": f"roam: {setting.name}",
@@ -221,7 +227,7 @@ def make_reference(server: tm.Server, name: str, path: roam_path.Path3, minutes:
                 np.savez(kept, snapshot=snapshot, forces=forces, unconverged=unconverged, seconds=seconds)
                 return False
         head = record.Head.of_run(server.version(), "accuracy.roam", began - seconds).head()
-        (body,) = handle.report.bodies
+        (body,) = reported(handle).bodies
         head |= {"elements": body.element_count, "unconverged_steps": unconverged}
     rows = [
         {"time_s": round(float(at), 6), "force_n": [float(f) for f in force]}

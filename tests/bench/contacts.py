@@ -83,7 +83,7 @@ def _measure(server: tm.Server) -> dict[str, dict[str, float]]:
         for turn in range(max(1, round(float(script.times_s[-1]) / dt_s / _TURN))):
             for name, handle in handles.items():
                 if any(tool.name == script.tool for tool in handle.topology().tools):
-                    poses = [tuple(script.at((turn * _TURN + step) * dt_s)) for step in range(_TURN)]
+                    poses = [script.at((turn * _TURN + step) * dt_s) for step in range(_TURN)]
                     status = handle.follow(script.tool, poses)
                 else:
                     status = handle.step(_TURN)

@@ -46,10 +46,10 @@ def _measure(server: tm.Server, name: str, backend: str) -> dict[str, Any]:
         period = round(float(script.times_s[-1]) / dt_s)
         steps = period * math.ceil(_LEAST_STEPS / period)
         for first in range(0, steps, _TURN):
-            poses = [tuple(script.at(step * dt_s)) for step in range(first, min(first + _TURN, steps))]
+            poses = [script.at(step * dt_s) for step in range(first, min(first + _TURN, steps))]
             status = touched.follow(script.tool, poses)
-            tool = next(tool for tool in status.tools if tool.tool == script.tool)
-            force_n = max(force_n, math.hypot(tool.force_n.x, tool.force_n.y, tool.force_n.z))
+            felt = next(felt for felt in status.tools if felt.tool == script.tool)
+            force_n = max(force_n, math.hypot(felt.force_n.x, felt.force_n.y, felt.force_n.z))
             untouched.step(len(poses))
         times = {"step": touched.step_times(), "alone": untouched.step_times()}
         warnings = list(touched.status().warnings)

@@ -18,9 +18,9 @@ const FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swift
 
 /** In the page: times each turn of the drawing loop once `window.times` is there, and lets each one draw. */
 function watch() {
-  const open = HTMLCanvasElement.prototype.getContext;
+  const open = window.HTMLCanvasElement.prototype.getContext;
   let gl = null;
-  HTMLCanvasElement.prototype.getContext = function (...how) {
+  window.HTMLCanvasElement.prototype.getContext = function (...how) {
     const context = open.apply(this, how);
     gl = this.id === "view" ? context : gl;
     return context;
@@ -33,7 +33,7 @@ function watch() {
         turn(nowMs);
         return;
       }
-      window.dispatchEvent(new Event("resize"));
+      window.dispatchEvent(new window.Event("resize"));
       const began = performance.now();
       turn(nowMs);
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);

@@ -82,10 +82,10 @@ def _digest(handle: tm.SceneHandle) -> str:
 
 def rows(server: tm.Server) -> Iterator[tuple[str, str, str, str, str, str]]:
     """Yields a row of COLUMNS for each state; a scene that stops has the guard's word in place of the hash."""
-    for name, (precision, number) in itertools.product(tm.builtin_scenes(), PRECISIONS.items()):
+    for name, (precision, setting) in itertools.product(tm.builtin_scenes(), PRECISIONS.items()):
         scene = tm.Scene.from_file(name).message
         scene.stepping.lockstep = True
-        scene.solver.precision = number
+        scene.solver.precision = setting
         with server.load(scene) as handle:
             try:
                 _press(handle, scene, BUILTIN_STEPS)

@@ -117,14 +117,6 @@ def entering(root: Path, *command: str) -> list[str]:
     return [*enter, str(root), *itertools.chain(*shared), "--", *command]
 
 
-def network_settings() -> dict[str, str]:
-    """The variables with which a command in a root reaches the package registries of this machine."""
-    settings = {key: value for key, value in os.environ.items() if _PASSED.fullmatch(key)}
-    if Path(_SYSTEM_CERTIFICATES).is_file():
-        settings |= dict.fromkeys(_CERTIFICATE_SETTINGS, _CERTIFICATES)
-    return settings
-
-
 def starting(image: Image, *arguments: str, environment: Mapping[str, str] | None = None) -> list[str]:
     """The command that starts an image's program as its user, with a read-only root and an empty /tmp."""
     variables = {**image.environment, **(environment or {})}
@@ -210,7 +202,10 @@ class Builder:
                 raise BuildError(f"{name} {words}: an instruction that tests/docker/images.py does not know")
 
     def _run(self, image: Image, words: str) -> None:
-        variables = {**image.environment, "DEBIAN_FRONTEND": "noninteractive", **network_settings()}
+        passed = {key: value for key, value in os.environ.items() if _PASSED.fullmatch(key)}
+        if Path(_SYSTEM_CERTIFICATES).is_file():
+            passed |= dict.fromkeys(_CERTIFICATE_SETTINGS, _CERTIFICATES)
+        variables = {**image.environment, "DEBIAN_FRONTEND": "noninteractive", **passed}
         script = f"cd {shlex.quote(image.folder)} && {words}"
         command = ["chroot", str(image.root), "/usr/bin/env", "-i", *_assignments(variables), "/bin/sh", "-c", script]
         ran = subprocess.run(entering(image.root, *command), capture_output=True, text=True, stdin=subprocess.DEVNULL)

@@ -290,7 +290,7 @@ async function takeMoving() {
         const reached = (wanted) => window.tensormass.state().step >= wanted;
         await page.waitForFunction(reached, step, { polling: POLLING_MS });
         // Two more turns of the browser: the frame is then on the screen.
-        await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+        await page.evaluate(() => new Promise((done) => window.requestAnimationFrame(() => window.requestAnimationFrame(done))));
         await page.screenshot({ path: join(folder, `${String(i).padStart(3, "0")}.png`), clip: MOVING.clip });
       }
       await page.context().close();

@@ -137,7 +137,8 @@ TEST(HaplySnapshot, RefusesOtherFormats) {
 }
 
 TEST(HaplySnapshot, ALongOrUnprintableIdDoesNotFloodTheMessage) {
-  const std::string id = std::string(100'000, 'x') + "\\u001b";
+  std::string id(100'000, 'x');
+  id += "\\u001b";
   const std::string two = R"({"inverse3": [{"device_id": ")" + id + R"("}, {"device_id": "\u001b[2J"}]})";
   const auto devices = parse_haply_snapshot(two, {});
   ASSERT_FALSE(devices);

@@ -14,7 +14,6 @@ from test_meshes import mixed_mesh
 import tensormass as tm
 from tensormass._src import defaults, demo, mesh_files, meshes, units
 from tensormass._src.names import as_name
-from tensormass._src.organ import ORGANS
 from tensormass._src.packing import pack_mesh, unpack_mesh, volume_mesh
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import scene_pb2

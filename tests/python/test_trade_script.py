@@ -118,7 +118,7 @@ class FormulaScene:
             feedback.force_n.z = STIFFNESS_N_PER_M * (self._start[0] - self._tool[0])
         return status
 
-    def follow(self, name: str, poses: list[tuple[FloatArray, None, tuple]]) -> stream_pb2.SceneStatus:
+    def follow(self, name: str, poses: list[tuple[FloatArray, None, tuple[()]]]) -> stream_pb2.SceneStatus:
         timed = self._times
         for position_m, _, _ in poses:
             self.move_tool(name, position_m)
@@ -306,7 +306,7 @@ def test_timing_ends_where_it_takes_too_long() -> None:
 
 def test_timed_steps_hold_no_check_and_no_frame_of_their_own() -> None:
     server = FormulaServer()
-    (got,) = measure([scene_of()], server)
+    (got,) = recorded([scene_of()], server)
     steps = server.loaded[0].step_times()
     assert got.costs.step_p50_s == got.costs.step_p99_s == pytest.approx(server.step_s, rel=1 / 32)
     assert steps.max_s == pytest.approx(CALL_FACTOR * server.step_s, rel=1 / 32), (

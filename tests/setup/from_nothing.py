@@ -10,8 +10,8 @@
     law      one law of elements.cu, compiled (with --cuda ON)
 
 They run in this order. Each gives a JSON line: seconds, commit, machine, and how far a run got that the limit ended.
-Root and mmdebstrap are needed. The bare root has git, make and ca-certificates, as README says, and shares the network
-of this machine.
+Root and mmdebstrap are needed. The bare root (bare_root.sh) has git and make, as README says, and shares the network of
+this machine.
 """
 
 from __future__ import annotations
@@ -32,13 +32,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from docker.images import bare_debian, entering, network_settings
-
 ROOT = Path(__file__).resolve().parents[2]
 MEASUREMENTS = ("run", "again", "test", "cpp", "cu", "law")
 _CUDA_ONLY = ("cu", "law")
 _CHECKOUT = "/tensormass"
 _PYTHON = f"{_CHECKOUT}/.venv/bin/python"
+_BARE_ROOT = ROOT / "tests" / "setup" / "bare_root.sh"
 
 
 class Bare:
@@ -47,28 +46,14 @@ class Bare:
     def __init__(self, root: Path, cuda: str, deadline: float) -> None:
         self._root = root
         self._deadline = deadline
-        self._variables = {
-            "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
-            "HOME": "/root",
-            "LANG": "C.UTF-8",
-            "DEBIAN_FRONTEND": "noninteractive",
-            **({"CUDA": cuda} if cuda else {}),
-            **network_settings(),
-        }
+        self._settings = f"export CUDA={cuda}; " if cuda else ""
 
     def prepare(self) -> None:
-        bare_debian(self._root)
+        subprocess.run([_BARE_ROOT, "make", self._root, "bookworm", "git,make"], check=True)
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(self._root) + _CHECKOUT], check=True)
-        install = "apt-get update -qq && apt-get install -qq -y --no-install-recommends ca-certificates git make"
-        with self.start(install) as process:
-            output = process.stdout.read() if process.stdout is not None else ""
-        if process.returncode != 0:
-            raise RuntimeError(f"the bare Debian cannot install git and make:\n{output[-2000:]}")
 
     def command(self, script: str) -> list[str]:
-        assignments = [f"{name}={value}" for name, value in self._variables.items()]
-        inside = ["chroot", str(self._root), "/usr/bin/env", "-i", *assignments, "/bin/sh", "-c", script]
-        return entering(self._root, *inside)
+        return [str(_BARE_ROOT), "run", str(self._root), "root", "sh", "-c", self._settings + script]
 
     @contextlib.contextmanager
     def start(self, script: str) -> Iterator[subprocess.Popen[str]]:

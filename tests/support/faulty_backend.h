@@ -88,8 +88,8 @@ class FaultyBackend final : public backend::Backend {
 
   std::string name() const override { return sound_->name(); }
   std::string device() const override { return sound_->device(); }
-  model::PatchPolicy patch_policy(const v1::Scene& scene) const override { return sound_->patch_policy(scene); }
-  step::MachineRates rates(const v1::Scene& scene) const override { return sound_->rates(scene); }
+  model::PatchPolicy patch_policy(std::uint32_t threads) const override { return sound_->patch_policy(threads); }
+  step::MachineRates rates(std::uint32_t threads) const override { return sound_->rates(threads); }
   double measure_bandwidth_bytes_per_s() const override { return sound_->measure_bandwidth_bytes_per_s(); }
   Result<std::unique_ptr<backend::SceneState>> create(const model::Model& model) const override {
     TM_ASSIGN_OR_RETURN(state, sound_->create(model));

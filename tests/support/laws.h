@@ -12,7 +12,7 @@ namespace tensormass::tests {
 
 inline std::vector<std::string> law_names() {
   std::vector<std::string> names;
-  physics::for_each_type(physics::Laws{}, [&](auto tag, int) { names.push_back(decltype(tag)::Type::kName); });
+  physics::for_each_type(physics::Laws{}, [&](auto tag, int) { names.emplace_back(decltype(tag)::Type::kName); });
   return names;
 }
 

@@ -7,6 +7,7 @@ import os
 import shlex
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -17,7 +18,7 @@ FORMS = sorted((ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml"))
 FIELDS = {"checkboxes", "dropdown", "input", "markdown", "textarea"}
 
 
-def read(name: str) -> dict:
+def read(name: str) -> dict[str, Any]:
     return yaml.safe_load((ROOT / name).read_text("utf-8"))
 
 

@@ -22,6 +22,7 @@ def literal(path: Path, name: str) -> object:
 
 def test_the_reference_describes_every_name_of_the_sdk() -> None:
     exported = literal(ROOT / "clients/python/tensormass/__init__.py", "__all__")
+    assert isinstance(exported, list)
     page = (SITE / "python.rst").read_text("utf-8")
     described = re.findall(r"^\.\. (?:auto\w+|py:(?:data|type)):: (\w+)$", page, re.MULTILINE)
     assert sorted(described) == sorted(exported)
@@ -29,6 +30,7 @@ def test_the_reference_describes_every_name_of_the_sdk() -> None:
 
 def test_the_table_of_contents_has_every_page() -> None:
     contents = literal(SITE / "front_page.py", "CONTENTS")
+    assert isinstance(contents, dict)
     listed = {entry.rpartition("<")[2].rstrip(">") for entries in contents.values() for entry in entries}
     pages = {f"docs/{path.stem}" for path in (ROOT / "docs").glob("*.md")}
     pages |= {path.stem for path in ROOT.glob("*.md")} - {"README"}

@@ -316,7 +316,8 @@ def _status(args: argparse.Namespace) -> int:
         scenes = [to_plain(status) for status in statuses]
         print_json({"address": server.address, "server": to_plain(version), "scenes": scenes})
         return 0
-    daemon = f"tensormassd {version.version}, {version.backend} ({version.device}; {version.backend_reason}), server {version.server!r}"
+    backend = f"{version.backend} ({version.device}; {version.backend_reason})"
+    daemon = f"tensormassd {version.version}, {backend}, server {version.server!r}"
     print(f"{daemon}, control {server.address}")
     print(f"zeromq {version.zeromq_publish_endpoint} {version.zeromq_pose_endpoint} | zenoh {version.zenoh_locator}")
     print(f"malformed messages: {version.malformed_messages}")
