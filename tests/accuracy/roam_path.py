@@ -82,8 +82,8 @@ def make() -> Path3:
     depths_m = pressed * depths_m - (1 - pressed) * _ABOVE_M
     surface_m, normal = _surface(plane_m)
     positions_m = surface_m + normal * (RADIUS_M - depths_m)[:, None]
-    as_stored = [np.round(values.astype(np.float64), 7) for values in (positions_m, depths_m)]
-    return Path3(times_s.astype(np.float64), *as_stored)
+    positions_m, depths_m = np.round(positions_m, 7).astype(np.float64), np.round(depths_m, 7).astype(np.float64)
+    return Path3(times_s.astype(np.float64), positions_m, depths_m)
 
 
 def text(path: Path3) -> str:

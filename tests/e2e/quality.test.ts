@@ -50,7 +50,8 @@ describe.skipIf(absent.length > 0)("quality", () => {
     }, vertexCount);
     await page.draws(3);
     await page.page.locator("#display > summary").click();
-    await page.says("#quality-note", /^Now least: simple drew 5 pictures a second here\.$/);
+    // A turn draws only if a frame has come since the last one, so there are at most as many pictures as turns.
+    await page.says("#quality-note", /^Now least: simple drew [1-5] pictures a second here\.$/);
     expect(await page.page.locator("#quality").inputValue()).toBe("automatic");
     expect(Number(await page.page.evaluate(() => document.documentElement.dataset.framesPerSecond))).toBeGreaterThan(0);
     expect((await page.state()).refused).toBe(0);

@@ -110,7 +110,6 @@ def test_a_viewer_that_ends_is_named_in_the_report(
         viewers[0].process.process.kill()
 
     monkeypatch.setattr(load_test._LoadTest, "_wait_until_ready", then_end_the_first)
-    monkeypatch.setattr(load_test, "_STATUS_WINDOW_STEPS", 10)
     status, report = load(BLOCK, "--haptic", "0", "--viewers", "2", *options)
     assert status == 1
     first, other = report["scenes"][0]["scene"], report["viewers"]
@@ -161,7 +160,6 @@ def test_hands_press_as_long_as_a_viewer_is_stopped_and_watched(
         return start_haptic(test, *args)
 
     monkeypatch.setattr(load_test._LoadTest, "_start_haptic", start)
-    monkeypatch.setattr(load_test, "_STATUS_WINDOW_STEPS", 1)
     _, report = load(BLOCK, "--stop-viewer", "0.1", "--seconds", "0.01")
     assert lasting_s == [pytest.approx(0.3)]
     assert report["stopped_viewer"]["seconds"] == 0.1
