@@ -118,6 +118,7 @@ PATH = 40
 def test_a_path_that_leaves_room_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = Steps(lambda _: 0.009)
     measured = steps.measured(monkeypatch)
+    assert measured is not None
     assert (measured.p50_s, measured.p99_s) == pytest.approx((0.009, 0.009))
     assert (measured.period_s, measured.elements) == (0.02, 450)
     assert (steps.made, steps.resets) == (PATH, 0)
