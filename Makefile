@@ -42,8 +42,9 @@ VIEWER_SOURCES := $(shell find clients/web proto -name node_modules -prune -o -p
                     -o -path clients/web/src/generated -prune -o -type f -print 2>/dev/null)
 
 # .setup/cuda.sh decides about CUDA; GOAL=release makes it decide for a release. It is asked once, when a rule needs it.
+# make 4.3 gives `shell` no variables of its command line.
 GOAL ?= build
-CHOICE = $(eval CHOICE := $(or $(shell .setup/cuda.sh $(GOAL)),$(error the line above says what to change)))$(CHOICE)
+CHOICE = $(eval CHOICE := $(or $(shell CUDA='$(CUDA)' CUDA_ARCHITECTURES='$(CUDA_ARCHITECTURES)' .setup/cuda.sh $(GOAL)),$(error the line above says what to change)))$(CHOICE)
 CUDA_SETTING = $(word 1,$(CHOICE))
 CUDA_FOR = $(filter-out -,$(word 2,$(CHOICE)))
 CUDA_REASON = $(wordlist 3,99,$(CHOICE))
@@ -143,7 +144,7 @@ wheel: ## Make a wheel with everything inside, for all GPU generations, and try 
 	@$(MAKE) BUILD=build-wheel programs wheel-only
 
 wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-up and build
-	@CUDA='$(firstword $(shell .setup/cuda.sh release))' python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
+	@CUDA='$(firstword $(shell CUDA='$(CUDA)' .setup/cuda.sh release))' python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
 	@tests/wheel/bare.sh $(BUILD)/wheel/*.whl $(SUITE)
 
 release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
