@@ -12,7 +12,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def choice(folder: Path, goal: str = "build", smi: str | None = None, **settings: str) -> list[str]:
-    """What cuda.sh prints: setting, architectures, reason. smi: a shell script as nvidia-smi; None: there is none."""
+    """Returns what cuda.sh prints: setting, architectures, reason.
+
+    smi: script that stands in for nvidia-smi; None leaves that command out.
+    """
     tools = folder / "bin"
     tools.mkdir(exist_ok=True)
     for name in ("bash", "env", "grep", "paste", "sort", "tr"):

@@ -65,7 +65,7 @@ class Machine:
         return self.crowded() and self.cores > self.threads
 
     def more_threads(self) -> int | None:
-        """Returns the most threads that leave `FREE_CORES`; None if that is no more than the scene has."""
+        """Returns the largest number of threads that leaves `FREE_CORES`; None unless it exceeds the scene's own."""
         most = self.cores - FREE_CORES
         return most if self.backend == "cpu" and not self.threads_given and most > self.threads else None
 

@@ -21,7 +21,7 @@ def raise_threads(process: int) -> bool:
     All of them need it: a loop under SCHED_FIFO that waits for ordinary workers would keep the core from them.
 
     Returns:
-        False if that is not permitted, or there is no such process. No thread has it then.
+        False if the priority is not permitted or the process has ended; then no thread gets the priority.
     """
     try:
         threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]

@@ -40,7 +40,7 @@ export type LevelName = (typeof LEVELS)[number]["name"];
 export const QUALITIES = ["automatic", ...LEVELS.map(({ name }) => name)] as const;
 export type Quality = "automatic" | LevelName;
 
-/** Returns the quality of that name; null if there is none. */
+/** Returns the quality with this name; null for an unknown name. */
 export function qualityOf(name: unknown): Quality | null {
   return QUALITIES.find((each) => each === name) ?? null;
 }

@@ -6,8 +6,8 @@ import type { Level } from "./quality";
 const FLOOR_RADIUS = 4.5;
 
 /**
- * An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor. It
- * stands in for reflections where there are none.
+ * An operating lamp as the key, a cool light from behind to part tissue from backdrop, and warm light from the floor.
+ * Without reflections the floor's light replaces them.
  */
 export function lights({ reflections }: Pick<Level, "reflections">): THREE.Light[] {
   const key = new THREE.DirectionalLight("#fff1e2", 2.1);
