@@ -30,8 +30,11 @@ case $goal in
 esac
 
 # The compute capabilities of this machine's GPUs, one a line; empty if the driver does not answer.
-capabilities() { nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null || true; }
-own_generations() { capabilities | grep -xE '[0-9]+\.[0-9]' | tr -d . | sort -nu | paste -sd';' || true; }
+capabilities=
+if [[ $setting != OFF ]]; then
+  capabilities=$(nvidia-smi --query-gpu=compute_cap --format=csv,noheader 2>/dev/null || true)
+fi
+own=$(grep -xE '[0-9]+\.[0-9]' <<<"$capabilities" | tr -d . | sort -nu | paste -sd';' || true)
 
 case $setting in
   AUTO)
@@ -39,19 +42,15 @@ case $setting in
       echo "OFF - no NVIDIA GPU was found, so the daemon is built for the CPU alone; CUDA=ON builds for a GPU as well"
       exit
     fi
-    own=$(own_generations)
     if [[ -n $own ]]; then
       echo "ON ${architectures:-$own} the CUDA backend is built for this machine's GPU (compute capability" \
-        "$(capabilities | paste -sd' '))"
+        "${capabilities//$'\n'/ })"
     else
       echo "ON ${architectures:-$usual_architecture} nvidia-smi does not tell the GPU's generation, so the CUDA backend is" \
         "built for $usual_architecture; CUDA_ARCHITECTURES=... names another, CUDA=OFF leaves it out"
     fi
     ;;
-  ON | CHECK)
-    own=$(own_generations)
-    echo "$setting ${architectures:-${own:-$usual_architecture}} CUDA=$setting was asked for"
-    ;;
+  ON | CHECK) echo "$setting ${architectures:-${own:-$usual_architecture}} CUDA=$setting was asked for" ;;
   OFF) echo "OFF - CUDA=OFF was asked for" ;;
   *) echo "cuda: CUDA='$setting'; give AUTO, ON, OFF or CHECK" >&2 && exit 2 ;;
 esac
