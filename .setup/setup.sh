@@ -36,7 +36,7 @@ runtime_packages=(libgrpc++1.51 libprotobuf32 libspdlog1.10 libzmq5)
 build_packages=(g++ libboost-dev libcli11-dev libeigen3-dev libexpected-dev libgrpc++-dev libgtest-dev libprotobuf-dev
   libspdlog-dev libzmq3-dev cppzmq-dev nlohmann-json3-dev pkg-config protobuf-compiler protobuf-compiler-grpc python3
   python3-venv)
-test_packages=(calculix-ccx chromium clang-format xvfb)
+test_packages=(calculix-ccx chromium clang-format libegl1 xvfb)
 docs_packages=(doxygen python3 python3-venv)
 wheel_packages=(mmdebstrap patchelf)
 

@@ -8,6 +8,7 @@
 
 #include "bus/keys.h"
 #include "core/limits.h"
+#include "haptic/vector.h"
 #include "tensormass/v1/control.grpc.pb.h"
 
 namespace tensormass::haptic {
@@ -19,8 +20,6 @@ constexpr auto kStopPoll = std::chrono::milliseconds(20);
 constexpr double kExtentInRadii = 20.0;
 /// Below this distance single-precision positions give no direction.
 constexpr double kNoDistanceM = 1e-6;
-
-Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
 
 /// Returns the host of a gRPC target that ends in host:port. An IPv6 address keeps its brackets.
 std::string host_of(const std::string& target) {

@@ -8,6 +8,7 @@
 
 #include "haptic/checks.h"
 #include "haptic/clock.h"
+#include "haptic/vector.h"
 #include "tensormass/v1/stream.pb.h"
 
 namespace tensormass::haptic {
@@ -17,8 +18,6 @@ namespace {
 constexpr double kStiffnessTolerance = 1e-3;
 // A scene may be paused for days between a pose and the next step.
 constexpr double kMostServerTimeS = 1e9;
-
-Eigen::Vector3d to_eigen(const v1::Vector3& v) { return {v.x(), v.y(), v.z()}; }
 
 void to_proto(const Eigen::Vector3d& v, v1::Vector3& out) {
   out.set_x(v.x());

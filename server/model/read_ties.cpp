@@ -23,7 +23,7 @@ namespace {
 
 /// Contact pressure per depth, unless the scene gives it: this factor times E / edge. A tool's is twice as large,
 /// because a tool has no compliance of its own.
-constexpr double kDefaultPenalty = 10;
+constexpr double kDefaultTiePenalty = 10;
 /// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
 constexpr double kDefaultDistanceInEdges = 0.1;
 
@@ -133,7 +133,7 @@ class TieReader {
     TM_ASSIGN_OR_RETURN(
         penalty, read_number(contact.has_penalty_stiffness_pa_per_m()
                                  ? contact.penalty_stiffness_pa_per_m()
-                                 : kDefaultPenalty * std::min(a.young_modulus_pa, b.young_modulus_pa) / largest_m,
+                                 : kDefaultTiePenalty * std::min(a.young_modulus_pa, b.young_modulus_pa) / largest_m,
                              1e-3, 1e18, where + ".penalty_stiffness_pa_per_m"));
     TM_ASSIGN_OR_RETURN(friction, read_number(contact.friction_coefficient(), 0, limits::kMaxFriction,
                                               where + ".friction_coefficient"));

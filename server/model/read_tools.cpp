@@ -25,7 +25,7 @@ using google::protobuf::Message;
 
 /// Contact pressure per depth, unless the scene gives it: this factor times E / radius. A solid's radius is half its
 /// thickness; that of a plane is this share of the scene's size.
-constexpr double kDefaultPenalty = 20;
+constexpr double kDefaultToolPenalty = 20;
 constexpr double kPlaneRadiusInScenes = 0.1;
 /// A mesh should be thicker than so many cubes of the grid that samples its distance.
 constexpr double kLeastCubes = 3;
@@ -129,7 +129,7 @@ Result<void> read_shape(const Message& kind, double young_modulus_pa, std::strin
       tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
   out.tip_offset_m = tip;
   constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
-  out.penalty_pa_per_m = kDefaultPenalty * young_modulus_pa / out.radius_m;
+  out.penalty_pa_per_m = kDefaultToolPenalty * young_modulus_pa / out.radius_m;
   if (kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
     out.penalty_pa_per_m = kind.GetReflection()->GetDouble(kind, &field_of(kind, kPenalty));
   }

@@ -31,7 +31,7 @@ struct Source {
 struct Runner::Impl {
   Impl(CompiledScene compiled, std::unique_ptr<World> world, std::unique_ptr<const Source> from)
       : report(std::move(compiled.report)),
-        backend{compiled.backend->name(), compiled.backend->device()},
+        backend{compiled.backend->name(), compiled.backend->device(), {}},
         source(std::move(from)),
         topology(make_topology(world->model(), unix_time_ns())),
         scene_hash(compiled.scene_hash) {

@@ -28,6 +28,8 @@ make_root() {
   done
   # The package ca-certificates writes its list again whenever it is installed or updated.
   if [[ -f $certificates ]]; then cp -L "$certificates" "$root$kept_certificates"; fi
+  # mmdebstrap leaves the names of a machine to its installer.
+  printf '127.0.0.1 localhost\n::1 localhost ip6-localhost\n' >"$root/etc/hosts"
   echo 'somebody:x:1000:1000::/somebody:/bin/sh' >>"$root/etc/passwd"
   install -d -o 1000 -g 1000 "$root/somebody"
 }
