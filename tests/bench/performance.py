@@ -413,7 +413,7 @@ def summary() -> Iterator[str]:
     yield beam("nvidia-h200-targets.jsonl", newest("nvidia-h200-targets.jsonl")["beam 307200 StVK"], 3)
     largest = max(newest("nvidia-h200-largest.jsonl").values(), key=lambda row: row["elements"])
     yield beam("nvidia-h200-largest.jsonl", largest, 1)
-    if not any(row["backend"] == "cpu" for row in leading.long_runs(RESULTS)):
+    if not any(row["backend"] == "cpu" for row in leading.long_runs(RESULTS, 1)):
         yield _two_cores()
 
 

@@ -87,7 +87,8 @@ def test_only_the_longest_runs_of_the_last_commit_lead(results: Path) -> None:
     old = row(0, commit="old", **long)
     two = [row(of, **long, missed_deadlines=of) for of in (5, 9)]
     write(results, old, *two, row(0), row(0, 0, **long), row(0, **{**long, "errors": ["a client ended"]}))
-    assert leading.long_runs(results) == two
+    assert leading.long_runs(results, 2) == two
+    assert leading.long_runs(results, 1) == two[1:]
 
 
 def test_the_most_scenes_are_those_that_all_keep_their_deadlines(results: Path) -> None:
