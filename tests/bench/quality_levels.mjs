@@ -3,8 +3,8 @@
 //     node tests/bench/quality_levels.mjs [PICTURES] > tests/bench/results/two-cores-quality.csv    (default: 40)
 //
 // It needs a built daemon, the built viewer and Chromium (CHROMIUM, default /usr/bin/chromium). The demo is paused, so the
-// machine only draws. Reading back a pixel waits until a picture is done. The least time says most on a busy machine.
-// What the browser adds to show a picture is not in it.
+// machine only draws. Reading back a pixel waits until a picture is done; where nothing was drawn, it does not wait, so the
+// median says most. What the browser adds to show a picture is not in it.
 import { spawn } from "node:child_process";
 import { createRequire } from "node:module";
 import { loadavg } from "node:os";
