@@ -135,7 +135,7 @@ def step_before(folder: Path, target: str) -> Iterator[None]:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
+        process_group=0,  # in this session: where a desktop divides the cores among sessions, `nice` acts within one only
     )
     try:
         yield

@@ -75,7 +75,10 @@ SETTINGS = [
 
 @dataclass(frozen=True)
 class Reference:
-    """A reference. resolution: of the uniform mesh that is refined within `bands_m` (roam_mesh.refine)."""
+    """A reference.
+
+    resolution: of the uniform mesh that is refined within `bands_m` (roam_mesh.refine). until_s: its end on the path.
+    """
 
     resolution: float
     bands_m: tuple[tuple[float, float], ...]

@@ -4,7 +4,7 @@
 
 The title is a field, or a quotient of two, of the last row whose other fields have the given values; in a JSON file
 without rows, of the file. `figure` makes such a link, and `problems` lists those that differ from their file. The
-number may be rounded or cut off, and its unit may be another one.
+number may be rounded, and its unit may be another one.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ def value_of(file: Path, title: str) -> float:
 
 
 def equal(shown: str, value: float) -> bool:
-    """Tells whether a shown number is a value, rounded to the digits that are shown or cut off after them."""
+    """Tells whether a shown number is a value, to the digits that are shown."""
     match = _NUMBER.fullmatch(shown.strip())
     if match is None:
         return False
     digits = match["number"].replace(",", "")
     unit = _UNITS.get(match["unit"] or "", 1.0)
     decimals = len(digits.partition(".")[2])
-    return -0.5000001 <= (value / unit - float(digits)) * 10**decimals < 1
+    return abs(float(digits) - value / unit) <= 0.5000001 * 10**-decimals
 
 
 def unnamed_numbers(text: str) -> list[str]:

@@ -225,10 +225,15 @@ def roam_defaults() -> list[Row]:
 
 
 def percent(share: float, *, floor: bool = False) -> str:
-    """Formats a share with three digits, or with so many that it is not 100 % unless it is 1."""
+    """Formats a share with three digits, or with so many that it is not 100 % unless it is 1.
+
+    floor: with so many digits that it is not rounded up, for a share that is at least so large.
+    """
     if floor and share > 0.99:
         decimals = 2 if share < 0.9999 else 3
-        return f"{math.floor(100 * share * 10**decimals) / 10**decimals:.{decimals}f} %"
+        while float(f"{100 * share:.{decimals}f}") > 100 * share:
+            decimals += 1
+        return f"{100 * share:.{decimals}f} %"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.1f} %"
 
 

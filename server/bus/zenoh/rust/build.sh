@@ -4,7 +4,7 @@
 #   build.sh CARGO MANIFEST TARGET_DIR LOG CRATES
 #
 # LOG gets what cargo prints, a line for each crate that it compiles; CRATES the number of crates. Both tell
-# .setup/build.py how far cargo is. A failure prints the log. Where two run, the second waits, and LOG is the first's.
+# .setup/build.py how far cargo is. A failure prints the log. Where two run, the second waits before it writes.
 set -eu
 cargo=$1 manifest=$2 target_dir=$3 log=$4 crates=$5
 mkdir -p "$(dirname "$log")" "$target_dir"
