@@ -135,7 +135,7 @@ def step_before(folder: Path, target: str) -> Iterator[None]:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        process_group=0,  # in this session: where a desktop divides the cores among sessions, `nice` acts within one only
+        process_group=0,  # no new session: the kernel may divide the cores among sessions, and `nice` acts within one
     )
     try:
         yield
