@@ -4,29 +4,24 @@
     .setup/build.py FOLDER [-j JOBS] [TARGET ...]
 
 Ninja alone prints a line for each step, and none while a long step runs. cargo compiles zenoh's crates in one step, so
-they are counted from the log that server/bus/CMakeLists.txt lets it write. That step is the longest, and Ninja would
-come to it late: it is started before Ninja.
+they are counted from the log that server/bus/CMakeLists.txt lets it write.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import queue
 import re
-import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
 PERIOD_S = 8.0
-#: The target that compiles zenoh's crates (server/bus/CMakeLists.txt).
-_ZENOH = "tensormass_zenoh_crate"
 _STATUS = re.compile(r"\[(\d+)/(\d+)\] ")
 _CRATE = re.compile(r"^ *Compiling ", re.MULTILINE)
 
@@ -118,33 +113,6 @@ def run(
     return status
 
 
-@contextlib.contextmanager
-def step_before(folder: Path, target: str) -> Iterator[None]:
-    """Runs the command of a target beside the block, if Ninja would run it. Ninja's own run of it waits for this one
-    (zenoh/rust/build.sh), and then finds nothing to do. The command is ended with the block."""
-    ninja = ["ninja", "-C", str(folder)]
-    would = subprocess.run([*ninja, "-n", target], check=False, capture_output=True, text=True)
-    if would.returncode != 0 or "no work to do" in would.stdout:
-        yield
-        return
-    listed = subprocess.run([*ninja, "-t", "commands", target], capture_output=True, text=True, check=True)
-    # Ninja repeats it and prints what is wrong, so a failure here has nothing to say.
-    command = subprocess.Popen(
-        ["sh", "-c", listed.stdout.splitlines()[-1]],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        process_group=0,  # no new session: the kernel may divide the cores among sessions, and `nice` acts within one
-    )
-    try:
-        yield
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(command.pid, signal.SIGTERM)
-        command.wait()
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="a folder that CMake has configured")
@@ -158,10 +126,8 @@ def main() -> int:
     parser.add_argument("targets", nargs="*", help="default: all")
     args = parser.parse_intermixed_args()
     command = ["ninja", "-C", str(args.folder), "-j", str(args.jobs), *args.targets]
-    progress = Progress(args.folder)
     try:
-        with contextlib.nullcontext() if args.targets else step_before(args.folder, _ZENOH):
-            return run(command, progress, lambda line: print(line, flush=True))
+        return run(command, Progress(args.folder), lambda line: print(line, flush=True))
     except KeyboardInterrupt:
         return 130
 

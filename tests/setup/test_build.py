@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-import time
 from pathlib import Path
 from types import ModuleType
 
@@ -79,31 +78,3 @@ def test_nothing_to_do_says_nothing(build: ModuleType, tmp_path: Path) -> None:
         0,
         [],
     )
-
-
-NINJA = """#!/bin/sh
-cd "$2" || exit 1
-case "$*" in
-  *" -n "*) echo "${DRY:-[1/1] Building zenoh}" ;;
-  *" -t commands "*) echo "exit 3"; echo "touch started; sleep 60 & wait" ;;
-  *) if [ -z "$DRY" ]; then while [ ! -e started ]; do :; done; fi; echo "[1/1] Linking" ;;
-esac
-"""
-
-
-@pytest.mark.parametrize("dry", ["", "ninja: no work to do."])
-def test_the_longest_step_starts_before_ninja_and_ends_with_it(
-    build: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dry: str
-) -> None:
-    folder, programs = tmp_path / "build", tmp_path / "bin"
-    folder.mkdir()
-    programs.mkdir()
-    (programs / "ninja").write_text(NINJA)
-    (programs / "ninja").chmod(0o755)
-    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    monkeypatch.setenv("DRY", dry)
-    monkeypatch.setattr(sys, "argv", ["build.py", str(folder)])
-    before = time.monotonic()
-    assert build.main() == 0, "Ninja's step waits until the other one has started"
-    assert time.monotonic() - before < 50, "the step is ended"
-    assert (folder / "started").exists() == (not dry)
