@@ -164,10 +164,10 @@ TM_HOST_DEVICE SignedSingularValues<T> signed_singular_values(const Mat3<T>& f) 
   return out;
 }
 
-/// Returns the symmetric matrix with its negative eigenvalues set to zero. The result equals the input bitwise if there
-/// are none.
+/// Returns the symmetric matrix with its eigenvalues replaced by their absolute values. The result equals the input
+/// bitwise if none is negative.
 template <class T>
-TM_HOST_DEVICE Mat3<T> without_negative_eigenvalues(const Mat3<T>& symmetric) {
+TM_HOST_DEVICE Mat3<T> with_absolute_eigenvalues(const Mat3<T>& symmetric) {
   Mat3<T> a = symmetric, v = Mat3<T>::Identity();
   for (int sweep = 0; sweep < detail::kSweeps; ++sweep) {
     detail::diagonalize_plane<0, 1>(a, v);
@@ -175,7 +175,7 @@ TM_HOST_DEVICE Mat3<T> without_negative_eigenvalues(const Mat3<T>& symmetric) {
     detail::diagonalize_plane<1, 2>(a, v);
   }
   Mat3<T> result = symmetric;
-  for (int i = 0; i < 3; ++i) result += v.col(i) * (v.col(i) * maximum(T(-a(i, i)), T(0))).transpose();
+  for (int i = 0; i < 3; ++i) result += v.col(i) * (v.col(i) * maximum(T(-a(i, i) - a(i, i)), T(0))).transpose();
   return result;
 }
 

@@ -99,10 +99,10 @@ struct Corotational : StretchLaw<Corotational>, LameParameters {
     return k;
   }
 
-  /// Clamps R. The rest is positive already: D and the eigenvalues of ψ_ij are, for every ν.
+  /// Takes R absolutely. The rest is positive already: D and the eigenvalues of ψ_ij are, for every ν.
   template <class T>
   TM_HOST_DEVICE static void project_to_psd(Point<T>& p) {
-    for (int i = 0; i < 3; ++i) p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
+    for (int i = 0; i < 3; ++i) p.w.rotation[i] = absolute(p.w.rotation[i]);
     p.twist = twist_of(p);
   }
 

@@ -53,9 +53,11 @@
 ///   stiffness(point, na, nb)  returns K_ij = Σ_KL ∂²W / ∂F_iK ∂F_jL a_K b_L; na and nb are the Nodes of a and b
 ///   traction(point, na)    returns P a; cheaper than the stress if only one node is needed. Valid before and after
 ///                          project_to_psd
-///   project_to_psd(point)  makes the stiffness positive semi-definite for the solver by clamping its indefinite parts.
-///                          Energy, stress and the other parts are unchanged. Forces stay exact, so only the path to
-///                          the equilibrium changes, not the equilibrium
+///   project_to_psd(point)  makes the stiffness positive semi-definite for the solver. Laws in principal stretches take
+///                          the absolute values of its eigenvalues (Chen et al. 2024): with zeros instead, only
+///                          inertia would hold a collapsed element, and a step could throw its nodes far. Energy,
+///                          stress and the other parts are unchanged. Forces stay exact, so only the path to the
+///                          equilibrium changes, not the equilibrium
 ///
 /// A law that is undefined for some F (a logarithm of J ≤ 0) returns NaN there. The step's guard then reports it.
 namespace tensormass::physics {

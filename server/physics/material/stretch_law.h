@@ -5,7 +5,7 @@
 /// Isotropic laws as functions of the principal stretches.
 ///
 /// Why: in the axes of the stretches the stiffness falls apart into blocks with known eigenvalues, so each indefinite
-/// part is clamped exactly and alone. A law only writes down its energy ψ(σ) and derivatives; this file does the rest.
+/// part is mended exactly and alone. A law only writes down its energy ψ(σ) and derivatives; this file does the rest.
 ///
 ///   F ──signed_singular_values──► U, σ, V ──Derived::in_stretches──► ψ, ψ_i, ψ_ij, D, R ──► stress, stiffness
 ///
@@ -132,10 +132,10 @@ struct StretchLaw {
 
   template <class T>
   TM_HOST_DEVICE static void project_to_psd(StretchPoint<T>& p) {
-    p.w.hessian = without_negative_eigenvalues(p.w.hessian);
+    p.w.hessian = with_absolute_eigenvalues(p.w.hessian);
     for (int i = 0; i < 3; ++i) {
-      p.w.distortion[i] = maximum(p.w.distortion[i], T(0));
-      p.w.rotation[i] = maximum(p.w.rotation[i], T(0));
+      p.w.distortion[i] = absolute(p.w.distortion[i]);
+      p.w.rotation[i] = absolute(p.w.rotation[i]);
     }
   }
 
