@@ -29,7 +29,7 @@ def pose(sequence: int, position_m: scene_pb2.Vector3) -> bytes:
 
 def force_at(hand: scene_pb2.Vector3, feedback: stream_pb2.ToolFeedback) -> list[float]:
     """Computes the force [3] N at the hand's position [m] from the feedback's local model."""
-    model = feedback.local_model  # its stiffness is row-major [3, 3]; a tool with a mass has an anchor
+    model = feedback.local_model  # its stiffness is row-major [3, 3]; a tool behind the hand has an anchor
     anchor = model.anchor_m if model.HasField("anchor_m") else feedback.position_m
     off_m = [getattr(hand, axis) - getattr(anchor, axis) for axis in "xyz"]
     spring_n = [sum(model.stiffness_n_per_m[3 * i + k] * off_m[k] for k in range(3)) for i in range(3)]

@@ -75,7 +75,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
   feedback.client_id = message.client_id();
   feedback.client_time_ns = static_cast<std::int64_t>(message.client_time_ns());
   feedback.arrival_ns = arrival_ns;
-  // A tool with a mass lags behind the hand, and the model belongs to the hand's place.
+  // A tool that has a mass or gives way lags behind the hand, and the model belongs to the hand's place.
   feedback.position_m =
       to_eigen(message.local_model().has_anchor_m() ? message.local_model().anchor_m() : message.position_m());
   feedback.force_n = to_eigen(message.force_n());
@@ -100,6 +100,7 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
       return tl::make_unexpected(std::move(read.error()));
     }
   }
+  feedback.recovering = message.recovering();
   for (const auto& [seconds, ns] :
        {std::pair{message.pose_waited_s(), &feedback.waited_ns}, std::pair{message.step_s(), &feedback.step_ns},
         std::pair{message.published_after_s(), &feedback.published_after_ns}}) {
@@ -110,9 +111,10 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
 }
 
 void FeedbackInbox::offer(std::string_view payload, std::int64_t arrival_ns) {
-  const Result<Feedback> feedback = decode_feedback(payload, arrival_ns);
+  Result<Feedback> feedback = decode_feedback(payload, arrival_ns);
   const std::scoped_lock lock(mutex_);
   if (feedback) {
+    feedback->recovering |= newest_ && newest_->recovering;
     newest_ = *feedback;
   } else {
     ++malformed_;

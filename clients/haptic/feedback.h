@@ -52,6 +52,8 @@ struct Feedback {
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
   /// Load of the tool's jaws; a positive one opens them. Zero for a tool without jaws.
   double jaw_torque_n_m = 0.0;
+  /// The step could not be made as planned, so the force may have jumped.
+  bool recovering = false;
   /// Parts of the time that the server took [ns]: the pose's wait for the step, the step, and until the message was
   /// written.
   std::int64_t waited_ns = 0;
@@ -70,7 +72,8 @@ Result<Feedback> decode_feedback(std::string_view payload, std::int64_t arrival_
 /// hundred bytes; decoding happens outside the lock.
 class FeedbackInbox {
  public:
-  /// Decodes the message and replaces the newest. A malformed message is only counted.
+  /// Decodes the message and replaces the newest. A malformed message is only counted. A message that replaces one of a
+  /// recovery counts as recovering too, because the force jumps between the last one taken and this one.
   void offer(std::string_view payload, std::int64_t arrival_ns);
   void count_malformed();
 

@@ -17,6 +17,12 @@ Eigen::Vector3d shortened_to(const Eigen::Vector3d& v, double length) {
 void ForceRenderer::update(const Feedback& feedback) {
   // The first model starts at once: limit_force() raises its force from zero.
   weight_at_renewal_ = model_ ? weight(feedback.arrival_ns) : 1.0;
+  // Each step of a recovery may jump, and so may the first step after it.
+  const bool may_jump = model_ && (feedback.recovering || model_->recovering);
+  if (may_jump) {
+    before_recovery_ = felt_;
+    fade_from_ns_ = feedback.arrival_ns;
+  }
   renewed_ns_ = feedback.arrival_ns;
   model_ = feedback;
   double& largest = model_->largest_stiffness_n_per_m;
@@ -49,8 +55,25 @@ double ForceRenderer::weight(std::int64_t now_ns) const {
 }
 
 ForceRenderer::Output ForceRenderer::render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation,
-                                            std::int64_t now_ns) const {
+                                            std::int64_t now_ns) {
   if (!model_) return {};
+  felt_ = of_model(position_m, orientation, now_ns);
+  if (!before_recovery_) return felt_;
+  const double s = static_cast<double>(std::max<std::int64_t>(now_ns - fade_from_ns_, 0)) / kNsPerS / options_.fade_s;
+  if (s >= 1.0) {
+    before_recovery_.reset();
+    return felt_;
+  }
+  const Output& before = *before_recovery_;
+  felt_.force_n = (1.0 - s) * before.force_n + s * felt_.force_n;
+  felt_.torque_n_m = (1.0 - s) * before.torque_n_m + s * felt_.torque_n_m;
+  felt_.jaw_torque_n_m = (1.0 - s) * before.jaw_torque_n_m + s * felt_.jaw_torque_n_m;
+  return felt_;
+}
+
+/// Force and torques of the newest model.
+ForceRenderer::Output ForceRenderer::of_model(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation,
+                                              std::int64_t now_ns) const {
   const double w = weight(now_ns);
   Eigen::Vector3d force = model_->force_n - model_->stiffness_n_per_m * (position_m - model_->position_m);
   // Without a contact force there is no direction to clamp.

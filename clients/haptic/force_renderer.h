@@ -3,7 +3,8 @@
 // Force and torques on the hand from the server's local model, and their last limits. Pure: the caller passes the time,
 // nothing is sent or written, nothing fails.
 //
-// Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired).
+// Symbols: p device position [m], F force [N], K stiffness [N/m], w weight of the model (1 valid, 0 expired), s
+// progress of the fade after a recovery (0 to 1).
 
 #include <cstdint>
 #include <optional>
@@ -17,9 +18,9 @@
 namespace tensormass::haptic {
 
 struct ForceRendererOptions {
-  /// Time in which a stale force falls linearly to zero, and in which a renewed one returns [s]. Much longer than a
-  /// loop period, so that the hand is not jerked. Much shorter than a reaction time (about 150 ms), so that the hand
-  /// does not lean on vanished tissue.
+  /// Time in which a stale force falls linearly to zero, in which a renewed one returns, and in which a force that
+  /// jumps in a recovery is reached [s]. Much longer than a loop period, so that the hand is not jerked. Much shorter
+  /// than a reaction time (about 150 ms), so that the hand does not lean on vanished tissue.
   double fade_s = 0.05;
   /// Largest age of the answered pose [s]. A feedback that answers an older pose is stale even if it has just arrived:
   /// poses no longer reach the server, so the model's anchor no longer follows the hand.
@@ -44,7 +45,13 @@ struct ForceRendererOptions {
 /// force does not kick a hand that has sunk in. Contact pushes and never pulls: when the hand leaves the tissue between
 /// two steps, the part of F along force_n is clamped at zero.
 ///
-/// The torque follows from the same model (PointContact). The jaws' load has none and is held. Both have the weight w.
+/// A step of a recovery (ToolFeedback.recovering) and the one after it may jump by more than tissue does. The hand then
+/// goes in fade_s from the force F₀ that it felt last to that of the new model:
+///
+///     F = (1 − s) F₀ + s F(p)
+///
+/// The torque follows from the same model (PointContact). The jaws' load has none and is held. Both have the weight w
+/// and fade like the force.
 class ForceRenderer {
  public:
   explicit ForceRenderer(const ForceRendererOptions& options) : options_(options), secant_(options.min_secant_move_m) {}
@@ -61,11 +68,13 @@ class ForceRenderer {
     /// The model has expired.
     bool stale = false;
   };
-  /// Force and torques at this place and `now_ns`. Before the first update: zero, with weight 0.
-  Output render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns) const;
+  /// Force and torques at this place and `now_ns`, which become the ones that the hand felt last. Before the first
+  /// update: zero, with weight 0.
+  Output render(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns);
 
  private:
   double weight(std::int64_t now_ns) const;
+  Output of_model(const Eigen::Vector3d& position_m, const Eigen::Quaterniond& orientation, std::int64_t now_ns) const;
 
   ForceRendererOptions options_;
   SecantStiffness secant_;
@@ -75,6 +84,10 @@ class ForceRenderer {
   // w when the newest model arrived. It rises from there.
   std::int64_t renewed_ns_ = 0;
   double weight_at_renewal_ = 1.0;
+  Output felt_;
+  // What the hand felt when the newest model of a recovery arrived. The fade starts there.
+  std::optional<Output> before_recovery_;
+  std::int64_t fade_from_ns_ = 0;
 };
 
 struct ForceLimits {

@@ -178,7 +178,17 @@ void Loop::receive() {
     const std::int64_t in_server_ns = feedback->waited_ns + feedback->step_ns + feedback->published_after_ns;
     report_.transport.add(std::max<std::int64_t>(age_ns - in_server_ns, 0));
   }
+  count_recovery(feedback->recovering);
   renderer_.update(*feedback);
+}
+
+void Loop::count_recovery(bool recovering) {
+  report_.recovering_feedbacks += recovering;
+  if (recovering && !was_recovering_) {
+    ++report_.recoveries;
+    if (options_.recoveries != nullptr) options_.recoveries->fetch_add(1, std::memory_order_relaxed);
+  }
+  was_recovering_ = recovering;
 }
 
 void Loop::drain(const std::atomic<bool>& stop) {

@@ -66,6 +66,9 @@ struct LoopOptions {
   /// Torque on the hand and on its jaws. A device that states none gets none.
   TorqueOptions torque;
   TorqueOptions jaws;
+  /// Counts recoveries while the loop runs, for another thread that tells people; null: nobody asks. Must outlive the
+  /// loop, which itself never writes to a terminal, because that may block.
+  std::atomic<std::uint64_t>* recoveries = nullptr;
 };
 
 struct LoopReport {
@@ -91,6 +94,9 @@ struct LoopReport {
   /// Ticks after the first feedback whose local model had expired, and how often such a period started.
   std::uint64_t stale_ticks = 0;
   std::uint64_t stale_episodes = 0;
+  /// Feedbacks of recoveries (ToolFeedback.recovering), and how often such a period started.
+  std::uint64_t recovering_feedbacks = 0;
+  std::uint64_t recoveries = 0;
   std::uint64_t watchdog_trips = 0;
   double max_force_n = 0.0;
   /// Lowest energy that the passivity observer counted [J]. 0 if the virtual tissue was always passive.
@@ -140,6 +146,7 @@ class Loop {
   Wrench wrench_at(const DevicePose& pose, const ForceRenderer::Output& rendered);
   void report(const Wrench& wrench);
   void receive();
+  void count_recovery(bool recovering);
   /// Waits for the echo of the last pose, for at most drain_s.
   void drain(const std::atomic<bool>& stop);
 
@@ -157,6 +164,7 @@ class Loop {
   LoopReport report_;
   std::uint64_t last_step_ = 0;
   bool was_stale_ = false;
+  bool was_recovering_ = false;
   std::uint64_t invalid_in_a_row_ = 0;
 };
 

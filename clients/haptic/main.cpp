@@ -8,9 +8,12 @@
 #include <signal.h>
 
 #include <atomic>
+#include <chrono>
+#include <condition_variable>
 #include <cstdio>
 #include <iostream>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
@@ -93,6 +96,34 @@ class SignalFlag {
  private:
   sigset_t signals_;
   std::atomic<bool> raised_ = false;
+  std::jthread thread_;
+};
+
+/// Prints a line after a recovery began, at most one a second, on its own thread. The loop must not wait for a
+/// terminal.
+class RecoveryNotices {
+ public:
+  RecoveryNotices()
+      : thread_([this](const std::stop_token& stop) {
+          std::mutex mutex;
+          std::condition_variable_any wake;
+          std::unique_lock lock(mutex);
+          while (!stop.stop_requested()) {
+            // A line follows the first recovery at once, and a later one at the end of its second.
+            wake.wait_for(lock, stop, kPoll, [] { return false; });
+            const std::uint64_t count = count_.exchange(0);
+            if (count == 0) continue;
+            std::cerr << "tensormass-haptic: " << recovery_line(count) << std::endl;
+            wake.wait_for(lock, stop, std::chrono::seconds(1), [] { return false; });
+          }
+        }) {}
+  /// For LoopOptions::recoveries.
+  std::atomic<std::uint64_t>& count() { return count_; }
+
+ private:
+  static constexpr std::chrono::milliseconds kPoll{50};
+
+  std::atomic<std::uint64_t> count_ = 0;
   std::jthread thread_;
 };
 
@@ -345,6 +376,9 @@ Result<int> run(Options options, const std::atomic<bool>& stop) {
   MonotonicClock clock;
   const Result<std::unique_ptr<Device>> device = make_device(options, *tool, patience, clock);
   if (!device) return tl::make_unexpected(device.error());
+  // Before the priority rises, which its thread would inherit.
+  RecoveryNotices notices;
+  options.loop.recoveries = &notices.count();
   // Before the link starts its threads, which inherit the priority. Feedback that waits for a core is as good as lost.
   if (const auto realtime = request_realtime(kLinkPriority); !realtime) {
     std::cerr << "tensormass-haptic: " << realtime.error().message << '\n';

@@ -64,6 +64,12 @@ std::string torques(const LoopReport& report) {
   return parts.empty() ? parts : fmt::format("  torque    {}\n", parts);
 }
 
+/// Returns the line of the recoveries, or nothing without any.
+std::string recoveries(const LoopReport& report) {
+  if (report.recoveries == 0) return {};
+  return fmt::format("  recovery  {} recoveries, {} feedbacks\n", report.recoveries, report.recovering_feedbacks);
+}
+
 }  // namespace
 
 std::string to_text(const LoopReport& report, const RunLabel& label) {
@@ -80,7 +86,7 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       "  poses     {} sent, last {} echoed {}{}{}\n"
       "  feedback  {} received, {} dropped, {} foreign, {} malformed\n"
       "  force     at most {:.3f} N; stale {} ticks in {} episodes; watchdog {}; least energy {:.2e} J\n"
-      "{}",
+      "{}{}",
       label.device, label.scene, label.tool, label.server, label.transport, report.seconds, report.ticks,
       report.missed_ticks, percentiles(report.round_trip), percentiles(report.answered_pose_age),
       percentiles(report.pose_wait), percentiles(report.step_time), percentiles(report.publication),
@@ -90,7 +96,7 @@ std::string to_text(const LoopReport& report, const RunLabel& label) {
       report.poses_invalid > 0 ? fmt::format(", {} of the device invalid", report.poses_invalid) : "",
       report.feedback_received, report.feedback_dropped, report.feedback_foreign, report.feedback_malformed,
       report.max_force_n, report.stale_ticks, report.stale_episodes, report.watchdog_trips, report.min_energy_j,
-      torques(report));
+      torques(report), recoveries(report));
 }
 
 std::string to_json(const LoopReport& report, const RunLabel& label) {
@@ -115,6 +121,8 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
       .add("feedback_malformed", report.feedback_malformed)
       .add("stale_ticks", report.stale_ticks)
       .add("stale_episodes", report.stale_episodes)
+      .add("recovering_feedbacks", report.recovering_feedbacks)
+      .add("recoveries", report.recoveries)
       .add("watchdog_trips", report.watchdog_trips)
       .add("max_force_n", report.max_force_n)
       .add("min_energy_j", report.min_energy_j);
@@ -130,6 +138,12 @@ std::string to_json(const LoopReport& report, const RunLabel& label) {
              .add("tick_duration", report.tick_duration)
              .finish() +
          '\n';
+}
+
+std::string recovery_line(std::uint64_t count) {
+  return fmt::format(
+      "the scene recovers from a step that could not be made as planned{}; the force fades to the new one",
+      count == 1 ? "" : fmt::format(" ({} times since the last such line)", count));
 }
 
 std::string why_unanswered(const v1::SceneStatus& status, std::uint64_t poses_rejected_before) {

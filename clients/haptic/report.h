@@ -2,6 +2,7 @@
 
 // The measurements of a run as text and as JSON. Pure functions; nothing fails.
 
+#include <cstdint>
 #include <string>
 
 #include "haptic/loop.h"
@@ -25,6 +26,9 @@ std::string to_text(const LoopReport& report, const RunLabel& label);
 /// A histogram carries its buckets as [upper bound in s, count], so that the histograms of several clients can be
 /// added.
 std::string to_json(const LoopReport& report, const RunLabel& label);
+
+/// Tells people, in one line without its end, that the scene has recovered `count` times since the last such line.
+std::string recovery_line(std::uint64_t count);
 
 /// Explains to people why no pose of a run was answered, from the scene's `status` after the run.
 /// `poses_rejected_before` is status.poses_rejected() before the run.

@@ -26,6 +26,11 @@ double SecantStiffness::update(const Feedback& feedback) {
     return 0.0;
   }
   last_contact_ns_ = now_ns;
+  // A force that jumps in a recovery says nothing about the tissue.
+  if (feedback.recovering) {
+    first_.reset();
+    return estimate_n_per_m_;
+  }
   const Point second{feedback.position_m, feedback.force_n, now_ns};
   if (!first_ || now_ns - first_->client_time_ns > kMaxAgeNs) {
     first_ = second;

@@ -20,7 +20,8 @@
 namespace tensormass::haptic {
 
 /// Estimates the stiffness along the force. The estimate stays while the hand rests, and for a second without contact,
-/// so that a tool that bounces keeps it. Later contact may be elsewhere and starts from zero.
+/// so that a tool that bounces keeps it. Later contact may be elsewhere and starts from zero. Feedback of a
+/// recovery is not compared.
 class SecantStiffness {
  public:
   /// `min_move_m`: shortest way along the force between two feedbacks that are compared [m]. Must be positive; infinity

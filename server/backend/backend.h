@@ -102,6 +102,8 @@ class SceneState {
   virtual StepResult step(const StepInput& input, std::span<ToolForce> forces) = 0;
   /// Goes back to the checkpoint: the state before the last step that saved one. No data leave the device.
   virtual void restore() = 0;
+  /// Ends all motion: velocities become zero, and the next step starts a new sequence of steps.
+  virtual void come_to_rest() = 0;
   /// Visible positions as last gathered, [visible_count, 3] m. Valid until they are gathered again.
   virtual std::span<const float> visible_positions() = 0;
   /// Gathers the visible positions without a step.

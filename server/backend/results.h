@@ -231,6 +231,21 @@ class Checkpoint {
     past_.internal_dt_s = 0;
   }
 
+  /// Implements SceneState::come_to_rest.
+  ///
+  ///   copy(from, count, to)   as in `restore`
+  ///   clear(count, to)        sets reals within the device to zero; may return before that
+  template <class Copy, class Clear>
+  void come_to_rest(const view::SceneView<Real>& view, const Copy& copy, const Clear& clear) {
+    const std::size_t reals = 4 * std::size_t{view.patches.row_count};
+    clear(reals, view.state.velocity);
+    if (view.state.previous_displacement != nullptr) {
+      copy(view.state.displacement, reals, view.state.previous_displacement);
+      clear(reals, view.state.previous_velocity);
+    }
+    past_.dt_s = 0;
+  }
+
   const StepRecord& past() const { return past_; }
   double internal_dt_s() const { return past_.internal_dt_s; }
   double& largest_force_squared() { return past_.largest_force_squared; }

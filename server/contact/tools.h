@@ -228,6 +228,30 @@ TM_HOST_DEVICE Real kept_depth(const view::ContactView<Real>& contact, const phy
   return kept_n > 0 && stiffness > 0 ? kept_n / stiffness : Real(0);
 }
 
+/// The pressure of a thin tool's contact, k (p(depth) + kept), as its tangent: the slope p' and the depth at which a
+/// spring of that slope has the pressure.
+///
+///   p = depth + (R − d0) x² / (1 − x),   x = (depth − d0) / (R − d0) from d0 = R / 4 on
+///
+/// p grows without bound where the surface comes to the core, so tissue that stretches over the tool hardly lets it
+/// through. From x = PlacedTool::steepest on p is continued by its tangent.
+template <class Real>
+struct Hardening {
+  Real depth_m, slope;
+
+  /// kept: depth by which the contact counts as deeper than it is [m].
+  TM_HOST_DEVICE Hardening(Real depth, Real kept, const physics::PlacedTool<Real>& tool) {
+    constexpr Real kBegins = Real(physics::kHardeningBegins);
+    const Real length = tool.radius_m * (1 - kBegins);
+    const Real beyond = maximum(Real((depth - kBegins * tool.radius_m) / length), Real(0));
+    const Real x = minimum(beyond, tool.steepest), left = 1 - x;
+    const Real steeper = x * (2 - x) / (left * left);
+    slope = 1 + steeper;
+    const Real pressure = depth + length * (x * x / left + steeper * (beyond - x));
+    depth_m = (pressure + kept) / slope;
+  }
+};
+
 /// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
@@ -244,6 +268,12 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       out.normal[c] = touch.normal[c];
     }
     out.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle] * touch.share;
+    if constexpr (!Kind::kIsSolid) {
+      const Real kept = kept_depth(contact, tool, point, triangle);
+      const Hardening<Real> hardening(touch.depth_m - kept, kept, tool);
+      out.depth_m = hardening.depth_m;
+      out.stiffness *= hardening.slope;
+    }
     out.lever_m = touch.lever_m;
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, out);

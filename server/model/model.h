@@ -222,7 +222,10 @@ struct ToolModel {
   double penalty_pa_per_m = 0;
   double friction = 0;       ///< Coulomb's coefficient
   bool keeps_force = false;  ///< augmented Lagrangian method (contact/tools.h)
+  double steepest = 0;       ///< where its contact hardens no further (contact/tools.h)
   double max_speed_m_per_s = 0;
+  /// Largest load on the hand [N, N m; of a joint N m or N], above which the tool gives way (world/hold.h).
+  double max_force_n = 0, max_torque_n_m = 0, max_joint_load = 0;
   /// Virtual coupling (world/coupling.h) [kg, N/m, N s/m]. Without a mass the tool is at its pose.
   double mass_kg = 0, coupling_stiffness_n_per_m = 0, coupling_damping_n_s_per_m = 0;
   /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
@@ -248,6 +251,7 @@ struct ToolModel {
     }
     for (std::size_t i = 0; i < parameters.size(); ++i) out.parameters[i] = static_cast<Real>(parameters[i]);
     out.radius_m = static_cast<Real>(radius_m);
+    out.steepest = static_cast<Real>(steepest);
     out.penalty_pa_per_m = static_cast<Real>(presence * penalty_pa_per_m);
     out.presence = static_cast<Real>(presence);
     out.friction = static_cast<Real>(friction);
@@ -281,6 +285,7 @@ struct Model {
   std::uint32_t cg_max_iterations = 0;
   /// Bounds that the scene sets for the guard; absent: world/guard.h has defaults.
   std::optional<double> max_move_m, max_distance_m, max_energy_ratio;
+  bool goes_on = false;  ///< v1::Guard::ON_FAULT_GO_ON
   Vec3<double> gravity_m_per_s2 = Vec3<double>::Zero();
   bool has_gravity = false;
   Schedule gravity_schedule;

@@ -96,6 +96,27 @@ Result<void> read_guard(const v1::Guard& guard, Model& model) {
               "scene.guard.max_energy_ratio");
 }
 
+/// Reads what the scene does after a fault. Call it after the integrator is known.
+Result<void> read_on_fault(const v1::Scene& scene, Model& model) {
+  const auto& tools = scene.tools();
+  switch (scene.guard().on_fault()) {
+    case v1::Guard::ON_FAULT_UNSPECIFIED:
+      model.goes_on = !model.quasi_static() &&
+                      std::any_of(tools.begin(), tools.end(), [](const v1::Tool& tool) { return !tool.fixed(); });
+      return {};
+    case v1::Guard::ON_FAULT_GO_ON:
+      if (model.quasi_static()) {
+        return invalid("scene.guard.on_fault: an equilibrium always stops; leave it out, or take ON_FAULT_STOP");
+      }
+      model.goes_on = true;
+      return {};
+    case v1::Guard::ON_FAULT_STOP:
+      return {};
+    default:
+      return invalid(fmt::format("scene.guard.on_fault: {} is unknown", static_cast<int>(scene.guard().on_fault())));
+  }
+}
+
 Result<void> read_solver(const v1::Solver& solver, Model& model) {
   switch (solver.precision()) {
     case v1::Solver::PRECISION_UNSPECIFIED:
@@ -146,6 +167,7 @@ Result<void> read_header(Compilation& c) {
 
   TM_RETURN_IF_ERROR(read_solver(c.scene.solver(), model));
   TM_RETURN_IF_ERROR(read_guard(c.scene.guard(), model));
+  TM_RETURN_IF_ERROR(read_on_fault(c.scene, model));
 
   const v1::Streams& streams = c.scene.streams();
   TM_ASSIGN_OR_RETURN(

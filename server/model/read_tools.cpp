@@ -33,8 +33,12 @@ constexpr double kDefaultMaxSpeedMPerS = 0.5;
 /// Largest way of a tool in a step, in its radii. A tool that moves farther may be past a thin sheet before any step
 /// has seen it touch: docs/decisions/contact.md has the measurement.
 constexpr double kMaxRadiiPerStep = 0.5;
+/// The largest ToolModel::steepest: there the slope of contact is a hundred times that at the surface.
+constexpr double kSteepestContact = 0.9;
 /// About half of what the haptic client lets a device render.
 constexpr double kDefaultCouplingNPerM = 1000;
+/// A hand pushes an instrument by up to about 30 N before it slips.
+constexpr double kDefaultMaxForceN = 30, kDefaultMaxTorqueNM = 1, kDefaultMaxJointLoad = 1;
 
 /// Returns the stiffest material of the scene: contact must not be softer than the tissue.
 const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
@@ -157,6 +161,30 @@ Result<void> read_coupling(const v1::Tool& tool, const std::string& where, ToolM
   return {};
 }
 
+/// Reads the largest loads of a tool.
+Result<void> read_largest_loads(const v1::Tool& tool, const std::string& where, ToolModel& out) {
+  struct Load {
+    bool has;
+    double given, standard;
+    const char* name;
+    double* to;
+  };
+  for (const Load& load :
+       {Load{tool.has_max_force_n(), tool.max_force_n(), kDefaultMaxForceN, "max_force_n", &out.max_force_n},
+        Load{tool.has_max_torque_n_m(), tool.max_torque_n_m(), kDefaultMaxTorqueNM, "max_torque_n_m",
+             &out.max_torque_n_m},
+        Load{tool.has_max_joint_load(), tool.max_joint_load(), kDefaultMaxJointLoad, "max_joint_load",
+             &out.max_joint_load}}) {
+    if (load.has && tool.fixed()) {
+      return invalid(fmt::format("{}: no hand holds a fixed tool, so leave {} out", where, load.name));
+    }
+    TM_ASSIGN_OR_RETURN(
+        value, read_number(load.has ? load.given : load.standard, 1e-6, 1e6, fmt::format("{}.{}", where, load.name)));
+    *load.to = value;
+  }
+  return {};
+}
+
 /// stiffest: material that sets the default stiffness of contact.
 Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material& stiffest) {
   const std::string where = fmt::format("tool '{}'", tool.name());
@@ -181,12 +209,16 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
   TM_ASSIGN_OR_RETURN(speed, read_number(tool.has_max_speed_m_per_s() ? tool.max_speed_m_per_s() : safe_speed, 1e-6,
                                          1e3, where + ".max_speed_m_per_s"));
   out.max_speed_m_per_s = speed;
+  // A step is linearized once. Its contact may harden only as far as the tool cannot cross what is left in two steps.
+  const double left = 2 * speed * c.model.dt_s / (out.radius_m * (1 - physics::kHardeningBegins));
+  out.steepest = std::clamp(1 - left, 0.0, kSteepestContact);
   TM_ASSIGN_OR_RETURN(
       friction, read_number(tool.friction_coefficient(), 0, limits::kMaxFriction, where + ".friction_coefficient"));
   out.friction = friction;
   TM_ASSIGN_OR_RETURN(keeps, keeps_force(tool.contact_method(), where + ".contact_method"));
   out.keeps_force = keeps;
   TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
+  TM_RETURN_IF_ERROR(read_largest_loads(tool, where, out));
   out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));

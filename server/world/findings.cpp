@@ -29,12 +29,25 @@ std::string recovering_laws() {
 }
 }  // namespace
 
-void Findings::take_step(const World& world) {
+bool Findings::take_step(const World& world) {
+  const GuardEvent* happened = world.guard_event();
+  const bool stops = happened != nullptr && happened->outcome == GuardEvent::Outcome::kStopped;
+  const bool recovering = world.recovering() && !stops;
+  const bool turns = recovering != was_recovering_;
+  was_recovering_ = recovering;
+  recovering_.store(recovering, kRelaxed);
+  if (recovering) {
+    recovering_steps_.fetch_add(1, kRelaxed);
+    if (turns) recoveries_.fetch_add(1, kRelaxed);
+    if (world.guard_event() != nullptr && world.guard_event()->outcome == GuardEvent::Outcome::kHeld) {
+      held_steps_.fetch_add(1, kRelaxed);
+    }
+  }
   if (const GuardEvent* event = world.guard_event()) {
     const std::lock_guard lock(event_mutex_);
     last_event_ = *event;
     guard_events_.fetch_add(1, kRelaxed);
-    if (!event->recovered) return;  // the scene is back at its checkpoint
+    if (event->outcome == GuardEvent::Outcome::kStopped) return turns;  // the scene is back at its checkpoint
     guard_recoveries_.fetch_add(1, kRelaxed);
     ++window_repeated_;
   }
@@ -55,6 +68,7 @@ void Findings::take_step(const World& world) {
   touching_nodes_.store(result.touching_nodes, kRelaxed);
   deepest_contact_m_.store(result.deepest_contact_m, kRelaxed);
   broken_springs_.store(result.broken_springs, kRelaxed);
+  return turns;
 }
 
 void Findings::take_diagnostics(const World& world) {
@@ -79,7 +93,11 @@ void Findings::clear() {
   }
   window_steps_ = window_repeated_ = 0;
   repeated_.store(0, kRelaxed);
-  for (auto* count : {&unconverged_steps_, &guard_events_, &guard_recoveries_}) count->store(0, kRelaxed);
+  for (auto* count :
+       {&unconverged_steps_, &guard_events_, &guard_recoveries_, &recoveries_, &recovering_steps_, &held_steps_}) {
+    count->store(0, kRelaxed);
+  }
+  recovering_ = was_recovering_ = false;
   converged_ = true;
   negative_curvature_ = false;
   for (Group& group : groups_) {
@@ -179,6 +197,10 @@ void Findings::add_energy(v1::SceneStatus& status) const {
 void Findings::add_guard(v1::SceneStatus& status) const {
   status.set_guard_events(guard_events_.load(kRelaxed));
   status.set_guard_recoveries(guard_recoveries_.load(kRelaxed));
+  status.set_recoveries(recoveries_.load(kRelaxed));
+  status.set_recovering_steps(recovering_steps_.load(kRelaxed));
+  status.set_held_steps(held_steps_.load(kRelaxed));
+  status.set_recovering(recovering_.load(kRelaxed));
   if (status.guard_events() == 0) return;
   const std::lock_guard lock(event_mutex_);
   status.set_guard_text(to_text(last_event_, model_));

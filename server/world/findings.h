@@ -27,8 +27,9 @@ class Findings {
   Findings(const model::Model& model, const IterationBudget& budget)
       : model_(model), budget_(budget), groups_(model.groups.size()) {}
 
-  /// Loop: takes the results of the last World::step, also if the guard refused it.
-  void take_step(const World& world);
+  /// Loop: takes the results of the last World::step, also if the guard refused it. Returns whether a recovery began or
+  /// ended with it.
+  bool take_step(const World& world);
   /// Loop: takes the results of the last World::diagnose.
   void take_diagnostics(const World& world);
   /// Loop: forgets everything, because the scene was reset.
@@ -56,10 +57,13 @@ class Findings {
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
   std::atomic<std::uint64_t> guard_events_{0}, guard_recoveries_{0};
+  std::atomic<std::uint64_t> recoveries_{0}, recovering_steps_{0}, held_steps_{0};
+  std::atomic<bool> recovering_{false};
   // Number of steps in the last full window that the guard repeated.
   static constexpr std::uint32_t kWindow = 64;
   std::uint32_t window_steps_ = 0, window_repeated_ = 0;
   std::atomic<std::uint32_t> repeated_{0};
+  bool was_recovering_ = false;     // the loop's
   mutable std::mutex event_mutex_;  // taken by the loop only when there is an event
   GuardEvent last_event_;           // the newest that was counted
 };

@@ -122,6 +122,8 @@ std::string to_text(const BoundCheck& check) {
           bound);
     case Breach::kVolume:
       return fmt::format("an element is inverted (det F {:.3g}), and its law does not recover from that", value);
+    case Breach::kToolLoad:
+      return fmt::format("a tool has {:.3g} times its largest load", value);
   }
   return {};
 }
@@ -211,9 +213,17 @@ std::span<const Retry> retries(const model::Model& m) {
 
 std::string to_text(const GuardEvent& event, const model::Model& m) {
   const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
-  if (event.recovered) {
-    return fmt::format("{}; repeated as {} step{}, it stayed within them", what, event.steps,
-                       event.steps == 1 ? "" : "s");
+  using Outcome = GuardEvent::Outcome;
+  switch (event.outcome) {
+    case Outcome::kRepeated:
+      return fmt::format("{}; repeated as {} step{}, it stayed within them", what, event.steps,
+                         event.steps == 1 ? "" : "s");
+    case Outcome::kBackedOff:
+      return fmt::format("{}; with tools that backed off, it stayed within them", what);
+    case Outcome::kHeld:
+      return fmt::format("{}; the tissue was held for this step, and tools back off", what);
+    case Outcome::kStopped:
+      break;
   }
   const std::string stopped =
       fmt::format("Nothing of this step was published; the scene stopped at the end of step {}", event.step - 1);

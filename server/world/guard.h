@@ -8,14 +8,15 @@
 #include "backend/backend.h"
 #include "model/model.h"
 
-/// The guard: bounds that a step must stay within to be published, and the retries before a scene is stopped.
+/// The guard: bounds that a step must stay within to be published, and the retries before tools back off or the scene
+/// is stopped.
 ///
 /// A time step can fail without an error: NaN, a node that flies away, energy from nowhere. A client would feel that as
 /// a blow. So the world checks each step, and goes back to its checkpoint if the step left a bound:
 ///
 ///     checkpoint -> step -> check --within all bounds--> publish
 ///          ^                  |
-///          +--- next retry <--+--no retry is left--> stop the scene at the checkpoint
+///          +--- next retry <--+--no retry is left--> tools back off (world.h), or the scene stops at the checkpoint
 ///
 /// docs/decisions/guards.md says why these bounds and not others.
 ///
@@ -35,6 +36,7 @@ enum class Breach : std::uint8_t {
   kNewtonResidual,  ///< residual of Newton's method, relative to the forces
   kNoEquilibrium,   ///< the same in a quasi-static scene, above newton_tolerance
   kVolume,          ///< det F of an element whose law does not recover
+  kToolLoad,        ///< load of a tool, relative to the largest that it bears
 };
 
 /// A step compared with its bounds: the first bound it left, with its value and the bound in the bound's unit.
@@ -137,9 +139,14 @@ struct GuardEvent {
   std::uint32_t retries = 0;  ///< number of retries made
   std::uint32_t steps = 0;    ///< parts of dt in the last retry
   double reached = 0;         ///< largest share of the step that a retry came to
-  bool recovered = false;
+  enum class Outcome : std::uint8_t {
+    kStopped,    ///< nothing helped, and the scene stopped
+    kRepeated,   ///< a retry stayed within the bounds
+    kBackedOff,  ///< the step could be made with tools that backed off
+    kHeld,       ///< the tissue was held
+  } outcome = Outcome::kStopped;
 };
-/// Says what happened in a scene of this model. If no retry helped, also says where the scene stopped and what a user
+/// Says what happened in a scene of this model. If nothing helped, also says where the scene stopped and what a user
 /// can do.
 std::string to_text(const GuardEvent& event, const model::Model& model);
 

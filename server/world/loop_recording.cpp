@@ -9,7 +9,8 @@ void Loop::record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnose
                         .server_time_ns = unix_time_ns(),
                         .cg_limit = cg_limit,
                         .diagnosed = diagnosed,
-                        .rejected = rejected});
+                        .rejected = rejected,
+                        .recovered = world_->recovering()});
   if (!rejected && recording_->check_due()) recording_->take_check(step, world_->state());
 }
 

@@ -42,7 +42,10 @@ class LoopStatus {
   /// Clears a fault and all findings of a scene that was reset. The state stays: set_state changes it.
   void clear();
   /// Takes what World::step found, also if the guard stopped the scene.
-  void take_step(const World& world) { findings_.take_step(world); }
+  /// A status is due if a recovery began or ended.
+  void take_step(const World& world) {
+    if (findings_.take_step(world)) due_.store(true, std::memory_order_relaxed);
+  }
   /// Takes what World::diagnose found.
   void take_diagnostics(const World& world) { findings_.take_diagnostics(world); }
   /// Step and simulated time of a step that was published.

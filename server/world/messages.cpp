@@ -102,6 +102,8 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   out.mutable_orientation()->set_z(q[3]);
   out.set_retired(reading.retired);
   out.set_touching(reading.touching);
+  out.set_gives_way(reading.gives_way);
+  out.set_recovering(reading.recovering);
   fill(reading.force_n, *out.mutable_force_n());
   fill(reading.torque_n_m, *out.mutable_torque_n_m());
   fill(reading.friction_n, *out.mutable_friction_n());
@@ -115,7 +117,8 @@ void fill_feedback(const model::Model& model, const StepStamp& stamp, std::size_
   local.clear_stiffness_n_per_m();
   for (int i = 0; i < 9; ++i) local.add_stiffness_n_per_m(reading.stiffness_n_per_m(i / 3, i % 3));
   local.set_valid_for_s(local_model_validity_s(model));
-  if (model.tools[tool].mass_kg > 0) fill(reading.hand_m, *local.mutable_anchor_m());
+  local.clear_anchor_m();
+  if (model.tools[tool].mass_kg > 0 || reading.gives_way) fill(reading.hand_m, *local.mutable_anchor_m());
 }
 
 void fill_frame(const model::Model& model, const StepStamp& stamp, std::span<const float> positions,

@@ -39,7 +39,7 @@ struct StepEnd {
   std::uint64_t step = 0;  ///< its number, also if it was rejected
   std::uint64_t server_time_ns = 0;
   std::uint32_t cg_limit = 0;
-  bool diagnosed = false, rejected = false;
+  bool diagnosed = false, rejected = false, recovered = false;
 };
 
 class Recording {

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <vector>
 
 #include <fmt/format.h>
@@ -77,6 +78,8 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
   write_vector(tool.force.friction_n, *out.mutable_friction_n());
   for (std::size_t i = 0; i < model.joints.size(); ++i) out.add_joint_loads(tool.force.joints[i]);
+  for (std::size_t f = 0; f < 2 + model.joints.size(); ++f) out.add_shown_stiffness(motion.hold.stiffness[f]);
+  out.set_reach_m(motion.hold.reach_m);
   if (!(model.mass_kg > 0)) return;
   write_vector(motion.hand_m, *out.mutable_hand_m());
   write_vector(motion.hand_m_per_s, *out.mutable_hand_m_per_s());
@@ -146,6 +149,18 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
     TM_ASSIGN_OR_RETURN(load, read_finite(message.joint_loads(static_cast<int>(i)), where + ".joint_loads"));
     out.force.joints[i] = load;
   }
+  if (message.shown_stiffness_size() > 0 &&
+      static_cast<std::size_t>(message.shown_stiffness_size()) != 2 + model.joints.size()) {
+    return invalid(fmt::format("{}.shown_stiffness: {} values", where, message.shown_stiffness_size()));
+  }
+  for (int f = 0; f < message.shown_stiffness_size(); ++f) {
+    TM_ASSIGN_OR_RETURN(stiffness, model::read_number(message.shown_stiffness(f), 0, std::numeric_limits<double>::max(),
+                                                      where + ".shown_stiffness"));
+    out.motion.hold.stiffness[static_cast<std::size_t>(f)] = stiffness;
+  }
+  TM_ASSIGN_OR_RETURN(reach,
+                      model::read_number(message.reach_m(), 0, std::numeric_limits<double>::max(), where + ".reach_m"));
+  out.motion.hold.reach_m = reach;
   return out;
 }
 
@@ -231,6 +246,8 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_projection_length(world.projection_length);
   message.set_projection_good(world.projection_good);
   message.set_cg_iteration_limit(world.cg_limit);
+  message.set_held_steps(world.held_steps);
+  message.set_recovering(world.recovering);
   message.set_next_diagnostics(state.next_diagnostics);
   return seal_snapshot(message.SerializeAsString());
 }
@@ -288,6 +305,8 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   TM_ASSIGN_OR_RETURN(limit, model::read_number(message.cg_iteration_limit(), std::max(model.floor_cg_iterations, 1u),
                                                 model.cg_max_iterations, "snapshot.cg_iteration_limit"));
   world.cg_limit = static_cast<std::uint32_t>(limit);
+  world.held_steps = message.held_steps();
+  world.recovering = message.recovering();
   out.next_diagnostics = message.next_diagnostics();
   return out;
 }

@@ -42,8 +42,16 @@ Pose ToolMotion::approach(const Pose& from, const Pose& to, double reach_m) {
   return reached;
 }
 
-void ToolMotion::move(double dt_s) {
+/// Returns a load with its torque about the tool's position.
+backend::ToolForce ToolMotion::on_hand(const backend::ToolForce& load) const {
+  backend::ToolForce out = load;
+  out.torque_n_m += lever().cross(load.force_n);
+  return out;
+}
+
+void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
   before_ = current_;
+  dt_s_ = dt_s;
   current_.target_age_s += dt_s;
   const bool valid = current_.target_age_s <= valid_for_s_;
   // A retired tool may jump: it touches nothing.
@@ -66,6 +74,38 @@ void ToolMotion::move(double dt_s) {
     current_.pose = hand;
     current_.hand_m = hand.position_m;
   }
+  if (tool_->fixed) return;
+  const Pose end = hold_.begin(before_.pose, on_hand(load), current_.pose, dt_s);
+  if (hold_.gives_way()) end_at(end);
+  slip();
+}
+
+void ToolMotion::give_way(const backend::ToolForce& load) { end_at(hold_.give_way(current_.pose, on_hand(load))); }
+
+void ToolMotion::back_off(double distance) {
+  // The coupling starts anew: what the tool felt belongs to a step that was not made.
+  current_.velocity_m_per_s.setZero();
+  end_at(hold_.back_off(distance));
+}
+
+/// Moves the end of the step.
+void ToolMotion::end_at(const Pose& pose) {
+  current_.pose = pose;
+  to_ = shape_of(pose);
+  if (!has_mass()) return;
+  current_.velocity_m_per_s = (pose.position_m - before_.pose.position_m) / dt_s_;
+  slip();
+}
+
+/// Lets the hand of a tool with a mass slip, so that the coupling does not pull by more than the largest force.
+void ToolMotion::slip() {
+  if (!has_mass()) return;
+  const Vec3<double> force_n = force_on_hand_n();
+  const double size = force_n.norm();
+  if (!(size > tool_->max_force_n)) return;
+  current_.hand_m_per_s = current_.velocity_m_per_s;
+  current_.hand_m =
+      current_.pose.position_m - force_n * (tool_->max_force_n / (size * tool_->coupling_stiffness_n_per_m));
 }
 
 /// Moves a tool with a mass by the coupling to the hand's new place.

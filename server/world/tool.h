@@ -8,6 +8,7 @@
 #include "model/model.h"
 #include "physics/tool/pose.h"
 #include "world/coupling.h"
+#include "world/hold.h"
 #include "world/step_clock.h"
 
 /// A tool of a stepping scene: how it follows the poses of a client, and what a client gets back.
@@ -17,6 +18,9 @@
 ///     hand's pose      follows the client's poses at the tool's maximum speed
 ///     tool's frame     the hand's pose; a tool with a mass is pulled to the hand's place instead (coupling.h)
 ///     shape's frame    the tool's frame moved by tip_offset_m; contact is computed there (physics/tool/tool.h)
+///
+/// The tool stays behind the hand where its load would exceed the largest that it bears, and where a step cannot be
+/// made (hold.h).
 namespace tensormass::world {
 
 using physics::Pose;
@@ -42,7 +46,8 @@ struct ReceivedPose {
 /// A tool at the end of a step. Feedback, frames and the status all carry this.
 struct ToolReading {
   Pose pose;
-  Vec3<double> hand_m = Vec3<double>::Zero();  ///< place of the hand; that of the pose, unless the tool has a mass
+  /// Place of the hand for which force_n holds; that of the pose, unless the tool has a mass or gives way.
+  Vec3<double> hand_m = Vec3<double>::Zero();
   PoseStamp newest;  ///< stamp of the newest pose that the step used; all zero before the first
   Vec3<double> force_n = Vec3<double>::Zero();     ///< on the hand: that of the coupling, if the tool has a mass
   Vec3<double> torque_n_m = Vec3<double>::Zero();  ///< about the tool's position
@@ -51,8 +56,10 @@ struct ToolReading {
   std::array<double, limits::kMaxToolJoints> joint_loads{};
   /// A haptic client closes its own loop with this.
   Mat3<double> stiffness_n_per_m = Mat3<double>::Zero();
-  bool touching = false;  ///< it touched tissue in this step
-  bool retired = false;   ///< it touches nothing, because its newest pose has expired
+  bool touching = false;    ///< it touched tissue in this step
+  bool retired = false;     ///< it touches nothing, because its newest pose has expired
+  bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)
+  bool recovering = false;  ///< the step could not be made as planned, so the tool has backed off
 };
 
 /// The motion of one tool, step by step.
@@ -66,13 +73,14 @@ class ToolMotion {
   /// Time in which a tool fades out of contact, and into it again [s].
   static constexpr double kFadeS = 0.1;
 
-  explicit ToolMotion(const model::ToolModel& tool) : tool_(&tool) { place(); }
+  explicit ToolMotion(const model::ToolModel& tool) : tool_(&tool), hold_(tool) { place(); }
 
   /// Puts the tool at its initial pose, where it stays until the next target.
   void place() {
     current_ = {tool_->initial_pose, tool_->initial_pose.position_m, Vec3<double>::Zero(), Vec3<double>::Zero(), 1, 0};
     felt_ = {};
     felt_.position_m = tool_->initial_pose.position_m;
+    hold_.restore({});
     set_target(tool_->initial_pose, kUntilTheNext);
   }
   void set_target(const Pose& target, double valid_for_s) {
@@ -81,7 +89,24 @@ class ToolMotion {
     current_.target_age_s = 0;
   }
   /// Starts a step of length dt_s: moves the tool towards its target, at most at its maximum speed.
-  void move(double dt_s);
+  /// load: of the tissue at the end of the last step.
+  void move(double dt_s, const backend::ToolForce& load);
+  /// Returns Hold::share of a load at the end of the step; 0 for a fixed tool.
+  double share(const backend::ToolForce& load, bool rises) const {
+    return tool_->fixed ? 0 : hold_.share(on_hand(load), rises);
+  }
+  /// Returns Hold::too_far_back of a load at the end of the step.
+  bool too_far_back(const backend::ToolForce& load) const { return !tool_->fixed && hold_.too_far_back(on_hand(load)); }
+  /// Moves the end of the step, because a trial of the step left this load.
+  void give_way(const backend::ToolForce& load);
+  /// Moves the end of the step out of the tissue, because the step could not be made.
+  void back_off(double distance);
+  /// Lets go of the tissue: the presence is almost zero, and rises again in kFadeS.
+  void let_go() { current_.fade = kLetGo; }
+  /// Whether the tool is not where the hand has moved it.
+  bool gives_way() const { return hold_.gives_way(); }
+  /// Ends a step that was made.
+  void end_step() { hold_.end_step(); }
   /// Ends a step: takes the contact that the tool felt, for the next move of a tool with a mass.
   void feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m);
   /// Takes the last `move` back: its step failed.
@@ -98,6 +123,7 @@ class ToolMotion {
     Vec3<double> hand_m_per_s = Vec3<double>::Zero();
     Vec3<double> velocity_m_per_s = Vec3<double>::Zero();
     FeltContact felt;
+    Hold::Saved hold;
   };
   Saved save() const {
     return {current_.pose,
@@ -108,13 +134,15 @@ class ToolMotion {
             current_.hand_m,
             current_.hand_m_per_s,
             current_.velocity_m_per_s,
-            felt_};
+            felt_,
+            hold_.saved()};
   }
   void restore(const Saved& saved) {
     target_ = saved.target;
     valid_for_s_ = saved.valid_for_s;
     current_ = {saved.pose, saved.hand_m, saved.hand_m_per_s, saved.velocity_m_per_s, saved.fade, saved.target_age_s};
     felt_ = saved.felt;
+    hold_.restore(saved.hold);
   }
 
   const Pose& pose() const { return current_.pose; }
@@ -138,11 +166,16 @@ class ToolMotion {
   Vec3<double> lever() const { return lever(current_.pose); }
 
  private:
+  static constexpr double kLetGo = 1e-3;  // fade of a tool that lets go; it is not retired, so it does not jump
+
   Vec3<double> lever(const Pose& pose) const { return physics::rotation(pose) * tool_->tip_offset_m; }
   Pose shape_of(const Pose& pose) const { return {pose.position_m + lever(pose), pose.orientation, pose.joint_values}; }
   double longest_way(const Pose& from, const Pose& to) const;
   Pose approach(const Pose& from, const Pose& to, double reach_m);
   void pull(const Pose& hand, double dt_s);
+  void slip();
+  void end_at(const Pose& pose);
+  backend::ToolForce on_hand(const backend::ToolForce& load) const;
 
   struct State {
     Pose pose;  // in the simulation
@@ -161,6 +194,8 @@ class ToolMotion {
   State before_;      // at the start of the step
   FeltContact felt_;  // at the end of the last step
   Pose from_, to_;    // poses of the shape at the start and the end of the step
+  double dt_s_ = 0;   // length of the step
+  Hold hold_;
 };
 
 }  // namespace tensormass::world

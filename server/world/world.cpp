@@ -1,10 +1,23 @@
 #include "world/world.h"
 
 #include <algorithm>
+#include <array>
 
 #include "physics/contact/hertz.h"
 
 namespace tensormass::world {
+
+namespace {
+
+/// Trials of a step, with tools that give way or back off before each but the first.
+constexpr std::uint32_t kMostTrials = 8;
+/// Trials after the first that may be spent on a load that rises too fast, but is below the largest.
+constexpr std::uint32_t kRiseTrials = 3;
+/// How far tools back off before the trials of a step that cannot be made, as Hold::back_off counts it: first they stay
+/// where they are.
+constexpr std::array<double, 4> kBacksOff{0, 0.25, 1, 2};
+
+}  // namespace
 
 Result<std::unique_ptr<World>> World::create(std::unique_ptr<const model::Model> model,
                                              const backend::Backend& backend) {
@@ -64,6 +77,8 @@ void World::read_tools() {
     ToolReading& reading = readings_[i];
     reading.pose = tools_[i].pose();
     reading.hand_m = reading.pose.position_m;
+    reading.gives_way = tools_[i].gives_way();
+    reading.recovering = recovering_;
     reading.retired = tools_[i].retired();
     reading.touching = touches({&forces_[i], 1});
     reading.force_n = forces_[i].force_n;
@@ -85,6 +100,11 @@ void World::read_tools() {
       reading.force_n = tools_[i].force_on_hand_n();
       reading.stiffness_n_per_m = in_series(tool.coupling_stiffness_n_per_m, reading.stiffness_n_per_m);
     }
+    if (reading.gives_way) {
+      // A hand that is ahead of its tool feels no more by moving on.
+      reading.hand_m = tools_[i].target().position_m;
+      reading.stiffness_n_per_m.setZero();
+    }
   }
 }
 
@@ -101,26 +121,106 @@ void World::read_broken() {
 }
 
 bool World::step(bool gather_visible) {
-  for (ToolMotion& tool : tools_) tool.move(model_->dt_s);
-  has_event_ = false;
+  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
+  has_event_ = recovering_ = made_again_ = false;
   const Projection before = projection_;
+  const solver::StepResult last_good = last_;
   BoundCheck check = plan_step(gather_visible);
   if (!check.good()) {
+    made_again_ = true;
     check = retry(check);
+  }
+  if (check.good()) check = check_loads(true);
+  if (!check.good()) {
+    made_again_ = true;
+    check = step_with_tools_moved(check);
     if (!check.good()) {
       state_->restore();
       projection_ = before;
-      for (ToolMotion& tool : tools_) tool.take_back();
-      return false;
+      if (!may_hold_tissue(check)) {
+        event_.outcome = GuardEvent::Outcome::kStopped;
+        for (ToolMotion& tool : tools_) tool.take_back();
+        return false;
+      }
+      last_ = last_good;
+      hold_tissue();
     }
-    if (gather_visible) state_->gather_visible();
   }
+  if (check.good()) {
+    held_steps_ = 0;
+    if (!recovering_) {
+      for (ToolMotion& tool : tools_) tool.end_step();
+    }
+  }
+  if (gather_visible && made_again_) state_->gather_visible();
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
   // No spring heals between two steps, so an equal count means the same springs.
   if (last_.broken_springs != broken_count_) read_broken();
   read_tools();
   return true;
+}
+
+/// Checks that the hands bear the loads of the last trial. rises: as in Hold::share.
+BoundCheck World::check_loads(bool rises) const {
+  double share = 0;
+  bool too_far_back = false;
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    share = std::max(share, tools_[i].share(forces_[i], rises));
+    too_far_back = too_far_back || (rises && tools_[i].too_far_back(forces_[i]));
+  }
+  if (share <= 1 && !too_far_back) return {};
+  return {Breach::kToolLoad, share, 1};
+}
+
+/// Repeats a step that left a bound, with tools that give way or back off, until a trial stays within the bounds or no
+/// tool can move farther.
+BoundCheck World::step_with_tools_moved(BoundCheck check) {
+  std::uint32_t backed_off = 0;
+  for (std::uint32_t trial = 1; !check.good() && trial < kMostTrials; ++trial) {
+    const bool gives_way = check.breach == Breach::kToolLoad;
+    if (!gives_way && (!model_->goes_on || backed_off == kBacksOff.size())) break;
+    for (std::size_t i = 0; i < tools_.size(); ++i) {
+      if (model_->tools[i].fixed) continue;
+      if (!gives_way) tools_[i].back_off(kBacksOff[backed_off]);
+      if (!gives_way) continue;
+      if (tools_[i].share(forces_[i], true) > 1 || tools_[i].too_far_back(forces_[i])) tools_[i].give_way(forces_[i]);
+    }
+    if (!gives_way) ++backed_off;
+    state_->restore();
+    constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
+    check = make_step(kAsPlanned, !model_->iterates(), cg_limit_, false, false);
+    if (check.good()) check = check_loads(trial <= kRiseTrials);
+  }
+  recovering_ = backed_off > 0;
+  if (recovering_) event_.outcome = GuardEvent::Outcome::kBackedOff;
+  return check;
+}
+
+/// Whether the tissue may be held for a step that could not be made.
+bool World::may_hold_tissue(const BoundCheck& check) {
+  if (!has_event_) event_ = {.step = step_count_ + 1, .first = check};
+  has_event_ = true;
+  event_.last = check;
+  return (model_->goes_on || check.breach == Breach::kToolLoad) &&
+         (held_steps_ + 1) * model_->dt_s <= std::max(kLongestHeldS, model_->dt_s);
+}
+
+/// Ends a step that could not be made with the tissue as it was, at rest, and with tools that back off.
+void World::hold_tissue() {
+  recovering_ = true;
+  event_.outcome = GuardEvent::Outcome::kHeld;
+  state_->come_to_rest();
+  projection_.begin();
+  forces_ = published_;
+  tools_work_j_ = last_.work_j = last_.kinetic_energy_j = 0;
+  const std::size_t again = held_steps_++;
+  const bool lets_go = held_steps_ * model_->dt_s > kLongestHeldS / 2;
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    if (model_->tools[i].fixed) continue;
+    tools_[i].back_off(kBacksOff[std::min(again, kBacksOff.size() - 1)]);
+    if (lets_go) tools_[i].let_go();
+  }
 }
 
 /// Whether a tool feels tissue.
@@ -165,7 +265,7 @@ BoundCheck World::retry(const BoundCheck& first) {
     ++event_.retries;
     if (event_.last.good()) break;
   }
-  event_.recovered = event_.last.good();
+  if (event_.last.good()) event_.outcome = GuardEvent::Outcome::kRepeated;
   return event_.last;
 }
 
@@ -249,7 +349,8 @@ void World::reset() {
   step_count_ = 0;
   last_ = {};
   projection_ = {};
-  has_event_ = false;
+  has_event_ = recovering_ = false;
+  held_steps_ = 0;
   read_broken();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -262,6 +363,8 @@ World::Saved World::save() {
   out.history = state_->read_history();
   out.energy = energy_.entries();
   out.cg_limit = cg_limit_;
+  out.held_steps = held_steps_;
+  out.recovering = recovering_;
   projection_.save(out);
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
@@ -278,6 +381,8 @@ void World::restore(const Saved& saved) {
   step_count_ = saved.step_count;
   last_ = {};
   has_event_ = false;
+  held_steps_ = saved.held_steps;
+  recovering_ = saved.recovering;
   projection_.restore(saved);
   energy_.set_entries(saved.energy);
   set_cg_limit(saved.cg_limit);

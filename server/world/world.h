@@ -21,8 +21,12 @@ namespace tensormass::world {
 ///                                          ^                                                 |
 ///                                          +---- restore checkpoint, next retry (guard.h) <--+ a bound was left
 ///
-/// Retries take smaller steps, then fallback settings. If none helps, the world stays at the checkpoint: the end of the
-/// last good step.
+/// Retries take smaller steps, then fallback settings. If none helps, tools that a hand moves back off (hold.h). If
+/// that does not help either, the tissue is held: the step ends with the state at which it began, at rest. A scene that
+/// stops on faults, or whose tissue is held for kLongestHeldS on end, stays at the checkpoint: the end of the last good
+/// step.
+///
+/// A step is also made again if it leaves a load that a tool does not bear. The tool then gives way.
 ///
 /// A step that is linearized once uses the consistent stiffness. It may be indefinite, in strong compression. If
 /// conjugate gradients find that, or the guard does not trust the step, it is repeated with the stiffness projected to
@@ -64,6 +68,8 @@ class World {
     EnergyBalance::Entries energy;
     std::uint32_t projection_left = 0, projection_length = 0, projection_good = 0;  ///< see Projection
     std::uint32_t cg_limit = 0;
+    std::uint32_t held_steps = 0;  ///< steps on end in which the tissue was held
+    bool recovering = false;       ///< see World::recovering
   };
   /// Copies the state. Allocates; for requests.
   Saved save();
@@ -75,13 +81,18 @@ class World {
 
   std::uint32_t cg_limit() const { return cg_limit_; }
 
-  /// Makes a step. Returns false if no retry stayed within the guard's bounds: the world is then as before the call.
+  /// Simulated time for which the tissue is held on end, at most [s].
+  static constexpr double kLongestHeldS = 0.1;
+
+  /// Makes a step. Returns false if the scene must stop: the world is then as before the call.
   bool step(bool gather_visible);
   /// Limits the iterations of a solve from the next step on, to at most the model's. Retries ignore the limit.
   void set_cg_limit(std::uint32_t cg_max_iterations) {
     TM_ASSERT(cg_max_iterations <= model_->cg_max_iterations, "a budget lowers the model's iterations");
     cg_limit_ = cg_max_iterations;
   }
+  /// Whether the last step could not be made as planned, so that tools backed off or the tissue was held.
+  bool recovering() const { return recovering_; }
   /// Event of the last step if it left its bounds, else nullptr.
   const GuardEvent* guard_event() const { return has_event_ ? &event_ : nullptr; }
   /// Computes strains, det F and elastic energy of all elements. Too slow for every step.
@@ -116,6 +127,10 @@ class World {
   void read_broken();
   static bool touches(std::span<const backend::ToolForce> forces);
   BoundCheck plan_step(bool gather_visible);
+  BoundCheck check_loads(bool rises) const;
+  BoundCheck step_with_tools_moved(BoundCheck check);
+  bool may_hold_tissue(const BoundCheck& check);
+  void hold_tissue();
   BoundCheck retry(const BoundCheck& first);
   BoundCheck make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
                        bool saves_checkpoint, bool gather_visible);
@@ -174,6 +189,9 @@ class World {
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
+  bool made_again_ = false;  // the step that ended was not the first trial
+  bool recovering_ = false;
+  std::uint32_t held_steps_ = 0;  // on end, up to the last step
   Projection projection_;
   bool trusted_ = true;  // Guard::trusts of the last part
   GuardEvent event_;

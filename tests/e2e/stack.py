@@ -107,6 +107,24 @@ class Stack:
         self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)
 
+    def load_recovering(self, name: str) -> int:
+        """Loads a block in lockstep under `name`, whose probe presses until the scene recovers. Returns the number of
+        vertices that a viewer shows."""
+        scene = tm.Scene(name)
+        scene.add_body("block", tm.grid([5, 5, 3], [0.1, 0.1, 0.05]), density_kg_per_m3=1000)
+        scene.body("block").fixed.add(
+            box=scene_pb2.Box(min_m=scene_pb2.Vector3(x=-1, y=-1, z=-1), max_m=scene_pb2.Vector3(x=1, y=1, z=0.001))
+        )
+        scene.add_spherical_probe("probe", radius_m=0.01, position_m=(0.05, 0.05, 0.07))
+        scene.set_stepping(dt_s=0.005)
+        scene.set_guard(max_move_m=1e-4)
+        handle = self.scenes[name] = self.server.load(scene, lockstep=True)
+        handle.move_tool("probe", (0.05, 0.05, 0.05))
+        for _ in range(20):
+            if handle.step().recovering:
+                return self._vertex_count(name)
+        raise RuntimeError("no step was a recovery")
+
     def load_hanging(self, name: str) -> int:
         """Loads two cubes of 1 m in lockstep under `name`. Returns the number of vertices that a viewer shows.
 
@@ -136,6 +154,11 @@ class Stack:
         scene.message.attachments.add(name="tears", stiffness_n_per_m=1e4, **tears)
         self.scenes[name] = self.server.load(scene)
         return self._vertex_count(name)
+
+    def lift_off(self, name: str) -> None:
+        """Takes the probe of `load_recovering` off the block."""
+        self.scenes[name].move_tool("probe", (0.05, 0.05, 0.09))
+        self.scenes[name].step(20)
 
     def reset(self, name: str) -> None:
         self.scenes[name].reset()

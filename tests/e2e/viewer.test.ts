@@ -404,6 +404,23 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await stack.ask("unload", { name: "turned" });
   });
 
+  it("shows that a scene recovers, and counts it, until the scene goes on", async () => {
+    const vertexCount = (await stack.ask("load_recovering", { name: "recovers" })) as number;
+    const page = await open("scene=recovers");
+    await page.shows(vertexCount);
+    const badge = page.page.locator("#recovering");
+    await badge.waitFor({ state: "visible" });
+    await page.says("#recoveries-row", /Recoveries\s*1\s*1 step/);
+    await page.page.locator("#grid").click();
+    const ofTile = page.page.locator(".tile .recovery");
+    await ofTile.waitFor({ state: "visible" });
+    await stack.ask("lift_off", { name: "recovers" });
+    await badge.waitFor({ state: "hidden" });
+    await ofTile.waitFor({ state: "hidden" });
+    await page.says("#recoveries", /^1$/);
+    await stack.ask("unload", { name: "recovers" });
+  });
+
   it("shows two scenes in a grid, acts on the selected one, and shows it alone", async () => {
     const [one, two] = ["one", "two"];
     const vertexCount = (await stack.ask("load_grid", { name: one, cells: 2 })) as number;
@@ -413,7 +430,7 @@ describe.skipIf(absent.length > 0)("viewer", () => {
     await page.page.locator("#grid").click();
     await page.showsTiles(one, two);
     const tile = (name: string) => page.page.locator(".tile").filter({ hasText: name });
-    const pill = (name: string) => tile(name).locator(".pill");
+    const pill = (name: string) => tile(name).locator(".state");
     const inside = async (name: string) => {
       const box = (await tile(name).boundingBox())!;
       return (x: number, y: number) => x > box.x + 4 && x < box.x + box.width - 4 && y > box.y + 4 && y < box.y + box.height - 4;

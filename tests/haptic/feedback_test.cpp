@@ -69,7 +69,14 @@ TEST(Feedback, IsValidForNoTimeWithoutALocalModel) {
   EXPECT_TRUE(feedback.stiffness_n_per_m.isZero(0.0));
 }
 
-// A tool with a mass is elsewhere than the hand, and the local model belongs to the hand.
+TEST(Feedback, SaysThatTheSceneRecovers) {
+  v1::ToolFeedback message = good();
+  EXPECT_FALSE(decode_feedback(message.SerializeAsString(), 0)->recovering);
+  message.set_recovering(true);
+  EXPECT_TRUE(decode_feedback(message.SerializeAsString(), 0)->recovering);
+}
+
+// A tool that has a mass or gives way is elsewhere than the hand, and the local model belongs to the hand.
 TEST(Feedback, TheLocalModelIsAtItsAnchorIfItHasOne) {
   v1::ToolFeedback message = good();
   message.mutable_local_model()->mutable_anchor_m()->set_y(0.3);
@@ -150,6 +157,21 @@ TEST(FeedbackInbox, KeepsTheNewestAndCountsTheMalformed) {
   EXPECT_EQ(inbox.malformed(), 1u);
   EXPECT_EQ(inbox.take().value().step, 8u);
   EXPECT_FALSE(inbox.take()) << "taken once";
+}
+
+TEST(FeedbackInbox, DoesNotLoseARecoveryWithTheMessageThatIsReplaced) {
+  FeedbackInbox inbox;
+  v1::ToolFeedback message = good();
+  message.set_recovering(true);
+  inbox.offer(message.SerializeAsString(), 1);
+  message.set_recovering(false);
+  message.set_step(8);
+  inbox.offer(message.SerializeAsString(), 2);
+  const Feedback newest = inbox.take().value();
+  EXPECT_EQ(newest.step, 8u);
+  EXPECT_TRUE(newest.recovering);
+  inbox.offer(message.SerializeAsString(), 3);
+  EXPECT_FALSE(inbox.take().value().recovering);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 
 #include "haptic/clock.h"
@@ -95,6 +96,87 @@ TEST(ForceRenderer, AReturningForceFadesIn) {
   EXPECT_NEAR(renderer.render(next.position_m, kUpright, after(0.06)).weight, 0.8, 1e-6)
       << "a renewal must not start over";
   EXPECT_EQ(renderer.render(next.position_m, kUpright, after(0.075)).weight, 1.0);
+}
+
+const Eigen::Vector3d kAnchor(0.1, 0.2, 0.3);
+
+// Returns a press of `force_n` along z, whose answer arrives `seconds` after the first one.
+Feedback pressed_by(double force_n, double seconds, bool recovering) {
+  Feedback feedback = pressed();
+  feedback.arrival_ns = feedback.client_time_ns = after(seconds);
+  feedback.force_n.z() = force_n;
+  feedback.recovering = recovering;
+  return feedback;
+}
+
+TEST(ForceRenderer, FadesToAForceThatJumpsInARecovery) {
+  ForceRenderer renderer(kOptions);
+  renderer.update(pressed());
+  expect_near(renderer.render(kAnchor, kUpright, after(0.009)).force_n, {0.0, 0.0, 2.0});
+  renderer.update(pressed_by(0.5, 0.01, true));
+  expect_near(renderer.render(kAnchor, kUpright, after(0.01)).force_n, {0.0, 0.0, 2.0});
+  expect_near(renderer.render(kAnchor, kUpright, after(0.02)).force_n, {0.0, 0.0, 0.8 * 2.0 + 0.2 * 0.5}, 1e-6);
+  // 1 mm deeper: the new model's 0.2 N more count as far as the fade has come.
+  const Eigen::Vector3d deeper = kAnchor - Eigen::Vector3d(0.0, 0.0, 0.001);
+  expect_near(renderer.render(deeper, kUpright, after(0.03)).force_n, {0.0, 0.0, 0.6 * 2.0 + 0.4 * 0.7}, 1e-6);
+}
+
+TEST(ForceRenderer, TheFirstForceAfterARecoveryFadesInAndLaterOnesStepAsUsual) {
+  ForceRendererOptions options = kOptions;
+  options.max_valid_for_s = 1.0;
+  const auto lasting = [](Feedback feedback) {
+    feedback.valid_for_s = 1.0;
+    return feedback;
+  };
+  ForceRenderer renderer(options);
+  renderer.update(lasting(pressed_by(0.0, 0.0, true)));
+  expect_near(renderer.render(kAnchor, kUpright, after(0.0)).force_n, Eigen::Vector3d::Zero());
+  renderer.update(lasting(pressed_by(2.0, 0.01, false)));
+  expect_near(renderer.render(kAnchor, kUpright, after(0.01)).force_n, Eigen::Vector3d::Zero());
+  expect_near(renderer.render(kAnchor, kUpright, after(0.035)).force_n, {0.0, 0.0, 1.0}, 1e-6);
+  // A usual model in the fade replaces its end, and does not start it again.
+  renderer.update(lasting(pressed_by(1.0, 0.035, false)));
+  expect_near(renderer.render(kAnchor, kUpright, after(0.035)).force_n, {0.0, 0.0, 0.5}, 1e-6);
+  expect_near(renderer.render(kAnchor, kUpright, after(0.061)).force_n, {0.0, 0.0, 1.0}, 1e-6);
+  renderer.update(lasting(pressed_by(3.0, 0.07, false)));
+  expect_near(renderer.render(kAnchor, kUpright, after(0.07)).force_n, {0.0, 0.0, 3.0});
+}
+
+TEST(ForceRenderer, EachStepOfARecoveryFadesFromWhatIsFelt) {
+  ForceRenderer renderer(kOptions);
+  renderer.update(pressed());
+  double felt_n = renderer.render(kAnchor, kUpright, after(0.0)).force_n.z();
+  // Force comes and goes with every step, 10 ms apart.
+  for (int step = 1; step <= 20; ++step) {
+    renderer.update(pressed_by(step % 2 == 0 ? 2.0 : 0.0, 0.01 * step, true));
+    for (int tick = 0; tick < 10; ++tick) {
+      const double now_n = renderer.render(kAnchor, kUpright, after(0.01 * step + 0.001 * tick)).force_n.z();
+      ASSERT_LE(std::abs(now_n - felt_n), 2.0 / 50.0 + 1e-9) << "of 2 N, a fiftieth in each millisecond";
+      felt_n = now_n;
+    }
+  }
+}
+
+TEST(ForceRenderer, TorqueAndJawsFadeWithTheForce) {
+  Feedback before = pressed();
+  before.torque_n_m = {0.02, 0.0, 0.0};
+  before.jaw_torque_n_m = 0.04;
+  ForceRenderer renderer(kOptions);
+  renderer.update(before);
+  const ForceRenderer::Output felt = renderer.render(kAnchor, kUpright, after(0.0));
+  ASSERT_GT(felt.torque_n_m.norm(), 0.01);
+  renderer.update(pressed_by(0.0, 0.01, true));
+  const ForceRenderer::Output half = renderer.render(kAnchor, kUpright, after(0.035));
+  expect_near(half.torque_n_m, 0.5 * felt.torque_n_m, 1e-6);
+  EXPECT_NEAR(half.jaw_torque_n_m, 0.02, 1e-6);
+}
+
+TEST(ForceRenderer, AForceThatFadesInARecoveryEndsWithoutAnswers) {
+  ForceRenderer renderer(kOptions);
+  renderer.update(pressed());
+  renderer.render(kAnchor, kUpright, after(0.0));
+  renderer.update(pressed_by(2.0, 0.01, true));  // valid for 20 ms
+  expect_near(renderer.render(kAnchor, kUpright, after(0.081)).force_n, Eigen::Vector3d::Zero());
 }
 
 TEST(ForceRenderer, ScalesDownForceAndStiffnessBeyondTheDevices) {

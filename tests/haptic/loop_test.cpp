@@ -1,6 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <atomic>
+#include <cmath>
 #include <limits>
+#include <optional>
 #include <utility>
 
 #include "fakes.h"
@@ -170,6 +173,39 @@ TEST(Loop, CountsStepsWhoseFeedbackWasReplaced) {
   bench.link.answer = [&](const OutgoingPose& pose) { return std::optional(answer_to(pose, 3 * pose.sequence)); };
   const LoopReport report = bench.run(options(0.1)).value();
   EXPECT_EQ(report.feedback_dropped, 2u * 99u);
+}
+
+TEST(Loop, CountsRecoveriesAndTellsThemWhileItRuns) {
+  Bench bench;
+  std::atomic<std::uint64_t> told = 0;
+  bench.link.answer = [&](const OutgoingPose& pose) {
+    Feedback feedback = answer_to(pose, ++bench.step);
+    feedback.recovering = bench.step == 20 || (bench.step > 50 && bench.step <= 60);
+    if (bench.step == 55) {
+      EXPECT_EQ(told, 2u);
+    }
+    return std::optional(feedback);
+  };
+  LoopOptions o = options(0.1);
+  o.recoveries = &told;
+  const LoopReport report = bench.run(o).value();
+  EXPECT_EQ(report.recoveries, 2u);
+  EXPECT_EQ(report.recovering_feedbacks, 11u);
+  EXPECT_EQ(told, 2u);
+}
+
+TEST(Loop, ARecoveryDoesNotLetTheForceJump) {
+  Bench bench;
+  bench.link.answer = [&](const OutgoingPose& pose) {
+    Feedback feedback = answer_to(pose, ++bench.step);
+    feedback.recovering = bench.step >= 50 && bench.step < 60;
+    feedback.force_n.z() = bench.step < 50 ? 2.0 : 0.0;
+    return std::optional(feedback);
+  };
+  ASSERT_TRUE(bench.run(options(0.12)));
+  const auto& forces = bench.device.forces_n;
+  for (std::size_t i = 1; i < 120; ++i) ASSERT_LE(std::abs(forces[i].z() - forces[i - 1].z()), 0.041) << "tick " << i;
+  EXPECT_EQ(forces[119].z(), 0.0);
 }
 
 TEST(Loop, SkipsAndCountsMissedDeadlines) {

@@ -32,6 +32,18 @@ TEST(Report, TextNamesTheLosses) {
   EXPECT_NE(to_json(report, {}).find(R"("poses_not_taken": 2, "poses_invalid": 3)"), std::string::npos);
 }
 
+TEST(Report, CountsRecoveriesAndNamesThemIfThereAreAny) {
+  LoopReport report;
+  EXPECT_EQ(to_text(report, {}).find("recover"), std::string::npos);
+  report.recoveries = 2;
+  report.recovering_feedbacks = 5;
+  EXPECT_NE(to_text(report, {}).find("  recovery  2 recoveries, 5 feedbacks\n"), std::string::npos);
+  EXPECT_NE(to_json(report, {}).find(R"("recovering_feedbacks": 5, "recoveries": 2, )"), std::string::npos);
+  EXPECT_EQ(recovery_line(1),
+            "the scene recovers from a step that could not be made as planned; the force fades to the new one");
+  EXPECT_NE(recovery_line(3).find("planned (3 times since the last such line); "), std::string::npos);
+}
+
 TEST(Report, ShowsTorquesOnlyOfADeviceThatHasThem) {
   LoopReport report;
   EXPECT_EQ(to_json(report, {}).find("torque"), std::string::npos);

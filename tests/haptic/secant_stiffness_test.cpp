@@ -50,6 +50,17 @@ TEST(SecantStiffness, DoesNotCompareFeedbacksThatAreFarApart) {
   EXPECT_EQ(secant.update(at(0.003, 0.3)), 0.0);
 }
 
+TEST(SecantStiffness, DoesNotCompareFeedbacksOfARecovery) {
+  SecantStiffness secant(kMinMoveM);
+  const double before = press(secant);
+  Feedback jumped = at(0.001, 0.35);
+  jumped.force_n.z() *= 20.0;
+  jumped.recovering = true;
+  EXPECT_EQ(secant.update(jumped), before);
+  EXPECT_EQ(secant.update(at(0.003, 0.36)), before) << "nor with the first one after it";
+  EXPECT_NEAR(secant.update(at(0.002, 0.37)), kStiffness, 1e-2);
+}
+
 TEST(SecantStiffness, IsNeverNegative) {
   SecantStiffness secant(kMinMoveM);
   for (int i = 0; i < 10; ++i) {

@@ -292,6 +292,25 @@ std::vector<Refusal> tool_refusals() {
       {"NegativePenalty",
        [](auto& s) { probe(s).set_penalty_stiffness_pa_per_m(-1); },
        {"tool 'probe'.spherical_probe.penalty_stiffness_pa_per_m"}},
+      {"NoForce", [](auto& s) { tool(s).set_max_force_n(0); }, {"tool 'probe'.max_force_n", "0"}},
+      {"NegativeForce", [](auto& s) { tool(s).set_max_force_n(-1); }, {"tool 'probe'.max_force_n", "-1"}},
+      {"NanTorque", [](auto& s) { tool(s).set_max_torque_n_m(kNan); }, {"tool 'probe'.max_torque_n_m", "nan"}},
+      {"InfiniteJointLoad", [](auto& s) { tool(s).set_max_joint_load(kInfinity); }, {"tool 'probe'.max_joint_load"}},
+      {"FixedToolInAHand",
+       [](auto& s) {
+         tool(s).set_fixed(true);
+         tool(s).set_max_force_n(10);
+       },
+       {"tool 'probe'", "fixed", "max_force_n"}},
+      {"UnknownOnFault",
+       [](auto& s) { s.mutable_guard()->set_on_fault(static_cast<v1::Guard::OnFault>(7)); },
+       {"scene.guard.on_fault", "7"}},
+      {"EquilibriumThatGoesOn",
+       [](auto& s) {
+         s.mutable_solver()->set_integrator(v1::Solver::INTEGRATOR_QUASI_STATIC);
+         s.mutable_guard()->set_on_fault(v1::Guard::ON_FAULT_GO_ON);
+       },
+       {"scene.guard.on_fault", "equilibrium"}},
       {"NoSpeed", [](auto& s) { tool(s).set_max_speed_m_per_s(0); }, {"tool 'probe'.max_speed_m_per_s"}},
       {"FarTool", [](auto& s) { tool(s).mutable_position_m()->set_x(1e7); }, {"tool 'probe'.position_m", "1e+06"}},
       {"NoRotation",

@@ -46,13 +46,16 @@ def write_recording(
     statuses: bool = True,
     touching: Iterable[int] = (),
     rejected: Iterable[int] = (),
+    recovered: Iterable[int] = (),
 ) -> Path:
     """Writes a recording with a frame for each of `steps`.
 
     Args:
         touching: sequences of frames in which the tool feels a force.
         rejected: sequences of frames before which a guard stopped the scene.
+        recovered: sequences of frames whose step belongs to a recovery.
     """
+    recovered = set(recovered)
     with RecordingWriter(path) as writer:
         writer.add("/scene", scene_pb2.Scene(name="liver"), 1000)
         writer.add("/start", recording_pb2.RecordingStart(scene="liver", backend="cpu", device="test"))
@@ -62,6 +65,9 @@ def write_recording(
         for sequence, step in enumerate(steps, start=1):
             if sequence in set(rejected):
                 writer.add("/inputs", recording_pb2.RecordedStep(index=sequence, step=step, rejected=True))
+            elif recovered:
+                recovers = sequence in recovered
+                writer.add("/inputs", recording_pb2.RecordedStep(index=sequence, step=step, recovered=recovers))
             if statuses and sequence % A_CHUNK == 1:
                 running = stream_pb2.SceneStatus.STATE_RUNNING
                 writer.add(

@@ -25,7 +25,7 @@ import tensormass as tm
 from tensormass._src import mesh_files, mesh_geometry, meshes
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import ChildProcess, end_explained
-from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
+from tensormass.v1 import control_pb2, guard_pb2, scene_pb2, stream_pb2
 from tensormass_tools import run
 from tensormass_tools.cli import main, parse_length_m
 from tensormass_tools.output import load_line, report_text, status_line
@@ -54,6 +54,20 @@ def test_the_plan_names_what_follows_a_schedule() -> None:
     text = report_text(control_pb2.SceneReport(), scene)
     assert "factors by schedule:\n  gravity: 0 at 0 s, 1 at 2 s\n  'bar', loads[1]: 0 at 0 s, 1 at 2 s" in text
     assert "schedule" not in report_text(control_pb2.SceneReport(), scene_pb2.Scene())
+
+
+def test_the_plan_names_the_largest_loads_and_what_follows_a_fault() -> None:
+    probe, wall = scene_pb2.Tool(name="probe", max_force_n=5), scene_pb2.Tool(name="wall", fixed=True)
+    scene = scene_pb2.Scene(tools=[probe, wall])
+    lines = [line.split() for line in report_text(control_pb2.SceneReport(), scene).splitlines()]
+    assert ["probe", "5", "N", "1", "N", "m", "1"] in lines
+    assert "wall   fixed: bears any load" in report_text(control_pb2.SceneReport(), scene)
+    assert "(guard.on_fault): go_on: tools back off" in report_text(control_pb2.SceneReport(), scene)
+    scene.guard.on_fault = guard_pb2.Guard.ON_FAULT_STOP
+    assert "(guard.on_fault): stop: the scene stops" in report_text(control_pb2.SceneReport(), scene)
+    text = report_text(control_pb2.SceneReport(), scene_pb2.Scene())
+    assert "(guard.on_fault): stop: " in text
+    assert "largest force" not in text
 
 
 @pytest.mark.parametrize(
@@ -135,6 +149,14 @@ def test_a_status_shows_guards_and_budget() -> None:
     status = stream_pb2.SceneStatus(step_budget_s=0.008, cg_iteration_limit=40, floor_cg_iterations=20)
     assert "at most 40 (floor 20) in 8 ms" in status_line(status)
     assert "guards" not in status_line(status)
+
+
+def test_a_status_counts_recoveries_and_says_that_one_goes_on() -> None:
+    status = stream_pb2.SceneStatus(guard_events=3, guard_recoveries=3, recoveries=2, recovering_steps=3)
+    assert status_line(status).endswith("recoveries 2, 3 steps")
+    status.held_steps, status.recovering = 1, True
+    assert status_line(status).endswith("recoveries 2, 3 steps, tissue held in 1, recovering now")
+    assert "recover" not in status_line(stream_pb2.SceneStatus(guard_events=3, guard_recoveries=2))
 
 
 def test_a_status_names_the_state_unless_the_scene_runs() -> None:

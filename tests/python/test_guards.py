@@ -16,7 +16,7 @@ import tensormass as tm
 from tensormass._src import processes
 from tensormass.v1 import scene_pb2
 from tensormass_tools.cli import main
-from tensormass_tools.output import state_name
+from tensormass_tools.output import state_name, status_line
 
 try:
     processes.find_program("tensormassd", "TENSORMASSD")
@@ -76,6 +76,43 @@ def test_a_guard_stops_a_scene_at_its_last_good_state(server: tm.Server, tmp_pat
     assert (tmp_path / "stopped.npz").read_bytes() == before
     server.load(again, name="again").unload()
     assert state_name(handle.reset()) == "lockstep"
+
+
+def pressed_block(on_fault: str) -> tm.Scene:
+    """A block under a probe, in which a node may move by 0.1 mm in a step."""
+    scene = tm.Scene.from_yaml(BLOCK.replace("gravity_m_per_s2: {z: -9.81}\n", ""))
+    scene.add_spherical_probe("probe", radius_m=0.01, position_m=(0.05, 0.05, 0.07))
+    scene.set_guard(max_move_m=1e-4, on_fault=on_fault)  # type: ignore[arg-type]
+    return scene
+
+
+def test_a_scene_goes_on_where_a_step_cannot_be_made_and_says_so(server: tm.Server) -> None:
+    handle = server.load(pressed_block("go_on"), name="goes-on")
+    handle.step()
+    assert not handle.feedback("probe").recovering
+    hand_m = (0.05, 0.05, 0.05)
+    handle.move_tool("probe", hand_m)  # as fast as the probe may move, into the block
+    records: list[tm.StepRecord] = []
+    while not records or not records[-1].recovering:
+        records += handle.steps(1)
+        assert len(records) < 20
+    feedback, status = handle.feedback("probe"), handle.status()
+    assert feedback.recovering
+    assert feedback.gives_way
+    np.testing.assert_allclose(feedback.anchor_m, hand_m)
+    assert status.recovering
+    assert (status.recoveries, status.recovering_steps) == (1, 1)
+    assert "recoveries 1, 1 step" in status_line(status)
+    handle.unload()
+
+
+def test_a_scene_stops_where_a_step_cannot_be_made_if_it_is_told_to(server: tm.Server) -> None:
+    handle = server.load(pressed_block("stop"), name="stops")
+    handle.move_tool("probe", (0.05, 0.05, 0.05))
+    with pytest.raises(tm.FailedPreconditionError, match="left its bounds"):
+        handle.step(20)
+    assert handle.status().recoveries == 0
+    handle.unload()
 
 
 def run_without_devices(scene: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float) -> Ran:

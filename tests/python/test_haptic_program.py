@@ -341,11 +341,45 @@ class Refusing(control_pb2_grpc.ControlServicer):
         return control_pb2.GetStatusResponse(status=status)
 
 
+class Recovering(Refusing):
+    """Answers every pose, and recovers in every tenth step."""
+
+    def _step(self) -> None:
+        key = b"tensormass/s/demo/tool/probe/feedback\0"
+        pose = stream_pb2.ToolPose()
+        for step in itertools.count(1):
+            if self._done.wait(0.01):
+                return
+            while self._poses.poll(0):
+                pose = stream_pb2.ToolPose.FromString(self._poses.recv().partition(b"\0")[2])
+            if pose.sequence > 0:
+                feedback = stream_pb2.ToolFeedback(
+                    tool="probe",
+                    step=step,
+                    pose_sequence=pose.sequence,
+                    client_id=pose.client_id,
+                    client_time_ns=pose.client_time_ns,
+                    position_m=pose.position_m,
+                    recovering=step % 10 == 0,
+                )
+                self._publisher.send(key + feedback.SerializeToString())
+
+
 @pytest.fixture
 def refusing() -> Iterator[str]:
     """The address of a daemon that refuses every pose."""
+    yield from addresses_of(Refusing)
+
+
+@pytest.fixture
+def recovering() -> Iterator[str]:
+    """The address of a daemon that recovers in every tenth step."""
+    yield from addresses_of(Recovering)
+
+
+def addresses_of(daemon: type[Refusing]) -> Iterator[str]:
     with zmq.Context() as context:
-        servicer = Refusing(context)
+        servicer = daemon(context)
         server = grpc.server(futures.ThreadPoolExecutor(2))
         control_pb2_grpc.add_ControlServicer_to_server(servicer, server)
         port = server.add_insecure_port("127.0.0.1:0")
@@ -366,3 +400,14 @@ def test_poses_that_are_refused_do_not_look_like_a_paused_scene(refusing: str) -
     assert "no feedback answered any pose: the server refused" in done.stderr
     refused = int(done.stderr.partition("meanwhile (")[2].partition(")")[0])
     assert 0 < refused <= report["last_sequence_sent"], "not those from before"
+
+
+def test_recoveries_are_told_at_most_once_a_second(recovering: str) -> None:
+    done = haptic("--server", recovering, "--seconds", 2.5, "--json", "-")
+    report = json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    assert report["recovering_feedbacks"] >= report["recoveries"] > 5
+    told = [line for line in done.stderr.splitlines() if "the scene recovers from a step" in line]
+    assert 2 <= len(told) <= 3
+    assert "times since" not in told[0]
+    assert "times since the last such line" in told[1]

@@ -41,6 +41,7 @@ tools:
 STOPPED = (
     BLOCK
     + "gravity_m_per_s2: {z: -9.81}\nsolver: {cg_max_iterations: 1, cg_tolerance: 1.0e-9, floor_tolerance: 1.0e-9}\n"
+    + "guard: {on_fault: stop}\n"
 )
 
 EMPTY: dict[str, Any] = {
@@ -171,7 +172,16 @@ def test_unknown_numbers_are_printed_as_dashes() -> None:
     scene = load_report.scene_report(stream_pb2.SceneStatus(), after, poses_sent=None)
     assert scene["poses_received"] == 5
     heading, row = load_report.to_text({**EMPTY, "scenes": [scene]}).splitlines()[1:3]
-    assert row[heading.index("missed") :].split() == ["2/10", "–", "0", "0"]
+    assert row[heading.index("missed") :].split() == ["2/10", "–", "0", "0", "0"]
+
+
+def test_recoveries_are_counted_from_the_start_of_the_test() -> None:
+    before = stream_pb2.SceneStatus(scene="s", recoveries=2, recovering_steps=5, held_steps=1)
+    after = stream_pb2.SceneStatus(scene="s", recoveries=5, recovering_steps=12, held_steps=3)
+    scene = load_report.scene_report(before, after, poses_sent=0)
+    assert (scene["recoveries"], scene["recovering_steps"], scene["held_steps"]) == (3, 7, 2)
+    heading, row = load_report.to_text({**EMPTY, "scenes": [scene]}).splitlines()[1:3]
+    assert row[heading.index("recoveries") :] == "3 (7 steps)"
 
 
 NO_TIME = dict.fromkeys(("p50_s", "p99_s", "p999_s", "max_s"), 0.0)

@@ -123,6 +123,10 @@ def test_a_status_is_in_si_units() -> None:
     assert value(shown, "warning") == "body 'liver': stretched"
     assert value(shown, "force on probe") == "(1.5, 0, -0.25) N"
     assert value(status(fault="a body left its bounds"), "fault") == "a body left its bounds"
+    assert ["recoveries"] not in [row[:1] for row in rows_of(shown)]
+    assert value(status(recoveries=1, recovering_steps=1), "recoveries") == "1, 1 step"
+    recovering = status(recoveries=2, recovering_steps=1500, held_steps=3, recovering=True)
+    assert value(recovering, "recoveries") == "2, 1,500 steps, tissue held in 3, recovering now"
 
 
 def test_a_handle_shows_its_plan_and_its_status(recorder: tuple[Recorder, tm.Server]) -> None:

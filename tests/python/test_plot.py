@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,20 @@ def status(second: int, tools: list[stream_pb2.ToolFeedback]) -> stream_pb2.Scen
     )
 
 
-def write(path: Path, *, frames: bool = True, statuses: bool = True, steps: bool = True, tool: str = "probe") -> None:
-    """Writes a session in which the force on a tool grows by 1 N a second. It is reset after two seconds."""
+def write(
+    path: Path,
+    *,
+    frames: bool = True,
+    statuses: bool = True,
+    steps: bool = True,
+    tool: str = "probe",
+    recovered: Sequence[int] = (),
+) -> None:
+    """Writes a session in which the force on a tool grows by 1 N a second. It is reset after two seconds.
+
+    Args:
+        recovered: indices of the steps of recoveries.
+    """
     with RecordingWriter(path) as writer:
         writer.add("/scene", scene_pb2.Scene(name="block"), START_NS)
         writer.add("/start", recording_pb2.RecordingStart(scene="block", server_time_ns=START_NS))
@@ -52,7 +64,9 @@ def write(path: Path, *, frames: bool = True, statuses: bool = True, steps: bool
             time_ns = START_NS + index * 10**9 // RATE_HZ
             if steps:
                 is_reset = index in (1, 2 * RATE_HZ)
-                step = recording_pb2.RecordedStep(index=index, step=index, reset=is_reset, server_time_ns=time_ns)
+                step = recording_pb2.RecordedStep(
+                    index=index, step=index, reset=is_reset, recovered=index in recovered, server_time_ns=time_ns
+                )
                 writer.add("/inputs", step, time_ns)
             if frames and index % 2 == 0:
                 tools = [feedback(tool, time_s, 1e-3)]
@@ -86,6 +100,20 @@ def test_the_curves_are_those_of_the_messages(path: Path) -> None:
     np.testing.assert_array_equal(series.missed_deadlines["missed"].values, [2, 4, 6])
     np.testing.assert_allclose(series.rates_hz["reached"].values, RATE_HZ, rtol=1e-6)
     assert series.resets_s == [2.0], "a recording may start with a reset, which is not shown"
+
+
+def test_a_recovery_is_shown_where_it_begins(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(path, recovered=range(50, 53))
+    series = read_series(RecordingReader(path))
+    assert (series.recoveries_s, series.recovered_steps) == ([0.5], 3)
+    output, said = plot(path, capsys, ending="svg")
+    assert (said["recoveries"], said["recovered_steps"]) == (1, 3)
+    assert said["notes"] == ["recoveries 1, 3 steps"]
+    assert "recovers" in output.read_text()
+    write(path)
+    output, said = plot(path, capsys, ending="svg")
+    assert (said["recoveries"], said["notes"]) == (0, [])
+    assert "recovers" not in output.read_text()
 
 
 def test_the_rate_counts_lost_steps_and_needs_no_order_of_the_clock() -> None:

@@ -96,6 +96,28 @@ def test_a_scene_in_lockstep_is_repeated_to_the_last_bit(scene_file: Path, capsy
     assert not said["cut_off"]
 
 
+def test_steps_of_a_recovery_are_marked_and_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "blow.yaml"
+    # A blow of 30 ms moves nodes by more than they may.
+    path.write_text(
+        BLOCK
+        + "gravity_schedule: {time_s: [0.052, 0.053, 0.082, 0.083], factor: [0.1, 8, 8, 0.1]}\n"
+        + "guard: {max_move_m: 6.0e-4, on_fault: go_on}\n"
+    )
+    output = str(tmp_path / "blow.mcap")
+    record = ["record", str(path), "-o", output, "--lockstep", "--steps", "40", "--backend", "cpu"]
+    status, said = command(*record, "--check-every", "5", capsys=capsys)
+    assert status == 0
+    steps = [entry.message for entry in RecordingReader(Path(output)).entries() if entry.channel == "/inputs"]
+    recovered = [step.index for step in steps if step.recovered]
+    assert recovered[0] == 11
+    assert len(recovered) == said["recovered_steps"] < 20
+    assert not steps[-1].recovered
+    status, said = command("replay", output, capsys=capsys)
+    assert (status, said["exact"], said["equal_hashes"]) == (0, True, 8)
+    assert said["largest_displacement_m"] > 1e-4
+
+
 def test_two_clients_and_a_kill_leave_a_recording_that_replays(
     scene_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from recorded_parts import A_CHUNK, STEPS, TOPOLOGY, recorded_frame, write_recor
 
 import tensormass as tm
 from tensormass.v1 import scene_pb2, stream_pb2
+from tensormass_gateway.player import Mark
 from tensormass_tools.cli import main
 from tensormass_tools.recording import index as recording_index
 from tensormass_tools.recording.file import RecordingWriter
@@ -68,6 +70,22 @@ def test_contacts_guards_and_stops_are_marked(tmp_path: Path) -> None:
         ("contact", 10.0, "probe touches."),
         ("stop", 14.9, "A guard stopped the scene."),
     ]
+
+
+def test_a_recovery_has_one_mark_where_it_begins(tmp_path: Path) -> None:
+    recovered = [3, 4, 5, 8]
+    index = RecordingIndex(write_recording(tmp_path / "a.mcap", range(0, 100, 10), recovered=recovered))
+    assert [(mark.kind, round(mark.time_s, 3)) for mark in index.marks] == [("recovery", 0.1), ("recovery", 0.6)]
+    assert index.marks[0].text == "The scene recovers: tools back off, or the tissue is held."
+
+
+def test_a_status_marks_what_guards_did_besides_recoveries() -> None:
+    marks: list[Mark] = []
+    timeline = recording_index._Timeline(array("d"), marks)
+    for events, recovering_steps, text in ((1, 0, "before"), (4, 3, "recovers"), (5, 3, "repeated")):
+        status = stream_pb2.SceneStatus(guard_events=events, recovering_steps=recovering_steps, guard_text=text)
+        timeline.take_status(status)
+    assert [(mark.kind, mark.text) for mark in marks] == [("guard", "repeated")]
 
 
 def test_marks_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -349,8 +349,12 @@ def test_tools_of_any_kind_are_added_by_name() -> None:
         joint_values=[0.5],
         mass_kg=0.1,
         coupling_stiffness_n_per_m=500,
+        max_force_n=5,
+        max_joint_load=0.2,
     )
     assert tool.joint_values == [0.5]
+    assert (tool.max_force_n, tool.max_joint_load) == (5, 0.2)
+    assert not tool.HasField("max_torque_n_m")
     assert (tool.mass_kg, tool.coupling_stiffness_n_per_m) == (0.1, 500)
     assert not tool.HasField("coupling_damping_n_s_per_m")
     assert tool.orientation == scene_pb2.Quaternion(x=1)

@@ -92,7 +92,14 @@ def test_counters_of_the_scene_become_those_of_each_step(recorder: Fake) -> None
         [
             status(step=7, unconverged_steps=2, guard_events=5),
             status(step=8, unconverged_steps=2, guard_events=5, newton_iterations=3, newton_residual=2e-6),
-            status(step=9, unconverged_steps=3, guard_events=7, newton_iterations=4, kinetic_energy_j=0.5),
+            status(
+                step=9,
+                unconverged_steps=3,
+                guard_events=7,
+                newton_iterations=4,
+                kinetic_energy_j=0.5,
+                recovering=True,
+            ),
             status(step=10, unconverged_steps=3, guard_events=7, newton_iterations=2),
         ],
     )
@@ -100,6 +107,7 @@ def test_counters_of_the_scene_become_those_of_each_step(recorder: Fake) -> None
     assert [record.step for record in records] == [8, 9, 10]
     assert [record.converged for record in records] == [True, False, True]
     assert [record.rejected_attempts for record in records] == [0, 2, 0]
+    assert [record.recovering for record in records] == [False, True, False]
     assert [record.newton_iterations for record in records] == [3, 4, 2]
     assert records[0].newton_residual == 2e-6
     assert records[1].kinetic_energy_j == 0.5

@@ -133,6 +133,7 @@ def whole_scene(engine: Engine) -> scene_pb2.Scene:
     for kind in scene_pb2.Tool.DESCRIPTOR.oneofs_by_name["kind"].fields:
         tool = scene.tools.add(name=kind.name, max_speed_m_per_s=0.5)
         tool.mass_kg, tool.coupling_stiffness_n_per_m, tool.coupling_damping_n_s_per_m = 0.05, 500, 1
+        tool.max_force_n, tool.max_torque_n_m, tool.max_joint_load = 30, 1, 1
         shape = getattr(tool, kind.name)
         for field in shape.DESCRIPTOR.fields:
             if field.type == FieldDescriptor.TYPE_DOUBLE:

@@ -66,6 +66,7 @@ class FaultyState final : public backend::SceneState {
     return result;
   }
   void restore() override { sound_->restore(); }
+  void come_to_rest() override { sound_->come_to_rest(); }
   std::span<const float> visible_positions() override { return sound_->visible_positions(); }
   void gather_visible() override { sound_->gather_visible(); }
   void read_broken(std::span<std::uint8_t> broken) override { sound_->read_broken(broken); }

@@ -62,6 +62,7 @@ inline v1::Tool& add_probe(v1::Scene& scene, const std::string& name, double rad
   v1::Tool& tool = *scene.add_tools();
   tool.set_name(name);
   tool.mutable_spherical_probe()->set_radius_m(radius_m);
+  tool.set_max_force_n(1e6), tool.set_max_torque_n_m(1e6);  // these tests press harder than a hand
   set(*tool.mutable_position_m(), x, y, z);
   return tool;
 }

@@ -44,6 +44,8 @@ inline v1::Tool& add_solid(v1::Scene& scene, const std::string& kind, const std:
                            const std::array<double, 3>& center_m, double penalty_pa_per_m, bool upwards = false) {
   v1::Tool& tool = *scene.add_tools();
   tool.set_name("solid");
+  tool.set_max_force_n(1e6);  // these tests press harder than a hand
+  tool.set_max_torque_n_m(1e6);
   set(*tool.mutable_position_m(), center_m[0], center_m[1], center_m[2]);
   if (kind == "box") {
     v1::BoxSolid& box = *tool.mutable_box();

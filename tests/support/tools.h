@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -14,6 +15,21 @@ inline std::vector<std::string> thin_tool_kinds() {
   std::vector<std::string> names;
   physics::for_each_type(physics::ThinTools{}, [&](auto tag, int) { names.emplace_back(decltype(tag)::Type::kName); });
   return names;
+}
+
+/// The pressure of a thin tool's contact by its penalty, and its slope, at a depth [m]; contact/tools.h writes it in
+/// another form.
+///
+///   p = d + L (1 / (1 − x) − 1 − x),   L = 3/4 R,   x = (d − R/4) / L, continued by its tangent from x = steepest on
+struct HardenedDepth {
+  double pressure_m, slope;
+};
+inline HardenedDepth hardened(double depth_m, double radius_m, double steepest) {
+  const double length = 0.75 * radius_m, x = (depth_m - 0.25 * radius_m) / length, at = std::min(x, steepest);
+  if (x <= 0) return {depth_m, 1};
+  const double slope = 1 / ((1 - at) * (1 - at));
+  const double pressure_m = 0.25 * radius_m + length * (1 / (1 - at) - 1);
+  return {pressure_m + slope * length * (x - at), slope};
 }
 
 /// Adds a tool of this thin kind with its shape's origin at (x, y, z) [m]. Its z axis points up, along the scene's y.
@@ -33,6 +49,9 @@ inline v1::Tool& add_tool(v1::Scene& scene, const std::string& kind, double radi
   };
   put("radius_m", radius_m);
   put("penalty_stiffness_pa_per_m", penalty_pa_per_m);
+  for (auto set_largest : {&v1::Tool::set_max_force_n, &v1::Tool::set_max_torque_n_m, &v1::Tool::set_max_joint_load}) {
+    (tool.*set_largest)(1e6);  // these tests press harder than a hand
+  }
   physics::for_each_type(physics::Tools{}, [&](auto tag, int) {
     using Kind = typename decltype(tag)::Type;
     if (Kind::kName != kind) return;

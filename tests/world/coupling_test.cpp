@@ -23,6 +23,7 @@ model::ToolModel coupled_tool(double mass_kg, double stiffness_n_per_m, double d
   tool.radius_m = 0.01;
   tool.penalty_pa_per_m = 1e12;
   tool.max_speed_m_per_s = 1e3;
+  tool.max_force_n = tool.max_torque_n_m = tool.max_joint_load = 1e9;
   tool.mass_kg = mass_kg;
   tool.coupling_stiffness_n_per_m = stiffness_n_per_m;
   tool.coupling_damping_n_s_per_m = damping_n_s_per_m;
@@ -50,7 +51,7 @@ TEST(Coupling, AFreeToolFollowsTheHandAsItsDynamicsSay) {
     tool.set_target(at(kJumpM), kUntilTheNext);
     double worst = 0;
     for (double t_s = dt_s; t_s < 10 / omega; t_s += dt_s) {
-      tool.move(dt_s);
+      tool.move(dt_s, {});
       const double exact_m = kJumpM * (1 - (1 - omega * t_s) * std::exp(-omega * t_s));
       worst = std::max(worst, std::abs(tool.pose().position_m.z() - exact_m));
     }
@@ -69,7 +70,7 @@ TEST(Coupling, ASteadyHandFeelsNoDragInTheAir) {
   ToolMotion tool(model);
   for (int step = 1; step <= 300; ++step) {
     tool.set_target(at(0.001 * step), kUntilTheNext);
-    tool.move(1 / kStepsPerS);
+    tool.move(1 / kStepsPerS, {});
   }
   EXPECT_NEAR(tool.force_on_hand_n().norm(), 0, 1e-9);
   EXPECT_NEAR(tool.pose().position_m.z(), 0.3, 1e-9);
@@ -90,7 +91,7 @@ TEST(Coupling, APressedToolRestsWhereCouplingAndWallBalance) {
             for (int step = 1; step <= 2 * rate_hz; ++step) {
               const double before_m = tool.pose().position_m.z();
               tool.set_target(at(std::max(kPressM, 0.01 - 0.05 * step / rate_hz)), kUntilTheNext);
-              tool.move(1 / rate_hz);
+              tool.move(1 / rate_hz, {});
               feel_wall(tool, wall, share);
               if (step > rate_hz) moved_m = std::max(moved_m, std::abs(tool.pose().position_m.z() - before_m));
             }
@@ -119,11 +120,11 @@ TEST(Coupling, AFailedStepIsTakenBackWithItsVelocity) {
   ToolMotion tool(model), twin(model);
   for (ToolMotion* one : {&tool, &twin}) {
     one->set_target(at(0.01), kUntilTheNext);
-    one->move(0.01);
+    one->move(0.01, {});
   }
-  tool.move(0.01);
+  tool.move(0.01, {});
   tool.take_back();
-  for (ToolMotion* one : {&tool, &twin}) one->move(0.01);
+  for (ToolMotion* one : {&tool, &twin}) one->move(0.01, {});
   EXPECT_EQ(tool.pose().position_m, twin.pose().position_m);
   EXPECT_EQ(tool.force_on_hand_n(), twin.force_on_hand_n());
 }
@@ -135,7 +136,7 @@ TEST(Coupling, TheToolIsNoFasterThanItsMaximumSpeed) {
   tool.set_target(at(1), kUntilTheNext);
   for (int step = 0; step < 200; ++step) {
     const Vec3<double> before_m = tool.pose().position_m;
-    tool.move(1 / kStepsPerS);
+    tool.move(1 / kStepsPerS, {});
     EXPECT_LE((tool.pose().position_m - before_m).norm(), 0.5 / kStepsPerS * (1 + 1e-12)) << step;
     EXPECT_TRUE(tool.shape_at(1).position_m.isApprox(tool.pose().position_m, 1e-12));
   }

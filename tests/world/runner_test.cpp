@@ -63,6 +63,7 @@ v1::Scene running_scene(double rate_hz, double frame_rate_hz = 60) {
 v1::Scene doomed(v1::Scene scene) {
   v1::Body& body = *scene.mutable_bodies(0);
   body.clear_fixed();
+  scene.mutable_guard()->set_on_fault(v1::Guard::ON_FAULT_STOP);
   body.set_density_kg_per_m3(1e-3);
   body.mutable_law()->mutable_hooke()->set_young_modulus_pa(1e-3);  // linear: the same on every machine
   v1::Load& load = *body.add_loads();
@@ -73,20 +74,7 @@ v1::Scene doomed(v1::Scene scene) {
   return scene;
 }
 
-class Running : public tests::OnRunner {
- protected:
-  using OnRunner::load;
-  /// Loads a scene on a backend that fails at planned steps.
-  std::unique_ptr<Runner> load(const v1::Scene& scene, tests::FaultPlan plan) const {
-    const bool cpu = std::string(GetParam()) == "cpu";
-    auto compiled = compile_scene(scene, {cpu ? BackendChoice::kCpu : BackendChoice::kCuda, 1});
-    if (!compiled) throw std::runtime_error(compiled.error().message);
-    compiled->backend = std::make_unique<tests::FaultyBackend>(std::move(compiled->backend), std::move(plan));
-    auto runner = Runner::start(std::move(*compiled));
-    if (!runner) throw std::runtime_error(runner.error().message);
-    return std::move(*runner);
-  }
-};
+using Running = tests::OnRunner;
 
 TEST_P(Running, LockstepStepsWhenAskedAndOnlyThen) {
   const auto runner = load(lockstep_scene());
@@ -398,6 +386,7 @@ TEST_P(Running, AFaultStopsARunningSceneUntilItsReset) {
 TEST_P(Running, NothingOfABadStepIsPublished) {
   for (const tests::Fault fault : {tests::Fault::kNotANumber, tests::Fault::kExplosion, tests::Fault::kStall}) {
     v1::Scene scene = lockstep_scene();
+    scene.mutable_guard()->set_on_fault(v1::Guard::ON_FAULT_STOP);
     tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
     const auto runner =
         load(scene, [&](std::uint64_t step, std::uint64_t) { return step == 4 ? std::optional(fault) : std::nullopt; });

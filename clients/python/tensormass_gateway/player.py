@@ -23,7 +23,7 @@ class Mark(NamedTuple):
 
     time_s: float
     kind: str
-    """contact, guard, reset or stop"""
+    """contact, guard, recovery, reset or stop"""
     text: str
 
 

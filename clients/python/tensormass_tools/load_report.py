@@ -82,6 +82,9 @@ def scene_report(before: stream_pb2.SceneStatus, after: stream_pb2.SceneStatus, 
         "poses_rejected": grown("poses_rejected"),
         "frames_published": grown("frames_published"),
         "frames_replaced": grown("frames_replaced"),
+        "recoveries": grown("recoveries"),
+        "recovering_steps": grown("recovering_steps"),
+        "held_steps": grown("held_steps"),
     }
 
 
@@ -136,6 +139,7 @@ def to_text(report: Mapping[str, Any]) -> str:
             "poses sent",
             "superseded",
             "rejected",
+            "recoveries",
         ),
         [
             (
@@ -146,6 +150,7 @@ def to_text(report: Mapping[str, Any]) -> str:
                 scene["poses_sent"] if scene["poses_sent"] is not None else "–",
                 scene["poses_superseded"],
                 scene["poses_rejected"],
+                _recoveries(scene),
             )
             for scene in report["scenes"]
         ],
@@ -196,6 +201,11 @@ def to_text(report: Mapping[str, Any]) -> str:
         )
     lines += [f"error: {error}" for error in report["errors"]]
     return "\n".join([*lines, "no errors" if not report["errors"] else f"{len(report['errors'])} errors"])
+
+
+def _recoveries(scene: Mapping[str, Any]) -> str:
+    """Returns the number of recoveries, and of their steps."""
+    return f"{scene['recoveries']} ({scene['recovering_steps']} steps)" if scene["recovering_steps"] else "0"
 
 
 def _ms(summary: Mapping[str, Any]) -> str:

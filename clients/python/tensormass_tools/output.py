@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tensormass._src import defaults
 from tensormass._src.durations import DurationHistogram
 from tensormass._src.errors import InvalidArgumentError
 from tensormass._src.mesh_geometry import MeshQuality
+from tensormass._src.notebook import recoveries_text
 from tensormass.v1 import control_pb2, scene_pb2, stream_pb2
 
 #: Number of steps that `step_time_p50_s` and its like span.
@@ -83,6 +85,8 @@ def status_line(status: stream_pb2.SceneStatus, client_count: int | None = None)
         parts.append(f"clients {client_count}")
     if status.guard_events > 0:
         parts.append(f"guards {status.guard_events}, mended {status.guard_recoveries}")
+    if status.recoveries > 0:
+        parts.append(f"recoveries {recoveries_text(status)}")
     if status.fault:
         parts.append(f"FAULT: {status.fault}")
     return "  ".join(parts)
@@ -157,6 +161,7 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
         sections.append(f"made quadratic, with a node in the middle of each edge: {', '.join(elevated)}")
     if scheduled := _schedules(scene):
         sections.append("factors by schedule:\n" + "\n".join(f"  {item}" for item in scheduled))
+    sections.append(_tools_and_guard(scene))
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
     if warnings := [*_sizes(report), *report.warnings]:
@@ -164,6 +169,23 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     sections.append(f"memory {_bytes(report.bytes_total)}; expected rate {report.expected_rate_hz:.0f} Hz (a guess)")
     sections += [f"{table(stages)}\nper step; for the solve, per iteration", table(buffers)]
     return "\n\n".join(sections)
+
+
+def _tools_and_guard(scene: scene_pb2.Scene) -> str:
+    """Describes the loads above which tools give way, and what follows a step that cannot be made."""
+    tools = [["tool", "largest force", "torque", "joint load"]]
+    for tool in scene.tools:
+        if tool.fixed:
+            tools.append([tool.name, "fixed: bears any load", "", ""])
+        else:
+            loads = defaults.largest_loads(tool)
+            tools.append([tool.name, f"{loads.force_n:g} N", f"{loads.torque_n_m:g} N m", f"{loads.joint_load:g}"])
+    if defaults.goes_on_after_fault(scene):
+        then = "go_on: tools back off, or the tissue is held for at most 0.1 s"
+    else:
+        then = "stop: the scene stops until it is reset"
+    guard = f"after a fault (guard.on_fault): {then}"
+    return f"{table(tools)}\n\n{guard}" if scene.tools else guard
 
 
 def _sizes(report: control_pb2.SceneReport) -> list[str]:

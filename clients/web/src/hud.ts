@@ -16,6 +16,7 @@ export class Hud {
   readonly #picker = find("#scene", HTMLSelectElement);
   readonly #pill = find("#link", HTMLButtonElement);
   readonly #notice = element("notice");
+  readonly #recovery = element("recovering");
   readonly #device = element("device");
   /** The notice, shown or hidden; null if the page has no notice. */
   #said: Notice = null;
@@ -41,8 +42,12 @@ export class Hud {
     this.#device.textContent = parts.filter(Boolean).join(" · ");
   }
 
-  /** @param pictured Whether there is a picture. A notice must not cover it. */
-  show({ tone, text, hint, notice }: Situation, pictured: boolean): void {
+  /**
+   * @param pictured Whether there is a picture. A notice must not cover it.
+   * @param recovering Whether the scene recovers from a step that could not be made as planned.
+   */
+  show({ tone, text, hint, notice }: Situation, pictured: boolean, recovering = false): void {
+    this.#recovery.hidden = !recovering;
     this.#pill.dataset.tone = tone;
     write("link", text);
     this.#pill.title = hint ?? (notice === null ? "" : "Show or hide what this means (Esc hides it)");
@@ -65,6 +70,9 @@ export class Hud {
     write("iterations", status ? String(status.cgIterations) : UNKNOWN);
     write("summary", status ? `${trim(status.reachedRateHz)} Hz · step ${(1e3 * status.stepTimeP50S).toFixed(1)} ms` : "Readings");
     write("residual", status ? `res. ${status.cgRelativeResidual.toExponential(0)}` : "");
+    element("recoveries-row").hidden = !status?.recoveries;
+    write("recoveries", String(status?.recoveries ?? 0));
+    write("recovering-steps", status ? recoveredText(status) : "");
     const lawRangeUsed = status?.lawRangeUsed ?? 0;
     element("law-range-row").hidden = lawRangeUsed === 0;
     write("law-range", (100 * lawRangeUsed).toFixed(0));
@@ -115,6 +123,12 @@ export function targetText(status: Status | null): string {
     return "in lockstep";
   }
   return status ? `of ${trim(status.targetRateHz)} Hz` : "Hz";
+}
+
+/** The steps of all recoveries: "3 steps, 1 held". */
+export function recoveredText({ recoveringSteps, heldSteps }: Pick<Status, "recoveringSteps" | "heldSteps">): string {
+  const steps = recoveringSteps === 1n ? "1 step" : `${recoveringSteps} steps`;
+  return heldSteps > 0n ? `${steps}, ${heldSteps} held` : steps;
 }
 
 /** The largest error of positions with two digits; empty if they are exact. @param errorM null: no frame. */

@@ -188,7 +188,7 @@ function showState(): void {
   if (head !== null) {
     timeline.showHead(head);
   }
-  hud.show(session.situation, store.frame !== null);
+  hud.show(session.situation, store.frame !== null, session.recovering);
   showTile(grid.selected);
   const state = controlState(daemon, watched, store.status, commands.busy);
   controls.show(state, daemon, watched);

@@ -213,7 +213,10 @@ describe("decodeFrame", () => {
       forceN: [0, 1.5, 0],
       jointValues: [],
       retired: false,
+      recovering: false,
     });
+    const recovering = decodeFrame(frameBytes({ tools: [{ tool: "p", recovering: true }] }));
+    expect(recovering.tools[0]?.recovering).toBe(true);
     const unit = (w: number, x: number, y: number, z: number) =>
       decodeFrame(frameBytes({ tools: [{ tool: "p", orientation: { w, x, y, z } }] })).tools[0]?.orientationWxyz;
     expect(unit(0, 0, 0, 0)).toEqual([1, 0, 0, 0]);

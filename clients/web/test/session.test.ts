@@ -2,7 +2,8 @@ import { create, toBinary } from "@bufbuild/protobuf";
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
 
 import { SceneStatusSchema } from "../src/generated/tensormass/v1/stream_pb";
-import { Session, type SessionEvents } from "../src/stream/session";
+import { SceneState } from "../src/stream/decode";
+import { RECOVERY_SHOWS_MS, Session, type SessionEvents } from "../src/stream/session";
 import { FakeSocket } from "./fake_socket";
 import { busMessage, frameBytes, topologyBytes } from "./messages";
 
@@ -73,6 +74,32 @@ describe("Session", () => {
     expect(session.history.stepTime.points[0]?.value).toBe(3);
     expect(FakeSocket.last.of("ack").map(({ stream }) => stream)).toEqual(["topology", "topology", "frame", "status"]);
     expect(session.situation.text).toBe("Live");
+  });
+
+  it("shows a recovery while a frame has it and for a while after, so that it is seen", () => {
+    const tools = (recovering: boolean) => [{ tool: "probe" }, { tool: "hook", recovering }];
+    session.show("liver");
+    FakeSocket.last.open();
+    receive(daemonText(["kidney", "liver"]));
+    receiveStream("liver", "topology", topologyBytes());
+    receiveStream("liver", "frame", frameBytes({ tools: tools(false) }));
+    expect(session.recovering).toBe(false);
+    receiveStream("liver", "frame", frameBytes({ tools: tools(true) }));
+    vi.advanceTimersByTime(2 * RECOVERY_SHOWS_MS); // the scene is paused
+    expect(session.recovering).toBe(true);
+    receiveStream("liver", "frame", frameBytes({ tools: tools(true) }));
+    receiveStream("liver", "frame", frameBytes({ tools: tools(false) }));
+    vi.advanceTimersByTime(RECOVERY_SHOWS_MS - 1);
+    expect(session.recovering).toBe(true);
+    vi.advanceTimersByTime(1);
+    expect(session.recovering).toBe(false);
+    receiveStream("liver", "status", status({ serverTimeNs: 1_700_000_000_123_456_789n, recovering: true }));
+    expect(session.recovering).toBe(true); // between two frames
+    const stopped = { serverTimeNs: 1_700_000_000_123_456_790n, recovering: true, state: SceneState.FAULTED };
+    receiveStream("liver", "status", status(stopped));
+    expect(session.recovering).toBe(false);
+    session.show("kidney");
+    expect(session.recovering).toBe(false);
   });
 
   it("asks for other frames again after a loss of the connection, but for none of its own accord", () => {

@@ -89,6 +89,12 @@ class CpuState final : public SceneState {
                         [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); });
   }
 
+  void come_to_rest() override {
+    checkpoint_.come_to_rest(
+        view_, [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); },
+        [](std::size_t count, Real* to) { std::fill(to, to + count, Real(0)); });
+  }
+
   std::span<const float> visible_positions() override {
     return {view_.surface.positions, 3 * std::size_t{view_.surface.vertex_count}};
   }

@@ -124,13 +124,15 @@ class CudaState final : public SceneState {
   }
 
   void restore() override {
-    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_),
-                        [&](const Real* from, std::size_t count, Real* to) {
-                          if (count == 0) return;
-                          check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()),
-                                "restore");
-                        });
+    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_), copy_within());
     wait("restore");  // a later read uses another stream
+  }
+
+  void come_to_rest() override {
+    checkpoint_.come_to_rest(view_, copy_within(), [&](std::size_t count, Real* to) {
+      check(cudaMemsetAsync(to, 0, count * sizeof(Real), stream()), "come_to_rest");
+    });
+    wait("come_to_rest");
   }
 
   std::span<const float> visible_positions() override { return visible_.span(); }
@@ -200,6 +202,13 @@ class CudaState final : public SceneState {
   void launch_graph(const Graph& graph, const char* what) { check(cudaGraphLaunch(graph.get(), stream()), what); }
   void launch_frame() {
     if (const Graph& frame = graph(step::Phase::kFrame)) launch_graph(frame, "frame");
+  }
+  /// Copies reals within the device, after what the stream does.
+  auto copy_within() {
+    return [this](const Real* from, std::size_t count, Real* to) {
+      if (count == 0) return;
+      check(cudaMemcpyAsync(to, from, count * sizeof(Real), cudaMemcpyDeviceToDevice, stream()), "copy");
+    };
   }
   void wait(const char* what) { check(shares_ ? wait_asleep(stream()) : cudaStreamSynchronize(stream()), what); }
   cudaStream_t stream() const { return stream_.get(); }

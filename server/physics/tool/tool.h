@@ -71,6 +71,9 @@ struct ToolParameter {
 /// The numbers of a tool's message, as its kind's kParameters lists them; zero beyond them.
 using ToolParameters = std::array<double, limits::kMaxToolParameters>;
 
+/// Depth from which on the contact of a thin tool hardens (contact/tools.h), in radii.
+inline constexpr double kHardeningBegins = 0.25;
+
 /// A point of a tool's core.
 template <class Real>
 struct CorePoint {
@@ -90,6 +93,7 @@ struct PlacedTool {
   Real penalty_pa_per_m;
   Real presence;    // share of the tool that is there while it is retired, 0 to 1; penalty_pa_per_m contains it
   Real friction;    // Coulomb's coefficient μ; 0: none
+  Real steepest;    // where a thin tool's contact hardens no further (contact/tools.h)
   Real moved_m[3];  // motion of position_m in this step
   Real turned[9];   // I − R₀Rᵀ with the rotations R₀ at the start of the step and R now; row-major
   Real joints_moved[limits::kMaxToolJoints];  // change of joint_values in this step

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from tensormass.v1 import scene_pb2
+from typing import NamedTuple
+
+from tensormass.v1 import guard_pb2, scene_pb2
 
 _QUASI_STATIC = scene_pb2.Solver.INTEGRATOR_QUASI_STATIC
 
@@ -38,6 +40,33 @@ def newton_tolerance(solver: scene_pb2.Solver) -> float:
     if solver.HasField("newton_tolerance"):
         return solver.newton_tolerance
     return 1e-6 if solver.precision == scene_pb2.Solver.PRECISION_DOUBLE else 1e-3
+
+
+class LargestLoads(NamedTuple):
+    """Loads of a tool above which it gives way."""
+
+    force_n: float
+    torque_n_m: float
+    #: Of a joint [N m or N].
+    joint_load: float
+
+
+def largest_loads(tool: scene_pb2.Tool) -> LargestLoads:
+    """Returns the loads above which a tool gives way."""
+    return LargestLoads(
+        tool.max_force_n if tool.HasField("max_force_n") else 30.0,
+        tool.max_torque_n_m if tool.HasField("max_torque_n_m") else 1.0,
+        tool.max_joint_load if tool.HasField("max_joint_load") else 1.0,
+    )
+
+
+def goes_on_after_fault(scene: scene_pb2.Scene) -> bool:
+    """Returns whether a scene goes on where a step left its bounds and no retry stays within them."""
+    if scene.solver.integrator == _QUASI_STATIC:
+        return False
+    if scene.guard.on_fault == guard_pb2.Guard.ON_FAULT_UNSPECIFIED:
+        return any(not tool.fixed for tool in scene.tools)
+    return scene.guard.on_fault == guard_pb2.Guard.ON_FAULT_GO_ON
 
 
 def scheduled_s(scene: scene_pb2.Scene) -> float:

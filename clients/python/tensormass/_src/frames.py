@@ -48,7 +48,7 @@ class Feedback:
     stiffness_n_per_m: npt.NDArray[np.float64]
     #: How long the local model may be used after its arrival [s].
     valid_for_s: float
-    #: Place of the hand for which force_n holds, [3] m; position_m, unless the tool has a mass and lags behind.
+    #: Place of the hand for which force_n holds, [3] m: position_m, unless the tool has a mass or gives way.
     anchor_m: npt.NDArray[np.float64]
     #: Joints of the tool [rad or m].
     joint_values: npt.NDArray[np.float64]
@@ -58,6 +58,10 @@ class Feedback:
     touching: bool
     #: The tool touches nothing, because its newest pose was valid for a time that has passed.
     retired: bool
+    #: The tool stays behind the hand, because the load would exceed its largest or because it backs off.
+    gives_way: bool
+    #: The step could not be made as planned. A device fades to force_n, which may have jumped.
+    recovering: bool
 
     def _repr_html_(self) -> str:
         size = notebook.quantity(float(np.linalg.norm(self.force_n)), "N")
@@ -72,6 +76,10 @@ class Feedback:
             rows.append(["joints", notebook.vector(self.joint_values, "rad or m")])
         if self.retired:
             rows.append(["retired", "it touches nothing"])
+        if self.gives_way:
+            rows.append(["gives way", f"the hand is at {notebook.vector(self.anchor_m, 'm')}"])
+        if self.recovering:
+            rows.append(["recovering", "the step could not be made as planned"])
         return notebook.table(f"tool {self.tool}", rows)
 
     @staticmethod
@@ -99,6 +107,8 @@ class Feedback:
             joint_loads=np.array(message.joint_loads, dtype=np.float64),
             touching=message.touching,
             retired=message.retired,
+            gives_way=message.gives_way,
+            recovering=message.recovering,
         )
 
 

@@ -193,9 +193,21 @@ def status_html(status: stream_pb2.SceneStatus) -> str:
     ]
     if status.guard_events:
         rows.append(["guards", f"{status.guard_events} events, {status.guard_recoveries} recovered"])
+    if status.recoveries:
+        rows.append(["recoveries", recoveries_text(status)])
     rows += [["warning", text] for text in status.warnings]
     rows += [[f"force on {tool.tool}", vector(tool.force_n, "N")] for tool in status.tools]
     return table(f"scene {status.scene}", rows)
+
+
+def recoveries_text(status: stream_pb2.SceneStatus) -> str:
+    """Describes the recoveries: their number, their steps, and the one that goes on now."""
+    parts = [str(status.recoveries), "1 step" if status.recovering_steps == 1 else f"{status.recovering_steps:,} steps"]
+    if status.held_steps:
+        parts.append(f"tissue held in {status.held_steps:,}")
+    if status.recovering and status.state != stream_pb2.SceneStatus.STATE_FAULTED:
+        parts.append("recovering now")
+    return ", ".join(parts)
 
 
 def state_name(status: stream_pb2.SceneStatus) -> str:

@@ -17,7 +17,7 @@ from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
 from tensormass._src.packing import add_what_the_mesh_carries, pack_mesh, pack_triangles
 from tensormass._src.scene_file import SceneFile, is_mesh_file
-from tensormass._src.solver_settings import Integrator, Precision, set_fields
+from tensormass._src.solver_settings import Integrator, OnFault, Precision, set_fields
 from tensormass._src.ties import Nodes, make_attachment, make_contact
 from tensormass._src.tools import make_tool
 from tensormass._src.vectors import Vector, vector3
@@ -333,6 +333,31 @@ class Scene:
         """
         set_fields(self.message.stepping, "set_stepping", {"dt_s": dt_s, "rate_hz": rate_hz})
 
+    def set_guard(
+        self,
+        *,
+        max_move_m: float | None = None,
+        max_distance_m: float | None = None,
+        max_energy_ratio: float | None = None,
+        on_fault: OnFault | None = None,
+    ) -> None:
+        """Changes the bounds of a step, and what follows a step that leaves them. None leaves a setting as it is.
+
+        Args:
+            max_move_m: largest motion of a node in a step [m]. Default: about the size of the scene.
+            max_distance_m: largest distance of a node from its rest position, if every body has fixed nodes [m].
+                Default: ten times that of `max_move_m`.
+            max_energy_ratio: largest kinetic energy, relative to the energy that is available to the scene. Default: 4.
+            on_fault: "go_on": tools back off, or the tissue is held; "stop": the scene stops until it is reset.
+                Default: "go_on" in a scene with a tool that takes poses, else "stop". A quasi-static scene always
+                stops.
+
+        Raises:
+            InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.
+        """
+        settings = {name: value for name, value in locals().items() if name != "self"}
+        set_fields(self.message.guard, "set_guard", settings)
+
     def add_spherical_probe(
         self, name: str, *, radius_m: float, position_m: Vector, max_speed_m_per_s: float | None = None
     ) -> scene_pb2.Tool:
@@ -356,6 +381,9 @@ class Scene:
         coupling_stiffness_n_per_m: float | None = None,
         coupling_damping_n_s_per_m: float | None = None,
         contact_method: str | None = None,
+        max_force_n: float | None = None,
+        max_torque_n_m: float | None = None,
+        max_joint_load: float | None = None,
         **shape: float | Vector | meshes.TriangleSurface,
     ) -> scene_pb2.Tool:
         """Adds a tool of any kind and returns its message. It stays where it is until its first pose.
@@ -370,6 +398,9 @@ class Scene:
             coupling_stiffness_n_per_m: of that spring; None: 1000.
             coupling_damping_n_s_per_m: of that damper; None: critical.
             contact_method: "penalty" (default) or "augmented_lagrangian", which leaves no penetration at rest.
+            max_force_n: largest force on the hand [N]; above it the tool gives way and stays behind the hand. None: 30.
+            max_torque_n_m: likewise, torque about `position_m` [N m]. None: 1.
+            max_joint_load: likewise, load of a joint [N m or N]. None: 1.
             shape: fields of that kind's message, such as `radius_m=0.005, length_m=0.2`, or
                 `surface=TriangleSurface(vertices, triangles)` for a mesh.
 
@@ -390,6 +421,9 @@ class Scene:
                 coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
                 coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
                 contact_method=contact_method,
+                max_force_n=max_force_n,
+                max_torque_n_m=max_torque_n_m,
+                max_joint_load=max_joint_load,
                 shape=shape,
             )
         )

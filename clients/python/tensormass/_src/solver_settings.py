@@ -1,4 +1,4 @@
-"""Settings of the solver and of the time step, checked against the schema."""
+"""Settings of the solver, the time step and the guard, checked against the schema."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tensormass._src.scene_fields import checked_fields
 
 Integrator = Literal["implicit_euler", "bdf2", "implicit_midpoint", "quasi_static"]
 Precision = Literal["float", "double"]
+OnFault = Literal["go_on", "stop"]
 
 
 def set_fields(message: Message, where: str, fields: Mapping[str, Any]) -> None:

@@ -33,6 +33,8 @@ class StepRecord:
     converged: bool | None
     #: Attempts at this step that a guard rejected before one succeeded.
     rejected_attempts: int
+    #: True if the step belongs to a recovery: tools backed off, or the tissue was held (`Guard.on_fault`).
+    recovering: bool
     #: Kinetic energy after the step [J].
     kinetic_energy_j: float
     #: Everything that the daemon reports. Its elastic energy, smallest det F and rates are of their last check, which
@@ -60,6 +62,7 @@ class StepRecord:
             newton_residual=after.newton_residual,
             converged=_converged(before, after, solver),
             rejected_attempts=after.guard_events - before.guard_events,
+            recovering=after.recovering,
             kinetic_energy_j=after.kinetic_energy_j,
             status=after,
         )

@@ -73,6 +73,9 @@ def make_tool(
     coupling_stiffness_n_per_m: float | None,
     coupling_damping_n_s_per_m: float | None,
     contact_method: str | None,
+    max_force_n: float | None,
+    max_torque_n_m: float | None,
+    max_joint_load: float | None,
     shape: dict[str, float | Vector | TriangleSurface],
 ) -> scene_pb2.Tool:
     """Returns a tool of a kind. See Scene.add_tool."""
@@ -89,6 +92,9 @@ def make_tool(
         mass_kg=mass_kg,
         coupling_stiffness_n_per_m=coupling_stiffness_n_per_m,
         coupling_damping_n_s_per_m=coupling_damping_n_s_per_m,
+        max_force_n=max_force_n,
+        max_torque_n_m=max_torque_n_m,
+        max_joint_load=max_joint_load,
     )
     if contact_method is not None:
         where = f"{name}.contact_method"

@@ -13,6 +13,7 @@ _UNITS = {
     "_pa_per_m": "Pa/m",
     "_n_per_m": "N/m",
     "_per_s": "1/s",
+    "_n_m": "N m",
     "_hz": "Hz",
     "_pa": "Pa",
     "_kg": "kg",

@@ -214,6 +214,7 @@ class _Timeline:
         self._last = stream_pb2.Frame()
         self._touched_s: dict[str, float] = {}
         self._guard_events: int | None = None
+        self._recovering = False
 
     def take_frame(self, frame: stream_pb2.Frame) -> None:
         if not math.isfinite(frame.simulated_time_s):
@@ -239,10 +240,15 @@ class _Timeline:
     def take_step(self, step: recording_pb2.RecordedStep) -> None:
         if step.rejected:
             self._mark("stop", "A guard stopped the scene.")
+        if step.recovered and not self._recovering:
+            self._mark("recovery", "The scene recovers: tools back off, or the tissue is held.")
+        self._recovering = step.recovered
 
     def take_status(self, status: stream_pb2.SceneStatus) -> None:
-        before, self._guard_events = self._guard_events, status.guard_events
-        if before is not None and status.guard_events > before:
+        # Steps of a recovery leave their bounds too, but `take_step` marks them.
+        events = status.guard_events - status.recovering_steps
+        before, self._guard_events = self._guard_events, events
+        if before is not None and events > before:
             self._mark("guard", status.guard_text)
 
     def _mark(self, kind: str, text: str) -> None:

@@ -50,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
                 "scene": series.scene,
                 "steps": series.steps,
                 "frames": series.frames,
+                "recoveries": len(series.recoveries_s),
+                "recovered_steps": series.recovered_steps,
                 "panels": {title: list(curves) for title, curves in panels.items()},
                 "notes": notes,
             }
@@ -68,14 +70,18 @@ def draw(series: Series, panels: Mapping[str, Mapping[str, Curve]], notes: Seque
     """
     figure = Figure(figsize=(_WIDTH_IN, 0.8 + _PANEL_HEIGHT_IN * len(panels)), layout="constrained")
     figure.suptitle(f"{series.scene}: {series.steps} recorded steps", parse_math=False)
+    marks = [
+        ("reset", "tab:gray", series.resets_s),
+        ("recovers", "tab:purple", series.recoveries_s),
+        ("stopped by a guard", "tab:red", series.stops_s),
+    ]
     all_axes = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
     all_axes[0].set_title("\n".join(notes), fontsize="small", color="dimgray", loc="left", parse_math=False)
     for axes, (title, curves) in zip(all_axes, panels.items(), strict=True):
         _draw_panel(axes, title, curves)
-        for times_s, color in ((series.resets_s, "tab:gray"), (series.stops_s, "tab:red")):
+        for _, color, times_s in marks:
             for time_s in times_s:
                 axes.axvline(time_s, color=color, linestyle=":", linewidth=1)
-    marks = [("reset", "tab:gray", series.resets_s), ("stopped by a guard", "tab:red", series.stops_s)]
     seen = [(Line2D([], [], color=color, linestyle=":"), name) for name, color, times_s in marks if times_s]
     if seen:
         figure.legend(*zip(*seen, strict=True), loc="outside lower center", ncols=len(seen), frameon=False)
@@ -133,6 +139,8 @@ def _notes(series: Series, *, cut_off: bool) -> list[str]:
         notes.append("the recording has no status of a step, so it shows no residual and no missed deadline")
     elif not series.missed_deadlines:
         notes.append("the scene was stepped on request, so it had no deadlines")
+    if series.recovered_steps:
+        notes.append(f"recoveries {len(series.recoveries_s)}, {series.recovered_steps} steps")
     if series.lost_steps:
         notes.append(f"{series.lost_steps} steps were lost in the recording")
     if cut_off:

@@ -79,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
         print_json(summary)
     else:
         print(f"wrote {args.output}: {summary['steps']} steps, {summary['checks']} checks")
+        if recorder.recovered:
+            print(f"the scene recovered in {recorder.recovered} steps: tools backed off, or the tissue was held")
         if recorder.checks == 0 and recorder.steps > 0:
             print("without checks a replay compares nothing; record more steps, or give a smaller --check-every")
         if recorder.lost:
@@ -95,7 +97,7 @@ class Recorder:
         self._handle = handle
         self._queue: queue.Queue[Any] = queue.Queue(_QUEUED)
         self._ends = threading.Event()
-        self.steps = self.checks = self.frames = self.lost = self.lost_checks = 0
+        self.steps = self.recovered = self.checks = self.frames = self.lost = self.lost_checks = 0
         self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
     def summary(self) -> dict[str, Any]:
@@ -104,6 +106,7 @@ class Recorder:
             "scene": self._handle.name,
             "output": str(self._args.output),
             "steps": self.steps,
+            "recovered_steps": self.recovered,
             "checks": self.checks,
             "frames": self.frames,
             "lost_steps": self.lost,
@@ -242,6 +245,7 @@ class Recorder:
         for check in item.checks:
             writer.add("/checks", check)
         self.steps += len(item.steps)
+        self.recovered += sum(step.recovered for step in item.steps)
         self.checks += len(item.checks)
         self.lost_checks = item.lost_checks
 

@@ -67,6 +67,9 @@ class Series:
     #: When the scene was reset, and when a guard stopped it [s].
     resets_s: list[float] = field(default_factory=list)
     stops_s: list[float] = field(default_factory=list)
+    #: When each recovery began [s], and the number of steps in all of them.
+    recoveries_s: list[float] = field(default_factory=list)
+    recovered_steps: int = 0
 
 
 def read_series(recording: RecordingReader) -> Series:
@@ -87,6 +90,7 @@ class _Reading:
         self._residuals: defaultdict[str, _Points] = defaultdict(_Points)
         self._missed: defaultdict[str, _Points] = defaultdict(_Points)
         self._step_ends = _Points()
+        self._recovering = False
 
     def read(self) -> Series:
         take: dict[str, Callable[[float, Any], None]] = {
@@ -144,6 +148,11 @@ class _Reading:
             self._series.resets_s.append(time_s)
         if step.rejected:
             self._series.stops_s.append(time_s)
+        if step.recovered:
+            self._series.recovered_steps += 1
+            if not self._recovering:
+                self._series.recoveries_s.append(time_s)
+        self._recovering = step.recovered
 
 
 def rate_hz(time_s: FloatArray, index: FloatArray, window_s: float = RATE_WINDOW_S) -> Curve:

@@ -29,13 +29,15 @@ export class Tile {
   readonly session: Session;
   readonly viewer: Viewer;
   readonly #name: HTMLElement;
+  readonly #recovery: HTMLElement;
   readonly #pill: HTMLElement;
 
   constructor(stage: Stage, address: Address, settings: Settings, events: TileEvents) {
     const template = find("#tile", HTMLTemplateElement).content;
     this.element = find(".tile", HTMLElement, document.importNode(template, true));
     this.#name = find(".name", HTMLElement, this.element);
-    this.#pill = find(".pill", HTMLElement, this.element);
+    this.#recovery = find(".recovery", HTMLElement, this.element);
+    this.#pill = find(".state", HTMLElement, this.element);
     find("#tiles", HTMLElement).append(this.element);
     const legend = new LegendPanel(this.element);
     this.session = new Session({
@@ -77,6 +79,7 @@ export class Tile {
     setText(this.#pill, text);
     this.#pill.dataset.tone = tone;
     this.#pill.title = hint ?? notice?.detail ?? "";
+    this.#recovery.hidden = !this.session.recovering;
     this.element.tabIndex = inGrid ? 0 : -1;
     this.element.ariaCurrent = String(inGrid && selected);
   }

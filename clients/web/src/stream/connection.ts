@@ -4,7 +4,7 @@ import { slotOf, type StreamName, type ToolState } from "./decode";
 /** Something that happened at a time of a recording. */
 export interface Mark {
   readonly timeS: number;
-  /** contact, guard, reset or stop */
+  /** contact, guard, recovery, reset or stop */
   readonly kind: string;
   readonly text: string;
 }

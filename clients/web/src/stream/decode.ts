@@ -130,6 +130,8 @@ export interface ToolState {
   readonly jointValues: readonly number[];
   /** Whether the tool touches nothing, because its client has fallen silent. */
   readonly retired: boolean;
+  /** Whether the step could not be made as planned: tools backed off, or the tissue was held. */
+  readonly recovering: boolean;
 }
 
 export interface Frame {
@@ -438,6 +440,7 @@ function toolState(where: string, tool: ToolFeedback): ToolState {
     forceN: vector(`${here}, force_n`, tool.forceN, Infinity),
     jointValues: tool.jointValues.map((value, i) => finite(`${here}, joint_values[${i}]`, value)),
     retired: tool.retired,
+    recovering: tool.recovering,
   };
 }
 

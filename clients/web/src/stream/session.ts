@@ -13,6 +13,7 @@ import {
   type LinkState,
 } from "./connection";
 import {
+  SceneState,
   decodeField,
   decodeFrame,
   decodeStatus,
@@ -29,6 +30,9 @@ import { FrameDecoder } from "./encoded";
 import { History } from "./history";
 import { Pace } from "./pace";
 import { SceneStore, type Counters } from "./store";
+
+/** How long a recovery shows after its last step [ms]. Most last for a few steps, which nobody would see. */
+export const RECOVERY_SHOWS_MS = 1500;
 
 export interface SessionEvents {
   /** Called with each state of the daemon: scenes may have come or gone. */
@@ -83,6 +87,8 @@ export class Session {
   /** The element field that the gateway was asked for. */
   #askedField: string | null = null;
   #valuesRevision = 0;
+  /** When a frame or status of a recovery last came. */
+  #recoveredAtMs = -Infinity;
   #replaced = 0;
   /** The share of triangles that was asked for; undefined: that of the address. */
   #detail: number | undefined;
@@ -125,6 +131,15 @@ export class Session {
   /** Whether the gateway knows the elements of the scene on show. */
   get hasFields(): boolean {
     return this.#watched !== null && this.#daemon?.fieldScenes.includes(this.#watched) === true;
+  }
+
+  /** Whether to show that the scene recovers from a step that could not be made as planned. */
+  get recovering(): boolean {
+    if (this.store.status?.state === SceneState.FAULTED) {
+      return false;
+    }
+    // A scene that stands still in a recovery goes on showing it.
+    return recovers(this.store.frame) || performance.now() - this.#recoveredAtMs < RECOVERY_SHOWS_MS;
   }
 
   /** The state of scene and connection in words. */
@@ -259,6 +274,7 @@ export class Session {
   #forget(): void {
     this.#watched = null;
     this.#replaced = 0;
+    this.#recoveredAtMs = -Infinity;
     this.store.clear();
     this.history.clear();
   }
@@ -305,6 +321,7 @@ export class Session {
       case "encoded_frame": {
         const frame = this.#decodeAndTime(message);
         store.setFrame(frame);
+        this.#noteRecovery(recovers(frame));
         history.addFrame(frame, store.topology!);
         this.#events.onFrame();
         break;
@@ -318,10 +335,18 @@ export class Session {
       case "status":
         store.setStatus(decodeStatus(message.payload));
         if (store.status !== null) {
+          // The daemon sends one as a recovery begins. Frames may miss it.
+          this.#noteRecovery(store.status.recovering);
           history.addStatus(store.status);
         }
         this.#events.onChange();
         break;
+    }
+  }
+
+  #noteRecovery(recovering: boolean): void {
+    if (recovering) {
+      this.#recoveredAtMs = performance.now();
     }
   }
 
@@ -339,4 +364,8 @@ export class Session {
       this.#replaced = reply.replaced;
     }
   }
+}
+
+function recovers(frame: Frame | null): boolean {
+  return frame?.tools.some(({ recovering }) => recovering) ?? false;
 }
