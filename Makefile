@@ -178,6 +178,7 @@ accuracy: setup-test ## Check accuracy: results in tests/accuracy, page docs/acc
 stability: setup-test ## Check stability: results in tests/stability, page docs/stability.md (BACKEND=cuda, LONG=1)
 	@$(MAKE) native python
 	@cd tests && { python -m stability --backend $(BACKEND) $(if $(LONG),--long) || failed=1; \
+	  python -m stability.monkey --backend $(BACKEND) --walks 500 || failed=1; \
 	  python -m stability.report && exit $${failed:-0}; }
 
 trade: setup-test ## Measure settings of the demo scenes: results, presets, docs/accuracy.md (BACKEND=cuda); resumes if stopped
