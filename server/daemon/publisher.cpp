@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "bus/keys.h"
-#include "core/log.h"
 
 namespace tensormass::daemon {
 namespace {
@@ -57,13 +56,32 @@ void Publisher::run() {
       if (runner == nullptr) continue;
       const bool has_frame = runner->take_frame(frame_);
       if (has_frame) bus_.publish(scene.frame_key, frame_);
-      if (runner->take_status(status_)) bus_.publish(scene.status_key, status_, {.retain = true});
+      if (runner->take_status(status_)) {
+        bus_.publish(scene.status_key, status_, {.retain = true});
+        log_recovery(name, scene);
+      }
       if (!has_frame) continue;
       // Sending a large frame takes long; forces that arrived meanwhile go before the next frame.
       for (auto& [other_name, other] : scenes_) publish_feedback(other);
     }
     wake_up_.wait(kIdleWakeUpMs);
   }
+}
+
+/// Logs what the newest status says of recoveries and of a fault, once each.
+void Publisher::log_recovery(const std::string& name, Scene& scene) {
+  const std::uint64_t before = std::exchange(scene.recoveries, status_.recoveries());
+  if (status_.recoveries() > before) {
+    if (const auto suppressed = recovery_lines_.admit()) {
+      log::warn("scene recovers", {{"scene", name},
+                                   {"recoveries", status_.recoveries()},
+                                   {"why", status_.guard_text()},
+                                   {"suppressed", *suppressed}});
+    }
+  }
+  const bool stopped = !status_.fault().empty();
+  if (stopped && !scene.stopped) log::error("scene stopped", {{"scene", name}, {"why", status_.fault()}});
+  scene.stopped = stopped;
 }
 
 void Publisher::follow_registry() {

@@ -10,6 +10,7 @@
 
 #include "bus/bus.h"
 #include "control/scene_registry.h"
+#include "core/log.h"
 
 namespace tensormass::daemon {
 
@@ -74,6 +75,8 @@ class Publisher {
     std::vector<v1::ToolFeedback> feedback;  // the last published feedback of each tool
     std::vector<std::string> feedback_keys;  // one for each tool, in the order of `feedback`
     std::string frame_key, status_key, topology_key;
+    std::uint64_t recoveries = 0;  // logged so far
+    bool stopped = false;          // a fault was logged
   };
 
   void run();
@@ -84,10 +87,12 @@ class Publisher {
   /// Publishes zero forces and drops the retained messages.
   void end_scene(Scene& scene);
   void publish_feedback(Scene& scene);
+  void log_recovery(const std::string& name, Scene& scene);
 
   const control::SceneRegistry& registry_;
   bus::Bus& bus_;
   const std::string server_;
+  log::Limiter recovery_lines_;
   WakeUp& wake_up_;
   std::uint64_t generation_ = 0;  // generation of the registry that `scenes_` reflects
   std::map<std::string, Scene> scenes_;
