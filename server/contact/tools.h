@@ -228,29 +228,27 @@ TM_HOST_DEVICE Real kept_depth(const view::ContactView<Real>& contact, const phy
   return kept_n > 0 && stiffness > 0 ? kept_n / stiffness : Real(0);
 }
 
-/// The pressure of a thin tool's contact, k (p(depth) + kept), as its tangent: the slope p' and the depth at which a
-/// spring of that slope has the pressure.
+/// Returns where a thin tool touches with the pressure k (p(depth) + kept) in place of k (depth + kept), as its
+/// tangent: k is p' times as large, and the depth is that at which a spring of this k has the pressure.
 ///
 ///   p = depth + (R − d0) x² / (1 − x),   x = (depth − d0) / (R − d0) from d0 = R / 4 on
 ///
 /// p grows without bound where the surface comes to the core, so tissue that stretches over the tool hardly lets it
 /// through. From x = PlacedTool::steepest on p is continued by its tangent.
+/// kept: depth by which the contact counts as deeper than it is, contained in touch.depth_m [m].
 template <class Real>
-struct Hardening {
-  Real depth_m, slope;
-
-  /// kept: depth by which the contact counts as deeper than it is [m].
-  TM_HOST_DEVICE Hardening(Real depth, Real kept, const physics::PlacedTool<Real>& tool) {
-    constexpr Real kBegins = Real(physics::kHardeningBegins);
-    const Real length = tool.radius_m * (1 - kBegins);
-    const Real beyond = maximum(Real((depth - kBegins * tool.radius_m) / length), Real(0));
-    const Real x = minimum(beyond, tool.steepest), left = 1 - x;
-    const Real steeper = x * (2 - x) / (left * left);
-    slope = 1 + steeper;
-    const Real pressure = depth + length * (x * x / left + steeper * (beyond - x));
-    depth_m = (pressure + kept) / slope;
-  }
-};
+TM_HOST_DEVICE Touch<Real> hardened(Touch<Real> touch, Real kept, const physics::PlacedTool<Real>& tool) {
+  if (!(touch.depth_m > 0)) return touch;
+  constexpr Real kBegins = Real(physics::kHardeningBegins);
+  const Real depth = touch.depth_m - kept, length = tool.radius_m * (1 - kBegins);
+  const Real beyond = maximum(Real((depth - kBegins * tool.radius_m) / length), Real(0));
+  const Real x = minimum(beyond, tool.steepest), left = 1 - x;
+  const Real steeper = x * (2 - x) / (left * left), slope = 1 + steeper;
+  const Real pressure = depth + length * (x * x / left + steeper * (beyond - x));
+  touch.depth_m = (pressure + kept) / slope;
+  touch.share *= slope;
+  return touch;
+}
 
 /// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
@@ -268,12 +266,6 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       out.normal[c] = touch.normal[c];
     }
     out.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle] * touch.share;
-    if constexpr (!Kind::kIsSolid) {
-      const Real kept = kept_depth(contact, tool, point, triangle);
-      const Hardening<Real> hardening(touch.depth_m - kept, kept, tool);
-      out.depth_m = hardening.depth_m;
-      out.stiffness *= hardening.slope;
-    }
     out.lever_m = touch.lever_m;
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, out);
@@ -295,7 +287,8 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
-      store(triangle, 0, corners, touch_of_thin(tool, core_depths, corners, kept_depth(contact, tool, 0, triangle)));
+      const Real kept = kept_depth(contact, tool, 0, triangle);
+      store(triangle, 0, corners, hardened(touch_of_thin(tool, core_depths, corners, kept), kept, tool));
     });
   }
 }

@@ -233,6 +233,9 @@ struct ToolModel {
   physics::Pose initial_pose;
   std::shared_ptr<const v1::Tool> description;  ///< the scene's message, for viewers; never null
 
+  /// Returns a bound of the stiffness of its contact, with rigid tissue [N/m]: a sphere of its radius cannot press on
+  /// more than its cross-section.
+  double stiffest_contact_n_per_m() const { return penalty_pa_per_m * EIGEN_PI * radius_m * radius_m; }
   /// Returns the tool with its shape's frame at a pose. That frame is the tool's own, moved by tip_offset_m.
   /// start: pose of the shape at the start of the step. presence: share of its contact stiffness.
   template <class Real>

@@ -30,20 +30,17 @@ std::string recovering_laws() {
 }  // namespace
 
 bool Findings::take_step(const World& world) {
-  const GuardEvent* happened = world.guard_event();
-  const bool stops = happened != nullptr && happened->outcome == GuardEvent::Outcome::kStopped;
-  const bool recovering = world.recovering() && !stops;
+  const GuardEvent* event = world.guard_event();
+  const bool recovering = world.recovering();
   const bool turns = recovering != was_recovering_;
   was_recovering_ = recovering;
   recovering_.store(recovering, kRelaxed);
   if (recovering) {
     recovering_steps_.fetch_add(1, kRelaxed);
     if (turns) recoveries_.fetch_add(1, kRelaxed);
-    if (world.guard_event() != nullptr && world.guard_event()->outcome == GuardEvent::Outcome::kHeld) {
-      held_steps_.fetch_add(1, kRelaxed);
-    }
+    if (event->outcome == GuardEvent::Outcome::kHeld) held_steps_.fetch_add(1, kRelaxed);
   }
-  if (const GuardEvent* event = world.guard_event()) {
+  if (event != nullptr) {
     const std::lock_guard lock(event_mutex_);
     last_event_ = *event;
     guard_events_.fetch_add(1, kRelaxed);

@@ -12,6 +12,8 @@ using physics::Pose;
 
 /// Share of the largest load to which a tool that gives way relieves itself.
 constexpr double kRelieved = 0.97;
+/// Share of what the tool bears in a step, below which a trial has moved it back too far.
+constexpr double kLeastKept = 0.6;
 /// Share of the largest load below which the tool follows the hand again.
 constexpr double kRegrips = 0.8;
 /// Bounds of the stiffness that trials can show, relative to that of the whole contact.
@@ -53,10 +55,9 @@ double Hold::largest(std::size_t freedom) const {
   return freedom == 1 ? tool_->max_torque_n_m : tool_->max_joint_load;
 }
 
-/// Stiffness of the contact itself: tissue behind it only makes it softer. A sphere of the tool's radius cannot press
-/// on more than its cross-section.
+/// Stiffness of the contact itself: tissue behind it only makes it softer.
 double Hold::stiffest(std::size_t freedom) const {
-  const double k = tool_->penalty_pa_per_m * EIGEN_PI * tool_->radius_m * tool_->radius_m;
+  const double k = tool_->stiffest_contact_n_per_m();
   return freedom == 0 ? k : k * arm_m() * arm_m();
 }
 
@@ -172,6 +173,8 @@ Pose Hold::back_off(double distance) {
       std::max(kCautious * std::max(distance_m, (wanted_.position_m - end.position_m).norm()), 1e-3 * way_m_);
   return end;
 }
+
+bool Hold::too_far_back(const Load& load) const { return has_over_ && share(load, true) < kLeastKept; }
 
 void Hold::end_step() { state_.reach_m *= 2; }
 

@@ -40,6 +40,7 @@ class Hold {
   /// Load on the hand: its torque is about the tool's position.
   using Load = backend::ToolForce;
   static constexpr std::size_t kFreedoms = 2 + limits::kMaxToolJoints;
+  static std::size_t freedoms(const model::ToolModel& tool) { return 2 + tool.joints.size(); }
 
   /// Rise of a load in shares of its largest [1/s]: 10 % in a step at 960 Hz.
   static constexpr double kLargestRisePerS = 96;
@@ -50,7 +51,7 @@ class Hold {
   /// rises: of what it bears in this step; else of the largest that it ever bears.
   double share(const Load& load, bool rises) const;
   /// Whether the tool has moved back in this step by much more than it must, so that little of its load is left.
-  bool too_far_back(const Load& load) const { return has_over_ && share(load, true) < kLeastKept; }
+  bool too_far_back(const Load& load) const;
   /// Starts a step. Returns the pose for its first trial.
   /// start, load: of the tool at the start. wanted: the pose to which the hand moves it.
   Pose begin(const Pose& start, const Load& load, const Pose& wanted, double dt_s);
@@ -82,7 +83,7 @@ class Hold {
     Pose pose;
     Load load;
   };
-  std::size_t freedoms() const { return 2 + tool_->joints.size(); }
+  std::size_t freedoms() const { return freedoms(*tool_); }
   double largest(std::size_t freedom) const;
   double stiffest(std::size_t freedom) const;
   double arm_m() const { return std::max(tool_->radius_m, tool_->reach_m); }
@@ -91,8 +92,6 @@ class Hold {
 
   const model::ToolModel* tool_;
   Saved state_;
-  static constexpr double kLeastKept = 0.6;  // share of what the tool bears
-
   Trial start_, last_;  // at the start of the step, and at the last trial
   Pose over_;           // that of the last trial whose load was too large
   bool has_over_ = false;

@@ -78,7 +78,7 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
   write_vector(tool.force.friction_n, *out.mutable_friction_n());
   for (std::size_t i = 0; i < model.joints.size(); ++i) out.add_joint_loads(tool.force.joints[i]);
-  for (std::size_t f = 0; f < 2 + model.joints.size(); ++f) out.add_shown_stiffness(motion.hold.stiffness[f]);
+  for (std::size_t f = 0; f < Hold::freedoms(model); ++f) out.add_shown_stiffness(motion.hold.stiffness[f]);
   out.set_reach_m(motion.hold.reach_m);
   if (!(model.mass_kg > 0)) return;
   write_vector(motion.hand_m, *out.mutable_hand_m());
@@ -150,7 +150,7 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
     out.force.joints[i] = load;
   }
   if (message.shown_stiffness_size() > 0 &&
-      static_cast<std::size_t>(message.shown_stiffness_size()) != 2 + model.joints.size()) {
+      static_cast<std::size_t>(message.shown_stiffness_size()) != Hold::freedoms(model)) {
     return invalid(fmt::format("{}.shown_stiffness: {} values", where, message.shown_stiffness_size()));
   }
   for (int f = 0; f < message.shown_stiffness_size(); ++f) {

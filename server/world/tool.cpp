@@ -76,17 +76,16 @@ void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
   }
   if (tool_->fixed) return;
   const Pose end = hold_.begin(before_.pose, on_hand(load), current_.pose, dt_s);
-  if (hold_.gives_way()) end_at(end);
-  slip();
+  if (hold_.gives_way()) {
+    end_at(end);
+  } else {
+    slip();
+  }
 }
 
 void ToolMotion::give_way(const backend::ToolForce& load) { end_at(hold_.give_way(current_.pose, on_hand(load))); }
 
-void ToolMotion::back_off(double distance) {
-  // The coupling starts anew: what the tool felt belongs to a step that was not made.
-  current_.velocity_m_per_s.setZero();
-  end_at(hold_.back_off(distance));
-}
+void ToolMotion::back_off(double distance) { end_at(hold_.back_off(distance)); }
 
 /// Moves the end of the step.
 void ToolMotion::end_at(const Pose& pose) {
@@ -122,9 +121,7 @@ void ToolMotion::pull(const Pose& hand, double dt_s) {
 }
 
 void ToolMotion::feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m) {
-  // A sphere of the tool's radius cannot press on more than its cross-section.
-  const double most_n_per_m = tool_->penalty_pa_per_m * EIGEN_PI * tool_->radius_m * tool_->radius_m;
-  felt_ = world::feel(felt_, current_.pose.position_m, force_n, stiffness_n_per_m, most_n_per_m);
+  felt_ = world::feel(felt_, current_.pose.position_m, force_n, stiffness_n_per_m, tool_->stiffest_contact_n_per_m());
 }
 
 }  // namespace tensormass::world

@@ -122,23 +122,21 @@ void World::read_broken() {
 
 bool World::step(bool gather_visible) {
   for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
-  has_event_ = recovering_ = made_again_ = false;
+  has_event_ = recovering_ = false;
   const Projection before = projection_;
   const solver::StepResult last_good = last_;
   BoundCheck check = plan_step(gather_visible);
-  if (!check.good()) {
-    made_again_ = true;
-    check = retry(check);
-  }
+  if (!check.good()) check = retry(check);
   if (check.good()) check = check_loads(true);
-  if (!check.good()) {
-    made_again_ = true;
+  const bool moves_tools = !check.good();
+  if (moves_tools) {
     check = step_with_tools_moved(check);
     if (!check.good()) {
       state_->restore();
       projection_ = before;
       if (!may_hold_tissue(check)) {
         event_.outcome = GuardEvent::Outcome::kStopped;
+        recovering_ = false;
         for (ToolMotion& tool : tools_) tool.take_back();
         return false;
       }
@@ -152,7 +150,7 @@ bool World::step(bool gather_visible) {
       for (ToolMotion& tool : tools_) tool.end_step();
     }
   }
-  if (gather_visible && made_again_) state_->gather_visible();
+  if (gather_visible && (has_event_ || moves_tools)) state_->gather_visible();
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
   // No spring heals between two steps, so an equal count means the same springs.

@@ -91,7 +91,8 @@ class World {
     TM_ASSERT(cg_max_iterations <= model_->cg_max_iterations, "a budget lowers the model's iterations");
     cg_limit_ = cg_max_iterations;
   }
-  /// Whether the last step could not be made as planned, so that tools backed off or the tissue was held.
+  /// Whether the last step could not be made as planned, so that tools backed off or the tissue was held. It has a
+  /// guard event then.
   bool recovering() const { return recovering_; }
   /// Event of the last step if it left its bounds, else nullptr.
   const GuardEvent* guard_event() const { return has_event_ ? &event_ : nullptr; }
@@ -189,7 +190,6 @@ class World {
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
-  bool made_again_ = false;  // the step that ended was not the first trial
   bool recovering_ = false;
   std::uint32_t held_steps_ = 0;  // on end, up to the last step
   Projection projection_;

@@ -160,13 +160,20 @@ def scene_of(name: str, instrument: str, resolution: float, rate_hz: float) -> t
     return scene
 
 
+def plan_of(number: int) -> tuple[str, str, str, float]:
+    """Returns scene, instrument, motion and resolution of a walk."""
+    return (
+        SCENES[number % len(SCENES)],
+        list(INSTRUMENTS)[number // len(SCENES) % len(INSTRUMENTS)],
+        MOTIONS[number % len(MOTIONS)],
+        RESOLUTIONS[number // 3 % len(RESOLUTIONS)],
+    )
+
+
 def run_walk(server: tm.Server, number: int, rate_hz: float) -> Row:
     began = time.monotonic()
     rng = np.random.default_rng(number)
-    name = SCENES[number % len(SCENES)]
-    instrument = list(INSTRUMENTS)[number // len(SCENES) % len(INSTRUMENTS)]
-    motion = MOTIONS[number % len(MOTIONS)]
-    resolution = RESOLUTIONS[number // 3 % len(RESOLUTIONS)]
+    name, instrument, motion, resolution = plan_of(number)
     scene = scene_of(name, instrument, resolution, rate_hz)
     scene.message.name = f"monkey-{number}"
     tool = next(one for one in scene.message.tools if not one.fixed)
@@ -202,7 +209,7 @@ def run_walk(server: tm.Server, number: int, rate_hz: float) -> Row:
         row.recovering_steps = int(getattr(status, "recovering_steps", 0))
         row.held_steps = int(getattr(status, "held_steps", 0))
         if row.stopped_at_s is None:
-            row.left_mm = _left_mm(server, scene, handle, tool.name, far, bodies, has_joints)
+            row.left_mm = _left_mm(scene, handle, tool.name, far, bodies, has_joints)
             row.verdict = _verdict(row)
     row.seconds = round(time.monotonic() - began, 1)
     return row
@@ -229,7 +236,6 @@ def _take(row: Row, feedback: stream_pb2.ToolFeedback, largest: tuple[float, flo
 
 
 def _left_mm(
-    server: tm.Server,
     scene: tm.Scene,
     handle: tm.SceneHandle,
     tool: str,
@@ -271,10 +277,11 @@ def _work(
 
 
 def broken_row(number: int, broken: Exception) -> Row:
+    scene, instrument, motion, resolution = plan_of(number)
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Row)), 0)
-    values |= {"walk": number, "scene": SCENES[number % len(SCENES)], "left_mm": None, "stopped_at_s": None}
-    values |= {"instrument": list(INSTRUMENTS)[number // len(SCENES) % len(INSTRUMENTS)], "motion": ""}
-    return Row(**values | {"verdict": f"broke: {type(broken).__name__}: {broken}"[:200]})
+    values |= {"walk": number, "scene": scene, "instrument": instrument, "motion": motion, "resolution": resolution}
+    values |= {"left_mm": None, "stopped_at_s": None, "verdict": f"broke: {type(broken).__name__}: {broken}"[:200]}
+    return Row(**values)
 
 
 def walks(

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "backend/backend.h"
+#include "support/backends.h"
 
 /// A backend that injects faults into steps, in the state and in the result alike.
 namespace tensormass::tests {
@@ -100,6 +101,17 @@ class FaultyBackend final : public backend::Backend {
  private:
   const std::unique_ptr<backend::Backend> sound_;
   const FaultPlan plan_;
+};
+
+/// Fixture for tests of worlds whose steps fail as planned, on every backend.
+class OnFaultyBackend : public OnBackend {
+ protected:
+  std::unique_ptr<world::World> start_faulty(const v1::Scene& scene, FaultPlan plan) {
+    backend_ = std::make_unique<FaultyBackend>(std::move(backend_), std::move(plan));
+    auto world = start(scene);
+    SetUp();  // the working backend again
+    return world;
+  }
 };
 
 }  // namespace tensormass::tests

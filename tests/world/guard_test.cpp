@@ -75,15 +75,7 @@ v1::Scene pressed_block(const Kind& kind, double dt_s = 0.01) {
   return scene;
 }
 
-class Guarding : public tests::OnBackend {
- protected:
-  std::unique_ptr<World> start_faulty(const v1::Scene& scene, tests::FaultPlan plan) {
-    backend_ = std::make_unique<tests::FaultyBackend>(std::move(backend_), std::move(plan));
-    auto world = start(scene);
-    SetUp();  // the working backend again
-    return world;
-  }
-};
+using Guarding = tests::OnFaultyBackend;
 
 /// A step that is rolled back and repeated as two halves equals two steps of half the length, for all kinds of state.
 TEST_P(Guarding, AStepThatIsRolledBackLeavesNoTrace) {

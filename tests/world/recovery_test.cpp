@@ -44,14 +44,8 @@ v1::Scene block(const Kind& kind, std::uint32_t cells = 4) {
   return scene;
 }
 
-class Recovery : public tests::OnBackend {
+class Recovery : public tests::OnFaultyBackend {
  protected:
-  std::unique_ptr<World> start_faulty(const v1::Scene& scene, tests::FaultPlan plan) {
-    backend_ = std::make_unique<tests::FaultyBackend>(std::move(backend_), std::move(plan));
-    auto world = start(scene);
-    SetUp();  // the working backend again
-    return world;
-  }
   /// Returns a world with the probe pressed in, as many steps long as that takes.
   static void press(World& world) {
     world.set_tool_target(0, kPressed);

@@ -73,7 +73,7 @@ const std::vector<Acting>& all_that_act() {
   return all;
 }
 
-class Schedules : public tests::OnBackend {
+class Schedules : public tests::OnFaultyBackend {
  protected:
   /// A bar 0.4 × 0.1 × 0.1 m, clamped at x = 0, on which nothing acts.
   static v1::Scene bar(bool quasi_static) {
@@ -121,12 +121,6 @@ class Schedules : public tests::OnBackend {
     scene.mutable_solver()->clear_cg_tolerance();
     if (!points.empty()) set_schedule(*scene.mutable_gravity_schedule(), points);
     return scene;
-  }
-  std::unique_ptr<World> start_faulty(const v1::Scene& scene, tests::FaultPlan plan) {
-    backend_ = std::make_unique<tests::FaultyBackend>(std::move(backend_), std::move(plan));
-    auto world = start(scene);
-    SetUp();  // the working backend again
-    return world;
   }
 
   static Eigen::VectorXd displacement(World& world) {

@@ -85,14 +85,11 @@ class CpuState final : public SceneState {
   }
 
   void restore() override {
-    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_),
-                        [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); });
+    checkpoint_.restore(model_, view_, std::span<const view::ElementView<Real>>(groups_), copy);
   }
 
   void come_to_rest() override {
-    checkpoint_.come_to_rest(
-        view_, [](const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); },
-        [](std::size_t count, Real* to) { std::fill(to, to + count, Real(0)); });
+    checkpoint_.come_to_rest(view_, copy, [](std::size_t count, Real* to) { std::fill(to, to + count, Real(0)); });
   }
 
   std::span<const float> visible_positions() override {
@@ -147,6 +144,7 @@ class CpuState final : public SceneState {
   }
 
  private:
+  static void copy(const Real* from, std::size_t count, Real* to) { std::copy(from, from + count, to); }
   /// The phases that the team must run, one bit each, and a bit to quit.
   using Command = unsigned;
   static constexpr Command command(step::Phase phase) { return 1u << static_cast<unsigned>(phase); }
