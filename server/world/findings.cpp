@@ -32,6 +32,7 @@ std::string recovering_laws() {
 bool Findings::take_step(const World& world) {
   const GuardEvent* event = world.guard_event();
   const bool recovering = world.recovering();
+  TM_ASSERT(!recovering || event != nullptr, "a recovery has an event");
   const bool turns = recovering != was_recovering_;
   was_recovering_ = recovering;
   recovering_.store(recovering, kRelaxed);

@@ -177,12 +177,17 @@ BoundCheck World::step_with_tools_moved(BoundCheck check) {
   std::uint32_t backed_off = 0;
   for (std::uint32_t trial = 1; !check.good() && trial < kMostTrials; ++trial) {
     const bool gives_way = check.breach == Breach::kToolLoad;
-    if (!gives_way && (!model_->goes_on || backed_off == kBacksOff.size())) break;
+    if (!gives_way) {
+      take_event(check);
+      if (!model_->goes_on || backed_off == kBacksOff.size()) break;
+    }
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       if (model_->tools[i].fixed) continue;
-      if (!gives_way) tools_[i].back_off(kBacksOff[backed_off]);
-      if (!gives_way) continue;
-      if (tools_[i].share(forces_[i], true) > 1 || tools_[i].too_far_back(forces_[i])) tools_[i].give_way(forces_[i]);
+      if (!gives_way) {
+        tools_[i].back_off(kBacksOff[backed_off]);
+      } else if (tools_[i].share(forces_[i], true) > 1 || tools_[i].too_far_back(forces_[i])) {
+        tools_[i].give_way(forces_[i]);
+      }
     }
     if (!gives_way) ++backed_off;
     state_->restore();
@@ -195,11 +200,16 @@ BoundCheck World::step_with_tools_moved(BoundCheck check) {
   return check;
 }
 
-/// Whether the tissue may be held for a step that could not be made.
-bool World::may_hold_tissue(const BoundCheck& check) {
+/// Takes the bound that a trial left into the event of the step.
+void World::take_event(const BoundCheck& check) {
   if (!has_event_) event_ = {.step = step_count_ + 1, .first = check};
   has_event_ = true;
   event_.last = check;
+}
+
+/// Whether the tissue may be held for a step that could not be made.
+bool World::may_hold_tissue(const BoundCheck& check) {
+  take_event(check);
   return (model_->goes_on || check.breach == Breach::kToolLoad) &&
          (held_steps_ + 1) * model_->dt_s <= std::max(kLongestHeldS, model_->dt_s);
 }

@@ -130,6 +130,7 @@ class World {
   BoundCheck plan_step(bool gather_visible);
   BoundCheck check_loads(bool rises) const;
   BoundCheck step_with_tools_moved(BoundCheck check);
+  void take_event(const BoundCheck& check);
   bool may_hold_tissue(const BoundCheck& check);
   void hold_tissue();
   BoundCheck retry(const BoundCheck& first);

@@ -341,6 +341,29 @@ TEST_P(RunningRecovery, ARecoveryIsCountedToldAndMarked) {
   EXPECT_EQ(runner->status().recoveries(), 0u);
 }
 
+/// The first trial leaves too large a load, and the next one, in which the tool gives way, cannot be made.
+TEST_P(RunningRecovery, AStepMayBothGiveWayAndBackOff) {
+  v1::Scene scene = tests::block_with_probe(false, 4);
+  scene.mutable_tools(0)->set_max_force_n(0.2);
+  tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.06, 0.05);
+  const auto runner = load(scene, [](std::uint64_t step, std::uint64_t call) {
+    return step > 1 && call == 1 ? std::optional(tests::Fault::kNotANumber) : std::nullopt;
+  });
+  for (int i = 1; i <= 30; ++i) {
+    v1::ToolPose hand;
+    tests::set(*hand.mutable_position_m(), 0.05, 0.06 - 1e-3 * i, 0.05);
+    ASSERT_TRUE(runner->submit_pose("probe", hand));
+    const auto status = runner->step(1);
+    ASSERT_TRUE(status) << status.error().message;
+    EXPECT_LE(
+        Vec3<double>(status->tools(0).force_n().x(), status->tools(0).force_n().y(), status->tools(0).force_n().z())
+            .norm(),
+        0.2);
+  }
+  EXPECT_GT(runner->status().recoveries(), 0u);
+  EXPECT_NE(runner->status().guard_text().find("left its bounds"), std::string::npos);
+}
+
 TM_ON_EACH_BACKEND(RunningRecovery);
 
 }  // namespace
