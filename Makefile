@@ -179,6 +179,7 @@ stability: setup-test ## Check stability: results in tests/stability, page docs/
 	@$(MAKE) native python
 	@cd tests && { python -m stability --backend $(BACKEND) $(if $(LONG),--long) || failed=1; \
 	  python -m stability.monkey --backend $(BACKEND) --walks 500 || failed=1; \
+	  python -m stability.presses --backend $(BACKEND) || failed=1; \
 	  python -m stability.report && exit $${failed:-0}; }
 
 trade: setup-test ## Measure settings of the demo scenes: results, presets, docs/accuracy.md (BACKEND=cuda); resumes if stopped

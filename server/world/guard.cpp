@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include "physics/lists.h"
+#include "world/tool.h"
 
 namespace tensormass::world {
 
@@ -124,6 +125,8 @@ std::string to_text(const BoundCheck& check) {
       return fmt::format("an element is inverted (det F {:.3g}), and its law does not recover from that", value);
     case Breach::kToolLoad:
       return fmt::format("a tool has {:.3g} times its largest load", value);
+    case Breach::kEnclosed:
+      return fmt::format("tissue encloses tool {:.0f}", value);
   }
   return {};
 }
@@ -212,17 +215,25 @@ std::span<const Retry> retries(const model::Model& m) {
 }
 
 std::string to_text(const GuardEvent& event, const model::Model& m) {
-  const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
   using Outcome = GuardEvent::Outcome;
+  if (event.outcome == Outcome::kTakenOut) {
+    return fmt::format(
+        "tool '{}' was inside tissue at step {}; it fades out, and comes back from outside within {:g} s",
+        m.tools[static_cast<std::size_t>(event.first.value)].name, event.step, 2 * ToolMotion::kFadeS);
+  }
+  const std::string what = fmt::format("step {} left its bounds: {}", event.step, to_text(event.first));
   switch (event.outcome) {
     case Outcome::kRepeated:
       return fmt::format("{}; repeated as {} step{}, it stayed within them", what, event.steps,
                          event.steps == 1 ? "" : "s");
     case Outcome::kBackedOff:
       return fmt::format("{}; with tools that backed off, it stayed within them", what);
+    case Outcome::kLetGo:
+      return fmt::format("{}; with tools that let go, it stayed within them", what);
     case Outcome::kHeld:
       return fmt::format("{}; the tissue was held for this step, and tools back off", what);
     case Outcome::kStopped:
+    case Outcome::kTakenOut:
       break;
   }
   const std::string stopped =

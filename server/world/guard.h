@@ -37,6 +37,7 @@ enum class Breach : std::uint8_t {
   kNoEquilibrium,   ///< the same in a quasi-static scene, above newton_tolerance
   kVolume,          ///< det F of an element whose law does not recover
   kToolLoad,        ///< load of a tool, relative to the largest that it bears
+  kEnclosed,        ///< tissue encloses a tool; the value is its place
 };
 
 /// A step compared with its bounds: the first bound it left, with its value and the bound in the bound's unit.
@@ -143,7 +144,9 @@ struct GuardEvent {
     kStopped,    ///< nothing helped, and the scene stopped
     kRepeated,   ///< a retry stayed within the bounds
     kBackedOff,  ///< the step could be made with tools that backed off
+    kLetGo,      ///< the step could be made with tools that let go of the tissue
     kHeld,       ///< the tissue was held
+    kTakenOut,   ///< tools were taken out of tissue
   } outcome = Outcome::kStopped;
 };
 /// Says what happened in a scene of this model. If nothing helped, also says where the scene stopped and what a user

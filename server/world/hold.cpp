@@ -55,11 +55,20 @@ double Hold::largest(std::size_t freedom) const {
   return freedom == 1 ? tool_->max_torque_n_m : tool_->max_joint_load;
 }
 
+/// Largest load of a freedom in this step.
+double Hold::bearable(std::size_t freedom, double rise) const {
+  return std::min(largest(freedom),
+                  load_of(start_.load, freedom).norm() + rise * kLargestRisePerS * dt_s_ * largest(freedom));
+}
+
 /// Stiffness of the contact itself: tissue behind it only makes it softer.
 double Hold::stiffest(std::size_t freedom) const {
   const double k = tool_->stiffest_contact_n_per_m();
   return freedom == 0 ? k : k * arm_m() * arm_m();
 }
+
+/// Way that the largest speed allows in a step, but not past half the tool [m].
+double Hold::way_in(double dt_s) const { return std::min(tool_->max_speed_m_per_s * dt_s, tool_->radius_m / 2); }
 
 /// Largest way of a freedom in this step [m or rad].
 double Hold::way_of_step(std::size_t freedom) const { return freedom == 0 ? way_m_ : way_m_ / arm_m(); }
@@ -77,10 +86,10 @@ Pose Hold::within_reach(Pose pose) const {
   return pose;
 }
 
-double Hold::share(const Load& load, bool rises) const {
+double Hold::share(const Load& load, double rise) const {
   double share = 0;
   for (std::size_t f = 0; f < freedoms(); ++f) {
-    const double one = load_of(load, f).norm() / (rises ? bearable_[f] : largest(f));
+    const double one = load_of(load, f).norm() / bearable(f, rise);
     if (!(one <= std::numeric_limits<double>::max())) return std::numeric_limits<double>::infinity();
     share = std::max(share, one);
   }
@@ -90,7 +99,8 @@ double Hold::share(const Load& load, bool rises) const {
 Pose Hold::begin(const Pose& start, const Load& load, const Pose& wanted, double dt_s) {
   start_ = last_ = {start, load};
   wanted_ = wanted;
-  way_m_ = std::min(tool_->max_speed_m_per_s * dt_s, tool_->radius_m / 2);
+  dt_s_ = dt_s;
+  way_m_ = way_in(dt_s);
   gives_way_ = has_over_ = false;
   Pose end = wanted;
   if (state_.reach_m > 0) {
@@ -105,7 +115,6 @@ Pose Hold::begin(const Pose& start, const Load& load, const Pose& wanted, double
   }
   for (std::size_t f = 0; f < freedoms(); ++f) {
     const double size = load_of(load, f).norm();
-    bearable_[f] = std::min(largest(f), size + kLargestRisePerS * dt_s * largest(f));
     double& k = state_.stiffness[f];
     if (k == 0) continue;
     if (size == 0) {
@@ -116,9 +125,9 @@ Pose Hold::begin(const Pose& start, const Load& load, const Pose& wanted, double
     }
     const Vec3<double> out = load_of(load, f) / size;
     const double advance = -out.dot(way_between(start, end, f));
-    const double bearable = (kRelieved * bearable_[f] - size) / k;
-    if (advance > bearable) {
-      move(end, f, (advance - bearable) * out);
+    const double borne = (kRelieved * bearable(f, kAims) - size) / k;
+    if (advance > borne) {
+      move(end, f, (advance - borne) * out);
       gives_way_ = true;
     } else if (size < kRegrips * largest(f)) {
       k = 0;
@@ -139,7 +148,7 @@ Pose Hold::give_way(const Pose& tried, const Load& load) {
   for (std::size_t f = 0; f < freedoms(); ++f) {
     const Vec3<double> q = load_of(load, f);
     const double size = q.norm();
-    if (!(size > bearable_[f])) continue;
+    if (!(size > bearable(f, kAims))) continue;
     const Vec3<double> out = q / size;
     const double advance = -out.dot(way_between(last_.pose, tried, f));
     const double rise = size - out.dot(load_of(last_.load, f));
@@ -147,26 +156,27 @@ Pose Hold::give_way(const Pose& tried, const Load& load) {
     double shown = rise / advance;
     if (!(std::isfinite(shown) && shown > 0)) shown = k > 0 ? k / 2 : stiffest(f);
     k = std::clamp(shown, kSoftest * stiffest(f), stiffest(f));
-    move(end, f, std::min((size - kRelieved * bearable_[f]) / k, kFastestBack * way_of_step(f)) * out);
+    move(end, f, std::min((size - kRelieved * bearable(f, kAims)) / k, kFastestBack * way_of_step(f)) * out);
   }
   last_ = {tried, load};
   return within_reach(end);
 }
 
-Pose Hold::back_off(double distance) {
+Pose Hold::back_off(double distance, const Load& tried) {
   gives_way_ = true;
+  has_over_ = false;
   Pose end = start_.pose;
-  const double distance_m = distance * way_m_, force = start_.load.force_n.norm();
-  if (force > 0) {
-    end.position_m += start_.load.force_n * (distance_m / force);
-  } else {
-    const Vec3<double> back = start_.pose.position_m - wanted_.position_m;
-    const double way = back.norm();
-    if (way > 0) end.position_m += back * (distance_m / way);
+  const double distance_m = distance * way_m_;
+  for (const Vec3<double>& out :
+       {start_.load.force_n, tried.force_n, Vec3<double>(start_.pose.position_m - wanted_.position_m)}) {
+    const double size = out.norm();
+    if (!(size > 0 && std::isfinite(size))) continue;
+    end.position_m += out * (distance_m / size);
+    break;
   }
   for (std::size_t j = 0; j < tool_->joints.size(); ++j) {
-    const double load = start_.load.joints[j];
-    if (load != 0) end.joint_values[j] += std::copysign(distance_m / arm_m(), load);
+    const double load = start_.load.joints[j] != 0 ? start_.load.joints[j] : tried.joints[j];
+    if (load != 0 && std::isfinite(load)) end.joint_values[j] += std::copysign(distance_m / arm_m(), load);
   }
   end = within_reach(end);
   state_.reach_m =
@@ -174,7 +184,12 @@ Pose Hold::back_off(double distance) {
   return end;
 }
 
-bool Hold::too_far_back(const Load& load) const { return has_over_ && share(load, true) < kLeastKept; }
+bool Hold::too_far_back(const Load& load) const { return has_over_ && share(load, kAims) < kLeastKept; }
+
+void Hold::wait(double time_s, double dt_s) {
+  // end_step doubles the reach.
+  state_.reach_m = std::max(way_in(dt_s) * std::exp2(-time_s / dt_s), std::numeric_limits<double>::min());
+}
 
 void Hold::end_step() { state_.reach_m *= 2; }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
+#include <limits>
 
 #include "backend/backend.h"
 #include "model/model.h"
@@ -22,8 +23,8 @@
 /// keeps pushing mostly costs one trial a step. The tool follows the hand again once the load has fallen.
 ///
 /// No hand is stiff enough to bring a load from nothing to its largest at once, so Q also bounds how fast a load rises:
-/// it may rise by kLargestRisePerS · dt of the largest in a step, if a few trials find where it does. A tool moves back
-/// by at most kFastestBack times what its largest speed allows.
+/// the first trials aim at a rise of kLargestRisePerS · dt of the largest in a step. The others bear half as much more.
+/// A tool moves back by at most kFastestBack times what its largest speed allows.
 ///
 /// Where a step cannot be made at all, the tool backs off instead. It then advances cautiously: by little at first, and
 /// twice as far after each step that could be made.
@@ -47,9 +48,10 @@ class Hold {
 
   explicit Hold(const model::ToolModel& tool) : tool_(&tool) {}
 
+  /// How fast a load may rise in a step, in kLargestRisePerS. Above all, it may not exceed the largest.
+  static constexpr double kAims = 1, kBears = 1.5, kAtOnce = std::numeric_limits<double>::infinity();
   /// Returns the largest load as a share of what the tool bears. Above 1 the tool must give way.
-  /// rises: of what it bears in this step; else of the largest that it ever bears.
-  double share(const Load& load, bool rises) const;
+  double share(const Load& load, double rise) const;
   /// Whether the tool has moved back in this step by much more than it must, so that little of its load is left.
   bool too_far_back(const Load& load) const;
   /// Starts a step. Returns the pose for its first trial.
@@ -59,7 +61,10 @@ class Hold {
   Pose give_way(const Pose& tried, const Load& load);
   /// Returns the pose for the next trial of the step, after one that could not be made: where the step began, and from
   /// there out of the tissue, by a distance in units of the way that the largest speed allows in a step.
-  Pose back_off(double distance);
+  /// tried: load of that trial; it shows the way out for a tool that felt nothing before.
+  Pose back_off(double distance, const Load& tried);
+  /// Keeps the tool where it is for about a time, after which it follows the hand again.
+  void wait(double time_s, double dt_s);
   /// Ends a step that was made: caution fades.
   void end_step();
 
@@ -85,8 +90,10 @@ class Hold {
   };
   std::size_t freedoms() const { return freedoms(*tool_); }
   double largest(std::size_t freedom) const;
+  double bearable(std::size_t freedom, double rise) const;
   double stiffest(std::size_t freedom) const;
   double arm_m() const { return std::max(tool_->radius_m, tool_->reach_m); }
+  double way_in(double dt_s) const;
   double way_of_step(std::size_t freedom) const;
   Pose within_reach(Pose pose) const;
 
@@ -96,8 +103,8 @@ class Hold {
   Pose over_;           // that of the last trial whose load was too large
   bool has_over_ = false;
   Pose wanted_;
-  std::array<double, kFreedoms> bearable_{};  // largest load of this step
-  double way_m_ = 0;                          // that the largest speed allows in this step
+  double dt_s_ = 0;
+  double way_m_ = 0;  // that the largest speed allows in this step
   bool gives_way_ = false;
 };
 

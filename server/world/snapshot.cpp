@@ -73,6 +73,7 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   write_pose(model.name, {motion.target, true, tool.newest, motion.valid_for_s}, model.joints.size(),
              *out.mutable_target());
   out.set_fade(motion.fade);
+  out.set_leaves(motion.leaves);
   out.set_target_age_s(motion.target_age_s);
   write_vector(tool.force.force_n, *out.mutable_force_n());
   write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
@@ -136,6 +137,7 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   if (model.mass_kg > 0) TM_RETURN_IF_ERROR(read_coupling(message, where, out.motion));
   TM_ASSIGN_OR_RETURN(fade, model::read_number(message.fade(), 0, 1, where + ".fade"));
   out.motion.fade = fade;
+  out.motion.leaves = message.leaves();
   TM_ASSIGN_OR_RETURN(age, read_finite(message.target_age_s(), where + ".target_age_s"));
   out.motion.target_age_s = age;
   TM_ASSIGN_OR_RETURN(force, model::read_vector(message.force_n(), where + ".force_n", limits::kMaxForceN));
@@ -248,6 +250,7 @@ std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, 
   message.set_cg_iteration_limit(world.cg_limit);
   message.set_held_steps(world.held_steps);
   message.set_recovering(world.recovering);
+  message.set_stuck_s(world.stuck_s);
   message.set_next_diagnostics(state.next_diagnostics);
   return seal_snapshot(message.SerializeAsString());
 }
@@ -307,6 +310,7 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.cg_limit = static_cast<std::uint32_t>(limit);
   world.held_steps = message.held_steps();
   world.recovering = message.recovering();
+  if (std::isfinite(message.stuck_s())) world.stuck_s = std::max(0.0, message.stuck_s());
   out.next_diagnostics = message.next_diagnostics();
   return out;
 }

@@ -49,20 +49,37 @@ backend::ToolForce ToolMotion::on_hand(const backend::ToolForce& load) const {
   return out;
 }
 
+/// Puts the tool, and the hand of one with a mass, at a pose.
+void ToolMotion::jump(const Pose& pose) {
+  current_.pose = pose;
+  current_.hand_m = pose.position_m;
+  current_.velocity_m_per_s.setZero();
+  felt_ = {};
+  felt_.position_m = pose.position_m;
+}
+
+void ToolMotion::leave(double dt_s) {
+  current_.leaves = true;
+  hold_.wait(kFadeS, dt_s);
+}
+
+void ToolMotion::come_out(const Pose& pose, double dt_s) {
+  jump(pose);
+  current_.leaves = false;
+  current_.fade = kLetGo;
+  hold_.restore({});
+  hold_.wait(kFadeS, dt_s);
+}
+
 void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
   before_ = current_;
   dt_s_ = dt_s;
   current_.target_age_s += dt_s;
   const bool valid = current_.target_age_s <= valid_for_s_;
   // A retired tool may jump: it touches nothing.
-  if (retired() && valid) {
-    current_.pose = target_;
-    current_.hand_m = target_.position_m;
-    current_.velocity_m_per_s.setZero();
-    felt_ = {};
-    felt_.position_m = target_.position_m;
-  }
-  current_.fade = std::clamp(current_.fade + (valid ? dt_s : -dt_s) / kFadeS, 0.0, 1.0);
+  if (retired() && valid) jump(target_);
+  const double rises_s = valid && !current_.leaves ? dt_s : -dt_s;
+  current_.fade = planned_fade_ = std::clamp(current_.fade + rises_s / kFadeS, 0.0, 1.0);
 
   const double reach_m = tool_->max_speed_m_per_s * dt_s;
   Pose hand = current_.pose;
@@ -85,7 +102,10 @@ void ToolMotion::move(double dt_s, const backend::ToolForce& load) {
 
 void ToolMotion::give_way(const backend::ToolForce& load) { end_at(hold_.give_way(current_.pose, on_hand(load))); }
 
-void ToolMotion::back_off(double distance) { end_at(hold_.back_off(distance)); }
+void ToolMotion::back_off(double distance, const backend::ToolForce& tried) {
+  current_.fade = planned_fade_;
+  end_at(hold_.back_off(distance, on_hand(tried)));
+}
 
 /// Moves the end of the step.
 void ToolMotion::end_at(const Pose& pose) {

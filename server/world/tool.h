@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <limits>
@@ -59,7 +60,7 @@ struct ToolReading {
   bool touching = false;    ///< it touched tissue in this step
   bool retired = false;     ///< it touches nothing, because its newest pose has expired
   bool gives_way = false;   ///< it is not where the hand has moved it (hold.h)
-  bool recovering = false;  ///< the step could not be made as planned, so the tool has backed off
+  bool recovering = false;  ///< see World::recovering
 };
 
 /// The motion of one tool, step by step.
@@ -77,7 +78,8 @@ class ToolMotion {
 
   /// Puts the tool at its initial pose, where it stays until the next target.
   void place() {
-    current_ = {tool_->initial_pose, tool_->initial_pose.position_m, Vec3<double>::Zero(), Vec3<double>::Zero(), 1, 0};
+    current_ = {
+        tool_->initial_pose, tool_->initial_pose.position_m, Vec3<double>::Zero(), Vec3<double>::Zero(), 1, 0, false};
     felt_ = {};
     felt_.position_m = tool_->initial_pose.position_m;
     hold_.restore({});
@@ -92,17 +94,28 @@ class ToolMotion {
   /// load: of the tissue at the end of the last step.
   void move(double dt_s, const backend::ToolForce& load);
   /// Returns Hold::share of a load at the end of the step; 0 for a fixed tool.
-  double share(const backend::ToolForce& load, bool rises) const {
-    return tool_->fixed ? 0 : hold_.share(on_hand(load), rises);
+  double share(const backend::ToolForce& load, double rise) const {
+    return tool_->fixed ? 0 : hold_.share(on_hand(load), rise);
   }
   /// Returns Hold::too_far_back of a load at the end of the step.
   bool too_far_back(const backend::ToolForce& load) const { return !tool_->fixed && hold_.too_far_back(on_hand(load)); }
   /// Moves the end of the step, because a trial of the step left this load.
   void give_way(const backend::ToolForce& load);
-  /// Moves the end of the step out of the tissue, because the step could not be made.
-  void back_off(double distance);
-  /// Lets go of the tissue: the presence is almost zero, and rises again in kFadeS.
-  void let_go() { current_.fade = kLetGo; }
+  /// Moves the end of the step out of the tissue, because the step could not be made. tried: load of its last trial.
+  void back_off(double distance, const backend::ToolForce& tried);
+  /// Lets go of the tissue: the presence is almost zero, and rises again in kFadeS. The tool waits for that where it
+  /// is.
+  void let_go() {
+    current_.fade = std::min(current_.fade, kLetGo);
+    hold_.wait(kFadeS, dt_s_);
+  }
+  /// Begins to leave tissue that encloses the tool: it waits while its presence falls to zero within kFadeS.
+  void leave(double dt_s);
+  bool leaves() const { return current_.leaves; }
+  /// Puts a tool that touches nothing at a pose. It waits there while its presence rises.
+  void come_out(const Pose& pose, double dt_s);
+  /// Whether all of its contact stiffness is there.
+  bool present() const { return current_.fade == 1; }
   /// Whether the tool is not where the hand has moved it.
   bool gives_way() const { return hold_.gives_way(); }
   /// Ends a step that was made.
@@ -118,6 +131,7 @@ class ToolMotion {
     double valid_for_s = kUntilTheNext;
     double fade = 1;          ///< fourth root of the presence
     double target_age_s = 0;  ///< time since the target was set
+    bool leaves = false;      ///< see ToolMotion::leave
     // Only for a tool with a mass.
     Vec3<double> hand_m = Vec3<double>::Zero();
     Vec3<double> hand_m_per_s = Vec3<double>::Zero();
@@ -131,6 +145,7 @@ class ToolMotion {
             valid_for_s_,
             current_.fade,
             current_.target_age_s,
+            current_.leaves,
             current_.hand_m,
             current_.hand_m_per_s,
             current_.velocity_m_per_s,
@@ -140,7 +155,8 @@ class ToolMotion {
   void restore(const Saved& saved) {
     target_ = saved.target;
     valid_for_s_ = saved.valid_for_s;
-    current_ = {saved.pose, saved.hand_m, saved.hand_m_per_s, saved.velocity_m_per_s, saved.fade, saved.target_age_s};
+    current_ = {saved.pose, saved.hand_m,       saved.hand_m_per_s, saved.velocity_m_per_s,
+                saved.fade, saved.target_age_s, saved.leaves};
     felt_ = saved.felt;
     hold_.restore(saved.hold);
   }
@@ -155,6 +171,8 @@ class ToolMotion {
   }
   const Pose& target() const { return target_; }
   bool retired() const { return current_.fade == 0; }
+  /// Pose of the shape of a tool that is at a pose.
+  Pose shape_of(const Pose& pose) const { return {pose.position_m + lever(pose), pose.orientation, pose.joint_values}; }
   /// Pose of the shape at a fraction of the step: 0 is its start, 1 its end.
   Pose shape_at(double fraction) const { return physics::between(to_, from_, 1 - fraction); }
   /// Share of its contact stiffness at a fraction of the step.
@@ -169,9 +187,9 @@ class ToolMotion {
   static constexpr double kLetGo = 1e-3;  // fade of a tool that lets go; it is not retired, so it does not jump
 
   Vec3<double> lever(const Pose& pose) const { return physics::rotation(pose) * tool_->tip_offset_m; }
-  Pose shape_of(const Pose& pose) const { return {pose.position_m + lever(pose), pose.orientation, pose.joint_values}; }
   double longest_way(const Pose& from, const Pose& to) const;
   Pose approach(const Pose& from, const Pose& to, double reach_m);
+  void jump(const Pose& pose);
   void pull(const Pose& hand, double dt_s);
   void slip();
   void end_at(const Pose& pose);
@@ -185,16 +203,18 @@ class ToolMotion {
     Vec3<double> velocity_m_per_s = Vec3<double>::Zero();
     double fade = 1;          // fourth root of the presence: it changes at a constant rate
     double target_age_s = 0;  // time since the target was set
+    bool leaves = false;
   };
 
   const model::ToolModel* tool_;
   Pose target_;  // the newest pose that a client sent
   double valid_for_s_ = kUntilTheNext;
   State current_;
-  State before_;      // at the start of the step
-  FeltContact felt_;  // at the end of the last step
-  Pose from_, to_;    // poses of the shape at the start and the end of the step
-  double dt_s_ = 0;   // length of the step
+  State before_;             // at the start of the step
+  FeltContact felt_;         // at the end of the last step
+  Pose from_, to_;           // poses of the shape at the start and the end of the step
+  double dt_s_ = 0;          // length of the step
+  double planned_fade_ = 1;  // at the end of the step, unless the tool lets go
   Hold hold_;
 };
 

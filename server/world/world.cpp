@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "physics/contact/hertz.h"
 
@@ -9,13 +10,27 @@ namespace tensormass::world {
 
 namespace {
 
-/// Trials of a step, with tools that give way or back off before each but the first.
+/// Trials of a step, with tools that give way before each but the first.
 constexpr std::uint32_t kMostTrials = 8;
-/// Trials after the first that may be spent on a load that rises too fast, but is below the largest.
-constexpr std::uint32_t kRiseTrials = 3;
-/// How far tools back off before the trials of a step that cannot be made, as Hold::back_off counts it: first they stay
-/// where they are.
-constexpr std::array<double, 4> kBacksOff{0, 0.25, 1, 2};
+/// Trials after the first that aim at the slower of two rises of the load (Hold::kAims).
+constexpr std::uint32_t kAimingTrials = 3;
+/// How a step that cannot be made is made with tools that back off: by how much, as Hold::back_off counts it, and in
+/// how many parts. A tool that lets go is behind the surface, or has tissue around it that no small way relieves.
+struct Recovery {
+  double distance;
+  std::uint32_t parts;
+  bool lets_go;
+};
+constexpr std::array<Recovery, 3> kRecoveries{{{0, 2, false}, {0.25, 2, false}, {1, 1, true}}};
+/// Distances by which tools back off while the tissue is held.
+constexpr std::array<double, 4> kBacksOffHeld{0, 0.25, 1, 2};
+/// Tools let go where recoveries take more than every fifth step: each adds kWeightOfRecovery steps to a time that
+/// falls otherwise, and kStuckS is its bound.
+constexpr double kWeightOfRecovery = 4, kStuckS = 0.2;
+/// Simulated time between two looks for tools that are inside tissue.
+constexpr double kBetweenLooksS = 0.05;
+/// Parts of the finest retry while a hand feels tissue. Its tools back off sooner than a hand can wait for more.
+constexpr std::uint32_t kMostPartsForAHand = 2;
 
 }  // namespace
 
@@ -33,8 +48,10 @@ World::World(std::unique_ptr<const model::Model> model, std::unique_ptr<backend:
       inputs_(model_->tools.size()),
       touches_(model_->tools.size()),
       forces_(model_->tools.size()),
+      tried_(model_->tools.size()),
       readings_(model_->tools.size()),
       diagnostics_(model_->groups.size()),
+      enclosure_(*model_),
       guard_(*model_),
       energy_(*model_),
       cg_limit_(model_->cg_max_iterations),
@@ -79,7 +96,7 @@ void World::read_tools() {
     reading.hand_m = reading.pose.position_m;
     reading.gives_way = tools_[i].gives_way();
     reading.recovering = recovering_;
-    reading.retired = tools_[i].retired();
+    reading.retired = tools_[i].retired() && !tools_[i].leaves();
     reading.touching = touches({&forces_[i], 1});
     reading.force_n = forces_[i].force_n;
     reading.torque_n_m = forces_[i].torque_n_m + tools_[i].lever().cross(forces_[i].force_n);
@@ -121,20 +138,22 @@ void World::read_broken() {
 }
 
 bool World::step(bool gather_visible) {
-  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
   has_event_ = recovering_ = false;
+  const bool begins_to_leave = take_tools_out();
+  for (std::size_t i = 0; i < tools_.size(); ++i) tools_[i].move(model_->dt_s, published_[i]);
   const Projection before = projection_;
   const solver::StepResult last_good = last_;
   BoundCheck check = plan_step(gather_visible);
   if (!check.good()) check = retry(check);
-  if (check.good()) check = check_loads(true);
+  if (check.good()) check = check_loads(Hold::kAims);
   const bool moves_tools = !check.good();
   if (moves_tools) {
     check = step_with_tools_moved(check);
     if (!check.good()) {
       state_->restore();
       projection_ = before;
-      if (!may_hold_tissue(check)) {
+      const bool may_hold = (held_steps_ + 1) * model_->dt_s <= std::max(kLongestHeldS, model_->dt_s);
+      if (!may_recover(check) || !may_hold) {
         event_.outcome = GuardEvent::Outcome::kStopped;
         recovering_ = false;
         for (ToolMotion& tool : tools_) tool.take_back();
@@ -150,6 +169,8 @@ bool World::step(bool gather_visible) {
       for (ToolMotion& tool : tools_) tool.end_step();
     }
   }
+  recovering_ = recovering_ || begins_to_leave;
+  stuck_s_ = std::max(0.0, stuck_s_ + (recovering_ ? kWeightOfRecovery : -1) * model_->dt_s);
   if (gather_visible && (has_event_ || moves_tools)) state_->gather_visible();
   energy_.add_step(last_.kinetic_energy_j, last_.work_j, tools_work_j_);
   ++step_count_;
@@ -159,60 +180,123 @@ bool World::step(bool gather_visible) {
   return true;
 }
 
-/// Checks that the hands bear the loads of the last trial. rises: as in Hold::share.
-BoundCheck World::check_loads(bool rises) const {
+/// Takes tools that are inside tissue out of it. A tool that feels tissue fades out first. Returns whether a tool
+/// begins to leave in this step, which then has an event.
+bool World::take_tools_out() {
+  if (!model_->goes_on || enclosure_.empty()) return false;
+  const auto steps = static_cast<std::uint64_t>(std::max(1L, std::lround(kBetweenLooksS / model_->dt_s)));
+  const bool looks = step_count_ % steps == 0;
+  bool begins = false, updated = false;
+  for (std::size_t i = 0; i < tools_.size(); ++i) {
+    const model::ToolModel& tool = model_->tools[i];
+    ToolMotion& motion = tools_[i];
+    const bool comes_out = motion.leaves() && motion.retired();
+    if (tool.fixed || !(comes_out || (looks && motion.present()))) continue;
+    if (!updated) {
+      state_->gather_visible();
+      enclosure_.update(state_->visible_positions());
+      updated = true;
+    }
+    if (comes_out) {
+      motion.come_out(place_outside(i), model_->dt_s);
+    } else if (enclosure_.encloses(tool, motion.shape_of(motion.pose()))) {
+      take_event({Breach::kEnclosed, static_cast<double>(i), 0});
+      event_.outcome = GuardEvent::Outcome::kTakenOut;
+      begins = true;
+      if (touches({&published_[i], 1})) {
+        motion.leave(model_->dt_s);
+      } else {
+        motion.come_out(place_outside(i), model_->dt_s);
+      }
+    }
+  }
+  return begins;
+}
+
+/// Returns the pose of the hand, moved out of the tissue if the tool would be inside there.
+Pose World::place_outside(std::size_t i) const {
+  Pose out = tools_[i].target();
+  if (!enclosure_.is_outside(model_->tools[i], tools_[i].shape_of(out))) {
+    out.position_m += enclosure_.way_out(model_->tools[i], tools_[i].shape_of(out)).value_or(Vec3<double>::Zero());
+  }
+  return out;
+}
+
+/// Checks that the hands bear the loads of the last trial. rise: as in Hold::share.
+BoundCheck World::check_loads(double rise) const {
   double share = 0;
   bool too_far_back = false;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
-    share = std::max(share, tools_[i].share(forces_[i], rises));
-    too_far_back = too_far_back || (rises && tools_[i].too_far_back(forces_[i]));
+    share = std::max(share, tools_[i].share(forces_[i], rise));
+    too_far_back = too_far_back || (rise == Hold::kAims && tools_[i].too_far_back(forces_[i]));
   }
   if (share <= 1 && !too_far_back) return {};
   return {Breach::kToolLoad, share, 1};
 }
 
-/// Repeats a step that left a bound, with tools that give way or back off, until a trial stays within the bounds or no
-/// tool can move farther.
+/// Repeats a step that left a bound: with tools that give way while their load is too large, then with tools that back
+/// off.
 BoundCheck World::step_with_tools_moved(BoundCheck check) {
-  std::uint32_t backed_off = 0;
-  for (std::uint32_t trial = 1; !check.good() && trial < kMostTrials; ++trial) {
-    const bool gives_way = check.breach == Breach::kToolLoad;
-    if (!gives_way) {
-      take_event(check);
-      if (!model_->goes_on || backed_off == kBacksOff.size()) break;
-    }
+  for (std::uint32_t trial = 1; check.breach == Breach::kToolLoad && trial < kMostTrials; ++trial) {
     for (std::size_t i = 0; i < tools_.size(); ++i) {
       if (model_->tools[i].fixed) continue;
-      if (!gives_way) {
-        tools_[i].back_off(kBacksOff[backed_off]);
-      } else if (tools_[i].share(forces_[i], true) > 1 || tools_[i].too_far_back(forces_[i])) {
+      if (tools_[i].share(forces_[i], Hold::kAims) > 1 || tools_[i].too_far_back(forces_[i]))
         tools_[i].give_way(forces_[i]);
-      }
     }
-    if (!gives_way) ++backed_off;
-    state_->restore();
-    constexpr Retry kAsPlanned{1, 1, false, Breach::kNone};
-    check = make_step(kAsPlanned, !model_->iterates(), cg_limit_, false, false);
-    if (check.good()) check = check_loads(trial <= kRiseTrials);
+    check = repeat_step(1);
+    if (check.good()) check = check_loads(trial <= kAimingTrials ? Hold::kAims : Hold::kBears);
   }
-  recovering_ = backed_off > 0;
-  if (recovering_) event_.outcome = GuardEvent::Outcome::kBackedOff;
+  if (check.good()) return check;
+  take_event(check);
+  return may_recover(check) ? recover(check) : check;
+}
+
+/// Repeats a step with tools that back off, or let go. Tools that feel nothing stay with the hand.
+BoundCheck World::recover(BoundCheck check) {
+  tried_ = forces_;
+  for (const Recovery& how : kRecoveries) {
+    if (stuck_s_ > kStuckS && !how.lets_go) continue;
+    bool moves = false;
+    for (std::size_t i = 0; i < tools_.size(); ++i) {
+      if (!can_back_off(i)) continue;
+      moves = true;
+      tools_[i].back_off(how.distance, tried_[i]);
+      if (how.lets_go) tools_[i].let_go();
+    }
+    if (!moves) return check;
+    check = repeat_step(how.parts);
+    if (check.good()) check = check_loads(how.lets_go ? Hold::kAtOnce : Hold::kBears);
+    if (check.good()) {
+      if (how.lets_go) stuck_s_ = 0;
+      recovering_ = true;
+      event_.outcome = how.lets_go ? GuardEvent::Outcome::kLetGo : GuardEvent::Outcome::kBackedOff;
+      break;
+    }
+    take_event(check);
+  }
   return check;
+}
+
+/// Repeats a step from the checkpoint, with its planned settings.
+BoundCheck World::repeat_step(std::uint32_t parts) {
+  state_->restore();
+  return make_step({parts, 1, false, Breach::kNone}, !model_->iterates(), cg_limit_, false, false);
 }
 
 /// Takes the bound that a trial left into the event of the step.
 void World::take_event(const BoundCheck& check) {
-  if (!has_event_) event_ = {.step = step_count_ + 1, .first = check};
+  if (!has_event_) event_ = {.step = step_count_ + 1, .first = check, .last = check};
   has_event_ = true;
   event_.last = check;
 }
 
-/// Whether the tissue may be held for a step that could not be made.
-bool World::may_hold_tissue(const BoundCheck& check) {
-  take_event(check);
-  return (model_->goes_on || check.breach == Breach::kToolLoad) &&
-         (held_steps_ + 1) * model_->dt_s <= std::max(kLongestHeldS, model_->dt_s);
+/// Whether a hand holds the tool, and it felt tissue before the step or in the trial that failed.
+bool World::can_back_off(std::size_t i) const {
+  return !model_->tools[i].fixed && (touches({&published_[i], 1}) || touches({&tried_[i], 1}));
 }
+
+/// Whether the scene goes on where a step left this bound. No hand bears too large a load.
+bool World::may_recover(const BoundCheck& check) const { return model_->goes_on || check.breach == Breach::kToolLoad; }
 
 /// Ends a step that could not be made with the tissue as it was, at rest, and with tools that back off.
 void World::hold_tissue() {
@@ -225,8 +309,8 @@ void World::hold_tissue() {
   const std::size_t again = held_steps_++;
   const bool lets_go = held_steps_ * model_->dt_s > kLongestHeldS / 2;
   for (std::size_t i = 0; i < tools_.size(); ++i) {
-    if (model_->tools[i].fixed) continue;
-    tools_[i].back_off(kBacksOff[std::min(again, kBacksOff.size() - 1)]);
+    if (!can_back_off(i)) continue;
+    tools_[i].back_off(kBacksOffHeld[std::min(again, kBacksOffHeld.size() - 1)], tried_[i]);
     if (lets_go) tools_[i].let_go();
   }
 }
@@ -264,6 +348,7 @@ BoundCheck World::retry(const BoundCheck& first) {
     if (how.only_for != Breach::kNone && (first.breach != how.only_for || cg_limit_ == model_->cg_max_iterations)) {
       continue;
     }
+    if (model_->goes_on && how.steps > kMostPartsForAHand && touches(published_)) break;
     state_->restore();
     // A step whose iterations were too few is repeated as it was; any other, linearized once, in the safer way.
     const bool as_planned = first.breach == Breach::kLinearResidual && !projection_.active() && !touches(published_);
@@ -359,6 +444,7 @@ void World::reset() {
   projection_ = {};
   has_event_ = recovering_ = false;
   held_steps_ = 0;
+  stuck_s_ = 0;
   read_broken();
   place_tools();
   if (model_->visible.count() > 0) state_->gather_visible();
@@ -373,6 +459,7 @@ World::Saved World::save() {
   out.cg_limit = cg_limit_;
   out.held_steps = held_steps_;
   out.recovering = recovering_;
+  out.stuck_s = stuck_s_;
   projection_.save(out);
   for (std::size_t i = 0; i < tools_.size(); ++i) {
     out.tools.push_back({tools_[i].save(), readings_[i].newest, published_[i]});
@@ -391,6 +478,7 @@ void World::restore(const Saved& saved) {
   has_event_ = false;
   held_steps_ = saved.held_steps;
   recovering_ = saved.recovering;
+  stuck_s_ = saved.stuck_s;
   projection_.restore(saved);
   energy_.set_entries(saved.energy);
   set_cg_limit(saved.cg_limit);

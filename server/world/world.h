@@ -9,6 +9,7 @@
 #include "backend/backend.h"
 #include "core/assert.h"
 #include "model/model.h"
+#include "world/enclosure.h"
 #include "world/guard.h"
 #include "world/tool.h"
 
@@ -21,10 +22,10 @@ namespace tensormass::world {
 ///                                          ^                                                 |
 ///                                          +---- restore checkpoint, next retry (guard.h) <--+ a bound was left
 ///
-/// Retries take smaller steps, then fallback settings. If none helps, tools that a hand moves back off (hold.h). If
-/// that does not help either, the tissue is held: the step ends with the state at which it began, at rest. A scene that
-/// stops on faults, or whose tissue is held for kLongestHeldS on end, stays at the checkpoint: the end of the last good
-/// step.
+/// Retries take smaller steps, then fallback settings; a hand that feels tissue does not wait for those. If none helps,
+/// tools that a hand moves back off (hold.h), then let go of the tissue. If that does not help either, the tissue is
+/// held: the step ends with the state at which it began, at rest. A scene that stops on faults, or whose tissue is held
+/// for kLongestHeldS on end, stays at the checkpoint: the end of the last good step.
 ///
 /// A step is also made again if it leaves a load that a tool does not bear. The tool then gives way.
 ///
@@ -70,6 +71,7 @@ class World {
     std::uint32_t cg_limit = 0;
     std::uint32_t held_steps = 0;  ///< steps on end in which the tissue was held
     bool recovering = false;       ///< see World::recovering
+    double stuck_s = 0;            ///< grows with each step of a recovery, falls with each other one
   };
   /// Copies the state. Allocates; for requests.
   Saved save();
@@ -91,7 +93,8 @@ class World {
     TM_ASSERT(cg_max_iterations <= model_->cg_max_iterations, "a budget lowers the model's iterations");
     cg_limit_ = cg_max_iterations;
   }
-  /// Whether the last step could not be made as planned, so that tools backed off or the tissue was held. It has a
+  /// Whether the last step could not be made as planned, so that tools backed off, let go or were taken out, or the
+  /// tissue was held. It has a
   /// guard event then.
   bool recovering() const { return recovering_; }
   /// Event of the last step if it left its bounds, else nullptr.
@@ -128,10 +131,15 @@ class World {
   void read_broken();
   static bool touches(std::span<const backend::ToolForce> forces);
   BoundCheck plan_step(bool gather_visible);
-  BoundCheck check_loads(bool rises) const;
+  BoundCheck check_loads(double rise) const;
   BoundCheck step_with_tools_moved(BoundCheck check);
   void take_event(const BoundCheck& check);
-  bool may_hold_tissue(const BoundCheck& check);
+  bool take_tools_out();
+  Pose place_outside(std::size_t tool) const;
+  bool can_back_off(std::size_t tool) const;
+  bool may_recover(const BoundCheck& check) const;
+  BoundCheck recover(BoundCheck check);
+  BoundCheck repeat_step(std::uint32_t parts);
   void hold_tissue();
   BoundCheck retry(const BoundCheck& first);
   BoundCheck make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
@@ -186,13 +194,16 @@ class World {
   std::vector<backend::ToolInput> inputs_;  // at the end of the current part
   std::vector<Touch> touches_;              // at the end of the previous part
   std::vector<backend::ToolForce> forces_;
+  std::vector<backend::ToolForce> tried_;  // those of the last trial before tools backed off
   std::vector<ToolReading> readings_;
   std::vector<backend::GroupDiagnostics> diagnostics_;
+  Enclosure enclosure_;
   const Guard guard_;
   EnergyBalance energy_;
   double tools_work_j_ = 0;  // work of the tools in the current step
   bool recovering_ = false;
   std::uint32_t held_steps_ = 0;  // on end, up to the last step
+  double stuck_s_ = 0;            // as Saved has it
   Projection projection_;
   bool trusted_ = true;  // Guard::trusts of the last part
   GuardEvent event_;

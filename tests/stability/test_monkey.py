@@ -10,7 +10,7 @@ import pytest
 
 import tensormass as tm
 
-from . import monkey
+from . import monkey, presses
 
 #: Scenes whose tissue has no other body in which it could stay caught.
 SINGLE = ("demo", "retract", "grasp")
@@ -34,6 +34,11 @@ def test_a_hand_never_stops_a_scene(server: tm.Server, number: int) -> None:
     if row.scene in SINGLE:
         assert row.left_mm is not None
         assert row.left_mm <= 1e3 * monkey.LARGEST_LEFT_M, row
+
+
+def test_a_fast_press_through_the_organ_does_not_jump(server: tm.Server) -> None:
+    press = presses.run_press(server, "cpu", 0.5)
+    assert press.verdict == "goes on", press
 
 
 def test_every_scene_meets_every_instrument_and_motion() -> None:

@@ -60,9 +60,9 @@ TEST_P(Recovery, AStepIsMadeWithToolsThatBackOff) {
   for (const Kind& kind : kKinds) {
     SCOPED_TRACE(kind.name);
     constexpr std::uint64_t kFaulty = kPressSteps + 1;
-    // The step as planned and each of its retries fail at once: the call after them is the first with the tool moved.
+    // The step as planned and its retry fail at once: the call after them is the first with the tool moved.
     const auto world = start_faulty(block(kind), [](std::uint64_t step, std::uint64_t call) {
-      return step == kFaulty && call < 4 ? std::optional(Fault::kNotANumber) : std::nullopt;
+      return step == kFaulty && call < 2 ? std::optional(Fault::kNotANumber) : std::nullopt;
     });
     press(*world);
     const ToolReading before = world->readings()[0];
@@ -300,7 +300,7 @@ TEST_P(RunningRecovery, ARecoveryIsCountedToldAndMarked) {
   v1::Scene scene = tests::block_with_probe(false, 4);
   tests::set(*scene.mutable_tools(0)->mutable_position_m(), 0.05, 0.055, 0.05);
   const auto runner = load(scene, [](std::uint64_t step, std::uint64_t call) {
-    const bool fails = (step == 4 && call < 4) || step == 8 || step == 9;
+    const bool fails = (step == 4 && call < 2) || step == 8 || step == 9;
     return fails ? std::optional(tests::Fault::kNotANumber) : std::nullopt;
   });
   const auto recording = runner->record({});

@@ -1,0 +1,170 @@
+#include "world/enclosure.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+#include <utility>
+
+#include "physics/lists.h"
+
+namespace tensormass::world {
+
+namespace {
+
+/// Whether each edge of the triangles is that of one other, in the other direction.
+bool is_closed(const std::vector<mesh::Triangle>& triangles) {
+  std::set<std::pair<std::uint32_t, std::uint32_t>> edges;
+  for (const mesh::Triangle& t : triangles) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      if (!edges.emplace(t[c], t[(c + 1) % 3]).second) return false;
+    }
+  }
+  return std::all_of(edges.begin(), edges.end(), [&](const auto& edge) {
+    return edges.contains({edge.second, edge.first});
+  });
+}
+
+}  // namespace
+
+Enclosure::Enclosure(const model::Model& model) {
+  for (const model::BodyModel& body : model.bodies) {
+    if (body.triangles.empty() || !is_closed(body.triangles)) continue;
+    Body& out = bodies_.emplace_back();
+    out.vertex_begin = body.vertex_begin;
+    out.vertex_count = body.vertex_count;
+    for (mesh::Triangle t : body.triangles) {
+      for (auto& vertex : t) vertex += body.vertex_begin;
+      out.triangles.push_back(t);
+    }
+  }
+}
+
+Vec3<double> Enclosure::position(std::uint32_t vertex) const {
+  return Eigen::Map<const Eigen::Vector3f>(visible_m_.data() + 3 * std::size_t{vertex}).cast<double>();
+}
+
+void Enclosure::update(std::span<const float> visible_m) {
+  visible_m_ = visible_m;
+  for (Body& body : bodies_) {
+    body.least.setConstant(std::numeric_limits<double>::infinity());
+    body.most = -body.least;
+    for (std::uint32_t v = 0; v < body.vertex_count; ++v) {
+      const Vec3<double> x = position(body.vertex_begin + v);
+      body.least = body.least.cwiseMin(x);
+      body.most = body.most.cwiseMax(x);
+    }
+  }
+}
+
+Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::Pose& shape) {
+  Core core;
+  const auto placed = tool.placed<double>(shape, shape);
+  physics::with_tool(tool.kind, [&](auto kind) {
+    using Kind = typename decltype(kind)::Type;
+    if constexpr (Kind::kIsSolid) {
+      if (tool.reach_m > 0) core.points[core.count++] = shape.position_m;
+    } else {
+      for (std::uint32_t i = 0; i < Kind::kCorePoints; ++i) core.points[core.count++] = Kind::core_point(placed, i);
+    }
+  });
+  return core;
+}
+
+/// Collects where a line through the point along an axis crosses the surface, relative to the point. Returns false if
+/// there is no room for all. A line through an edge or a corner counts as one a little beside it, for all triangles
+/// alike.
+bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const {
+  const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+  out.count = 0;
+  for (const mesh::Triangle& t : body.triangles) {
+    std::array<Vec3<double>, 3> x;
+    for (std::size_t c = 0; c < 3; ++c) x[c] = position(t[c]) - point;
+    // A triangle is crossed if its edges wind around the line in the plane across it. Both triangles of an edge compute
+    // its side of the line in the same order, so that no rounding opens a gap between them.
+    int winding = 0;
+    for (std::size_t c = 0; c < 3; ++c) {
+      const std::size_t d = (c + 1) % 3;
+      if ((x[c][v] < 0) == (x[d][v] < 0)) continue;
+      const bool upwards = x[c][v] < 0, forwards = t[c] < t[d];
+      const Vec3<double>&a = forwards ? x[c] : x[d], &b = forwards ? x[d] : x[c];
+      const double side = a[u] * b[v] - a[v] * b[u];
+      if (forwards == upwards ? side >= 0 : side <= 0) winding += upwards ? 1 : -1;
+    }
+    if (winding == 0) continue;
+    const Vec3<double> normal = (x[1] - x[0]).cross(x[2] - x[0]);
+    if (normal[axis] == 0) continue;
+    if (out.count == kMostCrossings) return false;
+    out.all[out.count++] = {normal.dot(x[0]) / normal[axis], winding};
+  }
+  return true;
+}
+
+bool Enclosure::is_inside(const Body& body, const Vec3<double>& point) const {
+  if ((point.array() < body.least.array()).any() || (point.array() > body.most.array()).any()) return false;
+  Crossings crossings;
+  if (!cross(body, point, 2, crossings)) return false;
+  int left = 0;
+  for (std::size_t i = 0; i < crossings.count; ++i) left += crossings.all[i].at_m > 0 ? crossings.all[i].leaves : 0;
+  return left > 0;
+}
+
+bool Enclosure::encloses(const model::ToolModel& tool, const physics::Pose& shape) const {
+  const Core core = core_of(tool, shape);
+  const double around_m = tool.radius_m / 2;
+  for (std::size_t i = 0; i < core.count; ++i) {
+    for (const Body& body : bodies_) {
+      bool enclosed = is_inside(body, core.points[i]);
+      for (int side = 0; enclosed && side < 6; ++side) {
+        enclosed =
+            is_inside(body, core.points[i] + (side % 2 == 0 ? around_m : -around_m) * Vec3<double>::Unit(side / 2));
+      }
+      if (enclosed) return true;
+    }
+  }
+  return false;
+}
+
+bool Enclosure::is_outside(const model::ToolModel& tool, const physics::Pose& shape) const {
+  const Core core = core_of(tool, shape);
+  for (std::size_t i = 0; i < core.count; ++i) {
+    for (const Body& body : bodies_) {
+      if (is_inside(body, core.points[i])) return false;
+    }
+  }
+  return true;
+}
+
+std::optional<Vec3<double>> Enclosure::way_out(const model::ToolModel& tool, const physics::Pose& shape) const {
+  const Core core = core_of(tool, shape);
+  std::optional<Vec3<double>> shortest;
+  Crossings crossings;
+  for (int axis = 0; axis < 3; ++axis) {
+    for (const double direction : {1.0, -1.0}) {
+      // From where the tool is, each point may move as far as the last crossing that it must pass.
+      double way_m = 0;
+      for (std::size_t i = 0; i < core.count; ++i) {
+        for (const Body& body : bodies_) {
+          if (!is_inside(body, core.points[i]) || !cross(body, core.points[i], axis, crossings)) continue;
+          const auto end = crossings.all.begin() + static_cast<std::ptrdiff_t>(crossings.count);
+          std::sort(crossings.all.begin(), end,
+                    [&](const auto& a, const auto& b) { return direction * a.at_m < direction * b.at_m; });
+          int depth = 1;
+          for (auto one = crossings.all.begin(); one != end && depth > 0; ++one) {
+            if (!(direction * one->at_m > 0)) continue;
+            depth -= (direction > 0 ? 1 : -1) * one->leaves;
+            way_m = std::max(way_m, direction * one->at_m);
+          }
+        }
+      }
+      const Vec3<double> way = direction * (way_m + 2 * tool.radius_m) * Vec3<double>::Unit(axis);
+      if (shortest && shortest->norm() <= way.norm()) continue;
+      physics::Pose moved = shape;
+      moved.position_m += way;
+      if (is_outside(tool, moved)) shortest = way;
+    }
+  }
+  return shortest;
+}
+
+}  // namespace tensormass::world

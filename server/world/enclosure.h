@@ -1,0 +1,73 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "model/model.h"
+#include "physics/tool/pose.h"
+
+/// Finds tools that are inside tissue, and the way out.
+///
+/// A surface that gives way under a tool stays outside of it. A tool is inside tissue if it begins there, or if the
+/// surface has been forced past it. Contact then works the wrong way round: the tissue holds a tool that the hand draws
+/// back. So such a tool is taken out (world.h).
+///
+/// A point is inside a closed surface if a ray from it leaves the surface once more than it enters it. Rays along the
+/// axes need only signs of areas; all crossings of one line give the ways out in both of its directions.
+///
+///     ------|=====p=====|-------|===|----->    | crossing; = inside
+///           <---->                             way out backwards
+///                 <---->                       and forwards
+namespace tensormass::world {
+
+class Enclosure {
+ public:
+  explicit Enclosure(const model::Model& model);
+
+  /// Whether no body has a closed surface.
+  bool empty() const { return bodies_.empty(); }
+  /// Takes the visible positions [visible_count, 3] m of this moment, which must stay until the next call.
+  void update(std::span<const float> visible_m);
+  /// Returns whether a body encloses a point of the tool's core with half a radius of tissue around it. The core of a
+  /// solid is its middle; a plane has none.
+  bool encloses(const model::ToolModel& tool, const physics::Pose& shape) const;
+  /// Returns whether no body encloses a point of the tool's core.
+  bool is_outside(const model::ToolModel& tool, const physics::Pose& shape) const;
+  /// Returns the shortest move along an axis after which the tool is outside, with its diameter between, or nullopt.
+  std::optional<Vec3<double>> way_out(const model::ToolModel& tool, const physics::Pose& shape) const;
+
+ private:
+  /// Surfaces with more crossings on one line are too torn to tell inside from outside.
+  static constexpr std::size_t kMostCrossings = 64;
+  struct Crossings {
+    struct One {
+      double at_m;
+      int leaves;  ///< 1, or −1: enters
+    };
+    std::array<One, kMostCrossings> all;
+    std::size_t count = 0;
+  };
+  /// A body whose visible surface is closed.
+  struct Body {
+    std::vector<mesh::Triangle> triangles;  // corners: visible points
+    std::uint32_t vertex_begin = 0, vertex_count = 0;
+    Vec3<double> least = Vec3<double>::Zero(), most = Vec3<double>::Zero();
+  };
+  struct Core {
+    std::array<Vec3<double>, limits::kMaxCorePoints> points;
+    std::size_t count = 0;
+  };
+
+  static Core core_of(const model::ToolModel& tool, const physics::Pose& shape);
+  Vec3<double> position(std::uint32_t vertex) const;
+  bool cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const;
+  bool is_inside(const Body& body, const Vec3<double>& point) const;
+
+  std::vector<Body> bodies_;
+  std::span<const float> visible_m_;
+};
+
+}  // namespace tensormass::world
