@@ -29,7 +29,10 @@ bool is_closed(const std::vector<mesh::Triangle>& triangles) {
 
 Enclosure::Enclosure(const model::Model& model) {
   for (const model::BodyModel& body : model.bodies) {
-    if (body.triangles.empty() || !is_closed(body.triangles)) continue;
+    const double most = kMostTrianglesPerS * model.dt_s;
+    if (body.triangles.empty() || static_cast<double>(body.triangles.size()) > most || !is_closed(body.triangles)) {
+      continue;
+    }
     Body& out = bodies_.emplace_back();
     out.vertex_begin = body.vertex_begin;
     out.vertex_count = body.vertex_count;

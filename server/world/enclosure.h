@@ -27,7 +27,7 @@ class Enclosure {
  public:
   explicit Enclosure(const model::Model& model);
 
-  /// Whether no body has a closed surface.
+  /// Whether no body has a closed surface that is small enough to be looked at.
   bool empty() const { return bodies_.empty(); }
   /// Takes the visible positions [visible_count, 3] m of this moment, which must stay until the next call.
   void update(std::span<const float> visible_m);
@@ -40,6 +40,9 @@ class Enclosure {
   std::optional<Vec3<double>> way_out(const model::ToolModel& tool, const physics::Pose& shape) const;
 
  private:
+  /// Triangles of a body for each second of a step. A look reads all of them for each point of a core that is among
+  /// them, which would take too much of the step if they were more.
+  static constexpr double kMostTrianglesPerS = 4e7;
   /// Surfaces with more crossings on one line are too torn to tell inside from outside.
   static constexpr std::size_t kMostCrossings = 64;
   struct Crossings {
@@ -50,7 +53,7 @@ class Enclosure {
     std::array<One, kMostCrossings> all;
     std::size_t count = 0;
   };
-  /// A body whose visible surface is closed.
+  /// A body whose visible surface is closed and small enough to be looked at.
   struct Body {
     std::vector<mesh::Triangle> triangles;  // corners: visible points
     std::uint32_t vertex_begin = 0, vertex_count = 0;
