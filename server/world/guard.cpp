@@ -108,7 +108,7 @@ std::string to_text(const BoundCheck& check) {
     case Breach::kNotFinite:
       return "the state is not finite any more";
     case Breach::kMove:
-      return fmt::format("a node moved {:.3g} m in it, farther than the scene is large ({:.3g} m)", value, bound);
+      return fmt::format("a node moved {:.3g} m in it, farther than max_move_m, {:.3g} m", value, bound);
     case Breach::kDistance:
       return fmt::format("a node is {:.3g} m from its rest position, farther than {:.3g} m", value, bound);
     case Breach::kEnergy:

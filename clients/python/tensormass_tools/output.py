@@ -181,7 +181,7 @@ def _tools_and_guard(scene: scene_pb2.Scene) -> str:
             loads = defaults.largest_loads(tool)
             tools.append([tool.name, f"{loads.force_n:g} N", f"{loads.torque_n_m:g} N m", f"{loads.joint_load:g}"])
     if defaults.goes_on_after_fault(scene):
-        then = "go_on: tools back off, or the tissue is held for at most 0.1 s"
+        then = "go_on: tools back off or let go, or the tissue is held for at most 0.1 s"
     else:
         then = "stop: the scene stops until it is reset"
     guard = f"after a fault (guard.on_fault): {then}"

@@ -348,9 +348,9 @@ class Scene:
             max_distance_m: largest distance of a node from its rest position, if every body has fixed nodes [m].
                 Default: ten times that of `max_move_m`.
             max_energy_ratio: largest kinetic energy, relative to the energy that is available to the scene. Default: 4.
-            on_fault: "go_on": tools back off, or the tissue is held; "stop": the scene stops until it is reset.
-                Default: "go_on" in a scene with a tool that takes poses, else "stop". A quasi-static scene always
-                stops.
+            on_fault: "go_on": tools back off or let go, or the tissue is held. "stop": the scene stops until it is
+                reset. Default: "go_on" in a scene with a tool that takes poses, else "stop". A quasi-static scene
+                always stops.
 
         Raises:
             InvalidArgumentError: a wrong argument; the message names it. The daemon checks the ranges.
