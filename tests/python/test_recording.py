@@ -64,7 +64,10 @@ def wait_for_steps(path: Path, count: int) -> None:
 
 def address_of(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
-    return process.stdout.readline().rpartition("control ")[2].strip()
+    line = process.stdout.readline()
+    if "control " not in line:
+        pytest.fail(f"`tensormass record` ended: {line}{process.communicate()[1]}")
+    return line.rpartition("control ")[2].strip()
 
 
 def move_at_random(address: str, seed: int, ends: threading.Event) -> None:
