@@ -1,6 +1,10 @@
 #include "mesh/adjacency.h"
 
 #include <algorithm>
+#include <map>
+#include <utility>
+
+#include <fmt/format.h>
 
 #include "mesh/shapes.h"
 
@@ -65,6 +69,39 @@ Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_
   return invert(vertex_count, [&](auto&& add) {
     for (std::uint32_t i = 0; i < triangles.size(); ++i) add(i, triangles[i]);
   });
+}
+
+Result<std::vector<std::array<std::uint32_t, 3>>> triangle_neighbours(std::span<const Triangle> triangles,
+                                                                      std::string_view what) {
+  using Edge = std::pair<std::uint32_t, std::uint32_t>;  // from, to
+  const auto edge_of = [&](std::size_t t, std::size_t c) { return Edge{triangles[t][c], triangles[t][(c + 1) % 3]}; };
+  std::map<Edge, std::uint32_t> edges;
+  for (std::uint32_t t = 0; t < triangles.size(); ++t) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      const Edge edge = edge_of(t, c);
+      if (!edges.emplace(edge, t).second) {
+        return invalid(
+            fmt::format("{}: two triangles run along the edge from vertex {} to vertex {} in the same "
+                        "direction; give a surface whose triangles all turn the same way",
+                        what, edge.first, edge.second));
+      }
+    }
+  }
+  std::vector<std::array<std::uint32_t, 3>> neighbours(triangles.size());
+  for (std::size_t t = 0; t < triangles.size(); ++t) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      const auto [from, to] = edge_of(t, c);
+      const auto across = edges.find({to, from});
+      if (across == edges.end()) {
+        return invalid(
+            fmt::format("{}: the surface is open at the edge between vertices {} and {}; a solid needs a closed "
+                        "surface, whose triangles share their vertices",
+                        what, from, to));
+      }
+      neighbours[t][c] = across->second;
+    }
+  }
+  return neighbours;
 }
 
 }  // namespace tensormass::mesh

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
+#include <string_view>
 #include <vector>
 
+#include "core/result.h"
 #include "mesh/mesh.h"
 
 namespace tensormass::mesh {
@@ -29,5 +32,11 @@ Rows node_neighbours(const Mesh& mesh, const Rows& elements);
 
 /// Returns the triangles of every vertex, ascending. [vertex_count] rows.
 Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_count);
+
+/// Returns the triangle across each edge of each triangle of a closed surface; edge i goes from corner i to the next.
+///
+/// Errors: an edge does not belong to exactly two triangles in opposite directions. `what` names the surface.
+Result<std::vector<std::array<std::uint32_t, 3>>> triangle_neighbours(std::span<const Triangle> triangles,
+                                                                      std::string_view what);
 
 }  // namespace tensormass::mesh

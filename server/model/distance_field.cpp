@@ -2,11 +2,10 @@
 
 #include <array>
 #include <cmath>
-#include <map>
-#include <utility>
 
 #include <fmt/format.h>
 
+#include "mesh/adjacency.h"
 #include "model/signed_distance.h"
 #include "physics/tool/mesh_solid.h"
 
@@ -15,43 +14,9 @@ namespace {
 
 using Eigen::Vector3d;
 using mesh::Triangle;
-using Edge = std::pair<std::uint32_t, std::uint32_t>;  // from, to
 
 /// A surface that encloses less, relative to the cube of its diagonal, is flat.
 constexpr double kLeastRelativeVolume = 1e-9;
-
-/// Returns the triangle across each edge of each triangle. Errors: the surface is not closed.
-Result<std::vector<std::array<std::uint32_t, 3>>> neighbours_of(std::span<const Triangle> triangles,
-                                                                std::string_view what) {
-  const auto edge_of = [&](std::size_t t, std::size_t c) { return Edge{triangles[t][c], triangles[t][(c + 1) % 3]}; };
-  std::map<Edge, std::uint32_t> edges;
-  for (std::uint32_t t = 0; t < triangles.size(); ++t) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      const Edge edge = edge_of(t, c);
-      if (!edges.emplace(edge, t).second) {
-        return invalid(
-            fmt::format("{}: two triangles run along the edge from vertex {} to vertex {} in the same "
-                        "direction; give a surface whose triangles all turn the same way",
-                        what, edge.first, edge.second));
-      }
-    }
-  }
-  std::vector<std::array<std::uint32_t, 3>> neighbours(triangles.size());
-  for (std::size_t t = 0; t < triangles.size(); ++t) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      const auto [from, to] = edge_of(t, c);
-      const auto across = edges.find({to, from});
-      if (across == edges.end()) {
-        return invalid(
-            fmt::format("{}: the surface is open at the edge between vertices {} and {}; a solid needs a closed "
-                        "surface, whose triangles share their vertices",
-                        what, from, to));
-      }
-      neighbours[t][c] = across->second;
-    }
-  }
-  return neighbours;
-}
 
 double volume_of(std::span<const Vector3d> vertices, std::span<const Triangle> triangles) {
   double six_volumes = 0;
@@ -63,7 +28,7 @@ double volume_of(std::span<const Vector3d> vertices, std::span<const Triangle> t
 
 Result<DistanceField> sample_distance(std::span<const Vector3d> vertices, std::span<const Triangle> triangles,
                                       std::string_view what) {
-  TM_ASSIGN_OR_RETURN(neighbours, neighbours_of(triangles, what));
+  TM_ASSIGN_OR_RETURN(neighbours, mesh::triangle_neighbours(triangles, what));
   DistanceField out;
   for (const Triangle& triangle : triangles) {
     for (const std::uint32_t vertex : triangle) {

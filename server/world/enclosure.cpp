@@ -3,48 +3,24 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <set>
-#include <utility>
 
+#include "mesh/adjacency.h"
 #include "physics/lists.h"
 
 namespace tensormass::world {
 
-namespace {
-
-/// Whether each edge of the triangles is that of one other, in the other direction.
-bool is_closed(const std::vector<mesh::Triangle>& triangles) {
-  std::set<std::pair<std::uint32_t, std::uint32_t>> edges;
-  for (const mesh::Triangle& t : triangles) {
-    for (std::size_t c = 0; c < 3; ++c) {
-      if (!edges.emplace(t[c], t[(c + 1) % 3]).second) return false;
-    }
-  }
-  return std::all_of(edges.begin(), edges.end(), [&](const auto& edge) {
-    return edges.contains({edge.second, edge.first});
-  });
-}
-
-}  // namespace
-
 Enclosure::Enclosure(const model::Model& model) {
+  if (!model.goes_on) return;
   for (const model::BodyModel& body : model.bodies) {
-    const double most = kMostTrianglesPerS * model.dt_s;
-    if (body.triangles.empty() || static_cast<double>(body.triangles.size()) > most || !is_closed(body.triangles)) {
-      continue;
-    }
-    Body& out = bodies_.emplace_back();
-    out.vertex_begin = body.vertex_begin;
-    out.vertex_count = body.vertex_count;
-    for (mesh::Triangle t : body.triangles) {
-      for (auto& vertex : t) vertex += body.vertex_begin;
-      out.triangles.push_back(t);
-    }
+    const auto count = static_cast<double>(body.triangles.size());
+    if (count == 0 || count > kMostTrianglesPerS * model.dt_s) continue;
+    if (mesh::triangle_neighbours(body.triangles, body.name)) bodies_.push_back({.surface = &body});
   }
 }
 
-Vec3<double> Enclosure::position(std::uint32_t vertex) const {
-  return Eigen::Map<const Eigen::Vector3f>(visible_m_.data() + 3 * std::size_t{vertex}).cast<double>();
+Vec3<double> Enclosure::position(const Body& body, std::uint32_t vertex) const {
+  const std::size_t place = std::size_t{body.surface->vertex_begin} + vertex;
+  return Eigen::Map<const Eigen::Vector3f>(visible_m_.data() + 3 * place).cast<double>();
 }
 
 void Enclosure::update(std::span<const float> visible_m) {
@@ -52,8 +28,8 @@ void Enclosure::update(std::span<const float> visible_m) {
   for (Body& body : bodies_) {
     body.least.setConstant(std::numeric_limits<double>::infinity());
     body.most = -body.least;
-    for (std::uint32_t v = 0; v < body.vertex_count; ++v) {
-      const Vec3<double> x = position(body.vertex_begin + v);
+    for (std::uint32_t v = 0; v < body.surface->vertex_count; ++v) {
+      const Vec3<double> x = position(body, v);
       body.least = body.least.cwiseMin(x);
       body.most = body.most.cwiseMax(x);
     }
@@ -80,9 +56,9 @@ Enclosure::Core Enclosure::core_of(const model::ToolModel& tool, const physics::
 bool Enclosure::cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const {
   const int u = (axis + 1) % 3, v = (axis + 2) % 3;
   out.count = 0;
-  for (const mesh::Triangle& t : body.triangles) {
+  for (const mesh::Triangle& t : body.surface->triangles) {
     std::array<Vec3<double>, 3> x;
-    for (std::size_t c = 0; c < 3; ++c) x[c] = position(t[c]) - point;
+    for (std::size_t c = 0; c < 3; ++c) x[c] = position(body, t[c]) - point;
     // A triangle is crossed if its edges wind around the line in the plane across it. Both triangles of an edge compute
     // its side of the line in the same order, so that no rounding opens a gap between them.
     int winding = 0;

@@ -25,9 +25,10 @@ namespace tensormass::world {
 
 class Enclosure {
  public:
+  /// Keeps a reference to the model. A scene that stops on faults has nothing to look at.
   explicit Enclosure(const model::Model& model);
 
-  /// Whether no body has a closed surface that is small enough to be looked at.
+  /// Whether there is no body to look at.
   bool empty() const { return bodies_.empty(); }
   /// Takes the visible positions [visible_count, 3] m of this moment, which must stay until the next call.
   void update(std::span<const float> visible_m);
@@ -55,8 +56,7 @@ class Enclosure {
   };
   /// A body whose visible surface is closed and small enough to be looked at.
   struct Body {
-    std::vector<mesh::Triangle> triangles;  // corners: visible points
-    std::uint32_t vertex_begin = 0, vertex_count = 0;
+    const model::BodyModel* surface;
     Vec3<double> least = Vec3<double>::Zero(), most = Vec3<double>::Zero();
   };
   struct Core {
@@ -65,7 +65,7 @@ class Enclosure {
   };
 
   static Core core_of(const model::ToolModel& tool, const physics::Pose& shape);
-  Vec3<double> position(std::uint32_t vertex) const;
+  Vec3<double> position(const Body& body, std::uint32_t vertex) const;
   bool cross(const Body& body, const Vec3<double>& point, int axis, Crossings& out) const;
   bool is_inside(const Body& body, const Vec3<double>& point) const;
 

@@ -310,7 +310,9 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.cg_limit = static_cast<std::uint32_t>(limit);
   world.held_steps = message.held_steps();
   world.recovering = message.recovering();
-  if (std::isfinite(message.stuck_s())) world.stuck_s = std::max(0.0, message.stuck_s());
+  TM_ASSIGN_OR_RETURN(stuck,
+                      model::read_number(message.stuck_s(), 0, std::numeric_limits<double>::max(), "snapshot.stuck_s"));
+  world.stuck_s = stuck;
   out.next_diagnostics = message.next_diagnostics();
   return out;
 }

@@ -183,7 +183,7 @@ bool World::step(bool gather_visible) {
 /// Takes tools that are inside tissue out of it. A tool that feels tissue fades out first. Returns whether a tool
 /// begins to leave in this step, which then has an event.
 bool World::take_tools_out() {
-  if (!model_->goes_on || enclosure_.empty()) return false;
+  if (enclosure_.empty()) return false;
   const auto steps = static_cast<std::uint64_t>(std::max(1L, std::lround(kBetweenLooksS / model_->dt_s)));
   const bool looks = step_count_ % steps == 0;
   bool begins = false, updated = false;

@@ -94,8 +94,7 @@ class World {
     cg_limit_ = cg_max_iterations;
   }
   /// Whether the last step could not be made as planned, so that tools backed off, let go or were taken out, or the
-  /// tissue was held. It has a
-  /// guard event then.
+  /// tissue was held. It has a guard event then.
   bool recovering() const { return recovering_; }
   /// Event of the last step if it left its bounds, else nullptr.
   const GuardEvent* guard_event() const { return has_event_ ? &event_ : nullptr; }

@@ -15,7 +15,6 @@ Each walk must go on to its end, with finite positions, no load above the tool's
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import multiprocessing
@@ -24,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,8 @@ from tensormass._src import defaults
 from tensormass._src.scene_file import SceneFile
 from tensormass.v1 import stream_pb2
 from tensormass_tools.trade.knobs import Knobs
+
+from . import csv_rows
 
 Array = NDArray[np.float64]
 #: Place, orientation and joints, as `SceneHandle.follow` takes them.
@@ -356,10 +357,7 @@ def main() -> int:
     rows.sort(key=lambda row: row.walk)
     print(table(rows))
     if arguments.write:
-        with arguments.write.open("w", newline="") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        csv_rows.write(arguments.write, rows)
     return int(any(row.verdict != "goes on" for row in rows))
 
 

@@ -9,15 +9,16 @@ Each press goes on to its end, with a force that stays below the tool's largest 
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import tensormass as tm
 from tensormass._src import defaults
+
+from . import csv_rows
 
 SPEEDS_M_PER_S = (0.02, 0.1, 0.25, 0.5)
 RATE_HZ = 960
@@ -93,10 +94,7 @@ def main() -> int:
             rows.append(run_press(server, arguments.backend, speed))
             print(rows[-1], flush=True)
     if arguments.write:
-        with arguments.write.open("w", newline="") as file:
-            writer = csv.DictWriter(file, [field.name for field in fields(Press)], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)
+        csv_rows.write(arguments.write, rows)
     return int(any(row.verdict != "goes on" for row in rows))
 
 

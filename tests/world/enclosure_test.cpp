@@ -101,8 +101,7 @@ TEST_P(Enclosed, AnOpenSurfaceEnclosesNothing) {
 
 /// The hand stays in the middle. The tool comes in from outside, and its force grows gently to what the hand presses.
 TEST_P(Enclosed, AToolThatBeginsInsideIsTakenOut) {
-  std::vector<std::string> kinds = tests::thin_tool_kinds();
-  for (const std::string& kind : kinds) {
+  for (const std::string& kind : tests::thin_tool_kinds()) {
     SCOPED_TRACE(kind);
     v1::Scene scene = block();
     scene.clear_gravity_m_per_s2();
