@@ -34,6 +34,8 @@ struct ToolForce {
   Vec3<double> torque_n_m = Vec3<double>::Zero();
   Vec3<double> friction_n = Vec3<double>::Zero();       ///< the part of force_n that is friction
   std::array<double, limits::kMaxToolJoints> joints{};  ///< force of the tissue along each joint [N m or N]
+  /// E and E / (1 − ν²) of the tissue that it touches, means weighted by pressure [Pa]; 0: it touches nothing.
+  double young_modulus_pa = 0, plane_strain_modulus_pa = 0;
 };
 
 /// A tool in a step: poses of its shape (model::ToolModel::placed) at the end and at the start.

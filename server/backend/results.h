@@ -55,6 +55,7 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
   const std::size_t patches = forces.empty() ? 0 : loads.size() / forces.size();
   for (std::size_t tool = 0; tool < forces.size(); ++tool) {
     ToolForce sum;
+    double pressed_n = 0, moduli[2] = {0, 0};
     for (std::size_t patch = 0; patch < patches; ++patch) {
       const auto& load = loads[tool * patches + patch];
       for (int c = 0; c < 3; ++c) {
@@ -63,6 +64,12 @@ void read_forces(std::span<const view::ToolLoad<Real>> loads, std::span<ToolForc
         sum.friction_n[c] += static_cast<double>(load.friction_n[c]);
       }
       for (std::size_t j = 0; j < sum.joints.size(); ++j) sum.joints[j] += static_cast<double>(load.joints[j]);
+      pressed_n += static_cast<double>(load.pressed_n);
+      for (std::size_t i = 0; i < 2; ++i) moduli[i] += static_cast<double>(load.pressed_moduli[i]);
+    }
+    if (pressed_n > 0) {
+      sum.young_modulus_pa = moduli[0] / pressed_n;
+      sum.plane_strain_modulus_pa = moduli[1] / pressed_n;
     }
     forces[tool] = sum;
   }

@@ -18,7 +18,8 @@
 ///   force = k (depth − n·(d_x − Σ w_a d_a)) n, on the node; the corners of the triangle receive the opposite
 ///
 ///   k = penalty · half the node's part of its surface. Both surfaces have nodes that touch the other, and share the
-///   load; so a pressure p is carried at a depth of p / penalty.
+///   load; so a pressure p is carried at a depth of p / penalty. Unless the scene gives it, the penalty follows from
+///   the softer of the elements behind node and triangle.
 ///
 /// 1. p is searched in two levels of boxes that are refitted in each step: groups of leaves, leaves of triangles. The
 ///    boxes' members are chosen once, at rest.
@@ -172,7 +173,7 @@ template <class Real>
 TM_HOST_DEVICE Vec3<Real> contact_stretch(const view::StateView<Real>& state, const view::Tie<Real>& tie,
                                           const Real* slip) {
   const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-  const Vec3<Real> moved = relative(tie, kAllRows, [&](std::uint32_t row) { return view::motion_in_step(state, row); });
+  const Vec3<Real> moved = relative(tie, kAllRows, [&](std::uint32_t row) { return view::motion_to_end(state, row); });
   const Vec3<Real> stretch = Vec3<Real>(slip[0], slip[1], slip[2]) - moved;
   return stretch - n * n.dot(stretch);
 }
@@ -182,7 +183,8 @@ template <class Real>
 TM_HOST_DEVICE void add_friction(const view::StateView<Real>& state, Real coefficient, const Real* slip,
                                  view::Tie<Real>& tie) {
   const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-  const Vec3<Real> ahead = relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead(state, row); });
+  const Vec3<Real> ahead =
+      relative(tie, kAllRows, [&](std::uint32_t row) { return view::change_ahead_to_end(state, row); });
   const Vec3<Real> depth_force(tie.force[0], tie.force[1], tie.force[2]);
   const Real predicted = n.dot(depth_force) - tie.stiffness * n.dot(ahead);
   const Real most = coefficient * (state.base_displacement == nullptr ? slip[3] : predicted);
@@ -216,7 +218,10 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
   if (!(depth > 0)) return tie;
   const bool has_direction = !inside && distance > Real(1e-4) * reach;
   const Vec3<Real> n = has_direction ? Vec3<Real>(point.way / distance) : face;
-  tie.stiffness = numbers[view::kSidePenalty] * ties.candidate_area[candidate];
+  const Real softer =
+      minimum(ties.candidate_modulus[candidate], contact.triangle_moduli[std::size_t{2} * point.triangle]);
+  tie.stiffness =
+      (numbers[view::kSidePenalty] + numbers[view::kSidePenaltyPerM] * softer) * ties.candidate_area[candidate];
   for (int c = 0; c < 3; ++c) {
     tie.rows[1 + c] = contact.triangle_rows[std::size_t{3} * point.triangle + static_cast<std::size_t>(c)];
     tie.weight[1 + c] = -point.weights[c];
@@ -243,8 +248,8 @@ TM_HOST_DEVICE void end_contact_friction(const view::StateView<Real>& state, con
   const Real friction = ties.side_numbers[std::size_t{view::kSideNumbers} * side + view::kSideFriction];
   Vec3<Real> next = Vec3<Real>::Zero();
   if (pressure > 0 && friction > 0) {
-    const Vec3<Real> start(slip[0], slip[1], slip[2]);
-    next = yielded_at_end<Real>(state, tie.stiffness, start, contact_stretch(state, tie, slip), friction * pressure);
+    const Vec3<Real> stretch = contact_stretch(state, tie, slip);
+    next = stretch * yield_factor(tie.stiffness, stretch, friction * pressure);
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
   slip[3] = maximum(pressure, Real(0));

@@ -35,18 +35,6 @@ TM_HOST_DEVICE Real yield_factor(Real stiffness, const Vec3<Real>& stretch, Real
   return spring > most ? most / spring : Real(1);
 }
 
-/// Returns ξ at the end of the step, returned to Coulomb's limit. The midpoint rule solves for the middle of the step.
-///
-///   start     ξ₀ in the scene's frame
-///   stretch   ξ at the time for which the step solves
-///   most      μ N there [N]
-template <class Real>
-TM_HOST_DEVICE Vec3<Real> yielded_at_end(const view::StateView<Real>& state, Real stiffness, const Vec3<Real>& start,
-                                         const Vec3<Real>& stretch, Real most) {
-  const Vec3<Real> end = stretch + (stretch - start) * (state.control->scheme.reach - 1);
-  return end * yield_factor(stiffness, end, most);
-}
-
 /// Returns ξ at the velocities as they are stored.
 template <class Real>
 TM_HOST_DEVICE Vec3<Real> stretch_of(const ContactPoint<Real>& at, const view::TriangleFriction<Real>& friction) {
@@ -82,7 +70,7 @@ TM_HOST_DEVICE view::TriangleFriction<Real> predict_friction(const ContactPoint<
 /// Stores the stretch and the normal force with which the next step starts. Saves those of this step if it makes the
 /// checkpoint.
 ///
-///   stretch    ξ at the time for which the step solves
+///   stretch    ξ at the end of the step
 ///   pressure   N there; zero: the contact has ended, and its stretch is forgotten
 ///   place      index of the contact
 template <class Real>
@@ -95,8 +83,7 @@ TM_HOST_DEVICE void end_contact(const ContactPoint<Real>& at, const view::Contac
   }
   Vec3<Real> next = Vec3<Real>::Zero();  // in the frame of the tool's shape
   if (pressure > 0) {
-    next = tool.to_shape(yielded_at_end<Real>(at.state, at.touch.stiffness, old_stretch(at, tool, slip), stretch,
-                                              tool.friction * pressure));
+    next = tool.to_shape(stretch * yield_factor(at.touch.stiffness, stretch, tool.friction * pressure));
   }
   for (int c = 0; c < 3; ++c) slip[c] = next[c];
   slip[3] = pressure;

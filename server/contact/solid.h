@@ -24,7 +24,7 @@ namespace tensormass::contact {
 /// A point of a triangle that touches a tool.
 template <class Real>
 struct Touch {
-  Real depth_m = 0;  // zero: it does not touch
+  Real depth_m = 0;  // not positive: it does not touch, or keeps a force across a gap
   Real lever_m = 0;  // view::TriangleContact::lever_m
   Real share = 1;    // part of the triangle's area that it carries
   Vec3<Real> weights = Vec3<Real>::Zero();
@@ -70,7 +70,8 @@ TM_HOST_DEVICE Vec3<Real> nearest_to_middle(const physics::PlacedTool<Real>& too
 /// Visits the contact points of a solid on a triangle.
 ///
 ///   kept(point)           depth by which a contact with all of the triangle's area counts as deeper than it is [m]
-///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is zero where it does not touch
+///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is positive where it touches. Where
+///                         it keeps a force, it may be negative; touch.normal is zero where there is nothing to keep
 template <class Kind, class Real, class Kept, class Visit>
 TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners,
                                             const Kept& kept, const Visit& visit) {
@@ -91,7 +92,7 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
     touch.normal = way_out<Kind>(tool, x);
     touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
     if (!(touch.share > 0)) return touch;
-    touch.depth_m = maximum(depth + kept_m / touch.share, Real(0));
+    touch.depth_m = depth + kept_m / touch.share;
     touch.weights = weights;
     return touch;
   };

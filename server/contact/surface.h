@@ -61,6 +61,19 @@ TM_HOST_DEVICE Vec3<Real> pseudonormal(const view::StateView<Real>& state, const
   return sum;
 }
 
+/// Returns whether a contact acts in this step.
+template <class Real>
+TM_HOST_DEVICE bool touches(const view::TriangleContact<Real>& touch) {
+  return touch.stiffness > 0;
+}
+
+/// Returns the index of a contact in ContactView::contacts.
+template <class Real>
+TM_HOST_DEVICE std::size_t contact_place(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                                         std::uint32_t point, std::uint32_t triangle) {
+  return std::size_t{tool.first_contact_point + point} * contact.triangle_count + triangle;
+}
+
 /// The point at which a triangle of the tissue touches a tool.
 ///
 ///   n, w_a, d_a   as in tools.h;  D, P as in friction.h
@@ -78,20 +91,32 @@ struct ContactPoint {
   TM_HOST_DEVICE Vec3<Real> normal() const { return {touch.normal[0], touch.normal[1], touch.normal[2]}; }
   /// Returns P v.
   TM_HOST_DEVICE Vec3<Real> tangential(const Vec3<Real>& v) const { return v - normal() * normal().dot(v); }
-  /// Returns d of the corners.
+  /// Returns d of the corners before the solve, up to the end of the step.
   TM_HOST_DEVICE Corners<Real> change_ahead() const {
     Corners<Real> change;
-    for (int c = 0; c < 3; ++c) change.x[c] = view::change_ahead(state, rows[c]);
+    for (int c = 0; c < 3; ++c) change.x[c] = view::change_ahead_to_end(state, rows[c]);
+    return change;
+  }
+  /// Returns d of the corners after the solve, up to the end of the step.
+  TM_HOST_DEVICE Corners<Real> change_made() const {
+    Corners<Real> change;
+    for (int c = 0; c < 3; ++c) change.x[c] = view::change_made_to_end(state, rows[c]);
     return change;
   }
   /// Returns the force along n after a motion of the corners; negative if it pulls [N].
   TM_HOST_DEVICE Real pressure_after(const Corners<Real>& motion) const {
     return touch.stiffness * (touch.depth_m - normal().dot(motion.at(weights())));
   }
+  /// Returns where the contact was generated, after the solve.
+  TM_HOST_DEVICE Corners<Real> corners_before() const {
+    Corners<Real> corners;
+    for (int c = 0; c < 3; ++c) corners.x[c] = view::position(state, rows[c]) - view::change_made(state, rows[c]);
+    return corners;
+  }
   /// Returns D: how far the point moves in the whole step [m].
   TM_HOST_DEVICE Vec3<Real> motion_in_step() const {
     Vec3<Real> sum = Vec3<Real>::Zero();
-    for (int c = 0; c < 3; ++c) sum += view::motion_in_step(state, rows[c]) * touch.weight[c];
+    for (int c = 0; c < 3; ++c) sum += view::motion_to_end(state, rows[c]) * touch.weight[c];
     return sum;
   }
 };

@@ -27,12 +27,13 @@ TM_HOST_DEVICE Vec3<Real> stiffness_times(const view::Tie<Real>& tie, const Vec3
   return v * tie.across + n * ((tie.stiffness - tie.across) * n.dot(v));
 }
 
-/// Returns the force on the node of a tie, at the velocities as they are stored [N].
-template <class Real>
-TM_HOST_DEVICE Vec3<Real> force_of(const view::StateView<Real>& state, const view::Tie<Real>& tie) {
+/// Returns the force on the node of a tie after a motion of its rows [N].
+///
+///   of_row(row) -> Vec3   motion of a row since the tie was made
+template <class Real, class OfRow>
+TM_HOST_DEVICE Vec3<Real> force_after(const view::Tie<Real>& tie, const OfRow& of_row) {
   const Vec3<Real> force(tie.force[0], tie.force[1], tie.force[2]);
-  const auto ahead = [&](std::uint32_t row) { return view::change_ahead(state, row); };
-  return force - stiffness_times(tie, relative(tie, kAllRows, ahead));
+  return force - stiffness_times(tie, relative(tie, kAllRows, of_row));
 }
 
 }  // namespace tensormass::contact

@@ -109,7 +109,7 @@ TM_HOST_DEVICE void sort_list(const view::TiesView<Real>& ties, std::uint32_t ro
 template <class Team, class Real>
 TM_HOST_DEVICE void assemble_ties(const Team& team, const view::StateView<Real>& state,
                                   const view::MatrixView<Real>& matrix, const view::TiesView<Real>& ties) {
-  const Real h = view::step_size(state);
+  const Real h = view::step_size(state), factor = view::contact_factor(state);
   team.for_each(ties.patch_rows[team.patch()], ties.patch_rows[team.patch() + 1], [&](std::uint32_t i) {
     const std::uint32_t row = ties.rows[i];
     if (ties.head[row] == view::kNoEntry) return;
@@ -118,7 +118,7 @@ TM_HOST_DEVICE void assemble_ties(const Team& team, const view::StateView<Real>&
     Mat3<Real> stiffness = Mat3<Real>::Zero();
     for_each_tie(ties, row, [&](const view::Tie<Real>& tie, std::uint32_t role) {
       const Real weight = tie.weight[role];
-      force += force_of(state, tie) * weight;
+      force += force_after(tie, [&](std::uint32_t r) { return view::change_ahead_to_end(state, r); }) * weight;
       const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
       stiffness +=
           (Mat3<Real>::Identity() * tie.across + n * n.transpose() * (tie.stiffness - tie.across)) * (weight * weight);
@@ -126,7 +126,7 @@ TM_HOST_DEVICE void assemble_ties(const Team& team, const view::StateView<Real>&
     view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
     Real* d = matrix.diagonal + std::size_t{8} * row;
     for (int r = 0, c = 0; r < 3; ++r) {
-      for (int j = r; j < 3; ++j, ++c) d[c] += stiffness(r, j) * (h * h);
+      for (int j = r; j < 3; ++j, ++c) d[c] += stiffness(r, j) * factor;
     }
   });
 }
@@ -137,12 +137,13 @@ TM_HOST_DEVICE void assemble_ties(const Team& team, const view::StateView<Real>&
 template <class Team, class Real>
 TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state, const view::TiesView<Real>& ties) {
   const bool saves = state.control->saves_checkpoint != 0;
+  const auto change_made = [&](std::uint32_t row) { return view::change_made_to_end(state, row); };
   Real deepest[1] = {0}, counts[2] = {0, 0};  // counts: contacts, broken springs
   if (ties.candidate_count > 0) {
     team.for_each(ties.patch_candidates[team.patch()], ties.patch_candidates[team.patch() + 1], [&](std::uint32_t i) {
       const view::Tie<Real>& tie = ties.ties[i];
       const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
-      const Real pressure = tie.stiffness > 0 ? n.dot(force_of(state, tie)) : Real(0);
+      const Real pressure = tie.stiffness > 0 ? n.dot(force_after(tie, change_made)) : Real(0);
       if (ties.slips != nullptr) end_contact_friction(state, ties, i, pressure);
       if (!(pressure > 0)) return;
       counts[0] += 1;
@@ -154,7 +155,7 @@ TM_HOST_DEVICE void measure_ties(Team& team, const view::StateView<Real>& state,
       const view::Tie<Real>& tie = ties.ties[ties.candidate_count + i];
       if (saves) ties.checkpoint_broken[i] = ties.broken[i];
       if (tie.stiffness > 0) {
-        const Vec3<Real> force = force_of(state, tie);
+        const Vec3<Real> force = force_after(tie, change_made);
         const Real most = ties.spring_numbers[std::size_t{3} * i + 2];
         if (force.dot(force) > most * most) ties.broken[i] = 1;
       }

@@ -67,7 +67,8 @@ class Tilt {
       }
     }
     const Real longest = kMostSizes * size;
-    stiffness_ = touch.stiffness * touch.depth_m * minimum(touch.lever_m, longest * longest * inverse_lever_);
+    stiffness_ =
+        touch.stiffness * maximum(touch.depth_m, Real(0)) * minimum(touch.lever_m, longest * longest * inverse_lever_);
   }
 
   /// Returns θ + T y / L for a motion of the corners.
@@ -82,6 +83,8 @@ class Tilt {
   }
   /// Returns the sum of the forces on the three corners, for a value of `of` [N]. It acts at c.
   TM_HOST_DEVICE Vec3<Real> total_force(const Vec3<Real>& tilt) const { return tilt * (-stiffness_ * inverse_lever_); }
+  /// Returns the stiffness against a value of `of` [N m].
+  TM_HOST_DEVICE Real stiffness() const { return stiffness_; }
   /// Returns the stiffness between two corners [N/m]; all zero if p is at a corner, or c behind the surface.
   TM_HOST_DEVICE Mat3<Real> block(int a, int b) const { return row(a).transpose() * row(b) * stiffness_; }
 

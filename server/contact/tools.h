@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "contact/balance.h"
 #include "contact/friction.h"
 #include "contact/solid.h"
 #include "contact/surface.h"
@@ -18,7 +19,8 @@
 ///                |   c   |      n     direction in which the tissue is pushed, from c to the contact point
 ///                 \__│__/       w_a   weight of the contact point at corner a of the triangle
 ///    tissue ─────── n↓ ──────   d_a   motion of corner a to the end of the step, û + h v − u (view/state.h) [m]
-///                               k     stiffness, penalty · area of the triangle [N/m]
+///                               k     stiffness, penalty · area of the triangle [N/m]. Unless the scene gives it,
+///                                     the penalty follows from the modulus of the element behind the triangle
 ///                               depth   radius − distance from c to the contact point [m]
 ///
 /// 1. Each surface triangle has one contact with a thin tool: of the tool's candidates, the one with the greatest
@@ -33,7 +35,9 @@
 ///    concerns only triangles that face away from c. Another body beside the one that contains c is pushed as usual.
 /// 5. With the augmented Lagrangian method (Wriggers 2006, section 5.3) a contact keeps its force λ from the end of the
 ///    last step, and the force is λ + k (depth − n·Σ w_a d_a). It then counts as deeper by λ / k. Tissue at rest has no
-///    penetration, because λ carries the load.
+///    penetration, because λ carries the load. It may therefore be a hair away from the tool when a step begins. Such
+///    a contact still acts if gravity and the present velocities close the gap within the step; without it, a block at
+///    rest would fall freely for a step and be thrown back, for ever.
 ///
 /// Interpolating the distance between core points is not enough. A shaft may lie across a body with both ends beside
 /// it. If it sinks in by more than its radius, its middle is inside although both ends are outside. Taken for outside,
@@ -186,13 +190,14 @@ struct CoreDepths {
 };
 
 /// Returns where a triangle touches a thin tool.
-/// kept_m: depth by which the contact counts as deeper than it is.
+/// kept_m: depth by which the contact counts as deeper than it is. If there is one, depth_m may be negative.
 template <class Kind, class Real>
 TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
                                          const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners,
                                          Real kept_m) {
   using std::sqrt;
   Touch<Real> deepest;
+  if (kept_m > 0) deepest.depth_m = -tool.radius_m;
   const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
     const Vec3<Real> away = corners.at(candidate) - core.position;
     const Real distance = sqrt(away.dot(away));
@@ -211,11 +216,12 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
   return deepest;
 }
 
-/// Returns the index of a contact in ContactView::contacts.
+/// Returns k of a contact that carries all of its triangle [N/m].
 template <class Real>
-TM_HOST_DEVICE std::size_t contact_place(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
-                                         std::uint32_t point, std::uint32_t triangle) {
-  return std::size_t{tool.first_contact_point + point} * contact.triangle_count + triangle;
+TM_HOST_DEVICE Real whole_stiffness(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
+                                    std::uint32_t triangle) {
+  const Real per_m = tool.penalty_per_m * contact.triangle_moduli[std::size_t{2} * triangle];
+  return (tool.penalty_pa_per_m + per_m) * contact.triangle_area[triangle];
 }
 
 /// Returns the depth by which a contact counts as deeper than it is, λ / k if it carries all of its triangle [m].
@@ -223,7 +229,7 @@ template <class Real>
 TM_HOST_DEVICE Real kept_depth(const view::ContactView<Real>& contact, const physics::PlacedTool<Real>& tool,
                                std::uint32_t point, std::uint32_t triangle) {
   if (tool.keeps_force == 0) return 0;
-  const Real stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle];
+  const Real stiffness = whole_stiffness(contact, tool, triangle);
   const Real kept_n = tool.presence * contact.slips[4 * contact_place(contact, tool, point, triangle) + 3];
   return kept_n > 0 && stiffness > 0 ? kept_n / stiffness : Real(0);
 }
@@ -250,6 +256,24 @@ TM_HOST_DEVICE Touch<Real> hardened(Touch<Real> touch, Real kept, const physics:
   return touch;
 }
 
+/// Returns whether a contact that keeps its force, and whose gap is larger than that force bridges, closes within the
+/// step: by the present velocities, gravity and loads.
+template <class Real>
+TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                           std::uint32_t triangle, const Touch<Real>& touch) {
+  if (!(touch.share > 0) || touch.normal.dot(touch.normal) == 0) return false;
+  const Real h = view::step_size(state);
+  Vec3<Real> motion = Vec3<Real>::Zero();
+  for (std::size_t c = 0; c < 3; ++c) {
+    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
+    Vec3<Real> of_row = view::change_ahead_to_end(state, row);
+    const Real mass = state.inertia[std::size_t{4} * row];
+    if (state.external != nullptr && mass > 0) of_row += view::load3<Real>(state.external, row) * (h * h / mass);
+    motion += of_row * touch.weights[static_cast<Eigen::Index>(c)];
+  }
+  return touch.depth_m > touch.normal.dot(motion);
+}
+
 /// Computes each triangle's contacts with one tool.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
@@ -260,12 +284,13 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     const std::size_t place = contact_place(contact, tool, point, triangle);
     view::TriangleContact<Real>& out = contact.contacts[place];
     out.depth_m = touch.depth_m;
-    if (!(touch.depth_m > 0)) return;
+    out.stiffness = 0;
+    if (!(touch.depth_m > 0 || closes(state, contact, triangle, touch))) return;
     for (int c = 0; c < 3; ++c) {
       out.weight[c] = touch.weights[c];
       out.normal[c] = touch.normal[c];
     }
-    out.stiffness = tool.penalty_pa_per_m * contact.triangle_area[triangle] * touch.share;
+    out.stiffness = whole_stiffness(contact, tool, triangle) * touch.share;
     out.lever_m = touch.lever_m;
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, out);
@@ -316,12 +341,12 @@ TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const v
                                      const view::ContactView<Real>& contact, std::size_t place,
                                      const std::uint32_t* incidence, std::uint32_t row, bool has_friction) {
   const view::TriangleContact<Real>& touch = contact.contacts[place];
-  if (!(touch.depth_m > 0)) return;
+  if (!touches(touch)) return;
   const std::uint32_t triangle = incidence[0], corner = incidence[1];
   const Real weight = touch.weight[corner];
   if (weight == 0) return;  // then the contact is at another corner or edge, and tilt does not concern this one
   const ContactPoint<Real> at(state, contact, triangle, touch);
-  const Real h = view::step_size(state);
+  const Real h = view::step_size(state), factor = view::contact_factor(state);
   const Vec3<Real> n = at.normal();
   const Corners<Real> change = at.change_ahead();
   Vec3<Real> force = n * at.pressure_after(change);
@@ -334,7 +359,7 @@ TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const v
   const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
   force = force * weight + tilt.force(corner, tilt.of(change));
   const auto block = [&](std::uint32_t other) {
-    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * (h * h));
+    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * factor);
   };
   view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
   const Mat3<Real> own = block(corner);
@@ -373,37 +398,39 @@ TM_HOST_DEVICE void assemble(const Team& team, const view::PatchesView& patches,
 /// Measures the load on tool t, and takes what its contacts remember to the end of the step.
 template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                    const view::ContactView<Real>& contact, std::uint32_t t) {
+                                    const view::ContactView<Real>& contact, const view::BalanceView<Real>& balance,
+                                    std::uint32_t t) {
   const physics::PlacedTool<Real> tool = contact.tools[t];
   const bool has_friction = tool.friction > 0, remembers = has_friction || tool.keeps_force != 0;
   constexpr std::size_t kJoints = Kind::kJoints.size();
-  // Force, torque, friction, joints. Summed over the patch together.
-  Real sums[9 + kJoints]{};
+  // Force, torque, friction, pressure, pressure times moduli, joints. Summed over the patch together.
+  constexpr std::size_t kPressed = 9, kOfJoints = 12;
+  Real sums[kOfJoints + kJoints]{};
   Vec3<Real> force = Vec3<Real>::Zero(), torque = Vec3<Real>::Zero(), friction = Vec3<Real>::Zero();
   const auto add = [&](std::uint32_t triangle, std::uint32_t contact_point) {
     const std::size_t place = contact_place(contact, tool, contact_point, triangle);
     const view::TriangleContact<Real>& touch = contact.contacts[place];
-    const bool touches = touch.depth_m > 0;
-    if (!touches && !remembers) return;
+    const bool acts = touches(touch);
+    if (!acts && !remembers) return;
     const ContactPoint<Real> at(state, contact, triangle, touch);
     Real pressure = 0;
     Vec3<Real> stretch = Vec3<Real>::Zero();
-    if (touches) {
-      // Forces act where the contact was generated: tissue that slides exerts no torque on a sphere. With base
-      // fields, contacts are generated again at the end of the step, and nothing has moved since.
-      const bool moved = state.base_displacement == nullptr;
-      Corners<Real> corners = corners_of(state, contact, triangle), change = at.change_ahead();
-      for (int c = 0; c < 3; ++c) {
-        if (!moved) change.x[c] = Vec3<Real>::Zero();
-        corners.x[c] -= change.x[c];
-      }
+    if (acts) {
+      // Forces act where the contact was generated: tissue that slides exerts no torque on a sphere.
+      const Corners<Real> corners = at.corners_before(), change = at.change_made();
       // The tissue received these forces in the solve, so they are reported even where they pull: a contact is
       // decided before the solve, and holds back a point that leaves the tool within the step.
       pressure = at.pressure_after(change);
       Vec3<Real> push = at.normal() * pressure;  // on the tissue
       if (has_friction) {
         stretch = stretch_of(at, contact.frictions[place]);
-        const Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
+        Vec3<Real> drag = stretch * contact.frictions[place].stiffness;
+        const std::uint32_t body = balance.row_body == nullptr ? view::kNoBody : balance.row_body[at.rows[0]];
+        if (body != view::kNoBody) {
+          const Vec3<Real> x = corners_of(state, contact, triangle).at(at.weights());
+          drag = balanced_friction(at, balance.corrections[body], tool.friction, stretch, pressure, x);
+          stretch = drag / touch.stiffness;
+        }
         push += drag;
         friction -= drag;
       }
@@ -414,8 +441,14 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
       torque -= physics::cross<Real>(point - tool.position(), push);
       torque -= physics::cross<Real>(core - tool.position(), aside);
       for (std::size_t j = 0; j < kJoints; ++j) {
-        sums[9 + j] -= Kind::joint_motion(tool, j, core, point).dot(push);
-        sums[9 + j] -= Kind::joint_motion(tool, j, core, core).dot(aside);
+        sums[kOfJoints + j] -= Kind::joint_motion(tool, j, core, point).dot(push);
+        sums[kOfJoints + j] -= Kind::joint_motion(tool, j, core, core).dot(aside);
+      }
+      if (pressure > 0) {
+        sums[kPressed] += pressure;
+        for (std::size_t i = 0; i < 2; ++i) {
+          sums[kPressed + 1 + i] += pressure * contact.triangle_moduli[std::size_t{2} * triangle + i];
+        }
       }
     }
     if (remembers) end_contact(at, contact, tool, stretch, maximum(pressure, Real(0)), place);
@@ -432,20 +465,22 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
   team.patch_sum(sums);
   if (team.leads_patch()) {
     auto& load = contact.tool_loads[std::size_t{t} * patches.patch_count + team.patch()];
-    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}};
-    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[9 + j];
+    load = {{sums[0], sums[1], sums[2]}, {sums[3], sums[4], sums[5]}, {sums[6], sums[7], sums[8]}, {}, 0, {}};
+    for (std::size_t j = 0; j < kJoints; ++j) load.joints[j] = sums[kOfJoints + j];
+    load.pressed_n = sums[kPressed];
+    for (std::size_t i = 0; i < 2; ++i) load.pressed_moduli[i] = sums[kPressed + 1 + i];
   }
 }
 
 /// Stage 4, after the solve: measures the load of the tissue on each tool at the end of the step, and takes to it what
 /// contacts remember: springs of friction and kept forces.
-/// Reads contacts, frictions, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
+/// Reads contacts, frictions, corrections, displacement, velocity; writes tool_loads, slips, checkpoint_slips.
 template <class Team, class Real>
 TM_HOST_DEVICE void measure(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                            const view::ContactView<Real>& contact) {
+                            const view::ContactView<Real>& contact, const view::BalanceView<Real>& balance) {
   for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
     physics::with_tool(contact.tools[t].kind, [&](auto kind) {
-      measure_load_on<typename decltype(kind)::Type>(team, patches, state, contact, t);
+      measure_load_on<typename decltype(kind)::Type>(team, patches, state, contact, balance, t);
     });
   }
 }

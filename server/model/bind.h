@@ -43,6 +43,7 @@ struct StepExchange {
   Real* min_det_f;
   view::ToolLoad<Real>* tool_loads;
   view::TieReport<Real>* tie_reports;
+  view::BalanceReport<Real>* balance_reports;
 };
 
 template <class Real, class Arena>
@@ -59,6 +60,7 @@ StepExchange<Real> make_exchange(const Model& m, Arena& arena) {
   e.min_det_f = arena.template zeros<Real>("volume check", m.checks_volume() ? groups * patches : 0);
   e.tool_loads = arena.template zeros<view::ToolLoad<Real>>("tool loads", tools * patches);
   e.tie_reports = arena.template zeros<view::TieReport<Real>>("tie reports", m.ties.count() > 0 ? patches : 0);
+  e.balance_reports = arena.template zeros<view::BalanceReport<Real>>("balance reports", m.free_bodies.count());
   return e;
 }
 
@@ -90,8 +92,10 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.guard.min_det_f = exchange.min_det_f;
   s.contact.tool_loads = exchange.tool_loads;
   s.ties.reports = exchange.tie_reports;
+  s.balance.reports = exchange.balance_reports;
   s.solve.cg_tolerance = static_cast<Real>(m.cg_tolerance);
   s.state.size_m = static_cast<Real>(m.size_m);
+  s.state.iterates = m.iterates() ? 1 : 0;
 
   s.patches.patch_rows = arena.template constant<uint32_t>("patch rows", layout.patch_rows);
   s.patches.patch_halo = arena.template constant<uint32_t>("patch halo offsets", layout.patch_halo);
@@ -165,6 +169,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.contact.patch_triangles =
       arena.template constant<uint32_t>("contact triangles of patches", m.contact.patch_triangles);
   s.contact.triangle_area = arena.template constant<Real>("contact areas", m.contact.triangle_area);
+  s.contact.triangle_moduli = arena.template constant<Real>("contact moduli", m.contact.triangle_moduli);
   s.contact.vertex_of_corner = arena.template constant<uint32_t>("contact corners", m.contact.vertex_of_corner);
   s.contact.surface_rows = arena.template constant<uint32_t>("contact rows", m.contact.surface_rows);
   s.contact.patch_surface = arena.template constant<uint32_t>("contact rows of patches", m.contact.patch_surface);
@@ -192,6 +197,7 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.ties.patch_candidates = arena.template constant<uint32_t>("contact candidates of patches", ties.patch_candidates);
   s.ties.candidates = arena.template constant<uint32_t>("contact candidates", ties.candidates);
   s.ties.candidate_area = arena.template constant<Real>("areas of contact candidates", ties.candidate_area);
+  s.ties.candidate_modulus = arena.template constant<Real>("moduli of contact candidates", ties.candidate_modulus);
   s.ties.side_groups = arena.template constant<uint32_t>("boxes of bodies", ties.side_groups);
   s.ties.side_numbers = arena.template constant<Real>("contacts of bodies", ties.side_numbers);
   const std::size_t tie_slips = 4 * only_if(ties.has_friction(), ties.candidate_count());
@@ -205,6 +211,20 @@ view::SceneView<Real> bind(const Model& m, Arena& arena, const StepExchange<Real
   s.ties.ties = arena.template zeros<view::Tie<Real>>("ties", ties.count());
   s.ties.head = arena.template zeros<uint32_t>("lists of ties", only_if(ties.count() > 0, rows));
   s.ties.next = arena.template zeros<uint32_t>("entries of lists of ties", 4 * std::size_t{ties.count()});
+
+  const FreeBodies& free = m.free_bodies;
+  s.balance.body_count = free.count();
+  s.balance.row_body = arena.template constant<uint32_t>("free bodies of rows", free.row_body);
+  s.balance.center_rows = arena.template constant<uint32_t>("centres of free bodies", free.center_rows);
+  s.balance.patch_entries = arena.template constant<uint32_t>("free bodies of patches", free.patch_entries);
+  s.balance.entry_body = arena.template constant<uint32_t>("free bodies by patch", free.entry_body);
+  s.balance.body_begin = arena.template constant<uint32_t>("patches of free bodies", free.body_begin);
+  s.balance.body_entries = arena.template constant<uint32_t>("patches by free body", free.body_entries);
+  s.balance.start_velocity =
+      arena.template zeros<Real>("velocity before the solve", only_if(free.count() > 0, 4 * rows));
+  s.balance.sums = arena.template zeros<view::BalanceSums>("missing momentum of patches", free.entry_body.size());
+  s.balance.totals = arena.template zeros<view::BalanceSums>("missing momentum", free.count());
+  s.balance.corrections = arena.template zeros<view::BodyCorrection<Real>>("rigid motions of bodies", free.count());
 
   s.surface.vertex_count = m.visible.count();
   s.surface.rows = arena.template constant<uint32_t>("visible rows", m.visible.rows);

@@ -61,7 +61,7 @@ Result<void> check_integrator(const Model& model) {
 }  // namespace
 
 Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const Progress& progress) {
-  Compilation c{scene, {}, {}, {}, {}, {}, {}, {}};
+  Compilation c{scene, {}, {}, {}, {}, {}, {}};
   TM_RETURN_IF_ERROR(read_header(c));
   TM_RETURN_IF_ERROR(read_bodies(c, progress));
   TM_RETURN_IF_ERROR(read_tools(c));
@@ -78,8 +78,9 @@ Result<Model> compile(const v1::Scene& scene, const PatchPolicy& policy, const P
   TM_RETURN_IF_ERROR(list_elements_of_rows(c));
   equip_solve(c, policy);
   TM_RETURN_IF_ERROR(progress.begin(LoadPart::kSurfaces));
-  if (!c.model.tools.empty() || !c.body_contacts.empty()) make_contact_surface(c);
+  if (!c.model.tools.empty() || !c.model.body_contacts.empty()) make_contact_surface(c);
   if (c.has_ties()) make_ties(c);
+  find_free_bodies(c);
   if (c.model.frame_rate_hz > 0) {
     TM_RETURN_IF_ERROR(make_visible_surface(c));
     make_visible_attachments(c);

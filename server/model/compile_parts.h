@@ -52,12 +52,6 @@ struct Cluster {
   physics::PointGradients<ClusterShape, double> mean;       ///< ā_k and V
 };
 
-/// Contact of a body with another, or with itself.
-struct ReadBodyContact {
-  std::size_t body, other;
-  double distance_m, penalty_pa_per_m, friction, reach_m;
-};
-
 /// Springs between two bodies.
 struct ReadAttachment {
   std::string name;
@@ -73,10 +67,9 @@ struct Compilation {
   std::vector<std::size_t> block_bodies;  ///< [block of merged] its body
   std::vector<ReadBody> bodies;
   std::vector<Cluster> clusters;
-  std::vector<ReadBodyContact> body_contacts;
   std::vector<ReadAttachment> attachments;
 
-  bool has_ties() const { return !body_contacts.empty() || !attachments.empty(); }
+  bool has_ties() const { return !model.body_contacts.empty() || !attachments.empty(); }
 };
 
 /// Visits every element of the scene.
@@ -115,7 +108,7 @@ Result<void> read_bodies(Compilation& c, const Progress& progress);
 /// Reads body.law, law_regions and element_fields.
 Result<void> read_materials(const v1::Body& body, ReadBody& out, std::string_view where);
 
-/// Reads the tools. Needs the materials of all bodies, which set the default stiffness of contact.
+/// Reads the tools. Needs the mesh.
 Result<void> read_tools(Compilation& c);
 
 /// Reads contacts between bodies and attachments. Needs the bodies.
@@ -140,6 +133,8 @@ void equip_solve(Compilation& c, const PatchPolicy& policy);
 void make_contact_surface(Compilation& c);
 /// Makes the ties of contacts between bodies and of attachments. Needs the contact surface if bodies touch.
 void make_ties(Compilation& c);
+/// Finds the free bodies whose momentum each step balances. Needs the layout, boundary conditions, tools and ties.
+void find_free_bodies(Compilation& c);
 /// Makes the vertices that clients see: the skin of each body, or the boundary of its mesh.
 Result<void> make_visible_surface(Compilation& c);
 /// Makes the ends of springs that clients see. Needs the visible surface.

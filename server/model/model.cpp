@@ -14,4 +14,16 @@ double Schedule::at(double time) const {
   return factor[i - 1] + share * (factor[i] - factor[i - 1]);
 }
 
+std::size_t Model::body_of_node(std::uint32_t node) const {
+  const auto after = std::upper_bound(bodies.begin(), bodies.end(), node,
+                                      [](std::uint32_t n, const BodyModel& body) { return n < body.node_begin; });
+  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+}
+
+std::size_t Model::body_of_element(std::uint32_t element) const {
+  const auto after = std::upper_bound(bodies.begin(), bodies.end(), element,
+                                      [](std::uint32_t e, const BodyModel& body) { return e < body.element_begin; });
+  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+}
+
 }  // namespace tensormass::model

@@ -133,6 +133,7 @@ struct ContactSurface {
   std::vector<std::uint32_t> triangle_neighbours;  ///< [triangle_count, 3]
   std::vector<std::uint32_t> patch_triangles;      ///< [patch_count + 1]
   std::vector<double> triangle_area;               ///< [triangle_count] m²
+  std::vector<double> triangle_moduli;             ///< [triangle_count, 2], see ContactView
   std::vector<std::uint32_t> vertex_of_corner;     ///< [triangle_count, 3]
   std::vector<std::uint32_t> surface_rows;         ///< [surface vertex]
   std::vector<std::uint32_t> patch_surface;        ///< [patch_count + 1]
@@ -151,6 +152,7 @@ struct Ties {
   std::vector<std::uint32_t> patch_candidates;  ///< [patch_count + 1]
   std::vector<std::uint32_t> candidates;        ///< [candidate_count, 2]
   std::vector<double> candidate_area;           ///< [candidate_count] m²
+  std::vector<double> candidate_modulus;        ///< [candidate_count] Pa
   std::vector<std::uint32_t> side_groups;       ///< [side, 3]
   std::vector<double> side_numbers;             ///< [side, kSideNumbers]
   std::vector<std::uint32_t> patch_springs;     ///< [patch_count + 1]
@@ -169,6 +171,18 @@ struct Ties {
     }
     return false;
   }
+};
+
+/// Free bodies whose momentum each step balances (view/balance.h), and the patches that have rows of them.
+struct FreeBodies {
+  std::vector<std::uint32_t> row_body;       ///< [row_count]
+  std::vector<std::uint32_t> center_rows;    ///< [body]
+  std::vector<std::uint32_t> patch_entries;  ///< [patch_count + 1]
+  std::vector<std::uint32_t> entry_body;     ///< [entry]
+  std::vector<std::uint32_t> body_begin;     ///< [body + 1]
+  std::vector<std::uint32_t> body_entries;   ///< [entry]
+
+  std::uint32_t count() const { return static_cast<std::uint32_t>(center_rows.size()); }
 };
 
 /// The points that clients see: vertices, body by body, then the ends of springs. Each is a weighted mean of four rows.
@@ -199,10 +213,18 @@ struct BodyModel {
   std::uint32_t vertex_begin = 0, vertex_count = 0;  ///< range in the visible surface
   std::vector<mesh::Triangle> triangles;             ///< visible, relative to vertex_begin
   std::vector<std::uint32_t> vertex_nodes;           ///< mesh node of each visible vertex; empty for a skin
+  /// Least and largest Young's modulus behind its surface [Pa]; only in scenes with a contact surface.
+  double least_surface_modulus_pa = 0, most_surface_modulus_pa = 0;
   bool has_skin = false;
   bool has_color = false;
   Vec3<double> color_srgb = Vec3<double>::Zero();
   Texture texture;
+};
+
+/// Contact of a body with another, or with itself.
+struct BodyContactModel {
+  std::size_t body, other;                                                ///< places in Model::bodies
+  double distance_m, penalty_pa_per_m, penalty_per_m, friction, reach_m;  ///< penalties: as of ToolModel
 };
 
 struct ToolModel {
@@ -219,7 +241,8 @@ struct ToolModel {
   double reach_m = 0;  ///< for a solid the largest distance of its surface from the origin of the shape's frame
   physics::ToolParameters parameters{};
   Vec3<double> tip_offset_m = Vec3<double>::Zero();  ///< origin of the shape's frame in the tool's frame
-  double penalty_pa_per_m = 0;
+  double penalty_pa_per_m = 0;                       ///< pressure of contact per depth, if the scene gives it; else 0
+  double penalty_per_m = 0;  ///< else this times E of what the tool touches; 0 if the scene gives it
   double friction = 0;       ///< Coulomb's coefficient
   bool keeps_force = false;  ///< augmented Lagrangian method (contact/tools.h)
   double steepest = 0;       ///< where its contact hardens no further (contact/tools.h)
@@ -228,14 +251,14 @@ struct ToolModel {
   double max_force_n = 0, max_torque_n_m = 0, max_joint_load = 0;
   /// Virtual coupling (world/coupling.h) [kg, N/m, N s/m]. Without a mass the tool is at its pose.
   double mass_kg = 0, coupling_stiffness_n_per_m = 0, coupling_damping_n_s_per_m = 0;
-  /// E / (1 − ν²) of the stiffest law of the scene [Pa], for the local model of haptic clients.
-  double plane_strain_modulus_pa = 0;
   physics::Pose initial_pose;
   std::shared_ptr<const v1::Tool> description;  ///< the scene's message, for viewers; never null
 
-  /// Returns a bound of the stiffness of its contact, with rigid tissue [N/m]: a sphere of its radius cannot press on
-  /// more than its cross-section.
-  double stiffest_contact_n_per_m() const { return penalty_pa_per_m * EIGEN_PI * radius_m * radius_m; }
+  /// Returns a bound of the stiffness of its contact with rigid tissue [N/m]: a sphere of its radius cannot press on
+  /// more than its cross-section. modulus_pa: of what it touches.
+  double stiffest_contact_n_per_m(double modulus_pa) const {
+    return (penalty_pa_per_m + penalty_per_m * modulus_pa) * EIGEN_PI * radius_m * radius_m;
+  }
   /// Returns the tool with its shape's frame at a pose. That frame is the tool's own, moved by tip_offset_m.
   /// start: pose of the shape at the start of the step. presence: share of its contact stiffness.
   template <class Real>
@@ -256,6 +279,7 @@ struct ToolModel {
     out.radius_m = static_cast<Real>(radius_m);
     out.steepest = static_cast<Real>(steepest);
     out.penalty_pa_per_m = static_cast<Real>(presence * penalty_pa_per_m);
+    out.penalty_per_m = static_cast<Real>(presence * penalty_per_m);
     out.presence = static_cast<Real>(presence);
     out.friction = static_cast<Real>(friction);
     out.keeps_force = keeps_force ? 1 : 0;
@@ -295,6 +319,7 @@ struct Model {
 
   std::vector<BodyModel> bodies;
   std::vector<ToolModel> tools;
+  std::vector<BodyContactModel> body_contacts;
   std::vector<float> tool_samples;  ///< signed distances of tools, see physics/tool/mesh_solid.h
   std::vector<std::string> warnings;
 
@@ -320,9 +345,13 @@ struct Model {
   ScheduledLoads scheduled;
   ContactSurface contact;                      ///< empty: neither tools nor contact between bodies
   Ties ties;                                   ///< empty: neither contact between bodies nor attachments
+  FreeBodies free_bodies;                      ///< empty: no step balances momentum
   VisibleSurface visible;                      ///< empty: no frames
   std::vector<VisibleAttachment> attachments;  ///< empty: no frames, or no attachments
 
+  /// Returns the place of the body that has a node or an element, numbered in the scene.
+  std::size_t body_of_node(std::uint32_t node) const;
+  std::size_t body_of_element(std::uint32_t element) const;
   /// Returns whether a step runs Newton's method: more than one linear solve.
   bool iterates() const { return newton_max_iterations > 1; }
   /// Returns whether each step is an equilibrium, without inertia.

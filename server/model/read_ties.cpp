@@ -21,8 +21,8 @@ namespace tensormass::model {
 
 namespace {
 
-/// Contact pressure per depth, unless the scene gives it: this factor times E / edge. A tool's is twice as large,
-/// because a tool has no compliance of its own.
+/// Contact pressure per depth, unless the scene gives it: this factor times E / edge, with E of the softer of the two
+/// elements that touch. A tool's is twice as large, because a tool has no compliance of its own.
 constexpr double kDefaultTiePenalty = 10;
 /// Distance at which surfaces begin to push each other, unless the scene gives it, as a part of the mean edge.
 constexpr double kDefaultDistanceInEdges = 0.1;
@@ -33,12 +33,12 @@ struct BodySurface {
   std::vector<mesh::Triangle> triangles;
   std::vector<std::array<std::uint32_t, 3>> neighbours;  // as in mesh::Surface
   Eigen::AlignedBox3d box;
-  double mean_edge_m, young_modulus_pa;
+  double mean_edge_m;
 };
 
 BodySurface surface_of(const ReadBody& body) {
   mesh::Surface surface = mesh::boundary(body.mesh);
-  BodySurface out{{}, std::move(surface.triangles), std::move(surface.neighbours), {}, 0, 0};
+  BodySurface out{{}, std::move(surface.triangles), std::move(surface.neighbours), {}, 0};
   for (const std::uint32_t node : surface.nodes) {
     out.vertices.push_back(body.mesh.nodes[node]);
     out.box.extend(out.vertices.back());
@@ -49,9 +49,6 @@ BodySurface surface_of(const ReadBody& body) {
       sum_m += (out.vertices[triangle[i]] - out.vertices[triangle[(i + 1) % 3]]).norm();
   }
   out.mean_edge_m = sum_m / (3 * static_cast<double>(out.triangles.size()));
-  for (const Material& material : body.materials) {
-    out.young_modulus_pa = std::max(out.young_modulus_pa, material.young_modulus_pa);
-  }
   return out;
 }
 
@@ -125,16 +122,18 @@ class TieReader {
     }
     const BodySurface &a = surface(body), &b = surface(other);
     const double largest_m = std::max(a.mean_edge_m, b.mean_edge_m);
-    ReadBodyContact out{body, other, 0, 0, 0, 0};
+    BodyContactModel out{body, other, 0, 0, 0, 0, 0};
     TM_ASSIGN_OR_RETURN(distance, read_number(contact.has_distance_m()
                                                   ? contact.distance_m()
                                                   : kDefaultDistanceInEdges * std::min(a.mean_edge_m, b.mean_edge_m),
                                               0, limits::kMaxLength, where + ".distance_m"));
-    TM_ASSIGN_OR_RETURN(
-        penalty, read_number(contact.has_penalty_stiffness_pa_per_m()
-                                 ? contact.penalty_stiffness_pa_per_m()
-                                 : kDefaultTiePenalty * std::min(a.young_modulus_pa, b.young_modulus_pa) / largest_m,
-                             1e-3, 1e18, where + ".penalty_stiffness_pa_per_m"));
+    if (contact.has_penalty_stiffness_pa_per_m()) {
+      TM_ASSIGN_OR_RETURN(penalty, read_number(contact.penalty_stiffness_pa_per_m(), 1e-3, 1e18,
+                                               where + ".penalty_stiffness_pa_per_m"));
+      out.penalty_pa_per_m = penalty;
+    } else {
+      out.penalty_per_m = kDefaultTiePenalty / largest_m;
+    }
     TM_ASSIGN_OR_RETURN(friction, read_number(contact.friction_coefficient(), 0, limits::kMaxFriction,
                                               where + ".friction_coefficient"));
     TM_ASSIGN_OR_RETURN(reach,
@@ -147,19 +146,18 @@ class TieReader {
                       where, reach, distance));
     }
     out.distance_m = distance;
-    out.penalty_pa_per_m = penalty;
     out.friction = friction;
     out.reach_m = reach;
     if (body != other) {
       warn_of_overlap(out, body, other);
       warn_of_overlap(out, other, body);
     }
-    c_.body_contacts.push_back(out);
+    c_.model.body_contacts.push_back(out);
     return {};
   }
 
   /// Warns if one body begins inside another.
-  void warn_of_overlap(const ReadBodyContact& contact, std::size_t of_nodes, std::size_t with) {
+  void warn_of_overlap(const BodyContactModel& contact, std::size_t of_nodes, std::size_t with) {
     const auto [count, deepest_m] = overlap(surface(of_nodes), surface(with), contact.distance_m);
     if (count == 0) return;
     const char* then = deepest_m < contact.reach_m ? "Contact pushes them apart in the first steps"

@@ -23,8 +23,8 @@ namespace {
 using google::protobuf::FieldDescriptor;
 using google::protobuf::Message;
 
-/// Contact pressure per depth, unless the scene gives it: this factor times E / radius. A solid's radius is half its
-/// thickness; that of a plane is this share of the scene's size.
+/// Contact pressure per depth, unless the scene gives it: this factor times E / radius, with E of the element that the
+/// tool touches. A solid's radius is half its thickness; that of a plane is this share of the scene's size.
 constexpr double kDefaultToolPenalty = 20;
 constexpr double kPlaneRadiusInScenes = 0.1;
 /// A mesh should be thicker than so many cubes of the grid that samples its distance.
@@ -39,17 +39,6 @@ constexpr double kSteepestContact = 0.9;
 constexpr double kDefaultCouplingNPerM = 1000;
 /// A hand pushes an instrument by up to about 30 N before it slips.
 constexpr double kDefaultMaxForceN = 30, kDefaultMaxTorqueNM = 1, kDefaultMaxJointLoad = 1;
-
-/// Returns the stiffest material of the scene: contact must not be softer than the tissue.
-const Material& stiffest_of(const std::vector<ReadBody>& bodies) {
-  const Material* found = &bodies.front().materials.front();
-  for (const ReadBody& body : bodies) {
-    for (const Material& material : body.materials) {
-      if (material.young_modulus_pa > found->young_modulus_pa) found = &material;
-    }
-  }
-  return *found;
-}
 
 /// The field of a kind's message. Throws if the protocol lacks it: every scene with that kind then fails.
 const FieldDescriptor& field_of(const Message& kind, std::string_view name) {
@@ -102,8 +91,7 @@ double size_of(const Compilation& c) {
 /// Reads what the message of a kind says about the shape.
 /// kind: message of Kind. owner: the tool, for messages.
 template <class Kind>
-Result<void> read_shape(const Message& kind, double young_modulus_pa, std::string_view owner, Compilation& c,
-                        ToolModel& out) {
+Result<void> read_shape(const Message& kind, std::string_view owner, Compilation& c, ToolModel& out) {
   const std::string where = fmt::format("{}.{}", owner, Kind::kName);
   out.core_points = Kind::kCorePoints;
   out.contact_points = Kind::kContactPoints;
@@ -133,11 +121,12 @@ Result<void> read_shape(const Message& kind, double young_modulus_pa, std::strin
       tip, read_vector(dynamic_cast<const v1::Vector3&>(tip_message), fmt::format("{}.tip_offset_m", where)));
   out.tip_offset_m = tip;
   constexpr std::string_view kPenalty = "penalty_stiffness_pa_per_m";
-  out.penalty_pa_per_m = kDefaultToolPenalty * young_modulus_pa / out.radius_m;
-  if (kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
-    out.penalty_pa_per_m = kind.GetReflection()->GetDouble(kind, &field_of(kind, kPenalty));
+  if (!kind.GetReflection()->HasField(kind, &field_of(kind, kPenalty))) {
+    out.penalty_per_m = kDefaultToolPenalty / out.radius_m;
+    return {};
   }
-  TM_RETURN_IF_ERROR(read_number(out.penalty_pa_per_m, 1e-3, 1e18, fmt::format("{}.{}", where, kPenalty)));
+  TM_ASSIGN_OR_RETURN(penalty, read_field(kind, kPenalty, 1e-3, 1e18, where));
+  out.penalty_pa_per_m = penalty;
   return {};
 }
 
@@ -185,8 +174,7 @@ Result<void> read_largest_loads(const v1::Tool& tool, const std::string& where, 
   return {};
 }
 
-/// stiffest: material that sets the default stiffness of contact.
-Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material& stiffest) {
+Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool) {
   const std::string where = fmt::format("tool '{}'", tool.name());
   const auto* field =
       tool.GetReflection()->GetOneofFieldDescriptor(tool, tool.GetDescriptor()->FindOneofByName("kind"));
@@ -201,7 +189,7 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
     known += fmt::format("{}{}", known.empty() ? "" : ", ", Kind::kName);
     if (field == nullptr || field->name() != Kind::kName) return;
     out.kind = static_cast<std::uint32_t>(index);
-    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), stiffest.young_modulus_pa, where, c, out);
+    shape = read_shape<Kind>(tool.GetReflection()->GetMessage(tool, field), where, c, out);
   });
   if (!shape) return invalid(fmt::format("{}: no kind that this server knows; give one of {}", where, known));
   TM_RETURN_IF_ERROR(*shape);
@@ -219,7 +207,6 @@ Result<ToolModel> read_tool(Compilation& c, const v1::Tool& tool, const Material
   out.keeps_force = keeps;
   TM_RETURN_IF_ERROR(read_coupling(tool, where, out));
   TM_RETURN_IF_ERROR(read_largest_loads(tool, where, out));
-  out.plane_strain_modulus_pa = stiffest.young_modulus_pa / (1 - stiffest.poisson_ratio * stiffest.poisson_ratio);
   TM_ASSIGN_OR_RETURN(position, read_vector(tool.position_m(), where + ".position_m"));
   TM_ASSIGN_OR_RETURN(orientation, read_orientation(tool.orientation(), where + ".orientation"));
   out.initial_pose = {position, orientation, {}};
@@ -239,7 +226,6 @@ Result<void> read_tools(Compilation& c) {
     return fail(ErrorCode::kResourceExhausted,
                 fmt::format("scene.tools: {} exceed limits::kMaxTools = {}", c.scene.tools_size(), limits::kMaxTools));
   }
-  const Material& stiffest = stiffest_of(c.bodies);
   std::set<std::string> names;
   for (int i = 0; i < c.scene.tools_size(); ++i) {
     const v1::Tool& tool = c.scene.tools(i);
@@ -247,7 +233,7 @@ Result<void> read_tools(Compilation& c) {
     if (!names.insert(tool.name()).second) {
       return invalid(fmt::format("scene.tools[{}]: the name '{}' is taken by another tool", i, tool.name()));
     }
-    TM_ASSIGN_OR_RETURN(out, read_tool(c, tool, stiffest));
+    TM_ASSIGN_OR_RETURN(out, read_tool(c, tool));
     out.first_core_point = c.model.core_points();
     out.first_contact_point = c.model.contact_points();
     c.model.tools.push_back(std::move(out));

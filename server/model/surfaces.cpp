@@ -16,6 +16,23 @@
 /// Makes the surfaces of a scene: triangles that tools can touch, and what clients see.
 namespace tensormass::model {
 
+namespace {
+
+/// Stores the moduli behind a triangle of the contact surface. element: the one behind it.
+void add_moduli(Compilation& c, std::uint32_t element) {
+  const std::size_t b = c.model.body_of_element(element);
+  BodyModel& body = c.model.bodies[b];
+  const Material& material = c.bodies[b].material(element - body.element_begin);
+  const double young_pa = material.young_modulus_pa, poisson = material.poisson_ratio;
+  c.model.contact.triangle_moduli.push_back(young_pa);
+  c.model.contact.triangle_moduli.push_back(young_pa / (1 - poisson * poisson));
+  const bool is_first = !(body.most_surface_modulus_pa > 0);
+  body.least_surface_modulus_pa = is_first ? young_pa : std::min(body.least_surface_modulus_pa, young_pa);
+  body.most_surface_modulus_pa = std::max(body.most_surface_modulus_pa, young_pa);
+}
+
+}  // namespace
+
 void make_contact_surface(Compilation& c) {
   const matrix::Layout& layout = c.model.layout;
   const mesh::Surface surface = mesh::boundary(c.merged);
@@ -47,6 +64,7 @@ void make_contact_surface(Compilation& c) {
       x[i] = c.merged.nodes[surface.nodes[corners[i]]];
     }
     out.triangle_area.push_back(0.5 * (x[1] - x[0]).cross(x[2] - x[0]).norm());
+    add_moduli(c, surface.triangle_elements[triangle]);
     ++out.patch_triangles[layout.patch_of_row(row_of(corners[0])) + 1];
   }
   std::partial_sum(out.patch_triangles.begin(), out.patch_triangles.end(), out.patch_triangles.begin());

@@ -16,9 +16,9 @@ class TieMaker {
   explicit TieMaker(Compilation& c) : c_(c), layout_(c.model.layout), out_(c.model.ties) {}
 
   void make() {
-    if (!c_.body_contacts.empty()) {
+    if (!c_.model.body_contacts.empty()) {
       find_surfaces();
-      for (const ReadBodyContact& contact : c_.body_contacts) {
+      for (const BodyContactModel& contact : c_.model.body_contacts) {
         add_side(contact, contact.body, contact.other);
         if (contact.body != contact.other) add_side(contact, contact.other, contact.body);
       }
@@ -31,7 +31,7 @@ class TieMaker {
  private:
   struct Candidate {
     std::uint32_t row, vertex, side;
-    double area_m2;
+    double area_m2, modulus_pa;
   };
   struct Spring {
     std::uint32_t row, other, number;  // number: in the order of the scene
@@ -42,28 +42,26 @@ class TieMaker {
     std::array<std::uint32_t, 2> groups{0, 0};       ///< groups of boxes
   };
 
-  std::size_t body_of_row(std::uint32_t row) const {
-    const std::uint32_t node = layout_.node_of_row[row];
-    const auto after = std::upper_bound(c_.model.bodies.begin(), c_.model.bodies.end(), node,
-                                        [](std::uint32_t n, const BodyModel& body) { return n < body.node_begin; });
-    return static_cast<std::size_t>(after - c_.model.bodies.begin()) - 1;
-  }
+  std::size_t body_of_row(std::uint32_t row) const { return c_.model.body_of_node(layout_.node_of_row[row]); }
 
   /// Divides the contact surface among the bodies, and puts boxes around the triangles of those that are touched.
   void find_surfaces() {
     const ContactSurface& contact = c_.model.contact;
     surfaces_.resize(c_.model.bodies.size());
     vertex_area_.assign(contact.surface_rows.size(), 0);
+    vertex_modulus_.assign(contact.surface_rows.size(), 0);
     for (std::uint32_t v = 0; v < contact.surface_rows.size(); ++v) {
       surfaces_[body_of_row(contact.surface_rows[v])].vertices.push_back(v);
     }
     for (std::uint32_t t = 0; t < contact.triangle_count(); ++t) {
       surfaces_[body_of_row(contact.triangle_rows[3 * std::size_t{t}])].triangles.push_back(t);
       for (std::size_t i = 0; i < 3; ++i) {
-        vertex_area_[contact.vertex_of_corner[3 * std::size_t{t} + i]] += contact.triangle_area[t] / 3;
+        const std::uint32_t vertex = contact.vertex_of_corner[3 * std::size_t{t} + i];
+        vertex_area_[vertex] += contact.triangle_area[t] / 3;
+        vertex_modulus_[vertex] += contact.triangle_area[t] / 3 * contact.triangle_moduli[2 * std::size_t{t}];
       }
     }
-    for (const ReadBodyContact& pair : c_.body_contacts) {
+    for (const BodyContactModel& pair : c_.model.body_contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
         if (surfaces_[body].groups[1] == 0) add_boxes(surfaces_[body]);
       }
@@ -91,18 +89,20 @@ class TieMaker {
   }
 
   /// Lets the nodes of one body touch the surface of another.
-  void add_side(const ReadBodyContact& contact, std::size_t of_nodes, std::size_t touched) {
+  void add_side(const BodyContactModel& contact, std::size_t of_nodes, std::size_t touched) {
     const auto side = static_cast<std::uint32_t>(out_.side_groups.size() / 3);
     const std::array<std::uint32_t, 2>& groups = surfaces_[touched].groups;
     out_.side_groups.insert(out_.side_groups.end(), {groups[0], groups[1], of_nodes == touched ? 1u : 0u});
     std::array<double, view::kSideNumbers> numbers{};
     numbers[view::kSidePenalty] = contact.penalty_pa_per_m;
+    numbers[view::kSidePenaltyPerM] = contact.penalty_per_m;
     numbers[view::kSideDistance] = contact.distance_m;
     numbers[view::kSideReach] = contact.reach_m;
     numbers[view::kSideFriction] = contact.friction;
     out_.side_numbers.insert(out_.side_numbers.end(), numbers.begin(), numbers.end());
     for (const std::uint32_t vertex : surfaces_[of_nodes].vertices) {
-      candidates_.push_back({c_.model.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2});
+      candidates_.push_back({c_.model.contact.surface_rows[vertex], vertex, side, vertex_area_[vertex] / 2,
+                             vertex_modulus_[vertex] / vertex_area_[vertex]});
     }
   }
 
@@ -121,6 +121,7 @@ class TieMaker {
     for (const Candidate& candidate : candidates_) {
       out_.candidates.insert(out_.candidates.end(), {candidate.vertex, candidate.side});
       out_.candidate_area.push_back(candidate.area_m2);
+      out_.candidate_modulus.push_back(candidate.modulus_pa);
     }
   }
 
@@ -147,7 +148,7 @@ class TieMaker {
 
   void store_rows() {
     std::vector<bool> tied(layout_.row_count, false);
-    for (const ReadBodyContact& pair : c_.body_contacts) {
+    for (const BodyContactModel& pair : c_.model.body_contacts) {
       for (const std::size_t body : {pair.body, pair.other}) {
         for (const std::uint32_t vertex : surfaces_[body].vertices) tied[c_.model.contact.surface_rows[vertex]] = true;
       }
@@ -168,8 +169,9 @@ class TieMaker {
   Compilation& c_;
   const matrix::Layout& layout_;
   Ties& out_;
-  std::vector<Surface> surfaces_;    // [body]
-  std::vector<double> vertex_area_;  // [surface vertex]
+  std::vector<Surface> surfaces_;       // [body]
+  std::vector<double> vertex_area_;     // [surface vertex]
+  std::vector<double> vertex_modulus_;  // [surface vertex] E times area, summed
   std::vector<Candidate> candidates_;
 };
 

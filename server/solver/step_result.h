@@ -6,6 +6,7 @@
 #include <limits>
 #include <span>
 
+#include "view/balance.h"
 #include "view/guard.h"
 #include "view/newton.h"
 #include "view/solve.h"
@@ -33,6 +34,8 @@ struct StepResult {
   std::uint32_t touching_nodes = 0;  ///< nodes that touch a body
   double deepest_contact_m = 0;      ///< largest penetration of one body into another
   std::uint32_t broken_springs = 0;  ///< springs of attachments that have broken since the start
+  /// Largest share of its impulses by which the momentum of a free body was off after the solve (contact/balance.h).
+  double momentum_error = 0;
   /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;
 
@@ -54,6 +57,16 @@ void read_ties(std::span<const view::TieReport<Real>> patches, StepResult& resul
     result.touching_nodes += static_cast<std::uint32_t>(patch.contacts);
     result.deepest_contact_m = std::max(result.deepest_contact_m, static_cast<double>(patch.deepest_m));
     result.broken_springs += static_cast<std::uint32_t>(patch.broken);
+  }
+}
+
+/// Takes the largest error of the free bodies. A body on which nothing acts has none.
+template <class Real>
+void read_balance(std::span<const view::BalanceReport<Real>> bodies, StepResult& result) {
+  for (const auto& body : bodies) {
+    if (!(body.impulse_n_s > 0)) continue;
+    result.momentum_error =
+        std::max(result.momentum_error, static_cast<double>(body.defect_n_s) / static_cast<double>(body.impulse_n_s));
   }
 }
 

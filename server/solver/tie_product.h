@@ -20,7 +20,6 @@ template <class Team, class Real>
 TM_HOST_DEVICE void add_tie_product(const Team& team, const view::StateView<Real>& state,
                                     const view::MatrixView<Real>& matrix, const view::TiesView<Real>& ties,
                                     const Real* direction, Real* product, Real& pq, Real& qq) {
-  const Real h = view::step_size(state);
   const auto unscaled_direction = [&](std::uint32_t row) -> Vec3<Real> {
     return load_lower<Real>(matrix.diagonal, row).transpose() * view::load3<Real>(direction, ties.row_place[row]);
   };
@@ -32,7 +31,7 @@ TM_HOST_DEVICE void add_tie_product(const Team& team, const view::StateView<Real
       const Vec3<Real> others = contact::relative(tie, role, unscaled_direction);
       sum += contact::stiffness_times(tie, others) * tie.weight[role];
     });
-    const Vec3<Real> more = load_lower<Real>(matrix.diagonal, row) * sum * (h * h);
+    const Vec3<Real> more = load_lower<Real>(matrix.diagonal, row) * sum * view::contact_factor(state);
     const Vec3<Real> q = view::load3<Real>(product, row);
     view::store3<Real>(product, row, q + more);
     pq += view::load3<Real>(direction, ties.row_place[row]).dot(more);

@@ -267,24 +267,19 @@ TM_HOST_DEVICE void advance(const Team& team, const view::PatchesView& patches, 
                   [&](const auto& moved) { return advance_by(team, patches, state, newton, guard, change_of, moved); });
 }
 
-/// Continues from the middle of the step to its end, for the implicit midpoint rule, and replaces the patch's report.
-/// Reads û, v̂, checkpoint; reads and writes displacement, velocity; writes patch_reports.
-template <class Team, class Real>
-TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
-                                const view::GuardView<Real>& guard) {
+/// Moves the rows of a patch once more after the solve, and replaces the motion in the patch's report.
+///
+///   change(row, u, v)   changes displacement and velocity of a row
+///
+/// Reads checkpoint; reads and writes displacement, velocity, patch_reports; writes relative_position.
+template <class Team, class Real, class Change>
+TM_HOST_DEVICE void move_again(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                               const view::GuardView<Real>& guard, const Change& change) {
   const view::Patch patch = view::patch_of(patches, team.patch());
-  const Real reach = state.control->scheme.reach;
   Motion<Real> motion;
   team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
-    const Vec3<Real> base_u = view::load3<Real>(state.base_displacement, row);
-    const Vec3<Real> base_v = view::load3<Real>(state.base_velocity, row);
-    const Vec3<Real> u = base_u + (view::load3<Real>(state.displacement, row) - base_u) * reach;
-    Vec3<Real> v = base_v + (view::load3<Real>(state.velocity, row) - base_v) * reach;
-    const std::uint32_t bits = view::free_bits(state, row);
-    for (std::uint32_t c = 0; c < 3; ++c) {
-      // A prescribed row has the velocity of its prescribed motion; extrapolated, it would swing about that.
-      if ((bits >> c & 1) == 0) v[c] = state.velocity[std::size_t{4} * row + c];
-    }
+    Vec3<Real> u = view::load3<Real>(state.displacement, row), v = view::load3<Real>(state.velocity, row);
+    change(row, u, v);
     view::store3<Real>(state.displacement, row, u);
     view::store3<Real>(state.velocity, row, v);
     if (guard.relative_position != nullptr) {
@@ -295,7 +290,31 @@ TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patch
     motion.add(v, u, u - view::load3<Real>(guard.checkpoint_displacement, row), state.inertia[std::size_t{4} * row],
                external);
   });
-  report(team, guard, motion);
+  report(team, guard, motion, [&] {
+    const Real least = guard.patch_reports[patch.index].min_det_f;
+    team.sync();
+    return least;
+  });
+}
+
+/// Continues from the middle of the step to its end, for the implicit midpoint rule, and replaces the patch's report.
+/// Reads û, v̂, checkpoint; reads and writes displacement, velocity; writes patch_reports.
+template <class Team, class Real>
+TM_HOST_DEVICE void extrapolate(const Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                const view::GuardView<Real>& guard) {
+  const Real reach = state.control->scheme.reach;
+  move_again(team, patches, state, guard, [&](std::uint32_t row, Vec3<Real>& u, Vec3<Real>& v) {
+    const Vec3<Real> base_u = view::load3<Real>(state.base_displacement, row);
+    const Vec3<Real> base_v = view::load3<Real>(state.base_velocity, row);
+    const Vec3<Real> solved = v;
+    u = base_u + (u - base_u) * reach;
+    v = base_v + (v - base_v) * reach;
+    const std::uint32_t bits = view::free_bits(state, row);
+    for (std::uint32_t c = 0; c < 3; ++c) {
+      // A prescribed row has the velocity of its prescribed motion; extrapolated, it would swing about that.
+      if ((bits >> c & 1) == 0) v[c] = solved[c];
+    }
+  });
 }
 
 }  // namespace tensormass::solver

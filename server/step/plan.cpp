@@ -1,6 +1,7 @@
 #include "step/plan.h"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 
 #include <fmt/format.h>
@@ -93,6 +94,30 @@ void list_not_modelled(const model::Model& m, v1::SceneReport& report) {
   if (m.frame_rate_hz == 0) report.add_not_modelled("frames: frame_rate_hz is 0; no surface is gathered");
 }
 
+/// Lists how stiff contact is where surfaces can touch.
+void list_contacts(const model::Model& m, v1::SceneReport& report) {
+  const auto add = [&](const auto& contact, double least_pa, double most_pa) {
+    v1::ContactReport& out = *report.add_contacts();
+    out.set_least_penalty_pa_per_m(contact.penalty_pa_per_m + contact.penalty_per_m * least_pa);
+    out.set_most_penalty_pa_per_m(contact.penalty_pa_per_m + contact.penalty_per_m * most_pa);
+    out.set_is_default(contact.penalty_per_m > 0);
+    return &out;
+  };
+  double least_pa = std::numeric_limits<double>::infinity(), most_pa = 0;
+  for (const model::BodyModel& body : m.bodies) {
+    least_pa = std::min(least_pa, body.least_surface_modulus_pa);
+    most_pa = std::max(most_pa, body.most_surface_modulus_pa);
+  }
+  for (const model::ToolModel& tool : m.tools) add(tool, least_pa, most_pa)->set_tool(tool.name);
+  for (const model::BodyContactModel& contact : m.body_contacts) {
+    const model::BodyModel &a = m.bodies[contact.body], &b = m.bodies[contact.other];
+    v1::ContactReport& out = *add(contact, std::min(a.least_surface_modulus_pa, b.least_surface_modulus_pa),
+                                  std::min(a.most_surface_modulus_pa, b.most_surface_modulus_pa));
+    out.set_body(a.name);
+    out.set_other(b.name);
+  }
+}
+
 }  // namespace
 
 v1::SceneReport make_report(const model::Model& model, const MachineRates& machine) {
@@ -149,6 +174,7 @@ v1::SceneReport make_report(const model::Model& model, const MachineRates& machi
     bind_all<float>(model, arena);
   }
   list_not_modelled(model, report);
+  list_contacts(model, report);
   for (const std::string& warning : model.warnings) report.add_warnings(warning);
   return report;
 }

@@ -2,11 +2,13 @@
 
 #include <type_traits>
 
+#include "contact/balance.h"
 #include "contact/ties.h"
 #include "contact/tools.h"
 #include "matrix/edge_assembly.h"
 #include "matrix/rows.h"
 #include "physics/lists.h"
+#include "solver/balance.h"
 #include "solver/conjugate_gradients.h"
 #include "solver/jacobi_scaling.h"
 #include "solver/newton_stages.h"
@@ -41,6 +43,7 @@ struct RunStage {
     using K = StageKind;
     constexpr bool kIsCpu = requires { Team::kOneThread; };
     if constexpr (kKind == K::kPredict) solver::predict(team, s.patches, s.state, s.guard);
+    if constexpr (kKind == K::kBeginBalance) contact::begin_balance(team, s.patches, s.state, s.balance);
     if constexpr (kKind == K::kPrescribe) solver::prescribe(team, s.state, s.prescribed);
     if constexpr (kKind == K::kQueryClosest) contact::query_closest(team, s.patches, s.state, s.contact);
     if constexpr (kKind == K::kGenerateContacts) contact::generate_contacts(team, s.patches, s.state, s.contact);
@@ -59,7 +62,11 @@ struct RunStage {
     if constexpr (kKind == K::kSolve) solver::conjugate_gradients(team, s.patches, s.state, s.matrix, s.solve, s.ties);
     if constexpr (kKind == K::kAdvance) solver::advance(team, s.patches, s.state, s.matrix, s.solve, s.newton, s.guard);
     if constexpr (kKind == K::kBacktrack) solver::backtrack(team, s.patches, s.state, s.newton, s.guard);
-    if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact);
+    if constexpr (kKind == K::kMeasureBalance)
+      contact::measure_balance(team, s.patches, s.state, s.contact, s.ties, s.balance);
+    if constexpr (kKind == K::kSolveBalance) contact::solve_balance(team, s.patches, s.state, s.balance);
+    if constexpr (kKind == K::kApplyBalance) solver::apply_balance(team, s.patches, s.state, s.guard, s.balance);
+    if constexpr (kKind == K::kMeasureContact) contact::measure(team, s.patches, s.state, s.contact, s.balance);
     if constexpr (kKind == K::kMeasureTies) contact::measure_ties(team, s.state, s.ties);
     if constexpr (kKind == K::kExtrapolate) solver::extrapolate(team, s.patches, s.state, s.guard);
     if constexpr (kKind == K::kCheckInversion) step::check_inversion<Shape>(team, s.patches, s.state, s.guard, e);

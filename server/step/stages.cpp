@@ -6,6 +6,10 @@ namespace tensormass::step {
 
 namespace {
 
+/// The last stages up to kApplyBalance, and how often they run: friction of a body that starts to slide yields contact
+/// by contact, and each pass lets those yield that the last one has loaded too much.
+constexpr int kStagesOfBalance = 3, kBalancePasses = 3;
+
 StageSizes sizes_of(const model::Model& model, const Stage& stage) {
   return {model, is_of_group(stage.info->scope) ? &model.groups[stage.group] : nullptr};
 }
@@ -15,7 +19,11 @@ StageSizes sizes_of(const model::Model& model, const Stage& stage) {
 std::vector<Stage> list_stages(const model::Model& model) {
   std::vector<Stage> stages;
   const auto add_if_needed = [&](const Stage& stage) {
-    if (stage.info->needed(sizes_of(model, stage))) stages.push_back(stage);
+    if (!stage.info->needed(sizes_of(model, stage))) return;
+    stages.push_back(stage);
+    if (stage.info->kind != StageKind::kApplyBalance) return;
+    const std::vector<Stage> pass(stages.end() - kStagesOfBalance, stages.end());
+    for (int again = 1; again < kBalancePasses; ++again) stages.insert(stages.end(), pass.begin(), pass.end());
   };
   const StageInfo* const end = std::end(kStages);
   for (const StageInfo* first = std::begin(kStages); first != end;) {

@@ -26,6 +26,7 @@ namespace tensormass::step {
 enum class StageKind : std::uint8_t {
   kPredict,
   kPrescribe,
+  kBeginBalance,
   kQueryClosest,
   kGenerateContacts,
   kBeginTies,
@@ -47,6 +48,9 @@ enum class StageKind : std::uint8_t {
   kResidentSolve,
   kStreamedSolve,
   kBacktrack,
+  kMeasureBalance,
+  kSolveBalance,
+  kApplyBalance,
   kMeasureContact,
   kMeasureTies,
   kExtrapolate,
@@ -108,6 +112,7 @@ struct StageSizes {
 
   bool has_tools() const { return !m.tools.empty(); }
   bool has_ties() const { return m.ties.count() > 0; }
+  bool balances() const { return m.free_bodies.count() > 0; }
   bool fused() const { return m.solve != model::SolveKind::kStages; }
   double nodes_of_element() const { return static_cast<double>(group->rows.size()) / group->stride; }
   double points() const { return static_cast<double>(group->stride) * group->point_count; }
@@ -177,6 +182,11 @@ inline constexpr StageInfo kStages[] = {
      const double entries = static_cast<double>(s.m.prescribed_rows.rows.size()) / 3;
      return Cost{entries * (12 + 9 * s.real), entries * 6};
    }},
+  {StageKind::kBeginBalance, Phase::kBegin, Scope::kScene, Communication::kNone,
+   "begin balance", "velocity", "velocity of free bodies before the solve",
+   "a free body can touch something, and a step is linearized once",
+   [](const StageSizes& s) { return s.balances(); },
+   [](const StageSizes& s) { return Cost{s.rows * (4 + 8 * s.real), 0}; }},
   {StageKind::kQueryClosest, Phase::kEvaluate, Scope::kScene, Communication::kReduces,
    "closest-point query", "displacement, tools", "closest triangle of each patch", "the scene has thin tools",
    [](const StageSizes& s) { return s.core_points > 0; },
@@ -313,16 +323,22 @@ inline constexpr StageInfo kStages[] = {
    "backtrack", "increment", "velocity, displacement", "instead of a full increment that made the residual larger",
    [](const StageSizes& s) { return s.m.iterates(); },
    [](const StageSizes& s) { return Cost{s.rows * 5 * 4 * s.real, s.rows * 12}; }},
-  {StageKind::kQueryClosest, Phase::kEnd, Scope::kScene, Communication::kReduces,
-   "closest-point query", "displacement, tools", "closest triangle of each patch",
-   "once more, if the scene has thin tools and its step began with predict",
-   [](const StageSizes& s) { return s.core_points > 0 && !s.m.is_plain(); },
-   [](const StageSizes& s) { return s.query_tools(); }},
-  {StageKind::kGenerateContacts, Phase::kEnd, Scope::kScene, Communication::kNone,
-   "contact generation", "displacement, tools, closest, friction slips", "contacts, friction",
-   "once more, if the scene has tools and its step began with predict",
-   [](const StageSizes& s) { return s.has_tools() && !s.m.is_plain(); },
-   [](const StageSizes& s) { return s.generate_contacts(); }},
+  {StageKind::kMeasureBalance, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "measure balance", "displacement, velocity, contacts, friction, ties", "missing momentum of free bodies",
+   "as for begin balance",
+   [](const StageSizes& s) { return s.balances(); },
+   [](const StageSizes& s) { return Cost{s.rows * (4 + 20 * s.real) + s.contacts * s.real, s.rows * 300}; }},
+  {StageKind::kSolveBalance, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "solve balance", "missing momentum of free bodies", "rigid motions of free bodies", "as for begin balance",
+   [](const StageSizes& s) { return s.balances(); },
+   [](const StageSizes& s) {
+     const double entries = static_cast<double>(s.m.free_bodies.entry_body.size());
+     return Cost{entries * sizeof(view::BalanceSums), entries * view::kBalanceSums};
+   }},
+  {StageKind::kApplyBalance, Phase::kEnd, Scope::kScene, Communication::kReduces,
+   "apply balance", "rigid motions of free bodies", "displacement, velocity, guard reports", "as for begin balance",
+   [](const StageSizes& s) { return s.balances(); },
+   [](const StageSizes& s) { return Cost{s.rows * 9 * 4 * s.real, s.rows * 60}; }},
   {StageKind::kMeasureContact, Phase::kEnd, Scope::kScene, Communication::kReduces,
    "measure contact", "contacts, friction, velocity", "force on each tool, friction slips", "the scene has tools",
    [](const StageSizes& s) { return s.has_tools(); },

@@ -16,8 +16,8 @@ template <class Real>
 struct TriangleContact {
   Real weight[3];  // barycentric coordinates of the contact point
   Real normal[3];  // direction in which the tissue is pushed
-  Real depth_m;    // penetration; zero: no contact
-  Real stiffness;  // [N/m]
+  Real depth_m;    // penetration; not positive only in a contact that keeps its force (contact/tools.h)
+  Real stiffness;  // [N/m]; zero: no contact
   Real lever_m;    // distance from the tool's core to the contact point; zero if the core is behind the surface
 };
 
@@ -44,6 +44,8 @@ struct ToolLoad {
   Real torque_n_m[3];                   // about PlacedTool::position_m
   Real friction_n[3];                   // the part of the force that is friction
   Real joints[limits::kMaxToolJoints];  // [N m or N] force along each joint
+  Real pressed_n;                       // Σ N over the contacts that push
+  Real pressed_moduli[2];               // Σ N E and Σ N E / (1 − ν²) over them [N Pa]
 };
 
 template <class Real>
@@ -56,6 +58,7 @@ struct ContactView {
   const std::uint32_t* triangle_neighbours;  // [triangle_count, 3] across the edges 01, 12, 20; kNoTriangle at a rim
   const std::uint32_t* patch_triangles;      // [patch_count + 1]
   const Real* triangle_area;                 // [triangle_count] m², at rest
+  const Real* triangle_moduli;               // [triangle_count, 2] of the element behind it: E, E / (1 − ν²) [Pa]
   const std::uint32_t* surface_rows;         // [surface vertex], grouped by patch
   const std::uint32_t* patch_surface;        // [patch_count + 1] into surface_rows
   const std::uint32_t* incidence_begin;      // [surface vertex + 1]

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "view/balance.h"
 #include "view/boundary.h"
 #include "view/contact.h"
 #include "view/elements.h"
@@ -25,7 +26,7 @@
 ///   elements ─────> groups of (shape, law)              one ElementView each, beside the scene
 ///   matrix ───────> A and b                             elements, loads and contact add to it
 ///   solve ────────> conjugate gradients                 Â x = b̂
-///   newton, guard, contact, ties, prescribed, pressure, surface: only in scenes that use them
+///   newton, guard, contact, ties, balance, prescribed, pressure, surface: only in scenes that use them
 ///
 /// A kernel takes the view by value, as its parameter.
 namespace tensormass::view {
@@ -40,6 +41,7 @@ struct SceneView {
   GuardView<Real> guard;
   ContactView<Real> contact;
   TiesView<Real> ties;
+  BalanceView<Real> balance;
   PrescribedView<Real> prescribed;
   PressureView<Real> pressure;
   SurfaceView<Real> surface;

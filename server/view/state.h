@@ -47,6 +47,7 @@ template <class Real>
 struct StateView {
   const StepControl<Real>* control;  // [1]
   Real size_m;                       // diagonal of the box around the scene at rest
+  std::uint32_t iterates;            // 1: forces are evaluated again after each solve (solver/newton.h)
 
   const Real* rest;  // X [m]; 4th: bits of the free directions, 7 for a free row, 0 for a fixed or padding row
   Real* displacement;
@@ -82,6 +83,43 @@ TM_HOST_DEVICE Vec3<Real> motion_in_step(const StateView<Real>& state, std::size
   if (state.previous_displacement == nullptr) return motion;  // û = u₀
   // solver::predict has put u₀ there.
   return motion + load3<Real>(state.base_displacement, row) - load3<Real>(state.previous_displacement, row);
+}
+
+/// How far a row has moved by the end of the solve since forces were evaluated [m]. Newton's method evaluates them once
+/// more after its last solve, other schemes at the start of the step only.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> change_made(const StateView<Real>& state, std::size_t row) {
+  return state.iterates != 0 ? Vec3<Real>(Vec3<Real>::Zero()) : motion_in_step(state, row);
+}
+
+/// How far a row moves from the time for which the system solves to the end of the step [m]: not at all, but for the
+/// midpoint rule. Contact is that of the end of the step in every scheme, as in implicit Euler: it takes out energy and
+/// never adds any.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> beyond(const StateView<Real>& state, std::size_t row) {
+  const Real reach = state.control->scheme.reach;
+  return reach == 1 ? Vec3<Real>(Vec3<Real>::Zero()) : Vec3<Real>(motion_in_step(state, row) * (reach - 1));
+}
+
+/// change_ahead, change_made and motion_in_step up to the end of the step.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> change_ahead_to_end(const StateView<Real>& state, std::size_t row) {
+  return change_ahead(state, row) + beyond(state, row);
+}
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> change_made_to_end(const StateView<Real>& state, std::size_t row) {
+  return change_made(state, row) + beyond(state, row);
+}
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> motion_to_end(const StateView<Real>& state, std::size_t row) {
+  return motion_in_step(state, row) + beyond(state, row);
+}
+
+/// Derivative of a motion up to the end of the step by `velocity` [s], times h: a contact of stiffness k adds k times
+/// it to the system.
+template <class Real>
+TM_HOST_DEVICE Real contact_factor(const StateView<Real>& state) {
+  return step_size(state) * step_size(state) * state.control->scheme.reach;
 }
 
 /// Bits of the directions in which a row is free.

@@ -42,7 +42,15 @@ struct TieReport {
 };
 
 /// Numbers of a side in TiesView::side_numbers.
-enum SideNumber : std::uint32_t { kSidePenalty, kSideDistance, kSideReach, kSideFriction, kSideNumbers };
+/// kSidePenalty: as the scene gives it; else kSidePenaltyPerM times the smaller of two moduli. The other of them is 0.
+enum SideNumber : std::uint32_t {
+  kSidePenalty,
+  kSidePenaltyPerM,
+  kSideDistance,
+  kSideReach,
+  kSideFriction,
+  kSideNumbers
+};
 
 template <class Real>
 struct TiesView {
@@ -63,6 +71,7 @@ struct TiesView {
   const std::uint32_t* patch_candidates;  // [patch_count + 1]
   const std::uint32_t* candidates;        // [candidate_count, 2] surface vertex, side
   const Real* candidate_area;             // [candidate_count] m²: the node's part of its surface, halved
+  const Real* candidate_modulus;          // [candidate_count] E of the elements behind the node's part [Pa], their mean
   const std::uint32_t* side_groups;       // [side, 3] first group of boxes, last + 1, 1 if the nodes are of that body
   const Real* side_numbers;               // [side, kSideNumbers]
   Real* slips;  // [candidate_count, 4] stretch of the spring of friction [m]; 4th: normal force [N]. Both at the end of

@@ -65,6 +65,7 @@ bool Findings::take_step(const World& world) {
   negative_curvature_.store(result.negative_curvature, kRelaxed);
   touching_nodes_.store(result.touching_nodes, kRelaxed);
   deepest_contact_m_.store(result.deepest_contact_m, kRelaxed);
+  momentum_error_.store(result.momentum_error, kRelaxed);
   broken_springs_.store(result.broken_springs, kRelaxed);
   return turns;
 }
@@ -85,8 +86,8 @@ void Findings::clear() {
   for (auto* count : {&cg_iterations_, &newton_iterations_, &touching_nodes_, &broken_springs_}) {
     count->store(0, kRelaxed);
   }
-  for (auto* value :
-       {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_, &deepest_contact_m_}) {
+  for (auto* value : {&cg_residual_, &newton_residual_, &kinetic_j_, &elastic_j_, &work_j_, &dissipated_j_,
+                      &deepest_contact_m_, &momentum_error_}) {
     value->store(0, kRelaxed);
   }
   window_steps_ = window_repeated_ = 0;
@@ -115,6 +116,7 @@ void Findings::add_to(v1::SceneStatus& status) const {
   status.set_touching_nodes(touching_nodes_.load(kRelaxed));
   status.set_deepest_contact_m(deepest_contact_m_.load(kRelaxed));
   status.set_broken_springs(broken_springs_.load(kRelaxed));
+  status.set_momentum_error(momentum_error_.load(kRelaxed));
 }
 
 void Findings::add_solve(v1::SceneStatus& status) const {

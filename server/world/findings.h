@@ -53,7 +53,7 @@ class Findings {
   std::deque<Group> groups_;  // a deque because an atomic does not move
   std::atomic<std::uint32_t> cg_iterations_{0}, newton_iterations_{0}, touching_nodes_{0}, broken_springs_{0};
   std::atomic<std::uint64_t> unconverged_steps_{0};
-  std::atomic<double> cg_residual_{0}, newton_residual_{0}, deepest_contact_m_{0};
+  std::atomic<double> cg_residual_{0}, newton_residual_{0}, deepest_contact_m_{0}, momentum_error_{0};
   std::atomic<double> kinetic_j_{0}, elastic_j_{0}, work_j_{0}, dissipated_j_{0};
   std::atomic<bool> converged_{true}, negative_curvature_{false};
   std::atomic<std::uint64_t> guard_events_{0}, guard_recoveries_{0};

@@ -15,6 +15,8 @@ namespace {
 
 /// Sizes of the scene. A node that crosses the scene in one step has passed through everything it should touch.
 constexpr double kMaxMove = 1;
+/// The same for a scene in which a body may fall: a cube of 4 cm moves by its own size in a step of 1/60 s after 0.4 s.
+constexpr double kMaxMoveOfFreeBodies = 10;
 /// Share of the largest move. If a step that is linearized once moves a node farther, it is not trusted with the
 /// consistent stiffness.
 constexpr double kTrustedMove = 0.1;
@@ -163,6 +165,7 @@ void EnergyBalance::start(double kinetic_j, double elastic_j) {
 
 Guard::Guard(const model::Model& m)
     : max_move_m_(m.max_move_m.value_or(kMaxMove * (size_of(m) + largest_start(m)))),
+      trusted_move_m_(kTrustedMove * max_move_m_),
       max_distance_m_(m.max_distance_m.value_or(kMaxDistance * (size_of(m) + largest_start(m)))),
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
       max_energy_ratio_(m.max_energy_ratio.value_or(kEnergySlack)),
@@ -170,9 +173,10 @@ Guard::Guard(const model::Model& m)
       newton_tolerance_(m.newton_tolerance),
       checks_energy_(counts_all_work(m)),
       must_converge_(m.quasi_static() && m.iterates() && !m.allow_unconverged) {
-  // A body without fixed nodes may fall without end.
+  // A body without fixed nodes may fall without end, and faster and faster.
   if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
     max_distance_m_ = std::numeric_limits<double>::infinity();
+    if (!m.max_move_m) max_move_m_ *= kMaxMoveOfFreeBodies;
   }
 }
 
@@ -198,7 +202,7 @@ BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& ener
 }
 
 bool Guard::trusts(const solver::StepResult& result, const StepEnergy& energy) const {
-  if (!(result.max_move_m <= kTrustedMove * max_move_m_)) return false;
+  if (!(result.max_move_m <= trusted_move_m_)) return false;
   return !checks_energy_ || result.kinetic_energy_j <= kinetic_bound_j(result, energy, 1);
 }
 

@@ -117,7 +117,8 @@ class Guard {
  private:
   double kinetic_bound_j(const solver::StepResult& result, const StepEnergy& energy, double ratio) const;
 
-  double max_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_, newton_tolerance_;
+  double max_move_m_, trusted_move_m_, max_distance_m_, max_residual_, max_energy_ratio_, least_energy_j_,
+      newton_tolerance_;
   bool checks_energy_, must_converge_;
 };
 

@@ -61,9 +61,9 @@ double Hold::bearable(std::size_t freedom, double rise) const {
                   load_of(start_.load, freedom).norm() + rise * kLargestRisePerS * dt_s_ * largest(freedom));
 }
 
-/// Stiffness of the contact itself: tissue behind it only makes it softer.
-double Hold::stiffest(std::size_t freedom) const {
-  const double k = tool_->stiffest_contact_n_per_m();
+/// Stiffness of the contact itself in a trial: tissue behind it only makes it softer.
+double Hold::stiffest(std::size_t freedom, const Load& load) const {
+  const double k = tool_->stiffest_contact_n_per_m(load.young_modulus_pa);
   return freedom == 0 ? k : k * arm_m() * arm_m();
 }
 
@@ -154,8 +154,9 @@ Pose Hold::give_way(const Pose& tried, const Load& load) {
     const double rise = size - out.dot(load_of(last_.load, f));
     double& k = state_.stiffness[f];
     double shown = rise / advance;
-    if (!(std::isfinite(shown) && shown > 0)) shown = k > 0 ? k / 2 : stiffest(f);
-    k = std::clamp(shown, kSoftest * stiffest(f), stiffest(f));
+    const double most = stiffest(f, load);
+    if (!(std::isfinite(shown) && shown > 0)) shown = k > 0 ? k / 2 : most;
+    k = std::clamp(shown, kSoftest * most, most);
     move(end, f, std::min((size - kRelieved * bearable(f, kAims)) / k, kFastestBack * way_of_step(f)) * out);
   }
   last_ = {tried, load};

@@ -91,7 +91,7 @@ class Hold {
   std::size_t freedoms() const { return freedoms(*tool_); }
   double largest(std::size_t freedom) const;
   double bearable(std::size_t freedom, double rise) const;
-  double stiffest(std::size_t freedom) const;
+  double stiffest(std::size_t freedom, const Load& load) const;
   double arm_m() const { return std::max(tool_->radius_m, tool_->reach_m); }
   double way_in(double dt_s) const;
   double way_of_step(std::size_t freedom) const;

@@ -78,6 +78,8 @@ void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v
   write_vector(tool.force.force_n, *out.mutable_force_n());
   write_vector(tool.force.torque_n_m, *out.mutable_torque_n_m());
   write_vector(tool.force.friction_n, *out.mutable_friction_n());
+  out.set_young_modulus_pa(tool.force.young_modulus_pa);
+  out.set_plane_strain_modulus_pa(tool.force.plane_strain_modulus_pa);
   for (std::size_t i = 0; i < model.joints.size(); ++i) out.add_joint_loads(tool.force.joints[i]);
   for (std::size_t f = 0; f < Hold::freedoms(model); ++f) out.add_shown_stiffness(motion.hold.stiffness[f]);
   out.set_reach_m(motion.hold.reach_m);
@@ -143,7 +145,11 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   TM_ASSIGN_OR_RETURN(force, model::read_vector(message.force_n(), where + ".force_n", limits::kMaxForceN));
   TM_ASSIGN_OR_RETURN(torque, model::read_vector(message.torque_n_m(), where + ".torque_n_m", limits::kMaxForceN));
   TM_ASSIGN_OR_RETURN(friction, model::read_vector(message.friction_n(), where + ".friction_n", limits::kMaxForceN));
-  out.force = {force, torque, friction, {}};
+  constexpr double kMost = std::numeric_limits<double>::max();
+  TM_ASSIGN_OR_RETURN(young, model::read_number(message.young_modulus_pa(), 0, kMost, where + ".young_modulus_pa"));
+  TM_ASSIGN_OR_RETURN(plane_strain, model::read_number(message.plane_strain_modulus_pa(), 0, kMost,
+                                                       where + ".plane_strain_modulus_pa"));
+  out.force = {force, torque, friction, {}, young, plane_strain};
   if (static_cast<std::size_t>(message.joint_loads_size()) != model.joints.size()) {
     return invalid(fmt::format("{}.joint_loads: {} values", where, message.joint_loads_size()));
   }

@@ -140,8 +140,9 @@ void ToolMotion::pull(const Pose& hand, double dt_s) {
   current_.velocity_m_per_s = (current_.pose.position_m - start_m) / dt_s;
 }
 
-void ToolMotion::feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m) {
-  felt_ = world::feel(felt_, current_.pose.position_m, force_n, stiffness_n_per_m, tool_->stiffest_contact_n_per_m());
+void ToolMotion::feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m, double modulus_pa) {
+  felt_ = world::feel(felt_, current_.pose.position_m, force_n, stiffness_n_per_m,
+                      tool_->stiffest_contact_n_per_m(modulus_pa));
 }
 
 }  // namespace tensormass::world

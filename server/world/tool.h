@@ -121,7 +121,7 @@ class ToolMotion {
   /// Ends a step that was made.
   void end_step() { hold_.end_step(); }
   /// Ends a step: takes the contact that the tool felt, for the next move of a tool with a mass.
-  void feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m);
+  void feel(const Vec3<double>& force_n, const Mat3<double>& stiffness_n_per_m, double modulus_pa);
   /// Takes the last `move` back: its step failed.
   void take_back() { current_ = before_; }
 

@@ -106,13 +106,13 @@ void World::read_tools() {
     const Vec3<double> pressing = reading.force_n - reading.friction_n;
     const double force = pressing.norm();
     reading.stiffness_n_per_m.setZero();
-    if (force > 0) {
+    if (const double modulus_pa = forces_[i].plane_strain_modulus_pa; force > 0 && modulus_pa > 0) {
       const Vec3<double> normal = pressing / force;
-      reading.stiffness_n_per_m = physics::hertz_tangent_stiffness(force, tool.plane_strain_modulus_pa, tool.radius_m) *
-                                  normal * normal.transpose();
+      reading.stiffness_n_per_m =
+          physics::hertz_tangent_stiffness(force, modulus_pa, tool.radius_m) * normal * normal.transpose();
     }
     if (tools_[i].has_mass()) {
-      tools_[i].feel(reading.force_n, reading.stiffness_n_per_m);
+      tools_[i].feel(reading.force_n, reading.stiffness_n_per_m, forces_[i].young_modulus_pa);
       reading.hand_m = tools_[i].hand_m();
       reading.force_n = tools_[i].force_on_hand_n();
       reading.stiffness_n_per_m = in_series(tool.coupling_stiffness_n_per_m, reading.stiffness_n_per_m);
@@ -367,7 +367,7 @@ BoundCheck World::retry(const BoundCheck& first) {
 /// there.
 BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint32_t cg_max_iterations,
                             bool saves_checkpoint, bool gather_visible) {
-  // The midpoint rule balances forces in the middle of a step, so its tools and loads are there.
+  // The midpoint rule balances forces in the middle of a step, so its loads are there. Contact is that of the end.
   const double balanced_at = model_->extrapolates() ? 0.5 : 1;
   const bool loads_grow = model_->quasi_static() && step_count_ == 0;
   // One product, so that halves of a step end at bitwise the same time as steps of half its length.
@@ -383,10 +383,9 @@ BoundCheck World::make_step(const Retry& how, bool projects_stiffness, std::uint
   for (std::size_t i = 0; i < tools_.size(); ++i) touches_[i] = {tools_[i].shape_at(0), published_[i]};
   for (std::uint32_t part = 1; part <= how.steps; ++part) {
     const double share = static_cast<double>(part) / how.steps;
-    const double share_of_tools = (part - 1 + balanced_at) / how.steps;
     for (std::size_t i = 0; i < tools_.size(); ++i) {
-      inputs_[i] = {tools_[i].shape_at(share_of_tools), tools_[i].shape_at(static_cast<double>(part - 1) / how.steps),
-                    tools_[i].presence_at(share_of_tools)};
+      inputs_[i] = {tools_[i].shape_at(share), tools_[i].shape_at(static_cast<double>(part - 1) / how.steps),
+                    tools_[i].presence_at(share)};
     }
     last_ = state_->step({.tools = inputs_,
                           .end_time_s = time_s(share),

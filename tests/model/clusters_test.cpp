@@ -277,7 +277,7 @@ TEST(TetrahedronRings, AreAGroupBesideTheirTetrahedra) {
 }
 
 TEST(TetrahedronRings, NeedAMeshOfEightNodes) {
-  Compilation c{v1::Scene{}, {}, {}, {}, {}, {}, {}, {}};
+  Compilation c{v1::Scene{}, {}, {}, {}, {}, {}, {}};
   c.bodies.push_back(body_of(closed_ring(2)));
   c.model.bodies.resize(1);
   c.model.bodies[0].element_count = 2;

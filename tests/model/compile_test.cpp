@@ -39,11 +39,11 @@ TEST(Compile, TakesTheDefaultsThatTheProtocolNames) {
   EXPECT_EQ(model.status_rate_hz, 4);
   const ToolModel& tool = model.tools.at(0);
   EXPECT_NEAR(tool.max_speed_m_per_s, 60 * 0.01 / 2, 1e-12) << "half of its radius in a step";
-  EXPECT_NEAR(tool.penalty_pa_per_m, 20 * 5e3 / 0.01, 1e-6);
+  EXPECT_EQ(tool.penalty_pa_per_m, 0);
+  EXPECT_NEAR(tool.penalty_per_m, 20 / 0.01, 1e-9);
   EXPECT_EQ(tool.initial_pose.orientation, (std::array<double, 4>{1, 0, 0, 0}));
   scene.mutable_stepping()->set_dt_s(0.001);
   EXPECT_EQ(compiled(scene).tools.at(0).max_speed_m_per_s, 0.5);
-  EXPECT_NEAR(tool.plane_strain_modulus_pa, 5e3 / (1 - 0.4 * 0.4), 1e-9);
 }
 
 TEST(Compile, ACouplingIsCriticallyDampedByDefault) {
@@ -86,16 +86,49 @@ TEST(Compile, RefusesACouplingThatCannotMoveItsTool) {
   EXPECT_NE(model.error().message.find("a coupling needs mass_kg"), std::string::npos) << model.error().message;
 }
 
-TEST(Compile, PenaltyFollowsTheStiffestLawOfTheScene) {
-  v1::Scene scene = tests::block_with_probe();
-  v1::Body& second = *scene.add_bodies();
-  second = scene.bodies(0);
-  second.set_name("bone");
-  second.mutable_law()->mutable_hooke()->set_young_modulus_pa(1e6);
-  second.mutable_law()->mutable_hooke()->set_poisson_ratio(0.2);
-  const Model model = compiled(scene);
-  EXPECT_NEAR(model.tools.at(0).penalty_pa_per_m, 20 * 1e6 / 0.01, 1e-3);
-  EXPECT_NEAR(model.tools.at(0).plane_strain_modulus_pa, 1e6 / (1 - 0.2 * 0.2), 1e-6);
+/// Each triangle of the contact surface has the modulus of the element behind it, in all ways of giving one.
+TEST(Compile, ContactIsAsStiffAsTheElementBehindIt) {
+  constexpr double kSoftPa = 5e3, kStiffPa = 1e6, kStiffPoisson = 0.2;
+  const auto stiffen = [](v1::Law& law) {
+    law.mutable_hooke()->set_young_modulus_pa(kStiffPa);
+    law.mutable_hooke()->set_poisson_ratio(kStiffPoisson);
+  };
+  const auto upper_half = [](v1::Region& region, double middle_m) {
+    tests::set(*region.mutable_box()->mutable_min_m(), -1, middle_m - 1e-9, -1);
+    tests::set(*region.mutable_box()->mutable_max_m(), 1, 1, 1);
+  };
+  v1::Scene of_bodies = tests::block_with_probe();
+  *of_bodies.add_bodies() = of_bodies.bodies(0);
+  of_bodies.mutable_bodies(1)->set_name("bone");
+  stiffen(*of_bodies.mutable_bodies(1)->mutable_law());
+  v1::Scene of_regions = tests::block_with_probe();
+  const double height_m = of_regions.bodies(0).mesh().grid().size_m().y();
+  v1::LawRegion& region = *of_regions.mutable_bodies(0)->add_law_regions();
+  upper_half(*region.mutable_region(), height_m / 2);
+  stiffen(*region.mutable_law());
+  for (const v1::Scene& scene : {of_bodies, of_regions}) {
+    const Model m = compiled(scene);
+    ASSERT_EQ(m.contact.triangle_moduli.size(), 2 * m.contact.triangle_area.size());
+    int soft = 0, stiff = 0;
+    for (std::size_t t = 0; t < m.contact.triangle_count(); ++t) {
+      const double young_pa = m.contact.triangle_moduli[2 * t], plane_strain_pa = m.contact.triangle_moduli[2 * t + 1];
+      double lowest_m = 1;
+      bool is_bone = m.bodies.size() > 1;
+      for (std::size_t i = 0; i < 3; ++i) {
+        const std::uint32_t row = m.contact.triangle_rows[3 * t + i];
+        lowest_m = std::min(lowest_m, m.rest[4 * std::size_t{row} + 1]);
+        is_bone = is_bone && m.layout.node_of_row[row] >= m.bodies.back().node_begin;
+      }
+      const bool is_stiff = m.bodies.size() > 1 ? is_bone : lowest_m > height_m / 2 - 1e-9;
+      EXPECT_NEAR(young_pa, is_stiff ? kStiffPa : kSoftPa, 1e-9 * young_pa);
+      EXPECT_NEAR(plane_strain_pa,
+                  is_stiff ? kStiffPa / (1 - kStiffPoisson * kStiffPoisson) : kSoftPa / (1 - 0.4 * 0.4),
+                  1e-9 * young_pa);
+      ++(is_stiff ? stiff : soft);
+    }
+    EXPECT_GT(soft, 0);
+    EXPECT_GT(stiff, 0);
+  }
 }
 
 TEST(Compile, MassIsDensityTimesVolumeAndGravityItsWeight) {

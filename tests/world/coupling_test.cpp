@@ -37,7 +37,7 @@ void feel_wall(ToolMotion& tool, double wall_n_per_m, double share) {
   const double depth_m = std::max(-tool.pose().position_m.z(), 0.0);
   Mat3<double> known = Mat3<double>::Zero();
   if (depth_m > 0) known(2, 2) = share * wall_n_per_m;
-  tool.feel({0, 0, wall_n_per_m * depth_m}, known);
+  tool.feel({0, 0, wall_n_per_m * depth_m}, known, 0);
 }
 
 /// The hand jumps by d. With critical damping the tool follows as m x'' + c (x' − h') + k (x − h) = 0 says:

@@ -126,12 +126,12 @@ TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
       const std::uint64_t wholes = tests::iterates(pressed_block(kind)) || fault == Fault::kStall ? 1 : 2;
       const auto faulty = start_faulty(pressed_block(kind), [=](std::uint64_t step, std::uint64_t call) {
         const bool fails = call < wholes || (call - wholes) % 2 == 1;
-        return step == 4 && fails ? std::optional(fault) : std::nullopt;
+        return step == 6 && fails ? std::optional(fault) : std::nullopt;
       });
       const auto sound = start(pressed_block(kind));
       faulty->set_tool_target(0, {{0.06, 0.054, 0.05}, {1, 0, 0, 0}});
       sound->set_tool_target(0, {{0.06, 0.054, 0.05}, {1, 0, 0, 0}});
-      for (int i = 0; i < 3; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
+      for (int i = 0; i < 5; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
       const auto stress = [&](World& world) {
         v1::GetFieldsRequest request;
         request.add_fields(v1::FIELD_VON_MISES_STRESS);
@@ -148,15 +148,15 @@ TEST_P(Guarding, IfEveryRetryFailsTheWorldStaysAtItsLastGoodState) {
       ASSERT_FALSE(faulty->step(false)) << kind.name;
       ASSERT_NE(faulty->guard_event(), nullptr);
       EXPECT_EQ(faulty->guard_event()->outcome, GuardEvent::Outcome::kStopped);
-      EXPECT_EQ(faulty->guard_event()->step, 4u);
+      EXPECT_EQ(faulty->guard_event()->step, 6u);
       EXPECT_EQ(faulty->guard_event()->retries, 3u);
-      EXPECT_EQ(faulty->step_count(), 3u);
+      EXPECT_EQ(faulty->step_count(), 5u);
       EXPECT_EQ(faulty->state().displacement, before.displacement) << kind.name;
       EXPECT_EQ(faulty->state().velocity, before.velocity) << kind.name;
       EXPECT_EQ(faulty->readings()[0].pose.position_m, reading.pose.position_m);
       EXPECT_LT((stress(*faulty) - stress_before).norm(), 1e-12 * stress_before.norm()) << kind.name;
 
-      for (int i = 0; i < 3; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
+      for (int i = 0; i < 5; ++i) ASSERT_TRUE(faulty->step(false) && sound->step(false));
       EXPECT_EQ(faulty->state().displacement, sound->state().displacement) << kind.name;
       EXPECT_EQ(faulty->readings()[0].force_n, sound->readings()[0].force_n) << kind.name;
     }

@@ -187,11 +187,19 @@ TEST_P(Recovery, AToolGivesWayAboveItsLargestForce) {
       };
       move_to(0.04);
       EXPECT_TRUE(gave_way);
-      for (double t_s = 0; t_s < 0.5; t_s += dt_s) ASSERT_TRUE(world->step(false));
+      // At its largest load the tool gives way and comes back, step by step, so the mean of the last 0.1 s counts.
+      double mean_n = 0, counted = 0;
+      for (double t_s = 0; t_s < 0.5; t_s += dt_s) {
+        ASSERT_TRUE(world->step(false));
+        if (t_s < 0.4) continue;
+        mean_n += world->readings()[0].force_n.norm();
+        ++counted;
+      }
+      mean_n /= counted;
       // In small steps of BDF2 nothing damps this tissue, and the tool bounces off it.
       const bool damped = kind.integrator == v1::Solver::INTEGRATOR_IMPLICIT_EULER || dt_s == kDtS;
       if (damped) {
-        EXPECT_GT(world->readings()[0].force_n.norm(), 0.8 * largest_n) << "it holds against the hand";
+        EXPECT_GT(mean_n, 0.6 * largest_n) << "it holds against the hand";
       }
       EXPECT_GT(world->readings()[0].pose.position_m.y(), 0.045);
       move_to(0.07);

@@ -162,6 +162,8 @@ def report_text(report: control_pb2.SceneReport, scene: scene_pb2.Scene) -> str:
     if scheduled := _schedules(scene):
         sections.append("factors by schedule:\n" + "\n".join(f"  {item}" for item in scheduled))
     sections.append(_tools_and_guard(scene))
+    if report.contacts:
+        sections.append(_contacts(report))
     if report.not_modelled:
         sections.append("not modelled:\n" + "\n".join(f"  {item}" for item in report.not_modelled))
     if warnings := [*_sizes(report), *report.warnings]:
@@ -186,6 +188,22 @@ def _tools_and_guard(scene: scene_pb2.Scene) -> str:
         then = "stop: the scene stops until it is reset"
     guard = f"after a fault (guard.on_fault): {then}"
     return f"{table(tools)}\n\n{guard}" if scene.tools else guard
+
+
+def _contacts(report: control_pb2.SceneReport) -> str:
+    """Describes how stiff contact is, from the softest to the stiffest place that can be touched."""
+    rows = [["contact", "pressure per depth, Pa/m", "from"]]
+    for contact in report.contacts:
+        bodies = contact.body if contact.body == contact.other else f"{contact.body}, {contact.other}"
+        least, most = f"{contact.least_penalty_pa_per_m:.4g}", f"{contact.most_penalty_pa_per_m:.4g}"
+        rows.append(
+            [
+                contact.tool or bodies,
+                least if least == most else f"{least} to {most}",
+                "what is touched" if contact.is_default else "the scene",
+            ]
+        )
+    return table(rows)
 
 
 def _sizes(report: control_pb2.SceneReport) -> list[str]:

@@ -80,6 +80,7 @@ class CpuState final : public SceneState {
     result.min_det_f = read_volume<Real>(model_, result.min_det_f,
                                          {view_.guard.min_det_f, model_.groups.size() * view_.patches.patch_count});
     solver::read_ties<Real>({view_.ties.reports, view_.ties.count() > 0 ? view_.patches.patch_count : 0}, result);
+    solver::read_balance<Real>({view_.balance.reports, view_.balance.body_count}, result);
     checkpoint_.end(input);
     return result;
   }

@@ -63,6 +63,7 @@ class CudaState final : public SceneState {
                    std::numeric_limits<Real>::infinity()),
         loads_(model.tools.size() * model.layout.patch_count),
         tie_reports_(model.ties.count() > 0 ? model.layout.patch_count : 0),
+        balance_reports_(model.free_bodies.count()),
         visible_(3 * std::size_t{model.visible.count()}),
         broken_(model.ties.spring_count()),
         external_(loads_change(model) ? model.external.size() : 0),
@@ -119,6 +120,7 @@ class CudaState final : public SceneState {
     if (!model_.iterates()) result = this->result();
     result.min_det_f = read_volume<Real>(model_, result.min_det_f, min_det_f_.span());
     solver::read_ties<Real>(tie_reports_.span(), result);
+    solver::read_balance<Real>(balance_reports_.span(), result);
     checkpoint_.end(input);
     return result;
   }
@@ -251,7 +253,8 @@ class CudaState final : public SceneState {
             .diagnostics = diagnostics_.data(),
             .min_det_f = min_det_f_.data(),
             .tool_loads = loads_.data(),
-            .tie_reports = tie_reports_.data()};
+            .tie_reports = tie_reports_.data(),
+            .balance_reports = balance_reports_.data()};
   }
 
   /// Shared memory of a block of assemble_rows if two fit on a multiprocessor [bytes].
@@ -390,6 +393,7 @@ class CudaState final : public SceneState {
   Pinned<Real> min_det_f_;
   Pinned<view::ToolLoad<Real>> loads_;
   Pinned<view::TieReport<Real>> tie_reports_;
+  Pinned<view::BalanceReport<Real>> balance_reports_;
   Pinned<float> visible_;
   Pinned<Real> broken_;                     // [spring_count]
   Pinned<Real> external_;                   // [row_count, 4]; empty unless loads_change()

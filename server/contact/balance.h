@@ -1,0 +1,410 @@
+#pragma once
+
+#include <cmath>
+
+#include "contact/friction.h"
+#include "contact/surface.h"
+#include "contact/tie.h"
+#include "contact/ties.h"
+#include "contact/tilt.h"
+#include "view/scene.h"
+
+/// Balances the momentum of free bodies after a solve. Forces alone change the momentum of a body that nothing holds:
+///
+///   Σ m (v − v̂) = h Σ F        Σ r × m (v − v̂) = h Σ r × F        r: from the body's centre row
+///
+/// A step that is linearized once misses that for two reasons:
+///
+/// 1. A solve that ends at its tolerance leaves a residual. Its sum over a body is a force that nobody exerts: a block
+///    dropped flat on a smooth table would leave it sideways.
+/// 2. Friction enters the solve with a secant (friction.h). Where a body gains or loses speed, that is not μ N.
+///
+/// So the body gets the rigid motion c = (w, ω) that restores both equations, with friction at Coulomb's limit:
+///
+///   v += w + ω × r,   u += h (w + ω × r)
+///   (Σ m Tᵀ T + h² Σ Tᵀ K T) c = defect       T = [I, −[r]×];  K: stiffness of contacts, ties and friction
+///
+///   begin ─> v̂ ... solve ... measure ─> sums of each patch ─> solve ─> c of each body ─> apply (solver/balance.h)
+///                              ^──────────────────────────── a few times ────────────────────────┘
+///
+/// 3. Internal forces have neither a sum nor a moment at the end of a step, so they do not occur.
+/// 4. A contact that slides keeps its force μ N ξ / |ξ| under c, but for its turn: K has no part along ξ. If c would
+///    reverse the slip, K has the secant μ N / |ξ| there as well, which never does.
+/// 5. A body that touches another free body counts the other as it moved in the solve. Their pair is then exact only as
+///    far as the solve is.
+namespace tensormass::contact {
+
+/// Force of friction on the tissue at Coulomb's limit, and how it changes with a motion of the tissue.
+template <class Real>
+struct CoulombForce {
+  Vec3<Real> force = Vec3<Real>::Zero();
+  Vec3<Real> slip = Vec3<Real>::Zero();  // direction of ξ, if it slides
+  Real stick = 0;                        // resistance across n [N/m], but for a contact that slides along slip
+  Real along = 0;                        // resistance along slip [N/m], 0 if it sticks: that of its secant
+
+  /// Returns the force after a motion of the tissue. with_along: as in view::BodyCorrection.
+  TM_HOST_DEVICE Vec3<Real> after(const Vec3<Real>& tangential_motion, bool with_along) const {
+    const Vec3<Real> of_slip = slip * slip.dot(tangential_motion);
+    const Vec3<Real> across = tangential_motion - of_slip;
+    return force - across * stick - of_slip * (with_along ? along : Real(0));
+  }
+};
+
+/// stretch: ξ. pressure: N; pulling counts as none.
+template <class Real>
+TM_HOST_DEVICE CoulombForce<Real> coulomb_force(Real stiffness, Real friction, const Vec3<Real>& stretch,
+                                                Real pressure) {
+  using std::sqrt;
+  CoulombForce<Real> out;
+  const Real most = friction * maximum(pressure, Real(0));
+  if (!(most > 0)) return out;
+  const Real yield = yield_factor(stiffness, stretch, most);
+  out.stick = stiffness * yield;
+  out.force = stretch * out.stick;
+  if (yield < 1) {
+    out.along = out.stick;
+    out.slip = unit(stretch);
+  }
+  return out;
+}
+
+/// Takes v̂ of the rows of free bodies. Runs after `predict`.
+/// Reads velocity; writes start_velocity.
+template <class Team, class Real>
+TM_HOST_DEVICE void begin_balance(const Team& team, const view::PatchesView& patches,
+                                  const view::StateView<Real>& state, const view::BalanceView<Real>& balance) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+    if (balance.row_body[row] == view::kNoBody) return;
+    view::store3<Real>(balance.start_velocity, row, view::load3<Real>(state.velocity, row));
+  });
+}
+
+/// The sums of an entry while they are gathered.
+class Balance {
+ public:
+  TM_HOST_DEVICE const view::BalanceSums& sums() const { return sums_; }
+  TM_HOST_DEVICE view::BalanceSums& sums() { return sums_; }
+
+  /// Adds an impulse at r [N s].
+  TM_HOST_DEVICE void add_impulse(const Vec3<double>& r, const Vec3<double>& impulse) {
+    const Vec3<double> moment = physics::cross<double>(r, impulse);
+    for (int c = 0; c < 3; ++c) {
+      sums_.defect[c] += impulse[c];
+      sums_.defect[3 + c] += moment[c];
+    }
+  }
+  /// Counts an impulse in the size of all.
+  TM_HOST_DEVICE void add_size(const Vec3<double>& impulse) {
+    using std::sqrt;
+    sums_.sliding[view::kSizeOfImpulses] += sqrt(impulse.dot(impulse));
+  }
+  /// Adds Tᵀ K T_of to the stiffness. The sum over all pairs of points must be symmetric.
+  TM_HOST_DEVICE void add_stiffness(const Vec3<double>& r, const Mat3<double>& k, const Vec3<double>& r_of) {
+    // T = [I, −[r]×], Tᵀ = [I; [r]×].
+    const Mat3<double> upper_right = -k * cross_matrix(r_of), lower_right = cross_matrix(r) * upper_right;
+    std::size_t i = 0;
+    for (int row = 0; row < 6; ++row) {
+      for (int column = row; column < 6; ++column, ++i) {
+        if (column < 3) {
+          sums_.stiffness[i] += k(row, column);
+        } else {
+          sums_.stiffness[i] += row < 3 ? upper_right(row, column - 3) : lower_right(row - 3, column - 3);
+        }
+      }
+    }
+  }
+  /// Adds s times u uᵀ to the stiffness.
+  TM_HOST_DEVICE void add_stiffness(const double (&u)[6], double s) { add_outer(sums_.stiffness, u, s); }
+  /// Adds a contact that slides. along: h² μN / |ξ|
+  TM_HOST_DEVICE void add_sliding(const Vec3<double>& r, double pressure, const Vec3<double>& stretch,
+                                  const Vec3<double>& slip, double along) {
+    sums_.sliding[view::kSlidingN] += pressure;
+    for (std::size_t c = 0; c < 3; ++c) {
+      sums_.sliding[view::kSlidingSlip + c] += pressure * stretch[static_cast<Eigen::Index>(c)];
+      sums_.sliding[view::kSlidingArm + c] += pressure * r[static_cast<Eigen::Index>(c)];
+    }
+    const Vec3<double> turned = physics::cross<double>(r, slip);
+    const double u[6] = {slip[0], slip[1], slip[2], turned[0], turned[1], turned[2]};
+    add_outer(sums_.along_slip, u, along);
+  }
+
+ private:
+  TM_HOST_DEVICE static void add_outer(double (&triangle)[view::kBalanceTriangle], const double (&u)[6], double s) {
+    std::size_t i = 0;
+    for (int row = 0; row < 6; ++row) {
+      for (int column = row; column < 6; ++column, ++i) triangle[i] += u[row] * u[column] * s;
+    }
+  }
+
+  view::BalanceSums sums_{};
+};
+
+/// Adds a row of a free body: its momentum, gravity, loads and mass damping.
+template <class Real>
+TM_HOST_DEVICE void add_row(const view::StateView<Real>& state, const view::BalanceView<Real>& balance,
+                            const Vec3<Real>& center, std::uint32_t row, Balance& out) {
+  const Real h = view::step_size(state), mass = state.inertia[std::size_t{4} * row];
+  const Real damping = state.inertia[std::size_t{4} * row + 1];
+  const Vec3<double> r = (view::position(state, row) - center).template cast<double>();
+  const Vec3<Real> v = view::load3<Real>(state.velocity, row), start = view::load3<Real>(balance.start_velocity, row);
+  out.add_impulse(r, (start - v).template cast<double>() * static_cast<double>(mass) -
+                         v.template cast<double>() * static_cast<double>(h * damping * mass));
+  const double resisting = static_cast<double>(mass) * (1 + static_cast<double>(h * damping));
+  out.add_stiffness(r, Mat3<double>::Identity() * resisting, r);
+  if (state.external == nullptr) return;
+  const Vec3<double> impulse = view::load3<Real>(state.external, row).template cast<double>() * static_cast<double>(h);
+  out.add_impulse(r, impulse);
+  out.add_size(impulse);
+}
+
+/// Adds a contact of a tool with a triangle of a free body.
+template <class Real>
+TM_HOST_DEVICE void add_contact(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                const Vec3<Real>& center, std::size_t place, std::uint32_t triangle, Real friction,
+                                Balance& out) {
+  const view::TriangleContact<Real>& touch = contact.contacts[place];
+  if (!touches(touch)) return;
+  const ContactPoint<Real> at(state, contact, triangle, touch);
+  const Corners<Real> now = corners_of(state, contact, triangle), change = at.change_made();
+  const double h = static_cast<double>(view::step_size(state));
+  const double factor = static_cast<double>(view::contact_factor(state));
+  const Vec3<Real> n = at.normal();
+  const Real pressure = at.pressure_after(change);
+  const Vec3<double> r = (now.at(at.weights()) - center).template cast<double>();
+  Vec3<Real> push = n * pressure;
+  Mat3<Real> k = n * n.transpose() * touch.stiffness;
+  if (friction > 0) {
+    const Vec3<Real> stretch = stretch_of(at, contact.frictions[place]);
+    const CoulombForce<Real> drag = coulomb_force(touch.stiffness, friction, stretch, pressure);
+    push += drag.force;
+    k += (Mat3<Real>::Identity() - n * n.transpose() - drag.slip * drag.slip.transpose()) * drag.stick;
+    if (drag.along > 0) {
+      out.add_sliding(r, static_cast<double>(pressure), stretch.template cast<double>(),
+                      drag.slip.template cast<double>(), static_cast<double>(drag.along) * factor);
+    }
+  }
+  const Vec3<double> impulse = push.template cast<double>() * h;
+  out.add_impulse(r, impulse);
+  out.add_size(impulse);
+  out.add_stiffness(r, k.template cast<double>() * factor, r);
+
+  const Tilt<Real> tilt(at.corners_before(), touch);
+  if (!(tilt.stiffness() > 0)) return;
+  const Vec3<Real> tilted = tilt.of(change);
+  for (int c = 0; c < 3; ++c) {
+    out.add_impulse((now.x[c] - center).template cast<double>(), tilt.force(c, tilted).template cast<double>() * h);
+  }
+  // The tilt of the six rigid motions.
+  Vec3<Real> of_motion[6];
+  for (int i = 0; i < 6; ++i) {
+    Corners<Real> motion;
+    for (int c = 0; c < 3; ++c) {
+      const Vec3<Real> axis = Vec3<Real>::Unit(i % 3);
+      motion.x[c] = i < 3 ? axis : physics::cross<Real>(axis, now.x[c] - center);
+    }
+    of_motion[i] = tilt.of(motion);
+  }
+  for (int c = 0; c < 3; ++c) {
+    double u[6];
+    for (int i = 0; i < 6; ++i) u[i] = static_cast<double>(of_motion[i][c]);
+    out.add_stiffness(u, static_cast<double>(tilt.stiffness()) * factor);
+  }
+}
+
+/// Adds the ties of a row of a free body.
+template <class Real>
+TM_HOST_DEVICE void add_ties(const view::StateView<Real>& state, const view::TiesView<Real>& ties,
+                             const view::BalanceView<Real>& balance, const Vec3<Real>& center, std::uint32_t row,
+                             Balance& out) {
+  using std::abs;
+  const double h = static_cast<double>(view::step_size(state));
+  const double factor = static_cast<double>(view::contact_factor(state));
+  const auto arm_of = [&](std::uint32_t of_row) -> Vec3<Real> { return view::position(state, of_row) - center; };
+  for_each_tie(ties, row, [&](const view::Tie<Real>& tie, std::uint32_t role) {
+    const Vec3<double> r = arm_of(row).template cast<double>();
+    const auto made = [&](std::uint32_t of_row) { return view::change_made_to_end(state, of_row); };
+    const Vec3<double> impulse =
+        force_after(tie, made).template cast<double>() * (h * static_cast<double>(tie.weight[role]));
+    out.add_impulse(r, impulse);
+    out.add_size(impulse);
+    // What the other rows of the tie that move with this body add to its motion.
+    Real weight = 0;
+    Vec3<Real> arm = Vec3<Real>::Zero();
+    for (std::uint32_t other = 0; other < 4; ++other) {
+      if (tie.weight[other] == 0 || balance.row_body[tie.rows[other]] != balance.row_body[row]) continue;
+      weight += tie.weight[other];
+      arm += arm_of(tie.rows[other]) * tie.weight[other];
+    }
+    if (!(abs(weight) > Real(1e-3))) return;  // the tie is within the body
+    const Vec3<Real> n(tie.normal[0], tie.normal[1], tie.normal[2]);
+    const Mat3<Real> k = Mat3<Real>::Identity() * tie.across + n * n.transpose() * (tie.stiffness - tie.across);
+    out.add_stiffness(r, k.template cast<double>() * (factor * static_cast<double>(tie.weight[role] * weight)),
+                      (arm / weight).template cast<double>());
+  });
+}
+
+/// Sums what is missing in the motion of each free body, over a patch.
+/// Reads displacement, velocity, start_velocity, contacts, friction, ties; writes sums.
+template <class Team, class Real>
+TM_HOST_DEVICE void measure_balance(Team& team, const view::PatchesView& patches, const view::StateView<Real>& state,
+                                    const view::ContactView<Real>& contact, const view::TiesView<Real>& ties,
+                                    const view::BalanceView<Real>& balance) {
+  const view::Patch patch = view::patch_of(patches, team.patch());
+  for (std::uint32_t entry = balance.patch_entries[patch.index]; entry < balance.patch_entries[patch.index + 1];
+       ++entry) {
+    const std::uint32_t body = balance.entry_body[entry];
+    const Vec3<Real> center = view::position(state, balance.center_rows[body]);
+    Balance own;
+    team.for_each(patch.row_begin, patch.row_end, [&](std::uint32_t row) {
+      if (balance.row_body[row] == body) add_row(state, balance, center, row, own);
+    });
+    if (contact.tool_count > 0) {
+      team.for_each(contact.patch_triangles[patch.index], contact.patch_triangles[patch.index + 1],
+                    [&](std::uint32_t triangle) {
+                      if (balance.row_body[contact.triangle_rows[std::size_t{3} * triangle]] != body) return;
+                      for (std::uint32_t t = 0; t < contact.tool_count; ++t) {
+                        const physics::PlacedTool<Real>& tool = contact.tools[t];
+                        for (std::uint32_t point = 0; point < tool.contact_points; ++point) {
+                          add_contact(state, contact, center, contact_place(contact, tool, point, triangle), triangle,
+                                      tool.friction, own);
+                        }
+                      }
+                    });
+    }
+    if (ties.count() > 0) {
+      team.for_each(ties.patch_rows[patch.index], ties.patch_rows[patch.index + 1], [&](std::uint32_t i) {
+        if (balance.row_body[ties.rows[i]] == body) add_ties(state, ties, balance, center, ties.rows[i], own);
+      });
+    }
+    view::BalanceSums& sums = own.sums();
+    team.patch_sum(sums.defect);
+    team.patch_sum(sums.sliding);
+    team.patch_sum(sums.stiffness);
+    team.patch_sum(sums.along_slip);
+    if (team.leads_patch()) balance.sums[entry] = sums;
+  }
+}
+
+/// Solves S c = d by S = L Lᵀ. Returns whether S is positive definite. triangle: the upper one of S
+TM_HOST_DEVICE inline bool solve_rigid(const double (&triangle)[view::kBalanceTriangle], const double (&d)[6],
+                                       double (&c)[6]) {
+  using std::sqrt;
+  double l[6][6];
+  std::size_t place = 0;
+  for (int column = 0; column < 6; ++column) {
+    for (int row = column; row < 6; ++row, ++place) {
+      double sum = triangle[place];
+      for (int i = 0; i < column; ++i) sum -= l[row][i] * l[column][i];
+      if (row == column) {
+        if (!(sum > 0)) return false;
+        l[row][row] = sqrt(sum);
+      } else {
+        l[row][column] = sum / l[column][column];
+      }
+    }
+  }
+  for (int row = 0; row < 6; ++row) {
+    double sum = d[row];
+    for (int i = 0; i < row; ++i) sum -= l[row][i] * c[i];
+    c[row] = sum / l[row][row];
+  }
+  for (int row = 5; row >= 0; --row) {
+    double sum = c[row];
+    for (int i = row + 1; i < 6; ++i) sum -= l[i][row] * c[i];
+    c[row] = sum / l[row][row];
+  }
+  return true;
+}
+
+/// Finds the correction of a free body. h: motion at the end of the step over the velocity that makes it.
+template <class Real>
+TM_HOST_DEVICE view::BodyCorrection<Real> correction_by(const view::BalanceSums& total, double h) {
+  double c[6] = {0, 0, 0, 0, 0, 0};
+  view::BodyCorrection<Real> out{};
+  if (!solve_rigid(total.stiffness, total.defect, c)) return out;
+  if (const double pressure = total.sliding[view::kSlidingN]; pressure > 0) {
+    const auto mean = [&](std::size_t first) -> Vec3<double> {
+      return Vec3<double>(total.sliding[first], total.sliding[first + 1], total.sliding[first + 2]) / pressure;
+    };
+    const Vec3<double> slip = mean(view::kSlidingSlip), spin(c[3], c[4], c[5]);
+    const Vec3<double> motion =
+        (Vec3<double>(c[0], c[1], c[2]) + physics::cross<double>(spin, mean(view::kSlidingArm))) * h;
+    if (motion.dot(slip) > slip.dot(slip)) {
+      double stiffness[view::kBalanceTriangle];
+      for (std::size_t i = 0; i < view::kBalanceTriangle; ++i) stiffness[i] = total.stiffness[i] + total.along_slip[i];
+      solve_rigid(stiffness, total.defect, c);
+      out.with_along = 1;
+    }
+  }
+  for (int i = 0; i < 3; ++i) {
+    out.velocity[i] = static_cast<Real>(c[i]);
+    out.spin[i] = static_cast<Real>(c[3 + i]);
+  }
+  return out;
+}
+
+/// Adds the sums of the patches and finds the correction of each free body. Bodies are shared out among patches.
+/// Reads sums, displacement; writes totals, corrections, reports.
+template <class Team, class Real>
+TM_HOST_DEVICE void solve_balance(const Team& team, const view::PatchesView& patches,
+                                  const view::StateView<Real>& state, const view::BalanceView<Real>& balance) {
+  using std::sqrt;
+  for (std::uint32_t body = team.patch(); body < balance.body_count; body += patches.patch_count) {
+    double* total = reinterpret_cast<double*>(balance.totals + body);
+    team.for_each(0, static_cast<std::uint32_t>(view::kBalanceSums), [&](std::uint32_t i) {
+      double sum = 0;
+      for (std::uint32_t at = balance.body_begin[body]; at < balance.body_begin[body + 1]; ++at) {
+        sum += reinterpret_cast<const double*>(balance.sums + balance.body_entries[at])[i];
+      }
+      total[i] = sum;
+    });
+    team.sync();
+    if (!team.leads_patch()) continue;
+    const view::BalanceSums& sums = balance.totals[body];
+    view::BodyCorrection<Real> correction =
+        correction_by<Real>(sums, static_cast<double>(view::step_size(state) * state.control->scheme.reach));
+    const Vec3<Real> center = view::position(state, balance.center_rows[body]);
+    for (int c = 0; c < 3; ++c) correction.center_m[c] = center[c];
+    balance.corrections[body] = correction;
+    double squared = 0;
+    for (int c = 0; c < 3; ++c) squared += sums.defect[c] * sums.defect[c];
+    balance.reports[body] = {static_cast<Real>(sqrt(squared)), static_cast<Real>(sums.sliding[view::kSizeOfImpulses])};
+  }
+}
+
+/// Returns w + ω × r.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> velocity_at(const view::BodyCorrection<Real>& correction, const Vec3<Real>& r) {
+  const Vec3<Real> velocity(correction.velocity[0], correction.velocity[1], correction.velocity[2]);
+  return velocity + physics::cross<Real>({correction.spin[0], correction.spin[1], correction.spin[2]}, r);
+}
+
+/// Returns how far a correction has moved a point of its body that is now at x [m].
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> moved_by(const view::BodyCorrection<Real>& correction, const Vec3<Real>& x, Real h) {
+  const Vec3<Real> center(correction.center_m[0], correction.center_m[1], correction.center_m[2]);
+  const Vec3<Real> velocity(correction.velocity[0], correction.velocity[1], correction.velocity[2]);
+  const Vec3<Real> turn = Vec3<Real>(correction.spin[0], correction.spin[1], correction.spin[2]) * h;
+  // x = center + r + h w + turn × r, solved for r.
+  const Vec3<Real> y = x - center - velocity * h;
+  const Vec3<Real> r = (y + turn * turn.dot(y) - physics::cross<Real>(turn, y)) / (1 + turn.dot(turn));
+  return velocity_at(correction, r) * h;
+}
+
+/// Returns the friction that a contact of a free body has received, after the correction [N].
+///
+///   stretch, pressure   ξ and N at the end of the step
+///   x                   the contact point there
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> balanced_friction(const ContactPoint<Real>& at, const view::BodyCorrection<Real>& correction,
+                                            Real friction, const Vec3<Real>& stretch, Real pressure,
+                                            const Vec3<Real>& x) {
+  const Vec3<Real> moved = moved_by(correction, x, view::step_size(at.state)) * at.state.control->scheme.reach;
+  const Real before = pressure + at.touch.stiffness * at.normal().dot(moved);
+  const Vec3<Real> across = at.tangential(moved);
+  return coulomb_force<Real>(at.touch.stiffness, friction, stretch + across, before)
+      .after(across, correction.with_along != 0);
+}
+
+}  // namespace tensormass::contact

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "core/scalar.h"
+
+/// Free bodies, whose momentum each step balances (contact/balance.h). In a scene without them all pointers are nullptr
+/// and all counts zero.
+///
+///   entry   a free body in a patch that has rows of it
+namespace tensormass::view {
+
+inline constexpr std::uint32_t kNoBody = 0xFFFFFFFFu;
+
+/// Entries of the upper triangle of a symmetric 6 × 6 matrix, row by row.
+inline constexpr std::size_t kBalanceTriangle = 21;
+
+/// What BalanceSums::sliding holds.
+enum SlidingSum : std::size_t {
+  kSlidingN,           // Σ N over contacts that slide
+  kSlidingSlip,        // Σ N ξ, three numbers
+  kSlidingArm = 4,     // Σ N r, three numbers
+  kSizeOfImpulses = 7  // sum of the sizes of all impulses [N s]
+};
+
+/// Sums over a free body. Moments are about its centre row. Doubles: momentum and impulse nearly cancel.
+struct BalanceSums {
+  double defect[6];                     // impulse and moment of impulse that are missing in the motion [N s, N m s]
+  double sliding[8];                    // SlidingSum
+  double stiffness[kBalanceTriangle];   // what resists a rigid motion of the body: mass, and h² times that of contacts
+  double along_slip[kBalanceTriangle];  // the same, only of the secant of friction along the slip
+};
+inline constexpr std::size_t kBalanceSums = sizeof(BalanceSums) / sizeof(double);
+
+/// The rigid motion that is added to a free body.
+template <class Real>
+struct BodyCorrection {
+  Real velocity[3];  // that of the centre row [m/s]
+  Real spin[3];      // [rad/s]
+  Real center_m[3];  // position of the centre row after the solve
+  Real with_along;   // 1: friction counts with its resistance along the slip, which never reverses it
+};
+
+/// What the solve left in the motion of a free body in the last step.
+template <class Real>
+struct BalanceReport {
+  Real defect_n_s;   // size of the impulse that was missing
+  Real impulse_n_s;  // sum of the sizes of all impulses on the body
+};
+
+template <class Real>
+struct BalanceView {
+  std::uint32_t body_count;  // free bodies
+
+  const std::uint32_t* row_body;       // [row_count] free body of a row, or kNoBody
+  const std::uint32_t* center_rows;    // [body_count] a row near the middle of the body
+  const std::uint32_t* patch_entries;  // [patch_count + 1] entries of a patch
+  const std::uint32_t* entry_body;     // [entry]
+  const std::uint32_t* body_begin;     // [body_count + 1] into body_entries
+  const std::uint32_t* body_entries;   // [entry] entries, body by body
+
+  Real* start_velocity;               // [row_count, 4] v̂ of rows of free bodies
+  BalanceSums* sums;                  // [entry]
+  BalanceSums* totals;                // [body_count]
+  BodyCorrection<Real>* corrections;  // [body_count]
+  BalanceReport<Real>* reports;       // [body_count]
+};
+
+}  // namespace tensormass::view
