@@ -11,7 +11,7 @@ Each row compares one number with what mechanics says, whatever the law and the 
     held       a tool pressed 1 mm into a block on a held base: nothing moves, and the base carries what it reports
     tray       a cube falls by 10 cm on a box of 5 or 20 mm: it stays on it
 
-A row that is not within its bound is printed as `off`. docs/decisions/contact.md has the worst of each situation.
+A row that is not within its bound is printed as `off`; a table of the worst row of each situation and shape follows.
 """
 
 from __future__ import annotations
