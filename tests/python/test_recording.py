@@ -52,14 +52,17 @@ def command(*args: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[s
     return status, json.loads(capsys.readouterr().out)
 
 
-def wait_for_steps(path: Path, count: int) -> None:
+def wait_for_steps(path: Path, count: int, process: subprocess.Popen[str]) -> None:
     deadline = time.monotonic() + 3 * DEADLINE_S
     while time.monotonic() < deadline:
         with contextlib.suppress(tm.TensormassError):
             if sum(entry.channel == "/inputs" for entry in RecordingReader(path).entries()) >= count:
                 return
+        if process.poll() is not None:
+            pytest.fail(f"`tensormass record` ended: {''.join(process.communicate())}")
         time.sleep(0.05)
-    pytest.fail(f"{path} has not got {count} steps")
+    process.kill()
+    pytest.fail(f"{path} has not got {count} steps; it said {''.join(process.communicate())}")
 
 
 def address_of(process: subprocess.Popen[str]) -> str:
@@ -132,7 +135,7 @@ def test_two_clients_and_a_kill_leave_a_recording_that_replays(
         for client in clients:
             client.start()
         try:
-            wait_for_steps(path, 400)
+            wait_for_steps(path, 400, process)
         finally:
             ends.set()
             for client in clients:
@@ -171,7 +174,7 @@ def test_a_recording_says_how_it_ends_and_that_it_lacks_checks(
 def test_ctrl_c_ends_a_recording_properly(scene_file: Path) -> None:
     path = scene_file.with_name("block.mcap")
     with recording(path, "--backend", "cpu", "--json") as process:
-        wait_for_steps(path, 20)
+        wait_for_steps(path, 20, process)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=DEADLINE_S)
     assert (process.returncode, err) == (0, "")
