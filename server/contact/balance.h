@@ -83,7 +83,6 @@ TM_HOST_DEVICE void begin_balance(const Team& team, const view::PatchesView& pat
 /// The sums of an entry while they are gathered.
 class Balance {
  public:
-  TM_HOST_DEVICE const view::BalanceSums& sums() const { return sums_; }
   TM_HOST_DEVICE view::BalanceSums& sums() { return sums_; }
 
   /// Adds an impulse at r [N s].

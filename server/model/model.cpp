@@ -4,6 +4,17 @@
 
 namespace tensormass::model {
 
+namespace {
+
+/// Returns the place of the last body that begins at an item or before it. begin: where each body's items begin.
+std::size_t body_of(const std::vector<BodyModel>& bodies, std::uint32_t BodyModel::*begin, std::uint32_t item) {
+  const auto after = std::upper_bound(bodies.begin(), bodies.end(), item,
+                                      [&](std::uint32_t i, const BodyModel& body) { return i < body.*begin; });
+  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+}
+
+}  // namespace
+
 double Schedule::at(double time) const {
   if (empty()) return 1;
   const auto after = std::upper_bound(time_s.begin(), time_s.end(), time);
@@ -14,16 +25,10 @@ double Schedule::at(double time) const {
   return factor[i - 1] + share * (factor[i] - factor[i - 1]);
 }
 
-std::size_t Model::body_of_node(std::uint32_t node) const {
-  const auto after = std::upper_bound(bodies.begin(), bodies.end(), node,
-                                      [](std::uint32_t n, const BodyModel& body) { return n < body.node_begin; });
-  return static_cast<std::size_t>(after - bodies.begin()) - 1;
-}
+std::size_t Model::body_of_node(std::uint32_t node) const { return body_of(bodies, &BodyModel::node_begin, node); }
 
 std::size_t Model::body_of_element(std::uint32_t element) const {
-  const auto after = std::upper_bound(bodies.begin(), bodies.end(), element,
-                                      [](std::uint32_t e, const BodyModel& body) { return e < body.element_begin; });
-  return static_cast<std::size_t>(after - bodies.begin()) - 1;
+  return body_of(bodies, &BodyModel::element_begin, element);
 }
 
 }  // namespace tensormass::model

@@ -34,7 +34,8 @@ struct StepResult {
   std::uint32_t touching_nodes = 0;  ///< nodes that touch a body
   double deepest_contact_m = 0;      ///< largest penetration of one body into another
   std::uint32_t broken_springs = 0;  ///< springs of attachments that have broken since the start
-  /// Largest share of its impulses by which the momentum of a free body was off after the solve (contact/balance.h).
+  /// Largest share of its impulses by which the momentum of a free body was off before its last correction
+  /// (contact/balance.h).
   double momentum_error = 0;
   /// False: Newton's method ended above its tolerance, and its last increment would still have moved a node.
   bool converged = true;

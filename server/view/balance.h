@@ -42,7 +42,7 @@ struct BodyCorrection {
   Real with_along;   // 1: friction counts with its resistance along the slip, which never reverses it
 };
 
-/// What the solve left in the motion of a free body in the last step.
+/// The error in the motion of a free body before the last pass of its balance.
 template <class Real>
 struct BalanceReport {
   Real defect_n_s;   // size of the impulse that was missing
