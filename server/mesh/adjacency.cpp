@@ -73,12 +73,14 @@ Rows vertex_triangles(std::span<const Triangle> triangles, std::uint32_t vertex_
 
 Result<std::vector<std::array<std::uint32_t, 3>>> triangle_neighbours(std::span<const Triangle> triangles,
                                                                       std::string_view what) {
-  using Edge = std::pair<std::uint32_t, std::uint32_t>;  // from, to
-  const auto edge_of = [&](std::size_t t, std::size_t c) { return Edge{triangles[t][c], triangles[t][(c + 1) % 3]}; };
-  std::map<Edge, std::uint32_t> edges;
+  using DirectedEdge = std::pair<std::uint32_t, std::uint32_t>;  // from, to
+  const auto edge_of = [&](std::size_t t, std::size_t c) {
+    return DirectedEdge{triangles[t][c], triangles[t][(c + 1) % 3]};
+  };
+  std::map<DirectedEdge, std::uint32_t> edges;
   for (std::uint32_t t = 0; t < triangles.size(); ++t) {
     for (std::size_t c = 0; c < 3; ++c) {
-      const Edge edge = edge_of(t, c);
+      const DirectedEdge edge = edge_of(t, c);
       if (!edges.emplace(edge, t).second) {
         return invalid(
             fmt::format("{}: two triangles run along the edge from vertex {} to vertex {} in the same "
