@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "contact/friction.h"
+#include "contact/line.h"
 #include "contact/surface.h"
 #include "contact/tie.h"
 #include "contact/ties.h"
@@ -188,22 +189,29 @@ TM_HOST_DEVICE void add_contact(const view::StateView<Real>& state, const view::
   out.add_size(impulse);
   out.add_stiffness(r, k.template cast<double>() * factor, r);
 
-  const Tilt<Real> tilt(at.corners_before(), touch);
-  if (!(tilt.stiffness() > 0)) return;
-  const Vec3<Real> tilted = tilt.of(change);
-  for (int c = 0; c < 3; ++c) {
-    out.add_impulse((now.x[c] - center).template cast<double>(), tilt.force(c, tilted).template cast<double>() * h);
-  }
   // The tilt of the six rigid motions.
-  Vec3<Real> of_motion[6];
+  Corners<Real> motions[6];
   for (int i = 0; i < 6; ++i) {
-    Corners<Real> motion;
     for (int c = 0; c < 3; ++c) {
       const Vec3<Real> axis = Vec3<Real>::Unit(i % 3);
-      motion.x[c] = i < 3 ? axis : physics::cross<Real>(axis, now.x[c] - center);
+      motions[i].x[c] = i < 3 ? axis : physics::cross<Real>(axis, now.x[c] - center);
     }
-    of_motion[i] = tilt.of(motion);
   }
+  const auto add_force = [&](int corner, const Vec3<Real>& force) {
+    out.add_impulse((now.x[corner] - center).template cast<double>(), force.template cast<double>() * h);
+  };
+  if (touch.line_stiffness > 0) {
+    const LineTilt<Real> line(touch);
+    double u[6];
+    for (int i = 0; i < 6; ++i) u[i] = static_cast<double>(line.of(motions[i]));
+    for (int c = 0; c < 3; ++c) add_force(c, line.force(c, line.of(change)));
+    out.add_stiffness(u, static_cast<double>(touch.line_stiffness) * factor);
+  }
+  const Tilt<Real> tilt(at.corners_before(), touch);
+  if (!(tilt.stiffness() > 0)) return;
+  for (int c = 0; c < 3; ++c) add_force(c, tilt.force(c, tilt.of(change)));
+  Vec3<Real> of_motion[6];
+  for (int i = 0; i < 6; ++i) of_motion[i] = tilt.of(motions[i]);
   for (int c = 0; c < 3; ++c) {
     double u[6];
     for (int i = 0; i < 6; ++i) u[i] = static_cast<double>(of_motion[i][c]);

@@ -32,6 +32,9 @@
 /// 6. Friction is that of tools (friction.h): a spring across n that yields. Its stretch belongs to the node.
 namespace tensormass::contact {
 
+/// Cosine of the angle up to which two triangles count as parts of one smooth surface: 45°.
+inline constexpr double kSmoothCosine = 0.7;
+
 /// Width of the rim in is_inside, as a part of the reach.
 inline constexpr double kRimInReaches = 0.1;
 
@@ -94,6 +97,26 @@ TM_HOST_DEVICE Vec3<Real> vertex_normal(const view::StateView<Real>& state, cons
     sum += corners_of(state, contact, contact.incidence[4 * i]).normal();
   }
   return sum;
+}
+
+/// Returns the outward normal at a point of a triangle, unit length: linear between normals of its corners, each a mean
+/// over the triangles around the corner that are smooth with this one. It is continuous where the surface is smooth,
+/// and that of the face where the surface has an edge.
+template <class Real>
+TM_HOST_DEVICE Vec3<Real> smooth_normal(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                        std::uint32_t triangle, const Vec3<Real>& weights) {
+  const Vec3<Real> own = unit<Real>(corners_of(state, contact, triangle).normal());
+  Vec3<Real> sum = Vec3<Real>::Zero();
+  for (std::size_t corner = 0; corner < 3; ++corner) {
+    const std::uint32_t vertex = contact.vertex_of_corner[std::size_t{3} * triangle + corner];
+    Vec3<Real> around = Vec3<Real>::Zero();
+    for (std::uint32_t i = contact.incidence_begin[vertex]; i < contact.incidence_begin[vertex + 1]; ++i) {
+      const Vec3<Real> area = corners_of(state, contact, contact.incidence[4 * i]).normal();
+      if (unit<Real>(area).dot(own) > Real(kSmoothCosine)) around += area;
+    }
+    sum += unit<Real>(around) * weights[static_cast<Eigen::Index>(corner)];
+  }
+  return unit<Real>(sum);
 }
 
 /// A point of a surface.
@@ -211,7 +234,7 @@ TM_HOST_DEVICE view::Tie<Real> tie_of_candidate(const view::StateView<Real>& sta
       nearest_points(state, contact, ties, vertex, ties.side_groups + std::size_t{3} * side, reach);
   const SurfacePoint<Real>& point = nearest.facing;
   if (point.triangle == view::kNoTriangle) return tie;
-  const Vec3<Real> face = unit<Real>(corners_of(state, contact, point.triangle).normal());
+  const Vec3<Real> face = smooth_normal(state, contact, point.triangle, point.weights);
   const bool inside = is_inside(state, contact, nearest, face, reach);
   const Real distance = sqrt(point.way.dot(point.way));
   const Real depth = numbers[view::kSideDistance] - (inside ? face.dot(point.way) : distance);

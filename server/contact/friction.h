@@ -26,6 +26,10 @@
 ///    is kept in the frame of the tool's shape, and turns with the tool, though not with a joint.
 namespace tensormass::contact {
 
+/// Part of the secant along the slip that Newton's method leaves out of the matrix. Friction at Coulomb's limit does
+/// not grow along the slip; the rest keeps a body that only friction holds from a singular system.
+inline constexpr double kIteratedSlip = 0.95;
+
 /// Returns the factor that takes a spring's force to Coulomb's limit: 1 where it sticks, most / (k |ξ|) where it
 /// slides. most: μ N [N].
 template <class Real>

@@ -17,16 +17,21 @@
 ///    corner while the triangle tilts, and the triangle would rock for ever. The corners carry a pressure that changes
 ///    linearly over the triangle exactly.
 /// 2. Point 4 finds what the corners miss: an edge or a tip of the solid between them.
-/// 3. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
+/// 3. Contacts are decided where a step begins. A point that would fall more than a quarter of the solid's thickness in
+///    the step could come out on its other side before any step has seen it inside. Such a point touches the face that
+///    its way enters, across the gap.
+/// 4. A side of the tissue that stands on a table touches it with its lower corners, but carries nothing. Therefore the
 ///    area towards the solid counts.
 namespace tensormass::contact {
 
 /// A point of a triangle that touches a tool.
 template <class Real>
 struct Touch {
-  Real depth_m = 0;  // not positive: it does not touch, or keeps a force across a gap
-  Real lever_m = 0;  // view::TriangleContact::lever_m
-  Real share = 1;    // part of the triangle's area that it carries
+  Real depth_m = 0;     // not positive: it does not touch, or acts across a gap that closes in the step
+  Real lever_m = 0;     // view::TriangleContact::lever_m
+  Real share = 1;       // part of the triangle's area that it carries
+  Real line_share = 0;  // view::TriangleContact::line_stiffness, as a part of that of the whole triangle
+  Vec3<Real> line = Vec3<Real>::Zero();  // view::TriangleContact::line
   Vec3<Real> weights = Vec3<Real>::Zero();
   Vec3<Real> normal = Vec3<Real>::Zero();
 };
@@ -67,28 +72,63 @@ TM_HOST_DEVICE Vec3<Real> nearest_to_middle(const physics::PlacedTool<Real>& too
   return best;
 }
 
+/// Returns how a point that is outside a solid touches the face through which it falls into it.
+///
+///   x, way    the point, and how it moves to the end of the step if nothing touches it [m]
+///   facing    unit normal of its triangle
+template <class Kind, class Real>
+TM_HOST_DEVICE Touch<Real> entered_face(const physics::PlacedTool<Real>& tool, const Vec3<Real>& x,
+                                        const Vec3<Real>& way, const Vec3<Real>& facing) {
+  using std::sqrt;
+  constexpr int kSteps = 16;
+  Touch<Real> touch;
+  const Real middle = Kind::middle_m(tool), length = sqrt(way.dot(way));
+  if (!(middle > 0 && length > middle / 2)) return touch;  // nothing passes through a plane
+  Real along = 0;                                          // a distance changes by at most the way
+  for (int i = 0; i < kSteps; ++i) {
+    const Real distance = Kind::distance(tool, Vec3<Real>(x + way * (along / length)));
+    if (!(distance > middle / 64)) break;
+    along += distance;
+    if (along > length) return touch;
+  }
+  const Vec3<Real> entry = x + way * (along / length);
+  touch.normal = way_out<Kind>(tool, entry);
+  touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
+  touch.depth_m = touch.normal.dot(entry - x);
+  return touch;
+}
+
 /// Visits the contact points of a solid on a triangle.
 ///
+///   ahead                 how the corners move to the end of the step if nothing touches them [m]
+///   area                  the triangle's, at rest [m²]
 ///   kept(point)           depth by which a contact with all of the triangle's area counts as deeper than it is [m]
 ///   visit(point, touch)   is called once for each of them, in order; touch.depth_m is positive where it touches. Where
 ///                         it keeps a force, it may be negative; touch.normal is zero where there is nothing to keep
 template <class Kind, class Real, class Kept, class Visit>
 TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& tool, const Corners<Real>& corners,
-                                            const Kept& kept, const Visit& visit) {
+                                            const Corners<Real>& ahead, Real area, const Kept& kept,
+                                            const Visit& visit) {
   using std::sqrt;
   static_assert(Kind::kContactPoints == 4);
   const Vec3<Real> centroid = corners.at(Vec3<Real>::Constant(Real(1) / 3));
   Real size_squared = 0;
   for (const Vec3<Real>& x : corners.x) size_squared = maximum(size_squared, (x - centroid).dot(x - centroid));
+  Real way_squared = 0;
+  for (const Vec3<Real>& way : ahead.x) way_squared = maximum(way_squared, way.dot(way));
   // A distance changes by at most the way.
-  const bool far = Kind::distance(tool, centroid) > sqrt(size_squared);
+  const bool far = Kind::distance(tool, centroid) > sqrt(size_squared) + sqrt(way_squared);
   const Vec3<Real> facing = far ? Vec3<Real>(Vec3<Real>::Zero()) : unit<Real>(corners.normal());
   const auto touch_at = [&](std::uint32_t point, const Vec3<Real>& weights) {
     Touch<Real> touch;
     if (far) return touch;
     const Vec3<Real> x = corners.at(weights);
     const Real depth = -Kind::distance(tool, x), kept_m = kept(point);
-    if (!(depth > 0 || kept_m > 0)) return touch;
+    if (!(depth > 0 || kept_m > 0)) {
+      touch = entered_face<Kind>(tool, x, ahead.at(weights), facing);
+      touch.weights = weights;
+      return touch;
+    }
     touch.normal = way_out<Kind>(tool, x);
     touch.share = -touch.normal.dot(facing) / Kind::kContactPoints;
     if (!(touch.share > 0)) return touch;
@@ -102,7 +142,11 @@ TM_HOST_DEVICE void for_each_touch_of_solid(const physics::PlacedTool<Real>& too
     const auto point = static_cast<std::uint32_t>(c);
     visit(point, touch_at(point, corner));
   }
-  visit(std::uint32_t{3}, far ? Touch<Real>{} : touch_at(3, nearest_to_middle<Kind>(tool, corners)));
+  if (far) return visit(std::uint32_t{3}, Touch<Real>{});
+  const Real thickness = 2 * Kind::middle_m(tool);
+  const bool small = thickness == 0 || sqrt(2 * area) <= thickness;
+  visit(std::uint32_t{3},
+        touch_at(3, small ? Vec3<Real>(Vec3<Real>::Constant(Real(1) / 3)) : nearest_to_middle<Kind>(tool, corners)));
 }
 
 }  // namespace tensormass::contact

@@ -82,7 +82,9 @@ class Tilt {
     return row(corner).transpose() * tilt * -stiffness_;
   }
   /// Returns the sum of the forces on the three corners, for a value of `of` [N]. It acts at c.
-  TM_HOST_DEVICE Vec3<Real> total_force(const Vec3<Real>& tilt) const { return tilt * (-stiffness_ * inverse_lever_); }
+  TM_HOST_DEVICE Vec3<Real> total_force(const Vec3<Real>& tilt) const {
+    return free_ * tilt * (-stiffness_ * inverse_lever_);
+  }
   /// Returns the stiffness against a value of `of` [N m].
   TM_HOST_DEVICE Real stiffness() const { return stiffness_; }
   /// Returns the stiffness between two corners [N/m]; all zero if p is at a corner, or c behind the surface.

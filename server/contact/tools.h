@@ -4,6 +4,7 @@
 
 #include "contact/balance.h"
 #include "contact/friction.h"
+#include "contact/line.h"
 #include "contact/solid.h"
 #include "contact/surface.h"
 #include "contact/tilt.h"
@@ -194,9 +195,10 @@ struct CoreDepths {
 template <class Kind, class Real>
 TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
                                          const CoreDepths<Kind, Real>& core_depths, const Corners<Real>& corners,
-                                         Real kept_m) {
+                                         Real kept_m, Real ahead) {
   using std::sqrt;
   Touch<Real> deepest;
+  Real place = 0;
   if (kept_m > 0) deepest.depth_m = -tool.radius_m;
   const auto consider = [&](const Vec3<Real>& candidate, const physics::CorePoint<Real>& core) {
     const Vec3<Real> away = corners.at(candidate) - core.position;
@@ -207,12 +209,17 @@ TM_HOST_DEVICE Touch<Real> touch_of_thin(const physics::PlacedTool<Real>& tool,
     const Real depth = tool.radius_m + (behind ? 2 * inside : Real(0)) - distance + kept_m;
     if (!(depth > deepest.depth_m)) return;
     deepest.depth_m = depth;
+    place = core.place;
     deepest.lever_m = behind ? Real(0) : distance;
     deepest.weights = candidate;
     deepest.normal = distance > Real(1e-6) * tool.radius_m ? Vec3<Real>(away * ((behind ? -1 : 1) / distance))
                                                            : Vec3<Real>(-unit<Real>(corners.normal()));
   };
   Kind::for_each_candidate(tool, corners.x[0], corners.x[1], corners.x[2], consider);
+  if constexpr (Kind::kCorePoints > 1) {
+    if (deepest.depth_m > 0 && deepest.lever_m > 0)
+      return along_line<Kind>(tool, corners, deepest, place, kept_m, ahead);
+  }
   return deepest;
 }
 
@@ -253,25 +260,57 @@ TM_HOST_DEVICE Touch<Real> hardened(Touch<Real> touch, Real kept, const physics:
   const Real pressure = depth + length * (x * x / left + steeper * (beyond - x));
   touch.depth_m = (pressure + kept) / slope;
   touch.share *= slope;
+  touch.line_share *= slope;
   return touch;
 }
 
-/// Returns whether a contact that keeps its force, and whose gap is larger than that force bridges, closes within the
-/// step: by the present velocities, gravity and loads.
+/// Returns how the corners of a triangle move to the end of the step if nothing touches them: by the present
+/// velocities, gravity and loads [m].
+template <class Real>
+TM_HOST_DEVICE Corners<Real> motion_ahead(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                          std::uint32_t triangle) {
+  const Real h = view::step_size(state);
+  Corners<Real> motion;
+  for (std::size_t c = 0; c < 3; ++c) {
+    const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
+    motion.x[c] = view::change_ahead_to_end(state, row);
+    const Real mass = state.inertia[std::size_t{4} * row];
+    if (state.external != nullptr && mass > 0) {
+      motion.x[c] += view::load3<Real>(state.external, row) * (h * h / mass);
+    }
+  }
+  return motion;
+}
+
+/// Returns whether a contact with a gap closes within the step.
 template <class Real>
 TM_HOST_DEVICE bool closes(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                            std::uint32_t triangle, const Touch<Real>& touch) {
   if (!(touch.share > 0) || touch.normal.dot(touch.normal) == 0) return false;
+  return touch.depth_m > touch.normal.dot(motion_ahead(state, contact, triangle).at(touch.weights));
+}
+
+/// Returns the stiffness at which a spring and the mass of a contact point have a period of about six steps [N/m].
+template <class Real>
+TM_HOST_DEVICE Real inertial_stiffness(const view::StateView<Real>& state, const view::ContactView<Real>& contact,
+                                       std::uint32_t triangle, const Vec3<Real>& weights) {
   const Real h = view::step_size(state);
-  Vec3<Real> motion = Vec3<Real>::Zero();
+  Real mass = 0;
   for (std::size_t c = 0; c < 3; ++c) {
     const std::uint32_t row = contact.triangle_rows[std::size_t{3} * triangle + c];
-    Vec3<Real> of_row = view::change_ahead_to_end(state, row);
-    const Real mass = state.inertia[std::size_t{4} * row];
-    if (state.external != nullptr && mass > 0) of_row += view::load3<Real>(state.external, row) * (h * h / mass);
-    motion += of_row * touch.weights[static_cast<Eigen::Index>(c)];
+    mass += state.inertia[std::size_t{4} * row] * weights[static_cast<Eigen::Index>(c)];
   }
-  return touch.depth_m > touch.normal.dot(motion);
+  return mass / (h * h);
+}
+
+/// Returns the stiffness of a contact that keeps its force, at least `least`, and changes the depth so that it keeps
+/// the same force. A kept force does not depend on the stiffness, but its update once a step is stable only if the
+/// spring is stiffer than the mass in front of it.
+template <class Real>
+TM_HOST_DEVICE Real stiffened(Touch<Real>& touch, Real stiffness, Real kept_n, Real least) {
+  if (!(stiffness > 0 && stiffness < least)) return stiffness;
+  if (kept_n > 0) touch.depth_m += kept_n / least - kept_n / stiffness;
+  return least;
 }
 
 /// Computes each triangle's contacts with one tool.
@@ -279,10 +318,14 @@ template <class Kind, class Team, class Real>
 TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::PatchesView& patches,
                                            const view::StateView<Real>& state, const view::ContactView<Real>& contact,
                                            const physics::PlacedTool<Real>& tool) {
-  const auto store = [&](std::uint32_t triangle, std::uint32_t point, const Corners<Real>& corners,
-                         const Touch<Real>& touch) {
+  const auto store = [&](std::uint32_t triangle, std::uint32_t point, const Corners<Real>& corners, Touch<Real> touch) {
     const std::size_t place = contact_place(contact, tool, point, triangle);
     view::TriangleContact<Real>& out = contact.contacts[place];
+    Real stiffness = whole_stiffness(contact, tool, triangle) * touch.share;
+    if (tool.keeps_force != 0) {
+      stiffness = stiffened(touch, stiffness, tool.presence * contact.slips[4 * place + 3],
+                            inertial_stiffness(state, contact, triangle, touch.weights));
+    }
     out.depth_m = touch.depth_m;
     out.stiffness = 0;
     if (!(touch.depth_m > 0 || closes(state, contact, triangle, touch))) return;
@@ -290,8 +333,10 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
       out.weight[c] = touch.weights[c];
       out.normal[c] = touch.normal[c];
     }
-    out.stiffness = whole_stiffness(contact, tool, triangle) * touch.share;
+    out.stiffness = stiffness;
     out.lever_m = touch.lever_m;
+    out.line_stiffness = whole_stiffness(contact, tool, triangle) * touch.line_share;
+    for (int c = 0; c < 3; ++c) out.line[c] = touch.line[c];
     if (!(tool.friction > 0)) return;
     const ContactPoint<Real> at(state, contact, triangle, out);
     const Real pressure = maximum(at.pressure_after(at.change_ahead()), Real(0));
@@ -304,16 +349,20 @@ TM_HOST_DEVICE void generate_contacts_with(const Team& team, const view::Patches
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
       const auto kept = [&](std::uint32_t point) { return kept_depth(contact, tool, point, triangle); };
-      for_each_touch_of_solid<Kind>(tool, corners, kept, [&](std::uint32_t point, const Touch<Real>& touch) {
-        store(triangle, point, corners, touch);
-      });
+      const Real area = contact.triangle_area[triangle];
+      const Corners<Real> ahead = motion_ahead(state, contact, triangle);
+      for_each_touch_of_solid<Kind>(
+          tool, corners, ahead, area, kept,
+          [&](std::uint32_t point, const Touch<Real>& touch) { store(triangle, point, corners, touch); });
     });
   } else {
     const CoreDepths<Kind, Real> core_depths(patches, contact, tool);
+    const Real ahead = Real(state.iterates != 0 ? kLineWidth : kLineAhead);
     team.for_each(begin, end, [&](std::uint32_t triangle) {
       const Corners<Real> corners = corners_of(state, contact, triangle);
       const Real kept = kept_depth(contact, tool, 0, triangle);
-      store(triangle, 0, corners, hardened(touch_of_thin(tool, core_depths, corners, kept), kept, tool));
+      const Touch<Real> touch = touch_of_thin(tool, core_depths, corners, kept, ahead);
+      store(triangle, 0, corners, hardened(touch, kept / touch.share, tool));
     });
   }
 }
@@ -344,7 +393,11 @@ TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const v
   if (!touches(touch)) return;
   const std::uint32_t triangle = incidence[0], corner = incidence[1];
   const Real weight = touch.weight[corner];
-  if (weight == 0) return;  // then the contact is at another corner or edge, and tilt does not concern this one
+  // Otherwise the contact is at another corner or edge, and tilt does not concern this one.
+  const auto concerns = [&](std::uint32_t c) {
+    return touch.weight[c] != 0 || touch.line_stiffness * touch.line[c] != 0;
+  };
+  if (!concerns(corner)) return;
   const ContactPoint<Real> at(state, contact, triangle, touch);
   const Real h = view::step_size(state), factor = view::contact_factor(state);
   const Vec3<Real> n = at.normal();
@@ -353,13 +406,23 @@ TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const v
   Mat3<Real> stiffness = n * n.transpose() * touch.stiffness;
   if (has_friction) {
     const view::TriangleFriction<Real>& friction = contact.frictions[place];
-    force += stretch_of(at, friction) * friction.stiffness;
-    stiffness += (Mat3<Real>::Identity() - n * n.transpose()) * friction.stiffness;
+    const Vec3<Real> stretch = stretch_of(at, friction);
+    force += stretch * friction.stiffness;
+    Mat3<Real> across = Mat3<Real>::Identity() - n * n.transpose();
+    if (state.iterates != 0 && friction.stiffness < touch.stiffness) {
+      const Vec3<Real> slip = unit<Real>(stretch);
+      across -= slip * slip.transpose() * Real(kIteratedSlip);
+    }
+    stiffness += across * friction.stiffness;
   }
   const Tilt<Real> tilt(corners_of(state, contact, triangle), touch);
-  force = force * weight + tilt.force(corner, tilt.of(change));
+  const LineTilt<Real> line(touch);
+  const auto own_corner = static_cast<int>(corner);
+  force = force * weight + tilt.force(own_corner, tilt.of(change)) + line.force(own_corner, line.of(change));
   const auto block = [&](std::uint32_t other) {
-    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilt.block(corner, other)) * factor);
+    const auto of = static_cast<int>(other);
+    const Mat3<Real> tilted = tilt.block(own_corner, of) + line.block(own_corner, of);
+    return Mat3<Real>((stiffness * (weight * touch.weight[other]) + tilted) * factor);
   };
   view::store3<Real>(matrix.rhs, row, view::load3<Real>(matrix.rhs, row) + force * h);
   const Mat3<Real> own = block(corner);
@@ -369,7 +432,7 @@ TM_HOST_DEVICE void assemble_contact(const view::StateView<Real>& state, const v
   }
   for (std::uint32_t k = 1; k <= 2; ++k) {
     const std::uint32_t slot = incidence[1 + k], other = (corner + k) % 3;
-    if (slot != view::kNoPlace && touch.weight[other] != 0) matrix::add_to_block<Real>(matrix, slot, block(other));
+    if (slot != view::kNoPlace && concerns(other)) matrix::add_to_block<Real>(matrix, slot, block(other));
   }
 }
 
@@ -437,6 +500,16 @@ TM_HOST_DEVICE void measure_load_on(Team& team, const view::PatchesView& patches
       const Tilt<Real> tilt(corners, touch);
       const Vec3<Real> aside = tilt.total_force(tilt.of(change));
       const Vec3<Real> point = corners.at(at.weights()), core = point - at.normal() * touch.lever_m;
+      const LineTilt<Real> line(touch);
+      const Real along = line.of(change);
+      for (int c = 0; c < 3; ++c) {
+        const Vec3<Real> on_corner = line.force(c, along);
+        force -= on_corner;
+        torque -= physics::cross<Real>(corners.x[c] - tool.position(), on_corner);
+        for (std::size_t j = 0; j < kJoints; ++j) {
+          sums[kOfJoints + j] -= Kind::joint_motion(tool, j, core, corners.x[c]).dot(on_corner);
+        }
+      }
       force -= push + aside;
       torque -= physics::cross<Real>(point - tool.position(), push);
       torque -= physics::cross<Real>(core - tool.position(), aside);

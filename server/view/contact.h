@@ -19,6 +19,9 @@ struct TriangleContact {
   Real depth_m;    // penetration; not positive only in a contact that keeps its force (contact/tools.h)
   Real stiffness;  // [N/m]; zero: no contact
   Real lever_m;    // distance from the tool's core to the contact point; zero if the core is behind the surface
+  // The core lies along the triangle, and the contact point moves along it when the triangle tilts (contact/line.h):
+  Real line[3];         // weights of the motion that moves it, at the corners
+  Real line_stiffness;  // [N/m] against that motion along the normal; zero: the point stays
 };
 
 /// Friction at a TriangleContact in this step (contact/friction.h).

@@ -43,6 +43,10 @@ struct FeltContact {
 /// Share of `shown_n_per_m` that is left after a step.
 inline constexpr double kShownKept = 0.8;
 
+/// A step shows a stiffness only if the force changes by more than this share. Held still, tool and force change by
+/// rounding alone, and their quotient says nothing.
+inline constexpr double kLeastChange = 1e-5;
+
 /// Returns the velocity of the tool at the end of a step [m/s].
 /// hand_m, hand_m_per_s: place of the hand at the end of the step, and its velocity within it.
 inline Vec3<double> coupled_velocity(const Coupling& coupling, const Vec3<double>& tool_m,
@@ -67,8 +71,9 @@ inline FeltContact feel(const FeltContact& before, const Vec3<double>& position_
   FeltContact now{position_m, force_n, stiffness_n_per_m, kShownKept * before.shown_n_per_m};
   const Vec3<double> way = position_m - before.position_m;
   const double way2 = way.squaredNorm();
-  if (way2 > 0 && !force_n.isZero(0)) {
-    const double shown = std::min(-(force_n - before.force_n).dot(way) / way2, most_n_per_m);
+  const Vec3<double> change_n = force_n - before.force_n;
+  if (way2 > 0 && change_n.norm() > kLeastChange * force_n.norm()) {
+    const double shown = std::min(-change_n.dot(way) / way2, most_n_per_m);
     const double known = way.dot((stiffness_n_per_m + now.shown_n_per_m) * way) / way2;
     if (shown > known) now.shown_n_per_m += (shown - known) / way2 * way * way.transpose();
   }

@@ -78,7 +78,7 @@ TEST_P(OneContact, IsForgottenWhenTheToolLeaves) {
   ASSERT_LT(step_to(1e-4).friction_n[0], 0);
   step_to(1e-4, -1e-3);
   step_to(1e-4);
-  EXPECT_EQ(step_to(1e-4).friction_n.norm(), 0);
+  EXPECT_LT(step_to(1e-4).friction_n.norm(), 1e-9);
 }
 
 /// The stretch belongs to the tool: it turns with it about the normal.

@@ -46,18 +46,27 @@ struct DenseContact {
         x[c] = rest[c] + u.segment<3>(3 * node[c]);
         change.segment<3>(3 * static_cast<Eigen::Index>(c)) = dt * v.segment<3>(3 * node[c]);
       }
-      const Deepest at = deepest<Kind>(tool, x);
+      Deepest at = deepest<Kind>(tool, x);
       if (at.depth <= 0) continue;
       ++touching;
+      const Line line = line_of<Kind>(tool, x, at);
+      const Vec3<double> n = line.found ? line.normal : Kind::gradient(tool, point_at(x, at.weights));
+      if (line.found) at = line.mean;
       const auto [pressure, slope] = tests::hardened(at.depth, tool.radius_m, tool.steepest);
-      const double k = kPenalty * (rest[1] - rest[0]).cross(rest[2] - rest[0]).norm() / 2;
-      const Vec3<double> n = Kind::gradient(tool, point_at(x, at.weights));
+      const double whole = kPenalty * (rest[1] - rest[0]).cross(rest[2] - rest[0]).norm() / 2;
+      const double k = whole * line.sum * line.sum;
       Eigen::Matrix<double, 1, 9> along;  // how far the contact point moves along n
       for (int c = 0; c < 3; ++c) along.segment<3>(3 * c) = at.weights[c] * n.transpose();
-      const Eigen::Matrix<double, 3, 9> across = way_in_triangle(x, at.weights, at.core);
-      const double length = (point_at(x, at.weights) - at.core).norm();
-      const Eigen::Matrix<double, 9, 9> stiffness =
+      const Eigen::Matrix<double, 3, 9> across =
+          line.found ? tilt_across(x, at.weights, n, line.lever) : way_in_triangle(x, at.weights, at.core);
+      const double length = line.found ? line.lever : (point_at(x, at.weights) - at.core).norm();
+      Eigen::Matrix<double, 9, 9> stiffness =
           k * slope * along.transpose() * along + k * pressure / length * across.transpose() * across;
+      if (line.found) {
+        Eigen::Matrix<double, 1, 9> tilt;
+        for (int c = 0; c < 3; ++c) tilt.segment<3>(3 * c) = line.tilt[c] * n.transpose();
+        stiffness += whole * slope * line.bend * tilt.transpose() * tilt;
+      }
       const Eigen::Matrix<double, 9, 1> force = k * pressure * along.transpose() - stiffness * change;
       for (int c = 0; c < 3; ++c) {
         b.segment<3>(3 * node[c]) += dt * force.segment<3>(3 * c);
@@ -90,6 +99,79 @@ struct DenseContact {
     });
     return found;
   }
+  /// The same as way_in_triangle for a direction n that is not orthogonal to the triangle: L θ + T y of tilt.h.
+  static Eigen::Matrix<double, 3, 9> tilt_across(const Triangle& x, const Vec3<double>& weights, const Vec3<double>& n,
+                                                 double lever) {
+    std::vector<int> corners;
+    for (int c = 0; c < 3; ++c) {
+      if (weights[c] > 0) corners.push_back(c);
+    }
+    Eigen::Matrix<double, 3, 9> out = Eigen::Matrix<double, 3, 9>::Zero();
+    const auto count = static_cast<Eigen::Index>(corners.size()) - 1;
+    if (count == 0) return out;
+    Eigen::MatrixXd edges(3, count), gradients = Eigen::MatrixXd::Zero(3, 3);
+    for (Eigen::Index i = 0; i < count; ++i) {
+      const auto from = static_cast<std::size_t>(corners[0]),
+                 to = static_cast<std::size_t>(corners[static_cast<std::size_t>(i) + 1]);
+      edges.col(i) = x[to] - x[from];
+    }
+    const Eigen::MatrixXd inverse = edges.completeOrthogonalDecomposition().pseudoInverse();
+    for (Eigen::Index i = 0; i < count; ++i) {
+      gradients.col(corners[static_cast<std::size_t>(i) + 1]) = inverse.row(i).transpose();
+      gradients.col(corners[0]) -= inverse.row(i).transpose();
+    }
+    const Eigen::MatrixXd free =
+        count == 2 ? Eigen::MatrixXd(Mat3<double>::Identity() - n * n.transpose())
+                   : Eigen::MatrixXd(edges.col(0) * edges.col(0).transpose() / edges.col(0).squaredNorm());
+    for (int c = 0; c < 3; ++c)
+      out.block<3, 3>(0, 3 * c) = lever * gradients.col(c) * n.transpose() + free * weights[c];
+    return out;
+  }
+  /// A core that lies along the triangle: the mean of both ends of what they share (contact/line.h).
+  struct Line {
+    bool found = false;
+    double sum = 1, bend = 0, lever = 0;  // φ + (1 − r) φ', φ φ''
+    Deepest mean;
+    Vec3<double> normal = Vec3<double>::Zero(), tilt = Vec3<double>::Zero();
+  };
+  template <class Kind>
+  static Line line_of(const physics::PlacedTool<double>& tool, const Triangle& x, const Deepest& at) {
+    Line out;
+    for (std::uint32_t i = 0; i + 1 < Kind::kCorePoints; ++i) {
+      const Vec3<double> p = Kind::core_point(tool, i), way = Kind::core_point(tool, i + 1) - p;
+      const double own = (at.core - p).dot(way) / way.squaredNorm();
+      if (own < -1e-12 || own > 1 + 1e-12 || (at.core - p - own * way).norm() > 1e-9) continue;
+      Eigen::Matrix<double, 3, 2> edges;
+      edges << x[1] - x[0], x[2] - x[0];
+      const auto weights_at = [&](double s) -> Vec3<double> {
+        const Eigen::Vector2d b = edges.colPivHouseholderQr().solve(p + s * way - x[0]);
+        return {1 - b.sum(), b[0], b[1]};
+      };
+      const Vec3<double> start = weights_at(0), end = weights_at(1);
+      double first = 0, last = 1;
+      for (int c = 0; c < 3; ++c) {
+        const double zero = start[c] / (start[c] - end[c]);
+        if (end[c] > start[c]) first = std::max(first, zero);
+        if (end[c] < start[c]) last = std::min(last, zero);
+      }
+      if (!(first < last)) return out;
+      const double other = own - first > last - own ? first : last;
+      const Vec3<double> weights = weights_at(other), away = point_at(x, weights) - (p + other * way);
+      const double r = std::min(1.0, (tool.radius_m - away.norm()) / at.depth), w = kLineWidth;
+      if (r <= 1 - kLineAhead) return out;
+      const double c = 0.5 / (1 - w / 4), t = std::max(0.0, (r - 1 + w) / w), slope = c * t;
+      const double phi = 1 + c * w * t * t / 2, of_deepest = phi - r * slope;
+      const Vec3<double> from_core = point_at(x, at.weights) - at.core;
+      out = {true, of_deepest + slope, phi * c / w, 0, at, {}, weights - r * at.weights};
+      out.lever = (of_deepest * from_core.norm() + slope * away.norm()) / out.sum;
+      out.normal = (of_deepest * from_core.normalized() + slope * away.normalized()).normalized();
+      out.mean.weights = (of_deepest * at.weights + slope * weights) / out.sum;
+      out.mean.depth = at.depth * phi / out.sum;
+      out.mean.core = point_at(x, out.mean.weights) - out.lever * out.normal;
+      return out;
+    }
+    return out;
+  }
   /// Returns the matrix that takes the motion of the corners to the way of the closest point through the triangle. The
   /// vector r from the core to that point stays orthogonal to the directions e in which it is free:
   ///
@@ -119,7 +201,8 @@ struct DenseContact {
 /// The unit box with moved nodes, free, and one tool.
 v1::Scene box_scene(const mesh::Mesh& mesh, const std::string& kind, double radius_m) {
   v1::Scene scene = tests::packed_scene(mesh, true);
-  tests::add_tool(scene, kind, radius_m, 0, 5, 0, kPenalty);
+  v1::Tool& tool = tests::add_tool(scene, kind, radius_m, 0, 5, 0, kPenalty);
+  if (kind == "retractor") tests::stand_on_its_tip(tool);
   scene.mutable_solver()->set_cg_max_iterations(3000);
   scene.mutable_solver()->set_cg_tolerance(1e-13);
   return scene;

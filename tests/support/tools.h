@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -60,6 +61,17 @@ inline v1::Tool& add_tool(v1::Scene& scene, const std::string& kind, double radi
   return tool;
 }
 
+/// Turns a tool of add_tool by 0.4 rad, so that it touches a face below it with one end: the blade of a retractor would
+/// lie along the face (contact/line.h).
+inline void stand_on_its_tip(v1::Tool& tool) {
+  const double half = std::sqrt(0.5), sine = std::sin(0.2), cosine = std::cos(0.2);
+  v1::Quaternion& q = *tool.mutable_orientation();  // about the scene's z, after the quarter turn about x
+  q.set_w(half * cosine);
+  q.set_x(-half * cosine);
+  q.set_y(-half * sine);
+  q.set_z(half * sine);
+}
+
 /// Returns a block that cannot move, 1 m along each edge, its top two large triangles at y = 1, with a tool of radius
 /// 0.05 m far above it.
 inline v1::Scene rigid_block(const std::string& kind, double penalty_pa_per_m) {
@@ -75,7 +87,8 @@ inline v1::Scene rigid_block(const std::string& kind, double penalty_pa_per_m) {
   v1::Box& all = *scene.mutable_bodies(0)->mutable_fixed(0)->mutable_box();
   set(*all.mutable_min_m(), -1, -1, -1);
   set(*all.mutable_max_m(), 2, 2, 2);
-  add_tool(scene, kind, 0.05, 0, 5, 0, penalty_pa_per_m);
+  v1::Tool& tool = add_tool(scene, kind, 0.05, 0, 5, 0, penalty_pa_per_m);
+  if (kind == "retractor") stand_on_its_tip(tool);
   return scene;
 }
 

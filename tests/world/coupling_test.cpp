@@ -191,7 +191,7 @@ TEST_P(CoupledTool, InTheAirItsCouplingPullsButItTouchesNothing) {
   away.position_m.y() += 1;
   world->set_tool_target(0, away);
   for (int step = 0; step < 10; ++step) EXPECT_TRUE(world->step(false));
-  EXPECT_GT(world->readings()[0].force_n.norm(), 0.1) << "the tool is still on its way";
+  EXPECT_GT(world->readings()[0].force_n.norm(), 0.02) << "the tool is still on its way";
   EXPECT_FALSE(world->readings()[0].touching);
 }
 
