@@ -15,6 +15,7 @@ from tensormass._src import grids, mesh_files, mesh_geometry, meshes
 from tensormass._src.errors import InvalidArgumentError, NotFoundError
 from tensormass._src.shapes import SHAPES
 
+pytestmark = pytest.mark.filterwarnings("ignore::tensormass.MeshFileWarning")
 SHARED_MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
 
 GMSH1 = """$NOD
@@ -63,13 +64,14 @@ def test_gmsh1_maps_node_numbers_and_skips_elements_without_volume(tmp_path: Pat
         ("50 1 1 1", "50 1 1", r"mesh\.msh:7: expected `id x y z`"),
         ("50 1 1 1", "50 1 1 1 1", r"mesh\.msh:7: expected `id x y z`"),
         ("50 1 1 1", "50 1 1 nan", r"nodes: row 4 is not finite"),
-        ("3 4 1 1 4 20 30 40 50", "3 5 1 1 8 10 20 30 40 50 10 20 30", r"mesh\.msh:13: element 3 has type 5"),
-        ("3 4 1 1 4 20 30 40 50", "3 4 1 1 5 20 30 40 50 10", r"mesh\.msh:13: element 3 has type 4; only tetrahedra"),
+        ("3 4 1 1 4 20 30 40 50", "3 93 1 1 4 20 30 40 50", r"mesh\.msh:13: element 3 has Gmsh's type 93"),
+        ("3 4 1 1 4 20 30 40 50", "3 4 1 1 5 20 30 40 50 10", r"mesh\.msh:13: element 3 .*; its type 4 has 4"),
         ("3 4 1 1 4 20", "3 4 1 1 5 20", r"mesh\.msh:13: element 3 announces 5 nodes and lists 4"),
-        ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: expected integers"),
+        ("3 4 1 1 4 20 30 40 50", "3 4 x", r"mesh\.msh:13: .*expected a whole number, found 'x'"),
         ("$ELM\n3", "$ELM\n4", r"section \$ELM announces 4 rows"),
         ("$NOD\n5", "$NOD\n-1", r"section \$NOD announces -1 rows"),
-        ("$ELM", "$ELEMENTS", r"section \$ELM is missing"),
+        ("$ELM", "$ELEMENTS", r"mesh\.msh:9: section \$ELEMENTS has no \$EndELEMENTS"),
+        ("$ELM", "$Comments", r"section \$Comments has no"),
     ],
 )
 def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -81,7 +83,7 @@ def test_gmsh1_names_the_line_that_is_wrong(tmp_path: Path, old: str, new: str, 
 def test_gmsh1_counts_no_rows_from_the_end(tmp_path: Path) -> None:
     elements_first = GMSH1[(at := GMSH1.index("$ELM")) :] + GMSH1[:at].replace("$NOD\n5", "$NOD\n-9")
     with pytest.raises(InvalidArgumentError, match=r"section \$NOD announces -9 rows"):
-        mesh_files.read_gmsh1(gmsh1_file(tmp_path, elements_first))
+        mesh_files.read_mesh(gmsh1_file(tmp_path, elements_first))
 
 
 def test_reads_the_shared_liver_in_gmsh1() -> None:
@@ -111,7 +113,7 @@ def test_unreadable_files_are_refused_and_the_process_lives(tmp_path: Path) -> N
         mesh_files.read_mesh(tmp_path / "none.vtu")
     garbage = tmp_path / "garbage.msh"
     garbage.write_bytes(bytes(range(256)))
-    with pytest.raises(InvalidArgumentError, match=r"garbage\.msh: not readable as a mesh"):
+    with pytest.raises(InvalidArgumentError, match=r"garbage\.msh:1: expected a section"):
         mesh_files.read_mesh(garbage)
 
 
@@ -146,7 +148,9 @@ def test_a_full_disk_leaves_the_mesh_that_is_there(tmp_path: Path) -> None:
 
 def test_elements_of_shapes_that_are_not_simulated_are_refused() -> None:
     cube = meshio.Mesh(np.zeros((27, 3)), [("hexahedron27", [np.arange(27)]), ("tetra", [[0, 1, 2, 4]])])
-    with pytest.raises(InvalidArgumentError, match="elements of type hexahedron27; known are tetra, pyramid, wedge"):
+    with pytest.raises(
+        InvalidArgumentError, match="cell 0 is one of 1 elements of type hexahedron27; known are tetra, pyramid, wedge"
+    ):
         mesh_files.from_meshio(cube)
     with pytest.raises(InvalidArgumentError, match="tensormass mesh --edge"):
         mesh_files.from_meshio(meshio.Mesh(CUBE, [("quad", CUBE_QUADS)]))
@@ -374,5 +378,5 @@ def test_a_wavefront_file_without_texture_coordinates_is_a_surface(tmp_path: Pat
 def test_a_spoiled_wavefront_file_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "skin.obj"
     path.write_text(text)
-    with pytest.raises(InvalidArgumentError, match=r"skin\.obj: "):
+    with pytest.raises(InvalidArgumentError, match=r"skin\.obj:"):
         mesh_files.read_surface(path)

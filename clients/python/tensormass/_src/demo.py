@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tensormass._src import mesh_files
-from tensormass._src.extras import require
 from tensormass._src.isosurface import Implicit
 from tensormass._src.meshes import TriangleSurface
 from tensormass._src.organ import ORGANS
@@ -21,7 +20,16 @@ from tensormass._src.processes import BUILD_BIN
 
 _PACKAGE = Path(__file__).resolve().parent
 _TEMPLATES = _PACKAGE.parent / "scenes"
-_SOURCES = ("organ.py", "isosurface.py", "interface.py", "meshes.py", "mesh_geometry.py", "mesh_files.py", "shapes.py")
+_SOURCES = (
+    "organ.py",
+    "isosurface.py",
+    "interface.py",
+    "meshes.py",
+    "mesh_geometry.py",
+    "mesh_files.py",
+    "mesh_writing.py",
+    "shapes.py",
+)
 
 
 def builtin_scenes() -> list[str]:
@@ -37,7 +45,6 @@ def builtin_scene(name: str) -> tuple[Path, Path] | None:
     organs = [organ for organ in ORGANS if f"{organ}.msh" in scene_file.read_text()]
     if not organs:
         return scene_file, _TEMPLATES
-    require("meshes", f"the built-in scene {name!r}")
     folder = cache_folder()
     sources = hashlib.sha256(b"".join((_PACKAGE / source).read_bytes() for source in _SOURCES)).hexdigest()
     missing = [organ for organ in organs if not _is_made(organ, folder, sources)]

@@ -48,6 +48,13 @@ class InternalError(TensormassError):
     """The daemon failed, and not through the caller's fault."""
 
 
+class MeshFileWarning(UserWarning):
+    """A mesh file has something that is not used: cells without a volume, nodes of no element, groups without a name.
+
+    `warnings.simplefilter("error", tm.MeshFileWarning)` refuses such files.
+    """
+
+
 @contextlib.contextmanager
 def naming(where: str) -> Iterator[None]:
     """Puts `where`, a place or an option, in front of the message of an error in the body."""

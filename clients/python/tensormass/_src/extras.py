@@ -9,7 +9,7 @@ from tensormass._src.errors import NotFoundError
 #: [extra of pyproject.toml]: its packages, [name in messages]: name of its module.
 EXTRAS = {
     "desktop": {"pyvista": "pyvista"},
-    "meshes": {"meshio": "meshio", "trimesh": "trimesh"},
+    "meshes": {"lz4": "lz4"},
     "modes": {"scikit-fem": "skfem", "SciPy": "scipy"},
     "plot": {"matplotlib": "matplotlib"},
     "record": {"mcap": "mcap", "mcap-protobuf-support": "mcap_protobuf", "zstandard": "zstandard"},

@@ -58,6 +58,7 @@ def compact(mesh: VolumeMesh, kept: npt.NDArray[np.bool_] | None = None) -> Volu
         tuple(ElementBlock(shape, index_of[elements].astype(np.uint32)) for shape, elements in blocks),
         {name: nodes.astype(np.uint32) for name, nodes in sets.items() if nodes.size > 0},
         {name: values[kept] for name, values in mesh.element_fields.items()},
+        mesh.notes,
     )
 
 

@@ -15,14 +15,13 @@ import numpy.typing as npt
 
 from tensormass._src import notebook
 from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.mesh_formats.kinds import ELEMENT_FIELDS
 from tensormass._src.names import suggestion
 from tensormass._src.shapes import SHAPES, Shape
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.uint32]
 BoolArray = npt.NDArray[np.bool_]
-#: Parameters of single elements that a mesh can carry: number of components, by name.
-ELEMENT_FIELDS = {"young_modulus_pa": 1, "poisson_ratio": 1, "fibre_directions": 3}
 
 
 class ElementBlock(NamedTuple):
@@ -44,6 +43,8 @@ class VolumeMesh:
     sets: Mapping[str, IndexArray] = field(default_factory=dict)
     #: Parameters of single elements by the names of `ELEMENT_FIELDS`, float64 [element_count] or [element_count, 3].
     element_fields: Mapping[str, FloatArray] = field(default_factory=dict)
+    #: What the file has and the mesh does not, with its count: cells without a volume, nodes of no element.
+    notes: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
         rows = [["nodes", f"{len(self.nodes):,}"]]
@@ -51,6 +52,7 @@ class VolumeMesh:
         rows += _extent(self.nodes)
         rows += [[f"set {name}", f"{len(nodes):,} nodes"] for name, nodes in self.sets.items()]
         rows += [[f"field {name}", "of each element"] for name in self.element_fields]
+        rows += [["of the file", note] for note in self.notes]
         return notebook.table("volume mesh", rows)
 
     @staticmethod
