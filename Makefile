@@ -28,6 +28,8 @@ RUN_ARGS ?=
 TEST_ARGS ?=
 SUITE ?= bookworm
 WHOLE ?=
+COUNT ?= 100000
+SEED ?= 1
 # What `native` compiles: what runs. Other targets name more.
 TARGETS ?= tensormassd tensormass-haptic
 FOLDER ?=
@@ -51,7 +53,7 @@ CUDA_REASON = $(wordlist 3,99,$(CHOICE))
 
 .PHONY: help setup setup-test build native python viewer run tests benches gpu-test stability-map examples test \
         test-folder pictures test-only programs wheel wheel-only release images docs bench accuracy stability trade asan \
-        tsan lint format protocol-release clean
+        tsan lint format fuzz protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -84,6 +86,9 @@ test-folder: setup-test ## Compile and run the C++ tests of one folder (FOLDER=w
 	@$(if $(FOLDER),,$(error which folder of tests/? for example: make test-folder FOLDER=world))
 	@$(MAKE) TARGETS=tests_$(FOLDER) native
 	@ctest --test-dir $(BUILD)/tests/$(FOLDER) -j $(JOBS) --output-on-failure --no-tests=error $(if $(TESTS),-R '$(TESTS)')
+
+fuzz: setup-test python ## Read damaged mesh files, COUNT a reader (default: 100000), from SEED on
+	@PYTHONPATH=tests/python .venv/bin/python tests/python/mesh_mutations.py --count $(COUNT) --seed $(SEED)
 
 tests: setup-test ## Compile the C++ tests
 	@$(MAKE) TARGETS=tests native

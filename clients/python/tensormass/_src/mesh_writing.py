@@ -101,7 +101,7 @@ def _gmsh(path: Path, content: Content) -> None:
                 elements = elements[:, np.argsort(GMSH_ORDER[kind])]
             file.write(np.array([GMSH_NUMBERS[kind], len(elements), 2], "<i4").tobytes())
             rows = np.empty((len(elements), 3 + elements.shape[1]), "<i4")
-            rows[:, 1], rows[:, 2] = 0, 1  # of no group, and of one entity
+            rows[:, 1], rows[:, 2] = 0, 1  # without a group, in one entity
             rows[:, 0] = np.arange(first, first + len(elements))
             rows[:, 3:] = elements + np.uint32(1)
             file.write(rows.tobytes())

@@ -168,6 +168,8 @@ class _Reader:
         widths = np.diff(starts)
         for width in np.unique(widths).tolist():
             lines = np.flatnonzero(widths == width)
+            if width < 2:
+                raise FormatError(f"{keyword.row_place(int(lines[0]))}: an element of type {kind_name} has no nodes")
             table = flat[starts[lines][:, None] + np.arange(width)]
             kind = abaqus_elements.flat(kind_name, width - 1)
             self._add(Elements(kind_name, kind, table[:, 0], table[:, 1:], keyword, lines))

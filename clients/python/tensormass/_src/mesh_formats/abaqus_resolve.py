@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tensormass._src.mesh_formats.abaqus_model import Scope
-from tensormass._src.mesh_formats.abaqus_sets import Members
+from tensormass._src.mesh_formats.abaqus_sets import MAX_NUMBER, Members
 from tensormass._src.mesh_formats.raw import FormatError, Ints, Raw
 from tensormass._src.mesh_formats.text import shown
 
@@ -66,7 +66,8 @@ class _Resolver:
                 continue
             name, parts = sets[key]
             if depth > _MAX_DEPTH:
-                raise FormatError(f"{parts[0].where}: the set {shown(name)} contains itself; name its members")
+                where = next(part.where for part in parts if part.where)
+                raise FormatError(f"{where}: the set {shown(name)} contains itself; name its members")
             for part in parts:
                 found.append(self._of(scope, name, part, of_nodes, depth))
         result: Ints = np.unique(np.concatenate(found))
@@ -101,7 +102,7 @@ class _Resolver:
         if dot and instance in self._by_name:
             chosen = self._by_name[instance]
             if rest.isdigit():
-                return self._numbers(chosen, name, np.array([int(rest)]), of_nodes)
+                return self._numbers(chosen, name, np.array([min(int(rest), MAX_NUMBER)]), of_nodes)
             if rest in self.names(chosen, of_nodes):
                 return self.members(chosen, rest, of_nodes, depth + 1)
         if of_nodes and key in self.names(scope, False):

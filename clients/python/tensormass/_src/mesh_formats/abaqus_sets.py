@@ -10,6 +10,9 @@ from tensormass._src.mesh_formats.abaqus_deck import Keyword
 from tensormass._src.mesh_formats.raw import FormatError, Ints
 from tensormass._src.mesh_formats.text import shown
 
+# Numbers of nodes and elements. A set may name larger ones, which do not exist.
+MAX_NUMBER = (1 << 62) - 1
+
 
 @dataclass
 class Members:
@@ -53,8 +56,8 @@ class Sets:
                 try:
                     first, last, step = (int(word) for word in ([*fields, "1"] if len(fields) == 2 else fields))
                 except ValueError:
-                    step = 0
-                if step < 1:
+                    first = last = step = 0
+                if step < 1 or max(abs(first), abs(last), step) > MAX_NUMBER:
                     raise FormatError(
                         f"{keyword.text.where(at)}: *{keyword.name}: expected `first, last, step`, found "
                         f"{shown(','.join(fields))}"
@@ -65,7 +68,7 @@ class Sets:
             for at, fields in keyword.fields():
                 for word in fields:
                     if word.isdigit():
-                        numbers.append(int(word))
+                        numbers.append(min(int(word), MAX_NUMBER))
                     elif word:
                         members.names.append((word, keyword.text.where(at)))
             members.numbers = np.array(numbers, np.int64)

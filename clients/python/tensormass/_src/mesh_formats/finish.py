@@ -107,7 +107,7 @@ def surface(raw: Raw, where: str) -> Surface:
             f"{where}: has no triangles{f' ({found})' if found else ''}; a skin and a surface to be meshed need them"
         )
     if found:
-        notes.append(f"{found} are no part of a surface and are skipped")
+        notes.append(f"{found} do not belong to a surface and are skipped")
     points = np.ascontiguousarray(raw.points, np.float64)
     corners = triangles[0] if len(triangles) == 1 else np.concatenate(triangles)
     # STL repeats each vertex in each triangle, and Wavefront those on a seam of a picture.

@@ -20,6 +20,8 @@ from tensormass._src.mesh_formats.text import Text, shown
 
 _VERSIONS = ("2", "2.0", "2.1", "2.2", "4", "4.0", "4.1")
 _NAME = re.compile(rb'\s*(\d+)\s+(-?\d+)\s+"([^"\n]*)"')
+# Numbers of one node or element in its data.
+_MAX_WIDTH = 1000
 # A section that is not read ends with `$End...`; those with bytes in them are read by their counts.
 _SKIPPED = {"Comments", "Periodic", "Parametrizations", "InterpolationScheme", "GhostElements"}
 
@@ -36,7 +38,6 @@ class _Reader:
         self._groups = Groups()
         self._nodes: Nodes | None = None
         self._cells: Cells | None = None
-        self._names_seen: set[str] = set()
         #: Data of nodes and of elements: numbers and values.
         self._data: dict[tuple[str, str], tuple[Ints, npt.NDArray[np.float64]]] = {}
 
@@ -46,16 +47,14 @@ class _Reader:
             if not line.startswith(b"$"):
                 raise FormatError(f"{text.where(text.at - 1)}: expected a section ($...), found {shown(line)}")
             self._section(line[1:].decode("ascii", "replace").strip(), text.at)
-        for name in ("Nodes", "Elements") if self._version != "1" else ("NOD", "ELM"):
-            if name not in self._names_seen:
-                raise FormatError(f"{text.path}: section ${name} is missing; the file is cut off, or holds no mesh")
-        assert self._nodes is not None
-        assert self._cells is not None
+        if self._nodes is None or self._cells is None:
+            names = ("NOD", "ELM") if self._version == "1" else ("Nodes", "Elements")
+            name = names[0] if self._nodes is None else names[1]
+            raise FormatError(f"{text.path}: section ${name} is missing; the file is cut off, or holds no mesh")
         return self._raw(self._nodes, self._cells)
 
     def _section(self, name: str, at: int) -> None:
         text, cursor = self._cursor.text, self._cursor
-        self._names_seen.add(name)
         if name == "MeshFormat":
             self._format()
         elif name == "NOD":
@@ -141,7 +140,7 @@ class _Reader:
         if not wanted or section == "ElementNodeData":
             return
         width, count = int(tags[1]), int(tags[2])
-        if width < 1 or count < 0:
+        if not 1 <= width <= _MAX_WIDTH or count < 0:
             raise FormatError(f"{text.where()}: {section} {name!r} has {count} rows of {width} numbers")
         if cursor.binary:
             rows = cursor.records(count, [("tag", "i4"), ("values", "f8", (width,))], f"{section} {name!r}")

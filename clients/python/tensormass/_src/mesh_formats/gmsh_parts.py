@@ -13,6 +13,8 @@ from tensormass._src.mesh_formats.numbering import Numbering
 from tensormass._src.mesh_formats.raw import Block, Floats, FormatError, Ints, Raw, gathered
 from tensormass._src.mesh_formats.text import Text, shown
 
+# Tags of one element: groups, entities and partitions.
+_MAX_TAGS = 10_000
 _DIMENSIONS = ("point", "curve", "surface", "volume")
 
 
@@ -249,7 +251,7 @@ class Cursor:
             head = self.records(1, [("kind", "i4"), ("rows", "i4"), ("tags", "i4")], "$Elements")[0]
             kind, rows, tag_count = int(head["kind"]), int(head["rows"]), int(head["tags"])
             nodes = element_count(kind, f"{text.path}: element {parts.count}")
-            if rows < 1 or tag_count < 0 or rows > count - parts.count or tag_count > len(text.data):
+            if rows < 1 or tag_count < 0 or rows > count - parts.count or tag_count > _MAX_TAGS:
                 raise FormatError(
                     f"{text.path}: $Elements: a part of {rows} elements and {tag_count} tags; it is damaged"
                 )
@@ -266,7 +268,8 @@ class Cursor:
     def _integers(self, count: int, dtype: str, what: str) -> list[int]:
         if self.binary:
             return [int(value) for value in self.records(count, [("value", dtype)], what)["value"]]
-        return [int(value) for value in self.text.numbers(count, np.int64, what)]
+        small = dtype == "i4"
+        return [int(value) for value in self.text.numbers(count, np.int32 if small else np.int64, what)]
 
     def _skip_numbers(self, count: int, what: str) -> None:
         if self.binary:
@@ -310,7 +313,7 @@ class Cursor:
         blocks, count = self._integers(2, size, "$Nodes")
         if new:
             self._integers(2, size, "$Nodes")
-        if count > len(text.data) or blocks > len(text.data):
+        if not 0 <= count <= len(text.data) or blocks > len(text.data):
             raise FormatError(f"{text.where()}: $Nodes announces {count} nodes; the file is cut off or damaged")
         numbers, points = np.empty(count, np.int64), np.empty((count, 3))
         done = 0

@@ -13,6 +13,7 @@ from tensormass._src.mesh_formats.text import Text, shown
 
 # Lines that say how a surface looks, or how its parts are called.
 _QUIET = {b"vn", b"s", b"mtllib", b"usemtl", b"g", b"o", b"vp", b"mg", b"lod", b"shadow_obj", b"trace_obj"}
+_MAX_INDEX = (1 << 31) - 1
 _SKIPPED = {b"l": "lines", b"p": "points"}
 
 
@@ -93,7 +94,7 @@ class _Reader:
             # A negative number counts from the last vertex so far.
             corner = corner - 1 if corner > 0 else len(self._vertices) // 3 + corner
             place = place - 1 if place > 0 else len(self._places) // 2 + place if place < 0 else -1
-            if corner < 0 or parts[0] == b"0":
+            if not 0 <= corner <= _MAX_INDEX or place > _MAX_INDEX or parts[0] == b"0":
                 raise FormatError(f"{self._text.where(at)}: {shown(word)} is not a vertex; they count from 1")
             corners.append(corner)
             places.append(place)

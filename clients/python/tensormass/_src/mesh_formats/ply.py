@@ -153,15 +153,13 @@ def _text_rows(text: Text, element: _Element) -> list[_Rows]:
             if short.size:
                 raise FormatError(f"{text.row_place(first, int(rows[short[0]]))}: the line is cut off")
             lengths = flat[starts[rows] + at]
-            for length in np.unique(lengths):
-                if length != round(length) or not 0 <= length <= _MAX_LIST:
-                    row = int(rows[np.flatnonzero(lengths == length)[0]])
-                    raise FormatError(
-                        f"{text.row_place(first, row)}: a list of {length:g} numbers; the file is damaged"
-                    )
-                size = int(length)
+            wrong = np.flatnonzero(~((lengths >= 0) & (lengths <= _MAX_LIST) & (lengths == np.round(lengths))))
+            if wrong.size:
+                row = text.row_place(first, int(rows[wrong[0]]))
+                raise FormatError(f"{row}: a list of {lengths[wrong[0]]:g} numbers; the file is damaged")
+            for size in np.unique(lengths).astype(int).tolist():
                 longer = (*key, size)
-                new_left[longer] = rows[lengths == length]
+                new_left[longer] = rows[lengths == size]
                 columns[longer] = [*columns[key], (at + 1, size)]
                 position[longer] = at + 1 + size
         left = new_left
@@ -223,7 +221,7 @@ def _lengths(text: Text, element: _Element, order: str) -> dict[int, int]:
             if len(piece) < dtype.itemsize:
                 raise FormatError(f"{text.path}: ends within {element.name}; it is cut off")
             number = float(np.frombuffer(piece, dtype)[0])
-            if number != round(number) or not 0 <= number <= _MAX_LIST:
+            if not 0 <= number <= _MAX_LIST or number != round(number):
                 raise FormatError(f"{text.path}: {element.name} has a list of {number:g} numbers; the file is damaged")
             lengths[index] = int(number)
             at += dtype.itemsize + int(number) * np.dtype(found.type).itemsize

@@ -56,6 +56,8 @@ def _table(path: Path, what: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[
     line = text.full_line()
     try:
         head = np.array([float(word) for word in (line or b"").split()])
+        if not np.isfinite(head).all():
+            raise ValueError
         count = int(head[0])
     except (ValueError, IndexError, OverflowError):
         raise FormatError(f"{text.where(max(text.at - 1, 0))}: expected the number of {what} and their size") from None

@@ -97,7 +97,7 @@ class Text:
             FormatError: fewer of them, or a word that is not a number; the message names the line.
         """
         # A number needs a byte and another one that separates it.
-        if count > (len(self.data) - self.at) // 2 + 1:
+        if not 0 <= count <= (len(self.data) - self.at) // 2 + 1:
             raise FormatError(
                 f"{self.where()}: {what}: the file announces {count} numbers and is too short for them; it is cut off, "
                 "or a count is wrong"

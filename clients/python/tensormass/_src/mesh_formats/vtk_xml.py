@@ -207,15 +207,21 @@ class _Reader:
         try:
             if self._decompress is None:
                 size = int(np.frombuffer(base64.b64decode(text[: _encoded(width)]), self._header, 1)[0])
+                if size > len(text):
+                    raise FormatError(f"{where} has {size} bytes, more than the file has; it is cut off or damaged")
                 data = base64.b64decode(text[: _encoded(width + size)])
                 if len(data) < width + size:
                     raise FormatError(f"{where} has {len(data) - width} of {size} bytes; the file is cut off")
                 return np.frombuffer(data[width : width + size - size % dtype.itemsize], dtype)
             head = base64.b64decode(text[: _encoded(3 * width)])
             count = int(np.frombuffer(head, self._header, 1)[0])
+            if count > len(text):
+                raise FormatError(f"{where} has {count} blocks, more than the file has bytes; it is damaged")
             length = _encoded((3 + count) * width)
             header = base64.b64decode(text[:length])
-            total = int(np.frombuffer(header[3 * width :], self._header, count).sum()) if count else 0
+            total = sum(np.frombuffer(header[3 * width :], self._header, count).tolist()) if count else 0
+            if total > len(text):
+                raise FormatError(f"{where} has {total} bytes, more than the file has; it is cut off or damaged")
             data = header + base64.b64decode(text[length : length + _encoded(total)])
         except (binascii.Error, ValueError) as error:
             if isinstance(error, FormatError):
@@ -247,7 +253,12 @@ class _Reader:
         sizes = [size] * (blocks - 1) + [last or size]
         if max(size, last) > _MAX_BLOCK:
             raise FormatError(f"{where} has blocks of {max(size, last)} bytes, beyond the limit of {_MAX_BLOCK}")
-        return np.frombuffer(b"".join(self._blocks(at, numbers(3, blocks), sizes, width, where)), dtype)
+        packed = numbers(3, blocks)
+        if max(packed) > len(self._data):
+            raise FormatError(f"{where} has a block of {max(packed)} bytes, more than the file has; it is damaged")
+        if sum(sizes) % dtype.itemsize:
+            raise FormatError(f"{where} has {sum(sizes)} bytes, not whole numbers of {dtype.itemsize}; it is damaged")
+        return np.frombuffer(b"".join(self._blocks(at, packed, sizes, width, where)), dtype)
 
     def _blocks(
         self, at: Callable[[int, int], bytes], packed: list[int], sizes: list[int], width: int, where: str
