@@ -252,20 +252,20 @@ Result<MeshReport> admit(const Mesh& mesh, std::string_view body) {
   }
 
   const std::pair<const Finding&, std::string_view> errors[] = {
-      {repeated, "remove it or give it nodes of its own"},
+      {repeated, "remove it or give it nodes of its own; `tensormass mesh FILE -o OUT` removes it"},
       {inverted,
        "put its nodes in VTK order (in a tetrahedron, exchange the last two; in a wedge, its triangles; in a pyramid "
-       "or "
-       "hexahedron, turn its quadrilaterals about)"},
+       "or hexahedron, turn its quadrilaterals about); `tensormass mesh FILE -o OUT` does so"},
       {folded, "put its nodes in VTK order if they are in another, else remesh around it"},
       {bent, "move its mid-edge nodes to the middle of their edges, and away from their quarter points at least"},
-      {flat, "remove it or remesh around it"},
-      {duplicates, "remove one of them"},
+      {flat, "remove it or remesh around it; `tensormass mesh FILE -o OUT` removes it"},
+      {duplicates, "remove one of them; `tensormass mesh FILE -o OUT` does so"},
       {conformity.overlapping, "remove the elements that overlap others"},
       {conformity.nonconforming,
        "put a pyramid between a quadrilateral and triangles, and give the elements along a quadratic one the same "
        "mid-edge nodes"},
-      {isolated, "remove it or connect it; it would have no stiffness and no mass"},
+      {isolated,
+       "remove it or connect it; it would have no stiffness and no mass (`tensormass mesh FILE -o OUT` removes it)"},
   };
   std::string message;
   for (const auto& [finding, what_to_do] : errors) {

@@ -509,7 +509,9 @@ def test_mesh_repairs_a_volume(tmp_path: Path, capsys: pytest.CaptureFixture[str
     source, output = tmp_path / "in.vtu", tmp_path / "out.vtk"
     mesh_files.write_mesh(source, inverted)
     assert main(["mesh", str(source), "-o", str(output)]) == 0
-    assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "1 × tetrahedron, 1.667e+05 cm³\nmean edge 1.21e+03 mm, " in printed.out
+    assert printed.err == f"tensormass: {source}: 1 element is inverted and rewound\n"
     np.testing.assert_allclose(mesh_geometry.signed_volumes(mesh_files.read_mesh(output)), [1 / 6])
 
 
@@ -536,8 +538,14 @@ def test_a_size_that_is_probably_in_millimetres_is_pointed_out(
     mesh_files.write_mesh(source, meshes.VolumeMesh.from_tetrahedra(100 * np.eye(4, 3), [[0, 1, 3, 2]]))
     assert main(["mesh", str(source), "-o", str(output)]) == 0
     assert f"is 100 × 100 × 100 m large; if {source} has millimetres, give --unit 1mm" in capsys.readouterr().err
-    assert main(["mesh", str(source), "-o", str(output), "--unit", "1mm"]) == 0
-    assert capsys.readouterr().err == ""
+    for unit in ("1mm", "mm"):
+        assert main(["mesh", str(source), "-o", str(output), "--unit", unit]) == 0
+        assert capsys.readouterr().err == f"tensormass: {source}: 1 element is inverted and rewound\n"
+    with pytest.warns(
+        tm.MeshFileWarning, match=r"is 100 × 100 × 100 in a unit .* taken as millimetres \(mesh.scale: 0"
+    ):
+        assert tm.Scene.from_file(source).message.bodies[0].mesh.scale == 0.001
+    assert not tm.Scene.from_file(output).message.bodies[0].mesh.HasField("scale")
 
     def text(volume_m3: float) -> str:
         bodies = [control_pb2.BodyReport(name="liver", volume_m3=volume_m3)]
@@ -547,6 +555,35 @@ def test_a_size_that_is_probably_in_millimetres_is_pointed_out(
         1.5e6
     )
     assert "warnings" not in text(1.5e-3)
+
+
+def test_mesh_names_what_it_drops_and_keeps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    box = tm.grid([1, 1, 1], [0.1, 0.1, 0.1])
+    source, output = tmp_path / "in.vtu", tmp_path / "out.vtu"
+    nodes = np.concatenate([box.nodes, box.nodes * 0.9 + 1, box.nodes * 0.1 + 2, [[3.0, 3, 3]]])
+    elements = box.elements("tetrahedron")
+    tetrahedra = [elements, elements[:1], elements + 8, elements + 16, np.array([[0, 1, 2, 2]], np.uint32)]
+    sets = {"crumb": [17, 18], "both": [0, 17]}
+    mesh = meshes.VolumeMesh.from_arrays(nodes, [("tetrahedron", np.concatenate(tetrahedra))], sets=sets)
+    mesh_files.write_mesh(source, mesh)
+    command = ["mesh", str(source), "-o", str(output)]
+    assert main([*command, "--json"]) == 0
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    assert report["element_counts"] == {"tetrahedron": 12}
+    said = [note.removeprefix(f"{source}: ") for note in report["notes"]]
+    assert said[:4] == [
+        "1 node belongs to no element and is left out",
+        "1 element is flat and dropped",
+        "1 element repeats the nodes of another one, and only that is kept",
+        "1 separate part of 6 elements and 0.058 % of the volume is dropped",
+    ]
+    assert said[4].startswith("2 separate parts are kept (58 %, 42 % of the volume): they share no node")
+    assert said[5:] == ["the set 'crumb' has no node of what is kept and is dropped"]
+    assert [line.removeprefix("tensormass: ") for line in printed.err.splitlines()] == report["notes"]
+    assert main([*command, "--largest"]) == 0
+    assert "2 separate parts of 12 elements and 42 % of the volume are dropped" in capsys.readouterr().err
+    assert mesh_files.read_mesh(output).element_count == 6
 
 
 def test_the_version_and_a_close_name_are_told(capsys: pytest.CaptureFixture[str]) -> None:

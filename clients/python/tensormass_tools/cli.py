@@ -7,36 +7,33 @@ Exit status: 0 done, 1 refused or failed (the message says why), 2 wrong usage, 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import signal
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+import warnings
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
-import numpy as np
-
-from tensormass._src import mesh_files, mesh_geometry, mesh_repair, tetwild
 from tensormass._src.demo import builtin_scenes
-from tensormass._src.errors import InvalidArgumentError, TensormassError
+from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, TensormassError
 from tensormass._src.extras import require
 from tensormass._src.plain import to_plain
 from tensormass._src.processes import end_explained
 from tensormass._src.scene import Scene
 from tensormass._src.server import DEFAULT_ADDRESS, connect
 from tensormass_gateway.options import add_arguments as add_gateway_arguments
-from tensormass_tools import desktop, export, hand, load_test, modes, recording, run, solve
+from tensormass_tools import desktop, export, hand, load_test, mesh_command, modes, recording, run, solve
 from tensormass_tools.daemon_arguments import add_daemon_arguments, daemon_of
 from tensormass_tools.load_arguments import add_arguments as add_load_test_arguments
 from tensormass_tools.output import (
     Warnings,
-    check_writable,
     load_line,
     print_json,
-    quality_text,
     report_text,
     state_name,
     status_line,
@@ -50,8 +47,6 @@ _METRES = {None: 1.0, "m": 1.0, "dm": 1e-1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _SCENE_HELP = f"a scene file (.yaml), a mesh file, or a built-in scene ({', '.join(builtin_scenes())})"
 # The daemon's own limit (server/core/limits.h).
 _MAX_CPU_THREADS = 256
-# A larger body is probably in millimetres.
-_LARGE_M = 5.0
 
 
 class _Terminated(KeyboardInterrupt):
@@ -83,7 +78,8 @@ def _run_command(argv: Sequence[str] | None) -> int:
     _check_usage(parser, args)
     handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        return int(args.command(args))
+        with _mesh_warnings_are_printed():
+            return int(args.command(args))
     except TensormassError as error:
         if getattr(args, "json", None) in (True, "-"):  # load-test names a file
             print_json({"error": str(error), "kind": type(error).__name__})
@@ -94,6 +90,22 @@ def _run_command(argv: Sequence[str] | None) -> int:
         return 143 if isinstance(interrupt, _Terminated) else 130
     finally:
         signal.signal(signal.SIGTERM, handler)
+
+
+@contextlib.contextmanager
+def _mesh_warnings_are_printed() -> Iterator[None]:
+    """Prints what a mesh file has and a scene does not, as a line like other messages."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any) -> None:  # noqa: ANN401
+            if issubclass(category, MeshFileWarning):
+                print(f"tensormass: {message}", file=sys.stderr)
+            else:
+                others(message, category, *place)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:
@@ -226,19 +238,10 @@ def _parser() -> argparse.ArgumentParser:
         parents=[json_option],
         help="make a volume from a closed surface, or repair and convert one",
         description="With --edge, fills a closed surface with tetrahedra (fTetWild). Without, repairs a volume: "
-        "inverted elements are rewound, flat ones and all but the largest component dropped. Writes metres.",
+        "inverted elements are rewound, flat and repeated ones and crumbs dropped, and each is named. Writes metres.",
     )
-    sub.add_argument("input", type=Path, help=".obj, .stl, .ply, .msh, .vtk ...")
-    sub.add_argument("-o", "--output", type=Path, required=True, help=".msh, .vtk, .vtu")
-    sub.add_argument("--edge", type=parse_length_m, metavar="LENGTH", help="edge of the tetrahedra, such as 8mm")
-    sub.add_argument(
-        "--unit",
-        type=parse_length_m,
-        default=1.0,
-        metavar="LENGTH",
-        help="the input's unit of length, such as 1mm; default: 1m",
-    )
-    sub.set_defaults(command=_mesh)
+    mesh_command.add_arguments(sub, parse_length_m)
+    sub.set_defaults(command=mesh_command.run)
 
     sub = commands.add_parser(
         "view",
@@ -388,27 +391,3 @@ def _view_recording(args: argparse.Namespace) -> int:
 
     run.check_gateway_options(args)
     return command.run(args, RecordingIndex(Path(args.scene)))
-
-
-def _mesh(args: argparse.Namespace) -> int:
-    mesh_files.check_holds_volumes(args.output)
-    check_writable("--output", args.output)
-    if args.edge is None:
-        mesh = mesh_repair.repair(mesh_files.read_mesh(args.input))
-    else:
-        mesh = tetwild.tetrahedralize(mesh_files.read_surface(args.input), args.edge / args.unit)
-    mesh = replace(mesh, nodes=mesh.nodes * args.unit)
-    mesh_files.write_mesh(args.output, mesh)
-    quality = mesh_geometry.quality(mesh)
-    if args.json:
-        print_json({"output": str(args.output), **asdict(quality)})
-    else:
-        print(f"{args.output}: {quality_text(quality)}")
-    size_m = np.ptp(mesh.nodes, axis=0)
-    if size_m.max() > _LARGE_M:
-        size = " × ".join(f"{length:.3g}" for length in size_m)
-        print(
-            f"tensormass: {args.output}: is {size} m large; if {args.input} has millimetres, give --unit 1mm",
-            file=sys.stderr,
-        )
-    return 0

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
-from tensormass._src import mesh_files, meshes, node_conditions, notebook, textures
+from tensormass._src import mesh_files, mesh_units, meshes, node_conditions, notebook, textures
 from tensormass._src.elastic_constants import young_poisson
 from tensormass._src.enums import enum_number
-from tensormass._src.errors import InvalidArgumentError, naming
+from tensormass._src.errors import InvalidArgumentError, MeshFileWarning, naming
 from tensormass._src.files import read_bytes
 from tensormass._src.laws import LAWS, LIVER, law_message
 from tensormass._src.names import as_name, suggestion
@@ -53,6 +54,9 @@ class Scene:
     def from_file(path: str | Path) -> Scene:
         """Reads a scene (.yaml, .yml) or a bare volume mesh, which becomes one body of soft tissue at rest.
 
+        A mesh file has no unit of length. One that is larger than 5 m is taken as millimetres: a MeshFileWarning says
+        so, and the body's `mesh.scale` is 0.001 then. In a scene file, `mesh.scale` decides.
+
         `path` may be the name of a built-in scene (`builtin_scenes`). A file of that name takes precedence.
 
         Raises:
@@ -60,7 +64,13 @@ class Scene:
             InvalidArgumentError: a mistake; the message names the file and the path of the field.
         """
         if is_mesh_file(path):
-            return Scene.from_mesh(mesh_files.read_mesh(Path(path)), name=as_name(Path(path).stem) or "scene")
+            mesh = mesh_files.read_mesh(Path(path))
+            scene = Scene.from_mesh(mesh, name=as_name(Path(path).stem) or "scene")
+            unit_m = mesh_units.guess(mesh.nodes)
+            if unit_m is not None:
+                scene.message.bodies[0].mesh.scale = unit_m
+                warnings.warn(f"{path}: {mesh_units.guessed(mesh.nodes, unit_m)}", MeshFileWarning, stacklevel=2)
+            return scene
         return Scene(message=SceneFile.read(path).message())
 
     @staticmethod

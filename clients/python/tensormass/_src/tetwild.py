@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from tensormass._src.errors import InvalidArgumentError
+from tensormass._src.errors import InvalidArgumentError, MeshFileWarning
 from tensormass._src.extras import require
 from tensormass._src.mesh_repair import repair
 from tensormass._src.meshes import TriangleSurface, VolumeMesh
@@ -18,7 +20,7 @@ from tensormass._src.processes import ChildProcess
 _MOST_TETRAHEDRA = 1e7
 
 
-def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
+def tetrahedralize(surface: TriangleSurface, edge_length: float, *, largest: bool = False) -> VolumeMesh:
     """Fills a closed surface, dirty or not, with tetrahedra (fTetWild); takes seconds to minutes.
 
     fTetWild draws random numbers, so the mesh differs from run to run. Keep the result.
@@ -26,6 +28,8 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
     Args:
         edge_length: wanted length of an edge, in the surface's unit. The boundary stays within a twentieth of it
             from the surface.
+        largest: keeps the largest of several parts alone. Otherwise all are kept, but for crumbs below a hundredth of
+            the largest one. A MeshFileWarning names what is kept and dropped, as do the mesh's notes.
 
     Raises:
         InvalidArgumentError: an edge that is not positive, longer than the surface or far too short, or nothing
@@ -68,7 +72,11 @@ def tetrahedralize(surface: TriangleSurface, edge_length: float) -> VolumeMesh:
             nodes, tetrahedra = volume["nodes"], volume["tetrahedra"]
     if len(tetrahedra) == 0:
         raise InvalidArgumentError("the surface encloses no volume; close its holes first")
-    return repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"))
+    mesh = repair(VolumeMesh.from_tetrahedra(nodes, tetrahedra, "result of fTetWild"), largest=largest)
+    parts = [note for note in mesh.notes if "separate part" in note]
+    if parts:
+        warnings.warn(f"the surface: {'; '.join(parts)}", MeshFileWarning, stacklevel=2)
+    return replace(mesh, notes=tuple(parts))
 
 
 def _enclosed_volume(surface: TriangleSurface) -> float:
