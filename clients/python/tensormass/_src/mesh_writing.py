@@ -68,7 +68,10 @@ def write_volume(path: Path, content: Content, given: Path) -> list[str]:
         )
     _VOLUMES[ending](path, content)
     left = content.left_out(sets=ending == ".inp") if ending in _OTHERS else []
-    return [f"{given}: {ending} does not hold {', '.join(left)}; .msh, .vtk and .vtu do"] if left else []
+    notes = [f"{given}: {ending} does not hold {', '.join(left)}; .msh, .vtk and .vtu do"] if left else []
+    if ending == ".inp" and "pyramid" in content.kinds:
+        notes.append(f"{given}: CalculiX does not know pyramids (C3D5); Abaqus does")
+    return notes
 
 
 def write_surface(path: Path, surface: TriangleSurface, given: Path) -> None:
