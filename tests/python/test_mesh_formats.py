@@ -69,6 +69,24 @@ def test_legacy_vtk_has_arrays_of_any_numbers(tmp_path: Path, kind: str) -> None
     assert mesh.element_fields["poisson_ratio"].tolist() == [0.1, 0.2, 0.3, 0.1, 0.2, 0.3]
 
 
+GRIDS = {
+    "STRUCTURED_POINTS": "DIMENSIONS 2 2 3\nSPACING 1 1 1\nORIGIN 5 0 0\n",
+    "RECTILINEAR_GRID": "DIMENSIONS 2 2 3\nX_COORDINATES 2 int\n0 1\nY_COORDINATES 2 float\n0 1\n"
+    "Z_COORDINATES 3 double\n0 .5 2\n",
+    "STRUCTURED_GRID": "DIMENSIONS 2 2 3\nPOINTS 12 float\n" + "".join(f"{x} {y} {z}\n" for x, y, z in texts.POINTS),
+}
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_grids_of_vtk_are_hexahedra(tmp_path: Path, kind: str) -> None:
+    data = "CELL_DATA 2\nSCALARS poisson_ratio float\nLOOKUP_TABLE default\n.1 .2\n"
+    mesh = read(tmp_path, "m.vtk", f"# vtk DataFile Version 3.0\nx\nASCII\nDATASET {kind}\n{GRIDS[kind]}{data}")
+    assert len(mesh.elements("hexahedron")) == 2
+    assert texts.volume(mesh) == pytest.approx(2)
+    assert mesh.element_fields["poisson_ratio"] == pytest.approx([0.1, 0.2])
+    assert bool(mesh.notes) == (kind == "STRUCTURED_POINTS")
+
+
 def test_sets_are_data_of_points_or_cells(tmp_path: Path) -> None:
     data = "CELL_DATA 6\nFIELD f 1\nset:half%20one 1 6 long\n1 0 0 0 0 0\n"
     data += "POINT_DATA 12\nSCALARS set:base int\nLOOKUP_TABLE default\n1 1 0 0 0 0 0 0 0 0 0 0\n"
@@ -212,6 +230,14 @@ def test_elements_without_a_volume_are_skipped_by_name(tmp_path: Path, kind: str
     assert mesh.element_count == 6
     assert mesh.notes == (f"1 elements of type {kind} have no volume, belong to no set, and are skipped",)
     assert sets_of(mesh)["side"] == [0, 1, 4, 5]
+
+
+def test_elements_of_a_network_have_nodes_that_do_not_exist(tmp_path: Path) -> None:
+    more = "*ELEMENT, TYPE=DASHPOTA, ELSET=net\n7, 0, 2\n*ELEMENT, TYPE=D, ELSET=net\n8, 0, 3, 4\n9, 4, 5, 0\n"
+    more += "*ELEMENT, TYPE=CAX8, ELSET=plane\n10, 1, 2, 3, 4,\n5, 6, 7, 8\n"
+    mesh = read(tmp_path, "m.inp", texts.abaqus(more))
+    assert sets_of(mesh)["net"] == [1, 2, 3, 4]
+    assert sets_of(mesh)["plane"] == list(range(8))
 
 
 REFUSED = {

@@ -164,7 +164,11 @@ class _Reader:
         self._add(Elements(kind_name, kind, table[:, 0], table[:, 1:], keyword, lines))
 
     def _take_flat(self, keyword: Keyword, kind_name: str, flat: Ints, starts: Ints) -> None:
-        """Takes elements without a volume: one a line. Sets may name them."""
+        """Takes elements without a volume: of as many nodes as their name says, or one a line. Sets may name them."""
+        count = abaqus_elements.flat_node_count(kind_name) + 1
+        ends = np.arange(count, len(flat) + count, count)
+        if count > 1 and len(flat) % count == 0 and np.isin(ends, starts).all():
+            starts = np.arange(0, len(flat) + 1, count)
         widths = np.diff(starts)
         for width in np.unique(widths).tolist():
             lines = np.flatnonzero(widths == width)

@@ -54,6 +54,12 @@ def solid(name: str) -> str | None:
     )
 
 
+def flat_node_count(name: str) -> int:
+    """Returns the nodes of a shell, membrane or plane element by its name (S8R, CAX6M, STRI65); 0 if it has none."""
+    match = re.fullmatch(r"(?:S(\d)R\d|.*?(\d)5?[A-Z]*)", name) if _SURFACE.fullmatch(name) else None
+    return int(match[1] or match[2]) if match else 0
+
+
 def flat(name: str, node_count: int) -> str:
     """Returns the kind of an element without a volume."""
     dimension = 2 if _SURFACE.fullmatch(name) else 1 if _LINE.fullmatch(name) else 0

@@ -109,7 +109,9 @@ class Scope:
 
             if not len(own):
                 continue
-            index = self.node_numbering.indices(elements.nodes, where)
+            is_flat = KINDS[elements.kind].dimension < 3
+            nodes = self._known_nodes(elements.nodes) if is_flat else elements.nodes
+            index = self.node_numbering.indices(nodes, where)
             label = "" if KINDS[elements.kind].dimension == 3 else f"elements of type {elements.type}"
             raw.blocks.append(
                 Block(elements.kind, index + first_node, slice(first_element, first_element + len(own)), label)
@@ -119,6 +121,16 @@ class Scope:
         self.element_numbers = np.concatenate([np.empty(0, np.int64), *(elements.numbers for elements in found)])
         _check_elements(self.element_numbers, found)
         return first_node + len(numbers), first_element
+
+    def _known_nodes(self, nodes: Ints) -> Ints:
+        """Replaces nodes that do not exist by one of the same element, or by any. Networks of CalculiX have nodes 0."""
+        known = np.isin(nodes, self.node_numbers)
+        if known.all() or not len(self.node_numbers):
+            return nodes
+        column: Ints = np.argmax(known, axis=1)
+        first = np.take_along_axis(nodes, column.reshape(-1, 1), axis=1)
+        first = np.where(np.any(known, axis=1, keepdims=True), first, self.node_numbers[0])
+        return np.where(known, nodes, first)
 
 
 def _without_repeats(

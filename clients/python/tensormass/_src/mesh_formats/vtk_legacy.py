@@ -40,9 +40,11 @@ _TYPES = {
     "float": "f4",
     "double": "f8",
 }
+# Points along an axis of an image.
+_MAX_AXIS = 4096
 # Kinds of attributes with a fixed number of components.
 _VECTORS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
-_GRIDS = {"STRUCTURED_GRID", "RECTILINEAR_GRID"}
+_GRIDS = {"STRUCTURED_GRID", "RECTILINEAR_GRID", "STRUCTURED_POINTS"}
 
 
 def read(path: Path) -> Raw:
@@ -57,6 +59,7 @@ class _Reader:
         self._points: npt.NDArray[Any] | None = None
         self._axes: list[npt.NDArray[Any]] = []
         self._dimensions = (0, 0, 0)
+        self._vectors = {"ORIGIN": np.zeros(3), "SPACING": np.ones(3)}
         self._cells: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None = None
         self._types: npt.NDArray[Any] | None = None
         #: Lines, polygons ... of polydata: offsets and connectivity.
@@ -80,8 +83,8 @@ class _Reader:
             raise FormatError(f"{text.where()}: expected DATASET, found {shown(word)}")
         if kind not in {"UNSTRUCTURED_GRID", "POLYDATA"} | _GRIDS:
             raise FormatError(
-                f"{text.where()}: DATASET {shown(kind)} is not read (an image has no elements); save an unstructured "
-                "grid or a surface (in ParaView: Threshold, or Extract Surface)"
+                f"{text.where()}: DATASET {shown(kind)} is not read; save an unstructured grid or a surface (in "
+                "ParaView: Threshold, or Extract Surface)"
             )
         while word := self._keyword():
             self._section(word)
@@ -97,6 +100,8 @@ class _Reader:
             self._points = self._array(3 * count, text.word(), word).reshape(-1, 3)
         elif word == "DIMENSIONS":
             self._dimensions = (text.integer(word), text.integer(word), text.integer(word))
+        elif word in ("ORIGIN", "SPACING", "ASPECT_RATIO"):
+            self._vectors[word.replace("ASPECT_RATIO", "SPACING")] = text.numbers(3, np.float64, word)
         elif word in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
             count = text.integer(word)
             self._axes.append(self._array(count, text.word(), word))
@@ -258,6 +263,14 @@ class _Reader:
 
     def _grid(self, kind: str) -> Raw:
         where = self._text.path
+        notes = []
+        if kind == "STRUCTURED_POINTS":
+            self._axes = [
+                origin + step * np.arange(self._checked(count))
+                for origin, step, count in zip(*self._vectors.values(), self._dimensions, strict=True)
+            ]
+            kind = "RECTILINEAR_GRID"
+            notes.append("every cell of the image is an element; for a part of it, save that (in ParaView: Threshold)")
         if kind == "RECTILINEAR_GRID":
             if len(self._axes) != 3 or tuple(map(len, self._axes)) != self._dimensions:
                 raise FormatError(f"{where}: DIMENSIONS {self._dimensions} are not those of the three coordinates")
@@ -265,9 +278,15 @@ class _Reader:
             self._points = np.stack([x.reshape(-1), y.reshape(-1), z.reshape(-1)], axis=1)
         if self._points is None or len(self._points) != int(np.prod(self._dimensions)):
             raise FormatError(f"{where}: DIMENSIONS {self._dimensions} do not match the number of points")
-        raw = Raw(self._points, [grid_hexahedra(self._dimensions, str(where))])
+        raw = Raw(self._points, [grid_hexahedra(self._dimensions, str(where))], notes=notes)
         self._add_data(raw)
         return raw
+
+    def _checked(self, count: int) -> int:
+        """Returns the points along an axis of an image, which its file need not hold."""
+        if count > _MAX_AXIS:
+            raise FormatError(f"{self._text.path}: DIMENSIONS {self._dimensions}: beyond the limit of {_MAX_AXIS}")
+        return count
 
     def _add_data(self, raw: Raw) -> None:
         cells = sum(len(block.nodes) for block in raw.blocks)
