@@ -16,7 +16,7 @@ from tensormass_gateway.gateway import Gateway
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream
 
-TOKEN = "a-token"
+TOKEN = "a-token-of-a-test"
 OPERATOR_TOKEN = "an-operators-token"
 
 

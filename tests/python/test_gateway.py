@@ -499,7 +499,7 @@ def test_arguments_reach_the_gateway(viewer: Path) -> None:
 @asynchronous
 async def test_address_of_ipv6_has_brackets(viewer: Path) -> None:
     gateway = Gateway(options(viewer, host="::1", port=8000))
-    assert gateway.look_url == "http://[::1]:8000/?token=a-token"
+    assert gateway.look_url == "http://[::1]:8000/?token=a-token-of-a-test"
     await gateway.stop()
 
 

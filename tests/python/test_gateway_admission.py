@@ -38,7 +38,7 @@ async def test_page_is_served_with_headers_that_keep_the_token_here(viewer: Path
                 assert reply.status in (403, 404)
 
 
-@pytest.mark.parametrize("token", ["", "a-toke", "a-token2", "ä-token"])
+@pytest.mark.parametrize("token", ["", "a-token-of-a-tes", "a-token-of-a-test2", "ä-token-of-a-test"])
 @asynchronous
 async def test_wrong_token_is_refused(viewer: Path, token: str) -> None:
     async with serve(options(viewer)) as gateway, aiohttp.ClientSession() as session:

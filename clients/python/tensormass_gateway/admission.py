@@ -17,8 +17,13 @@ from urllib.parse import urlsplit
 
 from aiohttp import web
 
+from tensormass_gateway.connections import Connection
+from tensormass_gateway.journal import Journal
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.origins import origin_of
+
+MIN_TOKEN_CHARACTERS = 16
+"""A shorter token is refused at the start, because it can be guessed. Those that are made here have 32."""
 
 _HEADERS = {
     # WebAssembly decodes frames of the codec meshopt.
@@ -33,11 +38,22 @@ _HEADERS = {
 }
 
 
+def check_tokens(options: GatewayOptions) -> None:
+    """Raises ValueError for a token that can be guessed. Never says the token: the message may end in a log."""
+    for option, token in (("--token", options.token), ("--operator-token", options.operator_token)):
+        if len(token) < MIN_TOKEN_CHARACTERS:
+            raise ValueError(
+                f"{option} has {len(token)} characters; a token that nobody guesses has {MIN_TOKEN_CHARACTERS} or "
+                f"more: leave {option} out for a random one"
+            )
+
+
 class Admission:
     """Checks of one gateway."""
 
-    def __init__(self, options: GatewayOptions) -> None:
+    def __init__(self, options: GatewayOptions, journal: Journal) -> None:
         self.refused_connections = 0
+        self._journal = journal
         self._options = options
         self._origins = frozenset(origin_of(origin) for origin in options.origins)
         self._own_names = frozenset({options.host.lower(), "localhost", platform.node().lower()})
@@ -51,17 +67,16 @@ class Admission:
         self.check_token(request)
         # A page from elsewhere could make a browser that knows the token connect. The browser names that page here.
         origin = request.headers.get("Origin", "")
+        if not origin.isascii():
+            self._refuse(request, web.HTTPForbidden(text="the Origin header is not ASCII; send it as a browser does\n"))
         if not origin:
             wanted = f"that of this gateway's page, http://{request.host}, or one given with --origin"
-            self._refuse(web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
+            self._refuse(request, web.HTTPForbidden(text=f"the Origin header is missing; send {wanted}\n"))
         if not self._is_named(origin) and not self._is_own(origin, request.host):
-            self._refuse(web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
+            self._refuse(request, web.HTTPForbidden(text=f"Origin {origin} is not let in; allow it with --origin\n"))
         if browser_count >= self._options.max_browsers:
-            self._refuse(
-                web.HTTPServiceUnavailable(
-                    text=f"{self._options.max_browsers} browsers are connected (--max-browsers)\n"
-                )
-            )
+            full = f"{self._options.max_browsers} browsers are connected (--max-browsers)\n"
+            self._refuse(request, web.HTTPServiceUnavailable(text=full))
 
     def _is_named(self, origin: str) -> bool:
         """Tells whether --origin allows pages of `origin`."""
@@ -88,14 +103,19 @@ class Admission:
         """Refuses a request without the token."""
         looks = _same(request.query.get("token", ""), self._options.token)
         if not looks and not self.is_operator(request):
-            self._refuse(web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n"))
+            self._refuse(
+                request, web.HTTPForbidden(text="the token is missing or wrong; use the address that was printed\n")
+            )
 
     def is_operator(self, request: web.Request) -> bool:
         """Tells whether a request has the operators' token."""
         return _same(request.query.get("token", ""), self._options.operator_token)
 
-    def _refuse(self, error: web.HTTPException) -> None:
+    def _refuse(self, request: web.Request, error: web.HTTPException) -> None:
         self.refused_connections += 1
+        who = request.protocol.who if isinstance(request.protocol, Connection) else str(request.remote)
+        what = f"{request.method} {request.path}"
+        self._journal.note("refused", who=who, what=what, reason=error.text or error.reason)
         raise error
 
 
@@ -105,12 +125,23 @@ def _same(given: str, token: str) -> bool:
 
 
 @web.middleware
-async def secure_headers(request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
+async def checked(request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
+    """Answers what a browser would not ask for by a refusal, and adds the headers that each answer has."""
+    if isinstance(request.protocol, Connection):
+        request.protocol.take_request()
     try:
+        if not request.headers.get("Sec-WebSocket-Key", "").isascii():
+            raise web.HTTPBadRequest(text="the header Sec-WebSocket-Key is not base64\n")
         response: web.StreamResponse = await handler(request)
     except web.HTTPException as error:
         error.headers.update(_HEADERS)
         raise
+    except OSError as error:
+        if isinstance(error, ConnectionError):
+            raise
+        # A name that the file system does not take, such as one of 256 characters.
+        missing = f"there is no such file: {error.strerror}\n"
+        raise web.HTTPNotFound(text=missing, headers=_HEADERS) from error
     if not response.prepared:
         response.headers.update(_HEADERS)
     return response

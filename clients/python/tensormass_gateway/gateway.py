@@ -38,9 +38,10 @@ control.proto as JSON, and its result has all values after them in the same form
 (playback.py) has no load, unload and adjust, but step_back, seek (to time_s) and speed. A pose's orientation is a
 quaternion of any length but zero. Without it, the tool turns back to its own axes. Numbers are finite. A browser that
 breaks this protocol is closed with code 1008 and the reason. A choice that there is not is answered with its error
-instead, and the choice before holds.
+instead, and the choice before holds. A browser that sends more than its budget is closed alike (`COSTS`,
+connections.py).
 
-admission.py says who may connect.
+admission.py says who may connect, connections.py what a connection may do before. journal.py logs whom they refuse.
 """
 
 from __future__ import annotations
@@ -49,18 +50,21 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Coroutine, Mapping
 from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from tensormass._src import demo
 from tensormass.v1 import scene_pb2
-from tensormass_gateway.admission import Admission, secure_headers
+from tensormass_gateway.admission import Admission, check_tokens, checked
+from tensormass_gateway.budget import Turns
 from tensormass_gateway.choice import Choice, ChoiceError, choice_of
+from tensormass_gateway.connections import Connection, Connections, connection_limit
 from tensormass_gateway.control import MAX_WAITING, Command, CommandError, Control, Outcome, read_command
 from tensormass_gateway.daemon import Daemon
 from tensormass_gateway.encoding import SharedFrame
+from tensormass_gateway.journal import Journal
 from tensormass_gateway.options import GatewayOptions
 from tensormass_gateway.outbox import Stream, Watcher
 from tensormass_gateway.playback import Playback
@@ -81,23 +85,39 @@ log = logging.getLogger(__name__)
 MAX_BROWSER_MESSAGE_BYTES = 4096
 """A larger message from a browser closes its connection."""
 
-
 HEARTBEAT_S = 15.0
 """A browser that does not answer a ping for this long is disconnected. It reconnects when it wakes."""
+
+CLOSE_S = 2.0
+"""Time in which a browser answers that its connection is closed. Until then it counts."""
+
+COSTS = {"watch": 20, "frames": 20, "field": 20, "control": 5}
+"""Further units of a browser's budget (`Connection.frames`) that a request takes, because it is work for all."""
+
+TURNS_PER_S, MOST_TURNS = 50.0, 32
+"""Requests `watch`, `frames` and `field` of all browsers that start in a second, and at once. Later ones wait."""
 
 
 class Browser(Watcher):
     """One connected viewer."""
 
-    def __init__(self, socket: web.WebSocketResponse, choice: Choice, *, operator: bool) -> None:
+    def __init__(
+        self, socket: web.WebSocketResponse, connection: Connection, choice: Choice, *, operator: bool
+    ) -> None:
         super().__init__()
         self.choose(choice)
         self.socket = socket
+        self.connection = connection
         self.operator = operator
         self.commands: set[asyncio.Task[None]] = set()
         """Commands that are not answered yet."""
         self._states: dict[str, dict[str, Any]] = {}
         self._wake = asyncio.Event()
+
+    @property
+    def who(self) -> str:
+        """Returns role and address, for the log."""
+        return f"{'operator' if self.operator else 'viewer'} {self.connection.who}"
 
     def choose(self, choice: Choice) -> None:
         """Takes a choice of frames, from the next frame on."""
@@ -120,6 +140,7 @@ class Browser(Watcher):
     async def send_messages(self) -> None:
         while True:
             message = await self.outbox.take()
+            self.connection.frames.earn()  # its acknowledgement
             if isinstance(message, SharedFrame):
                 message = await self.encoder.encode(message)
             await self.socket.send_bytes(message)
@@ -141,13 +162,15 @@ class Gateway:
             )
         if options.max_browsers < 1:
             raise ValueError(f"max_browsers is {options.max_browsers}; at least one browser must be let in")
+        check_tokens(options)
         self.options = options
-        self._admission = Admission(options)
+        self._journal = Journal()
+        self._admission = Admission(options, self._journal)
+        self._connection_limit = connection_limit(options.max_browsers)
+        self._turns = Turns(TURNS_PER_S, MOST_TURNS)
         self.port = options.port
         self.closed_for_errors = 0
         self._browsers: set[Browser] = set()
-        if not options.operator_token:
-            raise ValueError("the operators' token is empty; anybody would be an operator")
         self._daemon: Daemon | Playback
         self._control: Control | Playback
         if recording is None:
@@ -156,6 +179,7 @@ class Gateway:
         else:
             self._daemon = self._control = Playback(recording, self._announce, self._announce_head)
         self._runner: web.AppRunner | None = None
+        self._listener: asyncio.Server | None = None
         self._follower: asyncio.Task[None] | None = None
 
     @property
@@ -196,7 +220,7 @@ class Gateway:
 
     async def start(self) -> None:
         """Starts to listen. Raises OSError if the address is taken."""
-        app = web.Application(middlewares=[secure_headers])
+        app = web.Application(middlewares=[checked])
         app.add_routes(
             [
                 web.get("/", self._page),
@@ -206,16 +230,22 @@ class Gateway:
                 web.static("/assets", self.options.viewer / "assets"),
             ]
         )
-        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        self._runner = web.AppRunner(app, shutdown_timeout=1.0)
         await self._runner.setup()
-        await web.TCPSite(self._runner, self.options.host, self.options.port).start()
-        self.port = self._runner.addresses[0][1]
+        assert self._runner.server is not None
+        connections = Connections(self._runner.server, self._connection_limit, self._journal)
+        self._listener = await asyncio.get_running_loop().create_server(
+            connections, self.options.host, self.options.port
+        )
+        self.port = self._listener.sockets[0].getsockname()[1]
         self._follower = background(self._daemon.follow())
 
     async def stop(self) -> None:
         """Closes every connection and task."""
         if self._follower is not None:
             self._follower.cancel()
+        if self._listener is not None:
+            self._listener.close()
         for browser in list(self._browsers):
             for command in browser.commands:
                 command.cancel()
@@ -239,8 +269,13 @@ class Gateway:
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         self._admission.check(request, len(self._browsers))
         choice = _choice_of(request)
-        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False)
-        browser = Browser(socket, choice, operator=self._admission.is_operator(request))
+        socket = web.WebSocketResponse(
+            timeout=CLOSE_S, heartbeat=HEARTBEAT_S, max_msg_size=MAX_BROWSER_MESSAGE_BYTES, compress=False
+        )
+        connection = request.protocol
+        assert isinstance(connection, Connection)
+        connection.become_viewer()
+        browser = Browser(socket, connection, choice, operator=self._admission.is_operator(request))
         # Counts the browser before the handshake, so that no burst passes the limit.
         self._browsers.add(browser)
         senders: list[asyncio.Task[None]] = []
@@ -250,9 +285,10 @@ class Gateway:
             if isinstance(self._daemon, Playback):
                 browser.tell_state(_head_of(self._daemon))
             senders = [background(browser.send_messages()), background(browser.send_states())]
-            await self._listen(browser)
+            await _unless_refused(self._listen(browser), connection.refused)
         except ProtocolError as error:
             self.closed_for_errors += 1
+            self._note_closed(browser, str(error))
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode()[:120])
         except ConnectionError as error:  # the browser disconnected during an answer
             log.info("a browser went away: %s", error)
@@ -267,10 +303,21 @@ class Gateway:
         async for message in browser.socket:
             if message.type is WSMsgType.ERROR:
                 self.closed_for_errors += 1
+                self._note_closed(browser, str(message.data))
                 return
             if message.type is not WSMsgType.TEXT:
                 raise ProtocolError("a browser sends text messages only")
-            await self._handle(browser, read_request(message.data))
+            request = read_request(message.data)
+            # An unknown type costs nothing: it ends the connection.
+            cost = COSTS.get(str(request.get("type")), 0)
+            if cost and not browser.connection.frames.spend(cost):
+                raise ProtocolError(
+                    f"more requests {request['type']!r} than a browser may make; make fewer in a second"
+                )
+            await self._handle(browser, request)
+
+    def _note_closed(self, browser: Browser, reason: str) -> None:
+        self._journal.note("closed", who=browser.who, what="stream", scene=browser.scene or "", reason=reason)
 
     async def _handle(self, browser: Browser, request: dict[str, Any]) -> None:
         match request:
@@ -281,6 +328,7 @@ class Gateway:
                 if stream == Stream.FRAME:
                     await self._take_keyframe(browser, request.get("keyframe"))
             case {"type": "frames"}:
+                await self._turns.take()
                 await self._choose(browser, {key: value for key, value in request.items() if key != "type"})
             case {"type": "clock", "client_time_ms": client_time_ms}:
                 if finite_number(client_time_ms) is None:
@@ -296,6 +344,7 @@ class Gateway:
             case {"type": "watch", "scene": str(scene)}:
                 if not is_name(scene):
                     raise ProtocolError("a scene's name is 1 to 64 characters of [A-Za-z0-9_-]")
+                await self._turns.take()
                 self._daemon.watch(browser, scene)
             case {"type": "control"}:
                 # Counted here: a burst is read before its first command starts.
@@ -306,6 +355,7 @@ class Gateway:
             case {"type": "field", "name": str(name)}:
                 if name and name not in FIELDS:
                     raise ProtocolError(f"a field is one of {', '.join(FIELDS)}")
+                await self._turns.take()
                 self._daemon.show_field(browser, name)
             case {"type": "pose", "tool": str(tool), "position_m": position_m}:
                 if not self.options.allow_poses:
@@ -350,6 +400,9 @@ class Gateway:
         except Exception:  # an error of our own; the operator still gets an answer
             log.exception("%s of scene %s failed", command.action, command.scene)
             error = "the gateway failed; its log says why"
+        if error:
+            what = f"control {command.action}"
+            self._journal.note("refused", who=browser.who, what=what, scene=command.scene, reason=error)
         result = {"type": "result", "id": command.id, "action": command.action, "scene": outcome.scene, "error": error}
         if outcome.adjustments is not None:
             result["adjustments"] = outcome.adjustments
@@ -372,6 +425,20 @@ class Gateway:
         assert isinstance(self._daemon, Playback)
         for browser in self._browsers:
             browser.tell_state(_head_of(self._daemon))
+
+
+async def _unless_refused(listening: Coroutine[Any, Any, None], refused: asyncio.Future[str]) -> None:
+    """Runs `listening` to its end. Raises ProtocolError with the reason when the connection is refused before."""
+    task = asyncio.create_task(listening)
+    waited: set[asyncio.Future[Any]] = {task, refused}
+    try:
+        await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
+        if refused.done():
+            raise ProtocolError(refused.result())
+        task.result()
+    finally:
+        task.cancel()
+        await asyncio.wait({task})
 
 
 def _head_of(playback: Playback) -> dict[str, Any]:

@@ -47,9 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the gateway's options, for `tensormass view` and `tensormass run`."""
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s, loopback)")
     parser.add_argument("--port", type=int, default=0, help="port to listen on; 0: a free one (default)")
-    parser.add_argument("--token", default=None, help="what a browser must know to look (default: random)")
     parser.add_argument(
-        "--operator-token", default=None, help="what a browser must know to control scenes (default: random)"
+        "--token", default=None, help="what a browser must know to look: 16 characters or more (default: random)"
+    )
+    parser.add_argument(
+        "--operator-token",
+        default=None,
+        help="what a browser must know to control scenes: 16 characters or more (default: random)",
     )
     parser.add_argument("--max-browsers", type=int, default=16, help="browsers at once (default: %(default)s)")
     parser.add_argument(
