@@ -20,6 +20,9 @@ namespace {
 constexpr std::chrono::milliseconds kDrainTime{300};
 /// Threads of all calls together; a call beyond them is answered with RESOURCE_EXHAUSTED.
 constexpr int kMaxThreads = 64;
+/// Time without a byte from a client with a call, after which it is asked whether it is there, and time for its answer.
+/// The calls of one that is gone end then.
+constexpr std::chrono::milliseconds kKeepalive{10'000}, kKeepaliveAnswer{5'000};
 
 }  // namespace
 
@@ -44,6 +47,9 @@ Result<std::unique_ptr<ControlServer>> ControlServer::start(const std::string& a
       grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
   builder.SetMaxReceiveMessageSize(static_cast<int>(limits::kMaxControlMessageBytes));
   builder.SetResourceQuota(grpc::ResourceQuota("control").SetMaxThreads(kMaxThreads));
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, static_cast<int>(kKeepalive.count()));
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, static_cast<int>(kKeepaliveAnswer.count()));
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);  // no bound
   builder.experimental().SetInterceptorCreators(refuse_unreadable_requests());
   builder.RegisterService(&parts->service);
   parts->server = builder.BuildAndStart();

@@ -10,6 +10,7 @@
 
 #include "control/status.h"
 #include "core/limits.h"
+#include "core/log.h"
 
 namespace tensormass::control {
 namespace {
@@ -201,6 +202,8 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
   runner->reset();
   if (!started) return to_status(started.error());
   world::Recording& recording = *started->recording;
+  // Cancelling the call frees a Write that waits for its client.
+  recording.on_evicted([context] { context->TryCancel(); });
   started->start.set_server_version(identity_.version());
   v1::RecordSceneResponse response;
   *response.mutable_start() = std::move(started->start);
@@ -214,6 +217,15 @@ grpc::Status ControlService::RecordScene(grpc::ServerContext* context, const v1:
     } else {
       std::this_thread::sleep_for(kRecordingPause);
     }
+  }
+  recording.on_evicted({});
+  if (recording.evicted()) {
+    log::warn("evicted a recording", {{"who", context->peer()},
+                                      {"what", "RecordScene"},
+                                      {"scene", request->scene()},
+                                      {"reason",
+                                       "its client took nothing for limits::kRecordingLease = 10 s, and "
+                                       "another one needed the scene"}});
   }
   if (const RunnerPtr still = scene.lock()) still->stop_recording(started->recording);
   return grpc::Status::OK;

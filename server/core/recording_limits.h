@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 
 /// Limits of recordings, with their unit and what happens beyond them. A file of their own, because limits.h is part of
@@ -13,6 +14,9 @@ inline constexpr int kMaxReplayedSteps = 1000;
 inline constexpr std::size_t kRecordedSteps = 8192;
 /// Checks of a recording that may wait for its reader; each holds a copy of the scene's state. A further check is lost.
 inline constexpr std::size_t kRecordedChecks = 8;
+/// Time in which the reader of a recording must take something. After it, a client that wants to record or adjust the
+/// scene ends the recording.
+inline constexpr std::chrono::milliseconds kRecordingLease{10'000};
 /// Nodes whose displacement a check of a recording contains.
 inline constexpr std::size_t kSampledNodes = 256;
 

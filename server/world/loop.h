@@ -150,7 +150,9 @@ class Loop {
   void stop_with_fault(std::string reason);
   void stop_for_device(const std::exception& failure);
   Result<void> require_state() const;
-  Result<void> require_not_recorded(std::string_view change) const;
+  Result<void> require_not_recorded(std::string_view change);
+  /// Ends a recording whose reader is stuck.
+  void drop_abandoned_recording();
   tl::unexpected<Error> lockstep_error(std::string_view what) const;
   Clock::duration lockstep_frame_interval() const;
 

@@ -16,6 +16,7 @@ void Loop::record_step(std::uint64_t step, std::uint32_t cg_limit, bool diagnose
 
 Result<Loop::StartedRecording> Loop::do_record(const RecordingOptions& options) {
   TM_RETURN_IF_ERROR(require_state());
+  drop_abandoned_recording();
   if (recording_) {
     return fail(ErrorCode::kFailedPrecondition,
                 fmt::format("scene '{}' is being recorded; end that recording first", model_.name));
@@ -86,8 +87,15 @@ Result<LoopState> Loop::do_save() {
   return LoopState{world_->save(), next_diagnostics_};
 }
 
+void Loop::drop_abandoned_recording() {
+  if (!recording_ || !recording_->abandoned()) return;
+  recording_->evict();
+  recording_.reset();
+}
+
 /// Refuses what a recording cannot hold. change: what no step has as its input.
-Result<void> Loop::require_not_recorded(std::string_view change) const {
+Result<void> Loop::require_not_recorded(std::string_view change) {
+  drop_abandoned_recording();
   if (!recording_) return {};
   return fail(ErrorCode::kFailedPrecondition,
               fmt::format("scene '{}' is being recorded, and no step has {} as its input; end the recording first",

@@ -14,6 +14,7 @@ namespace tensormass::world {
 
 Recording::Recording(const model::Model& model, const RecordingOptions& options)
     : check_every_(options.check_every_steps),
+      lease_(options.lease),
       row_of_node_(model.layout.row_of_node),
       coming_(model.tools.size()),
       has_coming_(model.tools.size(), false),
@@ -64,6 +65,22 @@ void Recording::take_check(std::uint64_t step, backend::RowState state) {
   checks_.push();
 }
 
+bool Recording::abandoned() const {
+  return std::chrono::steady_clock::now() - taken_.load(std::memory_order_relaxed) > lease_;
+}
+
+void Recording::evict() {
+  evicted_.store(true, std::memory_order_relaxed);
+  close();
+  const std::lock_guard lock(freeing_);
+  if (free_) free_();
+}
+
+void Recording::on_evicted(std::function<void()> free) {
+  const std::lock_guard lock(freeing_);
+  free_ = std::move(free);
+}
+
 /// Adds a gap if steps before `next` did not come.
 void Recording::add_lost(std::uint64_t next, v1::RecordSceneResponse& response) {
   TM_ASSERT(next > read_index_, "indices ascend");
@@ -76,6 +93,7 @@ void Recording::add_lost(std::uint64_t next, v1::RecordSceneResponse& response) 
 
 bool Recording::take(v1::RecordSceneResponse& response) {
   response.Clear();
+  taken_.store(std::chrono::steady_clock::now(), std::memory_order_relaxed);
   // Before the rings: what the loop did before it closed is in them then.
   const bool ended = closed();
   while (const Step* step = steps_.front()) {

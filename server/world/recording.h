@@ -1,7 +1,10 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
+#include <functional>
+#include <mutex>
 #include <span>
 #include <string>
 #include <string_view>
@@ -25,6 +28,9 @@
 /// The loop never waits. A step that finds no room in a ring is lost, and the reader learns it from the gap in the
 /// indices. The loop allocates nothing for a step. For a check it copies the state, as GetFields does; the reader
 /// hashes the copy.
+///
+/// A scene has one recording. A reader looks for steps all the time, so one that has not for the length of a lease is
+/// stuck: its client takes no bytes. Whoever needs the scene then evicts it.
 namespace tensormass::world {
 
 struct RecordingOptions {
@@ -32,6 +38,7 @@ struct RecordingOptions {
   bool reset = false;                   ///< resets the scene first
   std::size_t room_for_steps = limits::kRecordedSteps;
   std::size_t room_for_checks = limits::kRecordedChecks;
+  std::chrono::milliseconds lease = limits::kRecordingLease;
 };
 
 /// A step as it ended.
@@ -59,6 +66,10 @@ class Recording {
   void take_check(std::uint64_t step, backend::RowState state);
   /// No step follows.
   void close() { closed_.store(true, std::memory_order_release); }
+  /// Says whether the reader has not looked for steps for the length of the lease.
+  bool abandoned() const;
+  /// Closes the recording because somebody else needs the scene, and calls what `on_evicted` has set.
+  void evict();
 
   // -- the reader's thread --------------------------------------------------------------------------------------------
 
@@ -66,6 +77,10 @@ class Recording {
   /// Fills `response` with what came since the last call, at most kMostSteps steps. Returns false if there is nothing.
   /// After `close`, one more false means the end.
   bool take(v1::RecordSceneResponse& response);
+  /// Sets what frees the reader when it is evicted. Called on the loop's thread; must not block. Set nothing before
+  /// what it uses ends: no call runs after this returns.
+  void on_evicted(std::function<void()> free);
+  bool evicted() const { return evicted_.load(std::memory_order_relaxed); }
 
   /// Steps in one message.
   static constexpr int kMostSteps = 1000;
@@ -88,6 +103,7 @@ class Recording {
   void add_lost(std::uint64_t next, v1::RecordSceneResponse& response);
 
   const std::uint32_t check_every_;
+  const std::chrono::steady_clock::duration lease_;
   // Copies, because the reader may outlive the scene.
   std::vector<std::string> tool_names_;
   std::vector<std::size_t> tool_joints_;
@@ -103,7 +119,10 @@ class Recording {
   Ring<Check> checks_;
   std::atomic<std::uint64_t> index_{0};  // index of the last step, also if it was lost
   std::atomic<std::uint64_t> lost_checks_{0};
-  std::atomic<bool> closed_{false};
+  std::atomic<bool> closed_{false}, evicted_{false};
+  std::atomic<std::chrono::steady_clock::time_point> taken_{std::chrono::steady_clock::now()};  // last `take`
+  std::mutex freeing_;
+  std::function<void()> free_;  // guarded by freeing_
 
   std::uint64_t read_index_ = 0;  // the reader's: of the last step that it knows of
 };

@@ -1,5 +1,7 @@
 #include "world/recording.h"
 
+#include <chrono>
+#include <thread>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -127,6 +129,23 @@ TEST_F(ARecording, CountsChecksThatFindNoRoom) {
   ASSERT_EQ(response.checks_size(), 1);
   EXPECT_EQ(response.checks(0).index(), 2u);
   EXPECT_EQ(response.lost_checks(), 2u);
+}
+
+TEST_F(ARecording, IsAbandonedByAReaderThatDoesNotLookForALease) {
+  Recording waits(*model, {.lease = std::chrono::hours(1)});
+  EXPECT_FALSE(waits.abandoned());
+  Recording short_one(*model, {.lease = std::chrono::milliseconds(0)});
+  while (!short_one.abandoned()) std::this_thread::yield();
+  int freed = 0;
+  short_one.on_evicted([&] { ++freed; });
+  short_one.evict();
+  EXPECT_EQ(freed, 1);
+  EXPECT_TRUE(short_one.evicted());
+  EXPECT_TRUE(short_one.closed());
+  waits.on_evicted([&] { ++freed; });
+  waits.on_evicted({});
+  waits.evict();
+  EXPECT_EQ(freed, 1) << "the reader has gone";
 }
 
 TEST_F(ARecording, AResetDropsThePosesOfAStepThatDidNotCome) {
