@@ -93,7 +93,20 @@ double least_energy(const model::Model& m) {
   return energy * kLeastStrain * kLeastStrain;
 }
 
+/// Says whether a step must end in an equilibrium.
+bool must_converge(const model::Model& m) { return m.quasi_static() && m.iterates() && !m.allow_unconverged; }
+
+/// Says whether a body has no fixed nodes, so that it may fall.
+bool may_fall(const model::Model& m) {
+  return std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; });
+}
+
 }  // namespace
+
+double max_distance_m(const model::Model& m) {
+  if (must_converge(m) || may_fall(m)) return std::numeric_limits<double>::infinity();
+  return m.max_distance_m.value_or(kMaxDistance * (size_of(m) + largest_start(m)));
+}
 
 bool counts_all_work(const model::Model& m) { return m.prescribed_rows.rows.empty() && m.pressure.faces.empty(); }
 
@@ -166,18 +179,15 @@ void EnergyBalance::start(double kinetic_j, double elastic_j) {
 Guard::Guard(const model::Model& m)
     : max_move_m_(m.max_move_m.value_or(kMaxMove * (size_of(m) + largest_start(m)))),
       trusted_move_m_(kTrustedMove * max_move_m_),
-      max_distance_m_(m.max_distance_m.value_or(kMaxDistance * (size_of(m) + largest_start(m)))),
+      max_distance_m_(max_distance_m(m)),
       max_residual_(m.floor_tolerance > 0 ? m.floor_tolerance : kMaxLinearResidual),
       max_energy_ratio_(m.max_energy_ratio.value_or(kEnergySlack)),
       least_energy_j_(least_energy(m)),
       newton_tolerance_(m.newton_tolerance),
       checks_energy_(counts_all_work(m)),
-      must_converge_(m.quasi_static() && m.iterates() && !m.allow_unconverged) {
-  // A body without fixed nodes may fall without end, and faster and faster.
-  if (std::any_of(m.bodies.begin(), m.bodies.end(), [](const auto& body) { return body.fixed_node_count == 0; })) {
-    max_distance_m_ = std::numeric_limits<double>::infinity();
-    if (!m.max_move_m) max_move_m_ *= kMaxMoveOfFreeBodies;
-  }
+      must_converge_(must_converge(m)) {
+  // A body that falls gets faster and faster.
+  if (may_fall(m) && !m.max_move_m) max_move_m_ *= kMaxMoveOfFreeBodies;
 }
 
 BoundCheck Guard::check(const solver::StepResult& result, const StepEnergy& energy) const {

@@ -48,6 +48,10 @@ struct BoundCheck {
   bool good() const { return breach == Breach::kNone; }
 };
 
+/// Returns the largest distance of a node from its rest position [m]. Infinite if a body may fall, because it may do so
+/// without end, or if the scene looks for an equilibrium.
+double max_distance_m(const model::Model& model);
+
 /// In words: "a node is 0.3 m from its rest position, farther than 0.15 m".
 std::string to_text(const BoundCheck& check);
 

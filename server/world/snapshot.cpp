@@ -12,6 +12,7 @@
 #include "core/limits.h"
 #include "model/scene_input.h"
 #include "tensormass/v1/recording.pb.h"
+#include "world/guard.h"
 #include "world/hashes.h"
 #include "world/recording.h"
 
@@ -22,6 +23,10 @@ namespace {
 /// The first byte is not text, and a transfer that changes ends of lines damages the last one.
 constexpr std::array<char, 8> kMagic{'\x89', 'T', 'M', 'S', 'N', 'A', 'P', '\n'};
 constexpr std::uint32_t kVersion = 1;
+/// Largest number of a snapshot, because a scene of single precision stores it as a float.
+constexpr double kMaxReal = std::numeric_limits<float>::max();
+/// Allowed excess over a bound that a step was checked with in single precision.
+constexpr double kRounding = 1 + 1e-6;
 
 struct Header {
   std::array<char, 8> magic = kMagic;
@@ -48,8 +53,9 @@ void write_vector(const Vec3<double>& vector, v1::Vector3& out) {
   out.set_z(vector[2]);
 }
 
-/// Reads `count` finite numbers.
-Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t count, std::string_view where) {
+/// Reads `count` finite numbers, none beyond `largest`.
+Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t count, std::string_view where,
+                                         double largest = kMaxReal) {
   if (bytes.size() != count * sizeof(double)) {
     return invalid(
         fmt::format("snapshot.{}: {} bytes, but this scene has {}", where, bytes.size(), count * sizeof(double)));
@@ -59,12 +65,37 @@ Result<std::vector<double>> read_doubles(const std::string& bytes, std::size_t c
   if (!std::all_of(out.begin(), out.end(), [](double value) { return std::isfinite(value); })) {
     return invalid(fmt::format("snapshot.{}: has numbers that are not finite", where));
   }
+  const auto beyond =
+      std::find_if(out.begin(), out.end(), [largest](double value) { return std::abs(value) > largest; });
+  if (beyond != out.end()) {
+    return invalid(
+        fmt::format("snapshot.{}: has {:g}, beyond {:g}; no step of a scene gets there", where, *beyond, largest));
+  }
   return out;
 }
 
+/// Reads the displacement of each row, as far from rest as a step may end. displacement: [row_count, 4] m
+Result<std::vector<double>> read_displacement(const std::string& bytes, const model::Model& model) {
+  const std::size_t count = 4 * std::size_t{model.layout.row_count};
+  TM_ASSIGN_OR_RETURN(out, read_doubles(bytes, count, "displacement", limits::kMaxLength));
+  const double bound = kRounding * max_distance_m(model);
+  for (std::size_t i = 0; i < count; i += 4) {
+    const double distance = Vec3<double>(out[i], out[i + 1], out[i + 2]).norm();
+    if (distance > bound) {
+      return invalid(
+          fmt::format("snapshot.displacement: a node is {:.3g} m from its rest position, farther than {:.3g} "
+                      "m; no step of this scene ends there",
+                      distance, bound));
+    }
+  }
+  return std::move(out);
+}
+
 Result<double> read_finite(double value, std::string_view where) {
-  if (std::isfinite(value)) return value;
-  return invalid(fmt::format("snapshot.{}: is not finite", where));
+  if (!std::isfinite(value)) return invalid(fmt::format("snapshot.{}: is not finite", where));
+  if (std::abs(value) > kMaxReal)
+    return invalid(fmt::format("snapshot.{}: {:g} is beyond {:g}", where, value, kMaxReal));
+  return value;
 }
 
 void write_tool(const World::Saved::Tool& tool, const model::ToolModel& model, v1::SnapshotTool& out) {
@@ -145,9 +176,8 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
   TM_ASSIGN_OR_RETURN(force, model::read_vector(message.force_n(), where + ".force_n", limits::kMaxForceN));
   TM_ASSIGN_OR_RETURN(torque, model::read_vector(message.torque_n_m(), where + ".torque_n_m", limits::kMaxForceN));
   TM_ASSIGN_OR_RETURN(friction, model::read_vector(message.friction_n(), where + ".friction_n", limits::kMaxForceN));
-  constexpr double kMost = std::numeric_limits<double>::max();
-  TM_ASSIGN_OR_RETURN(young, model::read_number(message.young_modulus_pa(), 0, kMost, where + ".young_modulus_pa"));
-  TM_ASSIGN_OR_RETURN(plane_strain, model::read_number(message.plane_strain_modulus_pa(), 0, kMost,
+  TM_ASSIGN_OR_RETURN(young, model::read_number(message.young_modulus_pa(), 0, kMaxReal, where + ".young_modulus_pa"));
+  TM_ASSIGN_OR_RETURN(plane_strain, model::read_number(message.plane_strain_modulus_pa(), 0, kMaxReal,
                                                        where + ".plane_strain_modulus_pa"));
   out.force = {force, torque, friction, {}, young, plane_strain};
   if (static_cast<std::size_t>(message.joint_loads_size()) != model.joints.size()) {
@@ -162,12 +192,11 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
     return invalid(fmt::format("{}.shown_stiffness: {} values", where, message.shown_stiffness_size()));
   }
   for (int f = 0; f < message.shown_stiffness_size(); ++f) {
-    TM_ASSIGN_OR_RETURN(stiffness, model::read_number(message.shown_stiffness(f), 0, std::numeric_limits<double>::max(),
-                                                      where + ".shown_stiffness"));
+    TM_ASSIGN_OR_RETURN(stiffness,
+                        model::read_number(message.shown_stiffness(f), 0, kMaxReal, where + ".shown_stiffness"));
     out.motion.hold.stiffness[static_cast<std::size_t>(f)] = stiffness;
   }
-  TM_ASSIGN_OR_RETURN(reach,
-                      model::read_number(message.reach_m(), 0, std::numeric_limits<double>::max(), where + ".reach_m"));
+  TM_ASSIGN_OR_RETURN(reach, model::read_number(message.reach_m(), 0, kMaxReal, where + ".reach_m"));
   out.motion.hold.reach_m = reach;
   return out;
 }
@@ -175,9 +204,9 @@ Result<World::Saved::Tool> read_tool(const v1::SnapshotTool& message, const mode
 Result<backend::StepHistory> read_history(const v1::SnapshotState& message, const backend::StepHistory& present) {
   backend::StepHistory out;
   TM_ASSIGN_OR_RETURN(displacement, read_doubles(message.previous_displacement(), present.previous_displacement.size(),
-                                                 "previous_displacement"));
-  TM_ASSIGN_OR_RETURN(velocity,
-                      read_doubles(message.previous_velocity(), present.previous_velocity.size(), "previous_velocity"));
+                                                 "previous_displacement", limits::kMaxLength));
+  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.previous_velocity(), present.previous_velocity.size(),
+                                             "previous_velocity", limits::kMaxLength));
   TM_ASSIGN_OR_RETURN(slips, read_doubles(message.slips(), present.slips.size(), "slips"));
   TM_ASSIGN_OR_RETURN(tie_slips, read_doubles(message.tie_slips(), present.tie_slips.size(), "tie_slips"));
   TM_ASSIGN_OR_RETURN(broken, read_doubles(message.broken_springs(), present.broken.size(), "broken_springs"));
@@ -287,8 +316,8 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   const std::size_t reals = 4 * std::size_t{model.layout.row_count};
   std::size_t histories = 0;
   for (const model::ElementGroup& group : model.groups) histories += group.internal_variable_reals();
-  TM_ASSIGN_OR_RETURN(displacement, read_doubles(message.displacement(), reals, "displacement"));
-  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.velocity(), reals, "velocity"));
+  TM_ASSIGN_OR_RETURN(displacement, read_displacement(message.displacement(), model));
+  TM_ASSIGN_OR_RETURN(velocity, read_doubles(message.velocity(), reals, "velocity", limits::kMaxLength));
   TM_ASSIGN_OR_RETURN(internal, read_doubles(message.internal_variables(), histories, "internal_variables"));
   TM_ASSIGN_OR_RETURN(internal_dt_s, read_finite(message.internal_dt_s(), "internal_dt_s"));
   world.rows = {std::move(displacement), std::move(velocity), std::move(internal), internal_dt_s};
@@ -316,8 +345,7 @@ Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_h
   world.cg_limit = static_cast<std::uint32_t>(limit);
   world.held_steps = message.held_steps();
   world.recovering = message.recovering();
-  TM_ASSIGN_OR_RETURN(stuck,
-                      model::read_number(message.stuck_s(), 0, std::numeric_limits<double>::max(), "snapshot.stuck_s"));
+  TM_ASSIGN_OR_RETURN(stuck, model::read_number(message.stuck_s(), 0, kMaxReal, "snapshot.stuck_s"));
   world.stuck_s = stuck;
   out.next_diagnostics = message.next_diagnostics();
   return out;

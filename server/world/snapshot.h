@@ -22,8 +22,8 @@ std::string seal_snapshot(const std::string& content);
 /// Returns a header and the state. scene_hash: hash_of the scene that the model was compiled from.
 std::string write_snapshot(const model::Model& model, std::uint64_t scene_hash, const LoopState& state);
 /// Reads a snapshot for a loaded scene. Refuses with the reason what is not a snapshot, damaged, of another version,
-/// scene or layout, or has numbers that are not finite. present: the scene's own history, whose arrays have the right
-/// sizes.
+/// scene or layout, or has numbers that no step of the scene ends with. present: the scene's own history, whose arrays
+/// have the right sizes.
 Result<LoopState> read_snapshot(const model::Model& model, std::uint64_t scene_hash,
                                 const backend::StepHistory& present, std::string_view bytes);
 

@@ -216,6 +216,29 @@ TEST_F(SnapshotContent, IsChecked) {
   bad = good;
   bad.mutable_velocity()->replace(0, 8, reinterpret_cast<const char*>(&nan), 8);
   expect_refused(bad, "velocity: has numbers that are not finite");
+  const auto put = [](std::string* numbers, double value) {
+    numbers->replace(0, sizeof(value), reinterpret_cast<const char*>(&value), sizeof(value));
+  };
+  for (const double beyond_float : {1e39, -1e300}) {
+    bad = good;
+    put(bad.mutable_displacement(), beyond_float);
+    expect_refused(bad, "displacement: has ");
+    bad = good;
+    put(bad.mutable_velocity(), beyond_float);
+    expect_refused(bad, "velocity: has ");
+    bad = good;
+    put(bad.mutable_solution(), beyond_float);
+    expect_refused(bad, "solution: has ");
+    bad = good;
+    bad.mutable_tools(0)->set_young_modulus_pa(std::abs(beyond_float));
+    expect_refused(bad, "young_modulus_pa");
+    bad = good;
+    bad.set_kinetic_energy_j(beyond_float);
+    expect_refused(bad, "energies");
+  }
+  bad = good;
+  put(bad.mutable_displacement(), 1000);
+  expect_refused(bad, "displacement: a node is 1e+03 m from its rest position, farther than ");
   bad = good;
   bad.clear_slips();
   expect_refused(bad, "slips");
