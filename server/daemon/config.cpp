@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include <arpa/inet.h>
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
@@ -90,7 +91,10 @@ std::vector<std::string> with_environment(const CLI::App& app, int argc, const c
 bool is_local_endpoint(std::string_view endpoint) {
   if (endpoint.empty() || endpoint.starts_with("ipc://")) return true;
   const std::string host = host_of(endpoint);
-  return host == "localhost" || host == "[::1]" || host.starts_with("127.");
+  if (host == "localhost" || host == "[::1]") return true;
+  // A literal address only: DNS decides where 127.0.0.1.example leads.
+  in_addr address{};
+  return inet_pton(AF_INET, host.c_str(), &address) == 1 && ntohl(address.s_addr) >> 24 == 127;
 }
 
 ParsedCommandLine parse_command_line(int argc, const char* const* argv) {

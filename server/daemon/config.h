@@ -44,6 +44,7 @@ struct ParsedCommandLine {
 ParsedCommandLine parse_command_line(int argc, const char* const* argv);
 
 /// Returns true if only this machine can reach the endpoint: host:port, tcp://host:port, tcp/host:port or ipc://path.
+/// As a host, `localhost` and the literal addresses of the loopback interface count.
 bool is_local_endpoint(std::string_view endpoint);
 
 }  // namespace tensormass::daemon
