@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import tensormass as tm
 from tensormass.v1 import recording_pb2, scene_pb2
-from tensormass_tools.recording import file as recording_file
+from tensormass_tools.recording.chunks import CHANNELS
 from tensormass_tools.recording.file import RecordingReader, RecordingWriter
 
 STEPS = 60
@@ -44,7 +44,7 @@ def test_public_readers_open_a_recording_without_our_code(tmp_path: Path) -> Non
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == 2 + STEPS + STEPS // A_CHUNK
-    assert {channel.topic for channel in summary.channels.values()} == set(recording_file.CHANNELS)
+    assert {channel.topic for channel in summary.channels.values()} == set(CHANNELS)
     with path.open("rb") as file:
         # Decodes by the schemas in the file.
         reader = make_reader(file, decoder_factories=[DecoderFactory()])

@@ -14,6 +14,7 @@ import tensormass as tm
 from tensormass.v1 import scene_pb2, stream_pb2
 from tensormass_gateway.player import Mark
 from tensormass_tools.cli import main
+from tensormass_tools.recording import chunks
 from tensormass_tools.recording import index as recording_index
 from tensormass_tools.recording.file import RecordingWriter
 from tensormass_tools.recording.index import RecordingIndex
@@ -203,10 +204,10 @@ def test_limits_are_named(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for limit, value, says in (
         ("MAX_FRAMES", len(STEPS) - 1, "more than 9 frames"),
         ("MAX_CHUNK_BYTES", 100, "a chunk has [0-9]+ bytes, the limit is 100"),
-        ("MAX_CHUNK_BYTES", holds - 1, f"a chunk holds {holds} bytes"),
+        ("MAX_CHUNK_BYTES", holds - 1, f"a chunk of [0-9]+ bytes holds {holds}, the limit is {holds - 1}"),
     ):
         with monkeypatch.context() as patch:
-            patch.setattr(recording_index, limit, value)
+            patch.setattr(recording_index if limit == "MAX_FRAMES" else chunks, limit, value)
             with pytest.raises(tm.ResourceExhaustedError, match=says):
                 RecordingIndex(path)
 

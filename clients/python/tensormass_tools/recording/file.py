@@ -11,45 +11,23 @@ A file that was cut off has no summary; its whole chunks are read from the front
 from __future__ import annotations
 
 import os
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
-import zstandard
-from google.protobuf.message import DecodeError, Message
-from mcap.exceptions import McapError
-from mcap.records import Channel, Schema
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import CRCValidationError, StreamReader
+from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
-from tensormass._src.errors import InvalidArgumentError, NotFoundError, ResourceExhaustedError
-from tensormass.v1 import recording_pb2, scene_pb2, stream_pb2
+from tensormass._src.errors import InvalidArgumentError, ResourceExhaustedError
+from tensormass.v1 import recording_pb2, scene_pb2
+from tensormass_tools.recording.chunks import CHANNELS, DAMAGE, Channels, chunk_content, chunk_places, whole_bytes
 
-#: Message of each channel.
-CHANNELS: dict[str, type[Message]] = {
-    "/scene": scene_pb2.Scene,
-    "/start": recording_pb2.RecordingStart,
-    "/inputs": recording_pb2.RecordedStep,
-    "/checks": recording_pb2.StateCheck,
-    "/lost": recording_pb2.LostSteps,
-    "/status": stream_pb2.SceneStatus,
-    "/topology": stream_pb2.Topology,
-    "/frames": stream_pb2.Frame,
-}
 #: A chunk ends at this size or age, whichever comes first.
 CHUNK_BYTES = 256 << 10
 CHUNK_S = 1.0
-
-_MAGIC = b"\x89MCAP0\r\n"
-#: The first record follows.
-MAGIC_BYTES = len(_MAGIC)
-#: In front of each record: an opcode and a length.
-RECORD = struct.Struct("<BQ")
 
 
 class _Unbuffered:
@@ -166,7 +144,7 @@ class RecordingReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         #: Bytes up to the end of the last whole record; what follows is not read.
-        self.whole_bytes, self.cut_off = _whole_bytes(path)
+        self.whole_bytes, self.cut_off = whole_bytes(path)
         #: A damaged chunk ended the reading.
         self.damaged = False
         self.scene = scene_pb2.Scene()
@@ -183,72 +161,15 @@ class RecordingReader:
         )
 
     def entries(self) -> Iterator[Entry]:
-        """Yields the messages in the order of the file. Ends at the first damaged chunk."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        with self.path.open("rb") as file:
-            reader = StreamReader(_Limited(file, self.whole_bytes), validate_crcs=True)  # type: ignore[arg-type]
-            records = reader.records
-            while True:
-                try:
-                    record = next(records, None)
-                    if record is None:
-                        return
-                    if isinstance(record, Schema):
-                        schemas[record.id] = record
-                    elif isinstance(record, Channel):
-                        channels[record.id] = record
-                    elif isinstance(record, McapMessage):
-                        entry = _entry(record, channels, schemas)
-                        if entry is not None:
-                            yield entry
-                except (McapError, CRCValidationError, zstandard.ZstdError, DecodeError, struct.error, ValueError):
-                    # EndOfFile is one of them: a file without a footer ends so.
-                    self.damaged = self.damaged or file.tell() < self.whole_bytes
-                    return
+        """Yields the messages in the order of the file. Ends at the first damaged chunk.
 
-
-class _Limited:
-    """A file that ends after so many bytes."""
-
-    def __init__(self, file: IO[bytes], size: int) -> None:
-        self._file = file
-        self._left = size
-
-    def read(self, count: int) -> bytes:
-        data = self._file.read(min(count, self._left))
-        self._left -= len(data)
-        return data
-
-
-def _entry(record: McapMessage, channels: dict[int, Channel], schemas: dict[int, Schema]) -> Entry | None:
-    """Returns None for a channel of others."""
-    channel = channels.get(record.channel_id)
-    kind = CHANNELS.get(channel.topic) if channel is not None else None
-    schema = schemas.get(channel.schema_id) if channel is not None else None
-    if channel is None or kind is None or schema is None or schema.name != kind.DESCRIPTOR.full_name:
-        return None
-    return Entry(channel.topic, kind.FromString(record.data))
-
-
-def _whole_bytes(path: Path) -> tuple[int, bool]:
-    """Returns how many bytes whole records take, and whether the file was cut off."""
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
-                raise InvalidArgumentError(f"{path}: is not an MCAP file")
-            if size >= 2 * len(_MAGIC):
-                file.seek(size - len(_MAGIC))
-                if file.read() == _MAGIC:
-                    return size, False
-            at = len(_MAGIC)
-            while at + RECORD.size <= size:
-                file.seek(at)
-                _, length = RECORD.unpack(file.read(RECORD.size))
-                if at + RECORD.size + length > size:
-                    break
-                at += RECORD.size + length
-            return at, True
-    except FileNotFoundError as error:
-        raise NotFoundError(f"{path}: {error.strerror}") from error
+        Raises ResourceExhaustedError if a chunk exceeds a limit of chunks.py.
+        """
+        channels = Channels()
+        try:
+            with self.path.open("rb") as file:
+                for place in chunk_places(self.path, self.whole_bytes, cut_off=self.cut_off):
+                    for found in channels.messages(chunk_content(file, place)):
+                        yield Entry(found.channel, CHANNELS[found.channel].FromString(found.data))
+        except DAMAGE:
+            self.damaged = True

@@ -13,35 +13,32 @@ takes no time, and after a reset the time goes on where it was.
 
 from __future__ import annotations
 
-import io
 import math
-import struct
 from array import array
 from collections import OrderedDict
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple, TypeVar
+from typing import TypeVar
 
-import zstandard
-from google.protobuf.message import DecodeError, Message
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import get_chunk_data_stream
+from google.protobuf.message import Message
 
 from tensormass._src.errors import InvalidArgumentError, ResourceExhaustedError
 from tensormass.v1 import recording_pb2, stream_pb2
 from tensormass_gateway.player import Mark
 from tensormass_gateway.requests import is_name
 from tensormass_tools.output import force_n
-from tensormass_tools.recording.file import CHANNELS, MAGIC_BYTES, RECORD, RecordingReader
+from tensormass_tools.recording.chunks import (
+    CHANNELS,
+    DAMAGE,
+    Channels,
+    ChunkPlace,
+    Found,
+    chunk_content,
+    chunk_places,
+)
+from tensormass_tools.recording.file import RecordingReader
 
 #: Bytes of chunks that are held, because the next frame is often in the same one. At least one chunk is held.
 MAX_HELD_BYTES = 64 << 20
-#: A larger chunk is refused. One frame has at most 512 MiB on the bus.
-MAX_CHUNK_BYTES = 576 << 20
 #: Frames of a recording. An index of so many takes 440 MB.
 MAX_FRAMES = 10_000_000
 #: Marks of a recording. Later ones are left out.
@@ -51,21 +48,7 @@ MAX_MARK_TEXT = 200
 #: A tool that touches again within this time makes no new mark.
 CONTACT_APART_S = 0.5
 
-# In front of the data of a message.
-_MESSAGE_HEAD_BYTES = 22
-
 Kind = TypeVar("Kind", bound=Message)
-
-# Failures of a chunk whose bytes are not those that were written. ValueError: also a wrong checksum.
-_DAMAGE = (McapError, zstandard.ZstdError, DecodeError, struct.error, ValueError)
-
-
-class _Found(NamedTuple):
-    """A message in a chunk."""
-
-    channel: str
-    at: int
-    data: bytes
 
 
 class RecordingIndex:
@@ -122,18 +105,17 @@ class RecordingIndex:
     def _read(self) -> bool:
         """Makes the index. Returns whether a damaged chunk ended it."""
         timeline = _Timeline(self.times_s, self.marks)
-        channels: dict[int, str] = {}
-        schemas: dict[int, Schema] = {}
+        channels = Channels()
         with self._path.open("rb") as file:
             try:
-                for chunk_at, chunk_size in self._chunks():
-                    for found in _messages(_content(file, chunk_at, chunk_size), schemas, channels):
-                        self._take(found, chunk_at, chunk_size, timeline)
-            except _DAMAGE:
+                for place in chunk_places(self._path, self._whole_bytes, cut_off=self._cut_off):
+                    for found in channels.messages(chunk_content(file, place)):
+                        self._take(found, place, timeline)
+            except DAMAGE:
                 return True
         return False
 
-    def _take(self, found: _Found, chunk_at: int, chunk_size: int, timeline: _Timeline) -> None:
+    def _take(self, found: Found, place: ChunkPlace, timeline: _Timeline) -> None:
         message = CHANNELS[found.channel].FromString(found.data)
         if isinstance(message, stream_pb2.Topology):
             self.topology = message
@@ -141,44 +123,29 @@ class RecordingIndex:
             timeline.take_step(message)
         elif isinstance(message, stream_pb2.SceneStatus):
             timeline.take_status(message)
-            self._statuses.add(chunk_at, chunk_size, found.at, len(found.data))
+            self._statuses.add(place, found.at, len(found.data))
         elif isinstance(message, stream_pb2.Frame) and message.topology_version == self.topology.version:
             if len(message.positions) != 12 * sum(body.vertex_count for body in self.topology.bodies):
                 raise ValueError("a frame does not fit its topology")
             if len(self.times_s) == MAX_FRAMES:
                 raise ResourceExhaustedError(f"{self._path}: has more than {MAX_FRAMES} frames")
             timeline.take_frame(message)
-            self._frames.add(chunk_at, chunk_size, found.at, len(found.data))
+            self._frames.add(place, found.at, len(found.data))
             self._statuses_before.append(len(self._statuses))
 
-    def _chunks(self) -> Iterator[tuple[int, int]]:
-        """Yields place and size of each chunk. Raises ValueError where there is something else than a record."""
-        with self._path.open("rb") as file:
-            at = MAGIC_BYTES
-            while at + RECORD.size <= self._whole_bytes:
-                file.seek(at)
-                opcode, size = RECORD.unpack(file.read(RECORD.size))
-                if Opcode(opcode) is Opcode.DATA_END:  # raises ValueError for an unknown one
-                    return
-                if opcode == Opcode.CHUNK:
-                    yield at + RECORD.size, size
-                at += RECORD.size + size
-        if not self._cut_off:
-            raise ValueError("a record is longer than the file")
-
     def _message(self, places: _Places, index: int, kind: type[Kind]) -> Kind:
-        chunk_at, chunk_size, at, size = places.of(index)
+        place, at, size = places.of(index)
         try:
-            content = self._held.get(chunk_at)
+            content = self._held.get(place.at)
             if content is None:
                 with self._path.open("rb") as file:
-                    content = _content(file, chunk_at, chunk_size)
-                self._hold(chunk_at, content)
-            self._held.move_to_end(chunk_at)
+                    content = chunk_content(file, place)
+                self._hold(place.at, content)
+            self._held.move_to_end(place.at)
             return kind.FromString(content[at : at + size])
         except OSError as error:
             raise InvalidArgumentError(f"{self._path}: {error.strerror}") from error
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise InvalidArgumentError(f"{self._path}: has changed since it was opened; open it again") from error
 
     def _hold(self, chunk_at: int, content: bytes) -> None:
@@ -196,13 +163,13 @@ class _Places:
     def __len__(self) -> int:
         return len(self._numbers) // 4
 
-    def add(self, chunk_at: int, chunk_size: int, at: int, size: int) -> None:
-        """Adds a message: place and size of its chunk in the file, and its own in the content of the chunk."""
-        self._numbers.extend((chunk_at, chunk_size, at, size))
+    def add(self, place: ChunkPlace, at: int, size: int) -> None:
+        """Adds a message: its chunk, and its own place and size in the content of the chunk."""
+        self._numbers.extend((place.at, place.size, at, size))
 
-    def of(self, index: int) -> tuple[int, int, int, int]:
+    def of(self, index: int) -> tuple[ChunkPlace, int, int]:
         chunk_at, chunk_size, at, size = self._numbers[4 * index : 4 * index + 4]
-        return chunk_at, chunk_size, at, size
+        return ChunkPlace(chunk_at, chunk_size), at, size
 
 
 class _Timeline:
@@ -254,43 +221,3 @@ class _Timeline:
     def _mark(self, kind: str, text: str) -> None:
         if len(self._marks) < MAX_MARKS:
             self._marks.append(Mark(self._times_s[-1] if self._times_s else 0.0, kind, text[:MAX_MARK_TEXT]))
-
-
-def _content(file: IO[bytes], at: int, size: int) -> bytes:
-    """Reads a chunk and returns what it holds, decompressed and checked."""
-    if size > MAX_CHUNK_BYTES:
-        raise ResourceExhaustedError(f"{file.name}: a chunk has {size} bytes, the limit is {MAX_CHUNK_BYTES}")
-    file.seek(at)
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(file.read(size))))
-    holds = [chunk.uncompressed_size]
-    if chunk.compression == "zstd":
-        holds.append(zstandard.frame_content_size(chunk.data))
-    if max(holds) > MAX_CHUNK_BYTES:
-        raise ResourceExhaustedError(f"{file.name}: a chunk holds {max(holds)} bytes, the limit is {MAX_CHUNK_BYTES}")
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(length)
-
-
-def _messages(content: bytes, schemas: dict[int, Schema], channels: dict[int, str]) -> Iterator[_Found]:
-    """Yields the messages of a chunk. Learns its schemas, and the topics of its channels that are ours."""
-    stream = ReadDataStream(io.BytesIO(content))
-    while stream.count < len(content):
-        opcode, length = stream.read1(), stream.read8()
-        end = stream.count + length
-        if end > len(content) or (opcode == Opcode.MESSAGE and length <= _MESSAGE_HEAD_BYTES):
-            raise ValueError("a record is longer than its chunk, or too short")
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            kind, schema_of = CHANNELS.get(channel.topic), schemas.get(channel.schema_id)
-            if kind is not None and schema_of is not None and schema_of.name == kind.DESCRIPTOR.full_name:
-                channels[channel.id] = channel.topic
-        elif opcode == Opcode.MESSAGE:
-            message = McapMessage.read(stream, length)
-            if message.channel_id in channels:
-                yield _Found(channels[message.channel_id], end - len(message.data), message.data)
-        if stream.count > end:
-            raise ValueError("a record is longer than it says")
-        stream.read(end - stream.count)

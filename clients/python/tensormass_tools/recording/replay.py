@@ -67,10 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0 < args.tolerance < 1:
         raise InvalidArgumentError(f"--tolerance {args.tolerance:g}: must be between 0 and 1")
     recording = RecordingReader(args.file)
-    checks: dict[int, recording_pb2.StateCheck] = {
-        entry.message.index: entry.message for entry in recording.entries() if entry.channel == "/checks"
-    }
-    largest_m = max((check.largest_displacement_m for check in checks.values()), default=0.0)
+    largest_m = max((check.largest_displacement_m for check in _checks(recording)), default=0.0)
     scene = scene_pb2.Scene()
     scene.CopyFrom(recording.scene)
     scene.stepping.lockstep = True
@@ -84,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             if recording.start.snapshot:
                 handle.restore(recording.start.snapshot)
-            found, ended = _replay(args, recording, server, handle, checks, args.tolerance * largest_m)
+            found, ended = _replay(args, recording, server, handle, args.tolerance * largest_m)
         finally:
             handle.unload()
     summary = {
@@ -114,7 +111,6 @@ def _replay(
     recording: RecordingReader,
     server: Server,
     handle: SceneHandle,
-    checks: dict[int, recording_pb2.StateCheck],
     tolerance_m: float,
 ) -> tuple[Comparison, str | None]:
     """Returns the comparison, and why it ended early if it did."""
@@ -122,9 +118,11 @@ def _replay(
     start = recording.start
     same = version.backend == start.backend and version.device == start.device
     found = Comparison()
+    recorded_checks = _Checks(recording)
     for steps in _batches(recording):
         if steps[0].index != found.steps + 1:
             return found, f"step {found.steps + 1} and others up to {steps[0].index - 1} are lost in the recording"
+        checks = recorded_checks.up_to(steps[-1].index)
         request = control_pb2.ReplaySceneRequest(
             scene=handle.name,
             scene_hash=start.scene_hash,
@@ -139,6 +137,26 @@ def _replay(
         if found.exact and found.failed:
             return found, None  # every later hash differs too
     return found, None
+
+
+def _checks(recording: RecordingReader) -> Iterator[recording_pb2.StateCheck]:
+    return (entry.message for entry in recording.entries() if entry.channel == "/checks")
+
+
+class _Checks:
+    """The checks of a recording, read as its steps are. The file may be larger than memory."""
+
+    def __init__(self, recording: RecordingReader) -> None:
+        self._left = _checks(recording)
+        self._next = next(self._left, None)
+
+    def up_to(self, index: int) -> dict[int, recording_pb2.StateCheck]:
+        """Returns the checks since the last call, up to a step, by the index of their step."""
+        out: dict[int, recording_pb2.StateCheck] = {}
+        while self._next is not None and self._next.index <= index:
+            out[self._next.index] = self._next
+            self._next = next(self._left, None)
+        return out
 
 
 def _batches(recording: RecordingReader) -> Iterator[list[recording_pb2.RecordedStep]]:
