@@ -13,8 +13,20 @@ from tensormass_tools.daemon_arguments import add_daemon_arguments
 SUFFIX = ".mcap"
 #: Steps from one check of the state to the next.
 CHECK_EVERY = 100
+#: Bytes of a file, at which the next one starts.
+MAX_SIZE = 1 << 30
 #: Allowed difference of a sampled node on another backend, relative to the largest displacement in the recording.
 TOLERANCE = 1e-2
+
+
+def size_of(text: str) -> int:
+    """Reads a number of bytes, such as 500000, 64K, 200M or 2G."""
+    number = text.strip().upper().removesuffix("B")
+    unit = {"K": 10, "M": 20, "G": 30}.get(number[-1:], 0)
+    try:
+        return int(float(number[:-1] if unit else number) * (1 << unit))
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size, such as 200M or 2G") from None
 
 
 def add_record_arguments(parser: argparse.ArgumentParser, scene_help: str) -> None:
@@ -34,6 +46,15 @@ def add_record_arguments(parser: argparse.ArgumentParser, scene_help: str) -> No
         help="hash the state every N steps; default: %(default)s",
     )
     parser.add_argument("--frames", action="store_true", help="record the surfaces too")
+    parser.add_argument(
+        "--max-size",
+        type=size_of,
+        default=MAX_SIZE,
+        metavar="SIZE",
+        help="size of a file, such as 200M or 2G. Then FILE-2.mcap starts, FILE-3.mcap and so on; each starts with a "
+        "snapshot and replays alone. Default: 1G",
+    )
+    parser.add_argument("--keep", type=int, metavar="N", help="keep the newest N files; default: all")
     parser.add_argument(
         "--attach", metavar="NAME", help="record the scene that is loaded under this name; SCENE is what was loaded"
     )

@@ -89,7 +89,7 @@ class Channels:
         while stream.count < len(content):
             opcode, length = stream.read1(), stream.read8()
             end = stream.count + length
-            if end > len(content) or (opcode == Opcode.MESSAGE and length <= _MESSAGE_HEAD_BYTES):
+            if end > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD_BYTES):
                 raise ValueError("a record is longer than its chunk, or too short")
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)

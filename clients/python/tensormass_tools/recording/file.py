@@ -78,6 +78,15 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        self.close()
+
+    @property
+    def size(self) -> int:
+        """Bytes that are in the file."""
+        return self._file.tell()
+
+    def close(self) -> None:
+        """Ends the file, properly unless writing failed."""
         try:
             if not self._failed:
                 self._attempt(self._writer.finish)

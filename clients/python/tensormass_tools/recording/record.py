@@ -3,6 +3,8 @@
     daemon ──RecordScene──> thread ──> queue ──> main thread ──> file
            ──frames───────> thread ──┘             │ a status each second
 
+A file that is full is followed by another one (files.py).
+
 If the disk is too slow, the queue fills, gRPC stops reading, and the daemon counts the steps that are lost. The file
 then says which.
 """
@@ -20,6 +22,7 @@ from typing import Any
 import grpc
 
 from tensormass._src import errors
+from tensormass._src.connection import LOAD_TIMEOUT_S
 from tensormass._src.processes import end_explained
 from tensormass._src.scene_handle import SceneHandle
 from tensormass._src.server import Server
@@ -28,6 +31,7 @@ from tensormass_tools import presets
 from tensormass_tools.daemon_arguments import daemon_of
 from tensormass_tools.output import check_writable, load_line, print_json
 from tensormass_tools.recording.file import RecordingWriter
+from tensormass_tools.recording.files import Cut, RecordingFiles
 from tensormass_tools.running import announced
 
 # Messages that wait for the disk.
@@ -51,6 +55,10 @@ def run(args: argparse.Namespace) -> int:
         raise errors.InvalidArgumentError(f"--seconds {args.seconds:g}: must be positive")
     if not 0 <= args.check_every < 2**32:
         raise errors.InvalidArgumentError(f"--check-every {args.check_every}: must be 0 or more")
+    if not args.max_size > 0:
+        raise errors.InvalidArgumentError(f"--max-size {args.max_size}: must be positive")
+    if args.keep is not None and args.keep < 1:
+        raise errors.InvalidArgumentError(f"--keep {args.keep}: at least the newest file must stay")
     if args.attach is not None and args.server is None:
         raise errors.InvalidArgumentError("--attach needs --server: which daemon has the scene?")
     scene = presets.read_scene(args.scene, args.preset)
@@ -78,7 +86,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(summary)
     else:
-        print(f"wrote {args.output}: {summary['steps']} steps, {summary['checks']} checks")
+        files = ", ".join(summary["files"])
+        print(f"wrote {files}: {summary['steps']} steps, {summary['checks']} checks")
         if recorder.recovered:
             print(f"the scene recovered in {recorder.recovered} steps: tools backed off, or the tissue was held")
         if recorder.checks == 0 and recorder.steps > 0:
@@ -98,6 +107,7 @@ class Recorder:
         self._queue: queue.Queue[Any] = queue.Queue(_QUEUED)
         self._ends = threading.Event()
         self.steps = self.recovered = self.checks = self.frames = self.lost = self.lost_checks = 0
+        self.files: list[str] = [str(args.output)]
         self._due_checks = 0  # each comes after its step, perhaps in a later message, or is counted as lost
 
     def summary(self) -> dict[str, Any]:
@@ -105,6 +115,7 @@ class Recorder:
         return {
             "scene": self._handle.name,
             "output": str(self._args.output),
+            "files": self.files,
             "steps": self.steps,
             "recovered_steps": self.recovered,
             "checks": self.checks,
@@ -122,12 +133,12 @@ class Recorder:
         with _explained():
             start = next(stream).start
         # Now, because a file that is there must not be lost to a call that fails.
-        with RecordingWriter(self._args.output) as writer:
+        files = RecordingFiles(self._args.output, start, self._begin, self._cut, self._args.max_size, self._args.keep)
+        with files as writer:
             threads = [threading.Thread(target=self._read, args=(stream,), name="record")]
             if self._args.frames:
                 threads.append(threading.Thread(target=self._read_frames, name="record frames"))
             try:
-                self._begin(writer, start)
                 for thread in threads:
                     thread.start()
                 self._write(writer)
@@ -140,6 +151,7 @@ class Recorder:
                     if thread.ident is not None:
                         thread.join()
                         self._drain(writer)
+                self.files = [str(path) for path in writer.paths]
 
     def _begin(self, writer: RecordingWriter, start: recording_pb2.RecordingStart) -> None:
         assert self._handle.message is not None
@@ -149,7 +161,13 @@ class Recorder:
             writer.add("/topology", self._handle.topology())
         writer.flush()
 
-    def _write(self, writer: RecordingWriter) -> None:
+    def _cut(self) -> Cut:
+        before_ns = self._handle.status().server_time_ns
+        request = control_pb2.SnapshotSceneRequest(scene=self._handle.name)
+        reply = self._server.call("SnapshotScene", request, timeout_s=LOAD_TIMEOUT_S)
+        return Cut(reply.step, before_ns, reply.snapshot)
+
+    def _write(self, writer: RecordingFiles) -> None:
         begin = next_status_s = time.monotonic()
         self._start_steps()
         while not self._is_over(begin):
@@ -224,12 +242,12 @@ class Recorder:
             if self._ends.is_set():
                 return
 
-    def _drain(self, writer: RecordingWriter) -> None:
+    def _drain(self, writer: RecordingFiles) -> None:
         with contextlib.suppress(queue.Empty, errors.TensormassError):
             while True:
                 self._add(writer, self._queue.get_nowait())
 
-    def _add(self, writer: RecordingWriter, item: Any) -> None:  # noqa: ANN401
+    def _add(self, writer: RecordingFiles, item: Any) -> None:  # noqa: ANN401
         if isinstance(item, errors.TensormassError):
             raise item
         if isinstance(item, stream_pb2.Frame):
@@ -237,13 +255,13 @@ class Recorder:
             self.frames += 1
             return
         for gap in item.lost:
-            writer.add("/lost", gap)
+            writer.add_lost(gap)
             self.lost += gap.count
         for step in item.steps:
-            writer.add("/inputs", step, step.server_time_ns)
+            writer.add_step(step)
             self._due_checks += self._has_check(step)
         for check in item.checks:
-            writer.add("/checks", check)
+            writer.add_check(check)
         self.steps += len(item.steps)
         self.recovered += sum(step.recovered for step in item.steps)
         self.checks += len(item.checks)
