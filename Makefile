@@ -53,7 +53,7 @@ CUDA_REASON = $(wordlist 3,99,$(CHOICE))
 
 .PHONY: help setup setup-test build native python viewer run tests benches gpu-test stability-map examples test \
         test-folder pictures test-only programs wheel wheel-only release images docs bench accuracy stability trade asan \
-        tsan lint format fuzz protocol-release clean
+        tsan audit lint format fuzz protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -152,7 +152,7 @@ wheel-only: ## Make the wheel of the programs in BUILD and try it, without set-u
 	@CUDA='$(firstword $(shell CUDA='$(CUDA)' .setup/cuda.sh release))' python clients/python/make_wheel.py --build $(BUILD) --output $(BUILD)/wheel
 	@tests/wheel/bare.sh $(BUILD)/wheel/*.whl $(SUITE)
 
-release: ## Leave wheel, SDK, sources and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
+release: ## Leave wheel, SDK, sources, SBOM and SHA256SUMS of this commit in dist/ (root; nothing uncommitted)
 	@.setup/setup.sh wheel
 	@python clients/python/make_release.py --check
 	@python tests/wheel/clone.py
@@ -213,6 +213,9 @@ lint: setup-test python ## Check format, style and types: C++, Python, web
 format: setup-test ## Format C++ and Python
 	@clang-format -i $$(git ls-files '*.h' '*.cpp' '*.cc' '*.cu' '*.cuh')
 	@cd clients/python && ruff format . ../../tests ../../examples
+
+audit: ## Compare everything pinned with the known vulnerabilities of clients/python/advisories.json, without network
+	@python clients/python/audit.py
 
 protocol-release: setup-test ## Record the protocol as released; `make test` refuses what breaks it
 	@python tests/proto/compatibility.py --release

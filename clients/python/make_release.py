@@ -6,6 +6,7 @@
     tensormass-VERSION-py3-none-manylinux_*.whl    SDK, commands, daemon, haptic client, viewer (make_wheel.py)
     tensormass-VERSION-py3-none-any.whl            the SDK and its commands alone, with extras
     tensormass-VERSION-source.tar.gz               the commit
+    tensormass-VERSION.cdx.json                    every package in it or pinned, as CycloneDX (components.py)
     SHA256SUMS                                     checksums of these, for `sha256sum --check`
 
 The version is that of pyproject.toml. CHANGELOG.md must have a dated section for it, nothing may be uncommitted, and a
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 import re
 import shutil
 import subprocess
@@ -24,6 +26,7 @@ import tempfile
 import tomllib
 from pathlib import Path
 
+from components import bill_of_materials, bundled, pinned
 from make_wheel import copy_packages, output_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,6 +97,8 @@ def make(root: Path, version: str, wheels: Path, output: Path) -> list[str]:
         archive = made / f"tensormass-{version}-source.tar.gz"
         prefix = f"--prefix=tensormass-{version}/"
         git(root, "archive", "--format=tar.gz", prefix, "-o", str(archive.resolve()), "HEAD")
+        bill = bill_of_materials(version, git(root, "log", "-1", "--format=%cI"), {*pinned(root), *bundled(found[0])})
+        (made / f"tensormass-{version}.cdx.json").write_text(json.dumps(bill, indent=1) + "\n")
         files = sorted(made.iterdir())
         sums = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in files]
         (made / SUMS).write_text("".join(sums))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / "clients" / "python"
 sys.path.insert(0, str(PYTHON))
 
+import components  # noqa: E402
 import make_release  # noqa: E402
 import make_wheel  # noqa: E402
 
@@ -38,7 +40,9 @@ def checkout(tmp_path: Path) -> Path:
     for name in make_wheel.PACKAGES:
         without = shutil.ignore_patterns("__pycache__", "_bundle", "trade")
         shutil.copytree(PYTHON / name, folder / "clients/python" / name, ignore=without)
-    for name in ("clients/python/pyproject.toml", "clients/python/README.md", "LICENSE", ".gitignore"):
+    copied = ("clients/python/pyproject.toml", "clients/python/README.md", "LICENSE", ".gitignore")
+    for name in (*copied, *components.PYTHON_LOCKS, components.NPM_LOCK, components.CARGO_LOCK):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name)
     (folder / "CHANGELOG.md").write_text(f"# Changes\n\n## [{VERSION}] - 2030-01-31\n")
     git(folder, "init", "--quiet")
@@ -65,12 +69,17 @@ def test_a_release_holds_both_wheels_the_sources_and_their_checksums(checkout: P
     assert version == VERSION
     lines = make_release.make(checkout, version, wheels, dist)
     sdk, source = f"tensormass-{VERSION}-py3-none-any.whl", f"tensormass-{VERSION}-source.tar.gz"
-    names = {WHEEL, sdk, source}
+    bill = f"tensormass-{VERSION}.cdx.json"
+    names = {WHEEL, sdk, source, bill}
     assert {path.name for path in dist.iterdir()} == names | {"SHA256SUMS"}
-    assert len(lines) == 3
+    assert len(lines) == 4
 
     subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "SHA256SUMS"], cwd=dist, check=True)
-    assert len((dist / "SHA256SUMS").read_text().splitlines()) == 3
+    assert len((dist / "SHA256SUMS").read_text().splitlines()) == 4
+
+    listed = json.loads((dist / bill).read_text())
+    assert listed["metadata"]["component"]["version"] == VERSION
+    assert {each["purl"] for each in listed["components"]} == {each.purl for each in components.pinned()}
 
     with tarfile.open(dist / source) as archive:
         held = {name.removeprefix(f"tensormass-{VERSION}/") for name in archive.getnames() if not name.endswith("/")}
