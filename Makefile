@@ -52,8 +52,8 @@ CUDA_FOR = $(filter-out -,$(word 2,$(CHOICE)))
 CUDA_REASON = $(wordlist 3,99,$(CHOICE))
 
 .PHONY: help setup setup-test build native python viewer run tests benches gpu-test stability-map examples test \
-        test-folder pictures test-only programs wheel wheel-only release images docs bench accuracy stability trade asan \
-        tsan audit lint format fuzz protocol-release clean
+        attack test-folder pictures test-only programs wheel wheel-only release images docs bench accuracy stability \
+        trade asan tsan audit lint format fuzz protocol-release clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -81,6 +81,10 @@ test: setup-test ## Run lint and every test: C++, Python, web, and the real page
 
 test-only: ## Run the tests without set-up and build
 	@BUILD=$(BUILD) tests/run.sh $(TEST_ARGS)
+
+attack: setup-test ## Attack a daemon as strangers would, and print what each attack did before and does now
+	@$(MAKE) native python
+	@python tests/attack/table.py
 
 test-folder: setup-test ## Compile and run the C++ tests of one folder (FOLDER=world)
 	@$(if $(FOLDER),,$(error which folder of tests/? for example: make test-folder FOLDER=world))

@@ -44,7 +44,8 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   }
   std::unique_ptr<Bus> bus(new Bus(options));
   if (!options.zeromq_publish_endpoint.empty()) {
-    auto zeromq = ZeroMqTransport::open({options.zeromq_publish_endpoint, options.zeromq_pose_endpoint}, bus->input_);
+    auto zeromq = ZeroMqTransport::open({options.server, options.zeromq_publish_endpoint, options.zeromq_pose_endpoint},
+                                        bus->input_);
     if (!zeromq) return tl::make_unexpected(zeromq.error());
     bus->endpoints_.zeromq_publish = (*zeromq)->publish_endpoint();
     bus->endpoints_.zeromq_pose = (*zeromq)->pose_endpoint();
@@ -52,7 +53,7 @@ Result<std::unique_ptr<Bus>> Bus::open(const BusOptions& options) {
   }
   if (!options.zenoh_listen.empty()) {
     forward_zenoh_log(options.on_log);
-    auto zenoh = ZenohTransport::open({options.server, options.zenoh_listen}, bus->input_);
+    auto zenoh = ZenohTransport::open({options.server, options.zenoh_listen, options.zenoh_sessions}, bus->input_);
     if (!zenoh) return tl::make_unexpected(zenoh.error());
     bus->endpoints_.zenoh_locator = (*zenoh)->locator();
     bus->transports_.push_back(std::move(*zenoh));

@@ -11,6 +11,7 @@
 
 #include "bus/pose_input.h"
 #include "bus/transport.h"
+#include "core/bus_limits.h"
 #include "core/result.h"
 
 namespace tensormass::bus {
@@ -23,6 +24,7 @@ struct BusOptions {
   std::string zeromq_pose_endpoint;
   /// zenoh's address, as in ZenohOptions. Empty turns zenoh off.
   std::string zenoh_listen;
+  std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
   /// Called for each valid pose, from threads of the transports; must not block.
   PoseHandler on_pose = [](auto&&...) {};
   /// Called for each refused message, from threads of the transports; must not block.

@@ -52,25 +52,51 @@ struct PoseAddress {
   std::string_view tool;
 };
 
+namespace detail {
+
+/// Reads a key from its start.
+class KeyReader {
+ public:
+  explicit KeyReader(std::string_view key) : rest_(key) {}
+  bool take(std::string_view expected) {
+    if (!rest_.starts_with(expected)) return false;
+    rest_.remove_prefix(expected.size());
+    return true;
+  }
+  /// Returns what is before the next slash; it may be no valid name.
+  std::string_view take_name() {
+    const std::string_view name = rest_.substr(0, rest_.find('/'));
+    rest_.remove_prefix(name.size());
+    return name;
+  }
+  bool take_root(std::string_view server) { return take(kKeyRoot) && take("/") && take(server) && take("/"); }
+  std::string_view rest() const { return rest_; }
+
+ private:
+  std::string_view rest_;
+};
+
+}  // namespace detail
+
 /// Parses a key from an untrusted client. Returns nullopt unless it is a pose key of `server` with valid names and
 /// nothing after it.
 inline std::optional<PoseAddress> parse_pose_key(std::string_view server, std::string_view key) {
-  const auto take = [&key](std::string_view expected) {
-    if (!key.starts_with(expected)) return false;
-    key.remove_prefix(expected.size());
-    return true;
-  };
-  const auto take_name = [&key]() {
-    const std::string_view name = key.substr(0, key.find('/'));
-    key.remove_prefix(name.size());
-    return name;
-  };
-  if (!take(kKeyRoot) || !take("/") || !take(server) || !take("/")) return std::nullopt;
-  const std::string_view scene = take_name();
-  if (!take("/tool/")) return std::nullopt;
-  const std::string_view tool = take_name();
-  if (key != "/pose" || !is_valid_name(scene) || !is_valid_name(tool)) return std::nullopt;
+  detail::KeyReader reader(key);
+  if (!reader.take_root(server)) return std::nullopt;
+  const std::string_view scene = reader.take_name();
+  if (!reader.take("/tool/")) return std::nullopt;
+  const std::string_view tool = reader.take_name();
+  if (reader.rest() != "/pose" || !is_valid_name(scene) || !is_valid_name(tool)) return std::nullopt;
   return PoseAddress{scene, tool};
+}
+
+/// Returns true if a key from an untrusted client is that of a stream which `server` publishes, whether or not the
+/// scene is loaded.
+inline bool is_stream_key(std::string_view server, std::string_view key) {
+  detail::KeyReader reader(key);
+  if (!reader.take_root(server) || !is_valid_name(reader.take_name())) return false;
+  if (reader.take("/tool/")) return is_valid_name(reader.take_name()) && reader.rest() == "/feedback";
+  return reader.rest() == "/topology" || reader.rest() == "/frame" || reader.rest() == "/status";
 }
 
 }  // namespace tensormass::bus

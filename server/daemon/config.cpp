@@ -135,6 +135,9 @@ ParsedCommandLine parse_command_line(int argc, const char* const* argv) {
   app.add_option("--zenoh-listen", config.zenoh_listen,
                  "Streams and poses over zenoh: tcp/HOST:PORT (0 for a free port), or off")
       ->check(check_zenoh);
+  app.add_option("--zenoh-sessions", config.zenoh_sessions,
+                 "Clients connected over zenoh at once; a further one is refused")
+      ->check(CLI::Range(1u, limits::kMaxZenohSessions));
   app.add_option("--log-level", log_level, "Lowest level that is logged")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}));
   app.add_option("--log-format", log_format, "json: one object a line")->check(CLI::IsMember({"text", "json"}));

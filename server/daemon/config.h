@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <string>
 
+#include "core/bus_limits.h"
 #include "core/log.h"
 #include "core/result.h"
 #include "world/runner.h"
@@ -23,6 +24,8 @@ struct Config {
   std::string zeromq_publish = "tcp://127.0.0.1:50052";
   std::string zeromq_pose = "tcp://127.0.0.1:50053";
   std::string zenoh_listen = "tcp/127.0.0.1:7447";
+  /// Clients connected over zenoh at once.
+  std::uint32_t zenoh_sessions = limits::kDefaultZenohSessions;
   spdlog::level::level_enum log_level = spdlog::level::info;
   log::Format log_format = log::Format::kText;
   /// Path of the ready file (daemon.h). Empty: no file is written.

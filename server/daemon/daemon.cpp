@@ -55,6 +55,7 @@ Result<void> Daemon::open(const Config& config) {
   options.zeromq_publish_endpoint = config.zeromq_publish;
   options.zeromq_pose_endpoint = config.zeromq_pose;
   options.zenoh_listen = config.zenoh_listen;
+  options.zenoh_sessions = config.zenoh_sessions;
   options.on_pose = [this](std::string_view scene, std::string_view tool, const v1::ToolPose& pose) {
     receive_pose(scene, tool, pose);
   };

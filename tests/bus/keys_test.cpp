@@ -36,6 +36,22 @@ TEST(Keys, RefusesEveryOtherKeyAsAPoseKey) {
   }
 }
 
+TEST(Keys, KnowsTheStreamsThatAServerPublishes) {
+  for (const std::string& key : {topology_key("host", "demo"), frame_key("host", "demo"), status_key("host", "demo"),
+                                 feedback_key("host", "demo", "probe")}) {
+    EXPECT_TRUE(is_stream_key("host", key)) << key;
+    EXPECT_FALSE(is_stream_key("other", key)) << key;
+    EXPECT_FALSE(is_stream_key("host", key + "x")) << key;
+    EXPECT_FALSE(is_stream_key("host", key + '\0')) << key;
+    EXPECT_FALSE(is_stream_key("host", key.substr(0, key.size() - 1))) << key;
+  }
+  for (const std::string& key : {std::string(), std::string("tensormass/host/"), pose_key("host", "demo", "probe"),
+                                 frame_key("host", ""), frame_key("host", "*"), feedback_key("host", "demo", ""),
+                                 frame_key("host", std::string(limits::kMaxNameLength + 1, 'x'))}) {
+    EXPECT_FALSE(is_stream_key("host", key)) << key;
+  }
+}
+
 TEST(Names, AllowOnlyLettersDigitsUnderscoreAndHyphen) {
   EXPECT_TRUE(is_valid_name("aZ09_-"));
   for (const char* name : {"", "a b", "a/b", "a.b", "\xc3\xa4", "a\n", "a*"}) EXPECT_FALSE(is_valid_name(name)) << name;

@@ -136,13 +136,14 @@ TEST(LateJoiner, GetsNothingOfAnUnloadedScene) {
   server.bus->forget(gone);
 
   zmq::context_t context(1);
-  zmq::socket_t everything(context, zmq::socket_type::sub);
-  everything.set(zmq::sockopt::subscribe, "");
-  everything.set(zmq::sockopt::linger, 0);
-  everything.set(zmq::sockopt::rcvtimeo, 20'000);
-  everything.connect(server.bus->endpoints().zeromq_publish);
+  zmq::socket_t both(context, zmq::socket_type::sub);
+  both.set(zmq::sockopt::subscribe, gone + '\0');
+  both.set(zmq::sockopt::subscribe, kept + '\0');
+  both.set(zmq::sockopt::linger, 0);
+  both.set(zmq::sockopt::rcvtimeo, 20'000);
+  both.connect(server.bus->endpoints().zeromq_publish);
   zmq::message_t message;
-  ASSERT_TRUE(everything.recv(message));
+  ASSERT_TRUE(both.recv(message));
   EXPECT_TRUE(message.to_string_view().starts_with(kept));
 
   auto session = zenoh::Session::open({.connect = server.bus->endpoints().zenoh_locator});

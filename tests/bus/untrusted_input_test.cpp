@@ -116,7 +116,7 @@ TEST(GarbageMessages, OverZenohAreCountedAndSurvived) {
   }));
   const std::size_t before = server.malformed.size();
   ASSERT_TRUE(eventually([&] {
-    session->put(key, std::string(100'000, 'x'));
+    session->put(key, std::string(limits::kMaxPoseMessageBytes + 1, 'x'));
     return server.malformed.size() > before;
   }));
   EXPECT_EQ(server.malformed.wait_for(1).front(), "demo");

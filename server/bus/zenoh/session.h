@@ -20,11 +20,13 @@
 ///     retain(key, payload) ──> table ──> zenoh's threads answer a peer's get(key)
 ///     get(key, timeout) ──> peers, waits ──> MessageHandler on the caller's thread
 ///
-/// Three rules:
+/// Four rules:
 ///
 /// 1. Every put drops instead of blocking. zenoh's other mode lets one stopped subscriber stall the publisher.
 /// 2. A late joiner asks for retained messages with `get`; subscribing alone does not send them.
 /// 3. A session neither scouts nor gossips. It talks only to the addresses in its options.
+/// 4. A session with `accept` lets peers put only there. zenoh would route everything else to other peers, on loopback
+///    too.
 ///
 /// Lifetimes. A Subscriber must be destroyed before its Session. Its destructor waits until the handler has returned,
 /// so a handler must not destroy its own Subscriber.
@@ -43,6 +45,15 @@ struct SessionOptions {
   /// The key expression whose gets this session answers with its retained messages, "tensormass/local/**". Empty: it
   /// answers none.
   std::string serve = {};
+  /// The key expression under which peers may put, "tensormass/local/*/tool/*/pose". Peers may then put nothing else,
+  /// answer nobody, and get only what this session puts and retains under `serve`. Empty: no rule holds, and peers
+  /// speak to each other through this session.
+  std::string accept = {};
+  /// Peers connected at once; a further one is refused. 0: zenoh's own limit, 1000.
+  std::uint32_t max_sessions = 0;
+  /// Bytes of a message of a peer; a larger one is dropped before it is held. A message that zenoh sends in one piece,
+  /// below 64 KiB, passes whatever the limit. 0: zenoh's own limit, 1 GiB.
+  std::uint32_t max_message_bytes = 0;
   /// Sends large messages through shared memory to peers on the same machine that also turned it on.
   bool shared_memory = true;
 };
@@ -53,8 +64,6 @@ inline void call_handler(void* context, const char* key, std::size_t key_size, c
                          std::size_t size) noexcept {
   (*static_cast<MessageHandler*>(context))({key, key_size}, {reinterpret_cast<const char*>(payload), size});
 }
-
-inline const char* or_null(const std::string& text) { return text.empty() ? nullptr : text.c_str(); }
 
 inline const std::uint8_t* bytes(std::string_view payload) {
   return reinterpret_cast<const std::uint8_t*>(payload.data());
@@ -84,9 +93,14 @@ class Session {
   /// the cause in the message, if it cannot.
   static Result<Session> open(const SessionOptions& options) {
     std::array<char, 1024> error{};
-    Session session(tensormass_zenoh_open(detail::or_null(options.listen), detail::or_null(options.connect),
-                                          detail::or_null(options.serve), options.shared_memory, error.data(),
-                                          error.size()));
+    const tensormass_zenoh_options raw{.listen = options.listen.c_str(),
+                                       .connect = options.connect.c_str(),
+                                       .serve = options.serve.c_str(),
+                                       .accept = options.accept.c_str(),
+                                       .max_sessions = options.max_sessions,
+                                       .max_message_bytes = options.max_message_bytes,
+                                       .shared_memory = options.shared_memory};
+    Session session(tensormass_zenoh_open(&raw, error.data(), error.size()));
     if (!session.session_) {
       const std::string what =
           options.listen.empty() ? "connect to '" + options.connect : "listen on '" + options.listen;

@@ -22,13 +22,31 @@ typedef void (*tensormass_zenoh_message_fn)(void* context, const char* key, size
 /* Receives one log line. The text is valid during the call only and has no terminating zero. */
 typedef void (*tensormass_zenoh_log_fn)(void* context, bool is_error, const char* message, size_t size);
 
-/* Opens a session, without scouting for peers. Close it with tensormass_zenoh_close.
- * listen: the address to listen on, "tcp/127.0.0.1:7447"; port 0 takes a free one. Null: the session does not listen
- * and is a client of `connect`. connect: the address of the peer to connect to. Null: no connection is made. serve: the
- * key expression whose gets are answered with retained messages. Null: no get is answered. Returns null on failure and
+/* Text may be null, which reads as "". */
+typedef struct {
+  /* The address to listen on, "tcp/127.0.0.1:7447"; port 0 takes a free one. "": the session does not listen and is a
+   * client of `connect`. */
+  const char* listen;
+  /* The address of the peer to connect to. "": no connection is made. */
+  const char* connect;
+  /* The key expression whose gets are answered with retained messages. "": no get is answered. */
+  const char* serve;
+  /* The key expression under which peers may put. Peers may then put nothing else, answer nobody, and get only what
+   * this session puts and retains under `serve`. "": no rule holds, and peers speak to each other through this session.
+   */
+  const char* accept;
+  /* Peers connected at once, and the bytes of a message of a peer; what is beyond is refused before it is held. A
+   * message that zenoh sends in one piece, below 64 KiB, passes whatever the limit. 0: zenoh's own limits, 1000 and
+   * 1 GiB. */
+  uint32_t max_sessions;
+  uint32_t max_message_bytes;
+  bool shared_memory;
+} tensormass_zenoh_options;
+
+/* Opens a session, without scouting for peers. Close it with tensormass_zenoh_close. Returns null on failure and
  * writes the cause, cut to `error_capacity` bytes, to `error`. */
-tensormass_zenoh_session* tensormass_zenoh_open(const char* listen, const char* connect, const char* serve,
-                                                bool shared_memory, char* error, size_t error_capacity);
+tensormass_zenoh_session* tensormass_zenoh_open(const tensormass_zenoh_options* options, char* error,
+                                                size_t error_capacity);
 /* Closes the session and frees it. Returns when no callback is running. Unsubscribe every subscriber before. */
 void tensormass_zenoh_close(tensormass_zenoh_session* session);
 /* Writes the address that the session listens on, with the port that was chosen; "" if it does not listen. */

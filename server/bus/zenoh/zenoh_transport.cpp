@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "bus/keys.h"
+#include "core/bus_limits.h"
 
 namespace tensormass::bus {
 
@@ -10,6 +11,9 @@ Result<std::unique_ptr<ZenohTransport>> ZenohTransport::open(const ZenohOptions&
   auto session = zenoh::Session::open({.listen = options.listen,
                                        .connect = {},
                                        .serve = std::string(kKeyRoot) + "/" + options.server + "/**",
+                                       .accept = pose_key(options.server, "*", "*"),
+                                       .max_sessions = options.max_sessions,
+                                       .max_message_bytes = limits::kMaxZenohMessageBytes,
                                        .shared_memory = true});
   if (!session) return tl::make_unexpected(session.error());
   std::unique_ptr<ZenohTransport> transport(new ZenohTransport(std::move(*session)));

@@ -1,15 +1,20 @@
 #include "bus/zeromq/zeromq_transport.h"
 
+#include <netinet/in.h>
 #include <sys/eventfd.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cstdint>
 #include <cstring>
-#include <set>
+#include <string>
 #include <utility>
 
+#include "core/bus_limits.h"
 #include "core/limits.h"
 
 namespace tensormass::bus {
@@ -25,8 +30,16 @@ constexpr int kHandshakeMs = 3000;
 /// ZeroMQ closes the connection of a client that sends a longer message, uncounted. PoseInput counts messages that are
 /// shorter than this and longer than limits::kMaxPoseMessageBytes.
 constexpr std::int64_t kMaxInputBytes = std::int64_t{1} << 20;
-/// Poses read in a row before the other sockets are served.
+/// Poses, and requests of subscribers, read in a row before the other sockets are served.
 constexpr int kPosesPerTurn = 256;
+constexpr int kRequestsPerTurn = 256;
+/// Requests of one subscriber that ZeroMQ queues. It moves a whole queue at once to where it has no limit, and goes on
+/// while the queue fills again, so the queue is short.
+constexpr int kRequestQueue = 64;
+/// Any name does: ZeroMQ then refuses ZMTP 1 and 2. No handler is registered for it, and none is needed.
+constexpr const char* kZapDomain = "tensormass";
+constexpr auto kRetainedPeriod = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+    std::chrono::duration<double>(limits::kRetainedPeriodS));
 
 /// Time between two counts while connections are young, because their timeout ends without an event.
 constexpr std::chrono::milliseconds kHandshakeCheckPeriod{200};
@@ -46,6 +59,21 @@ Result<std::string> bind(zmq::socket_t& socket, const std::string& endpoint) {
   }
 }
 
+/// Returns true if the socket's own end is at `endpoint`, "tcp://HOST:PORT" or "ipc://PATH".
+bool is_at(int descriptor, const std::string& endpoint) {
+  sockaddr_storage own{};
+  socklen_t size = sizeof(own);
+  if (getsockname(descriptor, reinterpret_cast<sockaddr*>(&own), &size) != 0) return false;
+  if (own.ss_family == AF_UNIX) {
+    const std::string_view path(reinterpret_cast<sockaddr_un&>(own).sun_path);
+    return endpoint.starts_with("ipc://") && endpoint.ends_with(path);
+  }
+  if (own.ss_family != AF_INET && own.ss_family != AF_INET6) return false;
+  const std::uint16_t port = ntohs(own.ss_family == AF_INET ? reinterpret_cast<sockaddr_in&>(own).sin_port
+                                                            : reinterpret_cast<sockaddr_in6&>(own).sin6_port);
+  return endpoint.substr(endpoint.rfind(':') + 1) == std::to_string(port);
+}
+
 }  // namespace
 
 ZeroMqTransport::Monitor::Monitor(zmq::context_t& context, zmq::socket_t& socket, const std::string& name)
@@ -56,7 +84,7 @@ ZeroMqTransport::Monitor::Monitor(zmq::context_t& context, zmq::socket_t& socket
 }
 
 Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptions& options, PoseInput& input) {
-  std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(input));
+  std::unique_ptr<ZeroMqTransport> transport(new ZeroMqTransport(options, input));
   auto publish = bind(transport->publisher_, options.publish_endpoint);
   if (!publish) return tl::make_unexpected(publish.error());
   auto pose = bind(transport->poses_, options.pose_endpoint);
@@ -67,35 +95,43 @@ Result<std::unique_ptr<ZeroMqTransport>> ZeroMqTransport::open(const ZeroMqOptio
   return transport;
 }
 
-ZeroMqTransport::ZeroMqTransport(PoseInput& input)
+ZeroMqTransport::ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input)
     : input_(input),
       publisher_(context_, zmq::socket_type::xpub),
-      poses_(context_, zmq::socket_type::pull),
       publisher_monitor_(context_, publisher_, "publisher"),
+      subscribers_(options.server),
+      poses_(context_, zmq::socket_type::pull),
       poses_monitor_(context_, poses_, "poses"),
-      stop_event_(eventfd(0, EFD_CLOEXEC)) {
+      wake_event_(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
   publisher_.set(zmq::sockopt::sndhwm, kSendQueue);
+  publisher_.set(zmq::sockopt::rcvhwm, kRequestQueue);
   publisher_.set(zmq::sockopt::linger, kLingerMs);
-  // Reports every subscription. By default XPUB reports only the first to a key, but the second joined late too.
-  publisher_.set(zmq::sockopt::xpub_verbose, true);
+  publisher_.set(zmq::sockopt::maxmsgsize, limits::kMaxSubscriptionBytes);
+  publisher_.set(zmq::sockopt::zap_domain, kZapDomain);
+  // Reports every subscription and every end of one. By default XPUB reports only the first to a key and the last end,
+  // but the second joined late too.
+  publisher_.set(zmq::sockopt::xpub_verboser, true);
   poses_.set(zmq::sockopt::linger, 0);
-  for (zmq::socket_t* socket : {&publisher_, &poses_}) {
-    socket->set(zmq::sockopt::maxmsgsize, kMaxInputBytes);
-    socket->set(zmq::sockopt::handshake_ivl, kHandshakeMs);
-  }
+  poses_.set(zmq::sockopt::maxmsgsize, kMaxInputBytes);
+  for (zmq::socket_t* socket : {&publisher_, &poses_}) socket->set(zmq::sockopt::handshake_ivl, kHandshakeMs);
 }
 
 ZeroMqTransport::~ZeroMqTransport() {
   if (receiver_.joinable()) {
-    eventfd_write(stop_event_, 1);
+    stopping_ = true;
+    eventfd_write(wake_event_, 1);
     receiver_.join();
   }
-  close(stop_event_);
+  close(wake_event_);
 }
 
 void ZeroMqTransport::publish(const MessagePtr& message, PublishOptions options) {
   const std::lock_guard lock(mutex_);
-  if (options.retain) retained_.insert_or_assign(std::string(message->key()), message);
+  if (options.retain) {
+    Retained& retained = retained_[std::string(message->key())];
+    retained.message = message;
+    retained.wanted = false;
+  }
   send(message);
   // ZeroMQ signals a subscription once, and the send above may have consumed the signal instead of the receiver thread.
   serve_subscriptions();
@@ -116,43 +152,115 @@ void ZeroMqTransport::send(const MessagePtr& message) {
 }
 
 void ZeroMqTransport::serve_subscriptions() {
-  std::set<MessagePtr> wanted;
   zmq::message_t request;
-  while (publisher_.recv(request, zmq::recv_flags::dontwait)) {
-    const std::string_view bytes = request.to_string_view();
-    // ZeroMQ's format: byte 1 and a prefix subscribes, byte 0 and a prefix ends the subscription.
-    if (bytes.empty() || bytes.front() > 1 || request.more()) {
-      input_.refuse({}, "not a subscription, on the ZeroMQ publish endpoint");
-      continue;
+  int left = kRequestsPerTurn;
+  for (; left > 0 && publisher_.recv(request, zmq::recv_flags::dontwait); --left) {
+    // The monitor tells first that a descriptor has another peer: ZeroMQ reports a connection before its requests.
+    count_handshakes(publisher_monitor_);
+    serve_request(request);
+  }
+  has_requests_ = left == 0;
+  if (!has_requests_) subscribers_.clean_up(std::chrono::steady_clock::now());
+  repeat_retained();
+  if (has_requests_ || next_repeat_) wake_receiver();
+}
+
+void ZeroMqTransport::serve_request(zmq::message_t& request) {
+  const std::string_view bytes = request.to_string_view();
+  // The ends of subscriptions that follow from the end of a connection come without a connection. ZeroMQ keeps the text
+  // of the descriptor once for each connection, so its place is an id.
+  const Subscribers::Connection from{zmq_msg_gets(request.handle(), "__fd"), zmq_msg_get(request.handle(), ZMQ_SRCFD)};
+  if (from.id == nullptr) return;
+  // ZeroMQ's format: byte 1 and a prefix subscribes, byte 0 and a prefix ends the subscription.
+  if (bytes.empty() || bytes.front() > 1 || request.more()) {
+    if (subscribers_.refuse(from, request)) {
+      disconnect(from.descriptor, "not a subscription, on the ZeroMQ publish endpoint; its client was disconnected");
     }
-    if (bytes.front() == 0) continue;
-    const std::string_view prefix = bytes.substr(1);
-    for (const auto& [key, message] : retained_) {
-      if (message->bytes().starts_with(prefix)) wanted.insert(message);
+    return;
+  }
+  const std::string_view prefix = bytes.substr(1);
+  if (bytes.front() == 0) return subscribers_.unsubscribe(from, prefix);
+  switch (subscribers_.subscribe(from, request, prefix)) {
+    case Subscribers::Verdict::kIgnored:
+      return;
+    case Subscribers::Verdict::kWrongKey:
+      return disconnect(from.descriptor,
+                        "a subscription to something else than a key of this server's streams with its zero byte, on "
+                        "the ZeroMQ publish endpoint; its client was disconnected");
+    case Subscribers::Verdict::kTooMany:
+      return disconnect(from.descriptor,
+                        "more than kMaxSubscriptionsPerPeer subscriptions, on the ZeroMQ publish endpoint; their "
+                        "client was disconnected");
+    case Subscribers::Verdict::kAccepted:
+      break;
+  }
+  const auto retained = retained_.find(prefix.substr(0, prefix.size() - 1));  // without the zero byte
+  if (retained != retained_.end()) retained->second.wanted = true;
+}
+
+void ZeroMqTransport::repeat_retained() {
+  const auto now = std::chrono::steady_clock::now();
+  next_repeat_.reset();
+  for (auto& [key, retained] : retained_) {
+    if (!retained.wanted) continue;
+    if (retained.repeat_after <= now) {
+      retained.wanted = false;
+      retained.repeat_after = now + kRetainedPeriod;
+      send(retained.message);
+    } else if (!next_repeat_ || retained.repeat_after < *next_repeat_) {
+      next_repeat_ = retained.repeat_after;
     }
   }
-  for (const MessagePtr& message : wanted) send(message);
+}
+
+void ZeroMqTransport::disconnect(int descriptor, std::string_view reason) {
+  input_.refuse({}, reason);
+  // ZeroMQ has no call that ends one connection, but its thread notices the end of the stream. If the connection is
+  // gone and its descriptor belongs to something else by now, that is left alone.
+  if (is_at(descriptor, publish_endpoint_)) shutdown(descriptor, SHUT_RDWR);
+}
+
+std::chrono::milliseconds ZeroMqTransport::sleep_time() {
+  using std::chrono::milliseconds;
+  const std::lock_guard lock(mutex_);
+  receiver_woken_ = false;
+  if (has_requests_) return milliseconds{0};
+  const bool young = publisher_monitor_.handshakes.is_waiting() || poses_monitor_.handshakes.is_waiting();
+  milliseconds time = young ? kHandshakeCheckPeriod : milliseconds{-1};
+  if (next_repeat_) {
+    const auto left = std::chrono::ceil<milliseconds>(*next_repeat_ - std::chrono::steady_clock::now());
+    time = young ? std::min(time, left) : left;
+    time = std::max(time, milliseconds{0});
+  }
+  return time;
+}
+
+void ZeroMqTransport::wake_receiver() {
+  if (!std::exchange(receiver_woken_, true)) eventfd_write(wake_event_, 1);
 }
 
 void ZeroMqTransport::receive_loop() {
   const int subscriptions = publisher_.get(zmq::sockopt::fd);
+  const int connections = publisher_monitor_.events.get(zmq::sockopt::fd);
   std::array<zmq::pollitem_t, 5> items{{{poses_.handle(), 0, ZMQ_POLLIN, 0},
                                         {nullptr, subscriptions, ZMQ_POLLIN, 0},
-                                        {publisher_monitor_.events.handle(), 0, ZMQ_POLLIN, 0},
+                                        {nullptr, connections, ZMQ_POLLIN, 0},
                                         {poses_monitor_.events.handle(), 0, ZMQ_POLLIN, 0},
-                                        {nullptr, stop_event_, ZMQ_POLLIN, 0}}};
-  const zmq::pollitem_t &poses = items[0], &subscribed = items[1], &stop = items[4];
+                                        {nullptr, wake_event_, ZMQ_POLLIN, 0}}};
+  const zmq::pollitem_t &poses = items[0], &subscribed = items[1], &connected = items[2], &wake = items[4];
   while (true) {
-    const bool waiting = publisher_monitor_.handshakes.is_waiting() || poses_monitor_.handshakes.is_waiting();
-    zmq::poll(items.data(), items.size(), waiting ? kHandshakeCheckPeriod : std::chrono::milliseconds{-1});
-    if (stop.revents != 0) return;
-    if (poses.revents != 0) receive_poses();
-    if (subscribed.revents != 0) {
-      const std::lock_guard lock(mutex_);
-      serve_subscriptions();
+    const bool time_is_up = zmq::poll(items.data(), items.size(), sleep_time()) == 0;
+    if (stopping_) return;
+    if (wake.revents != 0) {
+      eventfd_t count;
+      eventfd_read(wake_event_, &count);
     }
-    count_handshakes(publisher_monitor_);
+    if (poses.revents != 0) receive_poses();
     count_handshakes(poses_monitor_);
+    if (!time_is_up && subscribed.revents == 0 && connected.revents == 0 && wake.revents == 0) continue;
+    const std::lock_guard lock(mutex_);
+    serve_subscriptions();
+    count_handshakes(publisher_monitor_);
   }
 }
 
@@ -182,6 +290,8 @@ void ZeroMqTransport::count_handshakes(Monitor& monitor) {
     if (event == ZMQ_EVENT_ACCEPTED) monitor.handshakes.accepted(descriptor, now);
     if (event == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) monitor.handshakes.succeeded();
     if (event == ZMQ_EVENT_DISCONNECTED) monitor.handshakes.disconnected(descriptor);
+    const bool another_peer = event == ZMQ_EVENT_ACCEPTED || event == ZMQ_EVENT_DISCONNECTED;
+    if (another_peer && &monitor == &publisher_monitor_) subscribers_.forget(descriptor, now);
   }
   for (std::int64_t refused = monitor.handshakes.take_refused(now); refused > 0; --refused) {
     input_.refuse({}, "a peer that left before the handshake, or does not speak ZeroMQ");

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <atomic>
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -13,11 +16,14 @@
 #include "bus/pose_input.h"
 #include "bus/transport.h"
 #include "bus/zeromq/handshake_counter.h"
+#include "bus/zeromq/subscribers.h"
 #include "core/result.h"
 
 namespace tensormass::bus {
 
 struct ZeroMqOptions {
+  /// <server> in the keys.
+  std::string server;
   /// Addresses to listen on: "tcp://127.0.0.1:5556"; "tcp://127.0.0.1:*" takes a free port; a socket file is
   /// "ipc:///run/user/1000/tensormass".
   std::string publish_endpoint;
@@ -30,20 +36,26 @@ struct ZeroMqOptions {
 ///     publish() ──lock──> XPUB socket <──lock── serve_subscriptions()
 ///                             ├─ a queue of kSendQueue messages per subscriber ──> SUB sockets of clients
 ///                             │  (a full queue drops the message)
-///                             └─ retained_: the newest message of each retained key
+///                             ├─ retained_: the newest message of each retained key
+///                             └─ subscribers_: what each peer subscribed to; a peer that may not is disconnected
 ///
 ///     receiver thread, too:
 ///     PUSH sockets of clients ──> PULL socket ──> receive_poses() ──> PoseInput
 ///     monitors of both sockets ──> count_handshakes() ──> PoseInput::refuse
-///     destructor ──> stop_event_ ──> the thread ends
+///     wake_event_ ──> a repetition of a retained message is due later, requests are left, or the thread must end
 ///
-/// Three choices, each with its reason:
+/// Four choices, each with its reason:
 ///
-/// 1. XPUB instead of PUB, because it reports each subscription. The transport then sends the retained messages under
-///    that prefix again, so a late joiner gets the topology and the status.
-/// 2. One mutex around the XPUB socket, because only one thread at a time may use a ZeroMQ socket. Its holders send and
-///    receive with `dontwait`, so nobody holds it while waiting. Only the receiver thread uses the other sockets.
+/// 1. XPUB instead of PUB, because it reports each subscription. The transport then repeats the retained message of
+/// that
+///    key, so a late joiner gets the topology and the status. All subscribers of the key get it, so a key is repeated
+///    at most once in kRetainedPeriodS: who joins in between waits for the rest of it.
+/// 2. One mutex around the XPUB socket and its monitor, because only one thread at a time may use a ZeroMQ socket. Its
+///    holders send and receive with `dontwait`, so nobody holds it while waiting. Only the receiver thread uses the
+///    others.
 /// 3. Poses are not dropped here. The receiver thread reads every pose, and the scene's inbox keeps the newest.
+/// 4. Peers must speak ZMTP 3, which every ZeroMQ since 4.0 does. ZeroMQ does not say which peer of an older protocol a
+///    subscription comes from.
 class ZeroMqTransport final : public Transport {
  public:
   /// `input` must outlive the transport. Fails with kUnavailable and names the endpoint that it cannot listen on.
@@ -66,30 +78,55 @@ class ZeroMqTransport final : public Transport {
     HandshakeCounter handshakes;
   };
 
-  explicit ZeroMqTransport(PoseInput& input);
-  /// Runs on the receiver thread until stop_event_ is written.
+  struct Retained {
+    MessagePtr message;
+    std::chrono::steady_clock::time_point repeat_after{};
+    bool wanted = false;  // somebody joined since it was last repeated
+  };
+
+  ZeroMqTransport(const ZeroMqOptions& options, PoseInput& input);
+  /// Runs on the receiver thread until stopping_.
   void receive_loop();
   /// Passes at most kPosesPerTurn poses to `input_`.
   void receive_poses();
   /// Reads the monitor's events and refuses each peer that failed the handshake.
   void count_handshakes(Monitor& monitor);
-  /// Sends the retained messages that match new subscriptions, to every subscriber of their keys: XPUB cannot address
-  /// one. The caller must hold mutex_.
+  /// Reads at most kRequestsPerTurn requests of the XPUB socket, disconnects peers that may not subscribe, and repeats
+  /// the retained messages that are wanted and due. The caller must hold mutex_.
   void serve_subscriptions();
+  /// Takes one request. The caller must hold mutex_.
+  void serve_request(zmq::message_t& request);
+  /// Sends each retained message that is wanted and due, to every subscriber of its key: XPUB cannot address one. The
+  /// caller must hold mutex_.
+  void repeat_retained();
+  /// Counts a peer of the XPUB socket as malformed and closes its connection. The caller must hold mutex_.
+  void disconnect(int descriptor, std::string_view reason);
+  /// Returns how long the receiver thread may sleep; a negative time: until something happens.
+  std::chrono::milliseconds sleep_time();
+  /// Ends the sleep of the receiver thread, once for each sleep. The caller must hold mutex_.
+  void wake_receiver();
   /// Sends without waiting and without copying. The caller must hold mutex_.
   void send(const MessagePtr& message);
 
   PoseInput& input_;
   zmq::context_t context_{1};
   std::mutex mutex_;
-  zmq::socket_t publisher_;                                  // guarded by mutex_
-  std::map<std::string, MessagePtr, std::less<>> retained_;  // guarded by mutex_; by key
-  zmq::socket_t poses_;                                      // receiver thread only, as are the monitors
+  // Guarded by mutex_.
+  zmq::socket_t publisher_;
   Monitor publisher_monitor_;
+  Subscribers subscribers_;
+  std::map<std::string, Retained, std::less<>> retained_;  // by key
+  bool has_requests_ = false;                              // a turn ended before all requests were read
+  std::optional<std::chrono::steady_clock::time_point> next_repeat_;
+  bool receiver_woken_ = false;
+  // Receiver thread only.
+  zmq::socket_t poses_;
   Monitor poses_monitor_;
+
   std::string publish_endpoint_;
   std::string pose_endpoint_;
-  int stop_event_ = -1;  // eventfd; wakes the receiver thread for its end
+  int wake_event_ = -1;  // eventfd
+  std::atomic<bool> stopping_{false};
   std::thread receiver_;
 };
 

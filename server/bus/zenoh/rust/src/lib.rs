@@ -57,15 +57,67 @@ fn concrete_locator(locator: &str) -> Result<String, Failure> {
     Ok(format!("tcp/{host}:{port}"))
 }
 
+/// What a session asks for: `tensormass_zenoh_options` in the header, as text.
+struct Options<'a> {
+    listen: &'a str,
+    connect: &'a str,
+    serve: &'a str,
+    accept: &'a str,
+    max_sessions: u32,
+    max_message_bytes: u32,
+    shared_memory: bool,
+}
+
+/// zenoh's rules for peers of a session that serves `serve` and takes puts under `accept` only. Without them zenoh routes
+/// what one peer puts, answers or declares to all others, so that a stranger could speak in our name.
+fn access_control(serve: &str, accept: &str) -> String {
+    let rule = |id: &str, permission: &str, flow: &str, messages: &[&str], key: &str| {
+        serde_json::json!({
+            "id": id, "permission": permission, "flows": [flow], "messages": messages, "key_exprs": [key],
+        })
+    };
+    let rules = [
+        rule("put", "allow", "ingress", &["put"], accept),
+        rule("ask", "allow", "ingress", &["declare_subscriber", "query"], "**"),
+        rule("answer", "allow", "egress", &["put", "reply", "declare_queryable"], serve),
+        // A peer sends puts only to who has told that it takes them.
+        rule("take", "allow", "egress", &["declare_subscriber"], accept),
+        // What a peer puts is for us alone: it may hold a secret.
+        rule("keep", "deny", "egress", &["put"], accept),
+    ];
+    let ids: Vec<&str> = rules.iter().filter_map(|rule| rule["id"].as_str()).collect();
+    serde_json::json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": "peers"}],
+        "policies": [{"rules": ids, "subjects": ["peers"]}],
+    })
+    .to_string()
+}
+
 /// zenoh's configuration; empty addresses mean not to listen or not to connect.
-fn configure(listen: &str, connect: &str, shared_memory: bool) -> Result<Config, Failure> {
+fn configure(options: &Options, listen: &str) -> Result<Config, Failure> {
     let endpoints = |locator: &str| serde_json::json!(if locator.is_empty() { vec![] } else { vec![locator] }).to_string();
     let mut config = Config::default();
+    let mut limits = vec![];
+    if options.max_sessions > 0 {
+        limits.push(("transport/unicast/max_sessions", options.max_sessions.to_string()));
+    }
+    if options.max_message_bytes > 0 {
+        limits.push(("transport/link/rx/max_message_size", options.max_message_bytes.to_string()));
+    }
+    if !options.accept.is_empty() {
+        limits.push(("access_control", access_control(options.serve, options.accept)));
+    }
+    for (key, value) in &limits {
+        config.insert_json5(key, value).map_err(|error| format!("{key} = {value}: {error}"))?;
+    }
     // No scouting and no gossip: sessions talk only to the addresses that the user configured.
     for (key, value) in [
         ("mode", if listen.is_empty() { "\"client\"" } else { "\"peer\"" }),
         ("listen/endpoints", &endpoints(listen)),
-        ("connect/endpoints", &endpoints(connect)),
+        ("connect/endpoints", &endpoints(options.connect)),
         ("scouting/multicast/enabled", "false"),
         ("scouting/gossip/enabled", "false"),
         // [ms] until a peer that has not finished the handshake is disconnected.
@@ -73,7 +125,7 @@ fn configure(listen: &str, connect: &str, shared_memory: bool) -> Result<Config,
         // In batches of 64 KiB. A frame of 20,000 vertices takes four, so the default queue of two drops it on links
         // slower than loopback.
         ("transport/link/tx/queue/size/data", "16"),
-        ("transport/shared_memory/enabled", if shared_memory { "true" } else { "false" }),
+        ("transport/shared_memory/enabled", if options.shared_memory { "true" } else { "false" }),
         // Replies do not use shared memory. zenoh 1.10 can lose them there under load, and a late joiner asks only once.
         ("transport/shared_memory/transport_optimization/messages", "[\"put\"]"),
     ] {
@@ -99,11 +151,11 @@ fn answer(query: &Query, retained: &Retained) {
     }
 }
 
-fn open(listen: &str, connect: &str, serve: &str, shared_memory: bool) -> Result<Session, Failure> {
-    let mut attempts = if listen.ends_with(":0") { 8 } else { 1 };
+fn open(options: &Options) -> Result<Session, Failure> {
+    let mut attempts = if options.listen.ends_with(":0") { 8 } else { 1 };
     let (session, locator) = loop {
-        let locator = concrete_locator(listen)?;
-        match zenoh::open(configure(&locator, connect, shared_memory)?).wait() {
+        let locator = concrete_locator(options.listen)?;
+        match zenoh::open(configure(options, &locator)?).wait() {
             Ok(session) => break (session, locator),
             // Another process may have taken the free port in between.
             Err(_) if attempts > 1 => attempts -= 1,
@@ -111,7 +163,7 @@ fn open(listen: &str, connect: &str, serve: &str, shared_memory: bool) -> Result
         }
     };
     let retained = Retained::default();
-    let server = match serve {
+    let server = match options.serve {
         "" => None,
         key => {
             let retained = retained.clone();
@@ -161,19 +213,39 @@ unsafe fn write_text(message: &str, target: *mut c_char, capacity: usize) {
     }
 }
 
+/// `tensormass_zenoh_options` of the header.
+#[repr(C)]
+pub struct RawOptions {
+    listen: *const c_char,
+    connect: *const c_char,
+    serve: *const c_char,
+    accept: *const c_char,
+    max_sessions: u32,
+    max_message_bytes: u32,
+    shared_memory: bool,
+}
+
 /// # Safety
 /// The caller must keep the contract in tensormass_zenoh.h. The same holds for every function below.
 #[no_mangle]
 pub unsafe extern "C" fn tensormass_zenoh_open(
-    listen: *const c_char,
-    connect: *const c_char,
-    serve: *const c_char,
-    shared_memory: bool,
+    options: *const RawOptions,
     error: *mut c_char,
     error_capacity: usize,
 ) -> *mut Session {
     let result = unsafe {
-        (|| open(text(listen)?, text(connect)?, text(serve)?, shared_memory))()
+        (|| {
+            let raw = &*options;
+            open(&Options {
+                listen: text(raw.listen)?,
+                connect: text(raw.connect)?,
+                serve: text(raw.serve)?,
+                accept: text(raw.accept)?,
+                max_sessions: raw.max_sessions,
+                max_message_bytes: raw.max_message_bytes,
+                shared_memory: raw.shared_memory,
+            })
+        })()
     };
     match result {
         Ok(session) => Box::into_raw(Box::new(session)),

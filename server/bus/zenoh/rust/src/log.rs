@@ -17,8 +17,10 @@ type LogFn = extern "C" fn(*mut c_void, bool, *const c_char, usize);
 const ACCEPT: &str = "zenoh_transport::unicast::establishment::accept";
 const MANAGER: &str = "zenoh_transport::unicast::manager";
 
-/// The start of a warning at every start about gateways between regions. It is dropped: we configure no regions.
-const ABOUT_GOSSIP: &str = "Gossip is disabled";
+/// The starts of warnings that are dropped. The first comes at every start and is about gateways between regions; we
+/// configure none. The second comes for each peer that reaches us through several network interfaces. It is about
+/// access rules that name an interface; ours name none.
+const NOT_ABOUT_US: [&str; 2] = ["Gossip is disabled", "Transport returned multiple network interfaces"];
 
 static FAILED_HANDSHAKES: AtomicU64 = AtomicU64::new(0);
 
@@ -74,7 +76,7 @@ impl Subscriber for Forward {
         let mut message = Message::default();
         event.record(&mut message);
         let level = *event.metadata().level();
-        if message.0.starts_with(ABOUT_GOSSIP) {
+        if NOT_ABOUT_US.iter().any(|start| message.0.starts_with(start)) {
             return;
         }
         if level <= Level::WARN {

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+/// Limits of the data plane. A change of them recompiles only what carries messages; limits.h recompiles everything.
+namespace tensormass::limits {
+
+/// Bytes of a client's message over zenoh; a larger one is dropped before it is held, and nothing is counted. zenoh
+/// sends what is smaller in one piece, so a lower limit would bound nothing more.
+inline constexpr std::uint32_t kMaxZenohMessageBytes = 65'536;
+/// Clients connected over zenoh at once unless `--zenoh-sessions` says otherwise, and the most that it may say.
+inline constexpr std::uint32_t kDefaultZenohSessions = 512, kMaxZenohSessions = 65'536;
+/// Subscriptions of one client at the ZeroMQ publish endpoint; a client with more is disconnected. A scene with every
+/// tool has 19 streams.
+inline constexpr std::size_t kMaxSubscriptionsPerPeer = 64;
+/// Bytes of a message to the ZeroMQ publish endpoint; ZeroMQ closes the connection of a client that sends a longer one.
+/// The longest key has 220. The handshake's messages count, too, and may bring a client's own properties.
+inline constexpr std::int64_t kMaxSubscriptionBytes = 1024;
+/// Time between two repetitions of a retained message for late joiners over ZeroMQ [s]. Every subscriber of its key is
+/// sent each of them, because ZeroMQ cannot address one.
+inline constexpr double kRetainedPeriodS = 1;
+
+}  // namespace tensormass::limits

@@ -1,0 +1,56 @@
+"""`make attack`: every attack, one after the other, and a table of what each one did before and does now.
+
+    python tests/attack/table.py [arguments of pytest]
+
+The marker `attack(fault, before)` of a test says what a stranger does, and what that did to the server that was first
+attacked so. A test may measure what it does now, by `record_property("now", "+3 MiB")`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+
+class Table:
+    """Gathers the rows while pytest runs."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[str, str, str]] = []
+        self._said: dict[str, tuple[str, str]] = {}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        for item in items:
+            marker = item.get_closest_marker("attack")
+            fault = item.name.removeprefix("test_").replace("_", " ")
+            self._said[item.nodeid] = (marker.args[0], marker.args[1]) if marker is not None else (fault, "")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call" or (report.when == "setup" and not report.passed):
+            fault, before = self._said[report.nodeid]
+            measured = dict(report.user_properties).get("now")
+            held = {"passed": "held", "skipped": "skipped", "failed": "FAILED"}[report.outcome]
+            self.rows.append((fault, before, f"{held}: {measured}" if measured else held))
+
+    def text(self) -> str:
+        head = ("fault", "before", "now")
+        widths = [max(len(row[i]) for row in [head, *self.rows]) for i in range(3)]
+        lines = [
+            "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
+            for row in [head, *self.rows]
+        ]
+        lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+        return "\n".join(lines)
+
+
+def main(arguments: list[str]) -> int:
+    table = Table()
+    status = pytest.main(["-q", "-rfEs", str(Path(__file__).parent), *arguments], plugins=[table])
+    print(table.text())
+    return int(status)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,152 @@
+"""Strangers over zenoh: only the daemon speaks in its name, and what a stranger sends is bounded before it is held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+from attack_parts import DEADLINE_S, IN_AIR_M, MIB, attacked, block, memory_of, restart_high_water_mark, wait_for
+from attack_parts import zenoh_session as stranger
+
+import tensormass as tm
+from tensormass._src.poses import PoseSequence
+from tensormass.v1 import stream_pb2
+
+SCENE = "tensormass/local/block"
+FEEDBACK, POSE = f"{SCENE}/tool/probe/feedback", f"{SCENE}/tool/probe/pose"
+STREAMS = (f"{SCENE}/frame", f"{SCENE}/topology", f"{SCENE}/status", FEEDBACK)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[tm.Server]:
+    with attacked(zenoh=True) as server:
+        server.load(block())
+        yield server
+
+
+def put(session: zenoh.Session, key: str, payload: bytes) -> None:
+    """With the priority of feedback, so that nothing overtakes it on the way to a reader of feedback."""
+    session.put(
+        key, payload, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.BLOCK, express=True
+    )
+
+
+class Heard:
+    """Messages of all streams that an honest client hears, and the last pose that a step answered."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self.keys: set[str] = set()
+        self.forged: list[str] = []
+        self.answered = 0
+        self._subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(self._take, indirect=False))
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        key, payload = str(sample.key_expr), sample.payload.to_bytes()
+        self.keys.add(key)
+        if payload == b"forged" or sample.kind == zenoh.SampleKind.DELETE:
+            self.forged.append(key)
+        elif key == FEEDBACK:
+            self.answered = stream_pb2.ToolFeedback.FromString(payload).pose_sequence
+
+
+@pytest.mark.attack(
+    "a peer puts feedback, frame, topology, status over zenoh", "routed to other clients: 0 N became the largest force"
+)
+@pytest.mark.parametrize("mode", ["client", "peer"])
+def test_only_the_daemon_speaks_in_its_name(server: tm.Server, mode: str) -> None:
+    with stranger(server) as honest, stranger(server, mode) as attacker:
+        heard = Heard(honest, f"{SCENE}/**")
+        wait_for("feedback", lambda: FEEDBACK in heard.keys)
+        # The honest client is told of the attacker's pose after everything that the attacker sent before it.
+        sequence = PoseSequence()
+        sequence.last = first = 1_000_000 if mode == "client" else 2_000_000
+
+        def forges() -> bool:
+            for key in STREAMS:
+                put(attacker, key, b"forged")
+                attacker.delete(key)
+            put(attacker, POSE, sequence.next(IN_AIR_M, None).SerializeToString())
+            return heard.answered > first
+
+        wait_for("the answer to the attacker's pose", forges)
+        wait_for("the daemon's own streams", lambda: heard.keys >= {FEEDBACK, f"{SCENE}/frame", f"{SCENE}/status"})
+        assert heard.forged == []
+
+
+@pytest.mark.attack("a peer reads the poses of others over zenoh", "routed to it, so that no pose can hold a secret")
+def test_poses_are_for_the_daemon_alone(server: tm.Server) -> None:
+    with stranger(server) as hand, stranger(server) as attacker:
+        heard = Heard(attacker, "**")
+        wait_for("feedback", lambda: FEEDBACK in heard.keys)
+        sequence = PoseSequence()
+        sequence.last = 3_000_000
+
+        def answered() -> bool:
+            put(hand, POSE, sequence.next(IN_AIR_M, None).SerializeToString())
+            return heard.answered > 3_000_000
+
+        wait_for("the answer to the hand's pose", answered)
+        assert POSE not in heard.keys
+
+
+@pytest.mark.attack("a peer answers late joiners over zenoh", "the joiner got only the forged topology")
+@pytest.mark.parametrize("mode", ["client", "peer"])
+def test_a_late_joiner_gets_the_daemons_topology_alone(server: tm.Server, mode: str) -> None:
+    with stranger(server, mode) as attacker, stranger(server) as joiner:
+
+        def ask(session: zenoh.Session) -> list[bytes]:
+            replies = session.get(f"{SCENE}/topology", target=zenoh.QueryTarget.ALL, timeout=DEADLINE_S)
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+        def forge(query: zenoh.Query) -> None:
+            query.reply(query.key_expr, b"forged")
+
+        queryable = attacker.declare_queryable(
+            f"{SCENE}/topology", zenoh.handlers.Callback(forge, indirect=False), complete=True
+        )
+        # The daemon has read the declaration when it answers what the attacker asked after it. A peer asks only itself
+        # until the daemon's own declaration has come.
+        wait_for("the daemon's answer", lambda: any(answer != b"forged" for answer in ask(attacker)))
+        answers = ask(joiner)
+        queryable.undeclare()
+    assert [stream_pb2.Topology.FromString(answer).scene for answer in answers] == ["block"]
+
+
+@pytest.mark.attack("a pose message of 128 MiB over zenoh", "held as a whole: +1,412 MiB for 800 MiB")
+def test_a_large_pose_is_refused_before_it_is_held(
+    server: tm.Server, record_property: Callable[[str, object], None]
+) -> None:
+    handle = server.scene("block")
+    with stranger(server) as attacker:
+        sequence = PoseSequence()
+        put(attacker, POSE, sequence.next(IN_AIR_M, None).SerializeToString())
+        wait_for("a first pose", lambda: handle.feedback("probe").client_id == sequence.client_id)
+        restart_high_water_mark(server)
+        before = memory_of(server, "VmHWM")
+        put(attacker, POSE, bytes(128 * MIB))
+        put(attacker, POSE, sequence.next(IN_AIR_M, None).SerializeToString())
+        wait_for("the pose after it", lambda: handle.feedback("probe").pose_sequence == sequence.last)
+        grown = memory_of(server, "VmHWM") - before
+    record_property("now", f"+{grown / MIB:.1f} MiB")
+    assert grown < 16 * MIB
+
+
+@pytest.mark.attack("more zenoh sessions than --zenoh-sessions", "1000 whatever the machine")
+def test_sessions_are_limited() -> None:
+    with attacked("--zenoh-sessions", "3", zenoh=True) as server:
+        held = [stranger(server) for _ in range(3)]
+        with pytest.raises(zenoh.ZError):
+            stranger(server)
+        held.pop().close()
+
+        def opens() -> bool:
+            try:
+                stranger(server).close()
+            except zenoh.ZError:
+                return False
+            return True
+
+        wait_for("a place of a session that left", opens)
+        for session in held:
+            session.close()

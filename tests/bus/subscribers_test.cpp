@@ -1,0 +1,82 @@
+#include "bus/zeromq/subscribers.h"
+
+#include <array>
+
+#include <gtest/gtest.h>
+
+namespace tensormass::bus {
+namespace {
+
+using Verdict = Subscribers::Verdict;
+
+class SubscribersTest : public testing::Test {
+ protected:
+  /// The n-th connection, under a descriptor.
+  Subscribers::Connection connection(std::size_t n, int descriptor) { return {&ids_[n], descriptor}; }
+  Verdict subscribe(const Subscribers::Connection& from, const std::string& key) {
+    zmq::message_t request(key);
+    return subscribers_.subscribe(from, request, key);
+  }
+  static std::string feedback(std::size_t number) {
+    return feedback_key("host", "demo", std::to_string(number)) + '\0';
+  }
+  /// Asks for one subscription too many.
+  Verdict fill(const Subscribers::Connection& from) {
+    Verdict last = Verdict::kAccepted;
+    for (std::size_t i = 0; i <= limits::kMaxSubscriptionsPerPeer; ++i) {
+      EXPECT_EQ(last, Verdict::kAccepted) << i;
+      last = subscribe(from, feedback(i));
+    }
+    return last;
+  }
+
+  Subscribers subscribers_{"host"};
+  std::array<char, 4> ids_{};
+  Subscribers::Time now_{};
+};
+
+TEST_F(SubscribersTest, AcceptsAsManyDifferentKeysAsTheLimit) {
+  EXPECT_EQ(fill(connection(0, 5)), Verdict::kTooMany);
+  // Another peer has its own count, and a key counts once.
+  for (int i = 0; i < 1000; ++i) EXPECT_EQ(subscribe(connection(1, 6), feedback(1)), Verdict::kAccepted);
+}
+
+TEST_F(SubscribersTest, AnEndedSubscriptionMakesRoom) {
+  for (std::size_t i = 0; i < 1000; ++i) {
+    EXPECT_EQ(subscribe(connection(0, 5), feedback(i)), Verdict::kAccepted);
+    subscribers_.unsubscribe(connection(0, 5), feedback(i));
+  }
+}
+
+TEST_F(SubscribersTest, RefusesAPeerOnceAndIgnoresTheRest) {
+  EXPECT_EQ(subscribe(connection(0, 5), "tensormass/"), Verdict::kWrongKey);
+  EXPECT_EQ(subscribe(connection(0, 5), feedback(0)), Verdict::kIgnored);
+  zmq::message_t request(std::string("x"));
+  EXPECT_FALSE(subscribers_.refuse(connection(0, 5), request));
+  EXPECT_TRUE(subscribers_.refuse(connection(1, 6), request));
+}
+
+TEST_F(SubscribersTest, WhatAnEndedConnectionSentDoesNotHarmTheNextOneUnderItsDescriptor) {
+  ASSERT_EQ(fill(connection(0, 5)), Verdict::kTooMany);
+  subscribers_.forget(5, now_);
+  EXPECT_EQ(subscribe(connection(0, 5), feedback(0)), Verdict::kIgnored);
+  EXPECT_EQ(subscribe(connection(1, 5), feedback(0)), Verdict::kAccepted);
+  EXPECT_EQ(subscribe(connection(0, 5), feedback(1)), Verdict::kIgnored);
+  EXPECT_EQ(subscribe(connection(1, 5), feedback(1)), Verdict::kAccepted);
+}
+
+TEST_F(SubscribersTest, KeepsNothingOfConnectionsThatEnded) {
+  subscribe(connection(0, 5), feedback(0));
+  subscribe(connection(1, 6), feedback(0));
+  subscribers_.forget(5, now_);
+  subscribers_.clean_up(now_);
+  EXPECT_EQ(subscribers_.peer_count(), 2u);
+  subscribers_.clean_up(now_ + std::chrono::seconds(1));
+  EXPECT_EQ(subscribers_.peer_count(), 1u);
+  subscribers_.forget(6, now_ + std::chrono::seconds(1));
+  subscribers_.clean_up(now_ + std::chrono::seconds(3));
+  EXPECT_EQ(subscribers_.peer_count(), 0u);
+}
+
+}  // namespace
+}  // namespace tensormass::bus
