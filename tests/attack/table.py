@@ -15,31 +15,32 @@ import pytest
 
 
 class Table:
-    """Gathers the rows while pytest runs."""
+    """Gathers the rows while pytest runs. Tests of the same fault share a row: one that fails fails it."""
 
     def __init__(self) -> None:
-        self.rows: list[tuple[str, str, str]] = []
         self._said: dict[str, tuple[str, str]] = {}
+        self._now: dict[tuple[str, str], list[tuple[str, str]]] = {}
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         for item in items:
             marker = item.get_closest_marker("attack")
-            fault = item.name.removeprefix("test_").replace("_", " ")
+            fault = item.name.split("[")[0].removeprefix("test_").replace("_", " ")
             self._said[item.nodeid] = (marker.args[0], marker.args[1]) if marker is not None else (fault, "")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        if report.when == "call" or (report.when == "setup" and not report.passed):
-            fault, before = self._said[report.nodeid]
-            measured = dict(report.user_properties).get("now")
-            held = {"passed": "held", "skipped": "skipped", "failed": "FAILED"}[report.outcome]
-            self.rows.append((fault, before, f"{held}: {measured}" if measured else held))
+        if report.when == "call" or not report.passed:
+            measured = str(dict(report.user_properties).get("now", ""))
+            self._now.setdefault(self._said[report.nodeid], []).append((report.outcome, measured))
 
     def text(self) -> str:
-        head = ("fault", "before", "now")
-        widths = [max(len(row[i]) for row in [head, *self.rows]) for i in range(3)]
+        rows = [("fault", "before", "now")]
+        for (fault, before), outcomes in self._now.items():
+            worst = next(word for word in ("failed", "skipped", "passed") if word in dict(outcomes))
+            held = {"passed": "held", "skipped": "skipped", "failed": "FAILED"}[worst]
+            rows.append((fault, before, "; ".join([held, *(measured for _, measured in outcomes if measured)])))
+        widths = [max(len(row[i]) for row in rows) for i in range(3)]
         lines = [
-            "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
-            for row in [head, *self.rows]
+            "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
         ]
         lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
         return "\n".join(lines)
